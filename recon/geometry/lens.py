@@ -8,7 +8,7 @@ into pixels. As in OpenCV's documentation (modules calib3d and fisheye):
 - "fisheye": equidistant, k1 k2 k3 k4; theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 + k4 theta^8).
 
 To add a model, write a class with `distort` and `max_radius`, add it to `LENS_MODELS`, and add a line to
-tests/test_camera.py.
+tests/geometry/test_camera.py.
 """
 
 from __future__ import annotations

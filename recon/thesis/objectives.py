@@ -2,7 +2,7 @@
 
 Each term is one small class. It reads the pose of one frame and, if it `ties` frames, the pose of the frame before,
 which is fixed. It returns residuals without unit (differences divided by a standard deviation) and their exact
-Jacobian. A new term is one class here and one line in the list of `tests/test_objectives.py`.
+Jacobian. A new term is one class here and one line in the list of `tests/thesis/test_objectives.py`.
 
 f1 to f5 are those of C. van der Leek, MSc(Eng), University of Cape Town, 2022. `form` chooses between a penalty outside
 the range only ("deadband"), which is meant, and the two-sided penalty as published ("printed"), which pulls towards the

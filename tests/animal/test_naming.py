@@ -1,0 +1,401 @@
+"""Names of keypoints: maps, near misses, and what detectors write into their files."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import refusal, refused, run, says
+
+from recon import ClipAnalysis, FitSettings, InputError, Keypoints, evaluate, load_skeleton, read_pose3d
+from recon.animal import (
+    NameMap,
+    builtin_maps,
+    fitting_maps,
+    load_names,
+    map_to_write,
+    new_names,
+    renamed,
+    skeleton_of,
+    suggestions,
+)
+from recon.fit import Motion
+from recon.io import read_keypoints, write_csv
+from recon.keypoint_net import evaluate_2d_files
+from recon.robotics.quadruped import load_robot
+from recon.robotics.retarget import reference_of, retarget
+from recon.show import build_report
+from recon.testing import detectors
+from recon.testing.detectors import ACINOSET, ANIMAL3D, AP_10K, HORSE_10, MMPOSE_AP_10K, SUPERANIMAL, UNSEEN
+from recon.workflows import (
+    ConvertSettings,
+    check_skeleton,
+    draft_skeleton,
+    file_sha256,
+    identity,
+    prepare,
+    read_any,
+    run_clip,
+)
+
+SAMPLES = Path(__file__).parents[2] / "data" / "samples"
+
+
+def keypoints(*names: str) -> Keypoints:
+    """Keypoint k is at (10 k, 20 k) in frame 0, one pixel further in each of two more."""
+    xy = np.arange(len(names))[:, None] * [10.0, 20.0] + np.arange(3.0)[:, None, None]
+    return Keypoints(names, xy, np.full((3, len(names)), 0.9), np.arange(3), fps=30.0, source="clip.csv")
+
+
+def in_file(folder: Path, text: str) -> Path:
+    path = folder / "names.csv"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+# -- maps ----------------------------------------------------------------------------------------------------------
+
+
+WOLF = detectors.split_names(
+    "snout,left_eye,right_eye,neck,withers,sacrum,tail_base,tail_mid,tail_tip,left_shoulder,left_elbow,left_wrist",
+    "left_forepaw,right_shoulder,right_elbow,right_wrist,right_forepaw,left_hip,left_stifle,left_hock,left_hindpaw",
+    "right_hip,right_stifle,right_hock,right_hindpaw",
+)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "file,skeleton\nleft_eye,l_eye\nthroat,\n",
+        "# mine\nleft_eye,l_eye\n\nthroat,\n",
+        "left_eye;l_eye\nthroat;\n",
+        "\ufeffleft_eye\tl_eye\r\nthroat\t\r\n",
+        '"left_eye", l_eye\n throat ,""',
+    ],
+)
+def test_a_map_is_two_columns(text, tmp_path):
+    assert load_names(in_file(tmp_path, text)).names == {"left_eye": "l_eye", "throat": ""}
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("left_eye\n", [("line 1", "'left_eye'")]),
+        ("a,b,c\n,d\ne,f\ne,g", [("line 1", "'a,b,c'"), ("line 2", "',d'"), ("line 4", "'e' again")]),
+        ("a,\x1b[2J", [("line 1", r"'a,\x1b[2J'")]),
+        ("file,skeleton\n", [("lines", "none")]),
+        ("a" * 200_000 + ",b\n", [("line 1", "'" + "a" * 59)]),
+    ],
+)
+def test_faults_of_a_map_are_named(text, expected, tmp_path):
+    path = in_file(tmp_path, text)
+    with refusal(*((path, *one) for one in expected)):
+        load_names(path)
+
+
+def test_a_map_of_no_known_name():
+    with refusal(("--rename", "name or file", "'superanimal'", "one of anatomical, animal3d")):
+        load_names("superanimal")
+
+
+def test_points_go_with_their_names():
+    """Also where two names are exchanged, and with a note of what was done."""
+    file = keypoints("a", "b", "c", "d")
+    new = renamed(file, NameMap("map.csv", {"a": "b", "b": "a", "c": "", "x": "y"}))
+    assert new.names == ("b", "a", "d")
+    np.testing.assert_array_equal(new.xy_px, file.xy_px[:, [0, 1, 3]])
+    assert new.confidence.shape == (3, 3)
+    (note,) = new.notes
+    assert says(note, "3 of 4 keypoints", "map.csv", "left out: c", "in the file: x")
+
+
+def test_a_map_that_does_not_fit_is_refused():
+    for names, *expected in (
+        ({"x": "y"}, ["x: none", "clip.csv"], "a, b"),
+        ({"a": "b"}, "'b' for a, b", "one of them"),
+        ({"a": "", "b": ""}, ["every keypoint", "clip.csv"]),
+    ):
+        with refusal(("map.csv", "names", *expected)):
+            renamed(keypoints("a", "b"), NameMap("map.csv", names))
+
+
+@pytest.mark.parametrize(
+    ("bundled", "names", "of_cheetah"),
+    [
+        ("superanimal-quadruped", SUPERANIMAL, 19),
+        ("ap-10k", AP_10K, 17),
+        ("ap-10k", MMPOSE_AP_10K, 17),
+        ("animal3d", ANIMAL3D, 19),
+        ("anatomical", WOLF, 23),
+    ],
+)
+def test_bundled_maps(bundled, names, of_cheetah):
+    """They have no name that their detector lacks, and keep the sides; the fit finds its own map."""
+    by = load_names(bundled)
+    cheetah = load_skeleton("cheetah-24")
+    if names not in (MMPOSE_AP_10K, WOLF):  # by their words
+        assert {*by.names} <= {*names}
+    _, new, note = new_names(names, by, "clip.csv")
+    assert len({*new} & {*cheetah.markers}) == of_cheetah
+    assert {*cheetah.feet} <= {*new}
+    for old, its in by.names.items():
+        side = {"l": "left", "r": "right"}.get(its[0]) if its[1] == "_" else None
+        assert (side is None) == (cheetah.side_of(old) is None)
+        assert side in (None, cheetah.side_of(old))
+    assert "not in the file" not in note
+    assert fitting_maps(names, cheetah.markers)[0] == bundled
+
+
+def test_a_bundled_map_has_a_name_however_it_is_written(tmp_path):
+    by = load_names("anatomical")
+    for carpus in ("left_carpus", "Left_Carpus", "LeftCarpus", "leftCarpus", "L_carpus", "carpus_L", "Carpus left"):
+        _, new, _ = new_names(["nose", carpus, carpus.replace("arpus", "arpals")], by, "clip.csv")
+        assert new == ("nose", "l_front_ankle", carpus.replace("arpus", "arpals"))
+    assert by.get("LeftCarpus") == by.get("left_carpus") != by.get("RightCarpus")
+    own = load_names(in_file(tmp_path, "left_carpus,paw"))
+    assert (own.get("LeftCarpus"), own.get("left_carpus")) == (None, "paw")
+
+
+def test_every_bundled_map_is_tested():
+    """`coco-17` and `mouse-15` in tests/fit/test_bodies.py."""
+    assert builtin_maps() == ("anatomical", "animal3d", "ap-10k", "coco-17", "mouse-15", "superanimal-quadruped")
+
+
+@pytest.mark.parametrize(
+    ("names", "skeleton", "unused"), [(ACINOSET, "cheetah-24", {"lure"}), (HORSE_10, "horse-22", set())]
+)
+def test_detectors_whose_names_are_a_skeletons(names, skeleton, unused):
+    markers = load_skeleton(skeleton).markers
+    assert {*names} - {*markers} == unused
+    assert {*markers} <= {*names}
+
+
+# -- near misses ---------------------------------------------------------------------------------------------------
+
+
+def test_near_misses():
+    near = suggestions(
+        ["left_eye", "Nose", "front_right_paw", "rear_left_foot", "rootOfTail", "withers", "chin", "Left.Shoulder"],
+        ["l_eye", "r_eye", "nose", "r_front_paw", "l_back_paw", "l_front_paw", "tail_base", "spine", "l_shoulder"],
+    )
+    assert near == {
+        "left_eye": "l_eye",
+        "Nose": "nose",
+        "front_right_paw": "r_front_paw",
+        "rear_left_foot": "l_back_paw",
+        "rootOfTail": "tail_base",
+        "Left.Shoulder": "l_shoulder",
+    }
+    assert suggestions(["r_sholder", "shoulder"], ["l_shoulder", "r_shoulder"]) == {"r_sholder": "r_shoulder"}
+
+
+def test_the_map_to_write(tmp_path):
+    lines = list(map_to_write(["nose", "left_eye", "chin"], ["nose", "l_eye", "spine"]))
+    assert lines == ["file,skeleton", "left_eye,l_eye", "chin,"]
+    assert load_names(in_file(tmp_path, "\n".join(lines))).names == {"left_eye": "l_eye", "chin": ""}
+
+
+def test_the_summary_names_what_is_used_and_near_misses(small_trajectory):
+    """r_eye is missing in the clip, whose ear is of no use."""
+    source = small_trajectory.sources[0]
+    file = replace(source, file_names=tuple("right_eye" if name == "ear" else name for name in source.file_names))
+    for motion, said in (
+        (small_trajectory, "23 of the skeleton's 24 used; missing: r_eye; not used: ear"),
+        (
+            replace(small_trajectory, sources=(file,)),
+            "23 of the skeleton's 24 used; missing: r_eye; not used: right_eye; perhaps the same (--rename): "
+            "right_eye for r_eye",
+        ),
+    ):
+        assert dict(build_report(motion)["lines"])["keypoints"] == said
+
+
+# -- a skeleton of these names -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("names", "placed"), [(SUPERANIMAL, 22), (AP_10K, 17), (MMPOSE_AP_10K, 17), (ANIMAL3D, 21), (ACINOSET, 24)]
+)
+def test_a_skeleton_is_drafted_from_names(names, placed, tmp_path):
+    """It can be used, and has the quadruped's pose; a keypoint may be called as one of its segments, such as neck."""
+    markers, others, text = draft_skeleton(names, "mine", Path("clip.csv"))
+    assert len(markers) == placed
+    assert {*markers} | {*others} == {*names}
+    file = tmp_path / "mine.toml"
+    file.write_text(text, encoding="utf-8")
+    body, quadruped = load_skeleton(file), load_skeleton("quadruped")
+    assert {*body.markers} == {*markers}
+    at, of = (dict(zip(b.markers, b.expected_points_m(), strict=True)) for b in (body, quadruped))
+    for name, marker in markers.items():
+        np.testing.assert_allclose(at[name], of[marker], atol=1e-12)
+    assert {label: markers[foot] for label, foot in body.feet_by_label().items()} == quadruped.feet_by_label()
+    assert check_skeleton(file)["remarks"] == []
+    assert {*body.limb_sides().values()} == {"left", "right", None}
+
+
+def test_a_draft_needs_both_ends_of_the_trunk():
+    names = ["nose", "l_eye", "r_eye", "neck_base", "withers"]
+    with refusal(("clip.csv", "bodyparts", ", ".join(names), ["rear", "(tail_base, l_hip, spine)", "--camera"])):
+        draft_skeleton(names, "mine", Path("clip.csv"))
+
+
+def test_recon_skeleton_from_keypoints(tmp_path):
+    clip, out = as_named_by("superanimal-quadruped", tmp_path / "clip.csv", SUPERANIMAL), tmp_path / "mine.toml"
+    ended = run("skeleton", "from-keypoints", clip, "--out", out)
+    assert (ended.code, ended.err) == (0, "")
+    assert says(ended.out, f"{out}: 22 of 39 keypoints")
+    assert "back_base as withers" in ended.out
+    assert "Without a place: upper_jaw, lower_jaw, " in ended.out
+    assert load_skeleton(out).name == "mine"
+    refused(["skeleton", "from-keypoints", clip, "--out", out], ("--out", "file", out, "--overwrite"))
+    assert prepare(settings(clip, skeleton=out)).body.name == "mine"
+
+
+# -- commands ------------------------------------------------------------------------------------------------------
+
+
+def as_named_by(bundled: str, path: Path, names: tuple[str, ...]) -> Path:
+    """The sample of a whole cheetah as a detector with these names would have written it: nothing else is in it."""
+    file, of = read_keypoints(SAMPLES / "whole.csv"), load_names(bundled).names
+    T, K = len(file.frames), len(names)
+    xy, confidence = np.full((T, K, 2), np.nan), np.zeros((T, K))
+    for k, name in enumerate(names):
+        if (new := of.get(name, name)) in file.names:
+            xy[:, k] = file.xy_px[:, file.names.index(new)]
+            confidence[:, k] = file.confidence[:, file.names.index(new)]
+    write_csv(replace(file, names=tuple(names), xy_px=xy, confidence=confidence), path)
+    return path
+
+
+def settings(clip: Path, **more) -> FitSettings:
+    return FitSettings(keypoints=(clip,), camera=SAMPLES / "camera.toml", fps=60.0, **more)
+
+
+def test_a_fit_takes_a_detectors_own_names(tmp_path):
+    clip = as_named_by("superanimal-quadruped", tmp_path / "clip.csv", SUPERANIMAL)
+    (source,) = prepare(settings(clip, rename="superanimal-quadruped")).sources
+    native = prepare(settings(SAMPLES / "whole.csv")).sources[0].keypoints
+    assert source.keypoints.names == native.names
+    lacking = [n for n in native.names if n not in source.file_names]
+    assert lacking == ["tail1", "l_front_ankle", "r_front_ankle", "l_back_ankle", "r_back_ankle"]
+    known = [native.names.index(n) for n in native.names if n not in lacking]
+    np.testing.assert_allclose(source.keypoints.xy_px[:, known], native.xy_px[:, known], atol=1e-3)
+    assert any(says(note, "19 of 39 keypoints", "superanimal-quadruped") for note in source.cleaning.notes)
+
+
+@pytest.mark.parametrize("name", detectors.FILES)
+def test_a_detectors_own_file(name, tmp_path):
+    """In its layout, with animals and a frame that it did not see: there is no choice to make, and the points are those
+    of the skeleton's own names."""
+    bundled, write = detectors.FILES[name]
+    write(tmp_path / name, read_keypoints(SAMPLES / "whole.csv"))
+    (source,) = prepare(settings(tmp_path / name, rename=bundled)).sources
+    native = prepare(settings(SAMPLES / "whole.csv")).sources[0].keypoints
+    found = source.keypoints
+    assert (found.names, found.frames.tolist()) == (native.names, native.frames.tolist())
+    known = [j for j, marker in enumerate(native.names) if marker in source.file_names]
+    assert len(known) == {"superanimal-quadruped": 19, "animal3d": 19, "ap-10k": 17, None: 24}[bundled]
+    rows = native.frames != UNSEEN
+    np.testing.assert_allclose(found.xy_px[rows][:, known], native.xy_px[rows][:, known], atol=1e-3)
+    assert not found.present[UNSEEN].any()
+    assert not found.present[:, [j for j in range(len(native.names)) if j not in known]].any()
+
+
+def test_every_bundled_map_has_a_file_of_its_detector():
+    of_four_legs = {*builtin_maps()} - {"coco-17", "mouse-15", "anatomical"}
+    assert of_four_legs == {bundled for bundled, _ in detectors.FILES.values() if bundled}
+
+
+def test_from_superanimals_file_to_a_robot(whole_results, tmp_path):
+    """All 39 keypoints in DeepLabCut's spelling: four feet with their sides, the gait, and nearly the accuracy that the
+    skeleton's own names give."""
+    detectors.write_superanimal(tmp_path / "clip.csv", read_keypoints(SAMPLES / "whole.csv"))
+    run_clip(settings(tmp_path / "clip.csv", rename="superanimal-quadruped"), tmp_path / "clip")
+    found, native = Motion.load(tmp_path / "clip"), Motion.load(whole_results)
+    assert found.foot_names == {"LF": "l_front_paw", "RF": "r_front_paw", "LH": "l_back_paw", "RH": "r_back_paw"}
+    assert all(side == limb.partition(" ")[0] for limb, side in found.limb_sides.items() if "leg" in limb)
+    assert ClipAnalysis(found).gait.name.name == ClipAnalysis(native).gait.name.name == "transverse gallop"
+    assert retarget(reference_of(found), load_robot("a1")).clip.margin_rad.min() >= 0
+    truth = read_pose3d(SAMPLES / "whole_truth.csv")
+    renamed_m, native_m = (evaluate(results.upright, truth).mpjpe_m.mean for results in (found, native))
+    assert renamed_m < 1.3 * native_m
+
+
+def test_few_names_are_refused_with_the_map_to_write(tmp_path):
+    """nose, neck_base and tail_base alone were fitted before, without a word. The lines are a map that is taken."""
+    clip = as_named_by("superanimal-quadruped", tmp_path / "clip.csv", SUPERANIMAL)
+    args = ["fit", clip, "--camera", SAMPLES / "camera.toml", "--fps", 60, "--out", tmp_path / "out"]
+    expected = ["cheetah-24", "--rename superanimal-quadruped", "--rename with a file"]
+    (problem,) = refused(args, (clip, "bodyparts", "nose, neck_base, tail_base", expected))
+    assert problem.more[:2] == ("file,skeleton", "upper_jaw,")
+    written = in_file(tmp_path, "\n".join(problem.more))
+    (source,) = prepare(settings(clip, rename=written)).sources
+    assert {"l_eye", "r_front_paw", "l_back_knee"} <= {*source.file_names}
+
+
+def test_renaming_works_in_files_of_several_animals(tmp_path):
+    """In each of which every name stands once for each animal, below a row that names the animals."""
+    rows = list(csv.reader((SAMPLES / "whole.csv").read_text().splitlines()))
+    rows = [[*row, *row[1:]] for row in rows]
+    half = (len(rows[0]) - 1) // 2
+    rows.insert(1, ["individuals", *["one"] * half, *["two"] * half])
+    clip = tmp_path / "two.csv"
+    with clip.open("w", newline="") as file:
+        csv.writer(file).writerows(rows)
+    names = in_file(tmp_path, "spine,mid_back\nl_eye,\n")
+    out = tmp_path / "renamed.csv"
+    ended = run("convert", clip, out, "--individual", "two", "--rename", names)
+    assert (ended.code, ended.err) == (0, "")
+    assert says(ended.out, "2 of 24 keypoints", "names.csv", "left out: l_eye")
+    new, old = read_keypoints(out), read_keypoints(SAMPLES / "whole.csv")
+    assert new.names == tuple("mid_back" if n == "spine" else n for n in old.names if n != "l_eye")
+    np.testing.assert_array_equal(new.xy_px[:, new.names.index("mid_back")], old.xy_px[:, old.names.index("spine")])
+
+
+def test_positions_in_3d_are_not_renamed(tmp_path):
+    with refusal(("--rename", "names", ["3D positions", SAMPLES / "whole_truth.csv"], "2D keypoints")):
+        read_any(SAMPLES / "whole_truth.csv", ConvertSettings(rename=str(in_file(tmp_path, "spine,mid_back"))))
+
+
+def test_labels_and_predictions_of_other_names(tmp_path):
+    from recon.keypoint_net import read_labels
+
+    names = in_file(tmp_path, "".join(f"{n},{n.upper()}\n" for n in ("nose", "l_eye", "spine")))
+    labels = read_labels(SAMPLES / "rendered.mp4", SAMPLES / "rendered_labels.csv", rename=str(names))
+    before = read_labels(SAMPLES / "rendered.mp4", SAMPLES / "rendered_labels.csv")
+    assert labels.names[:2] == ("NOSE", "L_EYE")
+    np.testing.assert_array_equal(labels.xy_px, before.xy_px)
+    named = tmp_path / "labels.csv"
+    label_file = read_keypoints(SAMPLES / "rendered_labels.csv")
+    write_csv(replace(label_file, names=tuple(f"label {n}" for n in label_file.names)), named)
+    with pytest.raises(InputError) as error:
+        evaluate_2d_files(SAMPLES / "rendered_points.csv", named)
+    assert error.value.problems[0].more[0] == "file,skeleton"
+    by = in_file(tmp_path, "nose,label nose\nspine,label spine\n")
+    found = evaluate_2d_files(SAMPLES / "rendered_points.csv", named, rename=str(by))
+    same = evaluate_2d_files(SAMPLES / "rendered_points.csv", SAMPLES / "rendered_labels.csv")
+    assert found["per_keypoint"] == {f"label {n}": same["per_keypoint"][n] for n in ("nose", "spine")}
+
+
+def test_a_batch_knows_a_map_by_its_content(tmp_path):
+    names = in_file(tmp_path, "left_eye,l_eye\n")
+    one = identity(settings(SAMPLES / "whole.csv", rename=names))
+    assert {*one["inputs"]} == {"keypoints", "camera", "rename"}
+    assert "rename" not in one["settings"]
+    in_file(tmp_path, "left_eye,r_eye\n")
+    file_sha256.cache_clear()
+    assert identity(settings(SAMPLES / "whole.csv", rename=names)) != one
+    bundled = identity(settings(SAMPLES / "whole.csv", rename="ap-10k"))
+    assert bundled["settings"]["rename"] == "ap-10k"
+    assert json.dumps(bundled)
+
+
+@pytest.mark.parametrize("name", ["horse-22", "dog-27", "quadruped", "cheetah-24", "human-25", "mouse-top"])
+def test_the_skeleton_whose_keypoints_these_are(name):
+    markers = load_skeleton(name).markers
+    assert skeleton_of([*markers, "another"]) == name
+    assert skeleton_of(markers[1:]) is None

@@ -1,0 +1,229 @@
+"""Ctrl-C: one line on stderr and exit code 130, whatever the process is at."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from command_line import Ended, run
+from fuzz.ctrl_c import fault, interrupted
+
+from recon.base import MESSAGE
+
+posix = pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
+FIT = ("fit", "clip.csv", "--camera", "camera.toml", "--fps", "60", "--out", "results")
+
+# In place of the pipeline, so that the process is at a known place; the real ones are for tests/fuzz/ctrl_c.py.
+START = """
+import atexit, hashlib, os, signal, sys, time, types
+from recon.base import interrupts
+from recon.__main__ import main
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
+
+def ctrl_c():
+    os.kill(os.getpid(), signal.SIGINT)
+
+def fit():
+    try:
+        work()
+    finally:
+        print("cleaned up", flush=True)
+
+results = sys.modules["recon.workflows.fit"] = types.ModuleType("recon.workflows.fit")
+results.fit = fit
+sys.modules["pandas"] = types.ModuleType("pandas")
+"""
+IN_A_LIBRARY = "hashlib.pbkdf2_hmac('sha256', b'', b'', 10**9)"
+WORK = {
+    "at work": "ctrl_c(); time.sleep(60)",
+    "just before it waits": """
+    import threading
+    threading.Timer(0.1, lambda: signal.pthread_kill(threading.get_ident(), signal.SIGINT)).start()
+    time.sleep(60)
+""",
+    "another exception": """
+    try:
+        ctrl_c(); time.sleep(60)
+    except BaseException:
+        raise ValueError("no such thing") from None
+""",
+    "no exception": """
+    try:
+        ctrl_c(); time.sleep(60)
+    except BaseException:
+        pass
+""",
+    "within an import": """
+    class Finder:
+        @staticmethod
+        def find_spec(name, path=None, target=None):
+            if name == "wave":
+                ctrl_c(); time.sleep(0.2)
+    sys.meta_path.insert(0, Finder)
+    import wave
+    time.sleep(60)
+""",
+    "in a destructor": """
+    class Thing:
+        def __del__(self):
+            ctrl_c(); time.sleep(60)
+    Thing()
+    time.sleep(60)
+""",
+}
+
+
+def recon_in(code: str) -> Ended:
+    command = [sys.executable, "-c", f"{START}{code}\nmain()", "fit"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=30)
+    return Ended(done.returncode, done.stdout, done.stderr)
+
+
+def test_a_command_called_from_python_ends_with_one_line(monkeypatch):
+    def interrupted(*args: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("recon.workflows.clip_results.run_clip", interrupted)
+    assert run(*FIT) == Ended(130, "", f"{MESSAGE}\n")
+
+
+@posix
+@pytest.mark.parametrize("moment", WORK)
+def test_the_command_cleans_up(moment):
+    """A library may make another exception of it, or none."""
+    assert recon_in(f"def work():\n    {WORK[moment]}") == Ended(130, "cleaned up\n", f"{MESSAGE}\n")
+
+
+@posix
+@pytest.mark.parametrize("module", ["typer", "rich.markup", "recon.workflows.cli"])
+def test_within_an_import(module):
+    """There, libraries print exceptions that are not theirs."""
+    code = f"""
+class Finder:
+    @staticmethod
+    def find_spec(name, path=None, target=None):
+        if name == {module!r}:
+            ctrl_c(); time.sleep(60)
+sys.meta_path.insert(0, Finder)
+"""
+    assert recon_in(code) == Ended(130, "", f"{MESSAGE}\n")
+
+
+@posix
+def test_a_library_that_does_not_come_back():
+    code = f"""
+interrupts.STUCK_S = 0.1
+import threading
+def work():
+    threading.Timer(0.1, ctrl_c).start()
+    {IN_A_LIBRARY}
+"""
+    assert recon_in(code) == Ended(130, "", f"{MESSAGE}\n")
+
+
+@posix
+@pytest.mark.parametrize("again", ["ctrl_c(); time.sleep(60)", f"interrupts.CLEAN_UP_S = 0.1; {IN_A_LIBRARY}"])
+def test_cleaning_up_takes_no_longer_than_the_user_waits(again):
+    code = f"""
+def work():
+    try:
+        ctrl_c(); time.sleep(60)
+    finally:
+        {again}
+"""
+    assert recon_in(code) == Ended(130, "", f"{MESSAGE}\n")
+
+
+@posix
+def test_after_the_command():
+    """The line comes once, and what others do at the exit is not waited for either."""
+    code = """
+def work():
+    atexit.register(lambda: (ctrl_c(), time.sleep(60)))
+    raise KeyboardInterrupt
+"""
+    assert recon_in(code) == Ended(130, "cleaned up\n", f"{MESSAGE}\n")
+    assert recon_in(code.replace("raise KeyboardInterrupt", "sys.exit(0)")) == Ended(
+        130, "cleaned up\n", f"{MESSAGE}\n"
+    )
+
+
+@posix
+def test_while_python_ends():
+    """Nothing is left to stop then: the exit code is the command's."""
+    code = """
+class Last:
+    def __del__(self, kill=os.kill, pid=os.getpid(), number=signal.SIGINT):
+        kill(pid, number)
+last = Last()
+def work():
+    sys.exit(3)
+"""
+    assert recon_in(code) == Ended(3, "cleaned up\n", "")
+
+
+@posix
+def test_a_request_to_end_is_answered_as_ctrl_c_is():
+    code = "def work():\n    os.kill(os.getpid(), signal.SIGTERM); time.sleep(60)"
+    assert recon_in(code) == Ended(130, "cleaned up\n", f"{MESSAGE}\n")
+    assert recon_in(f"{code}\nsignal.signal(signal.SIGINT, signal.SIG_IGN)").out == "cleaned up\n"
+
+
+@posix
+def test_where_it_is_ignored_it_stays_so():
+    code = "def work():\n    ctrl_c(); print('done'); sys.exit(3)\nsignal.signal(signal.SIGINT, signal.SIG_IGN)"
+    assert recon_in(code) == Ended(3, "done\ncleaned up\n", "")
+
+
+@posix
+@pytest.mark.parametrize(
+    ("end", "code", "said"), [("sys.exit(5)", 5, ""), ("raise ArithmeticError", 1, "ArithmeticError\n")]
+)
+def test_the_process_ends_with_its_own_code(end, code, said):
+    """What is registered for the exit is done, and what is printed there is not lost."""
+    ended = recon_in(f"def work():\n    atexit.register(print, 'at the exit'); {end}")
+    assert (ended.code, ended.out) == (code, "cleaned up\nat the exit\n")
+    assert ended.err.endswith(said)
+    assert bool(ended.err) == bool(said)
+
+
+@posix
+@pytest.mark.parametrize(("where", "code", "said"), [("/dev/full", 2, "No space left on device"), ("|", 1, "")])
+def test_output_that_goes_nowhere(where, code, said):
+    """A full disk is said; a reader that had enough is none of the user's mistakes."""
+    if where == "|":
+        reader, writer = os.pipe()
+        os.close(reader)
+    else:
+        writer = os.open(where, os.O_WRONLY)
+    command = [sys.executable, "-m", "recon", "--version"]
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False, timeout=30)
+    os.close(writer)
+    assert (done.returncode, done.stderr.count("\n")) == (code, len(said) > 0)
+    assert said in done.stderr
+
+
+@posix
+@pytest.mark.parametrize("after_s", [0.0, 0.2, 0.5, 0.8])
+def test_from_outside(after_s, tmp_path):
+    """While modules are imported, and while the clip is fitted and written, whatever it is that this machine is at."""
+    samples = Path(__file__).resolve().parents[2] / "data" / "samples"
+    fit = ["fit", samples / "whole.csv", "--camera", samples / "camera.toml", "--fps", 60, "--out", tmp_path / "out"]
+    ended = interrupted([*map(str, fit)], after_s, tmp_path)
+    assert not fault(ended), ended
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="others do not limit what a process may have")
+def test_too_little_memory_is_said_before_a_library_waits_for_it():
+    ended = subprocess.run(
+        ["bash", "-c", f"ulimit -v 400000; exec '{sys.executable}' -m recon doctor"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (ended.returncode, ended.stdout) == (1, "")
+    assert ended.stderr == "error: not enough memory: a limit of 390 MB (ulimit -v), expected 640 MB\n"

@@ -1,0 +1,180 @@
+"""A camera that does not agree with the others is named, with how much; simulated cameras around a run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from recon.check import Finding, agreement_findings
+from recon.check.agreement import FRAMES
+from recon.clip import View
+from recon.geometry import euler_rotation, rigid
+from tests.clip.test_views import AHEAD, ASIDE, pose, truth_m, view_of
+from tests.fit.test_trajectory import FPS
+
+KEYPOINT_M = 0.005
+POSES = (AHEAD, ASIDE, pose([4.0, 1.0, 1.0], 0.75 * np.pi), pose([9.0, 10.0, 0.8], np.pi))
+
+
+def cameras(n: int = 4) -> list[View]:
+    """At most as noisy as expected."""
+    views = [view_of(truth_m(), T, sigma_px=2.0, seed=i) for i, T in enumerate(POSES[:n])]
+    return [replace(view, camera=replace(view.camera, name=f"cam{i + 1}")) for i, view in enumerate(views)]
+
+
+def judged(views: list[View], offset_s: Sequence[float] = (0.0,) * 5) -> tuple[Finding, ...]:
+    """What the rules say of a motion that has what they read."""
+    late = replace(views[0], offset_frames=views[0].offset_frames + 0.3)  # a lag that was found does not hide another
+    leads = [view.offset_frames for view in views]
+    sources = [SimpleNamespace(offset_frames=lead, offset_s=s) for lead, s in zip(leads, offset_s, strict=False)]
+    frames, solution = np.arange(100, 100 + len(views[0].xy_px)), SimpleNamespace(views=[late, *views[1:]])
+    motion = SimpleNamespace(solution=solution, sources=sources, fps=FPS, frames=frames)
+    return agreement_findings(motion, 2.0, KEYPOINT_M)  # type: ignore[arg-type]
+
+
+def findings(found: Sequence[Finding]) -> list[tuple[str, tuple[int, ...]]]:
+    """Codes but for notes, and the cameras that they are about, by their places."""
+    return [
+        (one.code, tuple(int(name[3:]) - 1 for name in one.names("cameras") or (str(one.camera),)))
+        for one in found
+        if one.severity != "note"
+    ]
+
+
+def notes(found: Sequence[Finding]) -> list[SimpleNamespace]:
+    """What is said of each camera."""
+    return [SimpleNamespace(**one.numbers) for one in found if one.code == "camera_agreement"]
+
+
+def turned(view: View, axis: int) -> View:
+    """By five degrees about x, y or z of the camera."""
+    rotation = euler_rotation(np.radians(5.0) * np.eye(3)[axis])
+    return replace(view, T_camera_world=rigid(rotation, np.zeros(3)) @ view.T_camera_world)
+
+
+def late(view: View, frames: int) -> View:
+    """Its pictures were taken that much later than their numbers say."""
+    xy_px = np.full_like(view.xy_px, np.nan)
+    if frames > 0:
+        xy_px[:-frames] = view.xy_px[frames:]
+    else:
+        xy_px[-frames:] = view.xy_px[:frames]
+    return replace(view, xy_px=xy_px)
+
+
+def exchanged(views: list[View], a: int, b: int) -> list[View]:
+    views = [*views]
+    views[a], views[b] = replace(views[a], xy_px=views[b].xy_px), replace(views[b], xy_px=views[a].xy_px)
+    return views
+
+
+@pytest.mark.parametrize("n", [2, 3, 4])
+def test_cameras_that_agree(n):
+    found = judged(cameras(n))
+    assert findings(found) == []
+    assert notes(found)[0].max_level == 1.6
+    for camera in notes(found):
+        assert camera.points == truth_m()[..., 0].size
+        assert camera.level == pytest.approx(0.95, abs=0.15)  # the expected noise has the keypoints' own, too
+    if n > 2:
+        assert max(camera.turn_rad for camera in notes(found)) < np.radians(0.3)
+        assert {camera.late_frames for camera in notes(found)} <= {-0.25, 0.0, 0.25}
+
+
+@pytest.mark.parametrize(("n", "which", "axis"), [(3, 0, 0), (4, 2, 0), (3, 2, 1), (4, 0, 2)])
+def test_a_camera_that_is_turned(n, which, axis):
+    views = cameras(n)
+    views[which] = turned(views[which], axis)
+    found = judged(views)
+    assert findings(found) == [("camera_turned", (which,))]
+    assert np.degrees(notes(found)[which].turn_rad) == pytest.approx(5.0, abs=0.5)
+    assert notes(found)[which].level_turned < 1.2
+
+
+@pytest.mark.parametrize(("n", "which", "frames"), [(4, 0, 10), (3, 1, -10), (3, 2, 10)])
+def test_a_camera_that_is_late_or_early(n, which, frames):
+    views = cameras(n)
+    views[which] = late(views[which], frames)
+    found = judged(views, offset_s=[0.0, 0.25, 0.5, 0.75])
+    assert findings(found) == [("camera_late", (which,))]
+    assert (found[0].camera, found[0].frames) == (f"cam{which + 1}", (100, 100 + len(truth_m())))
+    assert found[0].numbers["offset_s"] == pytest.approx(0.25 * which + frames / FPS, abs=0.25 / FPS)
+    assert notes(found)[which].late_frames == pytest.approx(frames, abs=0.25)
+    assert notes(found)[which].level_late < 1.2 < 3 < notes(found)[which].level
+
+
+def test_what_is_known_of_the_lag_is_taken_into_account():
+    """Half a frame is in the view; the other half is found."""
+    views, points = cameras(3), truth_m()
+    between = 0.5 * (points + np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]]))
+    views[1] = replace(view_of(between, ASIDE, sigma_px=0.5, seed=1), camera=views[1].camera, offset_frames=0.5)
+    assert notes(judged(views))[1].late_frames == 0.0
+    assert notes(judged([views[0], replace(views[1], offset_frames=0.0), views[2]]))[1].late_frames == 0.5
+
+
+@pytest.mark.parametrize(("n", "pair"), [(3, (0, 1)), (4, (1, 2))])
+def test_two_exchanged_files(n, pair):
+    found = judged(exchanged(cameras(n), *pair))
+    assert findings(found) == [("cameras_exchanged", pair)]
+    assert min(notes(found)[v].level for v in pair) > 3
+
+
+def test_a_camera_of_another_clip():
+    """Neither a turn nor a lag makes the detections of another run fit."""
+    views = cameras()
+    points = truth_m()[::-1] * [1.0, 1.0, 1.6] + [0.0, 2.0, 0.4]
+    views[3] = replace(view_of(points, POSES[3], seed=9), camera=views[3].camera)
+    assert findings(judged(views)) == [("camera_off", (3,))]
+
+
+def test_two_cameras_that_are_off():
+    views = cameras()
+    views[1], views[3] = turned(views[1], 1), late(views[3], 8)
+    fifth = view_of(truth_m(), pose([1.0, -1.0, 1.5], 0.45 * np.pi), seed=5)
+    views.append(replace(fifth, camera=replace(fifth.camera, name="cam5")))
+    assert findings(judged(views)) == [("camera_turned", (1,)), ("camera_late", (3,))]
+
+
+def test_of_two_cameras_none_can_be_named():
+    views = cameras(2)
+    views[1] = turned(views[1], 0)
+    found = judged(views)
+    assert findings(found) == [("cameras_disagree", (0, 1))]
+    assert np.isnan(notes(found)[0].turn_rad)
+    assert findings(judged(exchanged(cameras(2), 0, 1))) == [("cameras_exchanged", (0, 1))]
+
+
+def test_cameras_that_see_the_animal_one_after_the_other_cannot_be_compared():
+    views = cameras()[:2]
+    views[0] = replace(views[0], xy_px=np.where(np.arange(len(truth_m()))[:, None, None] < 12, views[0].xy_px, np.nan))
+    views[1] = replace(views[1], xy_px=np.where(np.arange(len(truth_m()))[:, None, None] < 12, np.nan, views[1].xy_px))
+    found = judged(views)
+    assert [one.code for one in found if one.severity != "note"] == ["cameras_apart_in_time"]
+    assert [camera.points for camera in notes(found)] == [0, 0]
+    assert np.isnan(notes(found)[0].level)
+
+
+def test_noisier_detections_than_expected_are_no_disagreement():
+    views = [view_of(truth_m(), T, sigma_px=4.0, seed=i) for i, T in enumerate(POSES)]
+    found = judged(views)
+    assert findings(found) == []
+    assert 1.6 * 1.5 < notes(found)[0].max_level < 1.6 * 2.0
+    assert max(camera.level for camera in notes(found)) > 1.6
+
+
+def test_of_a_long_clip_the_stretch_in_which_most_is_seen_is_compared():
+    views = cameras(3)
+    xy_px = [np.concatenate([np.full((600, *v.xy_px.shape[1:]), np.nan), v.xy_px]) for v in views]
+    views = [replace(v, xy_px=xy, confidence=np.ones(xy.shape[:2])) for v, xy in zip(views, xy_px, strict=True)]
+    T = len(xy_px[0])
+    found = judged(views)
+    assert found[0].frames == (100 + T - FRAMES, 100 + T)
+    assert notes(found)[0].points == truth_m()[..., 0].size
+
+
+def test_one_camera_has_nobody_to_agree_with():
+    assert judged(cameras(1)) == ()

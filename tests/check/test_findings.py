@@ -1,0 +1,210 @@
+"""Findings: each code has a severity, one sentence, and a line in docs/findings.md."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import says
+
+from recon import Motion
+from recon.check import CODES, FLAG_OF, FLAGS, Finding, add_verdict, finding, findings_of, sentence
+from recon.check.rules import likelihoods_low, no_pose
+from recon.show.report import keypoint_lines, keypoints
+
+DOCS = Path(__file__).resolve().parents[2] / "docs" / "findings.md"
+AGAINST = {"error_px": 31.4, "level": 5.24}
+SENTENCES = {
+    "gross_outliers": ("in frame 10 are gross outliers", {}),
+    "detections_frozen": ("20 of 40 frames repeat", {"count": 20, "frames_total": 40}),
+    "detections_repeated": ("with --fps 30", {"times": 2, "given_hz": 60.0, "other_hz": 30.0}),
+    "detections_interpolated": ("75% of the points lie on a straight line", {"share": 0.75}),
+    "frames_dropped": ("In 25% of the frames the animal goes about twice as far", {"share": 0.25}),
+    "far_side_copied": ("100% of the points of one side", {"share": 1.0}),
+    "same_keypoints": ("points of cam1, cam2 are the same", {"share": 1.0, "cameras": ("cam1", "cam2")}),
+    "missing_as_constant": ("12 points are stored as (-1, -1)", {"x_px": -1.0, "y_px": -1.0, "count": 12}),
+    "picture_turned": ("turned by 90 degrees", {"degrees": 90}),
+    "world_not_z_up": ("given, y looks like up", {"axis": "y"}),
+    "animal_still": ("stands still (0.02 m/s)", {"speed_m_s": 0.02}),
+    "time_reversed": ("runs backwards at 7.5 m/s", {"speed_m_s": 7.5}),
+    "camera_moves": ("the slowest ones go at -7.0 m/s", {"slide_m_s": -7.0, "speed_m_s": 0.3}),
+    "keypoints_undistorted": ("fits clearly better without the lens", {}),
+    "picture_zooms": ("better if the picture zooms in. Check", {"way": "in"}),
+    "path_jolts": ("as no animal does (by its heading)", {"of": "heading", "cost": 1.2}),
+    "ground_elsewhere": ("stand at z = 0.47 ± 0.04 m", {"height_m": 0.47, "sigma_m": 0.04}),
+    "camera_unit": ("is 100 times that above the animal's feet", {"unit": "cm", "times": 100.2}),
+    "subject_unlike_species": ("are 1.50 times those", {"times": 1.5, "expected_sigma": 0.1}),
+    "keypoints_normalised": ("parts of the picture, from 0 to 1", {}),
+    "keypoints_y_up": ("as if y went up", {}),
+    "picture_upside_down": ("looks upside down", {}),
+    "smaller_video": ("a video 2 times smaller than", {"times": 2}),
+    "other_camera_named": ("file's name says cam3, but the camera is cam1. Give", {"other": "cam3", "given": "cam1"}),
+    "left_right_swap": ("look swapped in frame 10, of the fore legs. --fix-swaps", {"part": "the fore legs"}),
+    "left_right_swap_possible": (
+        "may be swapped in frame 10, of the fore legs, or",
+        {"part": "the fore legs"},
+    ),
+    "left_right_swap_mended": ("were swapped in frame 10, of all keypoints, and", {"part": "all keypoints"}),
+    "clip_swapped_back": ("were swapped in frame 10, of all keypoints, and", {"part": "all keypoints"}),
+    "frame_rate_stated": ("file says 60 frames per second, but --fps is 30", {"other_hz": 60.0, "given_hz": 30.0}),
+    "frame_rate": ("at about 60 frames per second, not 30", {"other_hz": 60.0, "given_hz": 30.0}),
+    "no_pose": ("too few points were detected in every frame", {}),
+    "no_pose_unit": (
+        "in cm (then they stand 5.12 m apart) or in mm (0.51 m)",
+        {"apart_m": 512.3, "times": 5100.0, "in_cm_m": 5.123, "in_mm_m": 0.5123},
+    ),
+    "likelihoods_low": ("67% of the points of cam1 have a likelihood below 0.5", {"share": 0.667, "limit": 0.5}),
+    "no_pose_diverged": ("too far off to be seen", {}),
+    "cameras_apart_in_time": ("No two cameras see a point at the same time. Check --set offset-s", {}),
+    "cameras_exchanged": ("cam1, cam2 look as if their files", {"cameras": ("cam1", "cam2"), **AGAINST}),
+    "cameras_disagree": ("with each other (31 px, 5.2 sigma)", {"cameras": ("cam1", "cam2"), **AGAINST}),
+    "camera_turned": ("cam1 looks turned by about 5.0 degrees", {"turn_rad": np.radians(5.0), **AGAINST}),
+    "camera_late": ("cam1 is 2.5 frames early against", {"late_frames": -2.5, "offset_s": 0.1, **AGAINST}),
+    "camera_off": ("cam1 does not agree with the other cameras (31 px", AGAINST),
+    "cameras_not_refined": ("would be 62.8 px off, and is 5.4", {"before_px": 5.4, "after_px": 62.8}),
+    "camera_left_its_pose": ("cam1 would be turned by 17 degrees", {"turn_deg": 17.2}),
+    "cameras_as_calibrated": ("fit as well as calibrated", {}),
+    "cameras_out_of_step": ("by 1.5 frames or more", {"cameras": ("cam1", "cam2"), "apart_frames": 1.5}),
+    "fit_explains_little": ("are 2.4 standard deviations or more off the pose", {"sigmas": 2.41}),
+    "motion_unexplained": (
+        "the prior cats knows (misfit 3.1, where 1 is usual), and 17% of the detections",
+        {"prior": "cats", "misfit": 3.1, "share": 0.17},
+    ),
+    "motion_unlike_prior": (
+        "prior cats knows (misfit 2.5, where 1 is usual and 2 the limit). The prior has 16% of its weight",
+        {"prior": "cats", "misfit": 2.5, "limit": 2.0, "weight": 0.16},
+    ),
+    "ground_above_camera": ("0.52 ± 0.03 m above cam1", {"height_m": 0.52, "sigma_m": 0.03}),
+    "frames_not_converged": ("2 of 9 frames did not converge", {"count": 2, "frames_total": 9}),
+    "not_converged": ("ended before it had converged", {}),
+    "size_impossible": ("comes out 0.42 times as large as expected, which none", {"size": 0.42, "expected_sigma": 0.1}),
+    "size_unexpected": ("comes out 0.70 times as large as usual, where 1 ± 0.1", {"size": 0.7, "expected_sigma": 0.1}),
+    "pair_disagrees": (
+        "agree better. Check both poses, or give the animal's lengths (--subject).",
+        {"cameras": ("cam1", "cam2"), "log_likelihood_ratio": 9.06},
+    ),
+    "too_fast": ("41 m/s, and none runs as fast", {"speed_m_s": 41.2}),
+    "second_solution": ("up to 0.30 m away", {"count": 2, "frames_total": 9, "apart_m": 0.3}),
+    "frames_flagged": (
+        '42 of 42 frames have a flag, most of them "data poor": few joints. A camera',
+        {"count": 42, "frames_total": 42, "flag": "data poor", "meaning": "few joints"},
+    ),
+    "few_frames": ("A clip of 8 frames tells little", {"count": 8}),
+    "many_outliers": ("51 detections (57%) do not agree", {"count": 51, "share": 0.566}),
+    "keypoints_do_not_fit": (
+        "75% of the 40 detections of nose, l_eye disagree",
+        {"share": 0.75, "used": 40, "keypoints": ("nose", "l_eye")},
+    ),
+    "at_range_limits": ("2 of 9 frames have angles beyond", {"count": 2, "frames_total": 9}),
+    "up_from_feet": (
+        "beyond their intervals: the first camera is 1.9 m above the ground that they stand on, which is z = 0",
+        {"height_m": 1.9, "sigma_rad": np.radians(1.5), "up": "0.000,-0.900,0.400"},
+    ),
+    "camera_taken_level": ("and cam1 is taken to be level. To say it: --set up", {"option": "--set up"}),
+    "reference_unlike": ("410 mm from the reference's, 61% of", {"left_mm": 410.2, "share": 0.61}),
+    "reference_rotated": (
+        "by 90°, brings MPJPE from 410.2 to 20.0 mm",
+        {"turn_rad": np.pi / 2, "error_mm": 410.2, "left_mm": 20.0},
+    ),
+    "reference_swapped": (
+        "by 90°, bring MPJPE from 410.2",
+        {"turn_rad": np.pi / 2, "error_mm": 410.2, "left_mm": 20.0},
+    ),
+    "reference_mirrored": ("left-handed axes", {"error_mm": 410.2, "left_mm": 20.0}),
+    "reference_scaled": (
+        "One scale, by 0.001, and",
+        {"factor": 0.001, "turn_rad": 0.0, "error_mm": 410.2, "left_mm": 20.0},
+    ),
+    "reference_elsewhere": ("about (1.00, 2.00, 3.00) m apart", {"x_m": 1.0, "y_m": 2.0, "z_m": 3.0}),
+    "flight_against_gravity": ("upwards by 3.1 ± 1.2 m/s^2, where free", {"up_m_s2": 3.1, "sigma_m_s2": 1.2}),
+    "camera_agreement": ("up to 1.6 sigma agree", {"max_level": 1.6, **AGAINST}),
+}
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_every_code_has_its_sentence(code):
+    words, numbers = SENTENCES[code]
+    one = finding(code, (10, 11), "cam1", **numbers)
+    assert one.severity == CODES[code][0]
+    assert words in sentence(one)
+    assert sentence(one).endswith((".", "?"))
+
+
+def test_of_one_camera_no_name_is_said():
+    one = finding("keypoints_y_up", camera="cam1")
+    assert sentence(one) == f"cam1: {sentence(one, named=False)}"
+    above = finding("ground_above_camera", camera="cam1", height_m=0.5, sigma_m=0.1)
+    assert "0.10 m above the camera" in sentence(above, named=False)
+    of_mouse = finding("ground_above_camera", camera="cam1", height_m=0.05, sigma_m=0.004)
+    assert "50 ± 4 mm above the camera" in sentence(of_mouse, named=False)
+    several = finding("gross_outliers", (10, 13))
+    assert "in frames 10 to 12 " in sentence(several)
+    assert "in the whole clip" in sentence(finding("gross_outliers"))
+
+
+def test_findings_come_in_the_order_of_their_codes(small_trajectory):
+    codes = [one.code for one in findings_of(small_trajectory)]
+    assert codes == sorted(codes, key=[*CODES].index)
+    assert {"few_frames", "second_solution", "camera_taken_level"} <= {*codes}
+
+
+def test_a_clip_of_which_every_frame_has_a_flag_says_so(whole_results):
+    motion = Motion.load(whole_results)
+
+    def named(*flags: str) -> list[str]:
+        solution = replace(motion.solution, flags=(flags,) * len(motion.frames))
+        verdict = add_verdict(replace(motion, findings=(), solution=solution)).verdict
+        assert verdict is not None
+        return [verdict.level, verdict.reason]
+
+    assert named()[0] == named("left-right swap")[0] == "use"  # a swap has a finding of its own
+    level, reason = named("ambiguous depth", "left-right swap")
+    assert level == "check"
+    assert says(reason, f"of {len(motion.frames)} frames have a flag", "ambiguous depth", "from the front or the back")
+
+
+def test_findings_go_with_a_motion_that_is_saved(small_trajectory, tmp_path):
+    motion = replace(small_trajectory, findings=findings_of(small_trajectory))
+    motion.save(tmp_path)
+    assert Motion.load(tmp_path).findings == motion.findings
+
+
+def test_findings_are_plain_data():
+    one = finding("many_outliers", count=51, share=0.5)
+    assert one == Finding("many_outliers", "warning", None, None, {"count": 51, "share": 0.5})
+
+
+def test_every_code_and_every_flag_is_documented():
+    rows = re.findall(r"^\| (\**)`([\w -]+)`", DOCS.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert {*CODES, *FLAGS} <= {code for _, code in rows}
+    errors = {code for code, (severity, _) in CODES.items() if severity == "error"}
+    assert {code for bold, code in rows if bold} == errors
+    assert {*FLAG_OF} <= {*CODES}
+    assert {*FLAG_OF.values()} <= {*FLAGS}
+
+
+def test_a_rig_in_another_unit_and_likelihoods_that_are_low(small_trajectory):
+    motion = small_trajectory
+    view, source = motion.solution.views[0], motion.sources[0]
+    moved = view.T_camera_world.copy()
+    moved[:3, 3] += (3000.0, 0.0, 0.0)
+    away = replace(view, T_camera_world=moved)
+    flags = (("diverged",),) * len(motion.frames)
+    solution = replace(motion.solution, views=(view, away), flags=flags, states=motion.states * np.nan)
+    (one,) = no_pose(replace(motion, solution=solution))
+    assert one.code == "no_pose_unit"
+    assert one.numbers["in_mm_m"] == pytest.approx(3.0, abs=1e-6)
+    counts = {
+        name: {**of, "used": of["frames"] // 4, "rejected": of["frames"] // 2}
+        for name, of in source.cleaning.keypoints.items()
+    }
+    cleaning = replace(source.cleaning, keypoints=counts)
+    unlikely = replace(motion, sources=(replace(source, cleaning=cleaning),))
+    (low,) = likelihoods_low(unlikely)
+    said = dict(keypoint_lines(replace(unlikely, findings=(low,)), keypoints(unlikely)))["detections"]
+    assert says(said, "92 (36% of", "left out")
+    assert low.numbers["share"] == pytest.approx(2 / 3, abs=0.05)
+    assert not [*likelihoods_low(motion)]

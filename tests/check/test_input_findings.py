@@ -1,0 +1,462 @@
+"""Input findings: put into a simulated run, each is found, and none where there is none."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import says
+
+from recon import FitSettings, fit_clip, samples_folder
+from recon.animal import opposites, other_side, prior_from_body
+from recon.check import (
+    Finding,
+    downgrade_swap,
+    finding,
+    input_findings,
+    swap_improves,
+    with_flags,
+    without_gross_outliers,
+    without_swaps,
+)
+from recon.check.inputs import (
+    baseline_of,
+    frame_rate_finding,
+    other_picture_finding,
+    outlier_ratios,
+    swap_finding,
+    swaps,
+    unit_square_finding,
+)
+from recon.check.likelihood import CLEAR, MARGIN, Refit, negative_log_density, smaller
+from recon.check.swaps import (
+    _Stretch,
+    _SwapTrial,
+    contradicts,
+    jumps,
+    pairs_of,
+    propose_stretches,
+    try_undone,
+    with_exchanged,
+    with_undone,
+)
+from recon.clip import CleaningReport, Keypoints, Source, View, clean, still_view
+from recon.fit import ClipProblem, Motion, TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.io import read_keypoints, write_csv
+from recon.workflows import prepare
+from tests.fit.test_trajectory import BODY, CAMERA, FPS, PRIOR, plain, run, seen
+
+T = 40
+NAMED = (None,)
+
+
+def number(found: Finding, name: str) -> Any:
+    return found.numbers[name]
+
+
+@cache
+def view() -> View:
+    xy_px = seen(run())
+    return still_view(CAMERA, xy_px, np.ones(xy_px.shape[:2]))
+
+
+def given(changed: View, rows: slice = slice(None)):
+    setting = ClipProblem.from_views([changed.part(rows)], BODY, PRIOR, FPS, TrajectoryOptions())
+    return baseline_of(setting, 0, plain().states[rows], plain().size)
+
+
+@cache
+def solved(changed: View) -> TrajectorySolution:
+    return solve_trajectory([changed], BODY, PRIOR, FPS)
+
+
+def fitted(changed: View):
+    """As a fit to these keypoints finds it."""
+    setting = ClipProblem.from_views([changed], BODY, PRIOR, FPS, TrajectoryOptions())
+    return baseline_of(setting, 0, solved(changed).states, solved(changed).size)
+
+
+def moved(xy_px: np.ndarray) -> View:
+    return replace(view(), xy_px=xy_px)
+
+
+def stretch(kind: str, first: int, stop: int) -> _Stretch:
+    return _Stretch(slice(first, stop), pairs_of(BODY)[kind])
+
+
+# -- sides ---------------------------------------------------------------------------------------------------------
+
+
+def test_pairs_are_those_of_the_other_side():
+    names = {kind: {BODY.markers[j] for j in np.flatnonzero(p != np.arange(24))} for kind, p in pairs_of(BODY).items()}
+    assert names["fore"] == {f"{s}_front_{part}" for s in "lr" for part in ("knee", "ankle", "paw")}
+    assert names["hind"] == {f"{s}_back_{part}" for s in "lr" for part in ("knee", "ankle", "paw")}
+    assert names["all"] == {name for name in BODY.markers if name[:2] in ("l_", "r_")}
+    np.testing.assert_array_equal(opposites(BODY.markers)[opposites(BODY.markers)], np.arange(24))
+
+
+def test_swaps_are_undone_only_where_the_whole_clip_is_likelier_then():
+    swapped = solved(with_exchanged(view(), stretch("all", 15, 25)))
+    assert swap_improves(plain(), swapped)
+    assert not swap_improves(swapped, plain())
+    assert not swap_improves(plain(), plain())
+    one = finding("left_right_swap", (15, 25), "cam1", part="all keypoints", keypoints=(), log_likelihood_ratio=31.0)
+    assert downgrade_swap(one).code == "left_right_swap_possible"
+    assert downgrade_swap(finding("animal_still", speed_m_s=0.1)).code == "animal_still"
+
+
+def test_tracks_jump_where_an_exchange_begins_and_ends():
+    gain = jumps(with_exchanged(view(), stretch("all", 15, 25)), pairs_of(BODY)["all"])
+    assert sorted(np.argsort(-gain)[:2].tolist()) == [15, 25]
+    assert gain[[15, 25]].min() > 20
+    assert np.delete(gain, [15, 25]).max() < -3
+    assert np.flatnonzero(np.isinf(gain)).tolist() == [0, 1, 2, T - 2, T - 1]
+
+
+def test_missing_points_say_nothing_of_jumps():
+    xy_px = view().xy_px.copy()
+    xy_px[:, 3] = np.nan
+    xy_px[10:14] = np.nan
+    gain = jumps(moved(xy_px), pairs_of(BODY)["all"])
+    assert np.flatnonzero(np.isinf(gain)).tolist() == [0, 1, 2, *range(8, 17), T - 2, T - 1]
+    legs = view().xy_px.copy()
+    legs[10:14, pairs_of(BODY)["hind"] != np.arange(24)] = np.nan
+    assert not jumps(moved(legs), pairs_of(BODY)["hind"])[8:17].any()
+    assert np.isinf(jumps(moved(np.full_like(xy_px, np.nan)), pairs_of(BODY)["all"])).all()
+    rng = np.random.default_rng(0)
+    outlier = rng.uniform(size=xy_px.shape[:2]) < 0.3
+    wild = np.where(outlier[..., None], rng.uniform((0, 0), (1920, 1080), xy_px.shape), view().xy_px)
+    assert np.isinf(jumps(moved(wild), pairs_of(BODY)["hind"])).all()
+    assert np.isinf(jumps(view().part(slice(0, 5)), pairs_of(BODY)["all"])).all()
+
+
+@pytest.mark.parametrize(("kind", "first", "stop"), [("all", 15, 25), ("all", 0, T), ("fore", 20, T), ("hind", 20, T)])
+def test_exchanged_sides_are_found(kind, first, stop):
+    (found,) = swaps(fitted(with_exchanged(view(), stretch(kind, first, stop))))
+    assert found.stretch.rows == slice(first, stop)
+    assert found.stretch.markers == stretch(kind, first, stop).markers
+    assert found.ratio > MARGIN
+    assert found.clear
+
+
+def test_what_is_not_clear_is_only_to_be_looked_at():
+    assert swaps(fitted(with_exchanged(view(), stretch("hind", 17, 20)))) == []
+    trial = _SwapTrial(stretch("hind", 14, 24), Refit(plain().states, 0.0, 0.0), MARGIN + 10.0)
+    (source,) = motion_of(plain()).sources
+    unclear = swap_finding(replace(trial, clear=False), source, BODY)
+    assert (unclear.code, unclear.frames) == ("left_right_swap_possible", (114, 124))
+    assert unclear.numbers["part"] == "the hind legs"
+    assert swap_finding(trial, source, BODY).code == "left_right_swap"
+    assert not any("left-right swap" in flags for flags in with_flags(motion_of(plain()), [unclear]).flags)
+
+
+def test_a_whole_clip_that_only_looks_exchanged_is_to_be_looked_at(monkeypatch):
+    refit = Refit(plain().states, 0.0, 0.0)
+    monkeypatch.setattr("recon.check.swaps.try_undone", lambda given, one: _SwapTrial(one, refit, -20.0))
+    (found,) = swaps(fitted(with_exchanged(view(), stretch("all", 0, T))))
+    assert (found.clear, found.stretch.rows) == (False, slice(0, T))
+    assert swaps(fitted(view())) == []
+
+
+def test_two_frames_of_a_camera_between_those_of_another_have_no_swaps():
+    setting = ClipProblem.from_views(
+        [replace(view(), offset_frames=0.3).part(slice(2))], BODY, PRIOR, FPS, TrajectoryOptions()
+    )
+    assert swaps(baseline_of(setting, 0, plain().states[:2], plain().size)) == []
+
+
+def test_of_two_that_exclude_each_other_the_likelier_has_to_lead():
+    one, other = stretch("hind", 0, 20), stretch("hind", 20, T)
+    swapped = fitted(with_exchanged(view(), other))
+    right, wrong = (try_undone(swapped, by) for by in (other, one))
+    assert right.ratio > max(MARGIN, wrong.ratio + CLEAR)
+    then = with_undone(swapped, right)
+    assert contradicts(then, right, replace(wrong, ratio=1.0))
+    assert contradicts(then, right, replace(wrong, stretch=stretch("fore", 0, 10), ratio=1.0))
+    for stretch_of, ratio in ((one, -1.0), (stretch("hind", 21, T), 1.0), (stretch("hind", 30, T), 1.0)):
+        assert not contradicts(then, right, replace(wrong, stretch=stretch_of, ratio=ratio))
+
+
+@pytest.mark.parametrize(
+    ("kind", "rows", "ratio", "code"),
+    [
+        ("all", (0, T), 12.0, "left_right_swap_possible"),
+        ("all", (0, T), -1.0, None),
+        ("all", (0, T), 31.0, "left_right_swap"),
+        ("fore", (15, 25), 12.0, None),
+    ],
+)
+def test_of_a_whole_clip_less_evidence_is_said_as_such(monkeypatch, kind, rows, ratio, code):
+    proposed, refit = iter([[stretch(kind, *rows)]]), Refit(plain().states, 0.0, 0.0)
+    module = sys.modules[swaps.__module__]
+    monkeypatch.setattr(module, "propose_stretches", lambda *args: next(proposed, []))
+    monkeypatch.setattr(module, "try_undone", lambda given, stretch: _SwapTrial(stretch, refit, ratio))
+    monkeypatch.setattr(module, "with_undone", lambda given, trial: given)
+    (source,) = motion_of(plain()).sources
+    found = [swap_finding(trial, source, BODY) for trial in swaps(given(view()))]
+    assert [one.code for one in found] == ([code] if code else [])
+    assert all(one.severity == "warning" for one in found)
+
+
+def test_a_clip_without_states_has_no_exchanged_stretch():
+    nothing = given(with_exchanged(view(), stretch("all", 15, 25)))
+    assert propose_stretches(replace(nothing, states=np.full_like(nothing.states, np.nan)), pairs_of(BODY), False) == []
+
+
+def test_an_end_of_a_clip_is_judged_beside_the_rest_of_it():
+    ends = {(one.rows.start, one.rows.stop) for one in propose_stretches(given_half(), pairs_of(BODY), False)}
+    assert {(0, 20), (20, T)} <= ends
+
+
+@pytest.mark.parametrize(("seen_s", "legs", "told"), [(0.4, True, True), (0.2, True, False), (0.4, False, False)])
+def test_sides_of_a_whole_clip_are_tried_if_it_is_long_enough_and_has_legs(seen_s, legs, told):
+    of_leg = pairs_of(BODY)["fore"] != pairs_of(BODY)["hind"]
+    shown = moved(np.where(of_leg[:, None] & ~np.bool(legs), np.nan, view().xy_px))
+    n = round(seen_s * FPS)
+    stretches = propose_stretches(
+        given(with_exchanged(shown, stretch("all", 0, T)), slice(0, n)), pairs_of(BODY), False
+    )
+    assert (slice(0, n) in [one.rows for one in stretches]) == told
+
+
+def given_half():
+    return fitted(with_exchanged(view(), stretch("hind", 20, T)))
+
+
+def test_of_a_motion_that_the_prior_does_not_know_a_stretch_is_found_but_no_whole_clip():
+    (found,) = swaps(given_half(), is_unlike=True)
+    assert found.stretch.rows == slice(20, T)
+    assert swaps(fitted(with_exchanged(view(), stretch("all", 0, T))), is_unlike=True) == []
+
+
+def test_an_error_that_lasts_is_likelier_than_one_that_jumps():
+    xy_px = view().xy_px
+    off, sigma_px = np.zeros_like(xy_px), np.full(xy_px.shape[:2], 3.0)
+    none = negative_log_density(view(), xy_px, sigma_px, 10.0)
+    off[10:30] = [3.0, 0.0]
+    lasts = negative_log_density(view(), xy_px + off, sigma_px, 10.0) - none
+    jumps_about = (
+        negative_log_density(view(), xy_px + off[np.random.default_rng(0).permutation(T)], sigma_px, 10.0) - none
+    )
+    assert 0 < 3 * lasts < jumps_about
+    # of a steady error the frames that are alike count once, but for the first ones
+    each, alike = (
+        negative_log_density(view(), xy_px + np.array([0.3, 0.0]), sigma_px, n)
+        - negative_log_density(view(), xy_px, sigma_px, n)
+        for n in (1.0, 10.0)
+    )
+    assert alike == pytest.approx(each / T * (1 + (T - 1) / 10), rel=0.01)
+    hidden = view().xy_px.copy()
+    hidden[:, 3] = np.nan
+    assert np.isfinite(negative_log_density(moved(hidden), xy_px, sigma_px, 10.0))
+
+
+def test_ten_frames_of_the_sample_are_found(tmp_path):
+    clip = read_keypoints(samples_folder() / "whole.csv")
+    other = [clip.names.index(other_side(name)) for name in clip.names]
+    xy_px, confidence, rows = clip.xy_px.copy(), clip.confidence.copy(), slice(20, 30)
+    xy_px[rows], confidence[rows] = xy_px[rows][:, other], confidence[rows][:, other]
+    write_csv(replace(clip, xy_px=xy_px, confidence=confidence), tmp_path / "exchanged.csv")
+    camera = samples_folder() / "camera.toml"
+    motion = fit_clip(FitSettings(keypoints=(tmp_path / "exchanged.csv",), camera=camera, fps=60))
+    found = motion.findings[0]
+    assert (found.code, found.frames) == ("left_right_swap", (20, 30))
+    assert len(number(found, "keypoints")) == 18
+    assert found.numbers["part"] == "all keypoints"
+    assert [t for t, flags in enumerate(motion.flags) if "left-right swap" in flags] == [*range(20, 30)]
+
+
+def motion_of(solution) -> Motion:
+    """What was fitted to the view of a solution."""
+    (one,) = solution.views
+    keypoints = Keypoints(BODY.markers, one.xy_px, one.confidence, np.arange(100, 100 + T), FPS)
+    source = Source(CAMERA, *clean(keypoints, 0.0), BODY.markers)
+    return Motion((source,), None, "both sides are fitted", solution)
+
+
+def test_an_untouched_clip_has_no_findings():
+    assert input_findings(motion_of(plain()), PRIOR, TrajectoryOptions(), NAMED) == ()
+
+
+def test_without_a_prior_of_motions_neither_sides_nor_rates_are_judged():
+    wrong = motion_of(solved(with_exchanged(view(), stretch("all", 15, 25))))
+    (found,) = input_findings(wrong, PRIOR, TrajectoryOptions(), NAMED)
+    assert (found.code, found.frames, found.camera) == ("left_right_swap", (115, 125), CAMERA.name)
+    assert input_findings(wrong, prior_from_body(BODY), TrajectoryOptions(), NAMED) == ()
+    setting = ClipProblem.from_views([view()], BODY, prior_from_body(BODY), 2 * FPS, TrajectoryOptions())
+    assert frame_rate_finding(setting, given(view()).states, None) is None
+
+
+@pytest.mark.parametrize(("stop", "code"), [(14, "left_right_swap_mended"), (19, "clip_swapped_back")])
+def test_mending_swaps_back(small_trajectory: Motion, stop, code):
+    """What may as well be a mirrored video, as most of the clip, is still to be looked at."""
+    (source,) = small_trajectory.sources
+    places = opposites(small_trajectory.body.markers)
+    legs = tuple(small_trajectory.names[j] for j in np.flatnonzero(places != np.arange(24)))
+    found = (
+        finding("left_right_swap", (12, stop), source.camera.name, part="all keypoints", keypoints=legs),
+        finding("frame_rate", given_hz=30.0, other_hz=60.0),
+    )
+    (mended,), marked = without_swaps((source,), found, small_trajectory.body)
+    expected = source.keypoints.xy_px.copy()
+    expected[2 : stop - 10] = expected[2 : stop - 10][:, places]
+    np.testing.assert_array_equal(mended.keypoints.xy_px, expected)
+    assert [one.code for one in marked] == [code, "frame_rate"]
+    assert marked[0].numbers == found[0].numbers
+    (again,), _ = without_swaps((mended,), found, small_trajectory.body)
+    np.testing.assert_array_equal(again.keypoints.xy_px, source.keypoints.xy_px)
+    np.testing.assert_array_equal(again.keypoints.confidence, source.keypoints.confidence)
+
+
+# -- gross outliers---------------------------------------------------------------------------------------------------
+
+
+def test_frames_of_gross_outliers_are_left_out_and_flagged(small_trajectory: Motion):
+    solution, (source,) = small_trajectory.solution, small_trajectory.sources
+    assert isinstance(solution, TrajectorySolution)
+    xy_px = source.keypoints.xy_px.copy()
+    rng = np.random.default_rng(0)
+    xy_px[5:7] = np.where(np.isfinite(xy_px[5:7]), rng.uniform((0, 0), (1920, 1080), xy_px[5:7].shape), np.nan)
+    source = replace(source, keypoints=replace(source.keypoints, xy_px=xy_px))
+    spoilt = replace(solution, views=(replace(solution.views[0], xy_px=xy_px),))
+    ratios = outlier_ratios(spoilt.views[0], spoilt.markers_m, spoilt.noise_px[0])
+    assert np.isnan(ratios[3])  # nothing was seen
+    assert ratios[5:7].min() > 40
+    assert np.nanmax(np.delete(ratios, [5, 6])) < -40
+    (kept,), (found,) = without_gross_outliers((source,), spoilt)
+    assert (found.code, found.camera, found.frames) == ("gross_outliers", source.camera.name, (15, 17))
+    assert not kept.keypoints.present[5:7].any()
+    np.testing.assert_array_equal(kept.keypoints.present[:5], source.keypoints.present[:5])
+    (note,) = kept.cleaning.notes
+    assert says(note, "gross outliers", "left out")
+    flags = with_flags(small_trajectory, [found, replace(found, code="left_right_swap_mended", frames=(10, 11))]).flags
+    assert [t for t, of_frame in enumerate(flags) if "gross outliers" in of_frame] == [5, 6]
+    assert not any("left-right swap" in of_frame for of_frame in flags)
+
+
+def test_where_most_frames_are_outliers_none_is_left_out(small_trajectory: Motion):
+    solution, (source,) = small_trajectory.solution, small_trajectory.sources
+    assert isinstance(solution, TrajectorySolution)
+    far = replace(solution.views[0], xy_px=solution.views[0].xy_px + 700.0)
+    (kept,), found = without_gross_outliers((source,), replace(solution, views=(far,)))
+    assert found == ()
+    assert isinstance(kept.cleaning, CleaningReport)
+    np.testing.assert_array_equal(kept.keypoints.present, source.keypoints.present)
+
+
+# -- the picture ---------------------------------------------------------------------------------------------------
+
+
+def test_keypoints_from_0_to_1():
+    found = unit_square_finding(given(moved(view().xy_px / (1920, 1080))))
+    assert found is not None
+    assert (found.code, found.severity, found.camera) == ("keypoints_normalised", "error", CAMERA.name)
+    assert number(found, "log_likelihood_ratio") == pytest.approx(np.log(1920 * 1080 / 4) * T / (0.16 * FPS))
+    assert unit_square_finding(given(view())) is None
+
+
+@pytest.mark.parametrize(
+    ("code", "turn"),
+    [
+        ("keypoints_y_up", lambda xy: [0, 1079] + [1, -1] * xy),
+        ("picture_upside_down", lambda xy: [1919, 1079] - xy),
+        ("picture_turned", lambda xy: np.stack([1079 - xy[..., 1], xy[..., 0]], axis=-1)),
+    ],
+)
+def test_a_picture_turned_over(code, turn):
+    found = other_picture_finding(given(moved(turn(view().xy_px)), slice(10, 26)))
+    assert found is not None
+    assert found.code == code
+    assert number(found, "log_likelihood_ratio") > 10 * CLEAR
+
+
+def test_a_picture_as_it_is():
+    assert other_picture_finding(given(view())) is None
+
+
+def test_a_smaller_video():
+    found = other_picture_finding(given(moved(view().xy_px / 2), slice(10, 26)))
+    assert found is not None
+    assert (found.code, found.numbers["times"]) == ("smaller_video", 2)
+    half = smaller(CAMERA, 2)
+    assert half.image_size_px == (960, 540)
+    points = np.array([[0.3, -0.2, 4.0], [0.0, 0.0, 3.0]])
+    np.testing.assert_allclose(half.project(points)[0], (CAMERA.project(points)[0] + 0.5) / 2 - 0.5)
+
+
+# -- the frame rate ------------------------------------------------------------------------------------------------
+
+
+def test_the_frame_rate_that_the_file_states():
+    setting = ClipProblem.from_views([view()], BODY, PRIOR, FPS, TrajectoryOptions())
+    found = frame_rate_finding(setting, plain().states, 120.0)
+    assert found == finding("frame_rate_stated", given_hz=FPS, other_hz=120.0)
+    assert frame_rate_finding(setting, plain().states, 90.5) is None
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.6, 2.0])
+def test_a_motion_at_another_rate_than_it_was_filmed_at(factor):
+    setting = ClipProblem.from_views([view()], BODY, PRIOR, FPS * factor, TrajectoryOptions())
+    found = frame_rate_finding(setting, given(view()).states, None)
+    assert found is not None
+    assert found.code == "frame_rate"
+    assert number(found, "other_hz") == pytest.approx(FPS, rel=0.15)
+    assert number(found, "log_likelihood_ratio") > CLEAR
+
+
+def test_the_rate_of_a_motion_that_is_hardly_seen_is_not_judged(monkeypatch):
+    judged: list[bool] = []
+    monkeypatch.setattr("recon.check.inputs.frame_rate_finding", lambda *_, by_motion: judged.append(by_motion))
+    for flags in ((), ("data poor",)):
+        motion = motion_of(replace(plain(), flags=(flags,) * T))
+        input_findings(motion, PRIOR, TrajectoryOptions(), NAMED, seek_swaps=False)
+    assert judged == [True, False]
+
+
+def test_half_the_frame_rate_of_the_sample_is_named():
+    camera = samples_folder() / "camera.toml"
+    motion = fit_clip(FitSettings(keypoints=(samples_folder() / "whole.csv",), camera=camera, fps=30))
+    found = motion.findings[0]
+    assert found.code == "frame_rate"
+    assert number(found, "other_hz") == pytest.approx(60.0, rel=0.25)
+    assert "motion_unlike_prior" not in [one.code for one in motion.findings]
+
+
+def test_of_an_animal_that_is_too_fast_no_whole_clip_is_exchanged():
+    camera = samples_folder() / "camera.toml"
+    motion = fit_clip(FitSettings(keypoints=(samples_folder() / "whole.csv",), camera=camera, fps=240))
+    codes = {one.code: one for one in motion.findings}
+    assert "left_right_swap" not in codes
+    assert number(codes["frame_rate"], "other_hz") == pytest.approx(60.0, rel=0.25)
+    assert number(codes["too_fast"], "speed_m_s") > 40
+
+
+# -- what files say ------------------------------------------------------------------------------------------------
+
+
+def test_a_file_says_which_rate_it_is_of(tmp_path):
+    file = read_keypoints(samples_folder() / "whole_cam1.csv")
+    write_csv(replace(file, fps=60.0), tmp_path / "stated.csv")
+    told = {"keypoints": tmp_path / "stated.csv", "camera": samples_folder() / "camera.toml"}
+    for fps, stated in ((30.0, 60.0), (60.0, None), (None, None)):
+        (source,) = prepare(FitSettings(**told, fps=fps)).sources
+        assert (source.keypoints.fps, source.keypoints.stated_fps) == (fps or 60.0, stated)
+
+
+def test_a_file_of_another_camera():
+    settings = FitSettings(
+        keypoints=(samples_folder() / "whole_cam1.csv",),
+        camera=samples_folder() / "whole_scene.json",
+        camera_name=("cam2",),
+        fps=60,
+        frames="0:12",
+        fast=True,
+    )
+    motion = fit_clip(settings)
+    found = motion.findings[0]
+    assert (found.code, found.numbers) == ("other_camera_named", {"given": "cam2", "other": "cam1"})
+    assert motion.solution.stage_s["input_findings"] > 0

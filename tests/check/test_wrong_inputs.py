@@ -1,0 +1,248 @@
+"""Wrong inputs that look right: each is named, and nothing where nothing is wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from recon.check.inputs import baseline_of, copies, lens_findings, movement
+from recon.check.rules import ground_elsewhere, pair_disagrees, subject_unlike_species
+from recon.clip import Keypoints, Source, clean
+from recon.fit import ClipProblem, Ground, Motion, TrajectoryOptions, solve_trajectory
+from recon.geometry import rigid
+from recon.workflows.clip import other_camera_in
+from tests.clip.test_views import AHEAD, ASIDE, truth_m, two, view_of
+from tests.fit.test_trajectory import BODY, CAMERA, CAMERA_FROM_LEVEL, FPS, PRIOR, errors_m, plain, run, seen, solve
+
+NAMES = BODY.keypoint_names(None)
+
+
+def source(xy_px: np.ndarray, name: str = "cam1") -> Source:
+    keypoints = Keypoints(NAMES, xy_px, np.ones(xy_px.shape[:2]), np.arange(len(xy_px)), FPS)
+    return Source(replace(CAMERA, name=name), *clean(keypoints, 0.0), NAMES)
+
+
+def noisy(seed: int = 0) -> np.ndarray:
+    return seen(run()) + np.random.default_rng(seed).normal(0, 1, seen(run()).shape)
+
+
+def frozen(xy_px: np.ndarray) -> np.ndarray:
+    return np.where(np.arange(len(xy_px))[:, None, None] < 20, xy_px, xy_px[20])
+
+
+def interpolated(xy_px: np.ndarray) -> np.ndarray:
+    t = np.arange(len(xy_px))
+    columns = [np.interp(t, t[::4], column[::4]) for column in xy_px.reshape(len(t), -1).T]
+    return np.round(np.stack(columns, axis=1).reshape(xy_px.shape), 3)
+
+
+def copied(xy_px: np.ndarray) -> np.ndarray:
+    return xy_px[:, [NAMES.index(f"l_{n[2:]}") if n.startswith("r_") else i for i, n in enumerate(NAMES)]]
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        (frozen, "detections_frozen"),
+        (lambda xy_px: np.repeat(xy_px, 2, axis=0), "detections_repeated"),
+        (interpolated, "detections_interpolated"),
+        (copied, "far_side_copied"),
+        (lambda xy_px: np.delete(xy_px, np.arange(3, len(xy_px), 4), axis=0), "frames_dropped"),
+    ],
+)
+def test_copies_are_named(change, code):
+    (found,) = copies([source(change(noisy()))])
+    assert found.code == code
+    if code == "detections_frozen":
+        assert found.frames == (20, 40)
+    if code == "detections_repeated":
+        assert (found.numbers["times"], found.numbers["other_hz"]) == (2, FPS / 2)
+
+
+def test_one_file_of_two_cameras_is_named_and_measured_points_are_not():
+    (found,) = copies([source(noisy()), source(noisy(), "cam2")])
+    assert found.code == "same_keypoints"
+    assert found.names("cameras") == ("cam1", "cam2")
+    assert not [*copies([source(noisy()), source(noisy(1), "cam2")])]
+    assert not [*copies([source(seen(run()))])]
+    assert not [*copies([source(interpolated(noisy())[:37])], resampled=True)]
+
+
+def test_frames_in_which_only_fast_keypoints_are_seen_are_not_left_out():
+    """In a fifth of the frames only those are seen that go twice as far."""
+    T, J = noisy().shape[:2]
+    px_a_frame = np.where(np.arange(J) < 2 * J // 3, 10.0, 25.0)
+    xy_px = np.stack([px_a_frame * np.arange(2 * T)[:, None], np.full((2 * T, J), 500.0)], axis=-1)
+    xy_px += np.random.default_rng(0).normal(0, 1, xy_px.shape)
+    xy_px[::5, : 2 * J // 3] = np.nan
+    assert not [*copies([source(xy_px)])]
+    (found,) = copies([source(np.delete(xy_px, np.s_[3::4], axis=0))])
+    assert found.code == "frames_dropped"
+
+
+def test_legs_that_swing_and_a_camera_that_shakes_are_no_frames_left_out():
+    """Legs that are fast for three of twelve frames, seen by a camera that follows; and one that is shaken."""
+    T, J = 60, noisy().shape[1]
+    noise, rng = np.random.default_rng(0).normal(0, 1, (T, J, 2)), np.random.default_rng(1)
+    swings = np.cumsum(np.where(np.arange(T) % 12 < 3, 40.0, 10.0))[:, None, None] * [1.0, 0.0]
+    shaken = 20.0 * np.arange(T)[:, None, None] * [1.0, 0.0] + rng.normal(0, 8, (T, 1, 2))
+    assert not [*copies([source(swings + noise)])]
+    assert not [*copies([source(shaken + noise)])]
+
+
+def moved(states: np.ndarray) -> Motion:
+    """A motion whose body goes along these states."""
+    solution, body = plain(), plain().body
+    joints_m = body.tree.pose(states, solution.size).points_m
+    return Motion((source(noisy()),), None, "", replace(solution, states=states, joints_m=joints_m))
+
+
+def test_an_animal_that_runs_is_nothing_to_name():
+    assert not [*movement(moved(plain().states))]
+
+
+@pytest.mark.parametrize("code", ["animal_still", "time_reversed", "camera_moves"])
+def test_what_no_animal_does_is_named(code):
+    states = plain().states.copy()
+    if code == "animal_still":
+        states = np.repeat(states[:1], len(states), axis=0)
+    elif code == "time_reversed":
+        states = states[::-1].copy()
+    else:
+        states[:, :2] = states[:1, :2]
+    (found,) = movement(moved(states))
+    assert found.code == code
+
+
+@pytest.mark.parametrize(
+    ("size", "seconds", "codes"),
+    [(1.0, 0.5, ["animal_still"]), (0.1, 0.5, []), (0.5, 0.5, ["animal_still"]), (0.5, 1.0, [])],
+)
+def test_an_animal_that_stands_still_stays_in_its_place(size, seconds, codes):
+    """All joints of one go by 0.2 m in a second: a third of its trunk's length, or three times it; and two thirds, by
+    which it leaves its place in the end."""
+    motion = moved(np.repeat(plain().states[:1], len(plain().states), axis=0))
+    ahead_m = 0.2 * np.linspace(0, seconds, len(motion.frames))[:, None, None] * np.array([1.0, 0.0, 0.0])
+    joints_m, (one,) = size * motion.solution.joints_m + ahead_m, motion.sources
+    one = replace(one, keypoints=replace(one.keypoints, fps=len(motion.frames) / seconds))
+    found = movement(replace(motion, sources=(one,), solution=replace(motion.solution, joints_m=joints_m)))
+    assert [one.code for one in found] == codes
+
+
+@pytest.mark.parametrize(("times", "ways"), [(1.0, []), (1.5, ["in"]), (1 / 1.5, ["out"])])
+def test_a_picture_that_zooms_is_named(times, ways):
+    centre = CAMERA.matrix[:2, 2]
+    zoom = np.linspace(1.0, times, len(seen(run())))[:, None, None]
+    solution = solve(centre + zoom * (seen(run()) - centre))
+    setting = ClipProblem.from_views(solution.views, BODY, PRIOR, FPS, TrajectoryOptions())
+    found = [*lens_findings(baseline_of(setting, 0, solution.states, solution.size), solution.noise_px[0])]
+    assert [one.numbers["way"] for one in found] == ways
+
+
+@pytest.mark.parametrize(("kept", "codes"), [(False, ["keypoints_undistorted"]), (True, [])])
+def test_keypoints_without_the_lens_that_the_camera_has_are_named(kept, codes):
+    bent = replace(CAMERA, model="radtan", distortion=np.array([-0.6, 0.3, 0.0, 0.0]))
+    xy_px = bent.project(run())[0] if kept else seen(run(), 0.0)
+    solution = solve(xy_px + np.random.default_rng(0).normal(0, 2, xy_px.shape), camera=bent)
+    setting = ClipProblem.from_views(solution.views, BODY, PRIOR, FPS, TrajectoryOptions())
+    found = lens_findings(baseline_of(setting, 0, solution.states, solution.size), solution.noise_px[0])
+    assert [one.code for one in found] == codes
+
+
+def test_a_path_that_no_animal_takes_is_named():
+    motion = moved(plain().states)
+    costs = {**plain().cost_by_term, "heading": 2.0 * 90 * len(motion.frames) / FPS}
+    (found,) = movement(replace(motion, solution=replace(motion.solution, cost_by_term=costs)))
+    assert (found.code, found.numbers["of"], found.numbers["cost"]) == ("path_jolts", "heading", pytest.approx(2.0))
+
+
+@pytest.mark.parametrize(("name", "other"), [("cam3", "cam1"), ("cam1", None), ("left", None), ("GoPro_2", None)])
+def test_a_file_says_another_camera_by_its_number(name, other):
+    assert other_camera_in("run2_cam1DLC_resnet50", name) == other
+
+
+def ground(near_zero: bool | None, height_m: float, camera_m: tuple[float, float, float]) -> Motion:
+    """A motion before a camera there, whose feet stand on a ground at that height."""
+    solution = plain()
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), (0, 0, 0)
+    pose[:3, 3] = -pose[:3, :3] @ camera_m
+    views = (replace(solution.views[0], T_camera_world=pose),)
+    segment = replace(solution.segments[0], ground=Ground(height_m, np.zeros(2), 0.04, near_zero))
+    return replace(moved(solution.states), solution=replace(solution, views=views, segments=(segment,)))
+
+
+@pytest.mark.parametrize(
+    ("near_zero", "height_m", "camera_m", "code"),
+    [
+        (True, 0.1, (0, -8, 0.6), None),
+        (None, -0.6, (0, 0, 0), None),
+        (False, 0.5, (0, -8, 1.1), "ground_elsewhere"),
+        (False, 100.0, (0, -8, 100.5), "ground_elsewhere"),
+        (False, 49.5, (0, -800, 50.0), "camera_unit"),
+        (False, 49.5, (0, 0, 50.0), "camera_unit"),
+        (False, 100.0, (0, -8, 101.0), "ground_elsewhere"),
+        (False, 1.14, (0, -26, 1.64), "ground_elsewhere"),
+    ],
+)
+def test_a_ground_that_is_not_at_zero_is_named(near_zero, height_m, camera_m, code):
+    found = [*ground_elsewhere(ground(near_zero, height_m, camera_m))]
+    assert [one.code for one in found] == ([] if code is None else [code])
+
+
+@pytest.mark.parametrize(
+    ("unit", "camera_m", "code"),
+    [("mm", 0.0015, "camera_unit"), ("cm", 0.015, "camera_unit"), ("mm", 0.0, "ground_elsewhere")],
+)
+def test_a_camera_in_metres_that_was_said_to_be_in_another_unit_is_named(unit, camera_m, code):
+    """One in the world's origin says nothing of a unit."""
+    motion = ground(False, camera_m - 1.5, (0.0, 0.0, camera_m))
+    (found,) = ground_elsewhere(replace(motion, settings={**motion.settings, "camera_unit": unit}))
+    assert found.code == code
+    assert code == "ground_elsewhere" or found.numbers["unit"] == "metres"
+
+
+def test_lengths_that_no_animal_of_its_kind_has_are_named():
+    motion = moved(plain().states)
+    assert not [*subject_unlike_species(motion)]
+    tree = BODY.tree
+    segments = tuple(replace(one, offset_m=tuple(1.5 * x for x in one.offset_m)) for one in tree.segments)
+    markers = tuple(replace(one, offset_m=tuple(1.5 * x for x in one.offset_m)) for one in tree.markers)
+    body = replace(BODY, tree=replace(tree, segments=segments, markers=markers))
+    (found,) = subject_unlike_species(replace(motion, solution=replace(motion.solution, body=body)))
+    assert found.numbers["times"] == pytest.approx(1.5, abs=0.1)
+
+
+@pytest.mark.parametrize("height_m", [0.0, 0.6, 100.0])
+def test_a_fit_is_the_same_wherever_the_ground_is(height_m):
+    """A camera 0.85 m above a ground at that height: the pose is as good, and the ground is found there."""
+    camera = replace(CAMERA, rotation=CAMERA_FROM_LEVEL, translation_m=-CAMERA_FROM_LEVEL @ [0.0, 0.0, height_m + 0.85])
+    solution = solve(seen(run()), camera=camera)
+    assert errors_m(solution, run()).mean() < 0.03
+    (segment,) = solution.segments
+    assert segment.ground is not None
+    assert segment.ground.near_zero is (height_m == 0)
+    assert segment.ground.height_m == pytest.approx(height_m, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "shift_m", "late"), [(6.0, 0.0, 0), (-6.0, 0.0, 0), (0.0, 0.5, 0), (0.0, -1.0, 0), (0.0, 0.0, 3)]
+)
+def test_two_cameras_of_which_one_is_turned_moved_or_late_are_named(turn_deg, shift_m, late):
+    """In the plane of both cameras and the animal, where rays still meet; and pictures that were taken later."""
+    turn = Rotation.from_euler("y", turn_deg, degrees=True).as_matrix()
+    views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
+    views[1] = replace(views[1], T_camera_world=rigid(turn, np.array([shift_m, 0.0, 0.0])) @ ASIDE)
+    views = [view.part(slice(late * i, len(view.xy_px) + late * (i - 1))) for i, view in enumerate(views)]
+    right, wrong = two(), solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True))
+    one = moved(plain().states)
+    for solution, said in ((one.solution, False), (right, False), (wrong, True)):
+        motion = replace(one, solution=replace(one.solution, segments=solution.segments))
+        assert [finding.code for finding in pair_disagrees(motion)] == ["pair_disagrees"] * (said and not late)
+    second = wrong.segments[0].second_camera
+    assert second is not None
+    assert (second.late > max(second.misplaced, 0.0)) == bool(late)
+    assert not late or second.late_frames == pytest.approx(late, abs=1.0)

@@ -1,0 +1,298 @@
+"""Several cameras, and cameras that move: what a view projects, and motions solved from them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from recon.clip import View, camera_poses, still_view
+from recon.fit import ClipProblem, TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
+from recon.geometry import inverse, level_from_camera, moved, rigid
+from recon.io import read_pose3d
+from tests.conftest import SAMPLES
+from tests.fit.test_trajectory import BODY, CAMERA, FPS, PRIOR, run, seen
+
+LEVEL = level_from_camera(CAMERA.up)
+
+
+def truth_m() -> np.ndarray:
+    """(T, J, 3): a run, in the level frame of a camera in the origin."""
+    return run() @ LEVEL.T
+
+
+def pose(centre_m: list[float], heading_rad: float) -> np.ndarray:
+    """T_camera_world of a level camera that looks along a heading about z, 0 along x."""
+    right = np.array([np.sin(heading_rad), -np.cos(heading_rad), 0.0])
+    away = np.array([np.cos(heading_rad), np.sin(heading_rad), 0.0])
+    rotation = np.stack([right, [0.0, 0.0, -1.0], away])
+    return rigid(rotation, -rotation @ np.array(centre_m))
+
+
+def view_of(points_m: np.ndarray, T_camera_world: np.ndarray, sigma_px: float = 2.0, seed: int = 0) -> View:
+    blank = View(CAMERA, T_camera_world, np.zeros((*points_m.shape[:2], 2)), np.ones(points_m.shape[:2]))
+    noise = sigma_px * np.random.default_rng(seed).normal(size=blank.xy_px.shape)
+    return replace(blank, xy_px=blank.project(points_m)[0] + noise)
+
+
+AHEAD, ASIDE = pose([0.0, 0.0, 0.0], np.pi / 2), pose([-9.0, 9.0, 0.5], 0.0)
+
+
+@cache
+def two() -> TrajectorySolution:
+    views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
+    return solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True, size_sigma=0.3))
+
+
+# -- a view --------------------------------------------------------------------------------------------------------
+
+
+def test_poses_of_cameras_keep_the_files_world_where_z_points_up():
+    rotation = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    camera = replace(CAMERA, rotation=rotation, translation_m=[1.0, 2.0, 3.0])
+    (T,) = camera_poses([camera])
+    points = np.random.default_rng(0).normal(size=(4, 3))
+    np.testing.assert_allclose(moved(T, points), camera.world_to_camera(points), atol=1e-12)
+
+
+def test_without_a_known_upward_direction_the_world_is_level_under_the_first_camera():
+    """Its centre is the origin, up is z, and the other cameras keep their place beside it."""
+    first = replace(CAMERA, rotation=np.eye(3), translation_m=np.array([0.0, 0.0, 5.0]), world_z_up=False)
+    second = replace(first, translation_m=np.array([2.0, 0.0, 5.0]))
+    a, b = camera_poses([first, second])
+    np.testing.assert_allclose(inverse(a)[:3, 3], 0.0, atol=1e-12)
+    np.testing.assert_allclose(a[:3, :3] @ [0.0, 0.0, 1.0], first.up, atol=1e-12)
+    file_m = np.array([[0.3, 0.1, 9.0]])
+    np.testing.assert_allclose(
+        moved(b @ inverse(a), first.world_to_camera(file_m)), second.world_to_camera(file_m), atol=1e-12
+    )
+
+
+def test_zoom_scales_the_picture_about_the_principal_point():
+    points = truth_m()
+    view = still_view(CAMERA, np.zeros((len(points), len(BODY.markers), 2)), np.ones(points.shape[:2]))
+    fx, fy, cx, cy = CAMERA.matrix[0, 0], CAMERA.matrix[1, 1], CAMERA.matrix[0, 2], CAMERA.matrix[1, 2]
+    zoomed = replace(view, intrinsics_px=np.tile([2 * fx, 2 * fy, cx, cy], (len(points), 1)))
+    centre = np.array([cx, cy])
+    plain, _ = view.project(points)
+    twice, _ = zoomed.project(points)
+    np.testing.assert_allclose(twice - centre, 2 * (plain - centre), atol=1e-9)
+    np.testing.assert_allclose(replace(zoomed, xy_px=twice).rays(), replace(view, xy_px=plain).rays(), atol=1e-12)
+
+
+def test_rays_of_a_moving_view_meet_the_points():
+    points, T = truth_m(), len(truth_m())
+    poses = np.stack([pose([0.05 * t, 0.0, 0.0], np.pi / 2 + 0.01 * t) for t in range(T)])
+    view = view_of(points, poses, sigma_px=0.0)
+    off = points - view.centre_m[:, None]
+    np.testing.assert_allclose(view.rays(), off / np.linalg.norm(off, axis=-1, keepdims=True), atol=1e-9)
+
+
+def test_keypoints_noise_is_as_many_pixels_as_the_lens_makes_of_it():
+    """The root mean square of how far the middle of the animal goes in the picture with a millimetre in any direction;
+    a fisheye that turns towards the animal shows it as large as before."""
+    lens, points = replace(CAMERA, model="fisheye", distortion=np.zeros(4)), truth_m()
+    found = []
+    for heading in (np.pi / 2, np.pi / 2 + 0.5):
+        view = replace(view_of(points, pose([0.0, 0.0, 0.0], heading)), camera=lens)
+        found.append(ClipProblem.from_views([view], BODY, PRIOR, FPS, TrajectoryOptions()).px_per_m(points)[0])
+        middle = np.median(points, axis=1, keepdims=True)
+        steps = 1e-6 * np.concatenate([np.eye(3), -np.eye(3)])
+        moved, at = view.project(middle + steps)[0], view.project(middle)[0]
+        along = np.sqrt(np.sum((moved - at) ** 2, axis=(1, 2)) / 4)  # both ways of three axes, by two coordinates
+        np.testing.assert_allclose(found[-1], 1e6 * along, rtol=1e-4)
+    np.testing.assert_allclose(found[1], found[0], rtol=0.06)
+
+
+# -- motions -------------------------------------------------------------------------------------------------------
+
+
+def test_two_cameras_find_the_place_and_the_size():
+    """Ten times as close as one camera's place; the size within what is stated, though hardly anything was known."""
+    solution = two()
+    error = np.linalg.norm(solution.joints_m - truth_m(), axis=-1)
+    assert error.mean() < 0.02
+    assert solution.size == pytest.approx(1.0, abs=3 * solution.size_sigma)
+    assert solution.size_sigma < 0.03  # keypoints beside their markers look like as much
+    assert solution.size_from == ("prior", "views")
+    assert solution.weight.shape == (2, *error.shape)
+
+
+def test_a_wrong_size_of_the_body_is_found():
+    """All lengths are 10 % too long: the joints' place does not suffer, and the size says it."""
+    long = replace(
+        BODY,
+        tree=replace(
+            BODY.tree,
+            segments=tuple(replace(s, offset_m=tuple(1.1 * x for x in s.offset_m)) for s in BODY.tree.segments),
+            markers=tuple(replace(m, offset_m=tuple(1.1 * x for x in m.offset_m)) for m in BODY.tree.markers),
+        ),
+    )
+    views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
+    solution = solve_trajectory(views, long, PRIOR, FPS, TrajectoryOptions(fast=True, size_sigma=0.3))
+    assert solution.size == pytest.approx(1 / 1.1, abs=0.015)
+    assert np.linalg.norm(solution.joints_m - truth_m(), axis=-1).mean() < 0.03
+
+
+def test_a_view_that_does_not_see_the_animal_for_a_while():
+    views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
+    hidden = views[1].xy_px.copy()
+    hidden[15:] = np.nan
+    views[1] = replace(views[1], xy_px=hidden, confidence=np.where(np.isnan(hidden[..., 0]), 0.0, 1.0))
+    solution = solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True))
+    error = np.linalg.norm(solution.joints_m - truth_m(), axis=-1).mean(axis=1)
+    assert error[:15].mean() < 0.025
+    assert np.isfinite(error).all()
+    sigma = np.sqrt(np.trace(solution.covariance_m2, axis1=2, axis2=3)).mean(axis=1)
+    assert sigma[30:].mean() > 1.5 * sigma[:10].mean()
+
+
+def test_an_animal_that_goes_beside_where_it_looks(monkeypatch):
+    """Every frame turned by 0.2 rad about its middle: two cameras see it, and say so where it goes straight on."""
+    points, turn = truth_m(), 0.2
+    middle = points.mean(axis=1, keepdims=True)
+    rotation = np.array([[np.cos(turn), np.sin(turn), 0.0], [-np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    beside = middle + (points - middle) @ rotation.T
+    views = [view_of(beside, AHEAD), view_of(beside, ASIDE, seed=1)]
+    found = solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True))
+    with monkeypatch.context() as patch:
+        patch.setattr(constants, "SIDESLIP_RAD", 1e-4)
+        held = solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True))
+    assert found.sideslip_rad == pytest.approx(turn, abs=3 * found.sideslip_sigma_rad)
+    assert found.sideslip_sigma_rad < 0.05
+    assert abs(two().sideslip_rad) < 3 * two().sideslip_sigma_rad
+    errors = [np.linalg.norm(solution.joints_m - beside, axis=-1).mean() for solution in (found, held)]
+    assert errors[0] < 0.9 * errors[1]
+
+
+def test_where_points_are_between_two_frames_and_at_the_end_of_a_stretch():
+    points = np.arange(6.0)[:, None, None] * np.ones((6, 1, 3))
+    points[3] = np.nan
+    late = replace(view_of(np.ones((6, 1, 3)), AHEAD), offset_frames=0.25)
+    expected = [0.25, 1.25, 2.25, np.nan, 4.25, 5.25]
+    np.testing.assert_allclose(late.shift_to_exposure(points)[:, 0, 0], expected)
+
+
+def test_a_camera_half_a_frame_late_is_no_worse_for_it():
+    """The second camera's pictures lie between the frames, and the view says so."""
+    points = truth_m()
+    between = 0.5 * (points + np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]]))
+    late = view_of(between, ASIDE, seed=1)
+    said = solve_trajectory(
+        [view_of(points, AHEAD), replace(late, offset_frames=0.5)], BODY, PRIOR, FPS, TrajectoryOptions(fast=True)
+    )
+    error = np.linalg.norm(said.joints_m - points, axis=-1).mean()
+    assert error < np.linalg.norm(two().joints_m - points, axis=-1).mean() + 0.003
+
+
+def test_a_camera_late_by_less_than_a_frame_is_found(monkeypatch):
+    """Which nobody said: the place does not suffer, and with one camera it is as uncertain as that."""
+    points = truth_m()
+    late = view_of(0.6 * points + 0.4 * np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]]), AHEAD)
+    third = view_of(points, pose([-6.0, 2.0, 0.5], 0.6), seed=2)
+
+    def known_to(frames: float, *views: View) -> TrajectorySolution:
+        with monkeypatch.context() as patch:
+            patch.setattr(constants, "TIME_OFFSET_FRAMES", frames)
+            return solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True))
+
+    of_three = (late, view_of(points, ASIDE, seed=1), third)
+    found, held = (known_to(frames, *of_three) for frames in (constants.TIME_OFFSET_FRAMES, 1e-3))
+    assert found.time_offset_frames[0] - found.time_offset_frames[1:].mean() == pytest.approx(0.4, abs=0.1)
+    error = [np.linalg.norm(solution.joints_m - points, axis=-1).mean() for solution in (found, held)]
+    assert error[0] < error[1]
+    step_m = 9.0 / FPS
+    one, sure = (known_to(frames, view_of(points, AHEAD)) for frames in (0.5, 1e-6))
+    along = np.gradient(points.mean(axis=1), axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    more = np.einsum("ta,tjab,tb->tj", along, one.covariance_m2 - sure.covariance_m2, along)
+    assert 0.7 < np.median(more) / (0.5 * step_m) ** 2 < 1.0  # the motion's own expectations say a little
+
+
+def test_a_camera_that_pans_is_as_good_as_a_still_one():
+    """The same rays, through a camera that turns about its centre to follow: the same motion, and the same doubt."""
+    points = truth_m()
+    T = len(points)
+    still = still_view(CAMERA, seen(run()), np.ones(points.shape[:2]))
+    angles = np.linspace(-0.2, 0.2, T)
+    turn = np.tile(np.eye(3), (T, 1, 1))
+    turn[:, 0, 0], turn[:, 0, 2], turn[:, 2, 0], turn[:, 2, 2] = (
+        np.cos(angles),
+        -np.sin(angles),
+        np.sin(angles),
+        np.cos(angles),
+    )
+    pans = rigid(turn @ still.T_camera_world[:3, :3], np.zeros(3))
+    blank = replace(still, T_camera_world=pans)
+    panning = replace(blank, xy_px=blank.project(still.rays())[0])
+    options = TrajectoryOptions(fast=True)
+    a = solve_trajectory([still], BODY, PRIOR, FPS, options)
+    b = solve_trajectory([panning], BODY, PRIOR, FPS, options, ground_near_zero=False)
+    assert np.linalg.norm(a.joints_m - b.joints_m, axis=-1).max() < 0.02
+    assert b.size_from == ("prior",)
+    spread = [np.sqrt(np.trace(s.relative_covariance_m2, axis1=2, axis2=3)).mean() for s in (a, b)]
+    assert spread[1] == pytest.approx(spread[0], rel=0.03)
+
+
+def test_a_camera_that_is_carried_about_shows_the_size():
+    """To and fro by a metre in half a second: its own path is known in metres, and the animal's is smoother."""
+    points = truth_m()
+    T = len(points)
+    poses = np.stack([pose([np.sin(14 * t / FPS), 0.0, 0.3 * np.cos(14 * t / FPS)], np.pi / 2) for t in range(T)])
+    solution = solve_trajectory(
+        [view_of(points, poses)], BODY, PRIOR, FPS, TrajectoryOptions(fast=True, size_sigma=10.0)
+    )
+    assert solution.size_from == ("prior", "views")
+    assert solution.size_sigma < 0.3
+    assert solution.size == pytest.approx(1.0, abs=2 * solution.size_sigma)
+
+
+def test_a_camera_driven_along_shows_the_size_by_feet_that_stand():
+    """At 10 m/s beside the animal: feet of another size would slip on the ground."""
+    points = read_pose3d(SAMPLES / "whole_truth.csv").xyz_m
+    seconds = (np.arange(len(points)) - len(points) / 2) / 60
+    poses = np.stack([pose([10.0 * t, -9.0, 0.6], np.pi / 2) for t in seconds])
+    solution = solve_trajectory(
+        [view_of(points, poses, sigma_px=0.5)], BODY, PRIOR, 60.0, TrajectoryOptions(fast=True, size_sigma=10.0)
+    )
+    assert solution.size_sigma < 0.2
+    assert solution.size == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_camera_beside_its_pose():
+    """A view and a camera lie beside their poses alike."""
+    extrinsic_correction, points = np.array([0.02, -0.03, 0.05, 0.1, -0.2, 0.05]), truth_m()
+    camera = replace(CAMERA, rotation=ASIDE[:3, :3], translation_m=ASIDE[:3, 3])
+    turned, view = camera.corrected(extrinsic_correction), view_of(points, ASIDE).corrected(extrinsic_correction)
+    np.testing.assert_allclose(view.project(points)[0], turned.project(turned.world_to_camera(points))[0], atol=1e-9)
+
+
+def test_cameras_beside_their_poses_come_back():
+    """The second of two is turned by a degree and a half, moved by 4 cm; the pose is as good as with true ones."""
+    extrinsic_correction = np.array([0.015, 0.02, -0.01, 0.03, 0.02, -0.02])
+    views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
+    wrong = [views[0], views[1].corrected(-extrinsic_correction)]
+    options = TrajectoryOptions(fast=True, refine_cameras=True)
+    found = solve_trajectory(wrong, BODY, PRIOR, FPS, options)
+    assert not found.extrinsic_correction[0].any()
+    assert found.extrinsic_correction_sigma[1].all()
+    turned = found.views[1].T_camera_world[:3, :3] @ views[1].T_camera_world[:3, :3].T
+    assert np.degrees(np.arccos((np.trace(turned) - 1) / 2)) < 0.7
+    off = found.joints_m - truth_m()
+    assert np.linalg.norm(off - off.mean(axis=1, keepdims=True), axis=-1).mean() < 0.03
+    assert np.nanmean(found.weight[1]) > 0.8  # beside the refined camera, not beside the one that was given
+
+
+def test_a_wrong_focal_length_is_found_by_two_cameras():
+    """The second's is taken for 8 % too short; one camera alone keeps its own."""
+    views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
+    options = TrajectoryOptions(fast=True, focal_sigma=0.1)
+    found = solve_trajectory([views[0], views[1].with_focal_scale(-0.08)], BODY, PRIOR, FPS, options)
+    assert found.focal[1] - found.focal[0] == pytest.approx(0.08, abs=0.03)
+    assert (found.focal_sigma > 0).all()
+    assert np.nanmean(found.weight[1]) > 0.8
+    assert found.views[1].focal_px == pytest.approx(views[1].focal_px * np.exp(found.focal[1] - 0.08))
+    alone = solve_trajectory(views[:1], BODY, PRIOR, FPS, options)
+    assert (alone.focal[0], alone.focal_sigma[0]) == (0, 0)

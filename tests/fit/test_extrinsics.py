@@ -1,0 +1,157 @@
+"""Where cameras stand, from several clips of the animal."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from command_line import refusal
+
+from recon.base import silent
+from recon.clip import View, still_view
+from recon.fit import ClipProblem, TrajectoryOptions, solve_extrinsics
+from recon.fit.extrinsics import _initial_poses, _level_prior, _sigma_to_first
+from recon.geometry import euler_rotation, inverse, moved, rigid
+from recon.workflows.extrinsics import DISAGREEMENT
+from tests.clip.test_views import AHEAD, ASIDE, pose, truth_m, view_of
+from tests.fit.test_trajectory import BODY, FPS, PRIOR
+
+BEHIND = pose([3.0, 17.0, 0.2], -np.pi / 2)
+
+
+def across() -> np.ndarray:
+    """(T, J, 3): the same run, another way through the field."""
+    points = truth_m()
+    middle = points.mean(axis=(0, 1)) * [1, 1, 0]
+    return (points - middle) @ rigid(euler_rotation([0, 0, 1.2]), np.zeros(3))[:3, :3].T + middle
+
+
+def setting(views: list[View], posed: bool = False) -> ClipProblem:
+    lenses = [replace(view.camera, rotation=None, translation_m=None) for view in views]
+    bare = [still_view(lens, view.xy_px, view.confidence) for lens, view in zip(lenses, views, strict=True)]
+    return ClipProblem.from_views(views if posed else bare, BODY, PRIOR, FPS, TrajectoryOptions(fast=True), False)
+
+
+def blind(view: View) -> View:
+    return replace(view, xy_px=np.full_like(view.xy_px, np.nan), confidence=np.zeros_like(view.confidence))
+
+
+def apart(found: np.ndarray, true: np.ndarray) -> tuple[float, float]:
+    """Degrees and metres."""
+    turn = found[:3, :3] @ true[:3, :3].T
+    off_m = np.linalg.norm(inverse(found)[:3, 3] - inverse(true)[:3, 3])
+    return float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))), float(off_m)
+
+
+def test_two_clips_tell_what_one_does_not():
+    """The third camera did not film the first clip."""
+    first = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1), blind(view_of(truth_m(), BEHIND))]
+    second = [view_of(across(), p, seed=2 + i) for i, p in enumerate((AHEAD, ASIDE, BEHIND))]
+    one, both = solve_extrinsics([setting(first[:2])]), solve_extrinsics([setting(first), setting(second)])
+    assert one.converged
+    assert both.converged
+    for i, true in ((1, ASIDE), (2, BEHIND)):
+        degrees, metres = apart(both.T_camera_world[i], true @ inverse(AHEAD) @ both.T_camera_world[0])
+        assert degrees < 1.0
+        assert metres < 0.2
+    assert not both.sigma[0].any()
+    assert (both.sigma[1] < one.sigma[1]).all()
+    assert both.disagreement.shape == (2, 3)
+    assert both.disagreement.max() < DISAGREEMENT
+
+
+def test_a_camera_that_was_touched_between_two_clips():
+    turned = rigid(euler_rotation([0.0, np.radians(5.0), 0.0]), np.zeros(3)) @ ASIDE
+    clips = [
+        setting([view_of(truth_m(), p, seed=i) for i, p in enumerate((AHEAD, ASIDE, BEHIND))]),
+        setting([view_of(across(), p, seed=3 + i) for i, p in enumerate((AHEAD, turned, BEHIND))]),
+    ]
+    assert solve_extrinsics(clips).disagreement.max() > DISAGREEMENT
+
+
+def test_cameras_that_were_levelled_say_which_way_is_up():
+    """A slope of 5 degrees, which the cameras stand on as well: level to half a degree, they say so."""
+    slope = rigid(euler_rotation([np.radians(5.0), 0, 0]), np.zeros(3))
+    views = [view_of(moved(slope, truth_m()), p, seed=i) for i, p in enumerate((AHEAD, ASIDE))]
+    rig = solve_extrinsics([setting(views)], level_rad=np.radians(0.5))
+    for T, view in zip(rig.T_camera_world, views, strict=True):
+        assert np.degrees(np.arccos(T[:3, 2] @ view.camera.up)) < 0.5
+
+
+def test_cameras_are_placed_beside_those_already_placed(monkeypatch):
+    """The first and the third have no frame in common; the second has some with each."""
+    poses, points, unseen = [AHEAD, ASIDE, BEHIND], truth_m(), [np.s_[20:], np.r_[0:10, 30:40], np.s_[:20]]
+    views = [view_of(points, p) for p in poses]
+
+    def alone(_: ClipProblem, view: View) -> np.ndarray:
+        i = next(i for i, own in enumerate(views) if np.array_equal(own.xy_px, view.xy_px, equal_nan=True))
+        joints = replace(view, T_camera_world=poses[i]).to_camera(points).copy()
+        joints[unseen[i]] = np.nan
+        return joints
+
+    monkeypatch.setattr("recon.fit.extrinsics._joints_by_view", alone)
+    (placed,) = _initial_poses([setting(views)], silent)
+    for view, true in zip(placed.views, poses, strict=True):
+        relative = view.T_camera_world @ inverse(placed.views[0].T_camera_world)
+        np.testing.assert_allclose(relative, true @ inverse(AHEAD), atol=1e-9)
+
+
+def test_clips_with_nothing_in_common():
+    points = truth_m()
+    with refusal(("KEYPOINTS", "camera cam1", "too few frames")):
+        solve_extrinsics([setting([view_of(points, AHEAD), blind(view_of(points, ASIDE))])])
+
+
+def test_poses_that_are_roughly_known():
+    wrong = rigid(euler_rotation(np.radians([1.0, -1.0, 0.5])), np.array([0.03, 0.0, -0.03])) @ ASIDE
+    clips = []
+    for i, points in enumerate((truth_m(), across())):
+        beside = replace(view_of(points, ASIDE, seed=9 - i), T_camera_world=wrong)
+        clips.append(setting([view_of(points, AHEAD, seed=i), beside], posed=True))
+    rig = solve_extrinsics(clips, posed=True)
+    np.testing.assert_allclose(rig.T_camera_world[0], AHEAD, atol=1e-4)
+    (degrees, metres), before = apart(rig.T_camera_world[1], ASIDE), apart(wrong, ASIDE)
+    assert degrees < 0.4 * before[0]
+    assert metres < 0.05  # as expected beforehand: two clips of half a second hardly tell the place
+
+
+def test_rough_poses_say_how_large_the_animal_is():
+    """A rig 5 % larger than true stays so; with the animal held at its own size, a camera would turn by 2 degrees."""
+    larger = [rigid(p[:3, :3], 1.05 * p[:3, 3]) for p in (AHEAD, ASIDE)]
+    views = [
+        replace(view_of(truth_m(), p, seed=i), T_camera_world=q)
+        for i, (p, q) in enumerate(zip((AHEAD, ASIDE), larger, strict=True))
+    ]
+    rig = solve_extrinsics([setting(views, posed=True)], posed=True)
+    degrees, metres = apart(rig.T_camera_world[1], larger[1])
+    assert degrees < 1.0
+    assert metres < 0.03
+
+
+def test_deviations_beside_the_first_camera():
+    """As by differences, of a first camera that is in doubt, too."""
+    rng, poses = np.random.default_rng(0), [AHEAD, ASIDE, BEHIND]
+    root = rng.normal(size=(18, 18))
+
+    def relative(by: np.ndarray) -> np.ndarray:
+        """(V, 6): where each lies beside its place in the first, in its own frame."""
+        places = [rigid(euler_rotation(own[:3]), own[3:]) for own in by.reshape(-1, 6)]
+        moved_by = [
+            place @ T @ inverse(places[0] @ poses[0]) @ poses[0] @ inverse(T)
+            for place, T in zip(places, poses, strict=True)
+        ]
+        return np.array([[m[2, 1], m[0, 2], m[1, 0], *m[:3, 3]] for m in moved_by])
+
+    step = 1e-6
+    slopes = np.stack([(relative(step * e) - relative(-step * e)) / (2 * step) for e in np.eye(18)], axis=-1)
+    expected = np.sqrt(np.einsum("vap,pq,vaq->va", slopes, root @ root.T, slopes))
+    np.testing.assert_allclose(_sigma_to_first(poses, root @ root.T), expected, rtol=1e-6, atol=1e-6)
+
+
+def test_level_cameras_have_their_minimum_where_up_is_up():
+    turned = rigid(euler_rotation([0.02, 0.3, -0.03]), np.zeros(3)) @ ASIDE
+    view = replace(view_of(truth_m(), ASIDE), T_camera_world=turned)
+    curvature, gradient = _level_prior([view], 0.1)
+    step = -np.linalg.lstsq(curvature[:3, :3], gradient[:3], rcond=None)[0]
+    up = moved(rigid(euler_rotation(step), np.zeros(3)), turned[:3, 2])
+    np.testing.assert_allclose(up, view.camera.up, atol=2e-3)

@@ -1,0 +1,281 @@
+"""The clip's least-squares problem: the banded solution equals a dense one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from recon.fit import Estimate, LeastSquares, SharedUnknown
+from recon.fit import least_squares as module
+from recon.fit.posterior import posterior
+from recon.fit.terms import (
+    COMMON_KEYPOINT_BIAS,
+    SIDESLIP,
+    SIZE,
+    Heading,
+    Linear,
+    OnGround,
+    Reprojection,
+    StanceVelocity,
+    climb_term,
+    dynamics_term,
+    extrinsic_correction,
+    focal_scale,
+    keypoint_bias,
+    pose_term,
+    root_term,
+    time_offset,
+)
+from recon.geometry import Marker, Segment, Tree
+from tests.fit.test_banded import to_dense
+from tests.fit.test_terms import BODY, FEET, FPS, PRIOR, T, detections, gradient, some_states, terms, view
+
+
+def whole_problem() -> LeastSquares:
+    every = terms()
+    return LeastSquares(
+        BODY.tree, [t for t in every if isinstance(t, Linear)], [t for t in every if not isinstance(t, Linear)]
+    )
+
+
+def equations(problem: LeastSquares, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    normal = problem.normal(states)
+    return normal.blocks, normal.gradient
+
+
+def dense_rows(problem: LeastSquares, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The slow oracle: all rows of all terms, stacked with their Jacobian (M, TD)."""
+    residuals, jacobians = [], []
+    D = states.shape[1]
+
+    def put(frame: int, stencil, r: np.ndarray, slots: np.ndarray) -> None:
+        J = np.zeros((len(r), states.size))
+        for offset, slot in zip(stencil, slots, strict=True):
+            J[:, (frame + offset) * D : (frame + offset + 1) * D] += slot
+        residuals.append(r)
+        jacobians.append(J)
+
+    for term in problem.linear:
+        for frame, r in zip(term.frames(len(states)), term.residual(states), strict=True):
+            put(frame, term.stencil, r, term.slots)
+    (span,) = problem.spans(states, {}, jacobian=True)
+    for term in problem.terms:
+        rows = term.evaluate(span, jacobian=True)
+        for i in range(len(rows.cost)):
+            put(i, term.stencil, rows.residual[i], rows.jacobian[i].transpose(1, 0, 2))
+    return np.concatenate(residuals), np.concatenate(jacobians)
+
+
+def test_normal_equations_equal_dense_ones():
+    problem, states = whole_problem(), some_states()
+    r, J = dense_rows(problem, states)
+    H, g = equations(problem, states)
+    np.testing.assert_allclose(to_dense(H), J.T @ J, rtol=1e-9, atol=1e-9 * np.abs(J.T @ J).max())
+    np.testing.assert_allclose(g.ravel(), J.T @ r, rtol=1e-9, atol=1e-9 * np.abs(J.T @ r).max())
+
+
+def seen_late(shared: bool = True) -> LeastSquares:
+    """Two views with unknowns of their own, which all frames share, and the size."""
+    rng, xy_px = np.random.default_rng(5), detections(some_states(1))
+    sigma, J = np.full(xy_px.shape[:2], 8.0), xy_px.shape[1]
+    seen = [
+        Reprojection(of, sigma, 3.0, np.zeros(3), i, 0.1 * rng.normal(size=(T, J, 3)), rng.uniform(100, 200, T))
+        for i, of in enumerate((view(xy_px), replace(view(xy_px), offset_frames=0.3)))
+    ]
+    unknown = [SharedUnknown(SIZE, np.ones(1), np.array([0.1])), SharedUnknown(SIDESLIP, np.zeros(1), np.array([0.2]))]
+    unknown += [SharedUnknown(time_offset(i), np.zeros(1), np.array([0.3])) for i in range(2)]
+    unknown += [SharedUnknown(focal_scale(i), np.zeros(1), np.array([0.1])) for i in range(2)]
+    unknown += [SharedUnknown(extrinsic_correction(1), np.zeros(6), np.repeat([0.1, 0.5], 3))]
+    displaced = [SharedUnknown(keypoint_bias(i), np.zeros(2 * J), np.full(2 * J, 0.03)) for i in range(2)]
+    common = [] if shared else [SharedUnknown(COMMON_KEYPOINT_BIAS, np.zeros(3 * J), np.full(3 * J, 0.02))]
+    linear = [t for t in terms() if isinstance(t, Linear)]
+    held = Linear("held", (0,), 0.01 * np.eye(BODY.n_state)[None], np.zeros(BODY.n_state))  # the last frame by one view
+    free = [*unknown, *displaced] if shared else unknown
+    stance = StanceVelocity(FEET, FPS, 2.5, 2.0)
+    driven = replace(stance, at=0.9, by_size=rng.normal(size=(T - 1, len(FEET), 3)))
+    contact, plane = rng.uniform(size=(T - 1, len(FEET))), np.array([-0.8, 0.01, -0.02])
+    ground = OnGround(FEET, contact, plane, np.array([0.3, 7.0]), FPS, 0.04, at=0.9)
+    rear, front = (BODY.markers.index(marker) for marker in BODY.forward)
+    return LeastSquares(
+        BODY.tree,
+        [*linear, held],
+        [*seen, stance, driven, ground, Heading(rear, front, FPS, 0.5)],
+        free,
+        () if shared else [*displaced, *common],
+    )
+
+
+def some_shared(problem: LeastSquares) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(6)
+    return {u.name: u.mean + 0.3 * u.sigma * rng.normal(size=len(u.mean)) for u in problem.shared}
+
+
+def test_shared_unknowns_have_the_gradient_of_the_cost():
+    """Central differences along random directions of states and shared unknowns together."""
+    problem, states = seen_late(), some_states()
+    shared, rng, h = some_shared(problem), np.random.default_rng(2), 1e-5
+    normal = problem.normal(states, shared)
+    for _ in range(10):
+        step, by_name = rng.normal(size=states.shape), {name: rng.normal(size=v.shape) for name, v in shared.items()}
+        up, down = (
+            problem.cost(states + s * h * step, {name: v + s * h * by_name[name] for name, v in shared.items()})
+            for s in (1, -1)
+        )
+        along = sum(normal.shared_gradient[own] @ by_name[name] for name, own in problem.columns.items())
+        exact = float(np.sum(normal.gradient * step) + along)
+        assert (up - down) / (2 * h) == pytest.approx(exact, rel=2e-5, abs=1e-4 * np.linalg.norm(normal.gradient))
+
+
+def test_keypoints_that_all_cameras_see_displaced():
+    """How residuals follow, at zero, from bodies with keypoints beside their markers, between two frames too."""
+    problem, states, h = seen_late(shared=False), some_states(), 1e-6
+    J = len(BODY.markers)
+    shared = problem.expected() | {COMMON_KEYPOINT_BIAS: np.zeros(3 * J)}
+    (span,) = problem.spans(states, shared, jacobian=True)
+    for term in problem.terms[:2]:
+        rows = term.evaluate(span, jacobian=True)
+        of_marker = rows.by_shared[COMMON_KEYPOINT_BIAS].reshape(*rows.by_shared[COMMON_KEYPOINT_BIAS].shape[:2], J, 3)
+        for marker in ("l_hip", "nose"):
+            moved = []
+            for step in (h, -h):
+                tree = replace(BODY, keypoint_offset_m={marker: (0.0, step, 2 * step)}).detected
+                (there,) = replace(problem, tree=tree).spans(states, shared, jacobian=True)
+                moved.append(term.evaluate(there, jacobian=False).cost)
+            slope = (moved[0] - moved[1]) / (2 * h)
+            along = of_marker[:, :, BODY.markers.index(marker)] @ [0.0, 1.0, 2.0]
+            np.testing.assert_allclose(np.sum(rows.residual * along, axis=1), slope, rtol=1e-4, atol=1e-3)
+
+
+def test_the_posterior_is_that_of_the_dense_equations():
+    """Joints' covariances, the size given, from the inverse of the bordered matrix; and what is said of the size."""
+    problem, states = seen_late(shared=False), some_states()
+    shared, factor = some_shared(problem), 3.0
+    found = posterior(problem, BODY, Estimate(states, 0.0, 1, True, shared), factor)
+    every = replace(problem, shared=[*problem.shared, *problem.nuisance], nuisance=())
+    normal = every.normal(states, every.expected() | shared)
+    n, P = states.size, len(normal.corner)
+    border = normal.border.reshape(n, P)
+    whole = np.block([[to_dense(normal.blocks), border], [border.T, normal.corner]])
+    given = np.linalg.inv(np.delete(np.delete(whole, n, 0), n, 1))[:n, :n]  # the size, first of the border, held
+    jacobian = BODY.tree.pose_with_jacobian(states).jacobian
+    assert jacobian is not None
+    D = states.shape[1]
+    for t in range(T):
+        own = given[t * D : (t + 1) * D, t * D : (t + 1) * D]
+        dense = factor * jacobian[t] @ own @ jacobian[t].swapaxes(1, 2)
+        np.testing.assert_allclose(found.covariance_m2[t], dense, rtol=1e-5, atol=1e-9)
+    of_size = 1.0 / np.linalg.inv(whole)[n, n] - problem.shared[0].sigma[0] ** -2
+    assert found.size_precision == pytest.approx(of_size / factor, rel=1e-5)
+
+
+def test_a_step_equals_the_dense_one():
+    from recon.fit.banded import factored
+
+    problem, states = whole_problem(), some_states()
+    r, J = dense_rows(problem, states)
+    H, g = equations(problem, states)
+    factor = factored(H, np.full(g.shape, 1e-3))
+    step = factor.unwhiten(factor.whiten(-g))
+    dense = np.linalg.solve(J.T @ J + 1e-3 * np.eye(states.size), -J.T @ r)
+    np.testing.assert_allclose(step.ravel(), dense, rtol=1e-6, atol=1e-8)
+
+
+def test_pieces_of_a_clip_add_up(monkeypatch):
+    """Cut into pieces of two frames, cost and equations are the same."""
+    problem, states = whole_problem(), some_states()
+    whole_cost, (H, g) = problem.cost(states), equations(problem, states)
+    monkeypatch.setattr(module, "_FRAMES_AT_ONCE", 2)
+    assert problem.cost(states) == pytest.approx(whole_cost)
+    cut, cut_g = equations(problem, states)
+    np.testing.assert_allclose(to_dense(cut), to_dense(H), rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(cut_g, g, rtol=1e-9, atol=1e-6)
+
+
+@pytest.mark.parametrize("piece", [2, 3])
+def test_the_equations_of_a_long_clip_come_in_pieces(monkeypatch, piece):
+    """One after the other they are those of the whole, with what all frames share."""
+    monkeypatch.setattr(module, "_FRAMES_AT_ONCE", 1)
+    problem, states = seen_late(shared=True), some_states()
+    shared = some_shared(problem)
+    whole, parts = problem.normal(states, shared), [*replace(problem, piece=piece).normals(states, shared)()]
+    assert len(parts) == (T - 1) // piece
+    for name in ("gradient", "border"):
+        both = np.concatenate([getattr(part, name) for part in parts]), getattr(whole, name)
+        np.testing.assert_allclose(*both, rtol=1e-9, atol=1e-6)
+    joined = np.concatenate([part.blocks for part in parts])
+    np.testing.assert_allclose(to_dense(joined), to_dense(whole.blocks), rtol=1e-9, atol=1e-6)
+    for name in ("corner", "shared_gradient"):
+        both = sum(getattr(part, name) for part in parts), getattr(whole, name)
+        np.testing.assert_allclose(*both, rtol=1e-9, atol=1e-6)
+
+
+def test_minimum_of_a_linear_problem_takes_one_step():
+    """All terms linear: least squares in closed form."""
+    D = BODY.n_state
+    place = Linear("place", (0,), np.eye(D)[None, :4], np.array([1.0, 5.0, -0.3, 0.2]))
+    linear = [
+        pose_term(PRIOR, D, FPS, 1.0),
+        dynamics_term(PRIOR, D, FPS, 1.0),
+        root_term(D, FPS, np.array([12.0, 12.0, 9.0]), 40.0),
+        climb_term(D, FPS, 0.5),
+        place,
+    ]
+    problem, states = LeastSquares(BODY.tree, linear, []), some_states()
+    r, J = dense_rows_of_linear(linear, states)
+    found = problem.minimise(states, 1e-12, 20)
+    assert found.converged
+    np.testing.assert_allclose(found.states.ravel(), states.ravel() - np.linalg.lstsq(J, r, rcond=None)[0], atol=1e-5)
+
+
+def dense_rows_of_linear(linear, states):
+    return dense_rows(_Quiet(BODY.tree, linear, []), states)
+
+
+class _Quiet(LeastSquares):
+    """Without nonlinear terms, no span is posed."""
+
+
+def test_minimum_of_the_whole_problem_is_a_minimum():
+    """No direction leads down, and scipy's dense solver, started there, stays."""
+    problem = whole_problem()
+    found = problem.minimise(some_states(), 1e-10, 200)
+    assert found.converged
+    H, g = equations(problem, found.states)
+    assert np.abs(g).max() < 1e-3 * np.sqrt(np.diagonal(H[:, 0], axis1=1, axis2=2).max())
+    other = least_squares(lambda x: np.sqrt(2 * problem.cost(x.reshape(T, -1)) + 1e4), found.states.ravel(), max_nfev=2)
+    assert problem.cost(other.x.reshape(T, -1)) > found.cost - 1e-3
+
+
+def test_reports_when_it_did_not_converge():
+    found = whole_problem().minimise(some_states(), 1e-12, 2)
+    assert not found.converged
+    assert found.iterations == 2
+
+
+def test_costs_are_named():
+    problem, states = whole_problem(), some_states()
+    costs = problem.costs(states)
+    assert set(costs) == {t.name for t in terms()}
+    assert sum(costs.values()) == pytest.approx(problem.cost(states))
+    reprojections = [t for t in terms() if t.name == "reprojection"]
+    rest = replace(problem, terms=[t for t in problem.terms if t.name != "reprojection"])
+    H, g = equations(rest, states)
+    np.testing.assert_allclose(
+        g + sum(gradient(t, states) for t in reprojections), problem.normal(states).gradient, atol=1e-6
+    )
+    assert np.abs(to_dense(H)).max() > 0
+
+
+def test_a_slow_shift_in_depth_is_found():
+    """A single marker on a moving root, seen by pixels only through its distance: the whole path is off by one metre,
+    every frame is stiff against its neighbours, and few steps bring it back (damping by the diagonal would not)."""
+    tree = Tree((Segment("root", None, "free"),), (Marker("m", "root"),))
+    D, frames = tree.n_state, 60
+    stiff = np.array([np.eye(D), -2 * np.eye(D), np.eye(D)]) * 1e4
+    smooth = Linear("smooth", (-1, 0, 1), stiff, np.zeros(D))
+    weak = Linear("weak", (0,), np.eye(D)[None] * 0.1, np.full(D, 0.1))
+    found = LeastSquares(tree, [smooth, weak], []).minimise(np.zeros((frames, D)), 1e-9, 6)
+    np.testing.assert_allclose(found.states, 1.0, atol=2e-2)

@@ -1,0 +1,158 @@
+"""Whatever a fit writes, everything behind it reads: skeletons, cameras, offsets, tracks, files that lack markers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import leave_out_layout
+
+from recon import Camera, FitSettings, Keypoints, Motion, analyse, evaluate_files, read_keypoints
+from recon.animal import Body, builtin_names, load_skeleton
+from recon.clip import camera_poses
+from recon.io import CONVERTED, read_points, write_camera, write_cameras, write_csv
+from recon.workflows import ConvertSettings, PageSettings, report, run_clip
+from recon.workflows import analyse as analysis
+from recon.workflows.convert import convert
+from recon.workflows.skeleton import draft_skeleton
+from tests.clip.test_views import pose
+from tests.io.test_camera_track import write_track
+
+FPS, FRAMES = 60.0, 12
+LENS = Camera.from_hfov(60.0, (1920, 1080), name="cam1")
+
+
+def placed(name: str, centre_m: list[float], yaw: float) -> Camera:
+    T = pose(centre_m, yaw)
+    return replace(LENS, name=name, rotation=T[:3, :3], translation_m=T[:3, 3], world_z_up=True)
+
+
+CAMERAS = [placed("cam1", [0.0, -7.0, 1.0], np.pi / 2), placed("cam2", [4.0, -6.0, 1.3], np.pi / 2 + 0.5)]
+
+
+SIX = [
+    *CAMERAS,
+    placed("cam3", [-4.0, -6.0, 1.3], np.pi / 2 - 0.5),
+    placed("cam4", [0.0, 7.0, 1.0], -np.pi / 2),
+    placed("cam5", [4.0, 6.0, 1.2], -np.pi / 2 - 0.5),
+    placed("cam6", [-4.0, 6.0, 1.1], -np.pi / 2 + 0.5),
+]
+
+
+def keypoints_of(body: Body, camera: Camera, first: int = 0) -> Keypoints:
+    """The animal in its expected pose, which trots past; none of its first marker, and garbage in one frame."""
+    t = np.arange(FRAMES) + first
+    states = np.zeros((FRAMES, body.n_state))
+    states[:, 4:] = body.mean_rad + 0.05 * np.sin(t[:, None] / 5 + np.arange(body.n_state - 4))
+    states[:, 0], states[:, 2] = 3.0 * t / FPS - 0.3, 0.7
+    xy_px, _ = camera.project(body.tree.pose(states).points_m @ _pose(camera)[:3, :3].T + _pose(camera)[:3, 3])
+    random = np.random.default_rng(0)
+    xy_px = xy_px + random.normal(0, 1, xy_px.shape)
+    xy_px[4] = random.uniform(0, 1000, xy_px[4].shape)
+    names = body.keypoint_names("right")
+    return Keypoints(names[1:], xy_px[:, 1:], np.full(xy_px.shape[:2], 0.9)[:, 1:], np.arange(FRAMES), fps=FPS)
+
+
+def _pose(camera: Camera) -> np.ndarray:
+    return camera_poses([camera])[0]
+
+
+def settings_of(folder: Path, skeleton: str | Path, cameras: list[Camera], later: tuple[int, ...]) -> FitSettings:
+    """The settings of a clip with files in a folder; later: by how many frames the cameras began after the first."""
+    body, files = load_skeleton(skeleton), []
+    for camera, first in zip(cameras, later, strict=True):
+        files.append(folder / f"run_{camera.name}.csv")
+        write_csv(keypoints_of(body, camera, first), files[-1])
+    write_cameras(cameras, folder / "cameras.toml")
+    offsets = {"offset_s": tuple(n / FPS for n in later)} if any(later) else {}
+    given = {"camera": folder / "cameras.toml", "skeleton": str(skeleton), "prior": "none"} | offsets
+    return FitSettings(keypoints=tuple(files), fps=FPS, fast=True, **given)  # pyright: ignore[reportArgumentType]
+
+
+def one_camera(name: str) -> Callable[[Path], FitSettings]:
+    return lambda folder: settings_of(folder, name, CAMERAS[:1], (0,))
+
+
+def one_began_earlier(folder: Path) -> FitSettings:
+    return settings_of(folder, "quadruped", CAMERAS, (0, -3))
+
+
+def six_that_began_apart(folder: Path) -> FitSettings:
+    """With the skeleton that is drafted from the names of their keypoints."""
+    names = load_skeleton("quadruped").markers
+    (folder / "drafted.toml").write_text(draft_skeleton(names, "drafted", folder)[2])
+    return settings_of(folder, folder / "drafted.toml", SIX, (0, -3, 2, 0, 1, 0))
+
+
+def bare_root(folder: Path) -> FitSettings:
+    """No marker lies at the root's origin."""
+    text = (Path(__file__).parents[2] / "recon" / "animal" / "skeletons" / "quadruped.toml").read_text()
+    moved = text.replace(
+        'name = "spine"\nsegment = "rear_trunk"\n', 'name = "spine"\nsegment = "rear_trunk"\nat_m = [0.05, 0.0, 0.0]\n'
+    )
+    assert moved != text
+    (folder / "bare.toml").write_text(moved)
+    return settings_of(folder, folder / "bare.toml", CAMERAS[:1], (0,))
+
+
+def followed(folder: Path) -> FitSettings:
+    """By a camera with a track."""
+    found = settings_of(folder, "quadruped", CAMERAS[:1], (0,))
+    write_camera(LENS, folder / "lens.toml")
+    track = write_track(folder / "track.csv", np.arange(FRAMES), np.tile(_pose(CAMERAS[0]), (FRAMES, 1, 1)))
+    return replace(found, camera=folder / "lens.toml", camera_track=(track,))
+
+
+def away_for_a_minute(folder: Path) -> FitSettings:
+    """It leaves the picture and comes back; one camera sees it last when the other does not any more."""
+    found = settings_of(folder, "quadruped", CAMERAS, (0, 0))
+    for path in found.keypoints:
+        clip = read_keypoints(path)
+        frames = np.concatenate([clip.frames, clip.frames + round(60 * FPS)])
+        twice = np.tile(clip.xy_px, (2, 1, 1)), np.tile(clip.confidence, (2, 1))
+        write_csv(replace(clip, xy_px=twice[0], confidence=twice[1], frames=frames), path)
+    return found
+
+
+CLIPS = {name: one_camera(name) for name in builtin_names()}
+ODD = ("offset", "bare root", "away")
+"""Whose points are written in every format, too."""
+CLIPS |= {"away": away_for_a_minute, "offset": one_began_earlier, "bare root": bare_root, "track": followed}
+CLIPS |= {"six, drafted": six_that_began_apart}
+
+
+@pytest.mark.parametrize("clip", CLIPS)
+def test_what_a_fit_writes_is_read_by_all_behind_it(clip, tmp_path, monkeypatch):
+    settings, out = CLIPS[clip](tmp_path), tmp_path / "out"
+    if clip not in ODD:
+        monkeypatch.setattr("recon.show.view.write", lambda *_: None)  # nothing reads a playback
+    run_clip(settings, out)
+    monkeypatch.setattr(Motion, "load", cache(Motion.load))
+    motion = Motion.load(out)
+    assert motion.solved.sum() > FRAMES / 2
+    assert (motion.frames[0] < 0) == (clip in ("offset", "six, drafted"))
+    compared = evaluate_files(out / "pose3d.csv", out)
+    assert len(compared.frames) - compared.frames_not_scored == motion.solved.sum()
+    if clip == "away":
+        assert (motion.solved.sum(), len(motion.frames), motion.clip_frames) == (54, 146, FRAMES + 60 * FPS)
+    for path in out.glob("reprojection*.csv"):
+        np.testing.assert_array_equal(read_keypoints(path).frames, motion.frames)
+    found = analyse(motion)
+    assert found.reference in motion.names
+    monkeypatch.setattr("recon.show.plots.save", lambda *_: None)
+    assert analysis.figures_of(found)
+    analysis.summarise(found, "out")
+    for target in CONVERTED:
+        if target.writes == ("2D",) or (clip not in ODD and "3D" in target.writes):
+            continue
+        made = tmp_path / f"pose.{target.name}{target.suffixes[0]}"
+        convert(ConvertSettings(source=out, out=made, to=target.name, anyway=True))  # a mouse from 7 m
+        if "3D" in target.reads and "3D" in target.writes:
+            np.testing.assert_array_equal(read_points(made, None, "3D")[1].frames, motion.frames)
+    if clip == "bare root":  # figures take long
+        leave_out_layout(monkeypatch)
+        report(PageSettings(folder=out))

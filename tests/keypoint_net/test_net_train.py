@@ -1,0 +1,326 @@
+"""Training, resuming and predicting on a small clip of three coloured blobs, and the ways in which they can fail."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from command_line import refusal, refused, run, says
+from networks import EVALUATIONS, narrow_networks
+
+torch = pytest.importorskip("torch")
+
+from recon.base import install_command  # noqa: E402
+from recon.io import VideoInfo, probe, read_keypoints, video_writer  # noqa: E402
+from recon.keypoint_net import (  # noqa: E402
+    LabelSource,
+    TrainSettings,
+    run_prediction,
+    run_training,
+)
+from recon.keypoint_net import network as predict_module  # noqa: E402
+from recon.keypoint_net import train as train_module  # noqa: E402
+from recon.keypoint_net.network import load_torch  # noqa: E402
+from recon.keypoint_net.train import schedule  # noqa: E402
+from tests.io.test_video import damaged  # noqa: E402
+
+SIZE, FRAMES = (96, 64), 20
+NAMES = ("nose", "l_paw", "r_paw")
+COLOURS = ((250, 60, 60), (60, 250, 60), (60, 60, 250))
+
+
+def places(frame: int) -> np.ndarray:
+    """(3, 2): of the three points in a frame of the clip, px."""
+    x = 20.0 + 2.5 * frame
+    swing = 4 * np.sin(0.7 * frame)
+    return np.array([[x, 20.0], [x - 8 + swing, 40.0], [x + 8 - swing, 42.0]])
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """clip.avi, and labels.csv with frames 50, 52, ... for 0, 2, ...; the label of l_paw in frame 54 is missing."""
+    folder = tmp_path_factory.mktemp("clip")
+    rng = np.random.default_rng(0)
+    scene = rng.integers(90, 130, (SIZE[1], SIZE[0], 3)).astype(float)
+    y, x = np.mgrid[: SIZE[1], : SIZE[0]]
+    with video_writer(folder / "clip.avi", SIZE, 25.0) as write:
+        for frame in range(FRAMES):
+            picture = scene.copy()
+            for (px, py), colour in zip(places(frame), COLOURS, strict=True):
+                spot = np.exp(-0.5 * ((x - px) ** 2 + (y - py) ** 2) / 2.5**2)[..., None]
+                picture = picture * (1 - spot) + np.array(colour) * spot
+            write(picture.astype(np.uint8))
+    lines = ["scorer" + ",me" * 6, "bodyparts," + ",".join(n for n in NAMES for _ in "xy"), "coords" + ",x,y" * 3]
+    for frame in range(0, FRAMES, 2):
+        cells = [f"{v:.2f}" for v in places(frame).ravel()]
+        if frame == 4:
+            cells[2:4] = ["", ""]
+        lines.append(",".join([f"labeled-data/clip/{50 + frame:04d}.png", *cells]))
+    (folder / "labels.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return folder
+
+
+def source(clip: Path, **changes: str) -> LabelSource:
+    return LabelSource(data=clip / "clip.avi", labels=clip / "labels.csv", first_frame=50, **changes)
+
+
+SHORT = TrainSettings(steps=9, batch=2, seed=3)
+
+
+def train_in(out: Path, clip: Path, settings: TrainSettings = SHORT, resume: bool = False) -> dict:
+    return run_training(source(clip), settings, out, device="cpu", threads=1, resume=resume)
+
+
+@pytest.fixture(scope="module")
+def model(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A network of the users' size that knows the blobs."""
+    out = tmp_path_factory.mktemp("model")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(train_module, "EVALUATIONS", EVALUATIONS)
+        train_in(out, clip, TrainSettings(steps=50, batch=2, seed=1, mirror=True))
+    return out
+
+
+@pytest.fixture(autouse=True)
+def few_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(train_module, "EVALUATIONS", EVALUATIONS)
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    quick_training(monkeypatch)
+
+
+def quick_training(patch: pytest.MonkeyPatch) -> None:
+    """Narrow networks, and no report."""
+    narrow_networks(patch)
+    patch.setattr("recon.keypoint_net.train.write_training_report", lambda run, state, folder: {})
+
+
+class Killed(Exception):
+    pass
+
+
+@pytest.fixture(scope="module")
+def whole(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short run of a narrow network that nobody stopped."""
+    out = tmp_path_factory.mktemp("whole")
+    with pytest.MonkeyPatch.context() as patch:
+        quick_training(patch)
+        train_in(out, clip)
+    return out
+
+
+@pytest.mark.parametrize("at", [0.5, 0.85])
+def test_a_run_that_is_killed_and_resumed_ends_in_the_same_weights(clip, whole, quick, tmp_path, at):
+    """Before the validation pictures are learned from, too, and after; both times between two checkpoints."""
+
+    def stop(stage: str, share: float) -> None:
+        if share >= at:
+            raise Killed
+
+    with pytest.raises(Killed):
+        run_training(source(clip), SHORT, tmp_path / "broken", device="cpu", threads=1, progress=stop)
+    assert not (tmp_path / "broken" / "model.pt").exists()
+    train_in(tmp_path / "broken", clip, resume=True)
+    one, other = (load_torch(folder / "model.pt") for folder in (whole, tmp_path / "broken"))
+    assert one["spec"] == other["spec"]
+    assert all(torch.equal(w, other["weights"][name]) for name, w in one["weights"].items())
+    assert len(one["weights"]) > 50
+
+
+def test_what_a_run_needs_is_checked_before_a_folder_is_made(clip, tmp_path):
+    with refusal((tmp_path / "none" / "checkpoint.pt", "checkpoint", "no such file", "--resume")):
+        train_in(tmp_path / "none", clip, resume=True)
+    assert not (tmp_path / "none").exists()
+
+
+def test_the_video_is_never_written_over(clip, model, tmp_path):
+    video = tmp_path / "clip.avi"
+    video.write_bytes((clip / "clip.avi").read_bytes())
+    with refusal(("--overlay", "file", ["clip.avi", "the input"])):
+        run_prediction(video, model, tmp_path / "p.csv", overlay=tmp_path / "." / "clip.avi", overwrite=True)
+    assert video.read_bytes() == (clip / "clip.avi").read_bytes()
+    assert not (tmp_path / "p.csv").exists()
+
+
+def test_ctrl_c_says_how_to_go_on(clip, tmp_path, monkeypatch):
+    def interrupted(*args: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("recon.keypoint_net.train.train", interrupted)
+    arguments = ["train", clip / "clip.avi", "--labels", clip / "labels.csv", "--first-frame", "50", "--steps", "3"]
+    ended = run(*arguments, "--out", tmp_path / "out")
+    assert ended.code == 130
+    assert says(ended.err, "Stopped", "no checkpoint")
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "checkpoint.pt").write_bytes(b"")
+    ended = run(*arguments, "--out", tmp_path / "out", "--overwrite")
+    assert "with --resume goes on" in ended.err
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+def test_training_and_prediction_on_cuda(clip, tmp_path):
+    """The blobs are learned there, too, a stopped run ends in the same weights, and a CPU reads the network."""
+    settings = TrainSettings(steps=110, batch=4, seed=1)
+
+    def stop(stage: str, share: float) -> None:
+        if share >= 0.5:
+            raise Killed
+
+    run_training(source(clip), settings, tmp_path / "whole", device="cuda")
+    with pytest.raises(Killed):
+        run_training(source(clip), settings, tmp_path / "broken", device="cuda", progress=stop)
+    run_training(source(clip), settings, tmp_path / "broken", device="cuda", resume=True)
+    one, other = (load_torch(tmp_path / name / "model.pt")["weights"] for name in ("whole", "broken"))
+    assert all(torch.equal(w, other[name]) for name, w in one.items())
+    points = [
+        run_prediction(clip / "clip.avi", tmp_path / "whole", tmp_path / f"{device}.csv", device=device)
+        for device in ("cuda", "cpu")
+    ]
+    truth = np.stack([places(frame) for frame in range(FRAMES)])
+    assert np.median(np.linalg.norm(points[0].xy_px - truth, axis=2)) < 2.5
+    assert np.median(np.linalg.norm(points[0].xy_px - points[1].xy_px, axis=2)) < 0.2  # bfloat16 on one or both
+
+
+def test_another_seed_gives_other_weights(clip, quick, tmp_path):
+    for seed in (3, 4):
+        train_in(tmp_path / str(seed), clip, TrainSettings(steps=2, batch=1, seed=seed))
+    a, b = (load_torch(tmp_path / name / "model.pt")["weights"]["scores.weight"] for name in "34")
+    assert not torch.equal(a, b)
+
+
+def test_the_network_learns_the_blobs_and_the_report_says_so(clip, model):
+    report = json.loads((model / "training.json").read_text(encoding="utf-8"))
+    assert report["errors"]["validation"]["all"]["median_px"] < 2.5
+    assert report["split"]["validation"] != {}
+    assert report["steps"] == 50
+    assert report["parameters"] <= 3_000_000
+    assert report["labelled_points"]["train"] + report["labelled_points"]["validation"] == 29
+    assert report["calibration"]["slope"] > 0
+    assert report["reliability_validation"]["points"] > 0
+    assert 0 < report["best_validation"]["step"] <= report["validation_in_training_from"]
+    files = {"worst.png", "suspicious.csv", "model.pt"}
+    assert files <= {file.name for file in model.iterdir()}
+
+
+def test_predictions_have_deeplabcuts_layout(clip, model, tmp_path):
+    out = tmp_path / "points.csv"
+    run_prediction(clip / "clip.avi", model, out, overlay=tmp_path / "points.avi", device="cpu", threads=1)
+    lines = out.read_text(encoding="utf-8").splitlines()
+    assert lines[0] == "scorer" + ",recon_25fps" * 9
+    assert lines[1] == "bodyparts," + ",".join(n for n in NAMES for _ in range(3))
+    assert lines[2] == "coords" + ",x,y,likelihood" * 3
+    table = pd.read_csv(out, header=[0, 1, 2], index_col=0)
+    assert table.shape == (FRAMES, 9)
+    assert table.index.tolist() == list(range(FRAMES))
+    assert list(table.columns.names) == ["scorer", "bodyparts", "coords"]
+    keypoints = read_keypoints(out)
+    errors = np.linalg.norm(keypoints.xy_px - np.stack([places(f) for f in range(FRAMES)]), axis=2)
+    assert np.median(errors) < 2.5
+    assert ((keypoints.confidence >= 0) & (keypoints.confidence <= 1)).all()
+    assert probe(tmp_path / "points.avi").size_px == SIZE
+    assert probe(tmp_path / "points.avi").stated_frames == FRAMES
+
+
+def test_h5_and_csv_hold_the_same(clip, model, tmp_path):
+    for name in ("points.csv", "points.h5"):
+        run_prediction(clip / "clip.avi", model, tmp_path / name, device="cpu", threads=1)
+    one, other = read_keypoints(tmp_path / "points.csv"), read_keypoints(tmp_path / "points.h5")
+    np.testing.assert_allclose(one.xy_px, other.xy_px, atol=1e-9)
+    assert pd.DataFrame(pd.read_hdf(tmp_path / "points.h5")).columns.names == ["scorer", "bodyparts", "coords"]
+
+
+def test_a_video_that_ends_before_its_stated_end(clip, model, tmp_path, monkeypatch):
+    def lying(path: Path) -> VideoInfo:
+        return VideoInfo(SIZE, 25.0, 4 * FRAMES)
+
+    monkeypatch.setattr(predict_module, "probe", lying)
+    out = tmp_path / "points.csv"
+    with refusal((clip / "clip.avi", "frames", FRAMES, [4 * FRAMES, "--partial"])):
+        run_prediction(clip / "clip.avi", model, out, overlay=tmp_path / "o.avi", device="cpu", threads=1)
+    assert list(tmp_path.iterdir()) == []
+    found = run_prediction(clip / "clip.avi", model, out, device="cpu", threads=1, partial=True)
+    assert len(found.frames) == FRAMES
+
+
+def test_frames_that_are_missing_inside_a_video_are_named(whole, quick, tmp_path):
+    video = damaged(tmp_path / "a.mkv")
+    ended = run("predict", video, "--model", whole, "--out", tmp_path / "p.csv", "--partial", "--device", "cpu")
+    said = re.search(r"note: by its time stamps a\.mkv lacks frames \((\d+) before frame", " ".join(ended.out.split()))
+    assert ended.code == 0, ended.err
+    assert said is not None, ended.out
+    assert len(read_keypoints(tmp_path / "p.csv").frames) == 40 - int(said[1])
+
+
+def test_a_checkpoint_of_other_keypoints(clip, quick, tmp_path):
+    train_in(tmp_path / "out", clip, TrainSettings(steps=1, batch=1))
+    text = (clip / "labels.csv").read_text(encoding="utf-8").replace("nose", "tail")
+    (tmp_path / "other.csv").write_text(text, encoding="utf-8")
+    before = {f.name: f.read_bytes() for f in (tmp_path / "out").iterdir()}
+    other = LabelSource(data=clip / "clip.avi", labels=tmp_path / "other.csv", first_frame=50)
+    checkpoint = tmp_path / "out" / "checkpoint.pt"
+    with refusal((checkpoint, "keypoints", "nose, l_paw, r_paw", "tail, l_paw, r_paw")):
+        run_training(other, TrainSettings(steps=1, batch=1), tmp_path / "out", device="cpu", threads=1, resume=True)
+    with refusal((checkpoint, "setting batch", 1, 2)):
+        train_in(tmp_path / "out", clip, TrainSettings(steps=1, batch=2), resume=True)
+    with refusal(("--out", "folder", ["model.pt", tmp_path / "out"], "--resume")):
+        train_in(tmp_path / "out", clip)
+    assert {f.name: f.read_bytes() for f in (tmp_path / "out").iterdir()} == before
+
+
+PREDICT, TRAIN = ["predict", "{clip}/clip.avi", "--out", "p.csv"], ["train", "{clip}/clip.avi", "--out", "o"]
+NETWORK, LABELS = ["--model", "{model}"], ["--labels", "{clip}/labels.csv"]
+
+
+@pytest.mark.parametrize(
+    ("args", "expected"),
+    [
+        (["predict", "{clip}/labels.csv", "--out", "p.csv", *NETWORK], ("labels.csv", "video", "cannot be decoded")),
+        ([*PREDICT, "--model", "{clip}"], ("--model", "file", "no such file", "recon train")),
+        ([*PREDICT, "--model", "{clip}/labels.csv"], ("labels.csv", "model", "torch cannot read", "recon train")),
+        ([*PREDICT[:2], *NETWORK, "--out", "p.txt"], ("--out", "file", "'p.txt'", "ends in .csv or .h5")),
+        ([*PREDICT, *NETWORK, "--device", "tpu"], ("--device", "device", "'tpu'", "one of: auto")),
+        ([*TRAIN, *LABELS, "--steps", "0"], ("--steps", "steps", "'0'", "1 or more")),
+        ([*TRAIN, *LABELS, "--first-frame", "9"], ("clip.avi", "frames", f"{FRAMES} frames", "--first-frame")),
+        ([*TRAIN, "--labels", "{clip}/no.csv"], ("no.csv", "file", "no such file")),
+    ],
+)
+def test_bad_input_is_one_message_and_nothing_is_written(args, expected, clip, model, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    refused([a.format(clip=clip, model=model) for a in args], expected)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_all_that_a_run_lacks_is_said(clip, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    missing = ("o/checkpoint.pt", "checkpoint", "no such file")
+    refused(["train", clip, "--out", "o", "--resume"], (clip, "label files", "none", "labeled-data"), missing)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_learning_rate_warms_up_and_falls_to_nothing_twice():
+    shares = np.linspace(0, 1, 501)
+    rates = np.array([schedule(s) for s in shares])
+    assert rates[0] < 0.05
+    assert rates.max() == pytest.approx(1, abs=0.02)
+    assert shares[rates.argmax()] <= 0.05
+    assert rates[-1] < 0.002
+    rises = shares[1:][(np.diff(rates) > 0) & (shares[1:] > 0.06)]
+    assert len(rises) == 1  # where the last part begins, from a rest to half the rate
+    assert rates[shares < train_module.FINISH][-1] < 0.01
+    assert rates[shares >= train_module.FINISH][0] == pytest.approx(0.5, abs=0.01)
+
+
+def test_without_torch_the_command_says_what_to_install(clip, monkeypatch, tmp_path):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "torch", None)
+    ended = run("predict", clip / "clip.avi", "--model", clip, "--out", tmp_path / "p.csv")
+    assert ended.code == 2
+    assert f"torch: {install_command('net')}" in ended.err

@@ -1,0 +1,412 @@
+"""Every command and every piece of Python in README.md and docs/ is run, and what they print is what the pages show.
+
+Each page is run from its top to its bottom, each command going on in a copy of the folder that the one before left; a
+file that the page names is made when it is first named (`docs_files`). Commands are run in this process. What cannot be
+run is in `NOT_RUN`, with the reason.
+"""
+
+from __future__ import annotations
+
+import html
+import io
+import json
+import os
+import re
+import runpy
+import shlex
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import unquote, urlsplit
+
+import pytest
+import typer
+from command_line import carry_out_here, copy_results, run
+from conftest import draw_small, fit_demo_from, leave_out_playback
+from docs_files import FILES, OF_PAGE
+
+from recon import find_clips
+from recon.thesis import figures
+from recon.workflows import app
+from recon.workflows import commands as commands_of_recon
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
+
+NOT_RUN = {
+    r"python docs/simulated_cat\.py ": "test_new_species.py runs it",
+    r"make (demo|test)": "sets up an environment; .ci/run does it",
+    r"(\.venv/bin/)?recon view ": "opens a window: needs a display",
+    r"python3 -m venv |\. \.venv/bin/activate": "an environment of its own",
+    r"pip install ": "needs the package index",
+    r"dask (scheduler|worker) |recon batch manifest\.csv .*--scheduler": "needs a cluster, as in test_batch.py",
+    r"recon batch PROJECT ": "needs a project of Anipose; test_batch.py",
+    r"recon prior fit training_positions\.csv ": "needs recordings; test_prior.py runs it",
+    r"recon (fit run\d_cam|subject fit results/run1|prior fit tom/|evaluate one/)": "test_new_species.py runs it",
+    r"recon retarget .* --robot robot\.urdf ": "takes half a minute; test_robot_retarget.py",
+    r"recon (train|predict|evaluate-2d) |recon fit run\.csv ": "trains for minutes; test_net_train.py",
+    r"recon climb published-50 ": "takes two seconds; test_robot_climb.py runs one of its own",
+    r"recon run ": "takes half a minute; test_run.py",
+    r"recon report ": "test_page.py",
+    r"recon (fit|calibrate extrinsics) run\d?_cam": "of several cameras; test_offsets.py, test_cameras.py",
+    r"recon camera-motion ": "needs a video of a camera that turns; test_camera_motion.py",
+    r"recon overlay ": "test_overlay.py",
+    r"recon doctor": "looks at this machine; test_doctor.py",
+}
+"""Commands, from their beginning, and why they are not run."""
+
+FENCE = re.compile(r"^(?P<indent> *)```(?P<language>\S*)\n(?P<text>.*?)^(?P=indent)```$", re.DOTALL | re.MULTILINE)
+SNIPPET = re.compile(r'--8<-- "(.*)"\n')
+"""A block that the site fills with a file of the repository; the files have tests of their own."""
+LANGUAGES = {"sh", "python", "toml", "csv", "text"}
+
+
+class Block(NamedTuple):
+    page: Path
+    line: int
+    language: str
+    text: str
+
+
+def blocks(page: Path) -> Iterator[Block]:
+    content = page.read_text(encoding="utf-8")
+    for match in FENCE.finditer(content):
+        indent = match["indent"]
+        text = "".join(line.removeprefix(indent) for line in match["text"].splitlines(keepends=True))
+        yield Block(page, content.count("\n", 0, match.start()) + 1, match["language"], text)
+
+
+def commands(block: Block) -> Iterator[str]:
+    """The commands of a shell block, one by one, without comments."""
+    for line in re.sub(r"\\\n\s*", "", block.text).splitlines():
+        words = shlex.split(line, comments=True)
+        if words:
+            yield shlex.join(words) if words[0] == "recon" else line.strip()
+
+
+def name_of(page: Path) -> str:
+    return str(page.relative_to(DOCS if DOCS in page.parents else ROOT))
+
+
+def reason_not_to_run(command: str) -> str | None:
+    return next(
+        (why for pattern, why in NOT_RUN.items() if re.match(pattern, shlex.join(shlex.split(command)) + " ")), None
+    )
+
+
+ONCE = {
+    "recon analyse results/clip",
+    "recon ik results/clip --compare",
+    "recon retarget results/clip --robot a1 --out results/a1",
+}
+"""Slow commands that several pages have. On the same result, they are run once."""
+
+
+# -- running a page -----------------------------------------------------------------------------------------------
+
+
+class Workshop:
+    """A folder in which the files of `docs_files` appear when they are named."""
+
+    def __init__(self, folder: Path, page: str, results: Path, of_results: Callable[[str], tuple[str, Path]]) -> None:
+        self.folder, self.results, self.of_results = folder, results, of_results
+        self.files = FILES | OF_PAGE.get(page, {})
+
+    def provide(self, text: str) -> None:
+        """Every file that the text names, unless it is there."""
+        for name, make in self.files.items():
+            path = self.folder / name
+            if re.search(rf"(?<![\w./-])(?<!--out ){re.escape(name)}(?![\w-]|\.\w)", text) and not path.exists():
+                path.parent.mkdir(parents=True, exist_ok=True)
+                make(path)
+        if re.search(r"(?<!--out )\bresults/clip\b", text) and not (self.folder / "results" / "clip").exists():
+            copy_results(self.results, self.folder / "results" / "clip")
+
+    def shell(self, command: str) -> str:
+        """What it prints."""
+        words = shlex.split(command)
+        if words[0] != "recon":
+            pytest.fail(f"{command}: neither a command of recon nor named in NOT_RUN")
+        self.provide(command)
+        if command in ONCE and same_pose(self.folder / "results" / "clip", self.results):
+            return self.of_results(command)[0]
+        ended = run(*words[1:])
+        assert ended.code == 0, f"{command}\n{ended.out}{ended.err}"
+        return ended.out
+
+    def python(self, text: str, names: dict) -> str:
+        self.provide(text)
+        out = io.StringIO()
+        with redirect_stdout(out):
+            exec(compile(text, "a block of the page", "exec"), names)
+        return out.getvalue()
+
+
+def same_pose(*results: Path) -> bool:
+    return len({(folder / "pose3d.csv").read_bytes() for folder in results}) == 1
+
+
+@pytest.mark.parametrize("command", sorted(ONCE))
+def test_command_of_several_pages(command, of_results):
+    """By itself, so that no page takes long."""
+    printed, _ = of_results(command)
+    assert printed
+
+
+class Step(NamedTuple):
+    """One command (None: none), and what stands on the page between it and the next."""
+
+    command: str | None
+    blocks: list[Block]
+
+
+def steps(page: Path) -> list[Step]:
+    found = [Step(None, [])]
+    for block in blocks(page):
+        if block.language == "sh":
+            found += [Step(command, []) for command in commands(block) if reason_not_to_run(command) is None]
+        elif block.language != "toml" and not SNIPPET.fullmatch(block.text):
+            found[-1].blocks.append(block)
+    return [step for step in found if step != Step(None, [])]
+
+
+def do(step: Step, workshop: Workshop) -> None:
+    """In the workshop's folder, where we are."""
+    printed, names = workshop.shell(step.command) if step.command is not None else "", {"__name__": "page"}
+    for block in step.blocks:
+        where = f"{block.page.name}, line {block.line}"
+        if block.language == "python":
+            printed = workshop.python(block.text, names)
+            expected = re.findall(r"^print\(.*\)  # (.*)$", block.text, re.MULTILINE)
+            assert not expected or alike(printed) == alike("\n".join(expected)), where
+        elif block.language == "text":
+            assert alike(printed) == alike(block.text), f"{where}:\n{printed}"
+        elif block.language == "csv" and block.text.startswith("file,"):
+            Path("names.csv").write_text(block.text, encoding="utf-8")
+        elif block.language == "csv":
+            workshop.provide(block.text)
+            Path("manifest.csv").write_text(block.text, encoding="utf-8")
+            assert find_clips(["manifest.csv"], {}, None)[0], where
+
+
+@pytest.fixture(scope="session")
+def folder_after(made_once, whole_results, of_results) -> Callable[[Path, int], Path]:
+    """`folder_after(page, n)` is the folder in which the page's first n steps were done, one after the other."""
+
+    def after(page: Path, count: int) -> Path:
+        def make(folder: Path) -> None:
+            if count > 1:
+                shutil.copytree(after(page, count - 1), folder)
+            else:
+                folder.mkdir()
+            with pytest.MonkeyPatch.context() as patch:
+                patch.chdir(folder)
+                draw_small(patch)
+                patch.setattr("recon.workflows.batch.carry_out", carry_out_here)
+                leave_out_playback(patch)
+                fit_demo_from(whole_results, patch)
+                patch.setattr(figures, "FIGURES", figures.FIGURES[:1])  # test_solver_analysis.py draws all
+                do(steps(page)[count - 1], Workshop(folder, name_of(page), whole_results, of_results))
+
+        return made_once(re.sub(r"\W+", "-", f"{name_of(page)}-{count}"), make)
+
+    return after
+
+
+@pytest.mark.parametrize(
+    ("page", "count"),
+    [
+        pytest.param(page, number + 1, id=f"{name_of(page)}-{step.command or 'start'}")
+        for page in PAGES
+        for number, step in enumerate(steps(page))
+    ],
+)
+def test_page(page: Path, count: int, folder_after) -> None:
+    """Each step by itself, so that none takes long."""
+    folder_after(page, count)
+
+
+def alike(text: str) -> str:
+    """A text without its numbers, blanks and line ends: those differ between machines."""
+    return re.sub(r"\s+", " ", re.sub(r"\d+(\.\d+)?", "0", text)).strip()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "recon fits clip.csv",
+        "recon skeleton check cheetah-25",
+        "recon fit clip.csv --camera camera.toml --fps 60 --size-sigmas 0.1 --out x",
+        "recon fit klip.csv --camera camera.toml --fps 60 --out x",
+    ],
+)
+def test_a_wrong_name_in_a_command_is_noticed(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(AssertionError, match=re.escape(command)):
+        Workshop(tmp_path, "a page", tmp_path, pytest.fail).shell(command)
+
+
+def test_a_wrong_name_in_python_is_noticed(tmp_path):
+    with pytest.raises(AttributeError):
+        Workshop(tmp_path, "a page", tmp_path, pytest.fail).python("import recon; recon.fit_klip", {})
+
+
+# -- what no page may have ----------------------------------------------------------------------------------------
+
+
+def test_blocks_have_a_language_that_is_checked():
+    assert [(b.page.name, b.line, b.language) for p in PAGES for b in blocks(p) if b.language not in LANGUAGES] == []
+    for page in PAGES:
+        assert page.read_text(encoding="utf-8").count("```") == 2 * len(list(blocks(page))), page
+
+
+def test_toml_blocks_can_be_read():
+    """Their fields are checked with the readers in the tests of skeletons."""
+    for page in PAGES:
+        for block in blocks(page):
+            if block.language == "toml" and not SNIPPET.fullmatch(block.text):
+                tomllib.loads(block.text)
+
+
+def test_reasons_are_used():
+    everything = [c for p in PAGES for b in blocks(p) if b.language == "sh" for c in commands(b)]
+    for pattern in NOT_RUN:
+        assert any(re.match(pattern, command + " ") for command in everything), pattern
+
+
+def not_run(page: Path) -> Iterator[str]:
+    """The commands of recon in the blocks of a page that are not run."""
+    everything = (command for block in blocks(page) if block.language == "sh" for command in commands(block))
+    return (one for one in everything if one.startswith("recon ") and reason_not_to_run(one))
+
+
+def all_options() -> Iterator[str]:
+    for command in (typer.main.get_command(app), *commands_of_recon().values()):
+        for parameter in command.params:
+            yield from (*parameter.opts, *parameter.secondary_opts)
+
+
+OTHERS_OPTIONS = {
+    "--folds",
+    "--others",
+    "--only",
+    "--write-prior",
+    "--nthreads",
+    "--help",
+    "--index-url",
+    "--random-half",
+    "--refine",
+    "--seeds",
+}
+"""The options of the benchmarks, and of other programs."""
+
+
+def test_options_in_the_text_exist():
+    known = {*all_options(), *OTHERS_OPTIONS}
+    for page in PAGES:
+        text = FENCE.sub("", page.read_text(encoding="utf-8"))
+        codes = [*re.findall(r"`([^`\n]+)`", text), *not_run(page)]
+        unknown = {o for code in codes for o in re.findall(r"(?<![\w-])--[a-z][\w-]*", code)} - known
+        assert not unknown, f"{page.name}: {', '.join(sorted(unknown))}"
+
+
+def test_commands_and_scripts_in_the_text_exist():
+    group = typer.main.get_command(app)
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        for word in re.findall(r"(?:`|\n {4})recon ([a-z][a-z\d-]*)", FENCE.sub("", text)):
+            assert word in group.commands, f"{page.name}: recon {word}"  # pyright: ignore[reportAttributeAccessIssue]
+        for script in re.findall(r"python (\S+\.py)", text):
+            assert (ROOT / script).is_file(), f"{page.name}: {script}"
+        for module in re.findall(r"`(recon/[\w/.-]+)`", text):
+            assert (ROOT / module).exists(), f"{page.name}: {module}"
+
+
+def test_links_of_the_readme_lead_somewhere():
+    """The links of docs/ are checked when the site is built."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    for link in re.findall(r"\]\((?!https?://)([^)#]+)", text):
+        assert (ROOT / link).exists(), link
+
+
+# -- the site -----------------------------------------------------------------------------------------------------
+
+OFFLINE = """
+import socket, sys
+def refuse(*args, **kwargs): raise OSError("the net was asked")
+socket.socket.connect = socket.create_connection = socket.getaddrinfo = refuse
+from zensical.main import cli
+cli(prog_name="zensical")
+"""
+
+
+def built_site(folder: Path) -> Path:
+    """As `make docs` does, in a folder of its own, in which Zensical also keeps its cache."""
+    shutil.copytree(DOCS, folder / "docs", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("mkdocs.yml", "CHANGELOG.md", "CONTRIBUTING.md"):
+        shutil.copy(ROOT / name, folder)
+    for name in ("recon", "pipelines"):
+        (folder / name).symlink_to(ROOT / name)
+    command = [sys.executable, "-c", OFFLINE, "build", "--clean", "--strict"]
+    environment = {**os.environ, "PYTHONPATH": str(DOCS)}
+    done = subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, check=False, timeout=300
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return (folder / "site").resolve()
+
+
+def lost_links(pages: dict[Path, str]) -> Iterator[str]:
+    """Also those of pictures, of other files and in snippets, which Zensical does not check."""
+    names = {page: {"", *re.findall(r'\s(?:id|name)="([^"]*)"', text)} for page, text in pages.items()}
+    for page, text in pages.items():
+        for link in re.findall(r'\s(?:href|src)="([^"]*)"', text):
+            url = urlsplit(html.unescape(link))
+            target = (page.parent / unquote(url.path)).resolve() if url.path else page
+            if not url.scheme and not (target.exists() and unquote(url.fragment) in names.get(target, {""})):
+                yield f"{page.name}: {link}"
+
+
+def test_the_site_is_built_and_read_without_the_net(tmp_path):
+    pytest.importorskip("zensical")
+    site = built_site(tmp_path)
+    pages = {page: page.read_text(encoding="utf-8") for page in site.rglob("*.html") if page.name != "404.html"}
+    assert {str(page.relative_to(site)) for page in pages} >= {
+        name_of(page).removesuffix(".md") + ".html" for page in PAGES[1:]
+    }
+    for page, text in pages.items():
+        assert not re.search(r"""<(?:script|img|iframe)[^>]+src=["']?(?:https?:)?//""", text), page
+        assert not re.search(r"""<link[^>]+rel=["']?stylesheet[^>]+href=["']?(?:https?:)?//""", text), page
+        assert 'class="arithmatex"' not in text, f"{page}: a formula that was not converted"
+    assert pages[site / "method" / "trajectory.html"].count("<math") > 15
+    assert "joint_sigma_m" in pages[site / "api.html"]
+    assert "The name in its calibration file." in pages[site / "api.html"]  # what stands beneath a field of a class
+    assert "../data/samples/whole_scene.json" in pages[site / "pipelines.html"]
+    assert "Keep a Changelog" in pages[site / "changelog.html"]
+    assert len(json.loads((site / "search.json").read_text(encoding="utf-8"))["items"]) > 100
+    assert list(lost_links(pages)) == []
+    changed = pages[site / "index.html"] + ' <img src="no.png"> <a href="gait.html#nowhere"> <a href="gait.html">'
+    assert list(lost_links({**pages, site / "index.html": changed})) == [
+        "index.html: no.png",
+        "index.html: gait.html#nowhere",
+    ]
+
+
+def test_sites_of_several_versions_stand_beside_each_other(tmp_path):
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "index.html").write_text("first")
+    sites, add_version = tmp_path / "sites", runpy.run_path(str(DOCS / "versions.py"))["add_version"]
+    for version in ("0.9.0", "0.10.0", "0.2.0"):
+        add_version(sites, tmp_path / "site", version)
+    (tmp_path / "site" / "index.html").write_text("again")
+    assert add_version(sites, tmp_path / "site", "0.9.0") == ["0.10.0", "0.9.0", "0.2.0"]
+    listed = json.loads((sites / "versions.json").read_text(encoding="utf-8"))
+    assert [(one["version"], one["aliases"]) for one in listed][:2] == [("0.10.0", ["latest"]), ("0.9.0", [])]
+    assert (sites / "0.9.0" / "index.html").read_text() == "again"
+    assert "url=0.10.0/index.html" in (sites / "index.html").read_text(encoding="utf-8")

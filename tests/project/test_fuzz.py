@@ -1,0 +1,79 @@
+"""A sample of the spoilt files of `tests/fuzz`: none is anything but read or refused in words."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import redirect_stdout
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from tests.fuzz.corpus import Seed
+    from tests.fuzz.pool import Tally
+
+ROOT = Path(__file__).resolve().parents[2]
+CASES = {"formats": 150, "settings": 250}
+"""As their shares in all cases say."""
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="the cases run in forked processes")
+
+
+def good_files(kinds: str, folder: Path) -> list[Seed]:
+    from tests.fuzz import corpus
+
+    corpus._models = lambda folder: ()  # torch takes seconds to import; test_io_hostile.py has networks
+    folder.mkdir()
+    return list(corpus.of_formats(folder) if kinds == "formats" else corpus.of_settings(folder))
+
+
+def cases(kinds: str, folder: Path, count: int) -> Tally:
+    from tests.fuzz.pool import run_all
+
+    return run_all(0, count, 1, good_files(kinds, folder), folder, 1)
+
+
+def of_the_command(folder: Path) -> tuple[int, str]:
+    """How `python -m tests.fuzz` of cameras and their tracks ends, and what it prints."""
+    from tests.fuzz import __main__ as fuzz
+    from tests.fuzz import corpus
+
+    out = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out):
+        patch.setattr(fuzz, "seeds", lambda *_: [*corpus._cameras(folder), *corpus._tracks()])
+        patch.setattr(sys, "argv", ["fuzz", "--cases", "40", "--seed", "1"])
+        return fuzz.main(), out.getvalue()
+
+
+@pytest.fixture(scope="module")
+def pool() -> Iterator[ProcessPoolExecutor]:
+    """A process that has no threads, so that it can be forked, and in which the good files are made once."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(ROOT)
+        with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+            yield pool
+
+
+@pytest.mark.parametrize("kinds", CASES)
+def test_spoilt_files_are_read_or_refused(kinds: str, pool: ProcessPoolExecutor, tmp_path: Path) -> None:
+    """More than a tenth is read, as not all are spoilt beyond recognition."""
+    count = CASES[kinds]
+    tally = pool.submit(cases, kinds, tmp_path / kinds, count).result()
+    assert tally.causes == {}
+    assert tally.done == tally.read + tally.refused == count
+    assert tally.read > count / 10
+
+
+def test_the_command_says_what_happened(pool: ProcessPoolExecutor, tmp_path: Path) -> None:
+    code, printed = pool.submit(of_the_command, tmp_path).result()
+    assert code == 0, printed
+    counts = {words: int(number) for number, words in re.findall(r"(?m)^ *(\d+)  (\w.*)$", printed)}
+    assert counts["cases"] == counts["read"] + counts["refused in words"] == 40
+    assert counts["neither"] == 0

@@ -1,0 +1,127 @@
+"""The notebooks run from top to bottom, and what is saved in them is what they give."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+import nbformat
+import pytest
+
+FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
+NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
+RECORDED = FOLDER / "8_a_real_clip.ipynb"
+NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")
+
+
+@pytest.fixture(scope="module")
+def script() -> Iterator[ModuleType]:
+    """notebooks/run.py, where also the processes that it starts find it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(FOLDER)
+        module = import_module("run")
+        first = module.FORKS.Process(target=int)  # so that what processes are forked from is there
+        first.start()
+        first.join()
+        yield module
+
+
+def test_the_readme_names_them_all_in_their_order() -> None:
+    text = (FOLDER / "README.md").read_text(encoding="utf-8")
+    assert re.findall(r"\((\d_\w+\.ipynb)\)", text) == [path.name for path in NOTEBOOKS]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_saved_as_run_from_top_to_bottom_with_figures(path: Path) -> None:
+    node = nbformat.read(path, as_version=4)
+    nbformat.validate(node)
+    code = [cell for cell in node.cells if cell.cell_type == "code"]
+    outputs = [output for cell in code for output in cell.outputs]
+    assert [cell.execution_count for cell in code] == list(range(1, len(code) + 1))
+    assert not [o for o in outputs if o.output_type == "error" or o.get("name") == "stderr"]
+    if path == RECORDED:  # of recordings nothing is saved
+        assert [text_of(cell) for cell in code if cell.outputs] == ["no recordings: the cells below are skipped\n"]
+    else:
+        assert figures(outputs) >= 4
+    assert "/tmp" not in "".join(text_of(cell) for cell in code)
+    assert path.stat().st_size < 600_000
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_runs_without_a_warning_and_gives_what_is_saved(path: Path, script: ModuleType, tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["run.py", "--out", str(tmp_path), path.stem])
+    monkeypatch.setenv("RECON_SHARED_DATA", "")
+    assert script.main() == 0
+    written = tmp_path / path.name
+    before, after = (nbformat.read(p, as_version=4).cells for p in (path, written))
+    assert [cell.source for cell in before] == [cell.source for cell in after]
+    for number, (was, now) in enumerate(zip(before, after, strict=True)):
+        if was.cell_type == "code" and "varies" not in was.metadata.get("tags", ()):
+            assert kinds(was) == kinds(now), f"cell {number}: run `make notebooks`"
+            different = difference(text_of(was), text_of(now))
+            assert not different, f"cell {number}: {different}; if that is meant, run `make notebooks`"
+
+
+def test_a_recording_goes_through_and_is_never_saved_in_the_project(
+    shared_data: Path, script: ModuleType, tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.setenv("RECON_SHARED_DATA", str(shared_data))
+    monkeypatch.setattr(sys, "argv", ["run.py", "--out", str(tmp_path), "8"])
+    assert script.main() == 0
+    cells = nbformat.read(tmp_path / RECORDED.name, as_version=4).cells
+    assert figures([output for cell in cells for output in cell.get("outputs", ())]) >= 8
+    given = []
+
+    def stop(path: Path, recordings: str) -> None:
+        given.append(recordings)
+        raise ValueError("not run")
+
+    monkeypatch.setattr(script, "run", stop)
+    for where in ([], ["--out", str(FOLDER)]):
+        monkeypatch.setattr(sys, "argv", ["run.py", *where, "8"])
+        assert script.main() == 1
+    assert given == ["", ""]
+
+
+@pytest.mark.parametrize(
+    ("was", "now", "same"),
+    [
+        ("peak 16.05 m/s at -0.87", "peak  16.1 m/s at -0.88", True),
+        ("reached 46", "reached 47", True),
+        ("reached 46", "reached 60", False),
+        ("error 1.3e-05", "error 1.3e-04", False),
+        ("l_front_paw 3", "r_front_paw 3", False),
+    ],
+)
+def test_texts_are_compared_by_words_and_rounded_numbers(was: str, now: str, same: bool) -> None:
+    assert (difference(was, now) == "") == same
+
+
+def figures(outputs: list[nbformat.NotebookNode]) -> int:
+    return sum("image/png" in output.get("data", {}) for output in outputs)
+
+
+def kinds(cell: nbformat.NotebookNode) -> list[tuple[str, ...]]:
+    """What each output is: text, a table, a figure."""
+    return [tuple(sorted(output.get("data", {"text": ""}))) for output in cell.outputs]
+
+
+def text_of(cell: nbformat.NotebookNode) -> str:
+    texts = [o["text"] if "text" in o else o["data"].get("text/plain", "") for o in cell.outputs]
+    return "\n".join(text for text in texts if not text.startswith("<Figure"))
+
+
+def difference(was: str, now: str) -> str:
+    """The first difference beyond blanks and the rounding of numbers, "" without one."""
+    words = [NUMBER.sub("#", text).split() for text in (was, now)]
+    if words[0] != words[1]:
+        return f"{' '.join(words[0])!r} is now {' '.join(words[1])!r}"
+    for a, b in zip(NUMBER.findall(was), NUMBER.findall(now), strict=True):
+        place = 10.0 ** -max(len(x.partition("e")[0].partition(".")[2]) for x in (a, b)) if "e" not in a + b else 0.0
+        if abs(float(a) - float(b)) > max(2.01 * place, 0.05 * abs(float(a))):
+            return f"{a} is now {b}"
+    return ""

@@ -1,0 +1,177 @@
+"""Each script of pipelines/ runs with the settings beside it on the samples, and says and writes what it should."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command_line import carry_out_here
+from networks import narrow_networks
+
+import recon
+from recon.calibrate import parse_board
+from recon.io import read_frames, video_writer
+from recon.testing.boards import board_poses, draw_board
+from tests.calibrate.test_calibrate import CAMERAS
+
+pytestmark = pytest.mark.usefixtures("no_playback")
+ROOT = Path(__file__).resolve().parents[2]
+PIPELINES = ROOT / "pipelines"
+SCRIPTS = sorted(path.stem for path in PIPELINES.glob("*.py"))
+SAMPLES = ROOT / "data" / "samples"
+MOST_LINES = 50
+"""The most lines of a script, without its first text, blank lines and comments."""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A copy of pipelines/, beside the samples and the skeletons as in the repository."""
+    shutil.copytree(PIPELINES, tmp_path / "pipelines", ignore=shutil.ignore_patterns("results", "__pycache__"))
+    for name in ("data", "recon"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    return tmp_path / "pipelines"
+
+
+@pytest.fixture
+def said(folder: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
+    """`said(name, {old: new, ...})`: what a script prints, in whose settings these texts are replaced before."""
+
+    def run(name: str, changes: dict[str, str] | None = None) -> str:
+        file = folder / f"{name}.toml"
+        text = file.read_text(encoding="utf-8")
+        for old, new in (changes or {}).items():
+            assert text.count(old) == 1, old
+            text = text.replace(old, new)
+        file.write_text(text, encoding="utf-8")
+        runpy.run_path(str(folder / f"{name}.py"), run_name="__main__")
+        return capsys.readouterr().out
+
+    return run
+
+
+def test_one_clip(said, folder):
+    text = said("one_clip")
+    assert "frame 57: data poor\n60 of 60 frames have a pose\nmean speed 13.6 m/s over 0.98 s\n" in text
+    (error_mm,) = re.findall(r"joints (\d+) mm off the truth", text)
+    assert int(error_mm) < 60
+    assert recon.Motion.load(folder / "results" / "one_clip").fps == 60
+
+
+def test_several_cameras(said, folder):
+    text = said("several_cameras")
+    assert text.startswith("cam1: 60 frames, 1368 points\ncam2: 60 frames, 1368 points\nThe cameras agree.\nsize 0.99")
+    assert re.search(r"whole_cam1.csv alone puts it 0.\d\d m elsewhere", text)
+    assert [camera.name for camera in recon.Motion.load(folder / "results" / "several_cameras").cameras] == [
+        "cam1",
+        "cam2",
+    ]
+
+
+def test_batch(said, folder, monkeypatch):
+    monkeypatch.setattr("recon.workflows.batch.carry_out", carry_out_here)
+    text = said("batch")
+    assert text.startswith("across: new\ngoing-away: new\n2 done\n")
+    assert re.search(r"across: 13.\d m/s, \d+ outliers, transverse gallop\n", text)
+    assert (folder / "results" / "batch" / "summary.csv").is_file()
+
+
+def test_calibration(said, folder):
+    """Pictures of a board in all corners make a camera; four of them are refused, with where boards are missing."""
+    camera, board = CAMERAS["radtan"], parse_board("charuco:9x6:30mm:22mm:DICT_4X4_50")
+    (folder / "board").mkdir()
+    rng = np.random.default_rng(1)
+    for number, (rotation, t) in enumerate(board_poses(board, camera, 16, rng, fill=0.65)):
+        picture = draw_board(board, camera, rotation, t, oversample=4, blur_px=0.6, noise=2.0, rng=rng)
+        cv2.imwrite(str(folder / "board" / f"{number:02d}.png"), picture)
+    text = said("calibration")
+    assert "16 of 16 pictures show the board, 16 were used" in text
+    written = recon.read_camera(folder / "results" / "calibration" / "camera.toml")
+    assert written.matrix[0, 0] == pytest.approx(camera.matrix[0, 0], rel=0.01)
+    for path in sorted((folder / "board").iterdir())[4:]:
+        path.unlink()
+    with pytest.raises(SystemExit, match="The calibration was refused"):
+        said("calibration", {"camera.toml": "other.toml"})
+    assert not (folder / "results" / "calibration" / "other.toml").exists()
+
+
+@pytest.mark.usefixtures("small_pictures")
+def test_analysis(said, folder, whole_results):
+    shutil.copytree(whole_results, folder / "results" / "one_clip")
+    text = said("analysis")
+    assert text.startswith("spine: 13.7 m/s, at most 16.2 m/s\ntransverse gallop, since")
+    assert "l_hind_thigh_pitch: -68 to 7 degrees" in text
+    names = ("footfalls", "phase_portraits", "poses", "speed", "vector_field")
+    made = {path.name for path in (folder / "results" / "analysis").iterdir()}
+    assert made == {f"{name}.{suffix}" for name in names for suffix in ("png", "svg")}
+
+
+def test_new_species(said, folder):
+    """The sample animal's lengths are the skeleton's."""
+    for name in ("several_cameras", "one_clip"):
+        with (folder / f"{name}.toml").open("a", encoding="utf-8") as file:
+            file.write("fast = true\n")
+    text = said("new_species")
+    (size,) = re.findall(r"size (\S+) ±", text)
+    assert float(size) == pytest.approx(1.0, abs=0.02)
+    assert "Used: 1 of 1 segments, " in text
+    results = folder / "results" / "new_species"
+    error = recon.evaluate_files(results / "3-one-camera" / "one_clip" / "pose3d.csv", SAMPLES / "whole_truth.csv")
+    assert error.mpjpe_m.mean < 0.04  # with the prior of the package: 0.049
+
+
+def small_film(folder: Path) -> None:
+    """film.mp4, the first frames of the rendered video at a quarter of its size, and labels.csv with theirs."""
+    labels = (SAMPLES / "rendered_labels.csv").read_text(encoding="utf-8").splitlines()
+    rows = [line.split(",") for line in labels[3:9]]
+    small = [",".join([name, *(f"{float(cell) / 4:.2f}" if cell else "" for cell in cells)]) for name, *cells in rows]
+    (folder / "labels.csv").write_text("\n".join([*labels[:3], *small, ""]), encoding="utf-8")
+    with video_writer(folder / "film.mp4", (160, 90), 120.0) as write:
+        for _, picture in read_frames(SAMPLES / "rendered.mp4", 0, 12):
+            write(np.asarray(cv2.resize(picture, (160, 90), interpolation=cv2.INTER_AREA), np.uint8))
+
+
+@pytest.mark.usefixtures("optimiser", "small_pictures")
+def test_video_to_3d(said, folder, monkeypatch):
+    """With a network that learned next to nothing."""
+    narrow_networks(monkeypatch)
+    monkeypatch.setattr("recon.keypoint_net.train.EVALUATIONS", 1)
+    small_film(folder)
+    changes = {
+        "../data/samples/rendered.mp4": "film.mp4",
+        "../data/samples/rendered_labels.csv": "labels.csv",
+        "minutes = 15": "steps = 1\nbatch = 1",
+        "fps = 120": "fps = 120\nlikelihood_min = 0\nfast = true",
+    }
+    text = said("video_to_3d", changes)
+    assert "labels that are probably wrong" in text
+    assert "\n12 frames, " in text
+    assert " of 12 frames have a pose" in text
+    assert (folder / "results" / "video_to_3d" / "motion" / "pose3d.csv").is_file()
+
+
+def test_all_of_it_is_on_the_page():
+    """By reference, so that it cannot be out of date."""
+    page = (ROOT / "docs" / "pipelines.md").read_text(encoding="utf-8")
+    shown = re.findall(r'--8<-- "(pipelines/.*)"', page)
+    assert sorted(shown) == sorted(str(path.relative_to(ROOT)) for path in PIPELINES.iterdir() if path.is_file())
+    assert sorted(re.findall(r"]\(\.\./(pipelines/[^)]+)\)", page)) == sorted(shown)  # for who reads it unbuilt
+
+
+# -- what they are -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_is_short_has_its_settings_beside_it_and_calls_only_what_is_public(name):
+    text = (PIPELINES / f"{name}.py").read_text(encoding="utf-8")
+    assert (PIPELINES / f"{name}.toml").is_file()
+    code = text.split('"""', 2)[2].splitlines()
+    assert sum(bool(line.strip()) and not line.startswith("#") for line in code) <= MOST_LINES
+    imported = re.findall(r"^(?:import|from) (recon.*)$", text, re.MULTILINE)
+    assert {*imported} <= {"recon", "recon.show import plots"}
+    assert {*re.findall(r"\brecon\.(\w+)", text)} <= {*recon.__all__, "show"}
