@@ -127,20 +127,27 @@ def starts_with_text(path: Path, word: bytes) -> bool:
         return file.read(256).removeprefix(b"\xef\xbb\xbf").lstrip().startswith(word)
 
 
+UNTRACKED = "untracked"
+"""Name of the points without a name in a file of several animals, such as frames that were corrected by hand."""
+
+
 class NoChoiceError(InputError):
     """A file has several animals with points, and none is chosen."""
 
-    def __init__(self, path: Path, animals: Sequence[str]) -> None:
+    def __init__(self, path: Path, animals: Sequence[str], hint: str = "") -> None:
         detail = f"{len(animals)} animals and no --individual"
-        super().__init__(Problem(path, "individual", detail, "one of: " + ", ".join(animals)))
+        super().__init__(Problem(path, "individual", detail, f"one of: {', '.join(animals)}{hint}"))
         self.animals = tuple(animals)
 
 
 def choose(path: Path, animals: Sequence[str], individual: str | None, seen: Iterable[bool] | None = None) -> int:
     """Return the index of the animal in a file; a file's only animal may be unnamed, "".
 
-    `seen` says whether each animal has a point. Animals without points are offered only by name. Raises InputError.
+    `seen` says whether each animal has a point. Animals without points are offered only by name. Among several animals
+    an unnamed one is `UNTRACKED`. Raises InputError.
     """
+    if len(animals) > 1:
+        animals = [name or UNTRACKED for name in animals]
     if len(animals) == 1 or seen is None:  # a look at all points takes time and memory
         seen = [True] * len(animals)
     empty = [name for name, points in zip(animals, seen, strict=True) if not points]
@@ -227,6 +234,55 @@ def one_animal(
         individual=animal_names[chosen] if named else None,
         notes=stored.notes if names else (*stored.notes, unnamed),
     )
+
+
+def frames_seen(stored: StoredPoints) -> np.ndarray:
+    """Return the numbers of the frames in which any point is known."""
+    return stored.frames[np.isfinite(stored.values).all(axis=2).any(axis=1)]
+
+
+def joined_tracks(path: Path, tracks: Sequence[StoredPoints], individual: str) -> StoredPoints:
+    """Return the tracks of one animal in one file as one; raise InputError if two have points in the same frame."""
+    first = tracks[0]
+    shared = [
+        a for i, track in enumerate(tracks) for b in tracks[:i] for a in np.intersect1d(*map(frames_seen, (track, b)))
+    ]
+    if shared:
+        found = f"points of two of them in frame {min(shared)}" + f" and {len(shared) - 1} more" * (len(shared) > 1)
+        expected = "tracks that never overlap in time, of one animal"
+        raise InputError(Problem(path, f"individual {individual}", found, expected))
+    frames = np.unique(np.concatenate([track.frames for track in tracks]))
+    values = np.full((len(frames), *first.values.shape[1:]), np.nan)
+    likelihood = None if first.likelihood is None else np.zeros(values.shape[:2])
+    for track in tracks:
+        known = np.isin(track.frames, frames_seen(track))
+        rows = np.searchsorted(frames, track.frames[known])
+        values[rows] = track.values[known]
+        if likelihood is not None and track.likelihood is not None:
+            likelihood[rows] = track.likelihood[known]
+    notes = dict.fromkeys(note for track in tracks for note in track.notes)
+    joined = f"Tracks joined as one animal: {individual}."
+    return replace(
+        first,
+        values=values,
+        frames=frames,
+        likelihood=likelihood,
+        individual=individual,
+        images=(),
+        notes=(*notes, joined),
+        times_s=_joined_times(tracks, frames),
+        time_problems=tuple(dict.fromkeys(problem for track in tracks for problem in track.time_problems)),
+    )
+
+
+def _joined_times(tracks: Sequence[StoredPoints], frames: np.ndarray) -> np.ndarray | None:
+    """Return the times of the joined frames, if all tracks have times."""
+    times_s = np.full(len(frames), np.nan)
+    for track in tracks:
+        if track.times_s is None:
+            return None
+        times_s[np.searchsorted(frames, track.frames)] = track.times_s
+    return times_s
 
 
 def first_problems(problems: Sequence[Problem], path: Path) -> list[Problem]:

@@ -7,7 +7,7 @@ and one line in `FORMATS`. `recon fit`, `batch`, `evaluate` and `convert` take i
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -18,7 +18,7 @@ import numpy as np
 from recon.base import InputError, Problem
 from recon.base.documents import damage_named, read_head
 from recon.clip import Keypoints
-from recon.io.common import NoChoiceError, StoredPoints
+from recon.io.common import NoChoiceError, StoredPoints, frames_seen, joined_tracks
 from recon.io.times import with_rate
 
 Kind = Literal["2D", "3D", "bones", "cameras", "robot"]
@@ -125,6 +125,8 @@ CONVERTED = tuple(f for f in FORMATS if f.writes)
 """Formats that `recon convert` can write."""
 PLAIN = next(f for f in FORMATS if f.name == "long")
 
+TRACKS_COMPARED = 8
+"""Up to so many animals of a file are compared for tracks that never overlap in time."""
 LIKELIHOOD_MARGIN = 0.5
 """Networks whose scores are no probabilities, such as SLEAP's, exceed 1 by up to this."""
 
@@ -195,14 +197,39 @@ def read_points(
     if reader is None:
         raise InputError(Problem(path, "format", describe(head), f"one of: {titles(kind)}"))
     try:
-        stored = reader.read(path, individual) if kind is None or kind in reader.reads else None
+        stored = _read_animal(reader, path, individual) if kind is None or kind in reader.reads else None
     except NoChoiceError as error:
         _require_kind(path, kind, reader, reader.read(path, error.animals[0]))  # or else a choice would not help
-        raise
+        raise NoChoiceError(path, error.animals, _hint_to_join(reader, path, error.animals)) from None
     stored = _require_kind(path, kind, reader, stored)
     if np.isinf(stored.values).any():
         raise InputError(Problem(path, "points", "infinite coordinates", "numbers, or nothing where one is missing"))
     return reader, with_rate(path, stored, fps)
+
+
+def _read_animal(reader: Format, path: Path, individual: str | None) -> StoredPoints:
+    """Return the points of one animal, or of several of its tracks, whose names are joined by commas."""
+    try:
+        return reader.read(path, individual)
+    except InputError:
+        tracks = [name.strip() for name in (individual or "").split(",")]
+        if len(tracks) < 2:
+            raise
+    return joined_tracks(path, [reader.read(path, track) for track in dict.fromkeys(tracks)], individual or "")
+
+
+def _hint_to_join(reader: Format, path: Path, animals: Sequence[str]) -> str:
+    """Return how to join the tracks of a file that never overlap in time, if any; they may be of one animal."""
+    if len(animals) > TRACKS_COMPARED:
+        return ""
+    frames = {name: frames_seen(reader.read(path, name)) for name in animals}
+    chain: list[str] = []
+    for name in sorted((name for name in animals if len(frames[name])), key=lambda name: frames[name][0]):
+        if not any(len(np.intersect1d(frames[name], frames[earlier])) for earlier in chain):
+            chain.append(name)
+    if len(chain) < 2:
+        return ""
+    return f"; {', '.join(chain)} never overlap in time: if they are one animal, --individual {','.join(chain)}"
 
 
 def _require_kind(path: Path, kind: Kind | None, reader: Format, stored: StoredPoints | None) -> StoredPoints:

@@ -68,9 +68,6 @@ def _points(
     `named` says whether a file's only animal has a name. Raises InputError.
     """
     animals = list(dict.fromkeys(detection.animal for detection in seen)) or [""]
-    if "" in animals and len(animals) > 1:
-        expected = "one for each animal in every annotation"
-        raise InputError(Problem(path, "annotations", "some without track_id", expected))
     chosen = animals[common.choose(path, animals, individual)]
     numbers = np.array(sorted(frames), dtype=np.int64)
     common.require_span(len(numbers), len(names), path)
@@ -89,7 +86,7 @@ def _points(
             filled_frames.add(detection.frame)
             xy[row[detection.frame]], score[row[detection.frame]] = detection.xy_px, detection.score
     raise_problems(common.first_problems(problems, path))
-    animal_names = [chosen] if len(animals) > 1 or named else []
+    animal_names = [chosen or common.UNTRACKED] if len(animals) > 1 or named else []
     return common.one_animal(path, None, StoredPoints(tuple(names), xy, numbers, score, **extra), animal_names)
 
 

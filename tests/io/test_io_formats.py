@@ -519,6 +519,27 @@ def test_a_table_of_times(stamp, tmp_path):
     assert np.diff(given.frames).tolist() == [1] * 39
 
 
+BROKEN = "track,frame_idx,nose.x,nose.y,nose.score,tail.x,tail.y,tail.score"
+
+
+def test_tracks_of_one_animal_are_joined(tmp_path):
+    """A track that broke, and frames that were corrected and have none: their names are offered together, because they
+    never overlap in time; a third animal is there all the time."""
+    rows = [f"track_0,{k},{k},1,0.9,{k},2,0.8" for k in range(5)]
+    rows += [f",{k},{k},1,0.9,{k},2,0.8" for k in range(5, 8)] + [f"other,{k},9,9,0.9,9,9,0.8" for k in range(8)]
+    (tmp_path / "a.csv").write_text("\n".join([BROKEN, *rows]))
+    together = "--individual track_0,untracked"
+    with refusal((tmp_path / "a.csv", "individual", "3 animals", ["track_0, other, untracked", together])):
+        read_keypoints(tmp_path / "a.csv")
+    found = read_keypoints(tmp_path / "a.csv", "track_0,untracked")
+    assert (found.individual, found.frames.tolist()) == ("track_0,untracked", list(range(8)))
+    np.testing.assert_array_equal(found.xy_px[:, 0, 0], np.arange(8))
+    np.testing.assert_array_equal(found.confidence, [[0.9, 0.8]] * 8)
+    assert read_keypoints(tmp_path / "a.csv", "untracked").frames.tolist() == [5, 6, 7]
+    with refusal((tmp_path / "a.csv", "individual track_0,other", "frame 0 and 4 more", "never overlap")):
+        read_keypoints(tmp_path / "a.csv", "track_0,other")
+
+
 @pytest.mark.parametrize(("frames", "text"), [([0], ["0"]), ([3, 4, 5, 9, 11, 12], ["3-5", "9", "11-12"])])
 def test_frames_as_text(frames, text):
     assert frames_text(np.array(frames)) == text
