@@ -11,9 +11,12 @@ from recon.base.arrays import median
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import ClipAnalysis
 from recon.geometry.frames import level_axes
-from recon.show import report as sections
 from recon.show.plain import number, spread
-from recon.show.report import Line, Section
+from recon.show.report import SECTIONS as TRAJECTORY_SECTIONS
+from recon.show.sections.inputs import assumption_sentences, skeleton_data, upright_data
+from recon.show.sections.keypoints import counts
+from recon.show.sections.motion import heading_text, root_path_data
+from recon.show.sections.section import Line, Section
 from recon.thesis.objectives import FrameOptions, base_length
 from recon.thesis.solution import frame_solution
 
@@ -21,7 +24,7 @@ from recon.thesis.solution import frame_solution
 def skeleton(motion: Motion) -> dict[str, Any]:
     """Return the skeleton's section, with the unknowns and the objectives."""
     solution = frame_solution(motion)
-    return sections.skeleton(motion) | {"unknowns": solution.chain.state_names, "objectives": solution.objectives}
+    return skeleton_data(motion) | {"unknowns": solution.chain.state_names, "objectives": solution.objectives}
 
 
 def assumptions(motion: Motion) -> dict[str, Any]:
@@ -33,11 +36,11 @@ def assumptions(motion: Motion) -> dict[str, Any]:
     sentences = [
         f"The scale: the base length has a prior of {base['nominal_m']:g} m with a standard deviation of "
         f"{base['sigma_m']:g} m. {scale}",
-        *sections.sentences(motion),
+        *assumption_sentences(motion),
     ]
     if motion.settings.get("angle_prior") == "none":
         sentences.append("Without the Gaussian priors the pixels leave the depth of the limbs undetermined.")
-    return {"base_length": base, **sections.upright(motion), "sentences": sentences}
+    return {"base_length": base, **upright_data(motion), "sentences": sentences}
 
 
 def _base_length(motion: Motion) -> dict[str, Any]:
@@ -58,7 +61,7 @@ def summary(motion: Motion) -> dict[str, Any]:
         "frames_flagged": sum(bool(flags) for flags in motion.flags),
         **{f"frames_{s}": solution.status.count(s) for s in ("converged", "not_converged", "no_data")},
         "frames_diverged": sum("diverged" in flags for flags in motion.flags),
-        **sections.counts(motion),
+        **counts(motion),
         "joint_sigma_across_m": median(np.sqrt(variance[..., :2].mean(axis=-1))),
         "joint_sigma_depth_m": median(np.sqrt(variance[..., 2])),
         "iterations_median": median(solution.reported("iterations")),
@@ -101,7 +104,7 @@ def travel_lines(motion: Motion, data: Any) -> Iterator[Line]:
     speed = data["median_speed_m_s"]
     known = f"{number(speed, '.1f')} m/s, of a straight run through all frames"
     yield "speed", "not told by a path this short or slow" if speed is None else known
-    root, frame = sections.root_path(motion), f"{motion.frame_of_reference} frame"
+    root, frame = root_path_data(motion), f"{motion.frame_of_reference} frame"
     if (reason := ClipAnalysis(motion).why_no_speed) is not None:
         above = "; take the speed above" if speed is not None else ""
         yield "path", f"too uncertain in depth for its speed ({frame}): {reason}{above}"
@@ -109,7 +112,7 @@ def travel_lines(motion: Motion, data: Any) -> Iterator[Line]:
         path, smoothing = root["smoothed"] or root["exact"], "smoothed" if root["smoothed"] else "not smoothed"
         distance, peak = (number(path[name], ".1f") for name in ("distance_m", "peak_speed_m_s"))
         yield "path", f"{distance} m, peak {peak} m/s ({frame}, {smoothing})"
-    yield "heading", sections.heading_text(data["heading_to_picture_rad"])
+    yield "heading", heading_text(data["heading_to_picture_rad"])
 
 
 def size_lines(motion: Motion, data: Any) -> Iterator[Line]:
@@ -124,7 +127,7 @@ _OWN = {
     "skeleton": Section("skeleton", skeleton),
     "assumptions": Section("assumptions", assumptions),
     "summary": Section("summary", summary, summary_lines),
-    "root_path": Section("root_path", sections.root_path),
+    "root_path": Section("root_path", root_path_data),
     "heading": Section("travel", travel, travel_lines),
     "size": Section("size", lambda motion: {"factor": motion.solution.size}),
     "prior": Section(
@@ -133,5 +136,5 @@ _OWN = {
 }
 """Sections in place of those of the trajectory method."""
 _WITHOUT = ("detector", "segments", "stances", "alternative", "convergence")
-SECTIONS = tuple(_OWN.get(section.name, section) for section in sections.SECTIONS if section.name not in _WITHOUT)
+SECTIONS = tuple(_OWN.get(section.name, section) for section in TRAJECTORY_SECTIONS if section.name not in _WITHOUT)
 """In the order of the summary."""

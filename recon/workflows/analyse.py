@@ -23,7 +23,7 @@ from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.dynamics import OVER_STRIDE, Dynamics, findings_of_dynamics, over_stride
 from recon.gait.gait import Gait, Stride, doubtful_text, interval_of, interval_text
 from recon.show.plain import picked, to_json
-from recon.show.report import in_sentences
+from recon.show.sentences import result_sentences
 from recon.show.tables import TABLES, write_analysis
 from recon.workflows.cli import ANYWAY, STRIDE, Answer, StrideTimes, table_of, verdict_texts
 
@@ -97,7 +97,7 @@ def analyse_command(settings: AnalyseSettings, progress: Progress = silent) -> A
 def _lines(found: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str | Text | Table]:
     motion = found.motion
     yield from verdict_texts(motion.verdict)
-    yield from in_sentences(motion, found.reference_motion, found.gait, found.why_no_speed)
+    yield from result_sentences(motion, found.reference_motion, found.gait, found.why_no_speed)
     net, sigma = found.net_acceleration_m_s2
     if math.isfinite(net):
         yield f"Acceleration along the way, over the whole clip: {interval_text(net, sigma, 'm/s²', '+')}."

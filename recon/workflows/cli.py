@@ -124,7 +124,7 @@ def say(console: Console, text: str | Text, style: str = "") -> None:
 
 def verdict_texts(verdict: Verdict | None) -> Iterator[Text]:
     """The first lines of what is made of a clip; nothing of a motion that was not judged."""
-    from recon.show.report import STYLES
+    from recon.show.console import STYLES
 
     for line in verdict.lines if verdict else ():
         level = next((level for level in STYLES if line.startswith(f"{level}:")), "")
@@ -187,7 +187,8 @@ def progress_bar(console: Console) -> Iterator[Any]:
 
 def answer_of_fit(report: dict[str, Any], out: Path, page: Path | None = None, **more: Any) -> Answer:
     """What there is to say of a fit. page: if there is one; more: fields for --json."""
-    from recon.show.report import console_summary, is_unsolved
+    from recon.show.console import console_summary
+    from recon.show.report import is_unsolved
 
     own = {name: report[name] for name in ("method", "summary", "findings")}
     data = {"out": out, **own, "seconds": report["timing_s"]["solve_s"], **more}

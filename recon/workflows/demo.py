@@ -10,7 +10,7 @@ from recon.base.settings import Settings
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.gait.evaluation import evaluate_files
-from recon.show.report import in_sentences
+from recon.show.sentences import result_sentences
 from recon.workflows.cli import Answer, answer_of_fit
 from recon.workflows.clip_results import run_clip
 from recon.workflows.look import PageSettings, report
@@ -47,5 +47,5 @@ def demo(settings: _DemoSettings, progress: Progress) -> Answer:
     mpjpe_mm = 1000 * evaluate_files(out / "pose3d.csv", samples / "whole_truth.csv").mpjpe_m.mean
     answer, found = answer_of_fit(of_fit, out, page, mpjpe_mm=mpjpe_mm), ClipAnalysis(Motion.load(out))
     error = f"Error against the sample's truth: {mpjpe_mm:.0f} mm (MPJPE); what is expected is fitted to real clips"
-    said = in_sentences(found.motion, found.reference_motion, found.gait, found.why_no_speed)
+    said = result_sentences(found.motion, found.reference_motion, found.gait, found.why_no_speed)
     return replace(answer, lines=[*answer.lines, error, *said])

@@ -13,7 +13,7 @@ from command_line import says
 from recon import Motion
 from recon.check import CODES, FLAG_OF, FLAGS, Finding, add_verdict, finding, findings_of, sentence
 from recon.check.rules import likelihoods_low, no_pose
-from recon.show.report import keypoint_lines, keypoints
+from recon.show.sections.keypoints import keypoint_lines, keypoints_data
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "findings.md"
 AGAINST = {"error_px": 31.4, "level": 5.24}
@@ -204,7 +204,7 @@ def test_a_rig_in_another_unit_and_likelihoods_that_are_low(small_trajectory):
     cleaning = replace(source.cleaning, keypoints=counts)
     unlikely = replace(motion, sources=(replace(source, cleaning=cleaning),))
     (low,) = likelihoods_low(unlikely)
-    said = dict(keypoint_lines(replace(unlikely, findings=(low,)), keypoints(unlikely)))["detections"]
+    said = dict(keypoint_lines(replace(unlikely, findings=(low,)), keypoints_data(unlikely)))["detections"]
     assert says(said, "92 (36% of", "left out")
     assert low.numbers["share"] == pytest.approx(2 / 3, abs=0.05)
     assert not [*likelihoods_low(motion)]

@@ -11,7 +11,7 @@ from recon.check import add_verdict, finding, sentence, usable, verdict_lines
 from recon.check.verdict import LIMIT_OF_TRUNK, evidence_of, expected_pose_of_trunk, expected_position
 from recon.fit import ExpectedError, Motion, Verdict
 from recon.io import video_writer, write_csv
-from recon.show import report as given
+from recon.show.sections import inputs as input_sections
 from tests.command_line import refused, run, says
 
 
@@ -100,9 +100,11 @@ def test_how_well_a_focal_length_is_known_is_expected_of_the_position(small_traj
 def test_the_summary_says_what_one_camera_cannot_tell(small_trajectory):
     motion = replace(add_verdict(small_trajectory), settings={**small_trajectory.settings, "focal_sigma": 0.1})
     known = replace(Verdict("use", "It is so."), position_m=ExpectedError(0.1, 0.05, 0.2))
-    said = dict(given.verdict_lines(replace(motion, verdict=known), None))["assumed"]
+    said = dict(input_sections.verdict_lines(replace(motion, verdict=known), None))["assumed"]
     assert says(said, "focal length to 10%", "one camera")
-    assert "assumed" not in dict(given.verdict_lines(replace(motion, verdict=known, sources=2 * motion.sources), None))
+    assert "assumed" not in dict(
+        input_sections.verdict_lines(replace(motion, verdict=known, sources=2 * motion.sources), None)
+    )
 
 
 @pytest.mark.parametrize("name", ["posterior_m", "misfit", "distance_m", "end_on", "unseen"])

@@ -19,7 +19,8 @@ from recon.fit import MotionSegment
 from recon.fit.result import SecondCamera
 from recon.show import TO_DO, to_plain, write_report
 from recon.show import report as reports
-from recon.show.report import SCHEMA_VERSION, console_summary, is_unsolved
+from recon.show.console import FRONT, console_summary
+from recon.show.report import SCHEMA_VERSION, is_unsolved
 from recon.thesis.solution import in_world
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "report.md"
@@ -540,7 +541,7 @@ def test_how_up_was_found_is_said_to_begin_with(small_trajectory):
     said = finding("up_from_feet", up="0,1,0", height_m=1.9, sigma_rad=0.12)
     lines = build_report(replace(small_trajectory, findings=(said,)), {})["lines"]
     assert ["assumed", sentence(said)] in lines
-    assert "assumed" in reports.FRONT
+    assert "assumed" in FRONT
 
 
 @pytest.mark.parametrize("level", ["use", "check", "do not use"])

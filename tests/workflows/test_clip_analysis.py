@@ -22,7 +22,7 @@ from recon.gait.clip import POSE_LASTS, lasts_s
 from recon.gait.kinematics import at_frames
 from recon.io import read_pose3d
 from recon.show import build_report
-from recon.show.report import in_sentences
+from recon.show.sentences import result_sentences
 from recon.show.tables import TABLES, angle_rates, joints, write_analysis
 from recon.workflows import notes, summarise
 from recon.workflows.analyse import figures_of
@@ -181,9 +181,9 @@ def test_strides_slower_than_a_leg_swings_by_itself_are_said(whole):
     slow = replace(gait, stride_frequency_hz=0.4)
     swing_s = 2 * np.pi * np.sqrt(2 * gait.tracks.leg_m / (3 * 9.81))
     said = f"Strides last 2.5 s, longer than a leg of this length swings to and fro by itself ({swing_s:.1f} s)"
-    *_, last = in_sentences(whole.motion, moved, slow, None)
+    *_, last = result_sentences(whole.motion, moved, slow, None)
     assert last.startswith(said)
-    assert not any("swings" in sentence for sentence in in_sentences(whole.motion, moved, gait, None))
+    assert not any("swings" in sentence for sentence in result_sentences(whole.motion, moved, gait, None))
 
 
 @pytest.mark.parametrize("fit", ["one_sided", "chain", "whole"])
@@ -265,10 +265,10 @@ def test_a_motion_that_was_just_fitted(small_trajectory):
     found = analyse(small_trajectory)
     assert found.joints["spine"].mean_speed_m_s == pytest.approx(9.0, abs=0.05)
     moved, off = found.reference_motion, {"peak_speed_m_s": 10.0, "peak_speed_sigma_m_s": 11.0}
-    assert says(next(in_sentences(found.motion, moved, None, None)), "at most", "m/s (90 %:", "to")
+    assert says(next(result_sentences(found.motion, moved, None, None)), "at most", "m/s (90 %:", "to")
     exact = replace(moved, peak_speed_sigma_m_s=np.nan)
-    assert next(in_sentences(found.motion, exact, None, None)).endswith(" m/s.")
-    assert next(in_sentences(found.motion, replace(moved, **off), None, None)).endswith(" m/s on average.")
+    assert next(result_sentences(found.motion, exact, None, None)).endswith(" m/s.")
+    assert next(result_sentences(found.motion, replace(moved, **off), None, None)).endswith(" m/s on average.")
 
 
 FIGURES = (

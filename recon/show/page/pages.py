@@ -28,10 +28,12 @@ from recon.gait import ClipAnalysis, Gait
 from recon.gait.kinematics import MIN_POINTS, JointKinematics
 from recon.io.video import Image
 from recon.show import plots
+from recon.show.console import TO_DO
 from recon.show.page import GENERATED, PAGE
 from recon.show.plots.over_time import AngleCurve, angle_over_time
 from recon.show.plots.style import png_of, svg_of
-from recon.show.report import TO_DO, build_report, in_sentences, warnings
+from recon.show.report import build_report, warnings
+from recon.show.sentences import result_sentences
 
 JPEG_QUALITY = 80
 PNG_DPI = 190.0
@@ -157,7 +159,7 @@ def _words(report: Mapping[str, Any], analysis: ClipAnalysis | None) -> Iterator
     if analysis is None:
         yield "Too few frames have a pose for a speed or a gait."
     else:
-        yield from in_sentences(analysis.motion, analysis.reference_motion, analysis.gait, analysis.why_no_speed)
+        yield from result_sentences(analysis.motion, analysis.reference_motion, analysis.gait, analysis.why_no_speed)
 
 
 def doubtful_frames(motion: Motion) -> Iterator[tuple[str, str]]:

@@ -33,8 +33,9 @@ from recon.base.settings import Count, Integer, OneOrMore, Option, Settings
 from recon.check import NOTHING_AGAINST
 from recon.fit.result import LEVELS
 from recon.io.common import text_rows
+from recon.show.console import STYLES
 from recon.show.page import SUMMARY_PAGE, require_own_page
-from recon.show.report import STYLES, is_unsolved, warnings
+from recon.show.report import is_unsolved, warnings
 from recon.workflows.batch.inputs import SUMMARY, Clip
 from recon.workflows.batch.inputs import find_clips as find_clips
 from recon.workflows.cli import Answer, OptionsOf, counted, progress_bar, say, stop, table_of, terminal

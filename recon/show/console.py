@@ -1,0 +1,42 @@
+"""Show the summary of a report on a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rich.table import Table
+from rich.text import Text
+
+STYLES = {"use": "bold green", "check": "bold yellow", "do not use": "bold red"}
+"""Styles of the levels of a verdict."""
+TO_DO = {
+    "check": "Look at the poses on the video (recon overlay) before use: reason and warnings say what may be wrong.",
+    "do not use": "Do not use these numbers: mend what the reason names, and fit again.",
+}
+"""Advice by level; "use" needs none."""
+FRONT = ("assumed", "clip", "frames", "distance", "side", "keypoints", "detections", "note", "speed", "path", "size")
+"""Lines of the summary below the verdict; the page has all."""
+
+
+def console_summary(report: Mapping[str, Any]) -> Table:
+    """Return the summary for rich to print: verdict, expected error, advice, warnings, then the lines of `FRONT`."""
+    table = Table.grid(padding=(0, 2))
+    table.add_column(no_wrap=True)
+    table.add_column()
+    verdict = report["verdict"] or {"level": "", "reason": ""}
+    verdict_count = sum(label in ("verdict", "expected") for label, _ in report["lines"])
+    for label, text in report["lines"][:verdict_count]:
+        level = verdict["level"] if label == "verdict" else ""
+        table.add_row(Text(label, style="bold"), Text.assemble((level, STYLES.get(level, "")), text[len(level) :]))
+    if verdict["level"] in TO_DO:
+        table.add_row(Text("to do", style="bold"), TO_DO[verdict["level"]])
+    for finding in report["findings"]:
+        if finding["severity"] != "note" and finding["text"] != verdict["reason"]:
+            colour = {"error": "red", "warning": "yellow"}[finding["severity"]]
+            table.add_row(Text(finding["severity"], style=f"bold {colour}"), Text(finding["text"], colour))
+    for label, text in report["lines"][verdict_count:]:
+        are_all_used = label == "keypoints" and text.endswith(" used")  # as they should be
+        if label in FRONT and not are_all_used:
+            table.add_row(Text(label, style="bold"), text)
+    return table

@@ -1,0 +1,193 @@
+"""Report the verdict, the clip, the skeleton and what was assumed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from recon import check
+from recon.animal.prior import NONE as NO_PRIOR
+from recon.animal.skeleton_file import NONE, OWN, of_scorer
+from recon.clip import COUNTS
+from recon.fit import Motion
+from recon.show.plain import file_name, picked
+from recon.show.sections.motion import given_size, size_sources, trajectory_solution
+from recon.show.sections.section import Line
+
+LONGEST_SCORER = 60
+"""Characters of a scorer's name that are shown."""
+
+
+def verdict_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    """Yield the verdict, the expected errors, and the assumptions that could make both wrong."""
+    yield from zip(("verdict", "expected"), check.verdict_lines(motion.verdict), strict=False)
+    if len(motion.sources) == 1 and motion.verdict is not None and motion.verdict.position_m is not None:
+        focal_sigma = motion.settings.get("focal_sigma")
+        stated = f" (its focal length to {focal_sigma:.0%}, as given)" if focal_sigma else ""
+        yield (
+            "assumed",
+            f"The camera is as said{stated}: one camera cannot tell its focal length, where it stands, nor whether the "
+            "video was cropped or is another camera's.",
+        )
+    up_from_feet = [finding for finding in motion.findings if finding.code == "up_from_feet"]
+    yield from (("assumed", check.sentence(finding)) for finding in up_from_feet)
+
+
+# -- the clip ---------------------------------------------------------------------------------------------------------
+
+
+def clip_data(motion: Motion) -> dict[str, Any]:
+    """Return the clip's files, frames and camera."""
+    files = {"keypoints": file_name(motion.keypoints.source), "individual": motion.keypoints.individual}
+    frames = motion.frames[0], motion.frames[-1] + 1
+    return files | {"fps": motion.fps, "frames": frames, "camera": motion.camera.to_dict()}
+
+
+def clip_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    """Yield the clip's files, frames and frame rate."""
+    sources = [source.keypoints.source for source in motion.sources]
+    files = ", ".join(Path(path).name if path else "keypoints" for path in sources)
+    first, stop = data["frames"]
+    yield "clip", f"{files}, frames {first} to {stop - 1} at {motion.fps:g} fps"
+
+
+def side_data(motion: Motion) -> dict[str, Any]:
+    """Return the side of the animal that was fitted, if not both, and the reason."""
+    return {"fitted": motion.side, "reason": motion.side_reason}
+
+
+def side_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    """Yield the fitted side, if only one was."""
+    if motion.side:
+        yield "side", f"{motion.side}: {motion.side_reason}"
+
+
+def cleaning_data(motion: Motion) -> dict[str, Any]:
+    """Return how many points cleaning left out, and why."""
+    cleaning = motion.cleaning
+    plain = {name: getattr(cleaning, name) for name in ("likelihood_min", "frames", "frames_dropped", "inserted")}
+    return plain | {"total": {count: cleaning.total(count) for count in COUNTS[1:]}, "notes": cleaning.notes}
+
+
+def note_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    """Yield the decisions made when the files were read, each of them once."""
+    for note in dict.fromkeys(note for source in motion.sources for note in source.cleaning.notes):
+        yield "note", note
+
+
+# -- the skeleton and the detector ------------------------------------------------------------------------------------
+
+
+def skeleton_data(motion: Motion) -> dict[str, Any]:
+    """Return the skeleton's name, keypoints, feet, joints and states."""
+    feet = {label: motion.names[foot] for label, foot in zip(motion.foot_labels, motion.feet, strict=True)}
+    layout = picked(motion, "title", "joints", "state_names", "states_frame")
+    return {"name": motion.body.name, "keypoints": motion.names, "feet": feet, **layout}
+
+
+def detector_data(motion: Motion) -> dict[str, str]:
+    """Return the detector that the keypoints were taken to come from, and the reason."""
+    name, scorers = file_name(motion.body.detector) or NONE, {source.keypoints.scorer for source in motion.sources}
+    scorer_names = " and ".join(sorted(repr(scorer[:LONGEST_SCORER]) for scorer in scorers if scorer))
+    reason = "as the skeleton's file says"
+    if motion.settings.get("detector") is not None:
+        reason = "as given"
+    elif name == OWN:
+        reason = "as the subject's or the skeleton's file says"
+    elif name == NONE and scorer_names:
+        reason = f"the scorer {scorer_names} is of no detector known here"
+    elif name == NONE:
+        reason = "the keypoint file names no scorer"
+    elif name in {of_scorer(scorer, motion.body.name) for scorer in scorers}:
+        reason = f"by the file's scorer {scorer_names}"
+    return {"name": name, "reason": reason}
+
+
+def detector_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    """Yield the detector, and for an unknown one how its keypoints can be measured."""
+    if motion.body.one_sided:
+        return
+    offer = ""
+    if "is of no detector" in data["reason"]:
+        offer = "; two runs with four cameras can measure it: recon subject fit --no-lengths --offsets"
+    yield "detector", f"{data['name']}: {data['reason']}{offer}"
+
+
+# -- what was assumed -------------------------------------------------------------------------------------------------
+
+
+def assumptions_data(motion: Motion) -> dict[str, Any]:
+    """Return the assumptions of the trajectory method, in numbers and in sentences."""
+    return {**upright_data(motion), "sentences": [*_trajectory_sentences(motion)]}
+
+
+def upright_data(motion: Motion) -> dict[str, Any]:
+    """Return which way is up, and how that is known."""
+    camera = motion.camera
+    return {
+        "camera_level": not motion.knows_up and camera.tilt_rad == 0,
+        "camera_tilt_rad": None if motion.knows_up else camera.tilt_rad,
+        "camera_up": None if motion.camera_moves else camera.up,
+        "camera_moves": motion.camera_moves,
+    }
+
+
+def assumption_sentences(motion: Motion) -> Iterator[str]:
+    """Yield the assumptions of any method in words."""
+    camera, hfov_deg = motion.camera, motion.settings.get("hfov_deg")
+    still = "The camera stands still" if len(motion.pictures) == 1 else "The cameras stand still"
+    if all(picture.T_reference_camera.ndim == 2 for picture in motion.pictures):
+        yield f"{still}: where it pans or moves, its movement is part of the path."
+    if tracked := [picture.name for picture in motion.pictures if picture.source.moves]:
+        yield (
+            f"Camera {' and '.join(tracked)}: moves as its track says, whose world is taken to be in metres with z up; "
+            "where the ground lies in it is not taken for known."
+        )
+    if motion.side is not None:
+        yield f"Only the limbs of the animal's {motion.side} side are fitted."
+    if not motion.knows_up and camera.tilt_rad == 0:
+        yield "The camera is taken to be level, because nothing says which way is up."
+    elif not motion.knows_up:
+        degrees = math.degrees(camera.tilt_rad)
+        yield f"The camera is taken to look down by {degrees:.3g} degrees, as given, and not to be rolled."
+    if hfov_deg is not None:
+        yield (
+            f"The camera has no calibration: its focal length follows from a horizontal field of view of "
+            f"{hfov_deg:g} degrees, and its lens is taken to be free of distortion."
+        )
+
+
+def _trajectory_sentences(motion: Motion) -> Iterator[str]:
+    solution, body = trajectory_solution(motion), motion.body
+    measured = "not measured on this one" if body.subject is None else "measured on this animal"
+    given, size_text = given_size(motion), "this clip hardly says it"
+    if sources := size_sources(solution):
+        size_text = f"by {' and '.join(sources)} it is {solution.size:.3f} ± {solution.size_sigma:.3f}"
+    yield (
+        f"The proportions are those of {body.title!r}, {measured}. How large the animal is, a factor on all its "
+        f"lengths, distances and speeds, is expected to be 1{given and f' ({given})'} with a standard deviation of "
+        f"{solution.size_prior_sigma:.2g}; {size_text}."
+    )
+    detector = file_name(body.detector)
+    offsets = f"beside the markers as those of the detector {detector}"
+    if detector in (None, NONE):
+        offsets = "on the markers"
+    elif detector == OWN:
+        offsets = "beside the markers as the skeleton's or the subject's file says"
+    yield f"Keypoints are taken to lie {offsets}."
+    source = f"as in the motions that the prior {file_name(solution.prior)} was made from"
+    if solution.prior == NO_PRIOR:
+        source = "as the skeleton's file says, each angle on its own"
+    yield f"Poses and their changes are expected to be {source}."
+    yield from assumption_sentences(motion)
+    if any(segment.ground is not None for segment in solution.segments):
+        yield "The ground is a plane, and feet that stand stand still on it."
+    if len(solution.segments) > 1:
+        yield (
+            f"The clip has {len(solution.segments)} segments, between which nothing was seen for long: each was solved "
+            "by itself, with a ground of its own."
+        )
+    if motion.settings.get("fast"):
+        yield "The fast search was asked for: fewer headings to start from, and looser tolerances."

@@ -1,0 +1,113 @@
+"""Report which keypoints were used, and how well the pose explains them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from recon import check
+from recon.animal.naming import suggestions
+from recon.base import Array, finite, mean, median
+from recon.clip import COUNTS
+from recon.fit import Motion, Picture
+from recon.show.plain import by_name
+from recon.show.sections.section import Line
+
+BEST_SHARE = 0.9
+"""Share of the detections, those with the smallest errors, of `mean_best_90_percent`."""
+OF_JOINT = ("outliers", "mean_error_px", "noise_px", "mean_weight")
+"""Fields of a keypoint that the fit gives."""
+
+
+def counts(motion: Motion) -> dict[str, Any]:
+    """Return the numbers of keypoints and detections, and the reprojection errors."""
+    distance_px, present = (_stacked(motion, field) for field in ("distance_px", "present"))
+    errors = finite(distance_px)
+    best = np.sort(errors)[: math.ceil(BEST_SHARE * len(errors))]
+    by_joint = np.array([mean(errors_of_joint) for errors_of_joint in np.moveaxis(distance_px, -1, 0)])
+    worst = int(np.nanargmax(by_joint)) if len(errors) else None
+    used = int(present.any(axis=(0, 1)).sum())
+    return {
+        "keypoints": {"used": used, "missing": len(motion.names) - used, "unused": len(motion.unused_keypoints)},
+        "detections": int(present.sum()),
+        "outliers": sum(int(picture.outliers.sum()) for picture in motion.pictures),
+        "reprojection_px": {
+            "mean": mean(errors),
+            "median": median(errors),
+            "mad": median(np.abs(errors - median(errors))),
+            "mean_best_90_percent": mean(best),
+            "worst_joint": None if worst is None else motion.names[worst],
+            "worst_joint_mean": np.nan if worst is None else by_joint[worst],
+        },
+    }
+
+
+def _stacked(motion: Motion, field: str) -> Array:
+    """Return a field (V, T, J) of all cameras' pictures."""
+    return np.stack([getattr(picture, field) for picture in motion.pictures])
+
+
+def keypoints_data(motion: Motion) -> list[dict[str, Any]]:
+    """Return the fitted keypoints in the order of the joints, then the unused ones of the file."""
+    cleaned = [source.cleaning.keypoints for source in motion.sources]
+    outliers, distance_px = (_stacked(motion, field) for field in ("outliers", "distance_px"))
+    rows = []
+    for name in (*motion.names, *motion.unused_keypoints):
+        own = [keypoints[name] for keypoints in cleaned if name in keypoints]
+        numbers = {count: sum(keypoint[count] for keypoint in own) if own else None for count in COUNTS}
+        rows.append({"name": name, "joint": None, "in_file": bool(own), **numbers} | dict.fromkeys(OF_JOINT))
+    for j, row in enumerate(rows[: len(motion.names)]):
+        means = (mean(values[..., j]) for values in (distance_px, motion.solution.noise_px, motion.solution.weight))
+        row |= {"joint": motion.joints[j]} | by_name(OF_JOINT, (int(outliers[..., j].sum()), *means))
+    return rows
+
+
+def keypoint_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    """Yield the keypoints used, the detections, the reprojection error and the outliers."""
+    fitted, totals = [row for row in data if row["joint"] is not None], counts(motion)
+    missing_names = [row["name"] for row in fitted if not row["used"]]
+    similar = suggestions(motion.unused_keypoints, motion.missing_keypoints)
+    parts = {
+        "missing": missing_names,
+        "not used": motion.unused_keypoints,
+        "perhaps the same (--rename)": [f"{a} for {b}" for a, b in similar.items()],
+    }
+    listed = "".join(f"; {part}: {check.names_text(names)}" for part, names in parts.items() if names)
+    used_count = f"{totals['keypoints']['used']}" if missing_names else "all"
+    yield "keypoints", f"{used_count} of the skeleton's {len(fitted)} used{listed}"
+
+    points = [point_counts(picture) for picture in motion.pictures]
+    used, missing, rejected = (sum(numbers[count] for numbers in points) for count in ("used", "missing", "rejected"))
+    yield "detections", _detections_text(motion, fitted, used, missing, rejected)
+    errors = totals["reprojection_px"]
+    px = "{mean:.1f} px mean, {median:.1f} px median; worst joint {worst_joint}, {worst_joint_mean:.1f} px"
+    yield "reprojection", "none: no pose" if errors["worst_joint"] is None else px.format(**errors)
+    with_outliers = sorted(((row["outliers"], row["name"]) for row in fitted if row["outliers"]), reverse=True)
+    names = ", ".join(f"{name} {count}" for count, name in with_outliers[:3])
+    most = names + (", ..." if len(with_outliers) > 3 else "")
+    joints = f": {most}" if with_outliers else ""
+    yield "outliers", f"{totals['outliers']} of the {used} detections used disagree with the pose{joints}"
+
+
+def _detections_text(motion: Motion, fitted: list[dict[str, Any]], used: int, missing: int, rejected: int) -> str:
+    """Return how many detections were used, are missing, have no likelihood, and were left out."""
+    texts = [f"{used} used", *([f"{missing} missing"] if missing else [])]
+    unknown = sum(row["likelihood_unknown"] for row in fitted if row["in_file"])
+    texts += [f"{unknown} without a likelihood (never left out as unlikely)"] if unknown else []
+    if rejected:
+        share = f"{rejected / (used + rejected):.0%} of what was found"
+        is_low = any(finding.code == "likelihoods_low" for finding in motion.findings)
+        advice = "; if they are good, lower --set likelihood-min" if is_low else ""
+        texts.append(f"{rejected} ({share}) left out before the fit, as unlikely or far outside{advice}")
+    return ", ".join(texts)
+
+
+def point_counts(picture: Picture) -> dict[str, int]:
+    """Return how many points of a camera were used, are missing, and were rejected."""
+    source, used = picture.source, int(picture.present.sum())
+    names = set(source.keypoints.names)
+    rejected = sum(row["rejected"] for name, row in source.cleaning.keypoints.items() if name in names)
+    return {"used": used, "missing": max(picture.present.size - used - rejected, 0), "rejected": rejected}

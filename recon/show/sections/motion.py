@@ -1,0 +1,168 @@
+"""Report the path, the heading, the animal's size, and how much of the pose rests on the video."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from recon.animal.prior import NONE as NO_PRIOR
+from recon.base import decimals, mean, median
+from recon.fit import MEASURED_SHARE, Motion, TrajectorySolution
+from recon.gait.kinematics import MIN_POINTS, frame_jitter_m, jitter_errors, point_kinematics
+from recon.show.plain import file_name, picked
+from recon.show.sections.section import Line, camera_name
+
+SIZE_SOURCES = {"views": "where the cameras are", "ground": "the camera's height above the ground"}
+"""Sources of the size besides the expectation."""
+
+
+def trajectory_solution(motion: Motion) -> TrajectorySolution:
+    """Return the solution of the trajectory method."""
+    assert isinstance(motion.solution, TrajectorySolution)
+    return motion.solution
+
+
+# -- path and heading -------------------------------------------------------------------------------------------------
+
+
+def root_path_data(motion: Motion) -> dict[str, Any]:
+    """Return the path of the reference point, exact and smoothed.
+
+    The smoothed one has no jitter from frame to frame; it exists if each frame was solved by itself and the jitter can
+    be measured.
+    """
+    jitter, root, time_s = frame_jitter_m(motion.root_m), motion.root_name, motion.time_s
+    names = "distance_m", "peak_speed_m_s", "mean_speed_m_s", "peak_acceleration_m_s2"
+    exact = point_kinematics(time_s, motion.root_m, propagate=False)
+    smoothed = None
+    if motion.solution.jitters and np.isfinite(jitter).all():
+        path = point_kinematics(time_s, motion.root_m, jitter_errors(motion.root_m), smooth=True, propagate=False)
+        smoothed = {"smoothing_m": jitter, **picked(path, *names)}
+    return {
+        "joint": root,
+        "keypoint": motion.names[motion.joints.index(root)] if root in motion.joints else None,
+        "jitter_m": jitter,
+        "exact": {"smoothing_m": None, **picked(exact, *names)},
+        "smoothed": smoothed,
+    }
+
+
+def speed_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    """Yield the mean speed and the distance."""
+    path = data["exact"]
+    if path["mean_speed_m_s"] is None:
+        yield "speed", f"none from fewer than {MIN_POINTS} frames"
+        return
+    mean_m_s, over_m = path["mean_speed_m_s"], path["distance_m"]
+    yield "speed", f"{mean_m_s:{decimals(mean_m_s)}} m/s on average, over {over_m:{decimals(over_m)}} m"
+
+
+def heading_data(motion: Motion) -> dict[str, Any]:
+    """Return the level direction that the animal faces, as the first camera sees it."""
+    (rear, front), solution = motion.forward, trajectory_solution(motion)
+    joints, R = solution.joints_m, solution.views[0].T_camera_world[..., :3, :3]
+    level = joints[:, front] - joints[:, rear]
+    level[:, 2] = 0.0
+    level /= np.linalg.norm(level, axis=1, keepdims=True)
+    right = R[..., 0, :] * [1.0, 1.0, 0.0]
+    right /= np.linalg.norm(right, axis=-1, keepdims=True)
+    away = np.cross([0.0, 0.0, 1.0], right)
+    return {
+        "heading_to_picture_rad": median(np.arcsin(np.clip(np.sum(level * away, axis=-1), -1.0, 1.0))),
+        "sideslip_rad": solution.sideslip_rad if solution.sideslip_sigma_rad else None,
+        "sideslip_sigma_rad": solution.sideslip_sigma_rad or None,
+    }
+
+
+def heading_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    """Yield the heading."""
+    observer = f", as {camera_name(motion)} sees it" if len(motion.pictures) > 1 else ""
+    yield "heading", heading_text(data["heading_to_picture_rad"]) + observer
+
+
+def heading_text(angle_rad: float | None) -> str:
+    """Return an angle out of the picture's plane in words."""
+    if angle_rad is None:
+        return "unknown"
+    if (degrees := round(math.degrees(angle_rad))) == 0:
+        return "in the picture's plane"
+    return f"{abs(degrees)}° out of the picture's plane, {'away from' if degrees > 0 else 'towards'} the camera"
+
+
+# -- size -------------------------------------------------------------------------------------------------------------
+
+
+def size_data(motion: Motion) -> dict[str, Any]:
+    """Return the factor on the skeleton's lengths, with its prior."""
+    solution, subject = trajectory_solution(motion), motion.body.subject
+    return {
+        "factor": solution.size,
+        "sigma": solution.size_sigma,
+        "prior_sigma": solution.size_prior_sigma,
+        "data_share": _size_share(solution),
+        "from": solution.size_from,
+        "subject": file_name(subject),
+        "lengths": motion.title,
+        "measured": bool(given_size(motion) or size_sources(solution)),
+    }
+
+
+def size_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    """Yield the animal's size and its source."""
+    sources, given = size_sources(trajectory_solution(motion)), given_size(motion)
+    animal = data["lengths"].split(",")[0]
+    if sources:
+        percent = 100 * data["sigma"] / data["factor"]
+        uncertainty = f"±{percent:.0f}%" if percent >= 1 else f"±{percent:.1g}%"
+        factor = f"{data['factor']:.2f} times the skeleton ({given or animal})"
+        yield "size", f"{factor}, {uncertainty}, by {' and '.join(sources)}"
+    elif given:
+        yield "size", f"as given ({given}), ±{data['sigma']:.0%}"
+    else:
+        yield "size", f"not measured: all metres and m/s assume average size ({animal}, ±{data['sigma']:.0%})"
+
+
+def given_size(motion: Motion) -> str:
+    """Return the option or file that gave the animal's size; empty for an average animal."""
+    for name, option in (("height_m", "--height-m "), ("size", "--set size=")):
+        if (value := motion.settings.get(name)) is not None:
+            return f"{option}{value:g}"
+    return file_name(motion.body.subject) or ""
+
+
+def size_sources(solution: TrajectorySolution) -> list[str]:
+    """Return the sources that determine the size better than the expectation; the ground often adds little."""
+    is_measured = _size_share(solution) >= MEASURED_SHARE
+    return [SIZE_SOURCES[source] for source in solution.size_from if source in SIZE_SOURCES and is_measured]
+
+
+def _size_share(solution: TrajectorySolution) -> float:
+    return max(0.0, 1.0 - (solution.size_sigma / solution.size_prior_sigma) ** 2)
+
+
+# -- the prior --------------------------------------------------------------------------------------------------------
+
+
+def prior_data(motion: Motion) -> dict[str, Any]:
+    """Return the prior; misfit and weight are those of the segment that it fits least."""
+    solution = trajectory_solution(motion)
+    misfits = [segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None]
+    return {
+        "name": file_name(solution.prior),
+        "mean_data_share": mean(solution.data_share),
+        "prior_misfit": max(misfits, default=None),
+        "weight": min((segment.prior_weight for segment in solution.segments), default=1.0),
+    }
+
+
+def prior_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    """Yield how much of the pose rests on the video and on the prior."""
+    name, share = data["name"], data["mean_data_share"]
+    if name == NO_PRIOR:
+        name = "the skeleton's own expectations"
+        yield "note", "Left-right swaps, lens, zoom and frame rate were not checked: that needs a learned prior."
+    if share is not None:
+        yield "prior", f"{share:.0%} of the pose rests on the video, {1 - share:.0%} on {name}"

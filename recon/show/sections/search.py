@@ -1,0 +1,84 @@
+"""Report how many frames have a pose, and what the search left open."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+from recon import check
+from recon.base import decimals, finite, length_text, mean, median
+from recon.fit import Motion
+from recon.show.plain import frame_count
+from recon.show.sections.keypoints import counts
+from recon.show.sections.motion import trajectory_solution
+from recon.show.sections.section import Line, camera_name
+
+CONVERGENCE = ("status", "iterations", "cost_by_term")
+"""Fields of the solution on its search."""
+HARDLY_KNOWN = 0.1
+"""Standard deviation of the distance, relative to it, from which the summary has a line on it."""
+
+
+def summary_data(motion: Motion) -> dict[str, Any]:
+    """Return the counts of frames, flags, keypoints and detections, and the joints' uncertainty."""
+    flags = dict.fromkeys((*check.FLAGS, *(flag for flags in motion.flags for flag in flags)))
+    return {
+        "frames": motion.clip_frames,
+        "frames_left_out": motion.clip_frames - len(motion.frames),
+        "frames_with_pose": int(motion.solved.sum()),
+        "frames_flagged": sum(bool(flags) for flags in motion.flags),
+        "flags": {flag: sum(flag in frame_flags for frame_flags in motion.flags) for flag in flags},
+        **counts(motion),
+        "mean_weight": mean(motion.solution.weight),
+        "place_sigma_m": median(motion.place_sigma_m),
+        "relative_rms_m": median(motion.relative_rms_m),
+    }
+
+
+def summary_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    """Yield the frames with a pose, the doubtful ones, and a distance that is hardly known."""
+    reasons = [f"{count} {flag}" for flag, count in data["flags"].items() if count]
+    several = "some for several reasons: " if sum(data["flags"].values()) > data["frames_flagged"] else ""
+    flagged = f"{data['frames_flagged']} doubtful ({several}{', '.join(reasons)})" if reasons else "none doubtful"
+    left_out = data["frames_left_out"]
+    note = f"; {left_out} far from all detections, and in no table" if left_out else ""
+    yield "frames", f"{data['frames_with_pose']} of {data['frames']} with a pose, {flagged}{note}"
+    sigma_m, distances = data["place_sigma_m"], [mean(picture.distance_m) for picture in motion.pictures]
+    by_camera = [(away_m, camera_name(motion, v)) for v, away_m in enumerate(distances) if math.isfinite(away_m)]
+    away_m, camera = min(by_camera, default=(math.inf, ""))
+    if sigma_m is not None and sigma_m > HARDLY_KNOWN * away_m:
+        is_size_known = trajectory_solution(motion).size_sigma <= HARDLY_KNOWN / 2
+        reason = "these pictures hardly tell it" if is_size_known else "the size is not known better"
+        yield "distance", f"{away_m:{decimals(away_m)}} ± {sigma_m:{decimals(away_m)}} m from {camera}: {reason}"
+
+
+def alternative_data(motion: Motion) -> dict[str, Any] | None:
+    """Return the distance to the second solution and its cost, or None without one."""
+    apart_m = finite(motion.alternative_m)
+    if not len(apart_m):
+        return None
+    return {
+        "cost_difference": trajectory_solution(motion).alternative_cost,
+        "frames": len(apart_m),
+        "mean_m": apart_m.mean(),
+        "max_m": apart_m.max(),
+    }
+
+
+def alternative_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    """Yield whether another pose explains the video as well."""
+    if data is None:
+        text = "no other pose fits nearly as well"
+    elif not any(finding.code == "second_solution" for finding in motion.findings):
+        text = f"a second solution differs by {length_text(data['mean_m'])}: harmless"
+    else:
+        text = f"another pose, {length_text(data['mean_m'])} away on average in {frame_count(data['frames'])}, fits "
+        text += "equally well: the data cannot tell which is right" if data["cost_difference"] < 1 else "nearly as well"
+    yield "alternative", text
+
+
+def convergence_lines(motion: Motion, data: Any) -> Iterator[Line]:
+    """Yield a line if the search has not converged."""
+    if data["status"] != "converged":
+        yield "search", f"not converged after {data['iterations']} iterations: the pose may be far off"
