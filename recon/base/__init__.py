@@ -14,14 +14,13 @@ if TYPE_CHECKING:
         InputError,
         Problem,
         collect_problems,
-        decimals,
-        length_text,
         printable,
         problems_of,
         raise_problems,
     )
     from recon.base.files import read_manifest, sole_writer, staged_file, staged_folder, staged_results, write_manifest
     from recon.base.interrupts import MESSAGE
+    from recon.base.numbers import decimals, length_text
     from recon.base.package import DISTRIBUTION, install_command, pip_command, version
     from recon.base.records import load_record, save_record
 

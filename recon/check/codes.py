@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from recon.base.documents import builtin_file
-from recon.base.errors import length_text
+from recon.base.numbers import length_text
 from recon.fit import Finding, Motion
 from recon.fit.result import Severity
 

@@ -44,7 +44,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from recon.base import Array, Bools, Brief, decimals, length_text, mean, median
+from recon.base import Array, Bools, Brief, mean, median
+from recon.base.numbers import interval, length_text, percent
 from recon.clip import frame_ranges
 from recon.fit.posterior import radius
 from recon.gait import kinematics
@@ -302,8 +303,7 @@ def interval_text(value: float, sigma: float, unit: str, sign: str = "") -> str:
     sign: "+" to write the sign of positive values.
     """
     _, low, high = interval_of(value, sigma)
-    form = sign + decimals(max(abs(value), -low, high))
-    return f"{value:{form}} {unit}" + f" (90 %: {low:{form}} to {high:{form}})" * (not np.isnan(sigma))
+    return interval(value, low, high, unit, level="90 %", sign=sign)
 
 
 # -- tracks ----------------------------------------------------------------------------------------------------------
@@ -663,7 +663,7 @@ def name_gait(
     if not counted:
         criterion = f"no complete stride, but the motion is that of one of {period:.2f} s: {criterion}"
     if name in ("walk", "trot", "pace") and 1 - MOST < (share := float(np.mean(duties > 0.5))) < MOST:
-        name, criterion = "unknown", f"{criterion}: over 0.5 in {share:.0%} of the strides, walk or run is open"
+        name, criterion = "unknown", f"{criterion}: over 0.5 in {percent(share)} of the strides, walk or run is open"
     return _GaitName(name, criterion, phase, *duty)
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from recon.base import decimals, length_text, median
+from recon.base import median
+from recon.base.numbers import decimals, length_text, percent, percent_range
 from recon.fit import Motion
 from recon.gait import G_M_S2, Gait
 from recon.gait.gait import interval_text
@@ -46,8 +47,8 @@ def _stride_sentences(gait: Gait) -> Iterator[str]:
     low, high = gait.name.duty_interval
     yield (
         f"Strides are {length_text(gait.stride_length_m)} long, {gait.stride_frequency_hz:.2f} a second (average "
-        f"of the feet's {len(gait.strides)} strides); a foot stands {gait.name.duty_factor:.0%} of the time "
-        f"(90 %: {low:.0%} to {high:.0%})."
+        f"of the feet's {len(gait.strides)} strides); a foot stands {percent(gait.name.duty_factor)} of the time "
+        f"(90 %: {percent_range(low, high)})."
     )
     lasts_s, swing_s = 1 / gait.stride_frequency_hz, 2 * math.pi * math.sqrt(gait.tracks.leg_m / 1.5 / G_M_S2)
     if lasts_s > swing_s:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from recon.base import decimals, length_text
+from recon.base.numbers import decimals, interval, known_within, length_text, percent, plus_minus
 
 
 @pytest.mark.parametrize(
@@ -24,3 +24,32 @@ def test_lengths_of_small_animals_are_in_millimetres(length_m, sigma_m, text):
 @pytest.mark.parametrize(("value", "text"), [(12.34, "12.3"), (1.0, "1.0"), (0.076, "0.08"), (-0.4, "-0.40")])
 def test_speeds_of_small_animals_have_two_decimals(value, text):
     assert f"{value:{decimals(value)}}" == text
+
+
+@pytest.mark.parametrize(
+    ("value", "sigma", "text"),
+    [
+        (6.42, 0.68, "6.4 ± 0.7 m/s"),
+        (15.04, 2.04, "15.0 ± 2.0 m/s"),
+        (1234.0, 290.0, "1230 ± 290 m/s"),
+        (0.5, 0.0, "0.50 m/s"),
+        (0.5, float("nan"), "0.50 m/s"),
+        (-0.0004, 0.1, "0.00 ± 0.10 m/s"),
+    ],
+)
+def test_a_number_has_the_digits_that_its_uncertainty_supports(value, sigma, text):
+    assert plus_minus(value, sigma, "m/s") == text
+
+
+def test_intervals_have_their_unit_once_and_an_unknown_end_is_said_in_words():
+    assert interval(72.4, 48.2, 105.9, "mm") == "72 mm (48 to 106)"
+    assert interval(16.21, 14.2, 18.1, "m/s", level="90 %") == "16.2 m/s (90 %: 14.2 to 18.1)"
+    assert interval(3.0, -1.0, 7.0, "m/s", least=0.0) == "3 m/s (at most 7)"
+    assert interval(3.0, float("nan"), float("nan"), "m/s") == "3.0 m/s"
+    assert known_within(0.97) == "known to within 1 m"
+    assert known_within(0.043) == "known to within 40 mm"
+
+
+@pytest.mark.parametrize(("share", "text"), [(0.846, "85 %"), (0.0, "0 %"), (0.0031, "0.3 %"), (1.0, "100 %")])
+def test_a_space_stands_before_the_sign_of_percent(share, text):
+    assert percent(share) == text

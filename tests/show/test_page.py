@@ -167,8 +167,8 @@ def test_a_page_says_what_the_report_says(page, folder):
         *(one["text"] for one in report["findings"] if one["severity"] != "note"),
         *report["assumptions"]["sentences"],
         "few joints were seen and trusted",
-        "The grey line is the ground that feet stand on",
-        "rings: detected, off by what detectors err",
+        "The grey line is the ground under the feet",
+        "rings: detections within the expected error",
         "The acceleration is not shown: most of the time it is smaller than its standard deviation.",
     ):
         assert text in page.text

@@ -187,35 +187,35 @@ def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
     motion, reference_motion, gait = analysis.motion, analysis.reference_motion, analysis.gait
     ground = None if gait is None else gait.tracks.grounds
     options = {"ground": ground, "sides": motion.limb_sides}
-    slope = " The grey line is the ground that feet stand on: a slope is the ground's, or the camera's tilt is off."
+    slope = " The grey line is the ground under the feet; a slope is the ground's, or an error of the camera's tilt."
     yield _group(
         "From the side, from above and from ahead",
-        f"Poses evenly spaced in time, turned so that the animal runs to the right.{slope if ground else ''}",
+        f"Poses evenly spaced in time; the animal runs to the right.{slope if ground else ''}",
         [
             plots.composites(stretch, motion.limbs, motion.time_s, **options)
             for stretch in _stretches(motion, reference_motion)
         ],
     )
     name, reason = motion.reference, reference_motion.why_no_acceleration
-    banded = ", with bands of 90 %" * bool(np.isfinite(reference_motion.speed_sigma_m_s).any())
-    text = f"How fast {name} moves along its path{banded}. {reason}"
+    banded = " Bands: 90 %." * bool(np.isfinite(reference_motion.speed_sigma_m_s).any())
+    text = f"Speed of {name} along its path.{banded} {reason}"
     speed_options = {"width_mm": SPEED_MM, "unknown": analysis.why_no_speed is not None, "acceleration": not reason}
     yield _group("Speed", text, [plots.speeds({name: reference_motion}, **speed_options)], "narrow")
     if gait is not None:
-        text = "When each foot stands: by its speed over the ground and its height, and by its path below the body."
+        text = "Time on the ground of each foot, from its speed over the ground and its height."
         yield _group("Footfalls", text, [plots.footfall({"gait": gait}, motion.fps)])
         dynamics = None if motion.jitters else analysis.dynamics
         if dynamics is not None and len(dynamics.forces):
             text = (
-                "Each foot, in body weights: from its stances and the impulse that a stride needs on level ground, "
-                f"with the masses of {motion.body.mass_source}. Forces are validated on galloping cheetahs."
+                "Force of each foot in body weights, from its stances and the impulse of a stride on level ground, "
+                f"with the masses of {motion.body.mass_source}. Validated on galloping cheetahs."
             )
             yield _group("Vertical forces", text, [plots.forces(dynamics, gait)])
     doubtful = np.array([bool(flags) for flags in motion.flags])
     yield _group(
         "Angles",
-        "Angles of the model's joints, with bands of 90 %: left sides blue and dashed, right sides orange, the middle "
-        "as the axes; grey ones are mostly expected, not seen. Doubtful frames have a grey ground.",
+        "Angles of the model's joints with 90 % bands. Left: blue and dashed; right: orange; middle: black; grey "
+        "curves come mostly from the prior. Doubtful frames have a grey background.",
         [angle_over_time(motion.time_s, *panel, doubtful) for panel in _angles(motion).items()],
         "small",
     )

@@ -25,6 +25,7 @@ from matplotlib.patches import Rectangle
 from recon.animal import Body, Side, both_sides, other_side, side_of
 from recon.animal.chain import UVW_BODY
 from recon.base.arrays import Array, Bools, Index, median
+from recon.base.numbers import percent
 from recon.calibrate.boards import Calibration, coverage
 from recon.calibrate.camera_advice import AZIMUTHS_RAD, ELEVATIONS_RAD, Advice
 from recon.fit.motion import MEASURED_SHARE
@@ -334,7 +335,9 @@ def _frame(axes: Axes) -> None:
 # -- which angles the pixels show, and what a calibration rests on -----------------------------------------------------
 
 _ROW_MM, _REST_MM = 3.3, 34.0
-_SHARES = f"share of the precision that comes from the pixels;  grey: less than {MEASURED_SHARE:g}, mostly expected"
+_SHARES = (
+    f"share of the precision that comes from the pixels;  grey: less than {MEASURED_SHARE:g}, mostly from the prior"
+)
 
 
 def share_colours() -> ListedColormap:
@@ -363,7 +366,7 @@ def observability(body: Body, share: Array, time_s: Array, title: str = "", whol
         axes.tick_params(axis="y", length=0)
         text_style = {"transform": axes.get_yaxis_transform(), "va": "center", "fontsize": style.SMALL}
         for row, (label, middle) in enumerate(zip(axes.get_yticklabels(), medians, strict=True)):
-            text = f"{middle:.0%}" if np.isfinite(middle) else "–"
+            text = percent(middle) if np.isfinite(middle) else "–"
             colour = "k" if middle >= MEASURED_SHARE else style.GREY
             axes.text(1.01, row, text, color=colour, **text_style)
             label.set_color(colour)
@@ -387,7 +390,7 @@ def camera_advice(advices: Sequence[Advice]) -> Figure:
     with style.drawing(_PANEL_MM * len(advices) + _BESIDE_MM) as figure:
         panels = figure.subplots(len(advices), 1, squeeze=False)[:, 0]
         figure.suptitle(
-            f"{advices[0].of}: how well it is known, by where the camera is, {advices[0].distance_m:.3g} m away"
+            f"Uncertainty of {advices[0].of} by the position of a camera {advices[0].distance_m:.3g} m away"
         )
         for number, (axes, advice) in enumerate(zip(panels, advices, strict=True), start=1):
             _grid(axes, advice)
@@ -395,7 +398,7 @@ def camera_advice(advices: Sequence[Advice]) -> Figure:
                 axes.set_title(f"camera {number}" + (", with the first (+)" if number > 1 else ""), loc="left", pad=3)
         panels[-1].set_xlabel("azimuth about the animal, from above counter-clockwise")
         bar = figure.colorbar(panels[-1].get_images()[0], ax=panels.tolist(), location="bottom", aspect=60, shrink=0.7)
-        bar.set_label(f"{_SHARES}\nblack frame: the best place;  ±: one sigma")
+        bar.set_label(f"{_SHARES}\nblack frame: best position;  ±: one standard deviation")
     return figure
 
 
@@ -406,7 +409,7 @@ def _grid(axes: Axes, advice: Advice) -> None:
     axes.imshow(advice.share, cmap=share_colours(), vmin=0, vmax=1, aspect="auto", origin="lower")
     for (row, column), share in np.ndenumerate(advice.share):
         sigma, colour = float(advice.sigma[row, column]), "w" if share > (1 + MEASURED_SHARE) / 2 else "k"
-        text = f"{share:.0%}\n±{in_words(sigma, advice.unit)}" if np.isfinite(sigma) else "not in\nthe picture"
+        text = f"{percent(share)}\n±{in_words(sigma, advice.unit)}" if np.isfinite(sigma) else "not in\nthe picture"
         axes.text(column, row, text, ha="center", va="center", fontsize=style.SMALL, color=colour)
     row, column = advice.best
     axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, lw=2.5, clip_on=False))
@@ -440,7 +443,9 @@ def calibration(result: Calibration) -> Figure:
     width, height = camera.image_size_px
     left_out = [view for view in result.views if not view.used]
     pictures = f"{len(used)} pictures" + (f", {len(left_out)} left out (red)" if left_out else "")
-    title = f"{camera.model}, {width}x{height} px, {pictures}; covered: {covered.mean():.0%} of the picture"
+    title = (
+        f"{camera.model}, {width}x{height} px, {pictures}; {percent(covered.mean())} of the picture covered by a board"
+    )
     with style.drawing(min(style.WIDTH_MM * height / width + 24, style.PAGE_MM), title=title) as figure:
         axes, edges = figure.subplots(), (-0.5, width - 0.5, height - 0.5, -0.5)
         axes.imshow(covered, extent=edges, cmap="Greys", vmax=4, interpolation="nearest")

@@ -24,7 +24,8 @@ from matplotlib.quiver import Quiver
 from matplotlib.ticker import MaxNLocator
 
 from recon.animal import side_of
-from recon.base import Array, Bools, length_text
+from recon.base import Array, Bools
+from recon.base.numbers import length_text, percent, plus_minus
 from recon.clip import frame_ranges
 from recon.fit import MEASURED_SHARE
 from recon.gait import Closure, Dynamics, Gait, LinkField, Portrait, Stance, field_means
@@ -225,16 +226,12 @@ def _curve(axes: Axes, i: int, series: Series, value: Array, sigma: Array, unkno
 def _peak(motion: JointKinematics, acceleration: bool) -> str:
     if not np.isfinite(motion.peak_speed_m_s):
         return "no data"
-    speed = f"{motion.peak_speed_m_s:.2f}{_deviation(motion.peak_speed_sigma_m_s, 2)} m/s"
+    speed = plus_minus(motion.peak_speed_m_s, style.REACH * motion.peak_speed_sigma_m_s, "m/s", default=".2f")
     text = f"peak {speed} at {motion.peak_speed_time_s:.3f} s"
     if acceleration:
-        spread = _deviation(motion.peak_acceleration_sigma_m_s2, 0)
-        text += f", {motion.peak_acceleration_m_s2:.0f}{spread} m/s²"
+        sigma = style.REACH * motion.peak_acceleration_sigma_m_s2
+        text += f", {plus_minus(motion.peak_acceleration_m_s2, sigma, 'm/s²', default='.0f')}"
     return text
-
-
-def _deviation(sigma: float, digits: int) -> str:
-    return "" if np.isnan(sigma) else f" ± {style.REACH * sigma:.{digits}f}"
 
 
 def _limit(axes: Axes, series: list[tuple[Array, Array]]) -> None:
@@ -322,7 +319,7 @@ def phase_portraits(
         colours = style.time_colours(np.concatenate([p.time_s[_known(p)] for p in portraits.values()]))
         for axes, (name, portrait) in zip(panels, portraits.items(), strict=False):
             value, share = (closed or {}).get(name), (shares or {}).get(name, np.nan)
-            heading = name.removesuffix("_rad") + (f"\n{share:.0%} from pixels" if np.isfinite(share) else "")
+            heading = name.removesuffix("_rad") + (f"\n{percent(share)} from pixels" if np.isfinite(share) else "")
             if value is not None:
                 angle, plane = _percent(value.angle, value.angle_sigma), _percent(value.plane, value.plane_sigma)
                 heading += f"\n{angle} / {plane} %"
@@ -338,7 +335,7 @@ def phase_portraits(
         if shares:
             marks += (
                 "\nfrom pixels: the share of the precision, over the whole clip; "
-                f"grey: less than {MEASURED_SHARE:.0%}, mostly expected"
+                f"grey: less than {percent(MEASURED_SHARE)}, mostly from the prior"
             )
         figure.supxlabel(f"angle (deg)\n{marks}", fontsize=8)
         figure.supylabel("rate (deg/s)", fontsize=8)
@@ -443,7 +440,7 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
                 style.draw_band(right, time_s, field.speed_m_s, field.speed_sigma_m_s, colour)
             right.set_ylim(0, 1.08 * fastest or 1.0)
             right.locator_params(axis="y", nbins=3)
-            text = f"mean {speed:.2f}{f', sigma {sigma:.2f}' if np.isfinite(sigma) else ''} m/s"
+            text = f"mean {plus_minus(speed, sigma, 'm/s', default='.2f')}"
             right.set_title(text, loc="right", pad=2, fontsize=style.SMALL, color=style.GREY if is_grey else "k")
         margin_s = 0.08 * float(np.ptp(time_s)) or 0.5
         panels[0, 0].set_xlim(time_s[0] - margin_s, time_s[-1] + margin_s)

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from recon.base import finite, length_text, mean, median
+from recon.base import finite, mean, median
+from recon.base.numbers import length_text, plus_minus
 from recon.fit import Motion, TrajectorySolution
 from recon.show.plain import file_name, number
 from recon.show.sections.keypoints import point_counts
@@ -79,11 +80,11 @@ def _estimated_text(motion: Motion, camera: dict[str, Any]) -> str:
     text, sigma_frames = "", camera["time_offset_sigma_frames"]
     if motion.settings.get("find_offsets") and sigma_frames:
         later_s = camera["offset_s"] + camera["time_offset_frames"] / motion.fps
-        text += f"; began {later_s:.4f} ± {sigma_frames / motion.fps:.4f} s later"
+        text += f"; began {plus_minus(later_s, sigma_frames / motion.fps, 's')} later"
     if (correction := camera["extrinsic_correction"]) is not None:
         turn, turn_sigma = (math.degrees(np.linalg.norm(correction[name])) for name in ("turn_rad", "turn_sigma_rad"))
         shift = length_text(*(float(np.linalg.norm(correction[name])) for name in ("shift_m", "shift_sigma_m")))
-        text += f"; turned by {turn:.1f} ± {turn_sigma:.1f}° and moved by {shift}"
+        text += f"; turned by {plus_minus(turn, turn_sigma, '°')} and moved by {shift}"
     if (focal := camera["focal"]) is not None:
-        text += f"; focal length times {focal['factor']:.3f} ± {focal['sigma']:.3f}"
+        text += f"; focal length times {plus_minus(focal['factor'], focal['sigma'])}"
     return text

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from recon.base import length_text
+from recon.base.numbers import length_text
 from recon.fit import Motion, MotionSegment
 from recon.gait import ClipAnalysis
 from recon.gait.kinematics import MIN_POINTS

@@ -10,6 +10,7 @@ from typing import Any
 from recon import check
 from recon.animal.prior import NONE as NO_PRIOR
 from recon.animal.skeleton_file import NONE, OWN, of_scorer
+from recon.base.numbers import percent, plus_minus
 from recon.clip import COUNTS
 from recon.fit import Motion
 from recon.show.plain import file_name, picked
@@ -25,7 +26,7 @@ def verdict_lines(motion: Motion, data: Any) -> Iterator[Line]:
     yield from zip(("verdict", "expected"), check.verdict_lines(motion.verdict), strict=False)
     if len(motion.sources) == 1 and motion.verdict is not None and motion.verdict.position_m is not None:
         focal_sigma = motion.settings.get("focal_sigma")
-        stated = f" (its focal length to {focal_sigma:.0%}, as given)" if focal_sigma else ""
+        stated = f" (its focal length to {percent(focal_sigma)}, as given)" if focal_sigma else ""
         yield (
             "assumed",
             f"The camera is as said{stated}: one camera cannot tell its focal length, where it stands, nor whether the "
@@ -164,7 +165,7 @@ def _trajectory_sentences(motion: Motion) -> Iterator[str]:
     measured = "not measured on this one" if body.subject is None else "measured on this animal"
     given, size_text = given_size(motion), "this clip hardly says it"
     if sources := size_sources(solution):
-        size_text = f"by {' and '.join(sources)} it is {solution.size:.3f} ± {solution.size_sigma:.3f}"
+        size_text = f"by {' and '.join(sources)} it is {plus_minus(solution.size, solution.size_sigma)}"
     yield (
         f"The proportions are those of {body.title!r}, {measured}. How large the animal is, a factor on all its "
         f"lengths, distances and speeds, is expected to be 1{given and f' ({given})'} with a standard deviation of "

@@ -11,6 +11,7 @@ import numpy as np
 from recon import check
 from recon.animal.naming import suggestions
 from recon.base import Array, finite, mean, median
+from recon.base.numbers import percent
 from recon.clip import COUNTS
 from recon.fit import Motion, Picture
 from recon.show.plain import by_name
@@ -98,7 +99,7 @@ def _detections_text(motion: Motion, fitted: list[dict[str, Any]], used: int, mi
     unknown = sum(row["likelihood_unknown"] for row in fitted if row["in_file"])
     texts += [f"{unknown} without a likelihood (never left out as unlikely)"] if unknown else []
     if rejected:
-        share = f"{rejected / (used + rejected):.0%} of what was found"
+        share = f"{percent(rejected / (used + rejected))} of what was found"
         is_low = any(finding.code == "likelihoods_low" for finding in motion.findings)
         advice = "; if they are good, lower --set likelihood-min" if is_low else ""
         texts.append(f"{rejected} ({share}) left out before the fit, as unlikely or far outside{advice}")

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from recon.animal.prior import NONE as NO_PRIOR
-from recon.base import decimals, mean, median
+from recon.base import mean, median
+from recon.base.numbers import decimals, percent
 from recon.fit import MEASURED_SHARE, Motion, TrajectorySolution
 from recon.gait.kinematics import MIN_POINTS, frame_jitter_m, jitter_errors, point_kinematics
 from recon.show.plain import file_name, picked
@@ -115,14 +116,13 @@ def size_lines(motion: Motion, data: Any) -> Iterator[Line]:
     sources, given = size_sources(trajectory_solution(motion)), given_size(motion)
     animal = data["lengths"].split(",")[0]
     if sources:
-        percent = 100 * data["sigma"] / data["factor"]
-        uncertainty = f"±{percent:.0f}%" if percent >= 1 else f"±{percent:.1g}%"
+        uncertainty = f"±{percent(data['sigma'] / data['factor'])}"
         factor = f"{data['factor']:.2f} times the skeleton ({given or animal})"
         yield "size", f"{factor}, {uncertainty}, by {' and '.join(sources)}"
     elif given:
-        yield "size", f"as given ({given}), ±{data['sigma']:.0%}"
+        yield "size", f"as given ({given}), ±{percent(data['sigma'])}"
     else:
-        yield "size", f"not measured: all metres and m/s assume average size ({animal}, ±{data['sigma']:.0%})"
+        yield "size", f"not measured: all metres and m/s assume average size ({animal}, ±{percent(data['sigma'])})"
 
 
 def given_size(motion: Motion) -> str:
@@ -165,4 +165,4 @@ def prior_lines(motion: Motion, data: Any) -> Iterator[Line]:
         name = "the skeleton's own expectations"
         yield "note", "Left-right swaps, lens, zoom and frame rate were not checked: that needs a learned prior."
     if share is not None:
-        yield "prior", f"{share:.0%} of the pose rests on the video, {1 - share:.0%} on {name}"
+        yield "prior", f"{percent(share)} of the pose rests on the video, {percent(1 - share)} on {name}"

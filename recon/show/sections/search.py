@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from recon import check
-from recon.base import decimals, finite, length_text, mean, median
+from recon.base import finite, mean, median
+from recon.base.numbers import length_text, plus_minus
 from recon.fit import Motion
 from recon.show.plain import frame_count
 from recon.show.sections.keypoints import counts
@@ -50,7 +51,7 @@ def summary_lines(motion: Motion, data: Any) -> Iterator[Line]:
     if sigma_m is not None and sigma_m > HARDLY_KNOWN * away_m:
         is_size_known = trajectory_solution(motion).size_sigma <= HARDLY_KNOWN / 2
         reason = "these pictures hardly tell it" if is_size_known else "the size is not known better"
-        yield "distance", f"{away_m:{decimals(away_m)}} ± {sigma_m:{decimals(away_m)}} m from {camera}: {reason}"
+        yield "distance", f"{plus_minus(away_m, sigma_m, 'm')} from {camera}: {reason}"
 
 
 def alternative_data(motion: Motion) -> dict[str, Any] | None:

@@ -1,0 +1,93 @@
+"""Format numbers with their uncertainty and unit, the same in every text and figure.
+
+A number has as many digits as its uncertainty supports, by the rule of the Particle Data Group: of the uncertainty's
+three leading digits, 100 to 354 keep two digits and 355 to 999 one.
+"""
+
+from __future__ import annotations
+
+import math
+
+SHORT_M = 0.1
+"""Lengths below this are in millimetres: those of a mouse would be 0.00 m."""
+_LAST_TWO_DIGITS = 3.55
+"""Leading digits of an uncertainty from which one digit is enough."""
+
+
+def decimals(value: float) -> str:
+    """Return the format of a speed or a path without uncertainty: one decimal, and two below 1, as of a mouse."""
+    return ".1f" if abs(value) >= 1 else ".2f"
+
+
+def places(sigma: float) -> int | None:
+    """Return the number of decimals that an uncertainty supports; negative for tens, None if it is unknown or 0."""
+    if not (math.isfinite(sigma) and sigma > 0):
+        return None
+    power = math.floor(math.log10(sigma))
+    return (1 if sigma / 10.0**power < _LAST_TWO_DIGITS else 0) - power
+
+
+def rounded(value: float, digits: int, sign: str = "") -> str:
+    """Return a value with so many decimals; negative: rounded to tens, hundreds ..."""
+    text = f"{round(value, digits):{sign}.{max(digits, 0)}f}"
+    is_minus_zero = text.startswith("-") and not any(digit in "123456789" for digit in text)
+    return text[1:] if is_minus_zero else text
+
+
+def plus_minus(value: float, sigma: float | None, unit: str = "", sign: str = "", default: str = "") -> str:
+    """Return a value with its uncertainty and unit, such as "6.4 ± 0.7 m/s".
+
+    The value alone, in the format `default`, if the uncertainty is unknown or 0. sign: "+" to write positive signs.
+    """
+    digits = None if sigma is None else places(sigma)
+    if digits is None or sigma is None:
+        return f"{value:{sign}{default or decimals(value)}}{_unit(unit)}"
+    return f"{rounded(value, digits, sign)} ± {rounded(sigma, digits)}{_unit(unit)}"
+
+
+def interval(
+    value: float, low: float, high: float, unit: str = "", *, level: str = "", sign: str = "", least: float = -math.inf
+) -> str:
+    """Return a value with the ends of its interval, such as "72 mm (48 to 106)".
+
+    level: of the interval, as in "16.2 m/s (90 %: 14.2 to 18.1)". least: smallest possible value; an interval that
+    reaches it is said by its upper end. The value alone if the interval is unknown.
+    """
+    digits = places((high - low) / 2)
+    if digits is None:
+        return f"{value:{sign}{decimals(value)}}{_unit(unit)}"
+    low_text, high_text = rounded(low, digits, sign), rounded(high, digits, sign)
+    ends = f"{low_text} to {high_text}" if low > least else f"at most {high_text}"
+    return f"{rounded(value, digits, sign)}{_unit(unit)} ({level and level + ': '}{ends})"
+
+
+def percent(share: float) -> str:
+    """Return a share in percent, such as "85 %"; below one percent with one significant digit, such as "0.3 %"."""
+    value = 100.0 * share
+    return f"{value:.0f} %" if abs(value) >= 1 or value == 0 else f"{value:.1g} %"
+
+
+def percent_range(low: float, high: float) -> str:
+    """Return the ends of an interval in percent, such as "28 to 35 %"."""
+    return f"{100 * low:.0f} to {100 * high:.0f} %"
+
+
+def length_text(length_m: float, sigma_m: float | None = None) -> str:
+    """Return a length with its uncertainty in a fitting unit: 1.23 m, 1.23 ± 0.04 m, 1.230 ± 0.004 m, 56 mm."""
+    scale, unit, default = (1e3, "mm", ".0f") if abs(length_m) < SHORT_M else (1.0, "m", ".2f")
+    sigma = None if sigma_m is None else scale * sigma_m
+    return plus_minus(scale * length_m, sigma, unit, default=default)
+
+
+def known_within(sigma_m: float) -> str:
+    """Return how well a length is known whose interval says no more, such as "known to within 2 m"."""
+    scale, unit = (1e3, "mm") if sigma_m < SHORT_M else (1.0, "m")
+    return (
+        f"known to within {scale * sigma_m:.1g} {unit}"
+        if scale * sigma_m < 10
+        else (f"known to within {rounded(scale * sigma_m, -1)} {unit}")
+    )
+
+
+def _unit(unit: str) -> str:
+    return unit if unit in ("", "°") else f" {unit}"
