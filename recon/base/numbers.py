@@ -1,7 +1,7 @@
 """Format numbers with their uncertainty and unit, the same in every text and figure.
 
-A number has as many digits as its uncertainty supports, by the rule of the Particle Data Group: of the uncertainty's
-three leading digits, 100 to 354 keep two digits and 355 to 999 one.
+A number has as many digits as its uncertainty supports: an uncertainty keeps one digit, or two if it begins with 1. The
+ends of an interval keep two digits of its half width up to 3.5.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import math
 
 SHORT_M = 0.1
 """Lengths below this are in millimetres: those of a mouse would be 0.00 m."""
-_LAST_TWO_DIGITS = 3.55
-"""Leading digits of an uncertainty from which one digit is enough."""
+_ONE_DIGIT, _ONE_DIGIT_OF_INTERVAL = 1.95, 3.55
+"""Leading digits of an uncertainty, and of an interval's half width, from which one digit is enough."""
 
 
 def decimals(value: float) -> str:
@@ -19,12 +19,15 @@ def decimals(value: float) -> str:
     return ".1f" if abs(value) >= 1 else ".2f"
 
 
-def places(sigma: float) -> int | None:
-    """Return the number of decimals that an uncertainty supports; negative for tens, None if it is unknown or 0."""
+def places(sigma: float, one_digit: float = _ONE_DIGIT) -> int | None:
+    """Return the number of decimals that an uncertainty supports; negative for tens, None if it is unknown or 0.
+
+    one_digit: leading digits from which one digit is enough.
+    """
     if not (math.isfinite(sigma) and sigma > 0):
         return None
     power = math.floor(math.log10(sigma))
-    return (1 if sigma / 10.0**power < _LAST_TWO_DIGITS else 0) - power
+    return (1 if sigma / 10.0**power < one_digit else 0) - power
 
 
 def rounded(value: float, digits: int, sign: str = "") -> str:
@@ -53,7 +56,7 @@ def interval(
     level: of the interval, as in "16.2 m/s (90 %: 14.2 to 18.1)". least: smallest possible value; an interval that
     reaches it is said by its upper end. The value alone if the interval is unknown.
     """
-    digits = places((high - low) / 2)
+    digits = places((high - low) / 2, _ONE_DIGIT_OF_INTERVAL)
     if digits is None:
         return f"{value:{sign}{decimals(value)}}{_unit(unit)}"
     low_text, high_text = rounded(low, digits, sign), rounded(high, digits, sign)

@@ -235,7 +235,7 @@ def test_of_several_cameras_the_page_says_whose_pictures_they_are(two_cameras, t
     write_clip(two_cameras, FitSettings(keypoints=files, camera=Path("scene.json"), fps=30), tmp_path)
     for camera, name in ((None, "cam1"), ("cam2", "cam2")):
         page = report(PageSettings(folder=tmp_path, camera_name=camera)).data["page"]
-        assert f"The pose as {name} sees it" in page.read_text(encoding="utf-8")
+        assert f"The fitted pose seen from {name}" in page.read_text(encoding="utf-8")
 
 
 @pytest.mark.usefixtures("page_undrawn")

@@ -422,8 +422,8 @@ def test_a_portrait_with_its_deviations_and_of_an_angle_that_is_not_seen():
         {"knee": portrait, "hip": portrait}, {"knee": Closure(91.4, 88, 12.3, 9)}, "", shares
     )
     first, second = figure.axes[:2]
-    assert first.get_title() == "knee\n80% from pixels\n91±20 / 88±14 %"  # 90 %
-    assert second.get_title() == "hip\n20% from pixels"
+    assert first.get_title() == "knee\n80 % from pixels\n91±20 / 88±14 %"  # 90 %
+    assert second.get_title() == "hip\n20 % from pixels"
     (lines,) = (c for c in second.collections if isinstance(c, LineCollection))
     assert len({*map(tuple, lines.get_edgecolors())}) == 1
     (band,) = (p for p in first.findobj(PathPatch) if p.get_facecolor() == to_rgba(over_time._BAND))
@@ -434,7 +434,7 @@ def test_a_portrait_with_its_deviations_and_of_an_angle_that_is_not_seen():
     near = np.abs(middles[:, None] - path) / (np.ptp(ellipses, axis=1)[:, None] / 2)
     assert near.max(axis=2).min(axis=1) == pytest.approx(0, abs=1e-9)  # on the path
     assert near.max(axis=2).min(axis=0).max() < 0.3  # and all along it
-    assert "less than 50%" in figure.get_supxlabel()
+    assert "less than 50 %" in figure.get_supxlabel()
 
 
 def test_speeds_of_links_with_their_deviations():
@@ -454,7 +454,7 @@ def test_a_link_is_grey_where_it_is_not_seen():
     figure = plots.vector_fields((first, unseen), t)
     colours = [line.get_color() for axes in figure.axes[1::2] for line in axes.get_lines()]
     assert colours == [style.COLOURS[0], style.GREY]
-    assert f"mean {slow.speed_m_s.mean():.2f}, sigma 0.25 m/s" in texts(figure)
+    assert f"mean {slow.speed_m_s.mean():.1f} ± 0.2 m/s" in texts(figure)
 
 
 def test_observability_over_time():
@@ -470,9 +470,9 @@ def test_observability_over_time():
     np.testing.assert_array_equal(image.get_array().filled(np.nan), share.T)
     assert [label.get_text() for label in over_the_time.get_yticklabels()][2:4] == ["phi 6", "theta 6"]
     beside = [text.get_text() for text in over_the_time.texts]
-    assert beside == ["–" if n == "J0_pitch" else "90%" if n.startswith("theta") else "10%" for n in names]
+    assert beside == ["–" if n == "J0_pitch" else "90 %" if n.startswith("theta") else "10 %" for n in names]
     of_clip = plots.observability(body, share, times(12), "a stride", np.tile(0.3 * share, (2, 1))).axes[0]
-    assert {text.get_text() for text in of_clip.texts} == {"–", "27%", "3%"}
+    assert {text.get_text() for text in of_clip.texts} == {"–", "27 %", "3 %"}
     assert "the whole clip" in of_clip.get_xlabel()
     nothing = plots.observability(body, np.full_like(share, np.nan), times(12))
     assert [text.get_text() for text in nothing.texts][-1] == "no data"

@@ -14,6 +14,7 @@ from command_line import says
 from motions import with_first
 from rich.console import Console
 
+from recon.base.numbers import plus_minus
 from recon.check import finding, findings_of, sentence
 from recon.fit import MotionSegment
 from recon.fit.result import SecondCamera
@@ -297,7 +298,7 @@ def test_size_says_what_it_comes_from(trajectory, small_trajectory):
     tall = build_report(small_trajectory, {"height_m": 0.8})
     assert seen["size"]["measured"] is tall["size"]["measured"] is True
     assert says(dict(summary_lines(seen))["size"], "where the cameras are")
-    assert dict(summary_lines(tall))["size"] == "as given (--height-m 0.8), ±6%"
+    assert dict(summary_lines(tall))["size"] == "as given (--height-m 0.8), ±6 %"
     odd = build_report(with_solution(small_trajectory, size=0.7), {})
     assert numbers(odd, "size_unexpected") == {"size": 0.7, "expected_sigma": 0.1}
     odder = build_report(with_solution(small_trajectory, size=0.6), {})
@@ -439,7 +440,7 @@ def test_the_summary_begins_with_a_distance_that_is_hardly_told(small_trajectory
             assert "distance" not in dict(lines)
         else:
             assert [label for label, _ in lines][:3] == ["clip", "frames", "distance"]
-            assert f"{away:.1f} ± {share * away:.1f} m from the camera" in dict(lines)["distance"]
+            assert f"{plus_minus(away, share * away, 'm')} from the camera" in dict(lines)["distance"]
             assert expected in dict(lines)["distance"]
 
 
@@ -522,14 +523,14 @@ def test_console_summary_of_a_trajectory(trajectory):
         "161 used, 31 missing",
         "23 of the skeleton's 24 used; missing: r_eye; not used: ear",
         "9.0 m/s on average",
-        "not measured: all metres and m/s assume average size (cheetah, ±6%)",
+        "not measured: all metres and m/s assume average size (cheetah, ±6 %)",
         "Nothing says which way is up, and the camera is taken to be level",
     ):
         assert text in shown
     lines = str(summary_lines(trajectory))
     for text in (
         "in the picture's plane",
-        "70% of the pose rests on the video, 30% on running-cheetah",
+        "70 % of the pose rests on the video, 30 % on running-cheetah",
         "stances: l_front_paw 0, r_front_paw 0",
         "fits nearly as well",
     ):
@@ -626,7 +627,7 @@ def test_console_summary_of_several_cameras(several, two_cameras):
     assert several["size"]["from"] == ["prior", "views"]
     assert dict(lines)["size"].endswith("where the cameras are")
     sentences = " ".join(several["assumptions"]["sentences"])
-    assert says(sentences, "1.000 ± ", "cameras stand still")
+    assert says(sentences, "it is 1.00", " ± ", "cameras stand still")
 
 
 # -- both -----------------------------------------------------------------------------------------------------------

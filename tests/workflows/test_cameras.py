@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from recon import Camera, FitSettings, Keypoints, Motion, clean, fit_clip
+from recon.base.numbers import plus_minus
 from recon.clip import Source, View, align_cameras
 from recon.fit import TrajectorySolution, solve_extrinsics, solve_trajectory
 from recon.io import read_cameras, read_keypoints, write_cameras, write_csv
@@ -312,7 +313,7 @@ def test_heights_have_deviations(tmp_path):
     assert (np.abs(heights_m - [1.5, 1.6]) < 2 * sigma_m).all()
     assert ((sigma_m > 0.1) & (sigma_m < 1.0)).all()
     assert [line.split(" high")[0] for line in lines_of(cameras, report)] == [
-        f"{camera.name}: {height:.2f} ± {sigma:.2f} m"
+        f"{camera.name}: {plus_minus(height, sigma, 'm')}"
         for camera, height, sigma in zip(cameras, heights_m, sigma_m, strict=True)
     ]
 
