@@ -38,7 +38,8 @@ def _side_pattern() -> re.Pattern[str]:
     """Return a pattern of the word in a name that gives its side.
 
     The word stands between separators, as in front_left_paw or eye.L, or is set off by capitals, as in frontLeftPaw,
-    hipR or Nearknee. A letter beside a digit does not count: l1 may be a vertebra.
+    hipR or Nearknee. A letter may be part of a leg's code: LF, FL, RH, HR, LB, BL. A letter beside a digit does not
+    count: l1 may be a vertebra.
     """
     words = [word for word in _OPPOSITE if len(word) > 1]
     lower, title, upper = ("|".join(map(case, words)) for case in (str.lower, str.title, str.upper))
@@ -50,6 +51,10 @@ def _side_pattern() -> re.Pattern[str]:
         "|(?<![A-Za-z0-9])[lrLR](?![A-Za-z0-9])"
         "|(?<![A-Za-z0-9])[lrLR](?=[A-Z][a-z])"
         "|(?<=[a-z])[LR](?=[A-Z][a-z]|[^A-Za-z0-9]|$)"
+        "|(?<![A-Za-z0-9])[LR](?=[FHB](?:[A-Z][a-z]|[^A-Za-z0-9]|$))"
+        "|(?<![A-Za-z0-9])[lr](?=[fhb](?![A-Za-z0-9]))"
+        "|(?<=(?<![A-Za-z0-9])[FHB])[LR](?=[A-Z][a-z]|[^A-Za-z0-9]|$)"
+        "|(?<=(?<![A-Za-z0-9])[fhb])[lr](?![A-Za-z0-9])"
     )
 
 

@@ -26,13 +26,23 @@ HEADER = ("file", "skeleton")
 _EXPECTED = "a CSV file with two columns: a keypoint's name in the file, and the skeleton's"
 _SAME_WORDS: dict[str, str] = {
     "thai": "thigh",
-    **dict.fromkeys(("fore", "f"), "front"),
-    **dict.fromkeys(("hind", "rear", "b", "h"), "back"),
+    **dict.fromkeys(("fore", "f", "thoracic", "forelimb", "foreleg"), "front"),
+    **dict.fromkeys(("hind", "rear", "b", "h", "pelvic", "hindlimb", "hindleg"), "back"),
     **dict.fromkeys(("foot", "hoof", "hand"), "paw"),
     "root": "base",
+    "carpi": "carpus",
+    "tarsi": "tarsus",
+    "stiffle": "stifle",
 }
+_LIMB_OF = {
+    **dict.fromkeys(("elbow", "carpus", "wrist"), "front"),
+    **dict.fromkeys(("stifle", "hock", "tarsus"), "back"),
+}
+"""Words of joints that only one pair of limbs has."""
 _SEPARATORS = "_-. "
-_FILLERS = {"of", "the"}
+_FILLERS = {"of", "the", "limb"}
+ANATOMICAL = "anatomical"
+"""The built-in map of veterinary names."""
 _NEAR = 0.8
 """Names are similar if they share this part of their letters."""
 _MOST_OF_FILE = 0.8
@@ -209,9 +219,14 @@ def problem_of_names(names: Sequence[str], wanted: Sequence[str], skeleton: str,
 
 
 def map_to_write(names: Iterable[str], wanted: Iterable[str]) -> Iterator[str]:
-    """Yield lines of a map for a file with these names, with similar names filled in."""
+    """Yield lines of a map for a file with these names, with similar and anatomical names filled in."""
     names, wanted = list(names), list(wanted)
-    near = suggestions([n for n in names if n not in wanted], [w for w in wanted if w not in names])
+    unused, missing = [n for n in names if n not in wanted], [w for w in wanted if w not in names]
+    near, anatomical = suggestions(unused, missing), load_names(ANATOMICAL)
+    for name in unused:
+        marker = anatomical.get(name)
+        if marker in missing and name not in near and marker not in near.values():
+            near[name] = marker
     yield ",".join(HEADER)
     yield from (f"{name},{near.get(name, '')}" for name in names if name not in wanted)
 
@@ -234,10 +249,15 @@ def _written(name: str) -> tuple[str | None, ...]:
 
 
 def _words(name: str) -> list[str]:
-    """Return the words of a name without its side, in lower case: rootOfTail -> base, tail."""
+    """Return the words of a name without its side, in lower case: rootOfTail -> base, tail.
+
+    A word that another implies is left out: the limb of LF_carpus, and the tip of a hoof.
+    """
     words = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[0-9]+|[^\W\d_a-zA-Z]+", without_side(name))
     lower: list[str] = [word.lower() for word in words]
-    return [_SAME_WORDS.get(word, word) for word in lower if word not in _FILLERS]
+    same = [_SAME_WORDS.get(word, word) for word in lower if word not in _FILLERS]
+    implied = {_LIMB_OF[word] for word in same if word in _LIMB_OF} | ({"tip"} if "paw" in same else set())
+    return [word for word in same if word not in implied]
 
 
 def without_side(name: str) -> str:

@@ -195,6 +195,9 @@ HEAD = ("keypoint_sigma_m", "size_sigma")
 SWING_RAD, SWING_HZ = (0.2, 1.2), (0.5, 8.0)
 
 
+_ROUGHLY = {"croup": "tail_base", "rump": "tail_base"}
+"""Markers that are near enough for a draft, but not for a fit."""
+
 SkeletonDraft = tuple[dict[str, str], tuple[str, ...], str]
 """A file's keypoints that have a place, and the quadruped's markers that they are taken for; those that have none yet;
 and the text of a skeleton file, to be completed."""
@@ -317,6 +320,10 @@ def _understood(names: Sequence[str], markers: Sequence[str]) -> dict[str, str]:
     for name in names:
         marker = by.get(name, name)
         if marker in markers and marker not in known.values():
+            known[name] = marker
+    for name in names:
+        marker = _ROUGHLY.get(name.lower())
+        if marker is not None and marker not in known.values():
             known[name] = marker
     lacking = [marker for marker in markers if marker not in known.values()]
     return known | animal.suggestions([name for name in names if name not in known], lacking)

@@ -23,6 +23,7 @@ from recon.animal import (
     skeleton_of,
     suggestions,
 )
+from recon.animal.body import other_side, side_of
 from recon.fit import Motion
 from recon.io import read_keypoints, write_csv
 from recon.keypoint_net import evaluate_2d_files
@@ -56,6 +57,10 @@ def in_file(folder: Path, text: str) -> Path:
     path.write_text(text, encoding="utf-8")
     return path
 
+
+RACEHORSE = ("nose", "poll", "withers", "croup", "LF_carpi", "LF_hoof_tip", "RF_hoof_tip", "LH_hock", "LH_hoof_tip")
+RACEHORSE += ("RH_hoof_tip", "RH_fetlock")
+"""Names of a real project, with croup for the rear."""
 
 # -- maps ----------------------------------------------------------------------------------------------------------
 
@@ -160,6 +165,28 @@ def test_a_bundled_map_has_a_name_however_it_is_written(tmp_path):
     assert (own.get("LeftCarpus"), own.get("left_carpus")) == (None, "paw")
 
 
+@pytest.mark.parametrize(
+    ("name", "marker"),
+    [
+        ("LF_carpi", "l_front_ankle"),
+        ("FR_elbow", "r_front_knee"),
+        ("hock_RH", "r_back_ankle"),
+        ("L_B_Stiffle", "l_back_knee"),
+        ("lh_hoof_tip", "l_back_paw"),
+        ("HLPaw", "l_back_paw"),
+        ("thoracic_left_wrist", "l_front_ankle"),
+        ("right_pelvic_limb_paw", "r_back_paw"),
+        ("TailSet", "tail_base"),
+        ("L_B_Elbow", None),  # a hind leg has none
+    ],
+)
+def test_names_with_the_code_of_a_leg(name, marker):
+    assert load_names("anatomical").get(name) == marker
+    expected = None if marker is None or marker[1] != "_" else {"l": "left", "r": "right"}[marker[0]]
+    assert side_of(name) == (expected if marker else "left")
+    assert side_of(other_side(name)) == (side_of(name) and {"left": "right", "right": "left"}[side_of(name)])
+
+
 def test_every_bundled_map_is_tested():
     """`coco-17` and `mouse-15` in tests/fit/test_bodies.py."""
     assert builtin_maps() == ("anatomical", "animal3d", "ap-10k", "coco-17", "mouse-15", "superanimal-quadruped")
@@ -196,6 +223,7 @@ def test_near_misses():
 def test_the_map_to_write(tmp_path):
     lines = list(map_to_write(["nose", "left_eye", "chin"], ["nose", "l_eye", "spine"]))
     assert lines == ["file,skeleton", "left_eye,l_eye", "chin,"]
+    assert [*map_to_write(["LF_carpi", "poll"], ["l_front_ankle", "nose"])][1:] == ["LF_carpi,l_front_ankle", "poll,"]
     assert load_names(in_file(tmp_path, "\n".join(lines))).names == {"left_eye": "l_eye", "chin": ""}
 
 
@@ -218,7 +246,8 @@ def test_the_summary_names_what_is_used_and_near_misses(small_trajectory):
 
 
 @pytest.mark.parametrize(
-    ("names", "placed"), [(SUPERANIMAL, 22), (AP_10K, 17), (MMPOSE_AP_10K, 17), (ANIMAL3D, 21), (ACINOSET, 24)]
+    ("names", "placed"),
+    [(SUPERANIMAL, 22), (AP_10K, 17), (MMPOSE_AP_10K, 17), (ANIMAL3D, 21), (ACINOSET, 24), (RACEHORSE, 9)],
 )
 def test_a_skeleton_is_drafted_from_names(names, placed, tmp_path):
     """It can be used, and has the quadruped's pose; a keypoint may be called as one of its segments, such as neck."""

@@ -529,7 +529,7 @@ def test_tracks_of_one_animal_are_joined(tmp_path):
     rows += [f",{k},{k},1,0.9,{k},2,0.8" for k in range(5, 8)] + [f"other,{k},9,9,0.9,9,9,0.8" for k in range(8)]
     (tmp_path / "a.csv").write_text("\n".join([BROKEN, *rows]))
     together = "--individual track_0,untracked"
-    with refusal((tmp_path / "a.csv", "individual", "3 animals", ["track_0, other, untracked", together])):
+    with refusal((tmp_path / "a.csv", "individual", "3 animals", ["track_0, untracked, other", together])):
         read_keypoints(tmp_path / "a.csv")
     found = read_keypoints(tmp_path / "a.csv", "track_0,untracked")
     assert (found.individual, found.frames.tolist()) == ("track_0,untracked", list(range(8)))
