@@ -30,7 +30,7 @@ from markdown_table import print_table
 from recon import FitSettings, load_skeleton
 from recon.check.agreement import agreement_findings
 from recon.clip import View, views_of
-from recon.fit import TrajectoryOptions
+from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.result import Finding
 from recon.geometry.frames import euler_rotation, rigid
 from recon.workflows.clip import prepare

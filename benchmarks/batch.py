@@ -26,7 +26,7 @@ from markdown_table import print_table
 
 from recon.base.package import install_command
 from recon.clip import Keypoints
-from recon.io import read_keypoints
+from recon.io.formats import read_keypoints
 from recon.testing.gallop import add_noise
 from recon.workflows.batch import RECORD
 from recon.workflows.clip_results import Record

@@ -48,11 +48,11 @@ from recon.animal.prior_fit import as_one_gaussian
 from recon.animal.skeleton_file import with_detector_offsets
 from recon.base.errors import InputError
 from recon.clip import View, still_view
-from recon.fit import TrajectoryOptions, constants, solve_trajectory
+from recon.fit import constants
 from recon.fit.banded import factored
-from recon.fit.clip_problem import ClipProblem
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.terms import dynamics_term, pose_term
-from recon.fit.trajectory import SegmentFit, solve_segments
+from recon.fit.trajectory import SegmentFit, solve_segments, solve_trajectory
 from recon.geometry.kinematics import ROOT, YAW
 from recon.testing.coverage import coverage, cumulative
 

@@ -25,7 +25,7 @@ from recordings import recordings
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from recon.calibrate.camera_motion import Tracker, TurningMotion
+from recon.calibrate.camera_motion.track import Tracker, TurningMotion
 from recon.geometry.camera import Camera
 from recon.io.video import read_frames
 

@@ -21,7 +21,7 @@ from recordings import recordings
 
 from recon import FitSettings, InputError, Motion, Pose3D, evaluate, fit_clip, read_pose3d
 from recon.animal.skeleton_file import builtin_names
-from recon.thesis import FrameSolution
+from recon.thesis.solution import FrameSolution
 
 PUBLISHED = "cheetah-8u"
 

@@ -16,8 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from markdown_table import print_table
 
-from recon.robotics.climb import Climb, bundled, load_recipe, plan
-from recon.robotics.climb.plan import IN_FILES, RULES
+from recon.robotics.climb.plan import IN_FILES, RULES, Climb, bundled, load_recipe, plan
 from recon.robotics.quadruped import Quadruped, load_robot
 
 RUNS = 5

@@ -28,8 +28,7 @@ from trajectory import body_of, meta_of, prior_of, truth_of
 from recon import Body, FitSettings, Pose3D, read_pose3d
 from recon.animal.measured import detector_toml
 from recon.clip import align_cameras, views_of
-from recon.fit import TrajectoryOptions
-from recon.fit.clip_problem import ClipProblem
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.shape import Shape, fit_shape
 from recon.gait.evaluation import evaluate
 from recon.workflows.clip import fit_clip, prepare

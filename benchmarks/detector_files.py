@@ -11,7 +11,7 @@ from pathlib import Path
 from markdown_table import print_header, print_row
 
 from recon import FitSettings, Pose3D, evaluate, fit_clip, read_pose3d, samples_folder
-from recon.io import read_keypoints
+from recon.io.formats import read_keypoints
 from recon.testing.detectors import FILES
 
 SAMPLES = samples_folder()

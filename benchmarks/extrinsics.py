@@ -29,9 +29,9 @@ from trajectory import body_of, prior_of
 
 from recon import Body
 from recon.clip import View, still_view
-from recon.fit import TrajectoryOptions, solve_trajectory
-from recon.fit.clip_problem import ClipProblem
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.extrinsics import Rig, search_offsets, solve_extrinsics
+from recon.fit.trajectory import solve_trajectory
 
 PARTS = {
     "projections of the truth": (0, 0, 0),

@@ -22,7 +22,9 @@ from cameras import PRIOR, Run, cameras_of, errors, runs_given, too_far
 from markdown_table import print_table
 from trajectory import body_of, prior_of
 
-from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.fit.clip_problem import TrajectoryOptions
+from recon.fit.result import TrajectorySolution
+from recon.fit.trajectory import solve_trajectory
 
 WRONG = 1.1
 FACTORS = (0.7, 0.85, 0.95, 1.0, 1.05, 1.15, 1.3)

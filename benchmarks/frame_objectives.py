@@ -23,9 +23,9 @@ from recordings import recordings
 
 from recon import FitSettings, Pose3D, evaluate, fit_clip, read_pose3d
 from recon.gait.kinematics import frame_jitter_m
-from recon.thesis import FrameSolution
 from recon.thesis import solver as frame
 from recon.thesis.objectives import Objective, ResidualAndJacobian, frame_objectives
+from recon.thesis.solution import FrameSolution
 
 LIMITS = ("theta range", "phi range", "theta rate", "phi rate")
 """f2, f3, f4 and f5."""

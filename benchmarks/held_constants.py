@@ -6,7 +6,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from recon.fit import TrajectoryOptions, constants
+from recon.fit import constants
+from recon.fit.clip_problem import TrajectoryOptions
 
 
 @contextmanager

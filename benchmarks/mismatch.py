@@ -34,10 +34,11 @@ from recon.animal.prior import MotionPrior, load_prior, mean_speed_m_s, prior_fr
 from recon.animal.prior_fit import fit_prior
 from recon.animal.skeleton_file import with_detector_offsets
 from recon.clip import View, still_view
-from recon.fit import TrajectorySolution, solve_trajectory
 from recon.fit.points import solve_points
+from recon.fit.result import TrajectorySolution
+from recon.fit.trajectory import solve_trajectory
 from recon.gait.evaluation import aligned, joint_errors, score
-from recon.io import read_pose_segments
+from recon.io.positions import read_pose_segments
 
 FAST_M_S = 8.5
 """The least speed of the segments that `running-cheetah` is made from."""

@@ -38,12 +38,15 @@ from recon.animal.body import other_side
 from recon.animal.prior import prior_from_body
 from recon.animal.prior_fit import fit_prior
 from recon.animal.skeleton_file import builtin_subjects
-from recon.check import Finding, input_findings, likelihood, swap_improves
+from recon.check import likelihood
+from recon.check.inputs import input_findings
 from recon.check.likelihood import baseline_of
+from recon.check.swap_repair import swap_improves
 from recon.check.swaps import _Stretch, swaps
 from recon.clip import Keypoints, Source, clean, views_of
-from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
-from recon.fit.clip_problem import ClipProblem
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
+from recon.fit.result import Finding, TrajectorySolution
+from recon.fit.trajectory import solve_trajectory
 from recon.gait.evaluation import aligned, joint_errors
 from recon.io.deeplabcut import write_csv
 

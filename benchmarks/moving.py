@@ -31,8 +31,11 @@ from scipy.spatial.transform import Rotation
 from trajectory import body_of, prior_of
 
 from recon.clip import View, fill_from_nearest
-from recon.fit import TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
+from recon.fit import constants
+from recon.fit.clip_problem import TrajectoryOptions
+from recon.fit.result import TrajectorySolution
 from recon.fit.terms import StanceVelocity
+from recon.fit.trajectory import solve_trajectory
 from recon.geometry.frames import rigid
 
 SMOOTH_S = 0.1

@@ -30,8 +30,7 @@ from net_circle import run_circle
 from net_large import run_large, write_large_film
 
 from recon.io.video import video_writer
-from recon.keypoint_net import LabelSource, TrainSettings, run_training
-from recon.keypoint_net.labels import evaluate_2d_files, read_label_file
+from recon.keypoint_net.labels import LabelSource, evaluate_2d_files, read_label_file
 from recon.keypoint_net.network import (
     PredictSettings,
     Spec,
@@ -44,6 +43,7 @@ from recon.keypoint_net.network import (
     require_torch,
     run_prediction,
 )
+from recon.keypoint_net.train import TrainSettings, run_training
 
 FIRST = 50
 """Number that the horse's labels give to the video's first frame."""

@@ -11,11 +11,11 @@ import numpy as np
 
 from recon.clip import Keypoints
 from recon.gait.evaluation import Evaluation, evaluate_files
-from recon.io import read_keypoints
 from recon.io.deeplabcut import write_csv
-from recon.keypoint_net import LabelSource, TrainSettings, run_training
-from recon.keypoint_net.labels import body_length_px, evaluate_2d, read_label_file
+from recon.io.formats import read_keypoints
+from recon.keypoint_net.labels import LabelSource, body_length_px, evaluate_2d, read_label_file
 from recon.keypoint_net.network import run_prediction
+from recon.keypoint_net.train import TrainSettings, run_training
 from recon.workflows.camera_motion import camera_motion, of_clip
 from recon.workflows.clip_results import run_clip
 from recon.workflows.demo import samples_folder

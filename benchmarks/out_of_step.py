@@ -25,7 +25,9 @@ from trajectory import body_of, prior_of
 
 from recon.check.agreement import solve_time_offsets
 from recon.clip import Source, views_of
-from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.fit.clip_problem import TrajectoryOptions
+from recon.fit.result import TrajectorySolution
+from recon.fit.trajectory import solve_trajectory
 
 OFFSETS = (0.0, 0.5, -0.5, 2.3, -2.3, 5.5, -5.5)
 

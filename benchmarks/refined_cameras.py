@@ -31,9 +31,10 @@ from trajectory import body_of, prior_of
 
 from recon import Body
 from recon.clip import View
-from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
-from recon.fit.clip_problem import ClipProblem
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.extrinsics import solve_extrinsics
+from recon.fit.result import TrajectorySolution
+from recon.fit.trajectory import solve_trajectory
 from recon.geometry.frames import rigid
 
 TURN_DEG, SHIFT_M, DRAWS = 2.0, 0.05, 3

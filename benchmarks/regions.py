@@ -27,9 +27,8 @@ from scipy.linalg.lapack import dtbtrs
 from scipy.special import gammaln
 from trajectory import body_of, prior_of
 
-from recon.fit import TrajectoryOptions
 from recon.fit.banded import factored
-from recon.fit.clip_problem import ClipProblem
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.posterior import DEGREES_OF_FREEDOM, radius, sigmas
 from recon.fit.trajectory import SegmentFit, solve_segments
 

@@ -27,8 +27,10 @@ from markdown_table import print_header, print_row
 
 from recon import load_skeleton
 from recon.animal.prior import prior_from_body
-from recon.check import why_not_refined
-from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.check.agreement import why_not_refined
+from recon.fit.clip_problem import TrajectoryOptions
+from recon.fit.result import TrajectorySolution
+from recon.fit.trajectory import solve_trajectory
 from recon.gait.evaluation import aligned
 from recon.testing.cameras import turn_view
 from recon.testing.coverage import coordinate_coverage

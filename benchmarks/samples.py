@@ -18,8 +18,9 @@ from recon.animal.body import MIN_JOINTS
 from recon.clip import still_view
 from recon.fit.result import OUTLIER_SIGMAS
 from recon.testing.gallop import SyntheticClip, add_noise, gallop
-from recon.thesis import FrameOptions, solve_frames
 from recon.thesis.chain import load_chain
+from recon.thesis.objectives import FrameOptions
+from recon.thesis.solver import solve_frames
 
 SKELETON = load_chain("cheetah-8u")
 CLEAN = FrameOptions(sigma_px=1.0, keypoint_sigma_m=0.0, base_sigma_m=0.001)

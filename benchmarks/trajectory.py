@@ -37,9 +37,12 @@ from recon.animal.chain import load_chain
 from recon.animal.prior import MotionPrior, load_prior
 from recon.animal.prior_fit import as_one_gaussian
 from recon.clip import View, clean, still_view
-from recon.fit import TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
+from recon.fit import constants
+from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.points import solve_points
 from recon.fit.posterior import radius, sigmas
+from recon.fit.result import TrajectorySolution
+from recon.fit.trajectory import solve_trajectory
 from recon.gait.clip import POSE_LASTS, POSITION_LASTS, lasts_s
 from recon.gait.evaluation import aligned, joint_errors, score
 from recon.gait.kinematics import Errors, series_kinematics

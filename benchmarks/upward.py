@@ -25,9 +25,10 @@ from recordings import recordings
 from trajectory import meta_of
 
 from recon import FitSettings, load_skeleton
-from recon.check import agreement, up_from_feet
+from recon.check import agreement
+from recon.check.agreement import up_from_feet
 from recon.clip import View, views_of
-from recon.fit import TrajectoryOptions
+from recon.fit.clip_problem import TrajectoryOptions
 from recon.workflows.clip import prepare
 
 BODY, SIGMA_PX = load_skeleton("cheetah-24"), TrajectoryOptions().sigma_px

@@ -40,7 +40,7 @@ from recon import Camera, FitSettings, InputError, Motion, fit_clip, read_camera
 from recon.animal.body import other_side
 from recon.base.documents import builtin_file
 from recon.clip import Keypoints
-from recon.io import write_cameras
+from recon.io.camera_files import write_cameras
 from recon.io.deeplabcut import write_csv
 from recon.testing.coverage import coverage
 

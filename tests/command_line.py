@@ -16,10 +16,11 @@ import pytest
 
 import recon.workflows.cli as cli
 from recon import InputError, read_settings
-from recon.base import silent, write_manifest
 from recon.base.errors import Problem
+from recon.base.files import write_manifest
 from recon.base.parallel import STARTING, Event, Work, outcome_of
-from recon.workflows import main
+from recon.base.progress import silent
+from recon.workflows.cli import main
 
 
 class Ended(NamedTuple):

@@ -27,16 +27,20 @@ from command_line import copy_results, run
 from motions import with_first
 
 from recon import FitSettings
-from recon.animal import load_skeleton
+from recon.animal.skeleton_file import load_skeleton
 from recon.clip import Keypoints, Source, camera_poses, clean, still_view, views_of
-from recon.fit import Ground, Motion, MotionSegment, TrajectorySolution
-from recon.geometry import Camera, inverse, moved
+from recon.fit.motion import Motion
+from recon.fit.result import Ground, MotionSegment, TrajectorySolution
+from recon.geometry.camera import Camera
+from recon.geometry.frames import inverse, moved
 from recon.ik import clip as ik_clip
 from recon.show.plots import style
-from recon.thesis import FrameOptions, solve_frames
 from recon.thesis.chain import load_chain, mean_pose
-from recon.workflows import analyse, run_clip
+from recon.thesis.objectives import FrameOptions
+from recon.thesis.solver import solve_frames
+from recon.workflows import analyse
 from recon.workflows.cli import Answer
+from recon.workflows.clip_results import run_clip
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

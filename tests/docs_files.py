@@ -13,10 +13,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from recon import Body, Camera, Keypoints, Pose3D, load_skeleton, read_camera, read_pose3d
-from recon.calibrate import parse_board
+from recon.calibrate.boards import parse_board
 from recon.clip import select_frames
-from recon.io import columns, read_keypoints, video_writer, write_bvh, write_csv, write_table
-from recon.show import make_rig
+from recon.io import columns
+from recon.io.bones import write_bvh
+from recon.io.deeplabcut import write_csv
+from recon.io.formats import read_keypoints
+from recon.io.video import video_writer
+from recon.io.writing import write_table
+from recon.show.rig import make_rig
 from recon.testing.boards import board_poses, draw_board
 from recon.testing.detectors import write_mmpose
 from tests.fuzz.corpus import write_sleap

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from recon.fit import Motion
+from recon.fit.motion import Motion
 
 
 def with_first(motion: Motion, **changes: Any) -> Motion:

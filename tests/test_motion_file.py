@@ -17,9 +17,9 @@ import pytest
 from command_line import refusal
 
 from recon import InputError, Motion
-from recon.base import load_record, save_record, write_manifest
-from recon.fit import MOTION
-from recon.fit.motion_forms import SCHEMA
+from recon.base.files import write_manifest
+from recon.base.records import load_record, save_record
+from recon.fit.motion_forms import MOTION, SCHEMA
 
 
 def differences(a: Any, b: Any, where: str = "") -> list[str]:

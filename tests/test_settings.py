@@ -14,11 +14,11 @@ from command_line import refusal, refused, run
 from rich.text import Text
 
 from recon import FitSettings, InputError, read_settings
-from recon.animal import load_skeleton
-from recon.fit import TrajectoryOptions
-from recon.io import read_camera, read_cameras
-from recon.thesis import FrameOptions
-from recon.workflows import app, commands
+from recon.animal.skeleton_file import load_skeleton
+from recon.fit.clip_problem import TrajectoryOptions
+from recon.io.calibration import read_camera, read_cameras
+from recon.thesis.objectives import FrameOptions
+from recon.workflows.cli import app, commands
 from recon.workflows.clip import read_model_and_cameras
 from recon.workflows.look import OverlaySettings, PageSettings
 from recon.workflows.settings import SETTINGS

@@ -19,7 +19,8 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BeforeValidator
 
-from recon.base import Array, Brief, Index, Problem
+from recon.base.arrays import Array, Brief, Index
+from recon.base.errors import Problem
 from recon.geometry.kinematics import Tree
 
 MIN_JOINTS = 5

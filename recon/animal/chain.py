@@ -28,8 +28,10 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from recon.animal.body import CHAIN_PLACES, MIN_JOINTS, Body, Side, Skeleton, foot_problems, foot_table
-from recon.base import Array, Index, InputError, Problem, documents, raise_problems
+from recon.base import documents
+from recon.base.arrays import Array, Index
 from recon.base.documents import FileTable, Number, Sigma, unknown, validated
+from recon.base.errors import InputError, Problem, raise_problems
 from recon.geometry.kinematics import PITCH, ROLL, Joint, Marker, Segment, Tree
 
 _SKELETONS = "animal/skeletons"

@@ -18,7 +18,8 @@ from typing import Any
 from recon.animal.body import SIDE_WORD, SIDES, opposite_word, side_of
 from recon.animal.chain import builtin_chains
 from recon.animal.skeleton_file import builtin_names, load_skeleton
-from recon.base import InputError, Problem, documents, raise_problems
+from recon.base import documents
+from recon.base.errors import InputError, Problem, raise_problems
 from recon.clip import Keypoints
 
 HEADER = ("file", "skeleton")

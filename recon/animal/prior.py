@@ -15,8 +15,10 @@ import numpy as np
 from pydantic import ConfigDict
 
 from recon.animal.body import Body
-from recon.base import Array, InputError, Problem, documents, raise_problems
+from recon.base import documents
+from recon.base.arrays import Array
 from recon.base.documents import FileTable
+from recon.base.errors import InputError, Problem, raise_problems
 
 ANGLES = slice(4, None)
 """The prior's angles in the state."""

@@ -13,7 +13,8 @@ from scipy.special import logsumexp
 
 from recon.animal.body import Body
 from recon.animal.prior import ANGLES, MotionPrior, SegmentRow, mean_speed_m_s
-from recon.base import Array, Bools, Problem, raise_problems
+from recon.base.arrays import Array, Bools
+from recon.base.errors import Problem, raise_problems
 
 FRAMES_PER_COMPONENT = 20
 """With fewer, a component of the mixture could be one short piece of one segment."""

@@ -16,8 +16,9 @@ import numpy as np
 from pydantic import Field
 
 from recon.animal.body import MIN_JOINTS, PLACES, Body, foot_problems, foot_table, other_side, side_of
-from recon.base import InputError, Problem, collect_problems, documents, raise_problems
+from recon.base import documents
 from recon.base.documents import FileTable, Number, Sigma, unknown, validated
+from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES, Marker, Segment, Tree
 
 

@@ -27,9 +27,9 @@ from tempfile import TemporaryDirectory
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal
 
-from recon.base import Progress
 from recon.base.errors import InputError, Problem
 from recon.base.package import install_command
+from recon.base.progress import Progress
 
 if TYPE_CHECKING:
     from distributed import Client, Future

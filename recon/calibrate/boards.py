@@ -38,8 +38,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import block_diag
 
-from recon.base import Array, Bools, Index, InputError, Problem, Progress, raise_problems, silent
-from recon.geometry import LENS_MODELS, Camera
+from recon.base.arrays import Array, Bools, Index
+from recon.base.errors import InputError, Problem, raise_problems
+from recon.base.progress import Progress, silent
+from recon.geometry.camera import Camera
+from recon.geometry.lens import LENS_MODELS
 from recon.io.video import SUFFIXES as VIDEO_SUFFIXES
 from recon.io.video import probe, read_frames, read_picture
 

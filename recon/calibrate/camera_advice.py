@@ -14,12 +14,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from recon.animal import Body, MotionPrior
+from recon.animal.body import Body
+from recon.animal.prior import MotionPrior
 from recon.base.arrays import Array
 from recon.clip import View, still_view
-from recon.fit import ClipProblem, Estimate, TrajectoryOptions, constants
+from recon.fit import constants
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
+from recon.fit.least_squares import Estimate
 from recon.fit.posterior import posterior
-from recon.geometry import ROOT, Camera
+from recon.geometry.camera import Camera
+from recon.geometry.kinematics import ROOT
 
 AZIMUTHS_RAD = np.radians(np.arange(0, 360, 30))
 """Azimuths about the animal, from above counter-clockwise: 0 ahead of it, a quarter turn to its left."""

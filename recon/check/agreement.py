@@ -35,10 +35,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from recon.animal.body import Body
-from recon.base import Array, Index, InputError, Problem, raise_problems
+from recon.base.arrays import Array, Index
+from recon.base.errors import InputError, Problem, raise_problems
 from recon.check.codes import finding
 from recon.clip import Source, View, align_cameras, densest_window, views_of
-from recon.fit import Finding, Motion, StanceVelocity, TrajectorySolution, constants
+from recon.fit import constants
+from recon.fit.motion import Motion
+from recon.fit.result import Finding, TrajectorySolution
+from recon.fit.terms import StanceVelocity
 
 MAX_LEVEL = 1.6
 """Level up to which a camera agrees, or more where the others are noisier than expected."""

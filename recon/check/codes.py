@@ -12,8 +12,8 @@ from typing import Any
 
 from recon.base.documents import builtin_file
 from recon.base.numbers import length_text
-from recon.fit import Finding, Motion
-from recon.fit.result import Severity
+from recon.fit.motion import Motion
+from recon.fit.result import Finding, Severity
 
 NAMED = 5
 """Most names listed in a sentence."""

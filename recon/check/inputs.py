@@ -15,7 +15,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 from threadpoolctl import threadpool_limits
 
-from recon.animal import opposites
+from recon.animal.body import opposites
 from recon.animal.prior import NONE, MotionPrior, mean_speed_m_s
 from recon.base.arrays import Array, Bools
 from recon.check.codes import FLAG_OF, finding
@@ -30,7 +30,10 @@ from recon.check.likelihood import (
 )
 from recon.check.swaps import swap_finding, swaps
 from recon.clip import Keypoints, Source, View, frame_ranges, leave_out
-from recon.fit import REFERENCE_HZ, ClipProblem, Finding, Motion, TrajectoryOptions, TrajectorySolution
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
+from recon.fit.motion import Motion
+from recon.fit.result import Finding, TrajectorySolution
+from recon.fit.terms import REFERENCE_HZ
 from recon.geometry.kinematics import ROOT
 
 FASTEST_M_S = 40.0

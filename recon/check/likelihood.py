@@ -23,19 +23,15 @@ from recon.animal.prior import ANGLES, NONE, mean_speed_m_s
 from recon.base.arrays import Array, Bools, mean_along
 from recon.check.codes import finding
 from recon.clip import View, densest_window, frame_ranges
-from recon.fit import (
-    APPROACH_HZ,
-    Estimate,
-    Finding,
-    LeastSquares,
-    TrajectorySolution,
-    interpolate_states,
-    prior_misfit_of,
-    solve_trajectory,
-)
 from recon.fit.clip_problem import ClipProblem, contacts, sigmas_above_ground
+from recon.fit.least_squares import Estimate, LeastSquares
+from recon.fit.posterior import prior_misfit_of
+from recon.fit.result import Finding, TrajectorySolution
+from recon.fit.starts import APPROACH_HZ, interpolate_states
 from recon.fit.terms import MOTION
-from recon.geometry import ROOT, Camera
+from recon.fit.trajectory import solve_trajectory
+from recon.geometry.camera import Camera
+from recon.geometry.kinematics import ROOT
 
 _TOLERANCE, _ITERATIONS = 3e-3, 12
 """When a minimum is good enough."""

@@ -11,10 +11,15 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from recon.animal import Body, builtin_names, load_skeleton, mean_speed_m_s
+from recon.animal.body import Body
+from recon.animal.prior import mean_speed_m_s
+from recon.animal.skeleton_file import builtin_names, load_skeleton
 from recon.check.codes import FLAG_OF, FLAGS, finding, sort_findings
 from recon.check.inputs import FASTEST_M_S
-from recon.fit import ALTERNATIVE_M, Finding, Motion, TrajectorySolution, constants
+from recon.fit import constants
+from recon.fit.motion import Motion
+from recon.fit.result import Finding, TrajectorySolution
+from recon.fit.trajectory import ALTERNATIVE_M
 
 Rule = Callable[[Motion], Iterator[Finding]]
 

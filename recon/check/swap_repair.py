@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from recon.animal import Body, opposites
+from recon.animal.body import Body, opposites
 from recon.check import likelihood
 from recon.check.codes import finding
 from recon.check.swaps import PARTS, exchanged_rows
 from recon.clip import Source
-from recon.fit import Finding, TrajectorySolution
+from recon.fit.result import Finding, TrajectorySolution
 
 
 def swap_improves(mended: TrajectorySolution, given: TrajectorySolution) -> bool:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from recon.animal import Body, opposites
+from recon.animal.body import Body, opposites
 from recon.base.arrays import Array, Bools, Index
 from recon.check import likelihood
 from recon.check.codes import finding

@@ -14,11 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from recon.base import Array, InputError, Problem
+from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem
 from recon.check.codes import sentence
 from recon.check.rules import findings_of
-from recon.fit import ExpectedError, Finding, Motion, TrajectorySolution, Verdict, radius
-from recon.fit.result import Level
+from recon.fit.motion import Motion
+from recon.fit.posterior import radius
+from recon.fit.result import ExpectedError, Finding, Level, TrajectorySolution, Verdict
 
 LIMIT_OF_TRUNK = 0.2
 """Mean error of the joints, relative to the trunk's length, that spoils most uses: 14 cm for a cheetah.

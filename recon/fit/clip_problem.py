@@ -8,7 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from recon.animal import Body, MotionPrior, prior_from_body
+from recon.animal.body import Body
+from recon.animal.prior import MotionPrior, prior_from_body
 from recon.base.arrays import Array, Bools, Index
 from recon.clip import View
 from recon.fit import constants, terms

@@ -22,7 +22,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
-from recon.base import Array, InputError, Problem, Progress, silent
+from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem
+from recon.base.progress import Progress, silent
 from recon.clip import View
 from recon.fit import constants
 from recon.fit.banded import eliminated

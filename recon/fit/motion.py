@@ -15,7 +15,9 @@ from recon.animal.body import Body, Side, Skeleton
 from recon.base.arrays import Array, Bools, Brief, Integers, mean_along, median
 from recon.clip import CleaningReport, Keypoints, Source, world_from_reference
 from recon.fit.result import OUTLIER_SIGMAS, Finding, MotionSegment, Solution, Verdict
-from recon.geometry import PITCH, ROOT, YAW, Camera, inverse, moved
+from recon.geometry.camera import Camera
+from recon.geometry.frames import inverse, moved
+from recon.geometry.kinematics import PITCH, ROOT, YAW
 from recon.io.common import Pose3D
 
 if TYPE_CHECKING:

@@ -12,8 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from recon.base import Array, InputError, Problem, load_record
+from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem
 from recon.base.files import MANIFEST, read_manifest
+from recon.base.records import load_record
 from recon.fit.result import SHAPES
 from recon.geometry.kinematics import YAW
 

@@ -43,7 +43,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import fdtri
 
-from recon.animal import ANGLES, Body
+from recon.animal.body import Body
+from recon.animal.prior import ANGLES
 from recon.base.arrays import Array
 from recon.fit import constants
 from recon.fit.banded import Window, eliminated

@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from recon.animal import ANGLES, MIN_JOINTS
+from recon.animal.body import MIN_JOINTS
+from recon.animal.prior import ANGLES
 from recon.base.arrays import Array, Index
 from recon.fit.clip_problem import UP, ClipProblem
 from recon.fit.least_squares import Estimate

@@ -24,7 +24,8 @@ import numpy as np
 from recon.animal.prior import ANGLES, MotionPrior
 from recon.base.arrays import Array, Index
 from recon.clip import View
-from recon.geometry import ROOT, YAW, TreePose, euler_rotation_with_jacobian
+from recon.geometry.frames import euler_rotation_with_jacobian
+from recon.geometry.kinematics import ROOT, YAW, TreePose
 
 SIZE = "size"
 """Name of the shared unknown: a factor on all lengths, 1 where it is no unknown."""

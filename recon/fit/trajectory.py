@@ -32,7 +32,8 @@ from threadpoolctl import threadpool_limits
 
 from recon.animal.body import MIN_JOINTS, MIN_REACH_PX, Body
 from recon.animal.prior import ANGLES, NONE, MotionPrior
-from recon.base import Array, Bools, Progress, silent
+from recon.base.arrays import Array, Bools
+from recon.base.progress import Progress, silent
 from recon.clip import BRIDGED_S, View, densest_window
 from recon.fit import constants
 from recon.fit.banded import eliminated

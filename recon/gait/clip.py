@@ -21,9 +21,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from recon.base import Array, Bools, Brief, InputError, Problem
+from recon.base.arrays import Array, Bools, Brief
+from recon.base.errors import InputError, Problem
 from recon.clip import frame_ranges
-from recon.fit import MEASURED_SHARE, Motion, TrajectorySolution, constants
+from recon.fit import constants
+from recon.fit.motion import MEASURED_SHARE, Motion
+from recon.fit.result import TrajectorySolution
 from recon.gait import kinematics, phase
 from recon.gait.dynamics import Dynamics, dynamics
 from recon.gait.gait import BODY, Gait, Stride, gait, interval_of, interval_text, pose_tracks

@@ -30,9 +30,10 @@ import numpy as np
 
 from recon.animal.capsules import capsules, inertias_m2, middles_m
 from recon.base.arrays import Array, Brief, Integers
-from recon.check import finding
+from recon.check.codes import finding
 from recon.clip import frame_ranges
-from recon.fit import Finding, Motion
+from recon.fit.motion import Motion
+from recon.fit.result import Finding
 from recon.gait import kinematics
 from recon.gait.gait import INTERVAL, Gait, interval_of
 from recon.gait.kinematics import OVERSAMPLING, Errors, JointKinematics

@@ -21,14 +21,19 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from recon.animal import fitting_maps, load_names, new_names, opposites
-from recon.base import Array, Brief, InputError, Problem, collect_problems, mean_along, raise_problems
-from recon.base.arrays import to_plain
+from recon.animal.body import opposites
+from recon.animal.naming import fitting_maps, load_names, new_names
+from recon.base.arrays import Array, Brief, mean_along, to_plain
+from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import MANIFEST
-from recon.check import finding, sentence, usable
+from recon.check.codes import finding, sentence
+from recon.check.verdict import usable
 from recon.clip import frame_ranges
-from recon.fit import Finding, Motion, Verdict, radius
-from recon.io import Pose3D, read_pose3d
+from recon.fit.motion import Motion
+from recon.fit.posterior import radius
+from recon.fit.result import Finding, Verdict
+from recon.io.common import Pose3D
+from recon.io.positions import read_pose3d
 
 PCK_THRESHOLDS_M, PCK_LARGEST = (0.05, 0.1, 0.15), 1 / 3
 """Thresholds, divided by ten until the largest is at most this part of the animal: all of a mouse lies within 0.15

@@ -44,7 +44,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from recon.base import Array, Bools, Brief, mean, median
+from recon.base.arrays import Array, Bools, Brief, mean, median
 from recon.base.numbers import interval, length_text, percent
 from recon.clip import frame_ranges
 from recon.fit.posterior import radius

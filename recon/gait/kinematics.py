@@ -32,7 +32,8 @@ from scipy.interpolate import CubicSpline, make_smoothing_spline
 from scipy.linalg import solveh_banded
 from scipy.optimize import brentq
 
-from recon.base import Array, Brief, Index, InputError, Problem
+from recon.base.arrays import Array, Brief, Index
+from recon.base.errors import InputError, Problem
 from recon.io.common import Pose3D
 
 Curve = Callable[[Array, int], Array]

@@ -19,7 +19,7 @@ from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.settings import Integer, Number, Option, Settings
-from recon.check import usable, verdict_fields
+from recon.check.verdict import usable, verdict_fields
 from recon.fit.motion import Motion
 from recon.gait.phase import Closure, Portrait
 from recon.ik.drive import Run, control_columns, drive_to

@@ -25,8 +25,9 @@ from scipy.spatial.transform import Rotation
 
 from recon.animal.body import Side
 from recon.animal.capsules import Capsule
-from recon.base import Array, Problem, raise_problems
+from recon.base.arrays import Array
 from recon.base.documents import read_text
+from recon.base.errors import Problem, raise_problems
 from recon.base.package import version
 from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints

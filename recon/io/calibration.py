@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from recon.base import Array, InputError, Problem, collect_problems, raise_problems
+from recon.base.arrays import Array
 from recon.base.documents import parse_json, parse_toml, read_text
+from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.geometry.camera import BLOCKS, LARGEST, TILT, Camera, is_rotation
 from recon.geometry.lens import LENS_MODELS
 from recon.io.formats import FORMATS, recognised, titles

@@ -23,8 +23,8 @@ from typing import Any
 
 import tomli_w
 
-from recon.base import InputError, Problem
 from recon.base.documents import parse_json, parse_toml
+from recon.base.errors import InputError, Problem
 from recon.base.files import write_text
 from recon.geometry.camera import Camera
 from recon.geometry.lens import LENS_MODELS, lens_named

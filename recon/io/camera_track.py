@@ -25,8 +25,9 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from recon.base import Array, Bools, InputError, Integers, Problem, raise_problems
+from recon.base.arrays import Array, Bools, Integers
 from recon.base.documents import parse_json, read_text, require_file
+from recon.base.errors import InputError, Problem, raise_problems
 from recon.clip import FramePoses
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, rigid

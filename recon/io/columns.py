@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from recon.base import InputError, Problem, raise_problems
 from recon.base.documents import MAX_UNPACKED, damage_named
+from recon.base.errors import InputError, Problem, raise_problems
 from recon.base.files import write_bytes
 from recon.clip import Keypoints
 from recon.io import common, writing

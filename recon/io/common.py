@@ -17,8 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.base import Brief, InputError, Problem, raise_problems
+from recon.base.arrays import Brief
 from recon.base.documents import damage_named
+from recon.base.errors import InputError, Problem, raise_problems
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from recon.base import InputError, Problem
 from recon.base.documents import read_content
+from recon.base.errors import InputError, Problem
 from recon.io.calibration import CameraRecord
 from recon.io.camera_files import record_of
 from recon.io.common import StoredPoints, one_animal, starts_with

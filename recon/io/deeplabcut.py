@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.base import InputError, Problem, raise_problems
+from recon.base.errors import InputError, Problem, raise_problems
 from recon.clip import Keypoints
 from recon.io import common
 from recon.io.common import SCORER, Pose3D, StoredPoints

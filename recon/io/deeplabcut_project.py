@@ -10,8 +10,8 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from recon.base import InputError, Problem, raise_problems
 from recon.base.documents import read_text
+from recon.base.errors import InputError, Problem, raise_problems
 
 CONFIG = "config.yaml"
 SEVERAL = "MULTI!"

@@ -15,8 +15,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from recon.base import InputError, Problem
 from recon.base.documents import damage_named, read_head
+from recon.base.errors import InputError, Problem
 from recon.clip import Keypoints
 from recon.io.common import NoChoiceError, StoredPoints, frames_seen, joined_tracks
 from recon.io.times import with_rate

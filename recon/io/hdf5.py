@@ -17,8 +17,8 @@ import h5py
 import numpy as np
 from h5py import h5t
 
-from recon.base import InputError, Problem
 from recon.base.documents import MAX_UNPACKED, damage_named
+from recon.base.errors import InputError, Problem
 from recon.io.common import starts_with
 
 FREE_BYTES = 1 << 26

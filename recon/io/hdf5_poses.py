@@ -33,7 +33,7 @@ from uuid import uuid4
 import h5py
 import numpy as np
 
-from recon.base import InputError, Problem, raise_problems
+from recon.base.errors import InputError, Problem, raise_problems
 from recon.base.files import write_bytes
 from recon.clip import Keypoints
 from recon.io import common, hdf5, writing

@@ -25,8 +25,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from recon.base import InputError, Problem, raise_problems
 from recon.base.documents import damage_named, read_json
+from recon.base.errors import InputError, Problem, raise_problems
 from recon.io import common
 from recon.io.common import StoredPoints
 

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from recon.base import InputError, Problem, raise_problems
 from recon.base.documents import read_text
+from recon.base.errors import InputError, Problem, raise_problems
 from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints
 from recon.io.positions import PER_METRE, UNIT_NAMES

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from recon.base import InputError, Problem
 from recon.base.documents import KINDS, MAX_UNPACKED, arrays_of, damage_named, read_content
+from recon.base.errors import InputError, Problem
 from recon.base.files import write_bytes
 from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints, one_animal, rate

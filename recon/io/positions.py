@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.base import InputError, Problem, collect_problems
 from recon.base.documents import read_head
+from recon.base.errors import InputError, Problem, collect_problems
 from recon.io.common import Pose3D, StoredPoints, text_rows
 from recon.io.deeplabcut import points_of_rows
 from recon.io.formats import Format, read_points

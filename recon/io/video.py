@@ -19,7 +19,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from recon.base import Array, InputError, Problem
+from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem
 from recon.base.files import staged_file
 from recon.geometry.camera import Camera
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.base import InputError, Problem, raise_problems
+from recon.base.errors import InputError, Problem, raise_problems
 from recon.clip import Keypoints, frame_ranges
 from recon.io.common import MAX_FRAME, SCORER, Pose3D, StoredPoints, require_span
 

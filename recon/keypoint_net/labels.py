@@ -17,16 +17,18 @@ import pandas as pd
 from rich.table import Table
 from rich.text import Text
 
-from recon.animal import load_names, map_to_write, new_names, other_side, renamed
-from recon.base import Array, Bools, InputError, Integers, Problem, collect_problems, median, raise_problems
+from recon.animal.body import other_side
+from recon.animal.naming import load_names, map_to_write, new_names, renamed
+from recon.base.arrays import Array, Bools, Integers, median
 from recon.base.documents import read_head
+from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.settings import Integer, Number, Option, Positive, Settings
 from recon.clip import Keypoints, mark_missing, parse_frame_range, select_frames
-from recon.io import frames_text, read_keypoints
 from recon.io.common import first_problems
 from recon.io.deeplabcut_project import Project, find_project, label_files
-from recon.io.formats import as_keypoints, recognised
+from recon.io.formats import as_keypoints, read_keypoints, recognised
 from recon.io.video import Image, probe, read_frames, read_picture
+from recon.io.writing import frames_text
 from recon.show.plain import picked
 from recon.workflows.cli import Answer, table_of
 from recon.workflows.settings import RENAME, FrameRange

@@ -40,13 +40,16 @@ from pydantic import Field
 from scipy.optimize import minimize
 from scipy.special import expit, logit
 
-from recon.base import Array, Bools, InputError, Problem, Progress, collect_problems, install_command, silent
+from recon.base.arrays import Array, Bools
 from recon.base.documents import check_unpacked_size, validated
+from recon.base.errors import InputError, Problem, collect_problems
 from recon.base.files import require_free_file, staged_file, write_bytes
+from recon.base.package import install_command
 from recon.base.parallel import available_cores
+from recon.base.progress import Progress, silent
 from recon.base.settings import Count, Option, Settings
 from recon.clip import Keypoints
-from recon.io import FORMATS
+from recon.io.formats import FORMATS
 from recon.io.video import Image, VideoInfo, missing_note, probe, require_codec, timed_frames, video_writer
 from recon.keypoint_net.labels import resize, scale_points
 from recon.keypoint_net.pictures import ahead, background_of_video

@@ -28,28 +28,18 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from recon import __version__
-from recon.base import (
-    Array,
-    Bools,
-    InputError,
-    Integers,
-    Problem,
-    Progress,
-    collect_problems,
-    mean,
-    median,
-    raise_problems,
-    silent,
-)
+from recon.base.arrays import Array, Bools, Integers, mean, median, to_plain
+from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import require_free_folder, sole_writer, staged_folder, write_bytes
+from recon.base.progress import Progress, silent
 from recon.base.settings import Count, Integer, Number, Option, Settings
+from recon.base.version import __version__
 from recon.io.video import Image
 from recon.keypoint_net import labels as data
 from recon.keypoint_net import network as net
 from recon.keypoint_net import pictures
 from recon.show.overlay import draw_circle, draw_line, draw_text
-from recon.show.plain import picked, to_json, to_plain
+from recon.show.plain import picked, to_json
 from recon.workflows.cli import Answer, stop
 
 if TYPE_CHECKING:

@@ -38,7 +38,7 @@ from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, collect_problems
 from recon.base.records import load_record, save_record
 from recon.base.settings import Integer, Option, Positive, Settings
-from recon.check import usable, verdict_fields
+from recon.check.verdict import usable, verdict_fields
 from recon.fit.motion import Motion
 from recon.fit.result import TrajectorySolution
 from recon.fit.sampling import draws

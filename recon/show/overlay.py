@@ -21,7 +21,8 @@ import numpy as np
 import pandas as pd
 
 from recon.animal.body import Side
-from recon.base import Array, Bools, Index, InputError, Integers, Problem, finite, mean_along
+from recon.base.arrays import Array, Bools, Index, Integers, finite, mean_along
+from recon.base.errors import InputError, Problem
 from recon.io.video import Image, probe, timed_frames
 
 Colour = tuple[int, int, int]

@@ -12,10 +12,12 @@ from dataclasses import asdict
 from importlib import import_module
 from typing import Any
 
-from recon import check
-from recon.base import version
-from recon.fit import Motion
-from recon.show.plain import picked, to_plain
+from recon.base.arrays import to_plain
+from recon.base.package import version
+from recon.check.codes import sentences as finding_sentences
+from recon.check.verdict import verdict_fields
+from recon.fit.motion import Motion
+from recon.show.plain import picked
 from recon.show.sections import cameras, ground, inputs, keypoints, search
 from recon.show.sections import motion as motion_sections
 from recon.show.sections.section import Section
@@ -24,7 +26,7 @@ SCHEMA_NAME, SCHEMA_VERSION = "recon.fit.report", 4
 REPORT = "report.json"
 
 SECTIONS: tuple[Section, ...] = (
-    Section("verdict", check.verdict_fields, inputs.verdict_lines),
+    Section("verdict", verdict_fields, inputs.verdict_lines),
     Section("input", inputs.clip_data, inputs.clip_lines),
     Section("side", inputs.side_data, inputs.side_lines),
     Section("frame_of_reference", lambda motion: motion.frame_of_reference),
@@ -66,7 +68,7 @@ def build_report(motion: Motion) -> dict[str, Any]:
         "method": motion.solution.method,
         "settings": to_plain(motion.settings),
         "timing_s": to_plain({**motion.timing_s, **motion.solution.stage_s} or None),
-        "findings": [to_plain(asdict(finding) | {"text": text}) for finding, text in check.sentences(motion)],
+        "findings": [to_plain(asdict(finding) | {"text": text}) for finding, text in finding_sentences(motion)],
         "lines": [],
     }
     for section in sections_of(motion):

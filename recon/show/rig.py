@@ -11,10 +11,13 @@ import numpy as np
 
 from recon.animal.body import Body
 from recon.animal.capsules import capsules, inertias_m2, middles_m
-from recon.base import Array, Index, InputError, Problem
+from recon.base.arrays import Array, Index
+from recon.base.errors import InputError, Problem
 from recon.fit.motion import Motion
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES, ROOT
-from recon.io import Armature, Bone, BoneAngle, Pose3D, frames_text, require_span, y_up_from_z_up
+from recon.io.bones import Armature, Bone, BoneAngle
+from recon.io.common import Pose3D, require_span
+from recon.io.writing import frames_text, y_up_from_z_up
 
 RANGE_SIGMAS = 3.0
 SAME_M = 1e-4

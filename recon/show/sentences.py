@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from recon.base import median
+from recon.base.arrays import median
 from recon.base.numbers import decimals, length_text, percent, percent_range
-from recon.fit import Motion
-from recon.gait import G_M_S2, Gait
-from recon.gait.gait import interval_text
+from recon.fit.motion import Motion
+from recon.gait.dynamics import G_M_S2
+from recon.gait.gait import Gait, interval_text
 from recon.gait.kinematics import JointKinematics
 
 

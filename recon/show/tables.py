@@ -15,8 +15,10 @@ from typing import Any
 import numpy as np
 
 from recon.fit.motion import Motion
-from recon.gait import FORCE_COLUMNS, G_M_S2, OVER_STRIDE, ClipAnalysis, field_means, over_stride
+from recon.gait.clip import ClipAnalysis
+from recon.gait.dynamics import FORCE_COLUMNS, G_M_S2, OVER_STRIDE, over_stride
 from recon.gait.kinematics import AngleKinematics
+from recon.gait.phase import field_means
 from recon.io.writing import write_columns, write_rows, write_table
 
 QUALITY_COLUMNS = ("frame", "flags", "alternative_m", "detections", "mean_weight", "place_sigma_m", "relative_rms_m")

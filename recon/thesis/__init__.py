@@ -6,15 +6,6 @@ first pose; solver: Levenberg-Marquardt; solution: its result; inspect and figur
 sections of report.json and summary; clip: the commands `recon frame` and `recon solver`.
 """
 
-from typing import TYPE_CHECKING
+import lazy_loader
 
-from recon.base import lazily
-
-if TYPE_CHECKING:
-    from recon.thesis.clip import fit_clip, load_body
-    from recon.thesis.inspect import SolverRecord, read_solver
-    from recon.thesis.objectives import FrameOptions
-    from recon.thesis.solution import FrameSolution
-    from recon.thesis.solver import FrameProblem, FrameSolver, solve_frames
-
-__getattr__ = lazily(__name__, __file__)
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

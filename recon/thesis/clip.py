@@ -9,10 +9,10 @@ from rich.console import Console
 from threadpoolctl import threadpool_limits
 
 from recon.animal.body import Body
-from recon.base import Progress, silent
 from recon.base.files import require_free_folder, sole_writer, staged_folder
+from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Option, Settings
-from recon.check import add_verdict
+from recon.check.verdict import add_verdict
 from recon.clip import views_of
 from recon.fit.motion import Motion
 from recon.show.plain import to_json

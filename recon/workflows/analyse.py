@@ -14,10 +14,12 @@ from rich.table import Table
 from rich.text import Text
 from threadpoolctl import threadpool_limits
 
-from recon.base import Progress, mean, median, silent
+from recon.base.arrays import mean, median
 from recon.base.files import require_free_folder, sole_writer, staged_folder
+from recon.base.progress import Progress, silent
 from recon.base.settings import Option, Positive, Settings
-from recon.check import sentence, usable, verdict_fields
+from recon.check.codes import sentence
+from recon.check.verdict import usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.dynamics import OVER_STRIDE, Dynamics, findings_of_dynamics, over_stride
@@ -233,20 +235,21 @@ def _gait_summary(gait: Gait) -> dict[str, Any]:
 def write_figures(found: ClipAnalysis, folder: Path, progress: Progress) -> None:
     """PNG and SVG of composites, speed, footfalls, vector fields by limb, phase portraits, what the pixels say of the
     angles, and the stride's configurations in the animal's own frame."""
-    from recon.show import plots
+    from recon.show.plots.style import save
 
     drawn = figures_of(found)
     for done, (name, draw) in enumerate(drawn.items()):
         progress(f"figures: {name}", FIGURES_BEGIN + (1.0 - FIGURES_BEGIN) * done / len(drawn))
-        plots.save(draw(), folder, name)
+        save(draw(), folder, name)
 
 
 def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
     """By file name, what draws it."""
-    from recon.show import plots
+    from recon.show.plots.configurations import body_fixed, composites, in_body, observability
+    from recon.show.plots.over_time import footfall, forces, phase_portraits, speeds, vector_fields
 
     motion, time_s, during, gait = found.motion, found.motion.time_s, found.during_stride, found.gait
-    joints_m = plots.in_body(motion.body, motion.states[during], motion.size, motion.reference_joint)
+    joints_m = in_body(motion.body, motion.states[during], motion.size, motion.reference_joint)
     title = f"one stride of {found.stride.foot}" if found.stride else "whole clip: no complete stride"
     title = "the stride that was given" if found.given is not None else title
     limbs, sides = motion.limbs, motion.limb_sides
@@ -255,21 +258,21 @@ def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
     moved, unknown = {found.reference: found.reference_motion}, found.why_no_speed is not None
     why_not = found.reference_motion.why_no_acceleration
     drawn: dict[str, Callable[[], Figure]] = {
-        "composites": partial(plots.composites, found.pose.xyz_m, limbs, time_s, ground, sides=sides),
-        "speed": partial(plots.speeds, moved, why_not, unknown=unknown, acceleration=not why_not),
-        "phase_portraits": lambda: plots.phase_portraits(found.portraits, found.closures, title, motion.data_shares),
-        "observability": partial(plots.observability, motion.body, shares[during], time_s[during], title, shares),
-        "body_fixed": partial(plots.body_fixed, joints_m, limbs, **own),
+        "composites": partial(composites, found.pose.xyz_m, limbs, time_s, ground, sides=sides),
+        "speed": partial(speeds, moved, why_not, unknown=unknown, acceleration=not why_not),
+        "phase_portraits": lambda: phase_portraits(found.portraits, found.closures, title, motion.data_shares),
+        "observability": partial(observability, motion.body, shares[during], time_s[during], title, shares),
+        "body_fixed": partial(body_fixed, joints_m, limbs, **own),
     }
     parts: dict[str, dict[str, Sequence[int]]] = {}
     for limb, along in limbs.items():
         parts.setdefault("spine" if sides[limb] is None else limb, {})[limb] = along
     for name, of_part in parts.items() if len(parts) > 1 else ():
-        drawn[f"body_fixed_{name.replace(' ', '_')}"] = partial(plots.body_fixed, joints_m, of_part, **own)
+        drawn[f"body_fixed_{name.replace(' ', '_')}"] = partial(body_fixed, joints_m, of_part, **own)
     for limb, fields in found.fields.items():
-        drawn[f"vector_field_{limb.replace(' ', '_')}"] = partial(plots.vector_fields, fields, time_s, limb)
+        drawn[f"vector_field_{limb.replace(' ', '_')}"] = partial(vector_fields, fields, time_s, limb)
     if gait is not None:
-        drawn["footfalls"] = partial(plots.footfall, {"gait": gait}, motion.fps)
+        drawn["footfalls"] = partial(footfall, {"gait": gait}, motion.fps)
         if found.dynamics is not None:
-            drawn["forces"] = partial(plots.forces, found.dynamics, gait)
+            drawn["forces"] = partial(forces, found.dynamics, gait)
     return drawn

@@ -11,15 +11,16 @@ from typing import Annotated, Any
 from rich.table import Table
 from rich.text import Text
 
-from recon.base import Problem, Progress, collect_problems, raise_problems, silent
+from recon.base.errors import Problem, collect_problems, raise_problems
 from recon.base.files import require_free_file, staged_folder, write_bytes
+from recon.base.progress import Progress, silent
 from recon.base.settings import OneOrMore, Option, Settings
 from recon.calibrate.boards import calibrate as solved
 from recon.calibrate.boards import check as checked
 from recon.calibrate.boards import collect, find_views, parse_board
-from recon.check import names_text
+from recon.check.codes import names_text
 from recon.geometry.lens import LENS_MODELS
-from recon.io import write_camera
+from recon.io.camera_files import write_camera
 from recon.show.plain import picked
 from recon.workflows.cli import Answer, table_of
 
@@ -111,7 +112,7 @@ def run_calibration(settings: CalibrationSettings, progress: Progress = silent) 
     calibration = solved(views, settings.model, settings.out.stem)
     checks = checked(calibration)
     refused = any(c.verdict == "refused" for c in checks)
-    from recon.show.plots import calibration as drawn  # matplotlib
+    from recon.show.plots.configurations import calibration as drawn  # matplotlib
     from recon.show.plots.style import png_of
 
     with staged_folder(settings.out.absolute().parent) as folder:

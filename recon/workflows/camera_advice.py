@@ -10,16 +10,19 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from recon.animal import load_prior, load_skeleton
-from recon.base import Problem, Progress, raise_problems
+from recon.animal.prior import load_prior
+from recon.animal.skeleton_file import load_skeleton
+from recon.base.errors import Problem, raise_problems
 from recon.base.files import require_free_folder, staged_folder
+from recon.base.progress import Progress
 from recon.base.settings import Integer, Number, Settings
 from recon.calibrate.camera_advice import AZIMUTHS_RAD, ELEVATIONS_RAD, PICTURE_PX, Advice, advise
 from recon.fit.motion import MEASURED_SHARE
-from recon.io import write_rows
-from recon.show import plots
+from recon.io.writing import write_rows
 from recon.show.plain import picked, to_json
+from recon.show.plots.configurations import camera_advice as advice_figure
 from recon.show.plots.configurations import in_words
+from recon.show.plots.style import save
 from recon.workflows.cli import Answer
 
 REPORT, TABLE, FIGURE = "camera_advice.json", "camera_advice.csv", "camera_advice"
@@ -119,7 +122,7 @@ def camera_advice(settings: _CameraAdviceSettings, progress: Progress) -> Answer
     with staged_folder(settings.out) as staging:
         (staging / REPORT).write_text(to_json(report), encoding="utf-8")
         write_rows(staging / TABLE, [[*table.columns]], table.itertuples(index=False))
-        plots.save(plots.camera_advice(found), staging, FIGURE)
+        save(advice_figure(found), staging, FIGURE)
     return Answer(report, [*report["words"], f"The figure and the table are in {settings.out}."])
 
 

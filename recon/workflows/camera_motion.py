@@ -12,17 +12,20 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from recon.base import Array, InputError, Problem, Progress, collect_problems, raise_problems, silent
+from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import require_free_file, staged_folder, write_bytes
+from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Option, Settings
-from recon.calibrate import camera_motion as turning
-from recon.calibrate.camera_motion import LevelMark, TurningMotion
-from recon.calibrate.camera_motion.track import CLEARLY, panorama, thumbnail
+from recon.calibrate.camera_motion.rotation import LevelMark, as_level, read_marks, tilted, up_by_marks
+from recon.calibrate.camera_motion.track import CLEARLY, Tracker, TurningMotion, panorama, thumbnail
 from recon.clip import Keypoints
 from recon.geometry.camera import Camera
-from recon.io import read_camera, read_keypoints, write_table
+from recon.io.calibration import read_camera
 from recon.io.camera_track import INTRINSICS, POSE, SIGMA
+from recon.io.formats import read_keypoints
 from recon.io.video import Image, missing_frames, missing_note, probe, size_problems, timed_frames
+from recon.io.writing import write_table
 from recon.show.plain import picked, to_json
 from recon.workflows.cli import FIRST_FRAME, Answer, counted
 from recon.workflows.settings import FitSettings
@@ -86,14 +89,14 @@ def camera_motion(settings: _MotionSettings, progress: Progress = silent) -> Ans
         lambda: probe(settings.video),
         lambda: read_camera(settings.camera, settings.camera_name),
         lambda: None if settings.keypoints is None else read_keypoints(settings.keypoints, settings.individual),
-        lambda: () if settings.level_marks is None else turning.read_marks(settings.level_marks),
+        lambda: () if settings.level_marks is None else read_marks(settings.level_marks),
         lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".csv",)),
     )
     raise_problems(size_problems(settings.video, info, lens))
     points = {} if animal is None else _points(animal, settings.first_frame)
     stamps_s: list[float] = []
     pictures: list[Image] = []
-    tracker = turning.Tracker(lens, settings.zoom, points.get)
+    tracker = Tracker(lens, settings.zoom, points.get)
     for number, stamp_s, picture in timed_frames(settings.video):
         stamps_s.append(stamp_s)
         tracker.add(number, picture)
@@ -108,7 +111,7 @@ def camera_motion(settings: _MotionSettings, progress: Progress = silent) -> Ans
     if animal is not None:
         _require_same_frames(settings, points, times_s)
     up, level = _up(settings, motion, lens, marks)
-    motion = replace(motion, orientations=turning.as_level(motion.orientations, up))
+    motion = replace(motion, orientations=as_level(motion.orientations, up))
     report = _report(settings, motion, lens, level, times_s)
     ends = "_report.json", "_panorama.png"
     report_file, picture_file = (settings.out.with_name(settings.out.stem + end) for end in ends)
@@ -193,11 +196,11 @@ def _up(
     """Up (3,) in the first frame's camera, None if the mean frame is to be level, and how that is known."""
     if s.tilt_deg is not None:
         level = f"the first frame looks {s.tilt_deg:g} degrees down, as given, and its roll is taken as 0"
-        return turning.tilted(np.radians(s.tilt_deg)), level
+        return tilted(np.radians(s.tilt_deg)), level
     if s.level_marks is None:
         return None, "the mean of all frames is taken as level: its tilt and roll are 0"
     by_frame = dict(zip((motion.frames + s.first_frame).tolist(), motion.orientations, strict=True))
-    up, sigma = turning.up_by_marks(s.level_marks, marks, lens, by_frame)
+    up, sigma = up_by_marks(s.level_marks, marks, lens, by_frame)
     return up, f"by {len(marks)} marks in {s.level_marks}, to {np.degrees(sigma):.1g} degrees if they are 2 px off"
 
 

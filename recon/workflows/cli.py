@@ -37,8 +37,9 @@ from rich.table import Column, Table
 from rich.text import Text
 from typer.core import TyperCommand, TyperGroup
 
-from recon.base import InputError, Problem, printable, raise_problems, silent
+from recon.base.errors import InputError, Problem, printable, raise_problems
 from recon.base.interrupts import EXIT_INTERRUPTED, MESSAGE, Interrupts, installed
+from recon.base.progress import silent
 from recon.base.settings import Number, Option, SettingInfo, Settings, on_command_line, unknown_setting
 
 if TYPE_CHECKING:
@@ -531,7 +532,7 @@ def main() -> None:
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from recon import __version__
+        from recon.base.version import __version__
 
         typer.echo(f"recon {__version__}")
         raise typer.Exit()

@@ -11,15 +11,23 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from recon import animal, check, io
 from recon.animal.body import Body, Side
+from recon.animal.chain import facing_side, load_chain
+from recon.animal.naming import load_names, problem_of_names, renamed
 from recon.animal.prior import MotionPrior, load_prior
 from recon.animal.skeleton_file import load_skeleton, with_detector_offsets
-from recon.base import Array, InputError, Problem, Progress, collect_problems, mean_along, raise_problems, silent
+from recon.base.arrays import Array, mean_along
 from recon.base.documents import require_file
+from recon.base.errors import InputError, Problem, collect_problems, raise_problems
+from recon.base.progress import Progress, silent
+from recon.check.codes import sentences
+from recon.check.inputs import input_findings, with_flags, without_gross_outliers
+from recon.check.swap_repair import downgrade_swap, swap_improves, without_swaps
+from recon.check.verdict import add_verdict, verdict_lines
 from recon.clip import (
     Keypoints,
     Source,
@@ -31,10 +39,16 @@ from recon.clip import (
     parse_frame_range,
     views_of,
 )
-from recon.fit import TrajectorySolution, solve_trajectory
 from recon.fit.motion import Motion
+from recon.fit.result import Finding, TrajectorySolution
+from recon.fit.trajectory import solve_trajectory
 from recon.geometry.camera import Camera
+from recon.io.calibration import read_camera, read_cameras
+from recon.io.formats import read_keypoints
 from recon.workflows.settings import METHODS, UNITS_M, FitSettings, Unit
+
+if TYPE_CHECKING:
+    from recon.io.camera_track import CameraTrack
 
 LOGGER = logging.getLogger("recon")
 RATES_HZ = (1.0, 10_000.0)
@@ -50,7 +64,7 @@ PADDED, INSIDE = 0.05, 0.9
 """Detectors pad the picture: so far outside keypoints are as good as in it; at least so many of a clip's have to be."""
 _FAR_OUTSIDE = "too far outside the picture to have been found in it"
 
-ClipCamera = tuple[Camera, "io.CameraTrack | None"]
+ClipCamera = tuple[Camera, "CameraTrack | None"]
 """The camera of a keypoint file, with a track its lens only: it has no pose; and the track of a camera that moves."""
 Cameras = tuple[ClipCamera, ...]
 
@@ -69,42 +83,48 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
 
     if options.find_offsets:
         noise = (options.sigma_px, options.keypoint_noise_m(body))
-        sources, solution = check.solve_time_offsets(given.apart, given.later_frames, solved, *noise)
+        from recon.check.agreement import solve_time_offsets
+
+        sources, solution = solve_time_offsets(given.apart, given.later_frames, solved, *noise)
     else:
         solution = solved(sources)
-    unrefined: tuple[check.Finding, ...] = ()
+    unrefined: tuple[Finding, ...] = ()
     if options.refine_cameras:
         tried, options = solution, replace(options, refine_cameras=False)
         held = solved(sources)
-        unrefined = check.why_not_refined(tried, held)
+        from recon.check.agreement import why_not_refined
+
+        unrefined = why_not_refined(tried, held)
         solution, options = (held, options) if unrefined else (tried, replace(options, refine_cameras=True))
     began = time.perf_counter()
-    cleaned, outliers = check.without_gross_outliers(sources, solution)
+    cleaned, outliers = without_gross_outliers(sources, solution)
     again = solved(cleaned) if outliers else solution
     if again.posed.any() or not solution.posed.any():
         sources, solution = cleaned, again
     else:  # a fit that gets nowhere without them was wrong about them
         outliers = ()
-    chain = animal.load_chain(settings.skeleton_name) if body.one_sided else None
+    chain = load_chain(settings.skeleton_name) if body.one_sided else None
     motion = Motion(sources, given.side, given.side_reason, solution, chain=chain, settings=settings.plain())
-    found = check.input_findings(motion, prior, options, *_file_facts(given, settings))
+    found = input_findings(motion, prior, options, *_file_facts(given, settings))
     if any(one.code == "left_right_swap" for one in found):
-        mended, marked = check.without_swaps(sources, found, body)
+        mended, marked = without_swaps(sources, found, body)
         again = solved(mended)
-        if not check.swap_improves(again, solution):
-            found = tuple(check.downgrade_swap(one) for one in found)
+        if not swap_improves(again, solution):
+            found = tuple(downgrade_swap(one) for one in found)
         elif settings.fix_swaps:
             sources, found, solution = mended, marked, again
     stage_s = solution.stage_s | {"input_findings": time.perf_counter() - began}
     motion = replace(motion, sources=sources, solution=replace(solution, stage_s=stage_s))
-    agreement: tuple[check.Finding, ...] = ()
+    agreement: tuple[Finding, ...] = ()
     if len(sources) > 1:
-        agreement = check.agreement_findings(motion, options.sigma_px, options.keypoint_noise_m(body))
+        from recon.check.agreement import agreement_findings
+
+        agreement = agreement_findings(motion, options.sigma_px, options.keypoint_noise_m(body))
     found = (*given.found, *unrefined, *outliers, *found, *agreement)
     if settings.seeks_cameras:
         placed = zip(sources, solution.extrinsic_correction, solution.focal, strict=True)
         sources = tuple(replace(s, camera=s.camera.corrected(by).with_focal_scale(longer)) for s, by, longer in placed)
-    motion = check.add_verdict(replace(check.with_flags(motion, found), sources=sources, findings=found))
+    motion = add_verdict(replace(with_flags(motion, found), sources=sources, findings=found))
     _log(motion)
     return motion
 
@@ -113,8 +133,8 @@ def _log(motion: Motion) -> None:
     """What was decided about the files, what was found, and the verdict, for who listens to the logger "recon"."""
     name, level = Path(motion.keypoints.source or "clip").name, {"note": logging.INFO}
     said = [(logging.INFO, note) for source in motion.sources for note in source.cleaning.notes]
-    said += [(level.get(one.severity, logging.WARNING), text) for one, text in check.sentences(motion)]
-    for of, text in (*said, *((logging.INFO, line) for line in check.verdict_lines(motion.verdict))):
+    said += [(level.get(one.severity, logging.WARNING), text) for one, text in sentences(motion)]
+    for of, text in (*said, *((logging.INFO, line) for line in verdict_lines(motion.verdict))):
         LOGGER.log(of, "%s: %s", name, text)
 
 
@@ -146,7 +166,7 @@ class ClipInputs:
     fps: float
     side: Side | None
     side_reason: str
-    found: tuple[check.Finding, ...] = ()
+    found: tuple[Finding, ...] = ()
     """Findings on the cameras, before the fit."""
 
     @cached_property
@@ -221,9 +241,9 @@ def read_clips(settings: FitSettings) -> list[Keypoints]:
 
 
 def _read_clip(settings: FitSettings, path: Path, given_fps: float | None) -> Keypoints:
-    file = io.read_keypoints(path, settings.individual, given_fps)
+    file = read_keypoints(path, settings.individual, given_fps)
     if settings.rename is not None:
-        file = animal.renamed(file, animal.load_names(settings.rename))
+        file = renamed(file, load_names(settings.rename))
     fps = file.fps if given_fps is None else given_fps
     if fps is not None and not RATES_HZ[0] <= fps <= RATES_HZ[1]:
         where = path if given_fps is None else "--fps" if settings.camera_fps is None else "--set camera-fps"
@@ -297,7 +317,7 @@ def _require_keypoints_of(body: Body, keypoints: Keypoints) -> None:
     known = [name for name in keypoints.names if name in wanted]
     if known and (len(known) >= FEW_OF_SKELETON * len(wanted) or len(known) >= FEW_OF_FILE * len(keypoints.names)):
         return
-    raise InputError(animal.problem_of_names(keypoints.names, wanted, body.name, keypoints.source or "keypoints"))
+    raise InputError(problem_of_names(keypoints.names, wanted, body.name, keypoints.source or "keypoints"))
 
 
 def _require_inside(camera: Camera, keypoints: Keypoints, settings: FitSettings) -> None:
@@ -335,7 +355,7 @@ def _side(body: Body, keypoints: Keypoints, settings: FitSettings) -> tuple[Side
     for marker in body.forward:
         names = body.keypoints[body.markers.index(marker)]
         ends.append(mean_along(arrange(keypoints, tuple(dict.fromkeys(names))).xy_px, 1))
-    facing, reason = animal.facing_side(*ends)
+    facing, reason = facing_side(*ends)
     if settings.side != "auto":
         return settings.side, f"as given; {reason}"
     other: Side = "left" if facing == "right" else "right"
@@ -350,9 +370,11 @@ def _side(body: Body, keypoints: Keypoints, settings: FitSettings) -> tuple[Side
 
 def read_clip_cameras(settings: FitSettings) -> Cameras:
     """The camera of each keypoint file. Raises InputError."""
-    tracks = tuple(
-        collect_problems(*(lambda path=path: io.read_camera_track(path) for path in settings.camera_track or ()))
-    )
+    tracks: tuple[CameraTrack, ...] = ()
+    if settings.camera_track:
+        from recon.io.camera_track import read_camera_track
+
+        tracks = tuple(collect_problems(*(lambda path=path: read_camera_track(path) for path in settings.camera_track)))
     choose = _cameras_of_one if len(settings.keypoints) == 1 else _cameras_of_several
     chosen = tuple((_as_it_stands(*one, settings.camera_unit), one[1]) for one in choose(settings, tracks))
     if tracks or settings.up is not None:
@@ -373,11 +395,11 @@ def other_cameras(camera: Camera, settings: FitSettings) -> tuple[Camera, ...]:
     """The cameras of the camera file that the clip is not said to be of, none where there is no such file."""
     if settings.camera is None:
         return ()
-    cameras = io.read_cameras(settings.camera, settings.image_size_px)
+    cameras = read_cameras(settings.camera, settings.image_size_px)
     return tuple(other for other in cameras if other.name != camera.name)
 
 
-def _as_it_stands(camera: Camera, track: io.CameraTrack | None, unit: Unit) -> Camera:
+def _as_it_stands(camera: Camera, track: CameraTrack | None, unit: Unit) -> Camera:
     """Where the camera file says in that unit where it is; with a track, only that says it."""
     if track is not None:
         return replace(camera, rotation=None, translation_m=None, tilt_rad=0.0)
@@ -386,7 +408,7 @@ def _as_it_stands(camera: Camera, track: io.CameraTrack | None, unit: Unit) -> C
     return replace(camera, translation_m=UNITS_M[unit] * camera.translation_m)
 
 
-def _cameras_of_one(settings: FitSettings, tracks: Sequence[io.CameraTrack]) -> Cameras:
+def _cameras_of_one(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cameras:
     """A clip with one keypoint file, whose camera any track is."""
     track = tracks[0] if tracks else None
     given = "a camera file" if settings.camera is not None else "--hfov-deg" if settings.hfov_deg is not None else None
@@ -412,13 +434,15 @@ def _own_lens(camera: Camera, settings: FitSettings, place: int) -> Camera:
     return camera if settings.camera_name is None else replace(camera, name=settings.camera_name[place])
 
 
-def _cameras_of_several(settings: FitSettings, tracks: Sequence[io.CameraTrack]) -> Cameras:
+def _cameras_of_several(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cameras:
     """A track is that of the camera whose name its own contains."""
     from recon.workflows.rigs import problems_of_several
 
     cameras = _cameras_in_file(settings, tracks)
     names = [camera.name for camera in cameras]
-    owners = {track.source: list(cameras_in(io.track_label(track.source), dict.fromkeys(names))) for track in tracks}
+    from recon.io.camera_track import track_label
+
+    owners = {track.source: list(cameras_in(track_label(track.source), dict.fromkeys(names))) for track in tracks}
     raise_problems(problems_of_several(settings.camera_text or "--camera", cameras, owners))
     chosen = []
     for i, camera in enumerate(cameras):
@@ -428,17 +452,19 @@ def _cameras_of_several(settings: FitSettings, tracks: Sequence[io.CameraTrack])
     return tuple(chosen)
 
 
-def _camera_by_name(settings: FitSettings, place: int, name: str, tracks: Sequence[io.CameraTrack]) -> Camera:
+def _camera_by_name(settings: FitSettings, place: int, name: str, tracks: Sequence[CameraTrack]) -> Camera:
     """The camera of a track with a lens, or from the camera file."""
     for track in tracks:
-        if track.camera is not None and name in cameras_in(io.track_label(track.source), settings.camera_name or ()):
+        from recon.io.camera_track import track_label
+
+        if track.camera is not None and name in cameras_in(track_label(track.source), settings.camera_name or ()):
             return _own_lens(track.camera, settings, place)
     if settings.camera is None:
         raise InputError(Problem("--camera", "camera", f"no lens of {name}", "a camera file with it"))
-    return io.read_camera(settings.camera, name, settings.image_size_px)
+    return read_camera(settings.camera, name, settings.image_size_px)
 
 
-def _cameras_in_file(settings: FitSettings, tracks: Sequence[io.CameraTrack]) -> tuple[Camera, ...]:
+def _cameras_in_file(settings: FitSettings, tracks: Sequence[CameraTrack]) -> tuple[Camera, ...]:
     """By name as given, in a track with a lens or in the camera file; else the only one there, or the one whose name
     the keypoint file's name contains."""
     if settings.camera_name is not None:
@@ -446,7 +472,7 @@ def _cameras_in_file(settings: FitSettings, tracks: Sequence[io.CameraTrack]) ->
         return tuple(
             collect_problems(*(lambda i=i, name=name: _camera_by_name(settings, i, name, tracks) for i, name in named))
         )
-    path, cameras = settings.camera_text, io.read_cameras(settings.camera or (), settings.image_size_px)
+    path, cameras = settings.camera_text, read_cameras(settings.camera or (), settings.image_size_px)
     if len(cameras) == 1 == len(settings.keypoints):
         return cameras
     if len(cameras) < len(settings.keypoints):

@@ -14,19 +14,27 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from recon import io
 from recon.animal.prior import load_prior
-from recon.base import InputError, Problem, Progress, read_manifest, silent, sole_writer, staged_results
 from recon.base.documents import parse_json, read_toml, validated
-from recon.base.files import MANIFEST, require_free_folder, sha256_of, write_text
+from recon.base.errors import InputError, Problem
+from recon.base.files import (
+    MANIFEST,
+    read_manifest,
+    require_free_folder,
+    sha256_of,
+    sole_writer,
+    staged_results,
+    write_text,
+)
 from recon.base.package import version
+from recon.base.progress import Progress, silent
 from recon.base.settings import on_command_line
 from recon.clip import views_of
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
 from recon.fit.result import TrajectorySolution
-from recon.show.page import PAGE
+from recon.show.page.own_page import PAGE
 from recon.show.plain import write_report
 from recon.show.report import build_report
 from recon.show.tables import CLIP_OUTPUTS, REPROJECTION, of_any_camera, write_tables
@@ -71,7 +79,9 @@ def write_clip(
         (folder / CONFIG).write_text(settings.to_toml(out, known), encoding="utf-8")
         view.write(motion, folder / "motion.rrd")
         if settings.seeks_cameras:
-            io.write_cameras([source.camera for source in motion.sources], folder / REFINED_CAMERAS)
+            from recon.io.camera_files import write_cameras
+
+            write_cameras([source.camera for source in motion.sources], folder / REFINED_CAMERAS)
     return report
 
 
@@ -102,8 +112,11 @@ def input_files(settings: FitSettings) -> dict[str, Path]:
     first, *others = settings.keypoints
     files = {"keypoints": first} | {f"keypoints {i}": path for i, path in enumerate(others, start=2)}
     files |= {f"camera {i}" if i > 1 else "camera": path for i, path in enumerate(settings.camera or (), start=1)}
-    tracks = [path for track in settings.camera_track or () for path in io.track_files(track)]
-    files |= {f"camera_track {i}" if i else "camera_track": path for i, path in enumerate(tracks)}
+    if settings.camera_track:
+        from recon.io.camera_track import track_files
+
+        tracks = [path for track in settings.camera_track for path in track_files(track)]
+        files |= {f"camera_track {i}" if i else "camera_track": path for i, path in enumerate(tracks)}
     for role in ("skeleton", "subject", "detector", "prior", "rename"):
         name = getattr(settings, role)
         if name is not None and Path(name).is_absolute():

@@ -19,13 +19,16 @@ import pandas as pd
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from recon.base import Array, InputError, Problem, Progress, collect_problems, raise_problems
+from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import require_free_folder, staged_folder
+from recon.base.progress import Progress
 from recon.base.settings import OneOrMore, Option, Settings
-from recon.check import names_text, usable
-from recon.fit import TrajectorySolution
+from recon.check.codes import names_text
+from recon.check.verdict import usable
 from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
+from recon.fit.result import TrajectorySolution
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.kinematics import JointKinematics
 from recon.show.plots.style import COLOURS, SMALL, drawing

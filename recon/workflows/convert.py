@@ -10,15 +10,16 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from recon.animal.naming import load_names, renamed
-from recon.base import InputError, Problem, collect_problems, raise_problems
+from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import require_free_file, staged_file
 from recon.base.settings import Option, Positive, Settings
-from recon.check import usable, verdict_fields, verdict_lines
+from recon.check.verdict import usable, verdict_fields, verdict_lines
 from recon.clip import Keypoints, mark_missing
 from recon.fit.motion import Motion
-from recon.io import CONVERTED, Format, Pose3D, in_metres, read_points
 from recon.io.columns import parse_map
-from recon.io.formats import as_keypoints
+from recon.io.common import Pose3D
+from recon.io.formats import CONVERTED, Format, as_keypoints, read_points
+from recon.io.positions import in_metres
 from recon.show.plain import by_name
 from recon.show.rig import rig_of
 from recon.workflows.cli import ANYWAY, Answer, table_of

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from recon.base import InputError, Problem, Progress
+from recon.base.errors import InputError, Problem
+from recon.base.progress import Progress
 from recon.base.settings import Settings
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Literal
 from rich.table import Table
 from rich.text import Text
 
-from recon.base import Progress, silent
 from recon.base.package import DISTRIBUTION, install_command, pip_command, quoted, version
+from recon.base.progress import Progress, silent
 from recon.workflows.cli import Answer
 
 if TYPE_CHECKING:

@@ -12,15 +12,18 @@ import numpy as np
 from pydantic import Field
 from rich.console import Console
 
-from recon.base import Array, InputError, Problem, Progress, collect_problems, length_text, raise_problems, silent
+from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import require_free_file
+from recon.base.numbers import length_text
+from recon.base.progress import Progress, silent
 from recon.base.settings import Number, OneOrMore, Option, Settings
 from recon.clip import Source, View, align_cameras, camera_poses
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.extrinsics import LEVEL_RAD, search_offsets, solve_extrinsics
 from recon.geometry.camera import Camera
 from recon.geometry.frames import level_from_camera, rigid
-from recon.io import write_cameras
+from recon.io.camera_files import write_cameras
 from recon.workflows.batch.inputs import AUTO, find_clips
 from recon.workflows.cli import Answer, OptionsOf, say
 from recon.workflows.clip import ClipInputs, prepare

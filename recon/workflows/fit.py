@@ -8,7 +8,8 @@ from typing import Annotated, Any
 
 from rich.console import Console
 
-from recon.base import InputError, Problem, Progress, collect_problems, problems_of
+from recon.base.errors import InputError, Problem, collect_problems, problems_of
+from recon.base.progress import Progress
 from recon.base.settings import Settings
 from recon.workflows.cli import Answer, OptionsOf, answer_of_fit, say
 from recon.workflows.settings import FitSettings
@@ -35,7 +36,7 @@ def fit(settings: FitRunSettings, given: _OfFit, console: Console, progress: Pro
 
     Exit code 0: done, whatever the verdict. 1: no frame could be solved. 2: the input cannot be used.
     """
-    from recon.io import read_keypoints
+    from recon.io.formats import read_keypoints
     from recon.workflows.clip_results import read_config, read_settings, replaced_files, run_clip
 
     out, config = settings.out, settings.config

@@ -16,22 +16,26 @@ import numpy as np
 from pydantic import Field
 from rich.console import Console
 
-from recon.base import Array, Index, InputError, Problem, Progress, collect_problems, raise_problems, silent
+from recon.base.arrays import Array, Index
+from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import MANIFEST, read_manifest, require_free_file, sole_writer, staged_file, write_text
 from recon.base.parallel import Event, carry_out
+from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Option, Settings
-from recon.check import FLAG_OF, usable
+from recon.check.codes import FLAG_OF
+from recon.check.verdict import usable
 from recon.fit.motion import Motion
 from recon.gait.clip import analyse
 from recon.io.video import Image, missing_note, probe, require_codec, size_problems, video_writer
 from recon.show import view as viewer
 from recon.show.overlay import SIDE_COLOURS, Overlay, canvas_size, clip_frames, draw_frame, draw_tiles
-from recon.show.page import PAGE, require_own_page
+from recon.show.page.own_page import PAGE, require_own_page
 from recon.show.page.pages import clip_page, jpeg
 from recon.show.report import REPORT
 from recon.workflows.analyse import FOLDER, PLAYBACK
 from recon.workflows.analyse import SUMMARY as ANALYSIS
-from recon.workflows.batch import SUMMARY, read_rows, write_summary_page
+from recon.workflows.batch import read_rows, write_summary_page
+from recon.workflows.batch.inputs import SUMMARY
 from recon.workflows.cli import ANYWAY, FIRST_FRAME, Answer, say, verdict_texts
 from recon.workflows.clip import cameras_in
 

@@ -16,21 +16,24 @@ from typing import Annotated, Any
 import numpy as np
 from rich.table import Table
 
-from recon.animal import Body, MotionPrior, detector_toml, fit_prior, load_skeleton, save_prior, subject_toml
-from recon.animal.prior import mean_speed_m_s
-from recon.animal.prior_fit import FRAMES_PER_COMPONENT, as_one_gaussian, log_likelihood
-from recon.animal.skeleton_file import NONE
-from recon.base import Array, InputError, Integers, Problem, collect_problems, raise_problems
+from recon.animal.body import Body
+from recon.animal.measured import detector_toml, save_prior, subject_toml
+from recon.animal.prior import MotionPrior, mean_speed_m_s
+from recon.animal.prior_fit import FRAMES_PER_COMPONENT, as_one_gaussian, fit_prior, log_likelihood
+from recon.animal.skeleton_file import NONE, load_skeleton
+from recon.base.arrays import Array, Integers
 from recon.base.documents import read_json
+from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import require_free_file, write_text
 from recon.base.settings import Count, NotNegative, OneOrMore, Option, Settings
-from recon.check import usable
+from recon.check.verdict import usable
 from recon.clip import views_of
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.motion import Motion
 from recon.fit.points import MIN_MARKERS, solve_points
 from recon.fit.shape import POSED_OFFSET_SIGMA_M, Shape, ShapeFit, fit_shape
-from recon.io import Pose3D, read_pose3d, read_pose_segments
+from recon.io.common import Pose3D
+from recon.io.positions import read_pose3d, read_pose_segments
 from recon.show.plain import picked
 from recon.workflows.batch.inputs import file_names
 from recon.workflows.cli import ANYWAY, Answer, counted, table_of

@@ -6,22 +6,28 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from recon import check, io
 from recon.animal.body import Body
-from recon.base import Array, InputError, Problem, raise_problems
+from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem, raise_problems
+from recon.check.codes import finding
 from recon.clip import CleaningReport, FramePoses, Keypoints, Source, camera_poses, leave_out, views_of
+from recon.fit.result import Finding
 from recon.geometry.camera import Camera
 from recon.geometry.frames import level_from_camera, rigid
 from recon.io.common import numbers
+
+if TYPE_CHECKING:
+    from recon.io.camera_track import CameraTrack
 
 AXES, FIRST_CAMERA = ("x", "y", "z"), "first-camera"
 MOST_ZOOM = 20
 """More than lenses zoom, from the setting in which they were calibrated."""
 
-_Cameras = tuple[tuple[Camera, "io.CameraTrack | None"], ...]
+_Cameras = tuple[tuple[Camera, "CameraTrack | None"], ...]
 """The camera of each keypoint file, with its track where it moves."""
 
 
@@ -32,7 +38,9 @@ def problems_of_several(file: str, cameras: Sequence[Camera], owners: Mapping[Pa
         yield Problem(file, "camera", f"{name} for two keypoint files", "a camera for each, by --camera-name")
     for track, of_track in owners.items():
         if len(of_track) != 1:
-            found = f"{io.track_label(track)}, with the name of {' and of '.join(of_track) or 'no camera'}"
+            from recon.io.camera_track import track_label
+
+            found = f"{track_label(track)}, with the name of {' and of '.join(of_track) or 'no camera'}"
             yield Problem(track, "name", found, f"the name of one of {', '.join(names)} in it")
     moving = [of_track[0] for of_track in owners.values() if len(of_track) == 1]
     for name in sorted({name for name in moving if moving.count(name) > 1}):
@@ -62,7 +70,7 @@ def focal_problems(cameras: _Cameras) -> Iterator[Problem]:
 
 
 def with_poses(
-    keypoints: Keypoints, cleaning: CleaningReport, track: io.CameraTrack, fps: float
+    keypoints: Keypoints, cleaning: CleaningReport, track: CameraTrack, fps: float
 ) -> tuple[Keypoints, CleaningReport, FramePoses]:
     """The poses of a track in the keypoints' frames, and these without detections in frames for which it has none.
     Raises InputError where there are no others."""
@@ -131,20 +139,22 @@ def turned_up(cameras: _Cameras, up: str) -> _Cameras:
 
 def turned_up_by_feet(
     sources: Sequence[Source], apart: Sequence[Source], body: Body, fps: float, sigma_px: float
-) -> tuple[tuple[Source, ...], tuple[check.Finding, ...]]:
+) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
     """Sources on their own frames with z up and the ground at 0, and a note on it, where the feet in those that are on
     the clip's frames say which way is up."""
     views = [
         replace(view, T_camera_world=rigid(np.asarray(view.camera.rotation), np.asarray(view.camera.translation_m)))
         for view in views_of(sources)
     ]
-    upward = check.up_from_feet(views, body, fps, sigma_px)
+    from recon.check.agreement import up_from_feet
+
+    upward = up_from_feet(views, body, fps, sigma_px)
     if upward is None:
         return tuple(apart), ()
     turned = tuple(replace(s, camera=with_up(s.camera, upward.up, upward.ground_m)) for s in apart)
     height_m = float(upward.up @ (views[0].centre_m[0] - upward.ground_m))
     up = ",".join(f"{x:.3f}" for x in upward.up)
-    return turned, (check.finding("up_from_feet", up=up, height_m=height_m, sigma_rad=upward.sigma_rad),)
+    return turned, (finding("up_from_feet", up=up, height_m=height_m, sigma_rad=upward.sigma_rad),)
 
 
 def with_up(camera: Camera, up: Array, origin_m: Array | float = 0.0) -> Camera:

@@ -16,21 +16,22 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from rich.console import Console
 
-from recon.base import InputError, Problem, Progress, collect_problems, raise_problems, silent
+from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import MANIFEST, read_manifest, sole_writer
 from recon.base.parallel import carry_out
+from recon.base.progress import Progress, silent
 from recon.base.settings import Count, Integer, Option, Settings
 from recon.fit.motion import Motion
 from recon.gait.kinematics import MIN_POINTS
-from recon.io import recognised
+from recon.io.formats import recognised
 from recon.io.video import SUFFIXES, probe, size_problems
-from recon.show.page import PAGE, SUMMARY_PAGE, require_own_page
+from recon.show.page.own_page import PAGE, SUMMARY_PAGE, require_own_page
 from recon.show.plain import picked
 from recon.show.report import build_report, is_unsolved
 from recon.workflows.analyse import FOLDER, AnalyseSettings, analyse_command
 from recon.workflows.analyse import SUMMARY as ANALYSIS
-from recon.workflows.batch import Clip, ClipPlan, OnEvent, Summary, results_of, shown_batch, work_off
-from recon.workflows.batch.inputs import file_names
+from recon.workflows.batch import ClipPlan, OnEvent, Summary, results_of, shown_batch, work_off
+from recon.workflows.batch.inputs import Clip, file_names
 from recon.workflows.camera_motion import camera_motion, of_clip
 from recon.workflows.cli import FIRST_FRAME, Answer, OptionsOf, answer_of_fit, progress_bar, say
 from recon.workflows.clip import read_model_and_cameras
@@ -41,7 +42,7 @@ from recon.workflows.settings import OF_ANY_CLIP, FitSettings
 RECORD = "run.jsonl"
 Stage = Literal["detect", "camera-motion", "fit", "analyse", "overlay", "page"]
 OVERLAY = "overlay.mp4"
-DETECTOR = "recon.keypoint_net"
+DETECTOR = "recon.keypoint_net.network"
 """The package that finds keypoints. It is imported by its name, where a job has a network: no room needs a wing."""
 _OfFit = Annotated[dict[str, Any], OptionsOf(FitSettings, OF_ANY_CLIP, "Settings of the fit")]
 

@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tomli_w
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from recon.base import Problem
+from recon.base.errors import Problem
 from recon.base.settings import Count, File, NameOrFile, NotNegative, Number, OneOrMore, Option, Positive, Settings
 from recon.clip import parse_frame_range
 
 if TYPE_CHECKING:
-    from recon.fit import TrajectoryOptions
+    from recon.fit.clip_problem import TrajectoryOptions
 
 Method = Literal["trajectory", "frame"]
 Unit = Literal["m", "cm", "mm"]
 UNITS_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-METHODS = {"frame": "recon.thesis"}
+METHODS = {"frame": "recon.thesis.clip"}
 """By the name of another method, the package that fits by it. It is imported by its name: no room needs a wing."""
 DEFAULT_SKELETONS: dict[Method, str] = {"trajectory": "cheetah-24", "frame": "cheetah-8u"}
 """By method."""
@@ -231,7 +231,7 @@ class FitSettings(Settings):
 
     def trajectory_options(self) -> TrajectoryOptions:
         """The options that the trajectory method's solver reads."""
-        from recon.fit import TrajectoryOptions
+        from recon.fit.clip_problem import TrajectoryOptions
 
         return TrajectoryOptions(**{field.name: getattr(self, field.name) for field in fields(TrajectoryOptions)})
 

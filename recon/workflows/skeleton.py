@@ -24,18 +24,21 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial.distance import squareform
 
-from recon import animal
-from recon.animal import Body, builtin_names, load_prior, load_skeleton, other_side
-from recon.animal.body import PLACES
-from recon.base import Array, InputError, Problem, collect_problems, length_text
+from recon.animal.body import MIN_JOINTS, PLACES, Body, other_side, side_of
+from recon.animal.naming import fitting_maps, fitting_skeleton, load_names, suggestions
+from recon.animal.prior import load_prior
+from recon.animal.skeleton_file import builtin_names, load_skeleton
+from recon.base.arrays import Array
 from recon.base.documents import builtin_file
+from recon.base.errors import InputError, Problem, collect_problems
 from recon.base.files import require_free_file, require_free_folder, write_text
+from recon.base.numbers import length_text
 from recon.base.settings import File, OneOrMore, Option, Positive, Settings
 from recon.check.agreement import points_m
 from recon.clip import Source, align_cameras, clean, views_of
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES
-from recon.io import read_keypoints
 from recon.io.deeplabcut_project import bodyparts, find_project
+from recon.io.formats import read_keypoints
 from recon.show.plain import by_name, picked
 from recon.workflows.cli import Answer, table_of
 from recon.workflows.clip import arrange, read_clip_cameras, read_clips
@@ -270,18 +273,18 @@ def _of_geometry(settings: _SkeletonDraftSettings) -> SkeletonDraft:
 def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDraft:
     """Raises InputError where too few names are understood to place an animal, or none of either end of its trunk, and
     for names of another built-in skeleton's points."""
-    body = animal.load_skeleton(BASE)
+    body = load_skeleton(BASE)
     known = _understood(names, body.markers)
-    options, count = animal.fitting_skeleton(names)
+    options, count = fitting_skeleton(names)
     if count > len(known):
         expected = f"a four-legged animal's: a draft is one; recon fit {options} takes {count} of these {len(names)}"
         raise InputError(Problem(source, "bodyparts", f"another animal's: {', '.join(names)}", expected))
     called = {marker: name for name, marker in known.items()}
     rear, front = (next((called[m] for m in ends if m in called), None) for ends in (REAR, FRONT))
-    if rear is None or front is None or len(known) < animal.MIN_JOINTS:
+    if rear is None or front is None or len(known) < MIN_JOINTS:
         found = f"{', '.join(names)}: of these, {', '.join(known) or 'none'} can be placed"
         expected = (
-            f"at least {animal.MIN_JOINTS}, one of them at the rear of the trunk ({', '.join(REAR)}) and one at its "
+            f"at least {MIN_JOINTS}, one of them at the rear of the trunk ({', '.join(REAR)}) and one at its "
             f"front ({', '.join(FRONT)}); or clips of several cameras with --camera, or a skeleton by hand"
         )
         raise InputError(Problem(source, "bodyparts", found, expected))
@@ -303,9 +306,9 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDr
     parts = [head_text(comments, title, "the names", forward=[rear, front], **picked(body, *HEAD))]
     parts += [table_text("[feet]", feet), segments]
     for marker in body.tree.markers:
-        name, twin = called.get(marker.name), called.get(animal.other_side(marker.name))
-        paired = name is not None and twin == animal.other_side(name) != name
-        if name is not None and not (paired and animal.side_of(name) == "right"):  # pairs are written once
+        name, twin = called.get(marker.name), called.get(other_side(marker.name))
+        paired = name is not None and twin == other_side(name) != name
+        if name is not None and not (paired and side_of(name) == "right"):  # pairs are written once
             of = {"name": name, "segment": renamed[marker.segment]} | ({"mirrored": True} if paired else {})
             parts.append(table_text("[[markers]]", of | {"at_m": list(marker.offset_m)}))
     parts.append(table_text("[limbs]", {limb: along for limb, along in limbs.items() if len(along) > 1}))
@@ -314,8 +317,8 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDr
 
 def _understood(names: Sequence[str], markers: Sequence[str]) -> dict[str, str]:
     """Markers by keypoint: of the same name, of the built-in map that knows most of them, or a near miss."""
-    maps = animal.fitting_maps(names, markers)
-    by = animal.load_names(maps[0]) if maps else {}
+    maps = fitting_maps(names, markers)
+    by = load_names(maps[0]) if maps else {}
     known: dict[str, str] = {}
     for name in names:
         marker = by.get(name, name)
@@ -326,7 +329,7 @@ def _understood(names: Sequence[str], markers: Sequence[str]) -> dict[str, str]:
         if marker is not None and marker not in known.values():
             known[name] = marker
     lacking = [marker for marker in markers if marker not in known.values()]
-    return known | animal.suggestions([name for name in names if name not in known], lacking)
+    return known | suggestions([name for name in names if name not in known], lacking)
 
 
 # -- from where the keypoints are -------------------------------------------------------------------------------------
@@ -351,9 +354,9 @@ def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, sourc
     with z up, metres, NaN where missing. Raises InputError where too few are seen, or the animal hardly moves."""
     seen = np.isfinite(points_m[..., 0])
     kept = np.flatnonzero(seen.sum(axis=0) >= FEWEST_FRAMES)
-    if len(kept) < animal.MIN_JOINTS or (seen[:, kept].T.astype(int) @ seen[:, kept]).min() < FEWEST_FRAMES:
+    if len(kept) < MIN_JOINTS or (seen[:, kept].T.astype(int) @ seen[:, kept]).min() < FEWEST_FRAMES:
         found = f"{len(kept)} that two cameras see in {FEWEST_FRAMES} frames, not all of them together"
-        expected = f"{animal.MIN_JOINTS} or more, each together with each other"
+        expected = f"{MIN_JOINTS} or more, each together with each other"
         raise InputError(Problem(source, "keypoints", found, expected))
     points, labels = points_m[:, kept], [names[k] for k in kept.tolist()]
     apart = np.stack([np.linalg.norm(points - point[:, None], axis=2) for point in points.swapaxes(0, 1)], axis=1)

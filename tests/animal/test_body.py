@@ -9,15 +9,10 @@ import pytest
 from command_line import compare, refusal, says
 
 from recon import InputError
-from recon.animal import (
-    Body,
-    builtin_chains,
-    builtin_names,
-    builtin_subjects,
-    load_skeleton,
-    other_side,
-)
-from recon.geometry import euler_rotation, rigid
+from recon.animal.body import Body, other_side
+from recon.animal.chain import builtin_chains
+from recon.animal.skeleton_file import builtin_names, builtin_subjects, load_skeleton
+from recon.geometry.frames import euler_rotation, rigid
 from recon.thesis.chain import UnknownsChain, load_chain
 
 DOCS = (Path(__file__).parents[2] / "docs" / "skeletons.md").read_text(encoding="utf-8")

@@ -11,13 +11,15 @@ import pytest
 from command_line import refusal
 
 from recon import Body, Camera, FitSettings, load_skeleton, read_keypoints
-from recon.animal import detector_toml, prior_from_body, with_detector_offsets
+from recon.animal.measured import detector_toml
+from recon.animal.prior import prior_from_body
+from recon.animal.skeleton_file import with_detector_offsets
 from recon.clip import still_view
-from recon.fit import ClipProblem, TrajectoryOptions
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.io import deeplabcut
 from recon.io.hdf5_poses import write_deeplabcut, write_movement, write_nwb
-from recon.show import build_report
-from recon.workflows import prepare
+from recon.show.report import build_report
+from recon.workflows.clip import prepare
 from tests.workflows.test_cameras import folder, settings  # noqa: F401
 
 

@@ -12,7 +12,8 @@ import pytest
 from command_line import refusal, refused, run, says
 
 from recon import ClipAnalysis, FitSettings, InputError, Keypoints, evaluate, load_skeleton, read_pose3d
-from recon.animal import (
+from recon.animal.body import other_side, side_of
+from recon.animal.naming import (
     NameMap,
     builtin_maps,
     fitting_maps,
@@ -23,25 +24,19 @@ from recon.animal import (
     skeleton_of,
     suggestions,
 )
-from recon.animal.body import other_side, side_of
-from recon.fit import Motion
-from recon.io import read_keypoints, write_csv
-from recon.keypoint_net import evaluate_2d_files
+from recon.fit.motion import Motion
+from recon.io.deeplabcut import write_csv
+from recon.io.formats import read_keypoints
+from recon.keypoint_net.labels import evaluate_2d_files
 from recon.robotics.quadruped import load_robot
 from recon.robotics.retarget import reference_of, retarget
-from recon.show import build_report
+from recon.show.report import build_report
 from recon.testing import detectors
 from recon.testing.detectors import ACINOSET, ANIMAL3D, AP_10K, HORSE_10, MMPOSE_AP_10K, SUPERANIMAL, UNSEEN
-from recon.workflows import (
-    ConvertSettings,
-    check_skeleton,
-    draft_skeleton,
-    file_sha256,
-    identity,
-    prepare,
-    read_any,
-    run_clip,
-)
+from recon.workflows.clip import prepare
+from recon.workflows.clip_results import file_sha256, identity, run_clip
+from recon.workflows.convert import ConvertSettings, read_any
+from recon.workflows.skeleton import check_skeleton, draft_skeleton
 
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"
 
@@ -391,7 +386,7 @@ def test_positions_in_3d_are_not_renamed(tmp_path):
 
 
 def test_labels_and_predictions_of_other_names(tmp_path):
-    from recon.keypoint_net import read_labels
+    from recon.keypoint_net.labels import read_labels
 
     names = in_file(tmp_path, "".join(f"{n},{n.upper()}\n" for n in ("nose", "l_eye", "spine")))
     labels = read_labels(SAMPLES / "rendered.mp4", SAMPLES / "rendered_labels.csv", rename=str(names))

@@ -17,28 +17,22 @@ from scipy.stats import multivariate_normal
 from typer.testing import CliRunner
 
 from recon import FitSettings, InputError, PriorFitSettings, run_prior_fit, write_clip
-from recon.animal import (
-    Body,
-    MotionPrior,
-    builtin_priors,
-    fit_prior,
-    load_chain,
-    load_prior,
-    load_skeleton,
-    mean_speed_m_s,
-    prior_from_body,
-    save_prior,
-)
+from recon.animal.body import Body
+from recon.animal.chain import load_chain
+from recon.animal.measured import save_prior
+from recon.animal.prior import MotionPrior, builtin_priors, load_prior, mean_speed_m_s, prior_from_body
 from recon.animal.prior_fit import (
     ACCELERATION_FLOOR_RAD_S2,
     POSE_FLOOR_RAD,
     RIDGE_PER_ROW,
     as_one_gaussian,
+    fit_prior,
     log_likelihood,
 )
-from recon.fit import Motion
-from recon.io import read_pose_segments
-from recon.workflows import app
+from recon.animal.skeleton_file import load_skeleton
+from recon.fit.motion import Motion
+from recon.io.positions import read_pose_segments
+from recon.workflows.cli import app
 from recon.workflows.models import _lines, _sound_states
 
 OMEGA_RAD_S = 12.0

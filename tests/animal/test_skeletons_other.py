@@ -14,23 +14,18 @@ from command_line import refusal, says
 from typer.testing import CliRunner
 
 from recon import Body, Camera, FitSettings, InputError, Keypoints, Motion, fit_clip, load_skeleton
-from recon.animal import (
-    both_sides,
-    builtin_chains,
-    builtin_maps,
-    builtin_names,
-    load_names,
-    other_side,
-    prior_from_body,
-    side_of,
-    without_side,
-)
+from recon.animal.body import other_side, side_of
+from recon.animal.chain import builtin_chains
+from recon.animal.naming import both_sides, builtin_maps, load_names, without_side
+from recon.animal.prior import prior_from_body
+from recon.animal.skeleton_file import builtin_names
 from recon.clip import still_view
-from recon.fit import TrajectoryOptions, solve_trajectory
+from recon.fit.clip_problem import TrajectoryOptions
+from recon.fit.trajectory import solve_trajectory
 from recon.gait.evaluation import aligned, joint_errors, score
-from recon.io import read_keypoints
-from recon.workflows import app, check_skeleton
-from recon.workflows.skeleton import _SkeletonCheckSettings, skeleton_check
+from recon.io.formats import read_keypoints
+from recon.workflows.cli import app
+from recon.workflows.skeleton import _SkeletonCheckSettings, check_skeleton, skeleton_check
 
 CAT = (Path(__file__).parents[2] / "docs" / "my-cat.toml").read_text(encoding="utf-8")
 

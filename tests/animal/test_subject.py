@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 
 from recon import Body, SubjectFitSettings, load_skeleton, run_subject_fit
-from recon.fit import ClipProblem, Shape, ShapeFit, TrajectoryOptions, constants, fit_shape, solve_points
-from recon.io import Pose3D, write_csv
+from recon.fit import constants
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
+from recon.fit.points import solve_points
+from recon.fit.shape import Shape, ShapeFit, fit_shape
+from recon.io.common import Pose3D
+from recon.io.deeplabcut import write_csv
 from tests.clip.test_views import AHEAD, ASIDE, truth_m, view_of
 from tests.command_line import refusal, run
 from tests.fit.test_trajectory import BODY, FPS, PRIOR

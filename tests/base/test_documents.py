@@ -10,10 +10,11 @@ import pytest
 from command_line import refused
 
 from recon import InputError, read_settings
-from recon.animal import load_skeleton
+from recon.animal.skeleton_file import load_skeleton
 from recon.base.documents import MAX_TOML_BYTES, read_content, read_json, read_toml
-from recon.io import read_keypoints, read_pose3d
-from recon.robotics import load_robot
+from recon.io.formats import read_keypoints
+from recon.io.positions import read_pose3d
+from recon.robotics.quadruped import load_robot
 
 DIGITS = "1" * 5000
 TEXTS = {

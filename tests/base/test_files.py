@@ -15,8 +15,7 @@ import pytest
 from command_line import refusal
 
 from recon import InputError
-from recon.base import read_manifest, sole_writer, staged_file, staged_folder, staged_results
-from recon.base.files import require_free_folder
+from recon.base.files import read_manifest, require_free_folder, sole_writer, staged_file, staged_folder, staged_results
 
 
 def contents(folder: Path) -> dict[str, str]:

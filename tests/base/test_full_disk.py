@@ -15,12 +15,14 @@ import pytest
 from command_line import run
 
 from recon import FitSettings, write_clip
-from recon.animal import load_skeleton
-from recon.base import staged_file
+from recon.animal.skeleton_file import load_skeleton
+from recon.base.files import staged_file
 from recon.clip import Keypoints
-from recon.fit import Motion
-from recon.io import CONVERTED, FORMATS, Format, Pose3D, video_writer
-from recon.show import make_rig
+from recon.fit.motion import Motion
+from recon.io.common import Pose3D
+from recon.io.formats import CONVERTED, FORMATS, Format
+from recon.io.video import video_writer
+from recon.show.rig import make_rig
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="limits are of POSIX")
 

@@ -11,7 +11,7 @@ import pytest
 from command_line import Ended, run
 from fuzz.ctrl_c import fault, interrupted
 
-from recon.base import MESSAGE
+from recon.base.interrupts import MESSAGE
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
 FIT = ("fit", "clip.csv", "--camera", "camera.toml", "--fps", "60", "--out", "results")

@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 
 import recon.base.parallel as parallel
-from recon.base import Progress
 from recon.base.parallel import Event, carry_out
+from recon.base.progress import Progress
 
 
 def work(task: str, progress: Progress) -> dict[str, Any]:

@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from recon import Camera, InputError, read_camera
-from recon.calibrate import parse_board
 from recon.calibrate.boards import (
     Board,
     BoardView,
@@ -29,11 +28,12 @@ from recon.calibrate.boards import (
     corner_sharpness,
     coverage,
     find_views,
+    parse_board,
 )
-from recon.io import video_writer
+from recon.io.video import video_writer
 from recon.show import plots
 from recon.testing.boards import board_poses, draw_board
-from recon.workflows import app
+from recon.workflows.cli import app
 
 CHESS, CHARUCO = "chessboard:9x6:25mm", "charuco:9x6:30mm:22mm:DICT_4X4_50"
 SIZE = (800, 600)

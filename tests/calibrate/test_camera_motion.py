@@ -14,12 +14,12 @@ import pytest
 from command_line import refusal, refused, run, says
 from scipy.spatial.transform import Rotation
 
-from recon.calibrate import read_marks
-from recon.calibrate.camera_motion import Orientation, Tracker, as_level, tilted, up_by_marks
-from recon.calibrate.camera_motion.rotation import rays_of
-from recon.calibrate.camera_motion.track import CLEARLY
-from recon.geometry import Camera
-from recon.io import read_camera_track, timed_frames, video_writer, write_camera
+from recon.calibrate.camera_motion.rotation import Orientation, as_level, rays_of, read_marks, tilted, up_by_marks
+from recon.calibrate.camera_motion.track import CLEARLY, Tracker
+from recon.geometry.camera import Camera
+from recon.io.camera_files import write_camera
+from recon.io.camera_track import read_camera_track
+from recon.io.video import timed_frames, video_writer
 
 SIZE = (320, 180)
 PINHOLE = Camera("cam", np.array([[300.0, 0, 160], [0, 300.0, 90], [0, 0, 1]]), np.zeros(0), "pinhole", SIZE)

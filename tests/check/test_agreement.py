@@ -9,10 +9,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from recon.check import Finding, agreement_findings
-from recon.check.agreement import FRAMES
+from recon.check.agreement import FRAMES, agreement_findings
 from recon.clip import View
-from recon.geometry import euler_rotation, rigid
+from recon.fit.result import Finding
+from recon.geometry.frames import euler_rotation, rigid
 from tests.clip.test_views import AHEAD, ASIDE, pose, truth_m, view_of
 from tests.fit.test_trajectory import FPS
 

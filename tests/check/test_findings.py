@@ -11,8 +11,10 @@ import pytest
 from command_line import says
 
 from recon import Motion
-from recon.check import CODES, FLAG_OF, FLAGS, Finding, add_verdict, finding, findings_of, sentence
-from recon.check.rules import likelihoods_low, no_pose
+from recon.check.codes import CODES, FLAG_OF, FLAGS, finding, sentence
+from recon.check.rules import findings_of, likelihoods_low, no_pose
+from recon.check.verdict import add_verdict
+from recon.fit.result import Finding
 from recon.show.sections.keypoints import keypoint_lines, keypoints_data
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "findings.md"

@@ -12,27 +12,22 @@ import pytest
 from command_line import says
 
 from recon import FitSettings, fit_clip, samples_folder
-from recon.animal import opposites, other_side, prior_from_body
-from recon.check import (
-    Finding,
-    downgrade_swap,
-    finding,
-    input_findings,
-    swap_improves,
-    with_flags,
-    without_gross_outliers,
-    without_swaps,
-)
-from recon.check.inputs import (
+from recon.animal.body import opposites, other_side
+from recon.animal.prior import prior_from_body
+from recon.check.codes import finding
+from recon.check.inputs import input_findings, outlier_ratios, with_flags, without_gross_outliers
+from recon.check.likelihood import (
+    CLEAR,
+    MARGIN,
+    Refit,
     baseline_of,
     frame_rate_finding,
+    negative_log_density,
     other_picture_finding,
-    outlier_ratios,
-    swap_finding,
-    swaps,
+    smaller,
     unit_square_finding,
 )
-from recon.check.likelihood import CLEAR, MARGIN, Refit, negative_log_density, smaller
+from recon.check.swap_repair import downgrade_swap, swap_improves, without_swaps
 from recon.check.swaps import (
     _Stretch,
     _SwapTrial,
@@ -40,14 +35,20 @@ from recon.check.swaps import (
     jumps,
     pairs_of,
     propose_stretches,
+    swap_finding,
+    swaps,
     try_undone,
     with_exchanged,
     with_undone,
 )
 from recon.clip import CleaningReport, Keypoints, Source, View, clean, still_view
-from recon.fit import ClipProblem, Motion, TrajectoryOptions, TrajectorySolution, solve_trajectory
-from recon.io import read_keypoints, write_csv
-from recon.workflows import prepare
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
+from recon.fit.motion import Motion
+from recon.fit.result import Finding, TrajectorySolution
+from recon.fit.trajectory import solve_trajectory
+from recon.io.deeplabcut import write_csv
+from recon.io.formats import read_keypoints
+from recon.workflows.clip import prepare
 from tests.fit.test_trajectory import BODY, CAMERA, FPS, PRIOR, plain, run, seen
 
 T = 40

@@ -7,10 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.check import add_verdict, finding, sentence, usable, verdict_lines
-from recon.check.verdict import LIMIT_OF_TRUNK, evidence_of, expected_pose_of_trunk, expected_position
-from recon.fit import ExpectedError, Motion, Verdict
-from recon.io import video_writer, write_csv
+from recon.check.codes import finding, sentence
+from recon.check.verdict import (
+    LIMIT_OF_TRUNK,
+    add_verdict,
+    evidence_of,
+    expected_pose_of_trunk,
+    expected_position,
+    usable,
+    verdict_lines,
+)
+from recon.fit.motion import Motion
+from recon.fit.result import ExpectedError, Verdict
+from recon.io.deeplabcut import write_csv
+from recon.io.video import video_writer
 from recon.show.sections import inputs as input_sections
 from tests.command_line import refused, run, says
 

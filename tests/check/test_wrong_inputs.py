@@ -8,11 +8,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from recon.check.inputs import baseline_of, copies, lens_findings, movement
+from recon.check.inputs import copies, movement
+from recon.check.likelihood import baseline_of, lens_findings
 from recon.check.rules import ground_elsewhere, pair_disagrees, subject_unlike_species
 from recon.clip import Keypoints, Source, clean
-from recon.fit import ClipProblem, Ground, Motion, TrajectoryOptions, solve_trajectory
-from recon.geometry import rigid
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
+from recon.fit.motion import Motion
+from recon.fit.result import Ground
+from recon.fit.trajectory import solve_trajectory
+from recon.geometry.frames import rigid
 from recon.workflows.clip import other_camera_in
 from tests.clip.test_views import AHEAD, ASIDE, truth_m, two, view_of
 from tests.fit.test_trajectory import BODY, CAMERA, CAMERA_FROM_LEVEL, FPS, PRIOR, errors_m, plain, run, seen, solve

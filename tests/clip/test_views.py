@@ -9,9 +9,12 @@ import numpy as np
 import pytest
 
 from recon.clip import View, camera_poses, still_view
-from recon.fit import ClipProblem, TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
-from recon.geometry import inverse, level_from_camera, moved, rigid
-from recon.io import read_pose3d
+from recon.fit import constants
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
+from recon.fit.result import TrajectorySolution
+from recon.fit.trajectory import solve_trajectory
+from recon.geometry.frames import inverse, level_from_camera, moved, rigid
+from recon.io.positions import read_pose3d
 from tests.conftest import SAMPLES
 from tests.fit.test_trajectory import BODY, CAMERA, FPS, PRIOR, run, seen
 

@@ -26,15 +26,16 @@ from recon import (
     read_keypoints,
     write_cameras,
 )
-from recon.animal import fitting_maps, load_names, new_names, prior_from_body
+from recon.animal.naming import fitting_maps, load_names, new_names
+from recon.animal.prior import prior_from_body
 from recon.clip import View, camera_poses, still_view
-from recon.fit import ClipProblem, TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.posterior import with_noise_about_bias
-from recon.fit.trajectory import solve_segments
-from recon.gait import LEVELS
-from recon.gait.evaluation import aligned
-from recon.geometry import rigid
-from recon.io import write_csv
+from recon.fit.result import TrajectorySolution
+from recon.fit.trajectory import solve_segments, solve_trajectory
+from recon.gait.evaluation import LEVELS, aligned
+from recon.geometry.frames import rigid
+from recon.io.deeplabcut import write_csv
 from recon.io.json_poses import LISTS
 from recon.io.markers import write_trc
 from recon.testing import rigs
@@ -43,8 +44,9 @@ from recon.testing.coverage import coordinate_coverage
 from recon.testing.detectors import HORSE_10, split_names
 from recon.testing.rigs import write_rig_clip
 from recon.testing.walkers import running_mouse, walking_person
-from recon.workflows import draft_skeleton, prepare, run_clip
-from recon.workflows.skeleton import _SkeletonDraftSettings, drafted, skeleton_from_keypoints
+from recon.workflows.clip import prepare
+from recon.workflows.clip_results import run_clip
+from recon.workflows.skeleton import _SkeletonDraftSettings, draft_skeleton, drafted, skeleton_from_keypoints
 
 pytestmark = pytest.mark.usefixtures("no_playback")
 OBLIQUE_M = [[1.0, -5.5, 1.5], [4.5, -4.0, 1.7], [-4.5, 4.0, 1.8], [5.0, 4.0, 2.0]]
@@ -110,7 +112,9 @@ def test_a_mouse_of_a_tenth_of_a_metre(tmp_path, monkeypatch):
     assert min(found["place"], found["pose"]) > 0.85
     assert motion.verdict.level == "use"
     assert motion.solution.size == pytest.approx(1.14, abs=0.03)
-    monkeypatch.setattr("recon.show.plots.save", lambda *_: None)  # figures are made, not laid out and not written
+    monkeypatch.setattr(
+        "recon.show.plots.style.save", lambda *_: None
+    )  # figures are made, not laid out and not written
     leave_out_layout(monkeypatch)
     ended = run("analyse", tmp_path / "out", "--out", tmp_path / "analysed")
     assert (ended.code, ended.err) == (0, "")

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 from command_line import refusal
 
-from recon.base import silent
+from recon.base.progress import silent
 from recon.clip import View, still_view
-from recon.fit import ClipProblem, TrajectoryOptions, solve_extrinsics
-from recon.fit.extrinsics import _initial_poses, _level_prior, _sigma_to_first
-from recon.geometry import euler_rotation, inverse, moved, rigid
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
+from recon.fit.extrinsics import _initial_poses, _level_prior, _sigma_to_first, solve_extrinsics
+from recon.geometry.frames import euler_rotation, inverse, moved, rigid
 from recon.workflows.extrinsics import DISAGREEMENT
 from tests.clip.test_views import AHEAD, ASIDE, pose, truth_m, view_of
 from tests.fit.test_trajectory import BODY, FPS, PRIOR

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from recon.fit import Estimate, LeastSquares, SharedUnknown
 from recon.fit import least_squares as module
+from recon.fit.least_squares import Estimate, LeastSquares, SharedUnknown
 from recon.fit.posterior import posterior
 from recon.fit.terms import (
     COMMON_KEYPOINT_BIAS,
@@ -29,7 +29,7 @@ from recon.fit.terms import (
     root_term,
     time_offset,
 )
-from recon.geometry import Marker, Segment, Tree
+from recon.geometry.kinematics import Marker, Segment, Tree
 from tests.fit.test_banded import to_dense
 from tests.fit.test_terms import BODY, FEET, FPS, PRIOR, T, detections, gradient, some_states, terms, view
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from motions import with_first
 
-from recon.animal import load_skeleton
-from recon.fit import Motion, TrajectorySolution
+from recon.animal.skeleton_file import load_skeleton
+from recon.fit.motion import Motion
+from recon.fit.result import TrajectorySolution
 
 
 @pytest.fixture(params=["small_motion", "small_trajectory", "world_trajectory"])

@@ -10,11 +10,12 @@ import pytest
 from command_line import refusal
 
 from recon import fit_clip
-from recon.check import solve_time_offsets
-from recon.check.agreement import search_offsets
+from recon.check.agreement import search_offsets, solve_time_offsets
 from recon.clip import Source, clean
-from recon.fit import TrajectoryOptions, TrajectorySolution, solve_trajectory
-from recon.workflows import prepare
+from recon.fit.clip_problem import TrajectoryOptions
+from recon.fit.result import TrajectorySolution
+from recon.fit.trajectory import solve_trajectory
+from recon.workflows.clip import prepare
 from recon.workflows.rigs import at_rate
 from tests.check.test_agreement import KEYPOINT_M, cameras, late
 from tests.fit.test_trajectory import BODY, CAMERA, FPS, PRIOR

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon.animal import Body, builtin_names, load_skeleton
-from recon.fit import solve_points
-from recon.fit.points import MIN_MARKERS
-from recon.geometry import PITCH, ROOT, YAW
+from recon.animal.body import Body
+from recon.animal.skeleton_file import builtin_names, load_skeleton
+from recon.fit.points import MIN_MARKERS, solve_points
+from recon.geometry.kinematics import PITCH, ROOT, YAW
 
 FAINT = 1e-6
 """A pull of the angles that moves no marker by anything that shows."""

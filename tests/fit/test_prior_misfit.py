@@ -7,12 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.animal import ANGLES, MotionPrior, load_skeleton, prior_from_body
+from recon.animal.prior import ANGLES, MotionPrior, prior_from_body
+from recon.animal.skeleton_file import load_skeleton
 from recon.clip import still_view
-from recon.fit import Estimate, LeastSquares, TrajectoryOptions, TrajectorySolution, constants, solve_trajectory
+from recon.fit import constants
+from recon.fit.clip_problem import TrajectoryOptions
+from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.posterior import PriorMisfit, prior_misfit_of
+from recon.fit.result import TrajectorySolution
 from recon.fit.terms import POSE, Linear, pose_term
-from recon.geometry import Camera
+from recon.fit.trajectory import solve_trajectory
+from recon.geometry.camera import Camera
 
 BODY = load_skeleton("cheetah-24", "phantom")
 PLAIN = prior_from_body(BODY)

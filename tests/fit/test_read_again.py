@@ -12,12 +12,16 @@ import pytest
 from conftest import leave_out_layout
 
 from recon import Camera, FitSettings, Keypoints, Motion, analyse, evaluate_files, read_keypoints
-from recon.animal import Body, builtin_names, load_skeleton
+from recon.animal.body import Body
+from recon.animal.skeleton_file import builtin_names, load_skeleton
 from recon.clip import camera_poses
-from recon.io import CONVERTED, read_points, write_camera, write_cameras, write_csv
-from recon.workflows import ConvertSettings, PageSettings, report, run_clip
+from recon.io.camera_files import write_camera, write_cameras
+from recon.io.deeplabcut import write_csv
+from recon.io.formats import CONVERTED, read_points
 from recon.workflows import analyse as analysis
-from recon.workflows.convert import convert
+from recon.workflows.clip_results import run_clip
+from recon.workflows.convert import ConvertSettings, convert
+from recon.workflows.look import PageSettings, report
 from recon.workflows.skeleton import draft_skeleton
 from tests.clip.test_views import pose
 from tests.io.test_camera_track import write_track
@@ -143,7 +147,7 @@ def test_what_a_fit_writes_is_read_by_all_behind_it(clip, tmp_path, monkeypatch)
         np.testing.assert_array_equal(read_keypoints(path).frames, motion.frames)
     found = analyse(motion)
     assert found.reference in motion.names
-    monkeypatch.setattr("recon.show.plots.save", lambda *_: None)
+    monkeypatch.setattr("recon.show.plots.style.save", lambda *_: None)
     assert analysis.figures_of(found)
     analysis.summarise(found, "out")
     for target in CONVERTED:

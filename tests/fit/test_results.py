@@ -11,10 +11,10 @@ import pandas as pd
 import pytest
 from command_line import refusal
 
-from recon.base import write_manifest
-from recon.fit import Motion
-from recon.io import read_pose3d
-from recon.show import build_report
+from recon.base.files import write_manifest
+from recon.fit.motion import Motion
+from recon.io.positions import read_pose3d
+from recon.show.report import build_report
 
 
 def copy(folder: Path, to: Path) -> Path:

@@ -6,7 +6,7 @@ import pytest
 from fuzz import stress_fits
 from fuzz.stress_fits import Case
 
-from recon.animal import builtin_names
+from recon.animal.skeleton_file import builtin_names
 
 CHAIN, WHOLE = ("frame", "cheetah-8u"), ("trajectory", "horse-22")
 RESULTS = [

@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.animal import load_prior, load_skeleton
+from recon.animal.prior import load_prior
+from recon.animal.skeleton_file import load_skeleton
 from recon.clip import View, still_view
-from recon.fit import LeastSquares
+from recon.fit.least_squares import LeastSquares
 from recon.fit.terms import (
     Heading,
     KnownAngles,
@@ -24,7 +25,7 @@ from recon.fit.terms import (
     pose_term,
     root_term,
 )
-from recon.geometry import Camera
+from recon.geometry.camera import Camera
 
 FPS = 90.0
 T = 5

@@ -10,12 +10,18 @@ import numpy as np
 import pytest
 
 from recon import FitSettings, evaluate, fit_clip
-from recon.animal import load_chain, load_prior, load_skeleton, other_side, prior_from_body
+from recon.animal.body import other_side
+from recon.animal.chain import load_chain
+from recon.animal.prior import load_prior, prior_from_body
+from recon.animal.skeleton_file import load_skeleton
 from recon.clip import still_view
-from recon.fit import ClipProblem, TrajectoryOptions, TrajectorySolution, solve_trajectory
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
+from recon.fit.result import TrajectorySolution
 from recon.fit.starts import approach
-from recon.geometry import Camera
-from recon.io import Pose3D, read_pose3d
+from recon.fit.trajectory import solve_trajectory
+from recon.geometry.camera import Camera
+from recon.io.common import Pose3D
+from recon.io.positions import read_pose3d
 from recon.testing.gallop import gallop
 
 FPS = 90.0

@@ -16,33 +16,31 @@ from scipy.io import savemat
 from scipy.spatial.transform import RigidTransform
 
 from recon import FitSettings, InputError, find_clips, read_settings
-from recon.animal import builtin_subjects, load_names, load_prior, load_skeleton, with_detector_offsets
-from recon.base import write_manifest
-from recon.base.files import MANIFEST
+from recon.animal.naming import load_names
+from recon.animal.prior import load_prior
+from recon.animal.skeleton_file import builtin_subjects, load_skeleton, with_detector_offsets
+from recon.base.files import MANIFEST, write_manifest
 from recon.clip import Keypoints, clean
-from recon.fit import MOTION, Motion
-from recon.geometry import Camera
-from recon.io import (
-    FORMATS,
-    Pose3D,
-    parse_map,
-    read_camera_track,
-    read_cameras,
-    read_keypoints,
-    read_pose3d,
-    read_pose_segments,
-    write_bvh,
-    write_camera,
-)
-from recon.io.columns import read_long
-from recon.keypoint_net import read_label_file
-from recon.robotics import LEGS, load_recipe, load_robot
+from recon.fit.motion import Motion
+from recon.fit.motion_forms import MOTION
+from recon.geometry.camera import Camera
+from recon.io.bones import write_bvh
+from recon.io.calibration import read_cameras
+from recon.io.camera_files import write_camera
+from recon.io.camera_track import read_camera_track
+from recon.io.columns import parse_map, read_long
+from recon.io.common import Pose3D
+from recon.io.formats import FORMATS, read_keypoints
+from recon.io.positions import read_pose3d, read_pose_segments
+from recon.keypoint_net.labels import read_label_file
+from recon.robotics.climb.plan import load_recipe
 from recon.robotics.dh import load_dh
 from recon.robotics.physics import described
+from recon.robotics.quadruped import LEGS, load_robot
 from recon.robotics.retarget import Reference, place, posed
 from recon.robotics.retarget_clip import KEPT, RobotSamples, keep, kept_motions
-from recon.show import make_rig
-from recon.workflows import Record, run_clip
+from recon.show.rig import make_rig
+from recon.workflows.clip_results import Record, run_clip
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 LABELS = """scorer,me,me,me,me
@@ -442,7 +440,7 @@ def _models(folder: Path) -> Iterator[Seed]:
         return
     import torch
 
-    from recon.keypoint_net import FORMAT, load_model
+    from recon.keypoint_net.network import FORMAT, load_model
 
     spec = {"names": ["nose", "tail"], "scale": 0.5, "body_length_px": 300.0, "tolerance_px": 9.0}
     spec |= {"calibration": [1.0, 0.0]}

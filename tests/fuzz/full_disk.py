@@ -47,14 +47,14 @@ class Case(NamedTuple):
 
 
 def read_results(out: Path) -> object:
-    from recon.fit import Motion
+    from recon.fit.motion import Motion
 
     read_manifest(out)
     return Motion.load(out)
 
 
 def read_data(out: Path) -> object:
-    from recon.workflows import ConvertSettings, read_any
+    from recon.workflows.convert import ConvertSettings, read_any
 
     if out.suffix in (".osim", ".glb"):  # by others
         sizes = [path.stat().st_size for path in out.parent.glob(f"{out.stem}.*")]
@@ -66,7 +66,7 @@ def read_data(out: Path) -> object:
 
 
 def read_manifest(out: Path) -> object:
-    from recon.base import read_manifest
+    from recon.base.files import read_manifest
 
     changed = read_manifest(out).changed()
     assert not changed, changed
@@ -74,7 +74,7 @@ def read_manifest(out: Path) -> object:
 
 
 def read_video(out: Path) -> object:
-    from recon.io import probe, read_frames
+    from recon.io.video import probe, read_frames
 
     frames = sum(1 for _ in read_frames(out))
     assert frames == probe(out).stated_frames
@@ -166,7 +166,7 @@ def prepare(folder: Path) -> None:
     import cv2
     import numpy as np
 
-    from recon.io import video_writer
+    from recon.io.video import video_writer
 
     for name, fit in (("clip", FIT), ("frame_clip", ("frame", *FIT[1:-2]))):
         ended = Child(Case("fit", (*fit, "--out", "{out}"), name), folder).wait()
@@ -197,7 +197,7 @@ class Child:
                 os._exit(code)
 
     def _run(self, case: Case, out: Path, limit: int | None, then_read: bool) -> int:
-        from recon.workflows import main
+        from recon.workflows.cli import main
 
         nothing = os.open(os.devnull, os.O_RDWR)
         for stream, target in ((0, nothing), (1, nothing), (2, self.err.fileno())):

@@ -24,9 +24,9 @@ from pathlib import Path
 from typing import Any
 
 from recon import FitSettings, InputError
-from recon.base import staged_results
-from recon.fit import Motion
-from recon.workflows import OUTPUT_FILES, run_clip
+from recon.base.files import staged_results
+from recon.fit.motion import Motion
+from recon.workflows.clip_results import OUTPUT_FILES, run_clip
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 STEPS = ("mkdir", "replace")

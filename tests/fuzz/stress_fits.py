@@ -28,13 +28,17 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from recon import FitSettings, InputError, fit_clip
-from recon.animal import builtin_chains, builtin_names, load_skeleton
+from recon.animal.chain import builtin_chains
+from recon.animal.skeleton_file import builtin_names, load_skeleton
 from recon.clip import Keypoints
-from recon.fit import Motion
-from recon.geometry import Camera
-from recon.io import write_camera, write_csv
-from recon.show import build_report, write_report, write_tables
-from recon.thesis import FrameSolution
+from recon.fit.motion import Motion
+from recon.geometry.camera import Camera
+from recon.io.camera_files import write_camera
+from recon.io.deeplabcut import write_csv
+from recon.show.plain import write_report
+from recon.show.report import build_report
+from recon.show.tables import write_tables
+from recon.thesis.solution import FrameSolution
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator

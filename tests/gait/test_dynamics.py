@@ -26,10 +26,11 @@ from recon.gait.dynamics import (
     shape,
 )
 from recon.gait.kinematics import Errors
-from recon.show import clip_page, plots
+from recon.show import plots
+from recon.show.page.pages import clip_page
 from recon.show.tables import forces, strides
 from recon.testing.steady_gait import GALLOP, TROT, SteadyGait, compare_forces, with_exact_states
-from recon.workflows import summarise
+from recon.workflows.analyse import summarise
 
 SKELETON = Path(__file__).parents[2] / "recon" / "animal" / "skeletons" / "cheetah-24.toml"
 
@@ -209,7 +210,7 @@ def test_the_shape_begins_and_ends_at_nothing_and_leans_forwards():
 
 
 def test_without_masses_nothing_is_said(motion: Motion):
-    from recon.workflows import notes
+    from recon.workflows.analyse import notes
 
     plain = replace(motion, solution=replace(motion.solution, body=replace(motion.body, mass={}, mass_source=None)))
     found = analyse(plain)

@@ -14,10 +14,12 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 
 from recon import evaluate, evaluate_files
-from recon.check import sentence
+from recon.check.codes import sentence
 from recon.gait.evaluation import aligned, joint_errors, mismatches
-from recon.io import Pose3D, read_pose3d, write_csv
+from recon.io.common import Pose3D
+from recon.io.deeplabcut import write_csv
 from recon.io.markers import write_trc
+from recon.io.positions import read_pose3d
 
 NAN = float("nan")
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"

@@ -12,8 +12,7 @@ import pytest
 from command_line import says
 
 from recon import FitSettings, InputError, Pose3D, analyse, fit_clip, load_skeleton, read_pose3d
-from recon.fit import radius
-from recon.gait import Errors, pose_gait
+from recon.fit.posterior import radius
 from recon.gait.gait import (
     FEET,
     PERIOD_SIGMA,
@@ -24,11 +23,13 @@ from recon.gait.gait import (
     gait,
     ground_plane,
     match_stances,
+    pose_gait,
     pose_period_s,
     pose_tracks,
     stances,
     strides,
 )
+from recon.gait.kinematics import Errors
 from recon.testing.gallop import KEYPOINT_NAMES, gallop
 
 FPS = 90.0

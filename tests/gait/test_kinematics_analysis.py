@@ -6,20 +6,23 @@ import numpy as np
 import pytest
 
 from recon import InputError
-from recon.gait import Errors, angle_kinematics, joint_kinematics, point_kinematics
 from recon.gait.kinematics import (
+    Errors,
     _curve,
     _discrepancy_lam,
     _evaluate,
     angle_between,
+    angle_kinematics,
     angle_sigma,
     frame_times,
     joint_angle,
+    joint_kinematics,
+    point_kinematics,
     sagittal_flexion,
     series_kinematics,
     spine_flexion,
 )
-from recon.io import Pose3D
+from recon.io.common import Pose3D
 from recon.testing.gallop import gallop
 
 FPS = 60.0

@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from recon.gait import Errors, point_kinematics
 from recon.gait.clip import SPEED_KNOWN
 from recon.gait.kinematics import (
     MAX_GAP_S,
+    Errors,
     JointKinematics,
     frame_jitter_m,
     jitter_errors,
     lasting_errors,
     net_acceleration,
+    point_kinematics,
     speed_at_frames,
 )
 

@@ -6,9 +6,19 @@ import numpy as np
 import pytest
 from command_line import refusal
 
-from recon.gait import Portrait, angle_kinematics, phase_portrait, vector_field
-from recon.gait.phase import closure, degree_of_closure, field_means, field_with_sigma, pose_vector_field, scaled
-from recon.io import Pose3D
+from recon.gait.kinematics import angle_kinematics
+from recon.gait.phase import (
+    Portrait,
+    closure,
+    degree_of_closure,
+    field_means,
+    field_with_sigma,
+    phase_portrait,
+    pose_vector_field,
+    scaled,
+    vector_field,
+)
+from recon.io.common import Pose3D
 
 FPS = 90.0
 TIME_S = np.arange(90) / FPS

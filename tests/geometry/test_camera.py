@@ -7,7 +7,9 @@ import pytest
 from command_line import refusal
 from scipy.spatial.transform import Rotation
 
-from recon.geometry import LENS_MODELS, Camera, euler_rotation
+from recon.geometry.camera import Camera
+from recon.geometry.frames import euler_rotation
+from recon.geometry.lens import LENS_MODELS
 
 SIZE = (2704, 1520)
 K = np.array([[1240.0, 0, 1346.0], [0, 1210.0, 773.0], [0, 0, 1]])

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon.geometry import PITCH, ROLL, ROOT, YAW, Joint, Marker, Segment, Tree
-from recon.geometry.kinematics import derivatives
+from recon.geometry.kinematics import PITCH, ROLL, ROOT, YAW, Joint, Marker, Segment, Tree, derivatives
 
 
 def tree(*joints: Joint) -> Tree:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from recon.geometry import euler_rotation, euler_rotation_with_jacobian
+from recon.geometry.frames import euler_rotation, euler_rotation_with_jacobian
 from recon.thesis.chain import euler_angles
 
 

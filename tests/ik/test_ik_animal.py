@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon.animal import load_skeleton
-from recon.geometry import ROOT, YAW, inverse, rigid
+from recon.animal.skeleton_file import load_skeleton
+from recon.geometry.frames import inverse, rigid
+from recon.geometry.kinematics import ROOT, YAW
 from recon.ik.animal_chain import body_chain, body_chain_angles, chain_angles, projected_chain, spine_front_leg
 from recon.ik.chain import planar_chain
 from recon.testing.gallop import gallop

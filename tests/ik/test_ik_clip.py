@@ -13,15 +13,14 @@ import pytest
 from command_line import refusal, refused, run, says
 from scipy.interpolate import CubicSpline
 
-from recon.fit import Motion
-from recon.gait import pose_gait
-from recon.ik import IkSettings, limb_of, methods_of, run_ik
-from recon.ik.clip import METHODS
+from recon.fit.motion import Motion
+from recon.gait.gait import pose_gait
+from recon.ik.clip import METHODS, IkSettings, run_ik
 from recon.ik.drive import drive_to
-from recon.ik.limb import cost_of, fit_parameters, follow_stride, stride_lasts_s, stride_of
+from recon.ik.limb import cost_of, fit_parameters, follow_stride, limb_of, methods_of, stride_lasts_s, stride_of
 from recon.ik.methods import LeastNorm, damped_least_squares, weighted_least_norm
 from recon.ik.parameters import PULL, RANGE, Frames, explained_by, fits, rates_of
-from recon.io import Pose3D
+from recon.io.common import Pose3D
 from recon.testing.gallop import RISE_S, START_STRIDES_HZ, TOP_STRIDES_HZ, gallop
 
 pytestmark = pytest.mark.usefixtures("small_pictures")

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.animal import load_chain
+from recon.animal.chain import load_chain
 from recon.ik.animal_chain import spine_front_leg
 from recon.ik.chain import null_basis, planar_chain
 from recon.ik.costs import harmonic_map, joint_differences, rotational_energy, user_cost

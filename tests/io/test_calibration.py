@@ -8,8 +8,9 @@ import tomli_w
 from command_line import refusal
 from scipy.spatial.transform import Rotation
 
-from recon.geometry import Camera
-from recon.io import read_camera, read_cameras, write_camera
+from recon.geometry.camera import Camera
+from recon.io.calibration import read_camera, read_cameras
+from recon.io.camera_files import write_camera
 
 K = [[960.5, 0.0, 945.8], [0.0, 968.4, 584.5], [0.0, 0.0, 1.0]]
 FISHEYE = [0.129, -0.0481, -0.0122, 0.0133]

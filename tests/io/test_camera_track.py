@@ -14,10 +14,14 @@ from scipy.spatial.transform import Rotation
 
 from recon import FitSettings, Motion, find_clips, fit_clip, read_keypoints
 from recon.clip import Keypoints, View, fill_from_nearest, views_of
-from recon.geometry import Camera, inverse, rigid
-from recon.io import read_camera_track, read_pose3d, write_camera, write_csv
-from recon.workflows import identity, prepare
-from recon.workflows.clip import read_clip_cameras
+from recon.geometry.camera import Camera
+from recon.geometry.frames import inverse, rigid
+from recon.io.camera_files import write_camera
+from recon.io.camera_track import read_camera_track
+from recon.io.deeplabcut import write_csv
+from recon.io.positions import read_pose3d
+from recon.workflows.clip import prepare, read_clip_cameras
+from recon.workflows.clip_results import identity
 from tests.clip.test_views import AHEAD, ASIDE, pose
 from tests.command_line import refusal, says
 from tests.command_line import run as command

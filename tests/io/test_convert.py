@@ -16,10 +16,12 @@ from command_line import refusal, says
 from typer.testing import CliRunner
 
 from recon.clip import Keypoints
-from recon.io import CONVERTED, FORMATS, Format, Pose3D, read_keypoints, read_pose3d
+from recon.io.common import Pose3D
+from recon.io.formats import CONVERTED, FORMATS, Format, read_keypoints
+from recon.io.positions import read_pose3d
 from recon.robotics.retarget_clip import FORMATS as ROBOT_FORMATS
-from recon.workflows import ConvertSettings, app, main
-from recon.workflows.convert import choose_format, convert
+from recon.workflows.cli import app, main
+from recon.workflows.convert import ConvertSettings, choose_format, convert
 
 NAN = float("nan")
 FRAMES = np.array([7, 8, 9, 10, 14])
@@ -457,7 +459,7 @@ def results(small_trajectory, tmp_path_factory) -> Path:
 
 def test_folder_of_results(results, tmp_path):
     """The joints upright, with the frame rate of the report and the limbs of the skeleton."""
-    from recon.fit import Motion
+    from recon.fit.motion import Motion
 
     notes = convert(ConvertSettings(source=results, out=tmp_path / "a.nwb")).data["notes"]
     assert "level frame" in notes[0]

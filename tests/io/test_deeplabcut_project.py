@@ -13,9 +13,11 @@ import pytest
 from command_line import refusal, run, says
 
 from recon import evaluate_files, find_clips
-from recon.animal import load_names
-from recon.io import find_project, predictions, read_keypoints, read_pose3d
-from recon.keypoint_net import read_labels
+from recon.animal.naming import load_names
+from recon.io.deeplabcut_project import find_project, predictions
+from recon.io.formats import read_keypoints
+from recon.io.positions import read_pose3d
+from recon.keypoint_net.labels import read_labels
 from recon.testing.detectors import ANIMAL3D, split_names
 from recon.workflows.skeleton import _SkeletonDraftSettings, skeleton_from_keypoints
 from tests.keypoint_net.test_net_labels import NAMES, grey, write_labels

@@ -13,7 +13,10 @@ from command_line import refusal, says
 
 from recon import InputError
 from recon.clip import Keypoints, clean
-from recon.io import Pose3D, hdf5_poses, individuals, read_keypoints, read_pose3d
+from recon.io import hdf5_poses
+from recon.io.common import Pose3D
+from recon.io.formats import individuals, read_keypoints
+from recon.io.positions import read_pose3d
 
 NAN = float("nan")
 SINGLE = """\

@@ -17,12 +17,14 @@ from scipy.spatial.transform import Rotation
 
 from recon import FitSettings, InputError
 from recon.clip import Keypoints
-from recon.io import FORMATS, Pose3D, parse_map, read_cameras, read_keypoints, read_pose3d
-from recon.io.common import NoChoiceError
+from recon.io.calibration import read_cameras
+from recon.io.columns import parse_map
+from recon.io.common import NoChoiceError, Pose3D
+from recon.io.formats import FORMATS, read_keypoints
+from recon.io.positions import read_pose3d
 from recon.io.times import frames_of_times, nearest_frames
 from recon.io.writing import frames_of_text, frames_text
-from recon.workflows import ConvertSettings
-from recon.workflows.convert import convert
+from recon.workflows.convert import ConvertSettings, convert
 
 NAN = float("nan")
 

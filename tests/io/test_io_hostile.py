@@ -26,13 +26,17 @@ from command_line import refusal, says
 from typer.testing import CliRunner
 
 from recon import InputError
-from recon.animal import load_names, load_prior, load_skeleton
-from recon.calibrate import read_marks
+from recon.animal.naming import load_names
+from recon.animal.prior import load_prior
+from recon.animal.skeleton_file import load_skeleton
+from recon.calibrate.camera_motion.rotation import read_marks
 from recon.clip import Keypoints
-from recon.io import read_camera_track, read_keypoints, read_pose3d
+from recon.io.camera_track import read_camera_track
+from recon.io.formats import read_keypoints
 from recon.io.hdf5_poses import plain_pickle, write_deeplabcut, write_movement, write_nwb
-from recon.keypoint_net import read_label_file
-from recon.workflows import app, main
+from recon.io.positions import read_pose3d
+from recon.keypoint_net.labels import read_label_file
+from recon.workflows.cli import app, main
 
 CLIP = Keypoints(("nose", "tail"), np.arange(12.0).reshape(3, 2, 2), np.ones((3, 2)), np.arange(3), fps=50.0)
 
@@ -354,7 +358,7 @@ def test_data_in_other_files(tmp_path):
 
 def test_hostile_network_runs_nothing(tmp_path):
     torch = pytest.importorskip("torch")
-    from recon.keypoint_net import load_model
+    from recon.keypoint_net.network import load_model
 
     marker, path = tmp_path / "ran", tmp_path / "model.pt"
     torch.save({"format": Touch(str(marker))}, path)
@@ -377,7 +381,7 @@ def test_hostile_network_runs_nothing(tmp_path):
 )
 def test_altered_network(tmp_path, change, fields):
     torch = pytest.importorskip("torch")
-    from recon.keypoint_net import FORMAT, load_model
+    from recon.keypoint_net.network import FORMAT, load_model
 
     spec = {"names": ["a"], "scale": 0.5, "body_length_px": 9.0, "tolerance_px": 9.0}
     content = {"format": FORMAT, "spec": spec, "weights": {}} | change

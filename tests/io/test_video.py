@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from command_line import refusal
 
-from recon.io import missing_frames, missing_note, probe, read_frames, timed_frames, video_writer
-from recon.io.video import read_picture
+from recon.io.video import missing_frames, missing_note, probe, read_frames, read_picture, timed_frames, video_writer
 
 
 def grey(level: int) -> np.ndarray:

@@ -9,7 +9,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from recon.keypoint_net.network import SIGMA, decode, loss, new_network, probabilities, variance  # noqa: E402
+from recon.keypoint_net.network import SIGMA, decode, loss, new_network, probabilities, variance
 
 
 def gaussian_scores(xy: np.ndarray, size: tuple[int, int], sigma: float) -> torch.Tensor:

@@ -7,8 +7,7 @@ import pytest
 from command_line import refusal, run
 from scipy.special import expit, logit
 
-from recon.keypoint_net import evaluate_2d_files
-from recon.keypoint_net.labels import Labels, evaluate_2d, reliability
+from recon.keypoint_net.labels import Labels, evaluate_2d, evaluate_2d_files, reliability
 from recon.keypoint_net.network import calibrated, fit_calibration
 from recon.keypoint_net.train import suspicious_labels
 

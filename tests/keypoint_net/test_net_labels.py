@@ -10,12 +10,12 @@ import pytest
 from command_line import refusal, says
 
 from recon import InputError
-from recon.io import video_writer
-from recon.keypoint_net import read_labels
+from recon.io.video import video_writer
 from recon.keypoint_net.labels import (
     PARTS,
     body_length_px,
     frames_by_part,
+    read_labels,
     resize,
     scale_points,
     sides,

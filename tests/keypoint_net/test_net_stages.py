@@ -12,26 +12,21 @@ from networks import narrow_networks
 
 torch = pytest.importorskip("torch")
 
-from recon.io import video_writer  # noqa: E402
-from recon.keypoint_net import (  # noqa: E402
-    LabelSource,
-    TrainSettings,
-    load_model,
-    network,
-    pictures,
-    run_prediction,
-    run_training,
-)
-from recon.keypoint_net.network import (  # noqa: E402
+from recon.io.video import video_writer
+from recon.keypoint_net import network, pictures
+from recon.keypoint_net.labels import LabelSource
+from recon.keypoint_net.network import (
     FORMAT,
     MODEL_FILE,
     Spec,
     TrainedNetwork,
+    load_model,
     load_torch,
     part_of,
+    run_prediction,
 )
-from recon.keypoint_net.pictures import network_scales  # noqa: E402
-from recon.keypoint_net.train import CHECKPOINT_FILE  # noqa: E402
+from recon.keypoint_net.pictures import network_scales
+from recon.keypoint_net.train import CHECKPOINT_FILE, TrainSettings, run_training
 
 SIZE, FRAMES = (160, 96), 12
 NAMES = ("nose", "l_paw", "r_paw")

@@ -14,19 +14,15 @@ from networks import EVALUATIONS, narrow_networks
 
 torch = pytest.importorskip("torch")
 
-from recon.base import install_command  # noqa: E402
-from recon.io import VideoInfo, probe, read_keypoints, video_writer  # noqa: E402
-from recon.keypoint_net import (  # noqa: E402
-    LabelSource,
-    TrainSettings,
-    run_prediction,
-    run_training,
-)
-from recon.keypoint_net import network as predict_module  # noqa: E402
-from recon.keypoint_net import train as train_module  # noqa: E402
-from recon.keypoint_net.network import load_torch  # noqa: E402
-from recon.keypoint_net.train import schedule  # noqa: E402
-from tests.io.test_video import damaged  # noqa: E402
+from recon.base.package import install_command
+from recon.io.formats import read_keypoints
+from recon.io.video import VideoInfo, probe, video_writer
+from recon.keypoint_net import network as predict_module
+from recon.keypoint_net import train as train_module
+from recon.keypoint_net.labels import LabelSource
+from recon.keypoint_net.network import load_torch, run_prediction
+from recon.keypoint_net.train import TrainSettings, run_training, schedule
+from tests.io.test_video import damaged
 
 SIZE, FRAMES = (96, 64), 20
 NAMES = ("nose", "l_paw", "r_paw")

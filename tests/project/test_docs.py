@@ -32,8 +32,8 @@ from docs_files import FILES, OF_PAGE
 
 from recon import find_clips
 from recon.thesis import figures
-from recon.workflows import app
-from recon.workflows import commands as commands_of_recon
+from recon.workflows.cli import app
+from recon.workflows.cli import commands as commands_of_recon
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"

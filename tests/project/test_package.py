@@ -16,7 +16,8 @@ from types import SimpleNamespace
 import pytest
 
 import recon
-from recon.base import DISTRIBUTION, install_command, package
+from recon.base import package
+from recon.base.package import DISTRIBUTION, install_command
 
 ROOT = Path(__file__).parents[2]
 

@@ -15,8 +15,8 @@ from command_line import carry_out_here
 from networks import narrow_networks
 
 import recon
-from recon.calibrate import parse_board
-from recon.io import read_frames, video_writer
+from recon.calibrate.boards import parse_board
+from recon.io.video import read_frames, video_writer
 from recon.testing.boards import board_poses, draw_board
 from tests.calibrate.test_calibrate import CAMERAS
 

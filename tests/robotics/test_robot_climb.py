@@ -15,9 +15,7 @@ from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
 from recon import InputError
-from recon.geometry import rigid
-from recon.robotics import LEGS, Quadruped, load_recipe, load_robot
-from recon.robotics.climb import Recipe, bundled, plan, raised
+from recon.geometry.frames import rigid
 from recon.robotics.climb.plan import (
     LEFT,
     NONE,
@@ -26,18 +24,24 @@ from recon.robotics.climb.plan import (
     RULES,
     SPATIAL,
     Fields,
+    Recipe,
     Step,
     _Balance,
     _moved,
     _Well,
+    bundled,
     capped,
     equilibrium,
+    load_recipe,
     path_corners,
+    plan,
+    raised,
     support_m,
     swing_path,
     wrench,
 )
 from recon.robotics.physics import margins_figure
+from recon.robotics.quadruped import LEGS, Quadruped, load_robot
 
 HIPS = np.array([[0.065, 0.0625, 0], [0.065, -0.0625, 0], [-0.065, 0.0625, 0], [-0.065, -0.0625, 0]])
 

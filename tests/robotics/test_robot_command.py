@@ -8,8 +8,8 @@ import pytest
 from command_line import refused, run
 from robot_urdf import a1_urdf
 
-from recon.robotics import load_robot
 from recon.robotics.dh import all_solutions
+from recon.robotics.quadruped import load_robot
 
 PUMA = """convention = "modified"
 joints = [

@@ -11,11 +11,10 @@ import pytest
 from command_line import refusal, refused, run, says
 from robot_urdf import a1_urdf
 
-from recon.fit import Motion
-from recon.robotics import LEGS, load_robot, reference_of, retarget, simulated
-from recon.robotics.physics import FRICTION, RULES, carried, check, followed, kept
-from recon.robotics.quadruped import body_pose, read_model
-from recon.robotics.retarget import RobotMotion, posed
+from recon.fit.motion import Motion
+from recon.robotics.physics import FRICTION, RULES, carried, check, followed, kept, simulated
+from recon.robotics.quadruped import LEGS, body_pose, load_robot, read_model
+from recon.robotics.retarget import RobotMotion, posed, reference_of, retarget
 from recon.robotics.retarget_clip import RobotSamples
 from recon.testing.steady_gait import TROT, with_exact_states
 

@@ -5,7 +5,7 @@ import pytest
 from command_line import refusal
 
 from recon import InputError
-from recon.robotics import LEGS, builtin_robots, load_robot
+from recon.robotics.quadruped import LEGS, builtin_robots, load_robot
 
 AIBO = """
 name = "mine"

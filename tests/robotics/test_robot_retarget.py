@@ -13,11 +13,10 @@ from rerun.chunk import RrdReader
 from robot_urdf import a1_urdf
 
 from recon import InputError
-from recon.animal import load_skeleton
-from recon.fit import Motion
-from recon.robotics import LEGS, RetargetSettings, load_robot, reference_of, retarget, run_retarget
+from recon.animal.skeleton_file import load_skeleton
+from recon.fit.motion import Motion
 from recon.robotics.playback import write_robot
-from recon.robotics.quadruped import feet_in_world
+from recon.robotics.quadruped import LEGS, feet_in_world, load_robot
 from recon.robotics.retarget import (
     closed_stride,
     drawn_in,
@@ -25,10 +24,12 @@ from recon.robotics.retarget import (
     place,
     planted,
     posed,
+    reference_of,
+    retarget,
     stances,
     stride_window,
 )
-from recon.robotics.retarget_clip import companion, repeated, report_of
+from recon.robotics.retarget_clip import RetargetSettings, companion, repeated, report_of, run_retarget
 from recon.show.view.scene import LEFT, MIDDLE, RIGHT
 
 # -- footholds ---------------------------------------------------------------------------------------------------------
@@ -375,7 +376,7 @@ def test_every_problem_at_once(tmp_path):
 def test_a_real_run(shared_data, tmp_path):
     """A clip without a complete stride: nearest return, said so."""
     from recon import FitSettings
-    from recon.workflows import run_clip
+    from recon.workflows.clip_results import run_clip
 
     run_folder = shared_data / "cheetah-runs" / "2017_09_02-top-phantom-run1_2"
     meta = json.loads((run_folder / "meta.json").read_text())

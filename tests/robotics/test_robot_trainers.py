@@ -10,11 +10,13 @@ import pytest
 from command_line import refusal, refused, run
 from scipy.spatial.transform import Rotation
 
-from recon.fit import Motion, draws
-from recon.robotics import Retargeting, RetargetSettings, load_robot, reference_of, retarget, simulated
-from recon.robotics.physics import check, kept
-from recon.robotics.retarget_clip import FORMATS, RobotSamples, drawn, write_for_trainer
-from recon.workflows import problem_of
+from recon.fit.motion import Motion
+from recon.fit.sampling import draws
+from recon.robotics.physics import check, kept, simulated
+from recon.robotics.quadruped import load_robot
+from recon.robotics.retarget import Retargeting, reference_of, retarget
+from recon.robotics.retarget_clip import FORMATS, RetargetSettings, RobotSamples, drawn, write_for_trainer
+from recon.workflows.clip_results import problem_of
 
 LATERAL, THIGH, SHIN = 0.0838, 0.2, 0.2
 """The lengths of the Unitree A1's legs, metres."""

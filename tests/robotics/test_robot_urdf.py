@@ -19,9 +19,8 @@ from recon.ik.methods import (
     damped_least_squares,
     weighted_least_norm,
 )
-from recon.robotics import LEGS, load_robot, simulated
-from recon.robotics.physics import described
-from recon.robotics.quadruped import model_chain, read_model
+from recon.robotics.physics import described, simulated
+from recon.robotics.quadruped import LEGS, load_robot, model_chain, read_model
 
 ARM = (
     (

@@ -6,8 +6,9 @@ import numpy as np
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 
-from recon.animal import Side, load_skeleton
-from recon.geometry import YAW
+from recon.animal.body import Side
+from recon.animal.skeleton_file import load_skeleton
+from recon.geometry.kinematics import YAW
 from recon.show import plots
 from recon.show.plots.configurations import SIDE_COLOURS
 from recon.thesis.chain import load_chain

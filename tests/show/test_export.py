@@ -8,8 +8,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from recon.io import read_keypoints, read_pose3d
-from recon.show import tables, write_tables
+from recon.io.formats import read_keypoints
+from recon.io.positions import read_pose3d
+from recon.show import tables
+from recon.show.tables import write_tables
 
 
 def test_pose3d_round_trip(small_motion, tmp_path):

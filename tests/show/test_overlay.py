@@ -16,8 +16,9 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from recon import FitSettings, InputError, write_clip
-from recon.fit import Finding, Motion
-from recon.io import missing_note, probe, read_frames, timed_frames, video_writer
+from recon.fit.motion import Motion
+from recon.fit.result import Finding
+from recon.io.video import missing_note, probe, read_frames, timed_frames, video_writer
 from recon.show.overlay import (
     CLOSE_UP,
     DETECTION,
@@ -34,9 +35,10 @@ from recon.show.overlay import (
     shade,
     smoothed_headings,
 )
-from recon.workflows import PageSettings, app
+from recon.workflows.cli import app
 from recon.workflows.look import (
     OverlaySettings,
+    PageSettings,
     camera_number,
     first_frame_note,
     overlay_of,

@@ -21,14 +21,18 @@ from markupsafe import Markup
 from motions import with_first
 
 from recon import FitSettings, write_clip
-from recon.base import read_manifest, write_manifest
-from recon.check import finding, findings_of, sentence
-from recon.fit import Motion
-from recon.io import video_writer
-from recon.show import TO_DO, build_report, clip_page, drawing
-from recon.show.page.pages import _angles, _solid, _without_unseen, doubtful_frames, inline
+from recon.base.files import read_manifest, write_manifest
+from recon.check.codes import finding, sentence
+from recon.check.rules import findings_of
+from recon.fit.motion import Motion
+from recon.io.video import video_writer
+from recon.show.console import TO_DO
+from recon.show.page.pages import _angles, _solid, _without_unseen, clip_page, doubtful_frames, inline
 from recon.show.plots.over_time import angle_over_time
-from recon.workflows import COLUMNS, PageSettings, report, write_summary_page
+from recon.show.plots.style import drawing
+from recon.show.report import build_report
+from recon.workflows.batch import COLUMNS, write_summary_page
+from recon.workflows.look import PageSettings, report
 
 EVIL = '<img src=x onerror="alert(1)">&\'.csv'
 MOST_BYTES = 3_000_000

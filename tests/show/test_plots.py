@@ -14,19 +14,12 @@ from matplotlib.patches import PathPatch
 from matplotlib.quiver import Quiver
 from PIL import Image
 
-from recon.animal import Side, load_skeleton
-from recon.fit import radius
-from recon.gait import (
-    INTERVAL,
-    Closure,
-    Errors,
-    Portrait,
-    angle_kinematics,
-    phase_portrait,
-    point_kinematics,
-    vector_field,
-)
-from recon.gait.gait import BODY, FEET, Plane, Stance, Stride, gait, pose_tracks
+from recon.animal.body import Side
+from recon.animal.skeleton_file import load_skeleton
+from recon.fit.posterior import radius
+from recon.gait.gait import BODY, FEET, INTERVAL, Plane, Stance, Stride, gait, pose_tracks
+from recon.gait.kinematics import Errors, angle_kinematics, point_kinematics
+from recon.gait.phase import Closure, Portrait, phase_portrait, vector_field
 from recon.ik import figures as ik_plots
 from recon.ik.chain import planar_chain, summed_chain
 from recon.ik.drive import drive_to, follow

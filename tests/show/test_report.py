@@ -14,13 +14,14 @@ from command_line import says
 from motions import with_first
 from rich.console import Console
 
+from recon.base.arrays import to_plain
 from recon.base.numbers import plus_minus
-from recon.check import finding, findings_of, sentence
-from recon.fit import MotionSegment
-from recon.fit.result import SecondCamera
-from recon.show import TO_DO, to_plain, write_report
+from recon.check.codes import finding, sentence
+from recon.check.rules import findings_of
+from recon.fit.result import MotionSegment, SecondCamera
 from recon.show import report as reports
-from recon.show.console import FRONT, console_summary
+from recon.show.console import FRONT, TO_DO, console_summary
+from recon.show.plain import write_report
 from recon.show.report import SCHEMA_VERSION, is_unsolved
 from recon.thesis.solution import in_world
 

@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 from command_line import refusal, refused, run, says
 
-from recon.animal import builtin_names, load_skeleton
-from recon.fit import Motion
-from recon.io import Armature, read_pose3d, write_bvh, write_gltf, write_opensim, y_up_from_z_up
-from recon.show import make_rig, rig_of
+from recon.animal.skeleton_file import builtin_names, load_skeleton
+from recon.fit.motion import Motion
+from recon.io.bones import Armature, write_bvh, write_gltf, write_opensim
+from recon.io.positions import read_pose3d
+from recon.io.writing import y_up_from_z_up
+from recon.show.rig import make_rig, rig_of
 from recon.testing import bones
-from recon.workflows import ConvertSettings
-from recon.workflows.convert import convert
+from recon.workflows.convert import ConvertSettings, convert
 
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"
 FRAMES = np.array([10, 11, 13, 14])

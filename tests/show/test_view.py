@@ -16,10 +16,13 @@ from scipy.spatial.transform import Rotation
 
 from recon import ClipAnalysis
 from recon.clip import Source, views_of
-from recon.fit import Motion, MotionSegment, Solution
+from recon.fit.motion import Motion
+from recon.fit.result import MotionSegment, Solution
 from recon.show.view import DISPLAYS, OVERVIEW_ASPECT, VIEW_RAD, fitting_eye, open_viewer, time_view, write
 from recon.show.view.scene import TimePlot
-from recon.thesis import FrameOptions, FrameSolution, solve_frames
+from recon.thesis.objectives import FrameOptions
+from recon.thesis.solution import FrameSolution
+from recon.thesis.solver import solve_frames
 
 # World axes x, y (ahead), z (up) seen from 2 m above the origin, looking along y.
 LOOKING_ALONG_Y = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])

@@ -13,9 +13,10 @@ from command_line import refusal
 from rerun.chunk import RrdReader
 
 from recon import ClipAnalysis, analyse
-from recon.fit import Motion, radius
-from recon.gait import INTERVAL
-from recon.io import video_writer
+from recon.fit.motion import Motion
+from recon.fit.posterior import radius
+from recon.gait.gait import INTERVAL
+from recon.io.video import video_writer
 from recon.show.view import write
 
 FRAMES = list(range(10, 18))

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon.io import probe, read_frames, read_keypoints
-from recon.keypoint_net import read_labels
+from recon.io.formats import read_keypoints
+from recon.io.video import probe, read_frames
+from recon.keypoint_net.labels import read_labels
 from recon.testing.cameras import panning_camera
 from recon.testing.film import draw_scene, film_clip, panning_film, render_frames
 

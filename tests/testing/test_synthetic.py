@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recon.animal import load_skeleton, with_detector_offsets
+from recon.animal.skeleton_file import load_skeleton, with_detector_offsets
 from recon.clip import clean
-from recon.fit import solve_points
-from recon.io import read_camera, read_cameras, read_keypoints, read_pose3d
+from recon.fit.points import solve_points
+from recon.io.calibration import read_camera, read_cameras
+from recon.io.formats import read_keypoints
+from recon.io.positions import read_pose3d
 from recon.testing.gallop import KEYPOINT_NAMES, MARGIN_PX, SLOPE, add_noise, gallop
 from recon.thesis.chain import load_chain
 

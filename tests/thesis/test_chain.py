@@ -9,7 +9,7 @@ import pytest
 from command_line import refusal
 
 from recon import InputError
-from recon.animal import builtin_chains
+from recon.animal.chain import builtin_chains
 from recon.thesis.chain import UnknownsChain, load_chain
 
 LINKS = ("r5", "r1", "r2", "r3", "r4", "r6", "r7", "r8")

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recon.animal import facing_side, upright_rotation
-from recon.fit import constant_velocity, position_on_rays, starts
+from recon.animal.chain import facing_side, upright_rotation
+from recon.fit import starts
+from recon.fit.starts import constant_velocity, position_on_rays
 from recon.testing.gallop import gallop
 from recon.thesis.chain import load_chain, mean_pose
 from recon.thesis.start import estimate_travel, geometric_start

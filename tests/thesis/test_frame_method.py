@@ -8,13 +8,19 @@ import numpy as np
 import pytest
 
 from recon.clip import still_view
-from recon.geometry import inverse
+from recon.geometry.frames import inverse
 from recon.testing.gallop import add_noise, gallop
-from recon.thesis import FrameOptions, FrameProblem, FrameSolver, solve_frames
 from recon.thesis import solver as frame
 from recon.thesis.chain import load_chain, mean_pose
-from recon.thesis.objectives import JointReprojection, base_length
-from recon.thesis.solver import CONVERGED, posterior_covariance, precision_shares
+from recon.thesis.objectives import FrameOptions, JointReprojection, base_length
+from recon.thesis.solver import (
+    CONVERGED,
+    FrameProblem,
+    FrameSolver,
+    posterior_covariance,
+    precision_shares,
+    solve_frames,
+)
 from recon.thesis.start import Travel
 
 SK = load_chain("cheetah-8u")

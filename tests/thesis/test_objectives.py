@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recon.geometry import Camera
+from recon.geometry.camera import Camera
 from recon.thesis.chain import load_chain
 from recon.thesis.objectives import (
     AngleRange,

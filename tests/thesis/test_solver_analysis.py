@@ -11,11 +11,10 @@ import pytest
 from command_line import refusal, refused, run
 from scipy.sparse import load_npz
 
-from recon.fit import Motion
-from recon.show import build_report
-from recon.thesis import SolverRecord, read_solver
+from recon.fit.motion import Motion
+from recon.show.report import build_report
 from recon.thesis import figures as solver_plots
-from recon.thesis.inspect import TABLES
+from recon.thesis.inspect import TABLES, SolverRecord, read_solver
 
 
 @pytest.fixture(scope="module")

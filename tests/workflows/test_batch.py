@@ -22,12 +22,15 @@ import tomli_w
 from command_line import Refusal, carry_out_here, compare, refusal, refused, run, says
 
 from recon import FitSettings, InputError, find_clips, fit_clip, plan_batch, run_batch
-from recon.base import parallel, silent, sole_writer
+from recon.base import parallel
+from recon.base.files import sole_writer
 from recon.base.parallel import Event, outcome_of
-from recon.io import read_cameras
-from recon.workflows import COLUMNS, AnalyseSettings, Record, analyse_command, run_clip
-from recon.workflows.batch import RECORD, Clip, Summary, fit_planned, input_problems, read_rows
-from recon.workflows.batch.inputs import is_manifest
+from recon.base.progress import silent
+from recon.io.calibration import read_cameras
+from recon.workflows.analyse import AnalyseSettings, analyse_command
+from recon.workflows.batch import COLUMNS, RECORD, Summary, fit_planned, input_problems, read_rows
+from recon.workflows.batch.inputs import Clip, is_manifest
+from recon.workflows.clip_results import Record, run_clip
 
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"
 CAMERA = SAMPLES / "camera.toml"

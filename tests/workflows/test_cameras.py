@@ -13,10 +13,14 @@ from scipy.spatial.transform import Rotation
 from recon import Camera, FitSettings, Keypoints, Motion, clean, fit_clip
 from recon.base.numbers import plus_minus
 from recon.clip import Source, View, align_cameras
-from recon.fit import TrajectorySolution, solve_extrinsics, solve_trajectory
-from recon.io import read_cameras, read_keypoints, write_cameras, write_csv
-from recon.workflows import prepare
-from recon.workflows.clip import cameras_in
+from recon.fit.extrinsics import solve_extrinsics
+from recon.fit.result import TrajectorySolution
+from recon.fit.trajectory import solve_trajectory
+from recon.io.calibration import read_cameras
+from recon.io.camera_files import write_cameras
+from recon.io.deeplabcut import write_csv
+from recon.io.formats import read_keypoints
+from recon.workflows.clip import cameras_in, prepare
 from recon.workflows.extrinsics import clips_of, lines_of, run_extrinsics
 from tests.clip.test_views import AHEAD, ASIDE, truth_m
 from tests.command_line import refusal, says

@@ -24,12 +24,12 @@ import recon.show.tables
 import recon.show.view
 import recon.workflows.cli
 from recon import FitSettings, Motion, evaluate_files, read_settings
-from recon.animal import MIN_JOINTS
-from recon.check import verdict_lines
-from recon.io import read_keypoints
-from recon.show import to_plain
-from recon.workflows import OUTPUT_FILES
+from recon.animal.body import MIN_JOINTS
+from recon.base.arrays import to_plain
+from recon.check.verdict import verdict_lines
+from recon.io.formats import read_keypoints
 from recon.workflows.cli import error_text, say, table_of, terminal
+from recon.workflows.clip_results import OUTPUT_FILES
 
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"
 CLIP, CAMERA, TRUTH = SAMPLES / "noisy.csv", SAMPLES / "camera.toml", SAMPLES / "noisy_truth.csv"

@@ -10,12 +10,16 @@ import pytest
 from command_line import compare, refusal, says
 
 from recon import FitSettings, InputError, fit_clip, samples_folder, write_clip
-from recon.base import read_manifest
+from recon.base.files import read_manifest
 from recon.clip import still_view
-from recon.io import read_camera, read_keypoints, write_csv
-from recon.thesis import FrameOptions, solve_frames
+from recon.io.calibration import read_camera
+from recon.io.deeplabcut import write_csv
+from recon.io.formats import read_keypoints
 from recon.thesis.chain import load_chain
-from recon.workflows import OUTPUT_FILES, prepare, run_clip
+from recon.thesis.objectives import FrameOptions
+from recon.thesis.solver import solve_frames
+from recon.workflows.clip import prepare
+from recon.workflows.clip_results import OUTPUT_FILES, run_clip
 
 EXAMPLE = (Path(__file__).parents[1] / "files" / "trunk-and-leg.toml").read_text()
 # The same chain, hung from its front end: the root is the joint that the animal's front is known by.

@@ -16,16 +16,15 @@ from command_line import refusal, refused, run, says
 from scipy.spatial.transform import Rotation
 
 from recon import ClipAnalysis, analyse
-from recon.fit import Motion, constants
-from recon.gait import joint_kinematics, limb_chains
-from recon.gait.clip import POSE_LASTS, lasts_s
-from recon.gait.kinematics import at_frames
-from recon.io import read_pose3d
-from recon.show import build_report
+from recon.fit import constants
+from recon.fit.motion import Motion
+from recon.gait.clip import POSE_LASTS, lasts_s, limb_chains
+from recon.gait.kinematics import at_frames, joint_kinematics
+from recon.io.positions import read_pose3d
+from recon.show.report import build_report
 from recon.show.sentences import result_sentences
 from recon.show.tables import TABLES, angle_rates, joints, write_analysis
-from recon.workflows import notes, summarise
-from recon.workflows.analyse import figures_of
+from recon.workflows.analyse import figures_of, notes, summarise
 
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"
 

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 from command_line import Refusal, refused, run, says
 
-from recon.fit import Motion
+from recon.fit.motion import Motion
 from recon.workflows.compare import QUANTITIES, _figure, _group_rows, _lines, _mean_of
 
 

@@ -19,8 +19,8 @@ import pytest
 from command_line import run, run_process, says
 
 import recon.workflows.doctor as module
-from recon.base import install_command, pip_command
-from recon.workflows import GROUPS, app, commands
+from recon.base.package import install_command, pip_command
+from recon.workflows.cli import GROUPS, app, commands
 from recon.workflows.doctor import _Check, packages, run_doctor, self_test, versions, viewer
 
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"

@@ -12,7 +12,7 @@ import pytest
 from command_line import refusal
 
 import recon
-from recon.fit import Motion
+from recon.fit.motion import Motion
 from recon.io.hdf5_poses import dataset_of
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"

@@ -16,8 +16,8 @@ from command_line import carry_out_here, refusal, refused, run, says
 
 import recon.workflows.run as module
 from recon import FitSettings, Keypoints, read_keypoints, write_clip
-from recon.base import staged_results
-from recon.io import video_writer
+from recon.base.files import staged_results
+from recon.io.video import video_writer
 from recon.keypoint_net.network import PredictSettings
 from recon.workflows.cli import Answer
 from recon.workflows.clip_results import output_files
@@ -79,7 +79,7 @@ def called(monkeypatch, report, small_trajectory) -> list[str]:
             (folder / "pose3d.csv").write_text(f"poses {next(numbers)}")
         return json.loads(report)
 
-    monkeypatch.setattr("recon.keypoint_net.run_prediction", predict)
+    monkeypatch.setattr("recon.keypoint_net.network.run_prediction", predict)
     monkeypatch.setattr("recon.workflows.run.camera_motion", track)
     monkeypatch.setattr("recon.workflows.run._check_inputs", lambda job: None)
     monkeypatch.setattr("recon.workflows.run.fit_into", write_results)

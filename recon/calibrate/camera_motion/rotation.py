@@ -16,9 +16,11 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from recon.base import Array, Bools, InputError, Integers, Problem, raise_problems
+from recon.base.arrays import Array, Bools, Integers
 from recon.base.documents import require_file
-from recon.geometry import Camera, level_from_camera
+from recon.base.errors import InputError, Problem, raise_problems
+from recon.geometry.camera import Camera
+from recon.geometry.frames import level_from_camera
 from recon.io.common import first_problems, frame_number, number, text_rows
 from recon.io.video import Image
 

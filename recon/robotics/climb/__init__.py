@@ -2,5 +2,3 @@
 
 After D. Cohen, SUNFEST, University of Pennsylvania, 2005. World: x forward, y left, z up.
 """
-
-from recon.robotics.climb.plan import Climb, Recipe, bundled, load_recipe, plan, raised

@@ -45,7 +45,7 @@ from recon.base.documents import FileTable, read_toml, validated
 from recon.base.errors import InputError, Problem, collect_problems
 from recon.base.files import name_seen_from, require_free_folder, sole_writer, staged_results
 from recon.base.settings import Number, Option, Settings
-from recon.geometry import rigid
+from recon.geometry.frames import rigid
 from recon.io.writing import write_rows
 from recon.robotics.physics import Rule, margins_figure
 from recon.robotics.playback import write_robot

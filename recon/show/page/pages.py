@@ -19,18 +19,22 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.figure import Figure
 
-from recon.animal import both_sides
-from recon.base import Array, Bools, InputError, printable, version
-from recon.check import FLAGS, NOTHING_AGAINST, verdict_lines
+from recon.animal.naming import both_sides
+from recon.base.arrays import Array, Bools
+from recon.base.errors import InputError, printable
+from recon.base.package import version
+from recon.check.codes import FLAGS
+from recon.check.verdict import NOTHING_AGAINST, verdict_lines
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.result import LEVELS
-from recon.gait import ClipAnalysis, Gait
+from recon.gait.clip import ClipAnalysis
+from recon.gait.gait import Gait
 from recon.gait.kinematics import MIN_POINTS, JointKinematics
 from recon.io.video import Image
-from recon.show import plots
 from recon.show.console import TO_DO
-from recon.show.page import GENERATED, PAGE
-from recon.show.plots.over_time import AngleCurve, angle_over_time
+from recon.show.page.own_page import GENERATED, PAGE
+from recon.show.plots.configurations import composites
+from recon.show.plots.over_time import AngleCurve, angle_over_time, footfall, forces, speeds
 from recon.show.plots.style import png_of, svg_of
 from recon.show.report import build_report, warnings
 from recon.show.sentences import result_sentences
@@ -192,7 +196,7 @@ def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
         "From the side, from above and from ahead",
         f"Poses evenly spaced in time; the animal runs to the right.{slope if ground else ''}",
         [
-            plots.composites(stretch, motion.limbs, motion.time_s, **options)
+            composites(stretch, motion.limbs, motion.time_s, **options)
             for stretch in _stretches(motion, reference_motion)
         ],
     )
@@ -200,17 +204,17 @@ def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
     banded = " Bands: 90 %." * bool(np.isfinite(reference_motion.speed_sigma_m_s).any())
     text = f"Speed of {name} along its path.{banded} {reason}"
     speed_options = {"width_mm": SPEED_MM, "unknown": analysis.why_no_speed is not None, "acceleration": not reason}
-    yield _group("Speed", text, [plots.speeds({name: reference_motion}, **speed_options)], "narrow")
+    yield _group("Speed", text, [speeds({name: reference_motion}, **speed_options)], "narrow")
     if gait is not None:
         text = "Time on the ground of each foot, from its speed over the ground and its height."
-        yield _group("Footfalls", text, [plots.footfall({"gait": gait}, motion.fps)])
+        yield _group("Footfalls", text, [footfall({"gait": gait}, motion.fps)])
         dynamics = None if motion.jitters else analysis.dynamics
         if dynamics is not None and len(dynamics.forces):
             text = (
                 "Force of each foot in body weights, from its stances and the impulse of a stride on level ground, "
                 f"with the masses of {motion.body.mass_source}. Validated on galloping cheetahs."
             )
-            yield _group("Vertical forces", text, [plots.forces(dynamics, gait)])
+            yield _group("Vertical forces", text, [forces(dynamics, gait)])
     doubtful = np.array([bool(flags) for flags in motion.flags])
     yield _group(
         "Angles",

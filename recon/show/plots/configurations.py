@@ -22,8 +22,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
-from recon.animal import Body, Side, both_sides, other_side, side_of
+from recon.animal.body import Body, Side, other_side, side_of
 from recon.animal.chain import UVW_BODY
+from recon.animal.naming import both_sides
 from recon.base.arrays import Array, Bools, Index, median
 from recon.base.numbers import percent
 from recon.calibrate.boards import Calibration, coverage

@@ -23,13 +23,15 @@ from matplotlib.path import Path
 from matplotlib.quiver import Quiver
 from matplotlib.ticker import MaxNLocator
 
-from recon.animal import side_of
-from recon.base import Array, Bools
+from recon.animal.body import side_of
+from recon.base.arrays import Array, Bools
 from recon.base.numbers import length_text, percent, plus_minus
 from recon.clip import frame_ranges
-from recon.fit import MEASURED_SHARE
-from recon.gait import Closure, Dynamics, Gait, LinkField, Portrait, Stance, field_means
+from recon.fit.motion import MEASURED_SHARE
+from recon.gait.dynamics import Dynamics
+from recon.gait.gait import Gait, Stance
 from recon.gait.kinematics import JointKinematics, Series
+from recon.gait.phase import Closure, LinkField, Portrait, field_means
 from recon.show.plots import style
 
 # -- stances and forces -----------------------------------------------------------------------------------------------

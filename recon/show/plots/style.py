@@ -29,7 +29,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from recon.base.arrays import Array
 from recon.base.files import staged_folder, write_bytes
-from recon.fit import radius
+from recon.fit.posterior import radius
 from recon.gait.gait import INTERVAL, interval_of
 
 WIDTH_MM, COLUMN_MM = 180.0, 85.0

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from recon.base import finite, mean, median
+from recon.base.arrays import finite, mean, median
 from recon.base.numbers import length_text, plus_minus
-from recon.fit import Motion, TrajectorySolution
+from recon.fit.motion import Motion
+from recon.fit.result import TrajectorySolution
 from recon.show.plain import file_name, number
 from recon.show.sections.keypoints import point_counts
 from recon.show.sections.section import Line

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from recon.base.numbers import length_text
-from recon.fit import Motion, MotionSegment
-from recon.gait import ClipAnalysis
+from recon.fit.motion import Motion
+from recon.fit.result import MotionSegment
+from recon.gait.clip import ClipAnalysis
 from recon.gait.kinematics import MIN_POINTS
 from recon.show.sections.section import Line, camera_name
 

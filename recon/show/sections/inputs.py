@@ -7,12 +7,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from recon import check
 from recon.animal.prior import NONE as NO_PRIOR
 from recon.animal.skeleton_file import NONE, OWN, of_scorer
 from recon.base.numbers import percent, plus_minus
+from recon.check.codes import sentence
+from recon.check.verdict import verdict_lines as lines_of_verdict
 from recon.clip import COUNTS
-from recon.fit import Motion
+from recon.fit.motion import Motion
 from recon.show.plain import file_name, picked
 from recon.show.sections.motion import given_size, size_sources, trajectory_solution
 from recon.show.sections.section import Line
@@ -23,7 +24,7 @@ LONGEST_SCORER = 60
 
 def verdict_lines(motion: Motion, data: Any) -> Iterator[Line]:
     """Yield the verdict, the expected errors, and the assumptions that could make both wrong."""
-    yield from zip(("verdict", "expected"), check.verdict_lines(motion.verdict), strict=False)
+    yield from zip(("verdict", "expected"), lines_of_verdict(motion.verdict), strict=False)
     if len(motion.sources) == 1 and motion.verdict is not None and motion.verdict.position_m is not None:
         focal_sigma = motion.settings.get("focal_sigma")
         stated = f" (its focal length to {percent(focal_sigma)}, as given)" if focal_sigma else ""
@@ -33,7 +34,7 @@ def verdict_lines(motion: Motion, data: Any) -> Iterator[Line]:
             "video was cropped or is another camera's.",
         )
     up_from_feet = [finding for finding in motion.findings if finding.code == "up_from_feet"]
-    yield from (("assumed", check.sentence(finding)) for finding in up_from_feet)
+    yield from (("assumed", sentence(finding)) for finding in up_from_feet)
 
 
 # -- the clip ---------------------------------------------------------------------------------------------------------

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from recon import check
 from recon.animal.naming import suggestions
-from recon.base import Array, finite, mean, median
+from recon.base.arrays import Array, finite, mean, median
 from recon.base.numbers import percent
+from recon.check.codes import names_text
 from recon.clip import COUNTS
-from recon.fit import Motion, Picture
+from recon.fit.motion import Motion, Picture
 from recon.show.plain import by_name
 from recon.show.sections.section import Line
 
@@ -76,7 +76,7 @@ def keypoint_lines(motion: Motion, data: Any) -> Iterator[Line]:
         "not used": motion.unused_keypoints,
         "perhaps the same (--rename)": [f"{a} for {b}" for a, b in similar.items()],
     }
-    listed = "".join(f"; {part}: {check.names_text(names)}" for part, names in parts.items() if names)
+    listed = "".join(f"; {part}: {names_text(names)}" for part, names in parts.items() if names)
     used_count = f"{totals['keypoints']['used']}" if missing_names else "all"
     yield "keypoints", f"{used_count} of the skeleton's {len(fitted)} used{listed}"
 

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from recon.animal.prior import NONE as NO_PRIOR
-from recon.base import mean, median
+from recon.base.arrays import mean, median
 from recon.base.numbers import decimals, percent
-from recon.fit import MEASURED_SHARE, Motion, TrajectorySolution
+from recon.fit.motion import MEASURED_SHARE, Motion
+from recon.fit.result import TrajectorySolution
 from recon.gait.kinematics import MIN_POINTS, frame_jitter_m, jitter_errors, point_kinematics
 from recon.show.plain import file_name, picked
 from recon.show.sections.section import Line, camera_name

@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from recon import check
-from recon.base import finite, mean, median
+from recon.base.arrays import finite, mean, median
 from recon.base.numbers import length_text, plus_minus
-from recon.fit import Motion
+from recon.check.codes import FLAGS
+from recon.fit.motion import Motion
 from recon.show.plain import frame_count
 from recon.show.sections.keypoints import counts
 from recon.show.sections.motion import trajectory_solution
@@ -23,7 +23,7 @@ HARDLY_KNOWN = 0.1
 
 def summary_data(motion: Motion) -> dict[str, Any]:
     """Return the counts of frames, flags, keypoints and detections, and the joints' uncertainty."""
-    flags = dict.fromkeys((*check.FLAGS, *(flag for flags in motion.flags for flag in flags)))
+    flags = dict.fromkeys((*FLAGS, *(flag for flags in motion.flags for flag in flags)))
     return {
         "frames": motion.clip_frames,
         "frames_left_out": motion.clip_frames - len(motion.frames),

@@ -37,8 +37,10 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.archetypes import PlotBackground
 
-from recon.animal import side_of, without_side
-from recon.base import Array, Bools, InputError, Problem
+from recon.animal.body import side_of
+from recon.animal.naming import without_side
+from recon.base.arrays import Array, Bools
+from recon.base.errors import InputError, Problem
 from recon.fit.motion import Motion, Picture
 from recon.gait.clip import ClipAnalysis
 from recon.gait.gait import interval_of

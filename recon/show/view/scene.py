@@ -23,11 +23,12 @@ import rerun.blueprint as rrb
 from rerun.components import FillMode
 from scipy.spatial.transform import Rotation
 
-from recon.animal import Side
+from recon.animal.body import Side
 from recon.base.arrays import Array, Bools, Integers, mean_along
 from recon.base.files import write_bytes
 from recon.clip import frame_ranges
-from recon.fit import Motion, MotionSegment, Picture
+from recon.fit.motion import Motion, Picture
+from recon.fit.result import MotionSegment
 from recon.geometry.frames import level_from_camera
 
 Colour = tuple[int, int, int]

@@ -11,7 +11,7 @@ import hashlib
 import json
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -24,17 +24,19 @@ from rich.table import Table
 from rich.text import Text
 from threadpoolctl import threadpool_limits
 
-from recon.base import Brief, InputError, Problem, Progress, collect_problems, problems_of, raise_problems, sole_writer
+from recon.base.arrays import Brief
 from recon.base.documents import validated
-from recon.base.files import MANIFEST, require_free_folder, seen_from, staged_file, write_text
+from recon.base.errors import InputError, Problem, collect_problems, problems_of, raise_problems
+from recon.base.files import MANIFEST, require_free_folder, seen_from, sole_writer, staged_file, write_text
 from recon.base.package import version
 from recon.base.parallel import STARTING, Event, Tell, carry_out, carry_out_on_cluster
+from recon.base.progress import Progress
 from recon.base.settings import Count, Integer, OneOrMore, Option, Settings
-from recon.check import NOTHING_AGAINST
+from recon.check.verdict import NOTHING_AGAINST
 from recon.fit.result import LEVELS
 from recon.io.common import text_rows
 from recon.show.console import STYLES
-from recon.show.page import SUMMARY_PAGE, require_own_page
+from recon.show.page.own_page import SUMMARY_PAGE, require_own_page
 from recon.show.report import is_unsolved, warnings
 from recon.workflows.batch.inputs import SUMMARY, Clip
 from recon.workflows.batch.inputs import find_clips as find_clips

@@ -14,17 +14,17 @@ from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
-from recon.base import Brief, InputError, Problem, raise_problems
+from recon.base.arrays import Brief
 from recon.base.documents import read_head, read_toml
-from recon.check import names_text
+from recon.base.errors import InputError, Problem, raise_problems
+from recon.check.codes import names_text
 from recon.fit.motion_forms import MOTION
-from recon.io import individuals, recognised
 from recon.io.calibration import read_cameras
 from recon.io.common import text_rows
 from recon.io.deeplabcut_project import find_project, predictions
-from recon.io.formats import titles
+from recon.io.formats import individuals, recognised, titles
 from recon.io.json_poses import clip_of_frame
-from recon.show.page import SUMMARY_PAGE
+from recon.show.page.own_page import SUMMARY_PAGE
 from recon.workflows.clip import cameras_in
 from recon.workflows.clip_results import beside, read_settings
 from recon.workflows.settings import SETTINGS, FitSettings

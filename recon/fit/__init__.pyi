@@ -1,0 +1,3 @@
+from .clip_problem import TrajectoryOptions as TrajectoryOptions
+from .result import Solution as Solution
+from .result import TrajectorySolution as TrajectorySolution

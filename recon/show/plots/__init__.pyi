@@ -1,0 +1,14 @@
+from .configurations import body_fixed as body_fixed
+from .configurations import calibration as calibration
+from .configurations import camera_advice as camera_advice
+from .configurations import composites as composites
+from .configurations import in_body as in_body
+from .configurations import observability as observability
+from .over_time import footfall as footfall
+from .over_time import forces as forces
+from .over_time import phase_portraits as phase_portraits
+from .over_time import speeds as speeds
+from .over_time import vector_fields as vector_fields
+from .style import COLUMN_MM as COLUMN_MM
+from .style import WIDTH_MM as WIDTH_MM
+from .style import save as save

@@ -1,0 +1,2 @@
+from .objectives import FrameOptions as FrameOptions
+from .solution import FrameSolution as FrameSolution
