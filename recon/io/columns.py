@@ -155,28 +155,43 @@ def recognises_long(path: Path) -> bool:
     """Return whether it is a text table whose columns are obvious, long or wide, 2D or 3D."""
     with path.open("rb") as file:
         first = file.readline(1 << 20)
+        if re.match(rb"(?i)(\xef\xbb\xbf)?sep=.\s*$", first):
+            first += file.readline(1 << 20)
     try:
-        text = first.decode("utf-8-sig").rstrip("\r\n")
-        header = next(csv.reader([text], delimiter=max(common.SEPARATORS, key=text.count)), [])
+        text = first.decode("utf-8-sig")
+        separator, skipped = common.table_start(text)
+        header = next(csv.reader(text.splitlines()[skipped : skipped + 1], delimiter=separator), [])
     except (UnicodeDecodeError, csv.Error):
         return False
-    return len({*header}) == len(header) and _layout(header, _by_name) is not None
+    return _layout([*dict.fromkeys(header)], _by_name) is not None
 
 
 def read_long(path: Path, individual: str | None = None, columns: Mapping[str, str] | None = None) -> StoredPoints:
     """Return the points of one animal; `columns` is a map of `parse_map`. Raises InputError."""
     rows = common.text_rows(path)
     header = next(rows, (1, []))[1]
+    header = header[: common.width_of([header])]
     table, problems = [], []
-    if len({*header}) != len(header):
-        problems = [Problem(path, "header", "a column more than once", "unique columns")]
-    for line, row in rows:
+    for line, row in common.cut_blank(rows, len(header)):
         table.append(row)
         if len(row) != len(header):
             problems.append(Problem(path, f"line {line}", f"{len(row)} cells", f"{len(header)}, as in line 1"))
     raise_problems(common.first_problems(problems, path))
     cells = list(zip(*table, strict=True)) or [()] * len(header)
-    return gathered(path, dict(zip(header, cells, strict=True)), individual, columns)
+    by_name: dict[str, Sequence[str]] = {}
+    repeated: dict[str, bool] = {}
+    """Names of columns that stand in the table again, and whether with the same cells."""
+    for name, column in zip(header, cells, strict=True):
+        if name in by_name and name.strip():
+            repeated[name] = repeated.get(name, True) and by_name[name] == column
+        by_name.setdefault(name, column)
+    meaning = _by_name if columns is None else _by_map(columns)
+    twice = [name for name, same in repeated.items() if not same and meaning(name)]
+    expected = "it once: two columns of that name have different cells"
+    raise_problems(Problem(path, "header", f"column '{name}' more than once", expected) for name in twice)
+    stored = gathered(path, by_name, individual, columns)
+    notes = tuple(f"Column '{name}' stands in the table more than once: the first is read." for name in repeated)
+    return replace(stored, notes=(*stored.notes, *notes))
 
 
 def recognises_parquet(path: Path) -> bool:

@@ -358,24 +358,56 @@ Rows = Iterable[tuple[int, list[str]]]
 """Rows of a table, with their line numbers."""
 
 
+_SEPARATOR_LINE = re.compile(r"\s*sep=(.)\s*", re.IGNORECASE)
+"""First line with which Excel is told the separator."""
+_DECIMAL_COMMA = re.compile(r"\s*[-+]?[0-9]*,[0-9]+(?:[eE][-+]?[0-9]+)?\s*")
+
+
+def table_start(text: str) -> tuple[str, int]:
+    """Return the separator of a table that begins with this text, and the number of lines before its header."""
+    first = text.partition("\n")[0].rstrip("\r")
+    stated = _SEPARATOR_LINE.fullmatch(first)
+    return (stated[1], 1) if stated else (max(SEPARATORS, key=first.count), 0)
+
+
 def text_rows(path: Path, separator: str | None = None) -> Iterator[tuple[int, list[str]]]:
     """Yield the rows of a text table that are not blank, with their line numbers.
 
-    By default the separator is that of `SEPARATORS` which is most frequent in the first line. Raises InputError for
-    bytes that are not UTF-8, and for no table.
+    By default the separator is that of `SEPARATORS` which is most frequent in the first line, or the one that a line
+    such as sep=; states. If it is no comma, commas in numbers are decimal ones, as Excel writes them in many languages.
+    Raises InputError for bytes that are not UTF-8, and for no table.
     """
     expected = "a table of text in UTF-8"
     with damage_named(path, expected, "text"), path.open(encoding="utf-8-sig", newline="") as file:
-        first = file.readline()
-        file.seek(0)
-        rows, line = csv.reader(file, delimiter=separator or max(SEPARATORS, key=first.count)), 0
+        found, skipped = table_start(file.readline())
+        if not skipped:
+            file.seek(0)
+        separator = separator or found
+        rows, line = csv.reader(file, delimiter=separator), 0
         try:
             for row in rows:
-                line = rows.line_num
+                line = rows.line_num + skipped
                 if any(cell.strip() for cell in row):
-                    yield line, row
+                    yield line, row if separator == "," else _with_decimal_points(row)
         except csv.Error as error:
             raise InputError(Problem(path, f"line {line + 1}", str(error), expected)) from None
+
+
+def _with_decimal_points(row: list[str]) -> list[str]:
+    if not any("," in cell for cell in row):
+        return row
+    return [cell.replace(",", ".") if _DECIMAL_COMMA.fullmatch(cell) else cell for cell in row]
+
+
+def width_of(header: Iterable[Sequence[str]]) -> int:
+    """Return the number of columns of a table up to the last that has a name."""
+    return max((j + 1 for row in header for j, cell in enumerate(row) if cell.strip()), default=0)
+
+
+def cut_blank(rows: Rows, width: int) -> Iterator[tuple[int, list[str]]]:
+    """Yield the rows without blank cells behind the last column that has a name, as spreadsheets leave them."""
+    for line, row in rows:
+        yield line, row if any(cell.strip() for cell in row[width:]) else row[:width]
 
 
 def number_rows(

@@ -41,7 +41,7 @@ MIN_PARTS = 3
 def recognises_csv(path: Path) -> bool:
     """Return whether a text has DeepLabCut's header rows."""
     with path.open("rb") as file:
-        head = file.read(64).removeprefix(b"\xef\xbb\xbf")
+        head = re.sub(rb"(?i)^sep=.[\r\n]+", b"", file.read(64).removeprefix(b"\xef\xbb\xbf"))
     return re.match(rb'\s*"?\s*(scorer|individuals|bodyparts)\s*"?\s*([,;\t\r\n]|$)', head) is not None
 
 
@@ -49,7 +49,8 @@ def read_csv(path: Path, individual: str | None = None) -> StoredPoints:
     """Return the points of one animal in a CSV file (see `points_of_table`); raise InputError."""
     rows = common.text_rows(path)
     header, index_columns = _read_header(path, rows)
-    return points_of_rows(path, header, rows, index_columns, individual)
+    width = index_columns + len(next(iter(header.values())))
+    return points_of_rows(path, header, common.cut_blank(rows, width), index_columns, individual)
 
 
 def points_of_rows(
@@ -81,12 +82,30 @@ def _read_header(path: Path, rows: Iterator[tuple[int, list[str]]]) -> tuple[dic
     if tuple(header) not in HEADERS:
         detail = ", ".join(dict.fromkeys((*header, first[:40])))
         raise InputError(header_problem(path, f"rows that begin with '{detail}'"))
+    width = common.width_of(header.values())
+    header = {level: row if any(map(str.strip, row[width:])) else row[:width] for level, row in header.items()}
     if len({len(row) for row in header.values()}) != 1:
         lengths = ", ".join(f"{len(row)} in {name}" for name, row in header.items())
         raise InputError(Problem(path, "header rows", f"cells: {lengths}", "the same number of cells in each"))
     # Label files name the image in three columns, which have blank cells in all header rows but for the first cell.
     index_columns = 3 if [cell.strip() for cell in header["coords"][1:3]] == ["", ""] else 1
-    return {level: row[index_columns:] for level, row in header.items()}, index_columns
+    columns = {level: row[index_columns:] for level, row in header.items()}
+    raise_problems(_merged_cells(path, columns))
+    return columns, index_columns
+
+
+def _merged_cells(path: Path, header: dict[str, list[str]]) -> Iterator[Problem]:
+    """Yield a problem for a level whose names stand above the first of several columns only."""
+    for level, cells in header.items():
+        names = [cell.strip() for cell in cells]
+        if (
+            names
+            and names[0]
+            and "" in names
+            and any(header["coords"][j].strip() for j, n in enumerate(names) if not n)
+        ):
+            found = f"empty cells behind '{names[names.index('') - 1]}', as merged cells leave them"
+            yield Problem(path, f"header row {level}", found, "a name above each column: unmerge the cells")
 
 
 def header_problem(path: Path, found: str) -> Problem:
@@ -138,6 +157,10 @@ def points_of_table(
     raise_problems(common.first_problems([*_column_problems(path, columns), *problems, *frame_problems], path))
     if {animal for animal, _, _ in columns} == {""} and _prefixes(bodypart for _, bodypart, _ in columns):
         columns = [(bodypart.partition("_")[0], bodypart.partition("_")[2], coord) for _, bodypart, coord in columns]
+    scorers = list(dict.fromkeys(n.get("scorer", "").strip() for n in named))
+    if len(scorers) > 1 and len({*columns}) < len(columns):
+        found = f"points of {len(scorers)} scorers: {', '.join(scorers)[:120]}"
+        raise InputError(Problem(path, "scorer", found, "those of one scorer; delete the columns of the others"))
     everyone = list(dict.fromkeys(animal for animal, _, _ in columns))
     animals = [name for name in everyone if name != UNIQUE_BODYPARTS] or everyone
     of_animal = {name: [j for j, column in enumerate(columns) if column[0] == name] for name in everyone}
@@ -235,13 +258,13 @@ def _prefixes(bodyparts: Iterable[str]) -> tuple[str, ...]:
 
     Empty if a prefix is a position on an animal, or if the animals have different bodyparts.
     """
-    bodyparts: dict[str, set[str]] = {}
+    of_prefix: dict[str, set[str]] = {}
     for name in bodyparts:
         animal, _, bodypart = name.partition("_")
-        bodyparts.setdefault(animal, set()).add(bodypart)
-    same_parts = len(bodyparts) > 1 and len({*map(frozenset, bodyparts.values())}) == 1
-    least_count = min(map(len, bodyparts.values()), default=0) >= MIN_PARTS
-    return tuple(bodyparts) if same_parts and least_count and not PLACES & {name.lower() for name in bodyparts} else ()
+        of_prefix.setdefault(animal, set()).add(bodypart)
+    same_parts = len(of_prefix) > 1 and len({*map(frozenset, of_prefix.values())}) == 1
+    least_count = min(map(len, of_prefix.values()), default=0) >= MIN_PARTS
+    return tuple(of_prefix) if same_parts and least_count and not PLACES & {name.lower() for name in of_prefix} else ()
 
 
 # -- writing ---------------------------------------------------------------------------------------------------------

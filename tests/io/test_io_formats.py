@@ -521,6 +521,51 @@ def test_a_table_of_times(stamp, tmp_path):
     assert np.diff(given.frames).tolist() == [1] * 39
 
 
+TABLE = ["scorer,net,net,net,net", "bodyparts,nose,nose,tail,tail", "coords,x,y,x,y", "0,1.5,2.25,3,4", "1,5,6,,8.5"]
+
+
+@pytest.mark.parametrize(
+    "saved",
+    [
+        lambda text: "\ufeff" + text.replace(",", ";").replace(".", ","),
+        lambda text: "sep=;\r\n" + text.replace(",", ";"),
+        lambda text: text.replace(",", "\t").replace(".", ","),
+        lambda text: text.replace("\n", ",,\n"),
+    ],
+)
+@pytest.mark.parametrize("wide", [False, True])
+def test_a_table_that_excel_saved(saved, wide, tmp_path):
+    """Decimal commas, a line that states the separator, empty columns behind the last, a byte order mark."""
+    rows = ["frame,nose_x,nose_y,tail_x,tail_y", *TABLE[3:]] if wide else TABLE
+    (tmp_path / "a.csv").write_text(saved("\n".join(rows) + "\n"), encoding="utf-8")
+    found = read_keypoints(tmp_path / "a.csv")
+    assert (found.names, found.frames.tolist()) == (("nose", "tail"), [0, 1])
+    np.testing.assert_array_equal(found.xy_px, [[[1.5, 2.25], [3, 4]], [[5, 6], [np.nan, 8.5]]])
+
+
+def test_headers_that_spreadsheets_leave(tmp_path):
+    """Merged cells, and the tables of two networks side by side, are named."""
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([TABLE[0], "bodyparts,nose,,tail,", *TABLE[2:]]))
+    with refusal((path, "header row bodyparts", ["empty cells behind 'nose'", "merged"], "unmerge")):
+        read_keypoints(path)
+    path.write_text("\n".join(["scorer,a,a,b,b", "bodyparts,nose,nose,nose,nose", *TABLE[2:]]))
+    with refusal((path, "scorer", "2 scorers: a, b", "one scorer")):
+        read_keypoints(path)
+
+
+def test_a_column_that_is_repeated(tmp_path):
+    """As pandas leaves an index: it is named where its cells are the same, and refused where they differ."""
+    path = tmp_path / "a.csv"
+    path.write_text("frame,nose_x,nose_y,frame\n0,1,2,0\n1,3,4,1\n")
+    found = read_keypoints(path)
+    assert found.xy_px.tolist() == [[[1, 2]], [[3, 4]]]
+    assert "'frame' stands in the table more than once" in " ".join(found.notes)
+    path.write_text("frame,nose_x,nose_y,nose_x\n0,1,2,0\n1,3,4,1\n")
+    with refusal((path, "header", "column 'nose_x' more than once", "different cells")):
+        read_keypoints(path)
+
+
 BROKEN = "track,frame_idx,nose.x,nose.y,nose.score,tail.x,tail.y,tail.score"
 
 
