@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.animal.prior import ANGLES, NONE, mean_speed_m_s
+from recon.animal.prior import ANGLES, NONE, MotionPrior, mean_speed_m_s
 from recon.base.arrays import Array, Bools, mean_along
 from recon.check.codes import finding
 from recon.clip import View, densest_window, frame_ranges
@@ -417,40 +417,47 @@ def frame_rate_finding(
     if clip.prior.name == NONE or not by_motion:
         return None
     rows = densest_window(clip.present().sum(axis=1), round(RATE_S * clip.fps))
-    clip, states, step = clip.part(rows), states[rows], max(1, round(clip.fps / APPROACH_HZ))
+    clip, states = clip.part(rows), states[rows]
+    factor, thin_gain = _likeliest_rate(clip, states)
+    if 1 / ANOTHER < factor < ANOTHER or not _has_usual_speed(clip.prior, mean_speed_m_s(states, clip.fps * factor)):
+        return None
+    given, other = (_at_rate(clip, states, by) for by in (1.0, factor))
+    misfit_given, misfit_other = (prior_misfit_of(*solved) for solved in (given, other))
+    gain = _rate_cost(*given, clip.correlation_frames) - _rate_cost(*other, clip.correlation_frames)
+    is_unknown = misfit_other.unlike and misfit_other.level >= misfit_given.level  # to the prior, at that rate
+    if is_unknown or gain < (CLEAR if thin_gain > CLEAR else SURE):
+        return None
+    return finding("frame_rate", given_hz=clip.fps, other_hz=clip.fps * factor, log_likelihood_ratio=gain)
+
+
+def _likeliest_rate(clip: ClipProblem, states: Array) -> tuple[float, float]:
+    """Return the factor on the frame rate at which the angles swing as the prior knows, and its log-likelihood gain.
+
+    Rates in steps of `RATE_STEP` are tried downhill, on a few frames; the minimum is that of the parabola through the
+    last three. The factor is 1 where the given rate is the best of them, or none is up to the last.
+    """
+    step = max(1, round(clip.fps / APPROACH_HZ))
     thin, thin_states, correlation_frames = clip.thinned(step), states[::step], clip.correlation_frames
 
     @cache
     def cost(steps: int) -> float:
         return _rate_cost(*_at_rate(thin, thin_states, RATE_STEP**steps, correlation_frames))
 
-    step_number, previous_number = 0, 1
-    while step_number != previous_number and abs(step_number) < RATE_STEPS:  # downhill
-        candidates: list[int] = [step_number, step_number - 1, step_number + 1]
-        step_number, previous_number = min(candidates, key=cost), step_number
-    if abs(step_number) in (0, RATE_STEPS):
-        return None
-    slope, bend = (
-        0.5 * (cost(step_number + 1) - cost(step_number - 1)),
-        cost(step_number - 1) - 2 * cost(step_number) + cost(step_number + 1),
-    )
-    factor = RATE_STEP ** (
-        step_number - slope / max(bend, 1e-9)
-    )  # where the parabola through the three has its minimum
-    speeds_m_s, speed_there_m_s = (
-        [segment.speed_m_s for segment in clip.prior.segments],
-        mean_speed_m_s(states, clip.fps * factor),
-    )
-    is_usual_speed = not speeds_m_s or min(speeds_m_s) / SPEEDS < speed_there_m_s < max(speeds_m_s) * SPEEDS
-    if 1 / ANOTHER < factor < ANOTHER or not is_usual_speed:
-        return None
-    given, there = (_at_rate(clip, states, by) for by in (1.0, factor))
-    misfit_given, misfit_there = (prior_misfit_of(*segment) for segment in (given, there))
-    gain = _rate_cost(*given, correlation_frames) - _rate_cost(*there, correlation_frames)
-    is_unknown = misfit_there.unlike and misfit_there.level >= misfit_given.level  # to the prior, at that rate
-    if is_unknown or gain < (CLEAR if cost(0) - cost(step_number) > CLEAR else SURE):
-        return None
-    return finding("frame_rate", given_hz=clip.fps, other_hz=clip.fps * factor, log_likelihood_ratio=gain)
+    steps, previous_steps = 0, 1
+    while steps != previous_steps and abs(steps) < RATE_STEPS:  # downhill
+        candidates: list[int] = [steps, steps - 1, steps + 1]
+        steps, previous_steps = min(candidates, key=cost), steps
+    if abs(steps) in (0, RATE_STEPS):
+        return 1.0, 0.0
+    slope = 0.5 * (cost(steps + 1) - cost(steps - 1))
+    bend = cost(steps - 1) - 2 * cost(steps) + cost(steps + 1)
+    return RATE_STEP ** (steps - slope / max(bend, 1e-9)), cost(0) - cost(steps)
+
+
+def _has_usual_speed(prior: MotionPrior, speed_m_s: float) -> bool:
+    """Return whether the motions of the prior include that speed."""
+    speeds_m_s = [segment.speed_m_s for segment in prior.segments]
+    return not speeds_m_s or min(speeds_m_s) / SPEEDS < speed_m_s < max(speeds_m_s) * SPEEDS
 
 
 def _rate_cost(problem: LeastSquares, estimate: Estimate, correlation_frames: float = 1.0) -> float:

@@ -315,30 +315,14 @@ def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Gr
     stance = terms.StanceVelocity(feet, clip.fps, constants.SLIP_M_S, constants.SLIP_C)
     _, _, slow = stance.contact(points_m, size)
     if len(clip.views) == 1 and clip.shows_size:
-        camera = np.diff(clip.views[0].centre_m, axis=0)[:, None]
-        body = np.diff(points_m.mean(axis=1), axis=0)[:, None] + (1.0 - 1.0 / size) * camera  # of the expected size
-        co_movement = np.clip(np.sum(body * camera) / max(np.sum(body**2), 1e-12), 0.0, 1.0)
-        seen_velocity = (1.0 - co_movement) * np.where(slow[..., None] > 0.5, 0.0, camera) / size
-        by_size = (seen_velocity + co_movement * np.diff(points_m[:, feet], axis=0)) * clip.fps
-        stance = replace(stance, at=size, by_size=by_size)
+        stance = replace(stance, at=size, by_size=_stance_by_size(clip, points_m, size, slow))
     middle = 0.5 * (points_m[1:, feet] + points_m[:-1, feet])
-    height, sigma = float(np.percentile(middle[..., 2], 10)), 10.0
     near_zero = abs(sigmas_above_ground(clip, points_m, size)) < OFF_ZERO_SIGMAS if clip.ground_known else None
+    height, sigma = float(np.percentile(middle[..., 2], 10)), 10.0
     if near_zero:
         height = -float(clip.origin_m[2]) / size
         sigma = float(np.hypot(constants.GROUND_HEIGHT_M, clip.size_sigma * height))
-    spread = np.array([sigma, constants.GROUND_SLOPE, constants.GROUND_SLOPE])
-    centre = np.median(middle[..., :2].reshape(-1, 2), axis=0)
-    rows = np.concatenate([np.ones((*middle.shape[:2], 1)), middle[..., :2] - centre], axis=-1)
-    plane, covariance, contact = np.array([height, 0.0, 0.0]), np.diag(spread**2), slow
-    count = terms.REFERENCE_HZ / clip.fps / constants.GROUND_FOOT_M**2
-    for _ in range(5):
-        above = middle[..., 2] - rows @ plane
-        contact = slow / (1.0 + (above / (3 * constants.GROUND_FOOT_M)) ** 2) ** 2
-        normal = np.einsum("tf,tfa,tfb->ab", contact, rows, rows) * count + np.diag(spread**-2.0)
-        covariance = np.linalg.inv(normal)
-        pull = np.einsum("tf,tfa,tf->a", contact, rows, middle[..., 2]) * count + spread**-2.0 * (height, 0.0, 0.0)
-        plane = covariance @ pull
+    contact, plane, centre, covariance = _fit_plane(middle, slow, height, sigma, clip.fps)
     contact_of_frames = np.concatenate([contact[:1], np.maximum(contact[1:], contact[:-1]), contact[-1:]])
     if contact.sum() < 3:  # no foot stands: nothing is known of the ground
         return contact_of_frames, None, (stance,)
@@ -350,3 +334,41 @@ def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Gr
     sigma = float(np.sqrt(covariance[0, 0] * clip.correlation_frames))
     ground = Ground(float(plane[0] - slope @ centre), slope, sigma, near_zero)
     return contact_of_frames, ground, (stance, on_ground)
+
+
+def _stance_by_size(clip: ClipProblem, points_m: Array, size: float, slow: Array) -> Array:
+    """Return how the velocities of feet follow the size (T - 1, F, 3), if one moving camera sees the animal.
+
+    Standing feet show the size: if the animal were of another size, they would move as the camera does. Swinging feet
+    do not. The more the camera moves along with the animal, whose feet it then sees move both ways, the more all feet
+    count.
+    """
+    camera = np.diff(clip.views[0].centre_m, axis=0)[:, None]
+    body = np.diff(points_m.mean(axis=1), axis=0)[:, None] + (1.0 - 1.0 / size) * camera  # of the expected size
+    co_movement = np.clip(np.sum(body * camera) / max(np.sum(body**2), 1e-12), 0.0, 1.0)
+    seen_velocity = (1.0 - co_movement) * np.where(slow[..., None] > 0.5, 0.0, camera) / size
+    return (seen_velocity + co_movement * np.diff(points_m[:, clip.feet], axis=0)) * clip.fps
+
+
+def _fit_plane(
+    middle: Array, slow: Array, height: float, sigma: float, fps: float
+) -> tuple[Array, Array, Array, Array]:
+    """Fit the ground to feet (N, F, 3), with weights (N, F) of how slow they are.
+
+    height and its standard deviation sigma are the expectation. Returns the contact (N, F), the plane (3,) about the
+    feet's middle (2,), that middle, and the plane's covariance (3, 3). Each round weighs the feet by their height
+    above the last plane (Geman-McClure).
+    """
+    spread = np.array([sigma, constants.GROUND_SLOPE, constants.GROUND_SLOPE])
+    centre = np.median(middle[..., :2].reshape(-1, 2), axis=0)
+    rows = np.concatenate([np.ones((*middle.shape[:2], 1)), middle[..., :2] - centre], axis=-1)
+    plane, covariance, contact = np.array([height, 0.0, 0.0]), np.diag(spread**2), slow
+    count = terms.REFERENCE_HZ / fps / constants.GROUND_FOOT_M**2
+    for _ in range(5):
+        above = middle[..., 2] - rows @ plane
+        contact = slow / (1.0 + (above / (3 * constants.GROUND_FOOT_M)) ** 2) ** 2
+        normal = np.einsum("tf,tfa,tfb->ab", contact, rows, rows) * count + np.diag(spread**-2.0)
+        covariance = np.linalg.inv(normal)
+        pull = np.einsum("tf,tfa,tf->a", contact, rows, middle[..., 2]) * count + spread**-2.0 * (height, 0.0, 0.0)
+        plane = covariance @ pull
+    return contact, plane, centre, covariance

@@ -210,52 +210,74 @@ def posterior(problem: LeastSquares, body: Body, estimate: Estimate, variance_fa
         The problem, with its nuisance unknowns.
     body
         The body, with J joints and D unknowns a frame.
-    found
+    estimate
         The minimum.
     variance_factor
         Factor on all variances: the correlation length of errors, in frames, which the cost does not know.
     """
     states, size = estimate.states, size_of(estimate.shared)
-    problem_curvature = curvature(problem, estimate, variance_factor)
-    solved_for = [unknown.name for unknown in problem.shared]
-    sigma = np.sqrt(variance_factor * np.diagonal(np.linalg.inv(problem_curvature.shared_precision)))
-    columns = replace(problem, shared=[*problem.shared, *problem.nuisance]).columns
-    frames = replace(problem, shared=(), nuisance=())
-    prior_frames = replace(frames, terms=[term for term in problem.terms if term.name != "reprojection"])
-    (T, D), J, without_pixels = states.shape, len(body.markers), prior_frames.normals(states)
-    is_position = np.isin(
-        np.arange(D), [*range(D)[ROOT], YAW]
-    )  # a frame's, and its heading: priors say nothing of them
+    (T, D), J = states.shape, len(body.markers)
+    solution = curvature(problem, estimate, variance_factor)
     absolute, relative, by_size = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3)), np.empty((T, J, 3))
-    state_by_size, angles, variances = np.empty((T, D)), np.empty((2, T, D - YAW)), np.empty((2, T, J))
-    for window, by_others, by_size_window in problem_curvature.windows():  # one after the other: a window is large
-        state_covariance, rows = window.marginal_blocks()[:, 0], window.rows
-        for first in range(0, len(state_covariance), _FRAMES_AT_ONCE):
-            lasting = by_others[first : first + _FRAMES_AT_ONCE] @ problem_curvature.root
-            state_covariance[first : first + _FRAMES_AT_ONCE] += lasting @ lasting.swapaxes(1, 2)
-        absolute[rows], relative[rows], by_size[rows] = _joint_covariances(
-            body, states[rows], state_covariance, size, by_size_window
-        )
-        angles[0, rows], state_by_size[rows] = np.diagonal(state_covariance, axis1=1, axis2=2)[:, YAW:], by_size_window
-    for variance, normals in zip(variances, (frames.normals(states, estimate.shared)(), without_pixels()), strict=True):
-        for window in eliminated(normals, np.where(is_position, _FIXED, 0.0), bounded=True):
-            joint_covariances = _joint_covariances(body, states[window.rows], window.marginal_blocks()[:, 0])
-            variance[window.rows] = np.trace(joint_covariances[1], axis1=2, axis2=3)
-    for window in eliminated(without_pixels(), np.where(is_position, _NEARLY_FREE, 0.0), bounded=True):
-        angles[1, window.rows] = np.diagonal(window.marginal_blocks()[:, 0], axis1=1, axis2=2)[:, YAW:]
+    state_by_size, angle_variance = np.empty((T, D)), np.empty((2, T, D - YAW))
+    for window, by_others, window_by_size in solution.windows():  # one after the other: a window is large
+        rows, state_covariance = window.rows, window.marginal_blocks()[:, 0]
+        _add_shared(state_covariance, by_others, solution.root)
+        joints = _joint_covariances(body, states[rows], state_covariance, size, window_by_size)
+        absolute[rows], relative[rows], by_size[rows] = joints
+        angle_variance[0, rows] = np.diagonal(state_covariance, axis1=1, axis2=2)[:, YAW:]
+        state_by_size[rows] = window_by_size
     for covariance in (absolute, relative):  # in place: those of a long clip are large
-        covariance += np.multiply.outer(problem_curvature.beyond_m2, np.eye(3))
+        covariance += np.multiply.outer(solution.beyond_m2, np.eye(3))
         covariance *= variance_factor
+    data_share, angle_variance[1] = _without_pixels(problem, body, estimate)
     return Posterior(
         covariance_m2=absolute,
         relative_covariance_m2=relative,
-        data_share=_data_share(*variances),
-        angle_variance=variance_factor * angles,
+        data_share=data_share,
+        angle_variance=variance_factor * angle_variance,
         state_by_size=state_by_size,
         joint_by_size_m=by_size,
-        size_precision=problem_curvature.size_known / variance_factor,
-        shared_sigma={name: sigma[columns[name]] for name in solved_for},
+        size_precision=solution.size_known / variance_factor,
+        shared_sigma=_shared_sigma(problem, solution, variance_factor),
     )
+
+
+def _add_shared(state_covariance: Array, by_others: Array, root: Array) -> None:
+    """Add the uncertainty of the shared unknowns besides the size, in place: H^-1 + Y S^-1 Y'."""
+    for first in range(0, len(state_covariance), _FRAMES_AT_ONCE):
+        rows = slice(first, first + _FRAMES_AT_ONCE)
+        lasting = by_others[rows] @ root
+        state_covariance[rows] += lasting @ lasting.swapaxes(1, 2)
+
+
+def _without_pixels(problem: LeastSquares, body: Body, estimate: Estimate) -> tuple[Array, Array]:
+    """Return the joints' information fraction (J,), and the angles' variance without pixels (T, D - 3).
+
+    Priors say nothing of a frame's position and heading. These are fixed for the fraction, which compares the joints
+    within the body with and without pixels, and nearly free for the angles.
+    """
+    states, (T, D) = estimate.states, estimate.states.shape
+    frames = replace(problem, shared=(), nuisance=())
+    prior_frames = replace(frames, terms=[term for term in problem.terms if term.name != "reprojection"])
+    with_pixels, without_pixels = frames.normals(states, estimate.shared), prior_frames.normals(states)
+    is_position = np.isin(np.arange(D), [*range(D)[ROOT], YAW])
+    variances = np.empty((2, T, len(body.markers)))
+    for variance, normals in zip(variances, (with_pixels, without_pixels), strict=True):
+        for window in eliminated(normals(), np.where(is_position, _FIXED, 0.0), bounded=True):
+            _, relative, _ = _joint_covariances(body, states[window.rows], window.marginal_blocks()[:, 0])
+            variance[window.rows] = np.trace(relative, axis1=2, axis2=3)
+    angle_variance = np.empty((T, D - YAW))
+    for window in eliminated(without_pixels(), np.where(is_position, _NEARLY_FREE, 0.0), bounded=True):
+        angle_variance[window.rows] = np.diagonal(window.marginal_blocks()[:, 0], axis1=1, axis2=2)[:, YAW:]
+    return _data_share(*variances), angle_variance
+
+
+def _shared_sigma(problem: LeastSquares, solution: _Curvature, variance_factor: float) -> dict[str, Array]:
+    """Return the standard deviations (P,) of the shared unknowns that were solved for, by name."""
+    sigma = np.sqrt(variance_factor * np.diagonal(np.linalg.inv(solution.shared_precision)))
+    columns = replace(problem, shared=[*problem.shared, *problem.nuisance]).columns
+    return {unknown.name: sigma[columns[unknown.name]] for unknown in problem.shared}
 
 
 def with_size(covariance_m2: Array, by_size_m: Array, size: float, size_sigma: float) -> Array:

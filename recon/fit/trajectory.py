@@ -466,46 +466,19 @@ def _test_second_camera(clip: ClipProblem, segment: SegmentFit) -> SecondCamera:
     """Test whether the second of two cameras is turned, moved or late.
 
     The alternatives are that it is turned about one axis, displaced along one axis, or late by `MISPLACED` times as
-    much as expected. All else follows, except the size, which stays near the expected one: where rays meet in spite of
-    a wrong pose, the animal is too large or too small. The ground follows the feet: fixed as it is, it would hold the
-    world. The test uses the stretch in which both cameras see most, because model errors, which last, would add up over
-    a clip.
+    much as expected. All else follows: it is eliminated from the normal equations, so that the cost is a quadratic of
+    the camera's seven errors, whose evidence under a Gaussian of any width has a closed form.
     """
-    seen_by_both = np.all([view.present[segment.rows] for view in clip.views], axis=0).sum(axis=1)
-    rows = densest_window(seen_by_both, round(TESTED_S * clip.fps))
-    if rows.stop - rows.start < len(seen_by_both):
-        estimate = replace(segment.estimate, states=segment.estimate.states[rows])
-        start = segment.rows.start
-        segment = refined(clip, replace(segment, rows=slice(start + rows.start, start + rows.stop), estimate=estimate))
-    root_correlation, offset_name = clip.correlation_frames**0.5, time_offset(1)
-    shared = {unknown.name: unknown for unknown in (*segment.problem.shared, *segment.problem.nuisance)}
-    shift_m = clip.part(segment.rows).shifts_m(clip.markers(segment.estimate.states), segment.size)[1]
-    usual_sigma = np.array(
-        [*np.repeat([constants.CALIBRATED_RAD, shift_m], 3), root_correlation * shared[offset_name].sigma[0]]
-    )
-    names = (extrinsic_correction(1), offset_name)
-    free_unknowns = {
-        name: SharedUnknown(name, np.zeros(n), np.full(n, np.inf)) for name, n in zip(names, (6, 1), strict=True)
-    }
-    size = SharedUnknown(
-        SIZE, np.ones(1), np.hypot([clip.size_sigma], constants.SIZE_OF_TWO_CAMERAS) / root_correlation
-    )
-    terms = [term for term in segment.problem.terms if not isinstance(term, OnGround)]
-    problem = replace(
-        segment.problem,
-        terms=terms,
-        shared=[*(free_unknowns | shared | free_unknowns | {SIZE: size}).values()],
-        nuisance=(),
-    )
+    segment = _seen_by_both(clip, segment)
+    problem, usual_sigma = _pair_problem(clip, segment)
+    correlation_frames, n = clip.correlation_frames, len(usual_sigma)
     normals = problem.normals(segment.estimate.states, problem.expected() | dict(segment.estimate.shared))
-    reduced = np.sum([window.reduced() for window in eliminated(normals(), bounded=True)], axis=0) / root_correlation**2
-    n = len(usual_sigma)
+    windows = eliminated(normals(), bounded=True)
+    reduced = np.sum([window.reduced() for window in windows], axis=0) / (correlation_frames**0.5) ** 2
     by_others = np.linalg.solve(reduced[n:, n:-1], np.delete(reduced[n:], np.s_[n:-1], axis=1))
     remaining = np.delete(reduced[:n], np.s_[n:-1], axis=1) - reduced[:n, n:-1] @ by_others
-    precision, pull = (
-        remaining[:, :n],
-        remaining[:, n] - remaining[:, n - 1] * segment.shared_values(offset_name),
-    )  # where all are as said
+    precision = remaining[:, :n]
+    pull = remaining[:, n] - remaining[:, n - 1] * segment.shared_values(time_offset(1))  # where all are as said
 
     def evidence(sigma: Array) -> tuple[float, Array]:
         deviation = -np.linalg.solve(precision + np.diag(sigma**-2), pull)
@@ -514,6 +487,36 @@ def _test_second_camera(clip: ClipProblem, segment: SegmentFit) -> SecondCamera:
     alternatives = [evidence(np.where(axis, constants.MISPLACED, 1.0) * usual_sigma) for axis in np.eye(n)]
     gains = np.array([log_evidence for log_evidence, _ in alternatives]) - evidence(usual_sigma)[0]
     return SecondCamera(float(gains[:-1].max()), float(gains[-1]), float(alternatives[-1][1][-1]))
+
+
+def _seen_by_both(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
+    """Return the stretch in which both cameras see most: model errors, which last, would add up over a clip."""
+    seen_by_both = np.all([view.present[segment.rows] for view in clip.views], axis=0).sum(axis=1)
+    rows = densest_window(seen_by_both, round(TESTED_S * clip.fps))
+    if rows.stop - rows.start == len(seen_by_both):
+        return segment
+    start, estimate = segment.rows.start, replace(segment.estimate, states=segment.estimate.states[rows])
+    return refined(clip, replace(segment, rows=slice(start + rows.start, start + rows.stop), estimate=estimate))
+
+
+def _pair_problem(clip: ClipProblem, segment: SegmentFit) -> tuple[LeastSquares, Array]:
+    """Return the problem with a free second camera, its seven errors first, and their usual standard deviations.
+
+    The size stays near the expected one: where rays meet in spite of a wrong pose, the animal is too large or too
+    small. The ground follows the feet: fixed as it is, it would hold the world.
+    """
+    root_correlation, offset_name = clip.correlation_frames**0.5, time_offset(1)
+    shared = {unknown.name: unknown for unknown in (*segment.problem.shared, *segment.problem.nuisance)}
+    shift_m = clip.part(segment.rows).shifts_m(clip.markers(segment.estimate.states), segment.size)[1]
+    offset_sigma = root_correlation * shared[offset_name].sigma[0]
+    usual_sigma = np.array([*np.repeat([constants.CALIBRATED_RAD, shift_m], 3), offset_sigma])
+    counts = {extrinsic_correction(1): 6, offset_name: 1}
+    free = {name: SharedUnknown(name, np.zeros(n), np.full(n, np.inf)) for name, n in counts.items()}
+    size_sigma = np.hypot([clip.size_sigma], constants.SIZE_OF_TWO_CAMERAS) / root_correlation
+    size = SharedUnknown(SIZE, np.ones(1), size_sigma)
+    terms = [term for term in segment.problem.terms if not isinstance(term, OnGround)]
+    unknowns = free | shared | free | {SIZE: size}  # the camera's first
+    return replace(segment.problem, terms=terms, shared=[*unknowns.values()], nuisance=()), usual_sigma
 
 
 def _size_error_of_bias(clip: ClipProblem) -> float:
