@@ -115,59 +115,70 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
     seen_together = (np.sum([view.present for view in views], axis=0) > 1).sum(axis=1)
     rows, fps = densest_window(seen_together, FRAMES), motion.fps
     views = [view.part(rows) for view in views]
-    compared_frames = (int(motion.frames[rows][0]), int(motion.frames[rows][-1]) + 1)
-    names, all_views = [view.camera.name for view in views], tuple(range(len(views)))
-    noise = (sigma_px, keypoint_sigma_m)
-    sights = _sights(views, *noise)
-    levels, limit = _levels(sights, all_views), MAX_LEVEL
-    exchanged, judged_sights = None, sights
-    if not _agree(levels, limit):
-        pairs = [pair for pair in combinations(all_views, 2) if not _agree(levels[[*pair]], limit)]
-        trials = {pair: _sights(_with_exchanged(views, *pair), *noise) for pair in pairs}
-        trial_levels = {pair: _levels(trial, all_views) for pair, trial in trials.items()}
-        levels_without = [
-            _levels(sights, rest) for rest in combinations(all_views, len(all_views) - 1) if len(rest) > 1
-        ]
-        noise_levels = [
-            np.nanmedian(numbers) for numbers in (*levels_without, *trial_levels.values()) if np.isfinite(numbers).any()
-        ]
-        limit *= float(np.clip(min(noise_levels, default=np.inf), 1.0, NOISIEST if len(views) > 2 else NOISIEST_OF_TWO))
-        exchanged = _exchanged_pair(levels, trial_levels, limit)
-        judged_sights = trials[exchanged] if exchanged else sights
-    agreeing = _agreeing(judged_sights, fps, limit)
-    comparisons = _agreements(judged_sights, agreeing or all_views, fps)
-    while (
-        len(agreeing) > 2
-        and _gain(comparisons[worst := max(agreeing, key=lambda v: _gain(comparisons[v]))]) >= CLEAR_GAIN
-    ):
-        # about its line of sight a camera can be turned by some degrees, and its level is still low
-        agreeing = tuple(v for v in agreeing if v != worst)
-        comparisons = _agreements(judged_sights, agreeing, fps)
+    frames = (int(motion.frames[rows][0]), int(motion.frames[rows][-1]) + 1)
+    names = [view.camera.name for view in views]
+    given_sights = _sights(views, sigma_px, keypoint_sigma_m)
+    sights, exchanged, limit = _without_exchange(views, given_sights, sigma_px, keypoint_sigma_m)
+    agreeing, comparisons = _compared(sights, fps, limit)
+
     findings = []
-    for v in (v for v in all_views if agreeing and v not in agreeing):
-        if comparisons[v]["level"] > limit or _gain(comparisons[v]) >= CLEAR_GAIN:
-            offset_s = motion.sources[v].offset_s + comparisons[v]["late_frames"] / fps
-            findings.append(
-                finding(_code(comparisons[v], limit), compared_frames, names[v], **comparisons[v], offset_s=offset_s)
-            )
-    for v in exchanged or ():  # as it came
-        comparisons[v] = _agreement(
-            sights[v], [judged_sights[o] for o in agreeing or all_views if o != v], fps, wide=False
-        )
-    for code, members in (("cameras_exchanged", exchanged), ("cameras_disagree", None if agreeing else all_views)):
+    for v in (v for v in range(len(views)) if agreeing and v not in agreeing):
+        numbers = comparisons[v]
+        if numbers["level"] > limit or _gain(numbers) >= CLEAR_GAIN:
+            offset_s = motion.sources[v].offset_s + numbers["late_frames"] / fps
+            findings.append(finding(_code(numbers, limit), frames, names[v], **numbers, offset_s=offset_s))
+    for v in exchanged:  # compared as it came
+        others = [sights[o] for o in agreeing or range(len(views)) if o != v]
+        comparisons[v] = _agreement(given_sights[v], others, fps, wide=False)
+    disagreeing = () if agreeing else tuple(range(len(views)))
+    for code, members in (("cameras_exchanged", exchanged), ("cameras_disagree", disagreeing)):
         if members:
-            findings.append(
-                finding(
-                    code, compared_frames, None, cameras=tuple(names[v] for v in members), **comparisons[members[0]]
-                )
-            )
-    if not any(comparison["points"] for comparison in comparisons):
-        findings.append(finding("cameras_apart_in_time", compared_frames))
-    notes = zip(names, comparisons, strict=True)
-    return (
-        *findings,
-        *(finding("camera_agreement", compared_frames, name, max_level=limit, **numbers) for name, numbers in notes),
-    )
+            cameras = tuple(names[v] for v in members)
+            findings.append(finding(code, frames, None, cameras=cameras, **comparisons[members[0]]))
+    if not any(numbers["points"] for numbers in comparisons):
+        findings.append(finding("cameras_apart_in_time", frames))
+    for name, numbers in zip(names, comparisons, strict=True):
+        findings.append(finding("camera_agreement", frames, name, max_level=limit, **numbers))
+    return tuple(findings)
+
+
+def _without_exchange(
+    views: Sequence[View], sights: list[_Sight], sigma_px: float, keypoint_sigma_m: float
+) -> tuple[list[_Sight], tuple[int, ...], float]:
+    """Return the sights with two exchanged cameras put back, the two, () if there are none, and the largest level.
+
+    That level is higher than `MAX_LEVEL` where the cameras that agree best are noisier than expected.
+    """
+    everyone = tuple(range(len(views)))
+    levels = _levels(sights, everyone)
+    if _agree(levels, MAX_LEVEL):
+        return sights, (), MAX_LEVEL
+    pairs = [pair for pair in combinations(everyone, 2) if not _agree(levels[[*pair]], MAX_LEVEL)]
+    trials = {pair: _sights(_with_exchanged(views, *pair), sigma_px, keypoint_sigma_m) for pair in pairs}
+    trial_levels = {pair: _levels(trial, everyone) for pair, trial in trials.items()}
+    rests = [_levels(sights, rest) for rest in combinations(everyone, len(everyone) - 1) if len(rest) > 1]
+    medians = [np.nanmedian(values) for values in (*rests, *trial_levels.values()) if np.isfinite(values).any()]
+    noisiest = NOISIEST if len(views) > 2 else NOISIEST_OF_TWO
+    limit = MAX_LEVEL * float(np.clip(min(medians, default=np.inf), 1.0, noisiest))
+    exchanged = _exchanged_pair(levels, trial_levels, limit)
+    return (sights, (), limit) if exchanged is None else (trials[exchanged], exchanged, limit)
+
+
+def _compared(sights: Sequence[_Sight], fps: float, limit: float) -> tuple[tuple[int, ...], list[Numbers]]:
+    """Return the cameras that agree, and the comparison of each camera with them, or with all if none agree.
+
+    About its line of sight a camera can be turned by some degrees, and its level is still low. Of the cameras that
+    agree, those go, too, that a rotation or a time offset clearly improves.
+    """
+    agreeing = _agreeing(sights, fps, limit)
+    comparisons = _agreements(sights, agreeing or range(len(sights)), fps)
+    while len(agreeing) > 2:
+        worst = max(agreeing, key=lambda v: _gain(comparisons[v]))
+        if _gain(comparisons[worst]) < CLEAR_GAIN:
+            break
+        agreeing = tuple(v for v in agreeing if v != worst)
+        comparisons = _agreements(sights, agreeing, fps)
+    return agreeing, comparisons
 
 
 # -- who agrees ----------------------------------------------------------------------------------------------------
@@ -669,32 +680,51 @@ def up_from_feet(views: Sequence[View], body: Body, fps: float, sigma_px: float)
     feet = np.array([body.markers.index(foot) for foot in body.feet])
     if not len(feet) or len(positions_m) < 2:
         return None
-    body_m_points = positions_m[:, np.setdiff1d(np.arange(len(body.markers)), feet)]
-    is_whole = np.isfinite(positions_m[:, feet, 0]).any(axis=1) & np.isfinite(body_m_points[..., 0]).any(axis=1)
     step = 0.5 * (positions_m[1:, feet] + positions_m[:-1, feet])
     is_seen = np.isfinite(step[..., 0])
-    if is_seen.sum() < MIN_STANDING or not is_whole.any():
+    posture_m = _feet_to_body(positions_m, feet)
+    if is_seen.sum() < MIN_STANDING or posture_m is None:
         return None
-    body_m = np.nanmedian(body_m_points[is_whole], axis=1) - np.nanmean(positions_m[is_whole][:, feet], axis=1)
-    posture = np.median(body_m, axis=0)
-    height_m = float(np.linalg.norm(posture))
-    axes = np.linalg.svd(posture[None])[2]
-    axes[0] *= np.sign(axes[0] @ posture)  # up by the posture, and across it
+    axes = np.linalg.svd(posture_m[None])[2]
+    axes[0] *= np.sign(axes[0] @ posture_m)  # up by the posture, and across it
 
     slow = StanceVelocity(feet, fps, constants.SLIP_M_S, constants.SLIP_C).contact(positions_m, 1.0)[2][is_seen]
     middle = np.median(step[is_seen], axis=0)
-    height, *across = axes @ (step[is_seen] - middle).T
-    rows = np.stack([np.ones_like(height), *across], axis=-1)
-    posture_precision = np.diag([0.0, *np.full(2, np.tan(POSTURE_RAD) ** -2.0)])
+    along_axes = (axes @ (step[is_seen] - middle).T).T
     correlation_frames = max(constants.ERROR_TIME_S * fps, 1.0)
-    plane, normal, weight = np.array([np.quantile(height, 0.25), 0.0, 0.0]), np.eye(3), slow
-    for width_m in height_m * np.geomspace(1.0, FOOT_SHARE, 12):
-        weight = slow / (1.0 + ((height - rows @ plane) / (3 * width_m)) ** 2) ** 2
-        of_rows = rows.T * weight / (correlation_frames * width_m**2)
-        normal = of_rows @ rows + posture_precision
-        plane = np.linalg.solve(normal, of_rows @ height)
+    plane, normal, standing = _fit_tilted_plane(along_axes, slow, float(np.linalg.norm(posture_m)), correlation_frames)
     up = axes.T @ [1.0, *-plane[1:]]
     sigma = float(np.sqrt(np.linalg.eigvalsh(np.linalg.inv(normal)[1:, 1:])[-1]))
-    if not weight.sum() >= MIN_STANDING or not sigma < MAX_SIGMA_RAD:
+    if not standing >= MIN_STANDING or not sigma < MAX_SIGMA_RAD:
         return None
     return _Upward(up / np.linalg.norm(up), middle + plane[0] * axes[0], sigma)
+
+
+def _feet_to_body(positions_m: Array, feet: Index) -> Array | None:
+    """Return the vector (3,) from the feet to the rest of the body, the median over frames; None if never both seen."""
+    rest_m = positions_m[:, np.setdiff1d(np.arange(positions_m.shape[1]), feet)]
+    is_whole = np.isfinite(positions_m[:, feet, 0]).any(axis=1) & np.isfinite(rest_m[..., 0]).any(axis=1)
+    if not is_whole.any():
+        return None
+    vectors_m = np.nanmedian(rest_m[is_whole], axis=1) - np.nanmean(positions_m[is_whole][:, feet], axis=1)
+    return np.median(vectors_m, axis=0)
+
+
+def _fit_tilted_plane(
+    points_m: Array, slow: Array, tall_m: float, correlation_frames: float
+) -> tuple[Array, Array, float]:
+    """Fit a plane to feet (N, 3), height first, with weights (N,) of how slow they are.
+
+    The width within which feet count narrows from the body's height tall_m to `FOOT_SHARE` of it. Returns the plane
+    (3,): height and slopes; its curvature (3, 3); and how many feet stand on it.
+    """
+    height, *across = points_m.T
+    rows = np.stack([np.ones_like(height), *across], axis=-1)
+    posture_precision = np.diag([0.0, *np.full(2, np.tan(POSTURE_RAD) ** -2.0)])
+    plane, normal, weight = np.array([np.quantile(height, 0.25), 0.0, 0.0]), np.eye(3), slow
+    for width_m in tall_m * np.geomspace(1.0, FOOT_SHARE, 12):
+        weight = slow / (1.0 + ((height - rows @ plane) / (3 * width_m)) ** 2) ** 2
+        weighted_rows = rows.T * weight / (correlation_frames * width_m**2)
+        normal = weighted_rows @ rows + posture_precision
+        plane = np.linalg.solve(normal, weighted_rows @ height)
+    return plane, normal, float(weight.sum())

@@ -18,7 +18,7 @@ import numpy as np
 
 from recon.base.arrays import Array
 from recon.fit.banded import Normal, add_normal, step
-from recon.fit.terms import COMMON_KEYPOINT_BIAS, Linear, Span, Term
+from recon.fit.terms import COMMON_KEYPOINT_BIAS, Linear, Span, Term, TermRows
 from recon.geometry.kinematics import Tree
 
 BANDS = 2
@@ -168,16 +168,7 @@ class LeastSquares:
                     rows = term.evaluate(span, jacobian=True)
                     first = span.first - start
                     add_normal(blocks, gradient, first, term.stencil, rows.residual, rows.jacobian)
-                    by_shared = {name: rows.by_shared[name] for name in rows.by_shared if name in columns}
-                    for name, by_unknown in by_shared.items():
-                        for slot, offset in enumerate(term.stencil):
-                            at = slice(first + offset, first + offset + len(by_unknown))
-                            border[at, :, columns[name]] += rows.jacobian[:, :, slot].swapaxes(1, 2) @ by_unknown
-                    if by_shared:
-                        shared_columns = np.concatenate([np.r_[columns[name]] for name in by_shared])
-                        flat = np.concatenate([*by_shared.values()], axis=2).reshape(-1, len(shared_columns))
-                        corner[np.ix_(shared_columns, shared_columns)] += flat.T @ flat
-                        shared_gradient[shared_columns] += flat.T @ rows.residual.ravel()
+                    _add_shared(columns, border, corner, shared_gradient, first, term.stencil, rows)
                 span = next(spans, None)
             overlap = (blocks[n], gradient[n], border[n]) if has_next else None
             yield Normal(blocks[:n], gradient[:n], border[:n], corner, shared_gradient)
@@ -263,3 +254,29 @@ class LeastSquares:
                 for b, row in enumerate(term.stencil[a:], start=a):
                     blocks[term.frames(T) + column, row - column] += term.slots[b].T @ term.slots[a]
         return blocks
+
+
+def _add_shared(
+    columns: Mapping[str, slice],
+    border: Array,
+    corner: Array,
+    shared_gradient: Array,
+    first: int,
+    stencil: Sequence[int],
+    rows: TermRows,
+) -> None:
+    """Add what a term says of the shared unknowns, in place: J'K to the border, K'K to the corner, K'r to the gradient.
+
+    K are its derivatives by the unknowns of `columns`; its first frame is that of row `first`.
+    """
+    by_shared = {name: rows.by_shared[name] for name in rows.by_shared if name in columns}
+    if not by_shared:
+        return
+    for name, by_unknown in by_shared.items():
+        for slot, offset in enumerate(stencil):
+            frames = slice(first + offset, first + offset + len(by_unknown))
+            border[frames, :, columns[name]] += rows.jacobian[:, :, slot].swapaxes(1, 2) @ by_unknown
+    own = np.concatenate([np.r_[columns[name]] for name in by_shared])
+    flat = np.concatenate([*by_shared.values()], axis=2).reshape(-1, len(own))
+    corner[np.ix_(own, own)] += flat.T @ flat
+    shared_gradient[own] += flat.T @ rows.residual.ravel()

@@ -93,7 +93,7 @@ class Span:
 
 
 @dataclass(frozen=True)
-class _TermRows:
+class TermRows:
     """Hold what a term gives: see the module's text. Without Jacobian all but the cost are empty."""
 
     cost: Array
@@ -115,7 +115,7 @@ class Term(Protocol):
         """Return the offsets (S,) of the frames that a row reads."""
         ...
 
-    def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
+    def evaluate(self, span: Span, jacobian: bool) -> TermRows:
         """Return the term's cost and, if asked for, its residual and derivatives."""
         ...
 
@@ -214,7 +214,7 @@ class PoseMixture:
         object.__setattr__(self, "_precision", white.swapaxes(1, 2) @ white)
         object.__setattr__(self, "_offset", offset - offset.min())
 
-    def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
+    def evaluate(self, span: Span, jacobian: bool) -> TermRows:
         """Return the cost, residual and derivatives: see `Term`."""
         z = span.states[span.own_rows, ANGLES]
         N, A = z.shape
@@ -227,14 +227,34 @@ class PoseMixture:
         weight = self.weight * REFERENCE_HZ / self.fps
         cost = weight * (least[:, 0] - self.temperature * np.log(total))
         if not jacobian:
-            return _TermRows(cost)
+            return TermRows(cost)
         share /= total[:, None]
         gradient = weight * np.einsum("nk,kna->na", share, white @ self._white)
         precision = weight * (share @ self._precision.reshape(-1, A * A)).reshape(N, A, A)
         root = np.linalg.cholesky(precision)  # root root' = precision; rows root' dz, residual root^-1 gradient
         rows = np.zeros((N, A, 1, span.states.shape[1]))
         rows[:, :, 0, ANGLES] = root.swapaxes(1, 2)
-        return _TermRows(cost, np.linalg.solve(root, gradient[..., None])[..., 0], rows)
+        return TermRows(cost, np.linalg.solve(root, gradient[..., None])[..., 0], rows)
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """What a camera looks at in N frames of a span, with the shared unknowns applied."""
+
+    frames: slice
+    """Frames of the clip."""
+    parts: list[tuple[slice, float]]
+    """Frames of the span that each picture lies between, and their shares."""
+    points_m: Array
+    """(N, J, 3): the markers when the pictures were taken, at nominal size about the origin."""
+    size: float
+    world_m: Array
+    """(N, J, 3): the markers in the world."""
+    given_view: View
+    """The view without corrections of its camera."""
+    view: View
+    sigma_px: Array
+    """(N, J)."""
 
 
 @dataclass(frozen=True)
@@ -262,64 +282,89 @@ class Reprojection:
         """Return the offsets of the frames between which the pictures were taken."""
         return (0, 1) if self.view.offset_frames else (0,)
 
-    def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
+    def evaluate(self, span: Span, jacobian: bool) -> TermRows:
         """Return the cost, residual and derivatives: see `Term`."""
-        parts = self._parts(span)
-        points = np.sum([share * span.pose.points_m[part] for part, share in parts], axis=0)
-        frames = slice(span.first, span.first + len(points))
-        view, sigma = self.view.part(frames), self.sigma_px[frames]
-        size, offset_frames = size_of(span.shared), span.shared.get(time_offset(self.number))
-        bias_m = span.shared.get(keypoint_bias(self.number))
-        if offset_frames is not None and self.drift_m is not None:
-            points = points + offset_frames * self.drift_m[frames]
-        world, correction = self.origin_m + size * points, span.shared.get(extrinsic_correction(self.number))
-        given_view, view = view, view if correction is None else view.corrected(correction)
-        log_focal = span.shared.get(focal_scale(self.number))
-        view = view if log_focal is None else view.with_focal_scale(float(log_focal[0]))
+        scene = self._scene(span)
+        view, sigma = scene.view, scene.sigma_px
         if jacobian:
-            projected, by_point, valid = view.project_with_jacobian(world)
+            projected, by_point, valid = view.project_with_jacobian(scene.world_m)
         else:
-            (projected, valid), by_point = view.project(world), None
-        unbiased_px = projected
+            (projected, valid), by_point = view.project(scene.world_m), None
+        unbiased_px, bias_m = projected, self._bias_m(span)
         if bias_m is not None and self.px_per_m is not None:
-            projected = projected + self.px_per_m[frames, None, None] * bias_m.reshape(-1, 2)
-        present = view.present
-        seen = present & valid
+            projected = projected + self.px_per_m[scene.frames, None, None] * bias_m.reshape(-1, 2)
+        seen = view.present & valid
         e = np.where(seen[..., None], projected - view.xy_px, 0.0) / sigma[..., None]
         q = np.sum(e * e, axis=-1) / self.c**2
-        confidence = np.where(present, view.confidence, 0.0)
+        confidence = np.where(view.present, view.confidence, 0.0)
         loss = np.where(valid, np.log1p(q), OUT_OF_SIGHT)
         cost = 0.5 * self.c**2 * np.sum(loss * confidence, axis=1)
         if by_point is None:
-            return _TermRows(cost)
+            return TermRows(cost)
         root_weight = np.sqrt(np.where(seen, confidence / (1.0 + q), 0.0))[..., None]
         by_point = by_point * np.where(seen[..., None], root_weight / sigma[..., None], 0.0)[..., None]
-        N, J = q.shape
-        by_state, D = by_point * size, span.pose.jacobian.shape[-1]  # of a single frame beside none, N is 0
-        slots = [(by_state * share @ span.pose.jacobian[part]).reshape(N, 2 * J, 1, D) for part, share in parts]
+        (N, J), D = q.shape, span.pose.jacobian.shape[-1]  # N is 0 for a single frame without the next one
+        by_state = by_point * scene.size
+        slots = [(by_state * share @ span.pose.jacobian[part]).reshape(N, 2 * J, 1, D) for part, share in scene.parts]
         rows = slots[0] if len(slots) == 1 else np.concatenate(slots, axis=2)
-        by_shared = {SIZE: (by_point @ points[..., None]).reshape(N, 2 * J, 1)} if SIZE in span.shared else {}
-        if offset_frames is not None and self.drift_m is not None:
-            by_shared[time_offset(self.number)] = (by_state @ self.drift_m[frames, ..., None]).reshape(N, 2 * J, 1)
-        if bias_m is not None and self.px_per_m is not None:
-            px_per_bias = np.repeat((root_weight / sigma[..., None])[..., 0] * self.px_per_m[frames, None], 2, axis=1)
-            by_shared[keypoint_bias(self.number)] = px_per_bias[..., None] * np.eye(2 * J)
-        if span.rotations is not None:
-            by_common_bias, px_per_bias = np.zeros((N, J, 2, J, 3)), np.arange(J)
-            for part, share in parts:
-                by_common_bias[:, px_per_bias, :, px_per_bias] += (by_state * share @ span.rotations[part]).swapaxes(
-                    0, 1
-                )
-            by_shared[COMMON_KEYPOINT_BIAS] = by_common_bias.reshape(N, 2 * J, 3 * J)
-        if log_focal is not None:
+        by_shared = self._by_scene(span, scene, by_point) | self._by_bias(span, scene, by_state, root_weight)
+        if focal_scale(self.number) in span.shared:
             off_centre = np.where(seen[..., None], unbiased_px - view.camera.matrix[:2, 2], 0.0)
-            by_shared[focal_scale(self.number)] = (off_centre * root_weight / sigma[..., None]).reshape(N, 2 * J, 1)
-        if correction is not None:
+            by_focal = off_centre * root_weight / sigma[..., None]
+            by_shared[focal_scale(self.number)] = by_focal.reshape(N, 2 * J, 1)
+        if (correction := span.shared.get(extrinsic_correction(self.number))) is not None:
             by_camera = by_point @ view.rotation.swapaxes(-1, -2)
-            rotation = euler_rotation_with_jacobian(correction[:3])[1] @ given_view.to_camera(world)[..., None, :, None]
+            in_camera = scene.given_view.to_camera(scene.world_m)
+            rotation = euler_rotation_with_jacobian(correction[:3])[1] @ in_camera[..., None, :, None]
             by_correction = np.concatenate([by_camera @ rotation[..., 0].swapaxes(-1, -2), by_camera], axis=-1)
             by_shared[extrinsic_correction(self.number)] = by_correction.reshape(N, 2 * J, 6)
-        return _TermRows(cost, (e * root_weight).reshape(N, 2 * J), rows, by_shared)
+        return TermRows(cost, (e * root_weight).reshape(N, 2 * J), rows, by_shared)
+
+    def _scene(self, span: Span) -> _Scene:
+        """Return the markers when the pictures were taken, and the camera with its corrections."""
+        parts = self._parts(span)
+        points_m = np.sum([share * span.pose.points_m[part] for part, share in parts], axis=0)
+        frames = slice(span.first, span.first + len(points_m))
+        delay = span.shared.get(time_offset(self.number))
+        if delay is not None and self.drift_m is not None:
+            points_m = points_m + delay * self.drift_m[frames]
+        size = size_of(span.shared)
+        given_view = view = self.view.part(frames)
+        if (correction := span.shared.get(extrinsic_correction(self.number))) is not None:
+            view = view.corrected(correction)
+        if (log_focal := span.shared.get(focal_scale(self.number))) is not None:
+            view = view.with_focal_scale(float(log_focal[0]))
+        world_m = self.origin_m + size * points_m
+        return _Scene(frames, parts, points_m, size, world_m, given_view, view, self.sigma_px[frames])
+
+    def _bias_m(self, span: Span) -> Array | None:
+        return span.shared.get(keypoint_bias(self.number))
+
+    def _by_scene(self, span: Span, scene: _Scene, by_point: Array) -> dict[str, Array]:
+        """Return the derivatives by the size and the time offset, where they are unknown."""
+        N, J = by_point.shape[:2]
+        by_shared: dict[str, Array] = {}
+        if SIZE in span.shared:
+            by_shared[SIZE] = (by_point @ scene.points_m[..., None]).reshape(N, 2 * J, 1)
+        if time_offset(self.number) in span.shared and self.drift_m is not None:
+            by_offset = (by_point * scene.size) @ self.drift_m[scene.frames, ..., None]
+            by_shared[time_offset(self.number)] = by_offset.reshape(N, 2 * J, 1)
+        return by_shared
+
+    def _by_bias(self, span: Span, scene: _Scene, by_state: Array, root_weight: Array) -> dict[str, Array]:
+        """Return the derivatives by the keypoint biases, the view's own and the common one, where they are unknown."""
+        N, J = by_state.shape[:2]
+        by_shared: dict[str, Array] = {}
+        if self._bias_m(span) is not None and self.px_per_m is not None:
+            weight = (root_weight / scene.sigma_px[..., None])[..., 0]
+            px_per_bias = np.repeat(weight * self.px_per_m[scene.frames, None], 2, axis=1)
+            by_shared[keypoint_bias(self.number)] = px_per_bias[..., None] * np.eye(2 * J)
+        if span.rotations is not None:
+            by_common_bias, own = np.zeros((N, J, 2, J, 3)), np.arange(J)
+            for part, share in scene.parts:
+                by_common_bias[:, own, :, own] += (by_state * share @ span.rotations[part]).swapaxes(0, 1)
+            by_shared[COMMON_KEYPOINT_BIAS] = by_common_bias.reshape(N, 2 * J, 3 * J)
+        return by_shared
 
     def _parts(self, span: Span) -> list[tuple[slice, float]]:
         """Return the span's frames that each picture lies between, and their shares."""
@@ -342,17 +387,17 @@ class KnownAngles:
     name: str = "known angles"
     stencil: tuple[int, ...] = (0,)
 
-    def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
+    def evaluate(self, span: Span, jacobian: bool) -> TermRows:
         """Return the cost, residual and derivatives: see `Term`."""
         states = span.states[span.own_rows]
         frames = slice(span.first, span.first + len(states))
         r = np.nan_to_num((states - self.states[frames])[:, YAW:] / self.sigma_rad)
         cost = 0.5 * np.sum(r * r, axis=1)
         if not jacobian:
-            return _TermRows(cost)
+            return TermRows(cost)
         known = np.isfinite(self.states[frames][:, YAW:])[..., None]
         rows = np.where(known, np.eye(states.shape[1])[YAW:] / self.sigma_rad, 0.0)
-        return _TermRows(cost, r, rows[:, :, None])
+        return TermRows(cost, r, rows[:, :, None])
 
 
 @dataclass(frozen=True)
@@ -370,7 +415,7 @@ class Heading:
     name: str = "heading"
     stencil: tuple[int, ...] = (0, 1)
 
-    def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
+    def evaluate(self, span: Span, jacobian: bool) -> TermRows:
         """Return the cost, residual and derivatives: see `Term`."""
         n = len(span.states) - 1
         forward = span.pose.points_m[:, self.front, :2] - span.pose.points_m[:, self.rear, :2]
@@ -383,7 +428,7 @@ class Heading:
         mean = 0.5 * (u[1:] + u[:-1])
         r = scale * (mean[:, 0] * v[:, 1] - mean[:, 1] * v[:, 0])
         if not jacobian:
-            return _TermRows(0.5 * r**2)
+            return TermRows(0.5 * r**2)
         D = span.states.shape[1]
         rotation = span.pose.jacobian[:, self.front, :2] - span.pose.jacobian[:, self.rear, :2]  # (n + 1, 2, D)
         d_u = (rotation - u[..., None] * (u[:, None] @ rotation)) / length[..., None]
@@ -395,7 +440,7 @@ class Heading:
             rows[:, 0, slot, :2] += sign * scale * self.fps * by_velocity
         along = -scale * np.sum(mean * v, axis=1)
         by_shared = {SIDESLIP: along[:, None, None]} if SIDESLIP in span.shared else {}
-        return _TermRows(0.5 * r**2, r[:, None], rows, by_shared)
+        return TermRows(0.5 * r**2, r[:, None], rows, by_shared)
 
 
 @dataclass(frozen=True)
@@ -430,7 +475,7 @@ class StanceVelocity:
         shrink = 1.0 / (1.0 + q / self.c**2)
         return q * shrink, shrink**2
 
-    def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
+    def evaluate(self, span: Span, jacobian: bool) -> TermRows:
         """Return the cost, residual and derivatives: see `Term`."""
         n, F = len(span.states) - 1, len(self.feet)
         size = size_of(span.shared)
@@ -443,12 +488,12 @@ class StanceVelocity:
         weight = REFERENCE_HZ / self.fps
         cost = 0.5 * weight * loss.sum(axis=1)
         if not jacobian:
-            return _TermRows(cost)
+            return TermRows(cost)
         root = np.sqrt(weight * slope)[..., None] / self.sigma_m_s
         foot = span.pose.jacobian[:, self.feet] * self.fps * factor
         rows = np.stack([-foot[:-1] * root[..., None], foot[1:] * root[..., None]], axis=3)
         by_shared = {SIZE: (by_size * root).reshape(n, 3 * F, 1)} if SIZE in span.shared else {}
-        return _TermRows(cost, (v * root).reshape(n, 3 * F), rows.reshape(n, 3 * F, 2, -1), by_shared)
+        return TermRows(cost, (v * root).reshape(n, 3 * F), rows.reshape(n, 3 * F, 2, -1), by_shared)
 
 
 @dataclass(frozen=True)
@@ -470,7 +515,7 @@ class OnGround:
     name: str = "ground"
     stencil: tuple[int, ...] = (0, 1)
 
-    def evaluate(self, span: Span, jacobian: bool) -> _TermRows:
+    def evaluate(self, span: Span, jacobian: bool) -> TermRows:
         """Return the cost, residual and derivatives: see `Term`."""
         n = len(span.states) - 1
         frames = slice(span.first, span.first + n)
@@ -482,10 +527,10 @@ class OnGround:
         r = (factor * by_factor - self.plane[0] + self.middle @ self.plane[1:]) * root
         cost = 0.5 * np.sum(r * r, axis=1)
         if not jacobian:
-            return _TermRows(cost)
+            return TermRows(cost)
         normal = np.array([-self.plane[1], -self.plane[2], 1.0])
         lift = 0.5 * factor * np.einsum("a,njad->njd", normal, span.pose.jacobian[:, self.feet])
         rows = np.stack([lift[:-1] * root[..., None], lift[1:] * root[..., None]], axis=2)
         if self.at is None or SIZE not in span.shared:
-            return _TermRows(cost, r, rows)
-        return _TermRows(cost, r, rows, {SIZE: (by_factor * root / self.at)[..., None]})
+            return TermRows(cost, r, rows)
+        return TermRows(cost, r, rows, {SIZE: (by_factor * root / self.at)[..., None]})
