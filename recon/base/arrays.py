@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recon.base.file_names import encodable
+
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Integers = NDArray[np.int64]
@@ -42,14 +44,14 @@ def _brief(part: Any) -> str:
 def to_plain(value: Any, digits: int = 9) -> Any:
     """Arrays, tuples, mappings and numbers as JSON types; NaN and infinities are None. digits: the significant ones."""
     if isinstance(value, Mapping):
-        return {str(key): to_plain(item, digits) for key, item in value.items()}
+        return {encodable(str(key)): to_plain(item, digits) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
         return to_plain(value.tolist(), digits)
     if isinstance(value, list | tuple):
         return [to_plain(item, digits) for item in value]
     if isinstance(value, float):
         return float(f"{value:.{digits}g}") if math.isfinite(value) else None
-    return value if value is None or isinstance(value, bool | int | str) else str(value)
+    return value if value is None or isinstance(value, bool | int) else encodable(str(value))
 
 
 def finite(values: Array | Sequence[float]) -> Array:

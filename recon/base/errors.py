@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from recon.base.file_names import encodable
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -35,9 +37,10 @@ class Problem:
 
 
 def printable(text: str) -> str:
-    """With codes in place of what cannot be printed."""
+    """Return a text with codes in place of what cannot be printed; bytes of file names as `encodable` writes them."""
     if text.isprintable():
         return text
+    text = encodable(text)
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from recon.base.errors import InputError, Problem, raise_problems
+from recon.base.file_names import encodable
 
 if sys.platform == "win32":
     import msvcrt
@@ -91,7 +92,7 @@ def staged_file(path: str | Path) -> Iterator[Path]:
 def write_text(path: str | Path, text: str) -> None:
     """A file of text, whole or not at all."""
     with staged_file(path) as staged:
-        staged.write_text(text, encoding="utf-8")
+        staged.write_text(encodable(text), encoding="utf-8")
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -227,9 +228,9 @@ def seen_from(folder: Path, path: str | Path) -> str:
     """A path as it has to stand in a file of that folder, so that both can be moved together, and nobody reads in it
     where they lay. One on another drive stays absolute."""
     try:
-        return Path(os.path.relpath(path, folder.absolute())).as_posix()
+        return encodable(Path(os.path.relpath(path, folder.absolute())).as_posix())
     except ValueError:
-        return str(path)
+        return encodable(str(path))
 
 
 def name_seen_from(folder: Path, name: str) -> str:

@@ -16,6 +16,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from recon.base.arrays import Array, Bools
+from recon.base.file_names import encodable
 from recon.fit.motion import Motion
 from recon.robotics.quadruped import LEGS
 from recon.robotics.retarget import RobotMotion
@@ -65,7 +66,7 @@ def write_robot(
     below = rrb.Horizontal(*(time_view(s) for s in more), *angles, state_rows(LEGS, "Feet that stand"))
     fps = min(len(motion.time_s) / float(motion.time_s[-1]), len(motion.time_s) / 4)
     with scene.recording(path, laid_out(rrb.Vertical(shown, below, row_shares=[3, 2]), fps)) as stream:
-        stream.send_recording_name(f"{motion.robot.name} {path.stem}")
+        stream.send_recording_name(encodable(f"{motion.robot.name} {path.stem}"))
         log = scene.Log(stream, np.arange(len(motion.time_s)), motion.time_s)
         log.fix("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         _write_robot(motion, log)

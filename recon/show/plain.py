@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 
 from recon.base.arrays import Array, finite, mean, to_plain
+from recon.base.file_names import encodable, to_encodable
 
 
 def write_report(report: Mapping[str, Any], path: Path) -> None:
     """Write report.json, indented, with each list of numbers on one line."""
-    text = json.dumps(report, indent=1, allow_nan=False, ensure_ascii=False)
+    text = json.dumps(to_encodable(report), indent=1, allow_nan=False, ensure_ascii=False)
     # A line break never stands inside a JSON string, so that this changes only the white space between values.
     text = re.sub(r"\[[^\[\]{}]*\]", lambda match: re.sub(r"\s*\n\s*", " ", match[0]), text)
     path.write_text(text + "\n", encoding="utf-8")
@@ -29,7 +30,7 @@ def to_json(value: Any) -> str:
 
 def file_name(path: str | None) -> str | None:
     """Return the name of a file without its folders, which readers of a report need not know."""
-    return None if path is None else Path(path).name
+    return None if path is None else encodable(Path(path).name)
 
 
 def picked(source: Any, *names: str) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from pydantic import TypeAdapter
 from recon.animal.prior import load_prior
 from recon.base.documents import parse_json, read_toml, validated
 from recon.base.errors import InputError, Problem
+from recon.base.file_names import existing_path
 from recon.base.files import (
     MANIFEST,
     read_manifest,
@@ -285,7 +286,7 @@ def _read_config(config: Path) -> dict[str, Any]:
 
 def beside(folder: Path, name: str, given: Any) -> Any:
     """The value of a setting that stands in a file of that folder: its paths are relative to the folder."""
-    return with_paths(name, given, lambda path: os.path.normpath(folder.absolute() / path))
+    return with_paths(name, given, lambda path: existing_path(os.path.normpath(folder.absolute() / path)))
 
 
 LIMITS = {"gt": "exclusiveMinimum", "ge": "minimum", "lt": "exclusiveMaximum", "le": "maximum"}

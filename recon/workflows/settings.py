@@ -13,6 +13,7 @@ import tomli_w
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from recon.base.errors import Problem
+from recon.base.file_names import to_encodable
 from recon.base.settings import Count, File, NameOrFile, NotNegative, Number, OneOrMore, Option, Positive, Settings
 from recon.clip import parse_frame_range
 
@@ -245,7 +246,8 @@ class FitSettings(Settings):
     def to_toml(self, folder: Path | None = None, sha256: Mapping[str, str] | None = None) -> str:
         """The text of config.toml. Settings that are not given are left out; folder: see `plain`; sha256: what is
         written down of the files' content."""
-        plain = {name: value for name, value in self.plain(folder).items() if value is not None}
+        given = {name: value for name, value in self.plain(folder).items() if value is not None}
+        plain = to_encodable(given)
         return tomli_w.dumps({"recon": {"fit": plain, **({"sha256": sha256} if sha256 else {})}})
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib.collections import FillBetweenPolyCollection, LineCollection, PolyCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_rgb, to_rgba
 from matplotlib.patches import PathPatch
 from matplotlib.quiver import Quiver
@@ -435,7 +435,7 @@ def test_speeds_of_links_with_their_deviations():
     (first, *_) = vector_field(t, swinging(20), ("a", "b", "c", "d"), np.tile([1.0, 0.0, 0.0], (20, 1)))
     field = replace(first, speed_sigma_m_s=np.full(20, 0.25))
     axes = plots.vector_fields((field,), t).axes[1]
-    (band,) = (c for c in axes.collections if isinstance(c, FillBetweenPolyCollection))
+    (band,) = (c for c in axes.collections if isinstance(c, PolyCollection) and not isinstance(c, Quiver))
     assert band.get_paths()[0].vertices[:, 1].max() == pytest.approx(first.speed_m_s.max() + radius(INTERVAL) * 0.25)
 
 

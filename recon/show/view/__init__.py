@@ -41,6 +41,7 @@ from recon.animal.body import side_of
 from recon.animal.naming import without_side
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem
+from recon.base.file_names import encodable
 from recon.fit.motion import Motion, Picture
 from recon.gait.clip import ClipAnalysis
 from recon.gait.gait import interval_of
@@ -74,7 +75,7 @@ def write(
     plots = [*angle_plots(motion), *other_plots(motion), *(() if analysis is None else analysis_plots(analysis))]
     rows = states(motion, standing)
     with recording(path, blueprint(motion, scene, plots, [*rows])) as stream:
-        stream.send_recording_name(Path(motion.keypoints.source or motion.title).stem)
+        stream.send_recording_name(encodable(Path(motion.keypoints.source or motion.title).stem))
         log = Log(stream, motion.frames, motion.time_s)
         labels = zip(motion.limbs, limb_colours(motion), strict=True)
         log.fix("/", rr.AnnotationContext([(i, limb, colour) for i, (limb, colour) in enumerate(labels)]))

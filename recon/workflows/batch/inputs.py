@@ -17,6 +17,7 @@ from typing import Any
 from recon.base.arrays import Brief
 from recon.base.documents import read_head, read_toml
 from recon.base.errors import InputError, Problem, raise_problems
+from recon.base.file_names import encodable
 from recon.check.codes import names_text
 from recon.fit.motion_forms import MOTION
 from recon.io.calibration import read_cameras
@@ -529,7 +530,7 @@ def _names(drafts: Sequence[_Draft]) -> list[str]:
     names = []
     for draft in drafts:
         tags = (str(draft.row[key]).replace(":", "-") for key in ("individual", "frames") if key in draft.row)
-        plain = _UNFIT.sub("_", "-".join((base[draft.title], *tags))).strip(". ") or "clip"
+        plain = _UNFIT.sub("_", encodable("-".join((base[draft.title], *tags)))).strip(". ") or "clip"
         free = (name for i in count(1) if (name := f"{plain}-{i}" if i > 1 else plain).casefold() not in taken)
         names.append(draft.name or next(free))
         taken.add(names[-1].casefold())

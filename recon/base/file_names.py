@@ -1,0 +1,40 @@
+"""File names in texts. A name is bytes, which need not be UTF-8; files of JSON, TOML, CSV and HTML are.
+
+Python reads such a byte of a name as a lone surrogate, which no file of text can hold.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from typing import Any
+
+_SURROGATE = re.compile("[\ud800-\udfff]")
+_ESCAPED_BYTE = re.compile(r"\\x([89a-f][0-9a-f])")
+
+
+def encodable(text: str) -> str:
+    r"""Return a text that UTF-8 can hold: a byte of a name that is not UTF-8 becomes its code, as in caf\xe9.csv."""
+    return _SURROGATE.sub(_code, text) if not text.isascii() else text
+
+
+def to_encodable(value: Any) -> Any:
+    """Return a value with every text in its lists and dictionaries as `encodable` gives it."""
+    if isinstance(value, dict):
+        return {encodable(key): to_encodable(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [to_encodable(item) for item in value]
+    return encodable(value) if isinstance(value, str) else value
+
+
+def _code(match: re.Match[str]) -> str:
+    number = ord(match[0])
+    return rf"\x{number - 0xDC00:02x}" if 0xDC80 <= number <= 0xDCFF else rf"\u{number:04x}"
+
+
+def existing_path(path: str) -> str:
+    r"""Return the path of a file whose name `encodable` wrote: that with the bytes, if only that one exists."""
+    if os.name == "nt" or not _ESCAPED_BYTE.search(path) or os.path.lexists(path):
+        return path
+    named = _ESCAPED_BYTE.sub(lambda match: chr(0xDC00 + int(match[1], 16)), path)
+    return named if os.path.lexists(named) else path
