@@ -48,8 +48,9 @@ test: lint
 	$(BIN)/python -m pytest --numprocesses logical --maxprocesses 8 --dist worksteal
 
 # Files in and out, commands, fits and pages: what other versions of the packages can break.
-QUICK := $(addprefix tests/test_,$(addsuffix .py,calibrate calibration camera cli compare convert doctor documents \
-	export files io io_formats motion motion_file overlay package page plots python report settings terms video view))
+QUICK := $(foreach name,calibrate calibration camera cli compare convert doctor documents export file_names files io \
+	io_formats motion motion_file overlay package page plots python report settings terms video view,\
+	$(wildcard tests/test_$(name).py tests/*/test_$(name).py))
 
 test-quick: $(DEV)
 	$(BIN)/python -m pytest --numprocesses logical --maxprocesses 8 --dist worksteal $(QUICK)

@@ -1,5 +1,6 @@
 """Where `recon`, and `python -m recon`, begin and end."""
 
+import io
 import os
 import sys
 
@@ -11,6 +12,7 @@ LEAST_MB = 640
 
 def main() -> None:
     """Run the command line. Ctrl-C ends it with one line and its exit code at any moment, also while it imports."""
+    _open_streams()
     _require_memory()
     interrupts = Interrupts()
     interrupts.install()
@@ -22,6 +24,26 @@ def main() -> None:
         if interrupts.received and not interrupts.said:
             interrupts.leave()
         _flush()
+
+
+def _open_streams() -> None:
+    """Give the process all three standard streams, which take every character.
+
+    A stream that was closed is the null device: otherwise the next file that is opened gets its number, and what a
+    library prints. A terminal of ASCII shows codes.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+    if sys.stdout is None:
+        sys.stdout = os.fdopen(1, "w", encoding="utf-8", closefd=False)
+    if sys.stderr is None:
+        sys.stderr = os.fdopen(2, "w", encoding="utf-8", closefd=False)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _require_memory() -> None:

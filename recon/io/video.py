@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
+from recon.base.file_names import encodable
 from recon.base.files import staged_file
 from recon.geometry.camera import Camera
 
@@ -246,8 +247,14 @@ def require_codec(path: Path) -> str:
 
 
 def _local(path: Path) -> str:
-    """Return a name that ffmpeg takes for a file: run10:30.mp4, or a folder called http:, would be a protocol."""
-    return str(path.absolute())
+    """Return a name that ffmpeg takes for a file: run10:30.mp4, or a folder called http:, would be a protocol.
+
+    Raise InputError for a name that OpenCV cannot take: it crashes at bytes that are not UTF-8.
+    """
+    name = str(path.absolute())
+    if encodable(name) != name:
+        raise InputError(Problem(path, "name", "bytes that are not UTF-8", "a name in UTF-8: rename the file"))
+    return name
 
 
 @contextmanager

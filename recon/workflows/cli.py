@@ -38,6 +38,7 @@ from rich.text import Text
 from typer.core import TyperCommand, TyperGroup
 
 from recon.base.errors import InputError, Problem, printable, raise_problems
+from recon.base.file_names import encodable
 from recon.base.interrupts import EXIT_INTERRUPTED, MESSAGE, Interrupts, installed
 from recon.base.progress import silent
 from recon.base.settings import Number, Option, SettingInfo, Settings, on_command_line, unknown_setting
@@ -86,7 +87,7 @@ class Answer:
     def show(self, console: Console, as_json: bool) -> None:
         """Print it, and end with its exit code."""
         if as_json:
-            typer.echo(self.data if isinstance(self.data, str) else _json(self.data), nl=False)
+            typer.echo(_shown_json(self.data if isinstance(self.data, str) else _json(self.data)), nl=False)
         for line in () if as_json else self.lines:
             console.print(line) if isinstance(line, Table) else say(console, line)
         for note in () if as_json else self.notes:
@@ -101,6 +102,15 @@ def _json(data: Any) -> str:
     from recon.show.plain import to_json  # numpy is slow to import, and recon doctor says where it cannot be
 
     return to_json(data)
+
+
+def _shown_json(text: str) -> str:
+    """Return JSON as standard output can have it: where that is ASCII, with JSON's own codes."""
+    try:
+        text.encode(sys.stdout.encoding or "utf-8")
+    except UnicodeEncodeError:
+        return "".join(c if c.isascii() else json.dumps(c)[1:-1] for c in text)
+    return text
 
 
 def terminal(**given: Any) -> Console:
@@ -523,6 +533,10 @@ def main() -> None:
             console.print(error_text(f"not enough memory{said}: try fewer frames at once (--frames)"))
             sys.stdout.flush()
             os._exit(EXIT_UNSOLVED)  # what libraries have made by half crashes when it is taken down
+        if isinstance(error, UnicodeEncodeError) and encodable(error.object) != error.object:
+            found = Problem(error.object[:200], "name", "bytes that are not UTF-8", "a name in UTF-8: rename the file")
+            console.print(error_text(str(found)))
+            sys.exit(EXIT_BAD_INPUT)
         if not isinstance(error, OSError):
             raise
         where = f"{error.filename}: " if error.filename else ""

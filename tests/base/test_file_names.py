@@ -1,0 +1,102 @@
+"""File names that are not UTF-8, streams that are closed or of ASCII, and folders that cannot be written to."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from command_line import run
+
+from recon.base.errors import printable
+from recon.base.file_names import encodable, existing_path, to_encodable
+
+ROOT = Path(__file__).resolve().parents[2]
+SAMPLES = ROOT / "data" / "samples"
+FIT = ("--camera", SAMPLES / "camera.toml", "--fps", 60, "--frames", "0:8", "--set", "fast=true")
+LATIN_1 = os.fsdecode(b"caf\xe9")
+
+
+@pytest.fixture
+def latin_1(tmp_path):
+    """A keypoint file whose name is not UTF-8."""
+    path = tmp_path / f"{LATIN_1}.csv"
+    try:
+        shutil.copy(SAMPLES / "whole.csv", path)
+    except (OSError, UnicodeError):
+        pytest.skip("names are Unicode here")
+    return path
+
+
+def process(*args: object, environment: dict[str, str] | None = None, shell: str = "") -> subprocess.CompletedProcess:
+    """`recon ARGS` in a process of its own; shell: what stands behind it."""
+    command = ["bash", "-c", f'"$@" {shell}', "bash", sys.executable, "-m", "recon", *map(str, args)]
+    env = {**os.environ, "COLUMNS": "80", "PYTHONPATH": str(ROOT), **(environment or {})}
+    return subprocess.run(command, capture_output=True, env=env, check=False, timeout=120)
+
+
+def test_a_name_is_written_and_read_again(tmp_path):
+    assert encodable("café") == "café"
+    assert encodable(LATIN_1) == r"caf\xe9" == printable(LATIN_1)
+    assert encodable("a\ud800b") == r"a\ud800b"
+    assert to_encodable({LATIN_1: [LATIN_1, 1, None]}) == {r"caf\xe9": [r"caf\xe9", 1, None]}
+    assert existing_path(str(tmp_path / r"caf\xe9")) == str(tmp_path / r"caf\xe9")
+
+
+def test_a_name_that_is_not_utf_8_is_escaped_in_every_file(latin_1, tmp_path):
+    out = tmp_path / "out"
+    assert run("fit", latin_1, *FIT, "--out", out, "--quiet").code == 0
+    config = tomllib.loads((out / "config.toml").read_text(encoding="utf-8"))
+    report = (out / "report.json").read_text(encoding="utf-8")
+    assert config["recon"]["fit"]["keypoints"] == r"../caf\xe9.csv"
+    assert r'"keypoints": "caf\\xe9.csv"' in report
+    assert run("report", out, "--quiet").code == 0
+    assert r"caf\xe9.csv" in (out / "report.html").read_text(encoding="utf-8")
+    again = run("fit", "--config", out / "config.toml", "--out", tmp_path / "again", "--quiet")
+    assert again.code == 0, again
+    assert (tmp_path / "again" / "pose3d.csv").read_bytes() == (out / "pose3d.csv").read_bytes()
+
+
+def test_a_batch_goes_on_with_a_name_that_is_not_utf_8(latin_1, tmp_path):
+    shutil.copy(SAMPLES / "whole.csv", tmp_path / "right.csv")
+    args = ("batch", tmp_path / "*.csv", *FIT, "--out", tmp_path / "results", "--jobs", 1)
+    assert run(*args, "--quiet").code == 0
+    with (tmp_path / "results" / "summary.csv").open(encoding="utf-8", newline="") as file:
+        rows = {row["clip"]: row for row in csv.DictReader(file)}
+    assert {name: row["status"] for name, row in rows.items()} == {"caf_xe9": "done", "right": "done"}
+    assert rows["caf_xe9"]["keypoints"] == r"../caf\xe9.csv"
+    again = run(*args, "--dry-run", "--json")
+    assert {clip["action"] for clip in json.loads(again.out)["clips"]} == {"done"}
+
+
+def test_a_video_with_such_a_name_is_refused(tmp_path):
+    """OpenCV crashes at it."""
+    from recon.io.video import probe
+
+    path = tmp_path / f"{LATIN_1}.mp4"
+    shutil.copy(SAMPLES / "rendered.mp4", path)
+    with pytest.raises(ValueError, match=r"caf\\xe9.mp4: name: found bytes that are not UTF-8, expected a name"):
+        probe(path)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell of POSIX")
+def test_standard_output_may_be_closed_or_of_ascii(tmp_path):
+    clip = tmp_path / "Läufer.csv"
+    shutil.copy(SAMPLES / "whole.csv", clip)
+    closed = process("fit", clip, *FIT, "--out", tmp_path / "closed", "--quiet", shell=">&-")
+    assert (closed.returncode, closed.stderr) == (0, b"")
+    assert (tmp_path / "closed" / "manifest.json").is_file()
+    ascii_only = {"PYTHONIOENCODING": "ascii", "LANG": "C", "PYTHONUTF8": "0"}
+    printed = process("skeleton", "list", "--json", environment=ascii_only)
+    assert printed.returncode == 0, printed.stderr
+    assert json.loads(printed.stdout.decode("ascii"))
+    refused = process("fit", tmp_path / "Löwe.csv", *FIT, "--out", tmp_path / "no", environment=ascii_only)
+    assert refused.returncode == 2
+    assert rb"L\xf6we.csv: file: found no such file" in refused.stderr
+    assert process("fit", "--help", environment=ascii_only).returncode == 0
