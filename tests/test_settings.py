@@ -122,7 +122,7 @@ def test_config_holds_every_setting_that_has_a_value():
     plain = tomllib.loads(FitSettings(**GIVEN).to_toml())["recon"]["fit"]
     unset = {"camera_name", "hfov_deg", "image_size_px", "tilt_deg", "individual", "frames", "skeleton", "subject"}
     unset |= {"rename", "camera_track", "offset_s", "camera_fps", "focal_sigma", "prior", "detector"}
-    unset |= {"up", "size", "size_sigma", "height_m", "keypoint_sigma_m"}
+    unset |= {"up", "size", "size_sigma", "height_m", "keypoint_sigma_m", "belt_speed_m_s"}
     assert set(plain) == set(SETTINGS) - unset - set(of_method("frame"))
     assert plain["keypoints"] == "/data/clip.csv"
 

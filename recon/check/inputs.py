@@ -41,7 +41,7 @@ FASTEST_M_S = 40.0
 
 MOSTLY_POOR = 0.9
 """Share of the frames with few or no detections from which the motion, and with it the rate, is the prior's."""
-MOVES = ("animal_still", "time_reversed", "camera_moves")
+MOVES = ("animal_still", "time_reversed", "treadmill", "camera_moves")
 """Codes of motions in which sides cannot be told."""
 
 
@@ -272,6 +272,12 @@ BACKWARDS_M_S, BACKWARDS = 1.0, 0.9
 """Speed at which no animal runs backwards, and the share of a clip."""
 SLOWEST = 0.1
 """Share of the feet, over all frames, that has the speeds of standing feet, or less."""
+SLIDE_SHARE, SLIDE_LEGS_S = 0.25, 0.5
+"""Backward speed that standing feet do not reach, relative to the body's speed over them, if that is so many leg
+lengths a second. 0.06 at most in real views of cheetahs and dogs; 0.9 to 1.0 on a treadmill at any speed.
+"""
+STAYS_SHARE = 0.3
+"""Speed of the body, relative to that over the feet, below which it stays in its position, as on a treadmill."""
 SLIDE_M_S, GLIDE_M_S = -2.5, 8.0
 """Speeds that standing feet do not reach, backwards and forwards. 32 real views of running cheetahs: -0.7 to 4.1 m/s.
 """
@@ -295,18 +301,39 @@ def movement(motion: Motion) -> Iterator[Finding]:
     rear, front = motion.forward
     trunk_m = float(np.nanmedian(np.linalg.norm(solution.joints_m[:, rear] - solution.joints_m[:, front], axis=1)))
     is_staying = np.linalg.norm(np.nanmax(middle_m, axis=0) - np.nanmin(middle_m, axis=0)) < STILL_TRUNKS * trunk_m
-    if is_staying and np.nanquantile(speed, STILL) < min(STILL_M_S, trunk_m) and np.nanmedian(turns) < STILL_RAD_S:
+    sliding = _sliding(motion, forward, feet) if len(feet[0]) else None
+    if sliding is not None and sliding.code == "treadmill":
+        yield sliding
+    elif is_staying and np.nanquantile(speed, STILL) < min(STILL_M_S, trunk_m) and np.nanmedian(turns) < STILL_RAD_S:
         yield finding("animal_still", speed_m_s=float(np.nanmedian(speed)))
     elif np.mean(forward[np.isfinite(forward)] < -BACKWARDS_M_S) > BACKWARDS:
         yield finding("time_reversed", speed_m_s=-float(np.nanmedian(forward)))
-    elif len(feet[0]) and not SLIDE_M_S < (slowest := float(np.nanquantile(feet, SLOWEST))) < GLIDE_M_S:
-        yield finding("camera_moves", slide_m_s=slowest, speed_m_s=float(np.nanmedian(forward)))
+    elif sliding is not None:
+        yield sliding
     else:
         frames = REFERENCE_HZ * float(posed.sum()) / motion.fps
         costs = {name: float(solution.cost_by_term.get(name, 0.0)) / frames for name in JOLTS}
         worst = max(JOLTS, key=lambda name: costs[name] / JOLTS[name])
         if costs[worst] > JOLTS[worst]:
             yield finding("path_jolts", of=worst, cost=costs[worst])
+
+
+def _sliding(motion: Motion, forward: Array, feet: Array) -> Finding | None:
+    """Return the finding on standing feet that move over the ground, or None.
+
+    forward (T,), feet (T, F): speeds of the body and of the feet along the trunk, m/s.
+    """
+    joints_m, trunk_ends = motion.solution.joints_m, list(motion.forward)
+    leg_m = float(np.nanmedian(joints_m[:, trunk_ends, 2].mean(axis=1) - joints_m[:, list(motion.feet), 2].min(axis=1)))
+    body_m_s, slowest_m_s = float(np.nanmedian(forward)), float(np.nanquantile(feet, SLOWEST))
+    over_feet_m_s = body_m_s - slowest_m_s
+    is_relative = -slowest_m_s > SLIDE_SHARE * over_feet_m_s and over_feet_m_s > SLIDE_LEGS_S * leg_m
+    if not is_relative and SLIDE_M_S < slowest_m_s < GLIDE_M_S:
+        return None
+    if slowest_m_s < 0 and abs(body_m_s) < STAYS_SHARE * over_feet_m_s:
+        slide_m_s = -float(np.nanquantile(feet, SLOWEST / 2))  # the middle of the standing feet's speeds
+        return finding("treadmill", slide_m_s=slide_m_s, speed_m_s=body_m_s)
+    return finding("camera_moves", slide_m_s=slowest_m_s, speed_m_s=body_m_s)
 
 
 def _along(motion: Motion) -> tuple[Array, Array]:

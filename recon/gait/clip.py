@@ -25,6 +25,7 @@ from recon.base.arrays import Array, Bools, Brief
 from recon.base.errors import InputError, Problem
 from recon.clip import frame_ranges
 from recon.fit import constants
+from recon.fit.belt import belt_path_m, relative_to_belt
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.result import TrajectorySolution
 from recon.gait import kinematics, phase
@@ -47,6 +48,9 @@ SPEED_KNOWN = 0.1
 """Largest standard deviation of a peak speed, relative to it, with which speeds count as known."""
 UNSEEN_S = 0.2
 """Time for which detections before and after determine the position of a foot. Beyond it only the prior does."""
+BELT_GIVEN = (
+    "The analysis had the belt's speed, and the fit did not: fit again with --set belt-speed-m-s for the best result."
+)
 STIFF_RAD = 1e-6
 """Least change of the back's angle. A skeleton whose angle changes by less has no flexion: its joints are on one
 segment."""
@@ -258,7 +262,9 @@ class ClipAnalysis(Brief):
         return {name: phase.closure(portrait) for name, portrait in complete.items()}
 
 
-def analyse(motion: Motion, stride_s: tuple[float, float] | None = None) -> ClipAnalysis:
+def analyse(
+    motion: Motion, stride_s: tuple[float, float] | None = None, belt_speed_m_s: float | None = None
+) -> ClipAnalysis:
     """Return the analysis of a motion.
 
     Parameters
@@ -267,18 +273,36 @@ def analyse(motion: Motion, stride_s: tuple[float, float] | None = None) -> Clip
         A fitted clip.
     stride_s : tuple of float, optional
         Start and end of the stride that phase portraits show, s. None: the first complete stride that is found.
+    belt_speed_m_s : float, optional
+        Speed of a treadmill's belt, if the fit did not have it.
 
     Raises
     ------
     InputError
-        If fewer than four frames have a pose, or the stride does not lie in the clip.
+        If fewer than four frames have a pose, the stride does not lie in the clip, or the fit had a belt's speed.
     """
+    motion = motion if belt_speed_m_s is None else over_belt(motion, belt_speed_m_s)
     given = None if stride_s is None else stride_given(motion, stride_s)
     is_known = np.isfinite(motion.upright.xyz_m).all(axis=(1, 2))
     if is_known.sum() < MIN_POINTS:
         pose_count = f"{is_known.sum()} frames with a pose"
         raise InputError(Problem(motion.file, "frames", pose_count, f"at least {MIN_POINTS}"))
     return ClipAnalysis(motion, given)
+
+
+def over_belt(motion: Motion, speed_m_s: float) -> Motion:
+    """Return a motion relative to a treadmill's belt, without the finding that its feet slide.
+
+    Raises InputError if the fit had the belt's speed.
+    """
+    if (fitted_m_s := motion.settings.get("belt_speed_m_s")) is not None:
+        raise InputError(Problem("--belt-speed", "speed", f"{speed_m_s:g}", f"none: the fit had {fitted_m_s:g} m/s"))
+    path_m = belt_path_m(motion.solution, motion.time_s, speed_m_s)
+    findings = tuple(finding for finding in motion.findings if finding.code != "treadmill")
+    verdict = motion.verdict
+    if verdict is not None and verdict.level == "do not use" and len(findings) < len(motion.findings):
+        verdict = replace(verdict, level="check", reason=BELT_GIVEN)
+    return replace(motion, solution=relative_to_belt(motion.solution, path_m), findings=findings, verdict=verdict)
 
 
 def stride_given(motion: Motion, stride_s: tuple[float, float]) -> Stride:

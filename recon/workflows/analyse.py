@@ -21,7 +21,7 @@ from recon.base.settings import Option, Positive, Settings
 from recon.check.codes import sentence
 from recon.check.verdict import usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
-from recon.gait.clip import ClipAnalysis, analyse
+from recon.gait.clip import ClipAnalysis, analyse, over_belt
 from recon.gait.dynamics import OVER_STRIDE, Dynamics, findings_of_dynamics, over_stride
 from recon.gait.gait import Gait, Stride, doubtful_text, interval_of, interval_text
 from recon.show.plain import picked, to_json
@@ -53,6 +53,8 @@ class AnalyseSettings(Settings):
     stride: Annotated[StrideTimes | None, STRIDE] = None
     body_mass_kg: Positive | None = None
     """What the animal weighs, for forces in newtons too."""
+    belt_speed_m_s: Annotated[Positive | None, Option(name="--belt-speed")] = None
+    """Speed of a treadmill's belt in m/s, as in 1.4, if the fit did not have it."""
     figures: bool = True
     """PNG and SVG beside the tables."""
     anyway: Annotated[bool, ANYWAY] = False
@@ -73,7 +75,10 @@ def analyse_command(settings: AnalyseSettings, progress: Progress = silent) -> A
     """
     out = settings.folder / FOLDER if settings.out is None else settings.out
     progress("reading", 0.0)
-    motion = usable(Motion.load(settings.folder), settings.folder, settings.anyway)
+    motion = Motion.load(settings.folder)
+    if settings.belt_speed_m_s is not None:
+        motion = over_belt(motion, settings.belt_speed_m_s)
+    motion = usable(motion, settings.folder, settings.anyway)
     with sole_writer(out):
         require_free_folder(out, (SUMMARY, *TABLES), settings.overwrite, "an analysis")
         progress("analysis", 0.1)

@@ -39,6 +39,7 @@ from recon.clip import (
     parse_frame_range,
     views_of,
 )
+from recon.fit.belt import belt_path_m, views_from_belt
 from recon.fit.motion import Motion
 from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.trajectory import solve_trajectory
@@ -79,7 +80,12 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     body, prior, sources, options = given.body, given.prior, given.sources, settings.trajectory_options()
 
     def solved(sources: tuple[Source, ...]) -> TrajectorySolution:
-        return solve_trajectory(views_of(sources), body, prior, given.fps, options, progress)
+        views = views_of(sources)
+        solution = solve_trajectory(views, body, prior, given.fps, options, progress)
+        if settings.belt_speed_m_s is None:
+            return solution
+        path_m = belt_path_m(solution, sources[0].keypoints.frames / given.fps, settings.belt_speed_m_s)
+        return solve_trajectory(views_from_belt(views, path_m), body, prior, given.fps, options, progress)
 
     if options.find_offsets:
         noise = (options.sigma_px, options.keypoint_noise_m(body))

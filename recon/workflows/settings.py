@@ -102,6 +102,8 @@ class FitSettings(Settings):
     """Without extrinsics: how far the camera looks down, in degrees, as in 5. (default: level)"""
     height_m: Annotated[Annotated[Number, Field(ge=1e-3, le=10)] | None, _TRAJECTORY] = None
     """Height of the animal at the withers, in metres, as in 1.6. (default: the skeleton's)"""
+    belt_speed_m_s: Annotated[Positive | None, _RARE_TRAJECTORY] = None
+    """Speed of a treadmill's belt in m/s, as in 1.4: the animal's motion is then that over the belt."""
     individual: Annotated[str | None, Option(INDIVIDUAL)] = None
     rename: Annotated[NameOrFile | None, RENAME] = None
     frames: Annotated[

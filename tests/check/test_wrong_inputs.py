@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from recon.base.errors import InputError
 from recon.check.inputs import copies, movement
 from recon.check.likelihood import baseline_of, lens_findings
 from recon.check.rules import ground_elsewhere, pair_disagrees, subject_unlike_species
@@ -16,6 +17,7 @@ from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.motion import Motion
 from recon.fit.result import Ground
 from recon.fit.trajectory import solve_trajectory
+from recon.gait.clip import over_belt
 from recon.geometry.frames import rigid
 from recon.workflows.clip import other_camera_in
 from tests.clip.test_views import AHEAD, ASIDE, truth_m, two, view_of
@@ -108,7 +110,7 @@ def test_an_animal_that_runs_is_nothing_to_name():
     assert not [*movement(moved(plain().states))]
 
 
-@pytest.mark.parametrize("code", ["animal_still", "time_reversed", "camera_moves"])
+@pytest.mark.parametrize("code", ["animal_still", "time_reversed", "treadmill", "camera_moves"])
 def test_what_no_animal_does_is_named(code):
     states = plain().states.copy()
     if code == "animal_still":
@@ -116,7 +118,8 @@ def test_what_no_animal_does_is_named(code):
     elif code == "time_reversed":
         states = states[::-1].copy()
     else:
-        states[:, :2] = states[:1, :2]
+        share = {"treadmill": 0.0, "camera_moves": 0.4}[code]
+        states[:, :2] = states[:1, :2] + share * (states[:, :2] - states[:1, :2])
     (found,) = movement(moved(states))
     assert found.code == code
 
@@ -250,3 +253,34 @@ def test_two_cameras_of_which_one_is_turned_moved_or_late_are_named(turn_deg, sh
     assert second is not None
     assert (second.late > max(second.misplaced, 0.0)) == bool(late)
     assert not late or second.late_frames == pytest.approx(late, abs=1.0)
+
+
+@pytest.mark.parametrize("slower", [1, 4, 10])
+def test_a_treadmill_is_named_at_any_speed(slower):
+    """A running animal, and the same in slow motion, whose body stays while its feet slide."""
+    states = plain().states.copy()
+    states[:, :2] -= np.linspace(0, 1, len(states))[:, None] * (states[-1, :2] - states[0, :2])
+    motion = moved(states)
+    (one,) = motion.sources
+    slow = replace(one, keypoints=replace(one.keypoints, fps=FPS / slower))
+    (found,) = movement(replace(motion, sources=(slow,)))
+    assert found.code == "treadmill"
+    run_m_s = np.linalg.norm(plain().states[-1, :2] - plain().states[0, :2]) / (len(states) - 1) * FPS / slower
+    assert 0.5 * run_m_s < found.numbers["slide_m_s"] < run_m_s  # the simulated feet hardly stand
+
+
+@pytest.mark.parametrize("slower", [1, 10])
+def test_over_the_belt_the_feet_stand_again(slower):
+    states = plain().states.copy()
+    states[:, :2] -= np.linspace(0, 1, len(states))[:, None] * (states[-1, :2] - states[0, :2])
+    (one,) = moved(states).sources
+    slow = replace(one, keypoints=replace(one.keypoints, fps=FPS / slower))
+    motion = replace(moved(states), sources=(slow,))
+    time_s = motion.time_s
+    run_m_s = float(np.linalg.norm(plain().states[-1, :2] - plain().states[0, :2])) / (time_s[-1] - time_s[0])
+    on_belt = over_belt(motion, run_m_s)
+    assert not [*movement(on_belt)]
+    assert on_belt.solution.joints_m == pytest.approx(plain().joints_m, abs=0.2)
+    assert on_belt.pictures[0].reprojected_px == pytest.approx(motion.pictures[0].reprojected_px, abs=1e-6)
+    with pytest.raises(InputError, match="the fit had 2 m/s"):
+        over_belt(replace(motion, settings={"belt_speed_m_s": 2.0}), 3.0)

@@ -1,0 +1,62 @@
+"""Describe the motion of an animal on a treadmill relative to its belt, as if it went over the ground.
+
+In the belt's frame the camera and the whole laboratory move forward at the belt's speed, standing feet do not move, and
+the body advances. A solution is moved into that frame together with its views, so that reprojections stay as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from recon.base.arrays import Array
+from recon.clip import View
+from recon.fit.result import Solution
+
+_Solution = TypeVar("_Solution", bound=Solution)
+
+
+def belt_path_m(solution: Solution, time_s: Array, speed_m_s: float) -> Array:
+    """Return how far the belt has brought the animal forward at each time, shape (T, 3).
+
+    The belt runs level against the mean direction of the trunk.
+
+    Parameters
+    ----------
+    solution : Solution
+        T frames, metres, z up.
+    time_s : ndarray
+        Times, shape (T,).
+    speed_m_s : float
+        Speed of the belt.
+    """
+    rear, front = (solution.body.markers.index(marker) for marker in solution.body.forward)
+    trunk_m = np.nanmean(solution.joints_m[:, front] - solution.joints_m[:, rear], axis=0) * [1.0, 1.0, 0.0]
+    direction = trunk_m / max(float(np.linalg.norm(trunk_m)), 1e-9)
+    return speed_m_s * (time_s - time_s[0])[:, None] * direction
+
+
+def views_from_belt(views: Sequence[View], path_m: Array) -> tuple[View, ...]:
+    """Return views whose cameras go along a path (T, 3), as they do in the belt's frame."""
+    T_world_belt = np.tile(np.eye(4), (len(path_m), 1, 1))
+    T_world_belt[:, :3, 3] = -path_m
+    return tuple(replace(view, T_camera_world=view.T_camera_world @ T_world_belt) for view in views)
+
+
+def relative_to_belt(solution: _Solution, path_m: Array) -> _Solution:
+    """Return a solution in the belt's frame: body and cameras go along a path (T, 3).
+
+    Grounds keep their height below the middle of the path. Feet were not taken to stand still when the solution was
+    found.
+    """
+    states = solution.states.copy()
+    states[:, :3] += path_m
+    return replace(
+        solution,
+        states=states,
+        joints_m=solution.joints_m + path_m[:, None],
+        views=views_from_belt(solution.views, path_m),
+    )
