@@ -13,10 +13,7 @@ from contextlib import suppress
 from copy import deepcopy
 from dataclasses import replace
 from functools import lru_cache
-from itertools import islice
 from pathlib import Path
-from tempfile import NamedTemporaryFile
-from typing import TYPE_CHECKING, Any
 
 # Before numpy is loaded: matrices are small here, and several processes share the cores.
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
@@ -25,25 +22,21 @@ import numpy as np
 import pytest
 from command_line import copy_results, run
 from motions import with_first
+from shortcuts import draw_small, draw_two_methods, empty_figure, fit_demo_from, leave_out_layout, leave_out_playback
 
 from recon import FitSettings
 from recon.animal.skeleton_file import load_skeleton
-from recon.clip import Keypoints, Source, camera_poses, clean, still_view, views_of
+from recon.clip import Keypoints, Source, View, camera_poses, clean, still_view, views_of
 from recon.fit.motion import Motion
 from recon.fit.result import Ground, MotionSegment, TrajectorySolution
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, moved
-from recon.ik import clip as ik_clip
-from recon.show.plots import style
+from recon.io.deeplabcut import write_csv
 from recon.thesis.chain import load_chain, mean_pose
 from recon.thesis.objectives import FrameOptions
 from recon.thesis.solver import solve_frames
 from recon.workflows import analyse
-from recon.workflows.cli import Answer
 from recon.workflows.clip_results import run_clip
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # Modules are no garbage, nor is most of what a test makes: it is looked for less often than Python does by itself.
 gc.set_threshold(20_000)
@@ -65,7 +58,6 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
-SMALL_DPI = 50
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
 
 
@@ -111,43 +103,6 @@ def fitted_demo(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fit_demo_from(whole_results, monkeypatch)
 
 
-def fit_demo_from(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`recon demo` has its fit from `whole_results`, and makes no page: `test_demo` does both."""
-
-    def copied(settings: FitSettings, out: Path, *more: object) -> dict[str, Any]:
-        return json.loads((copy_results(whole_results, out) / "report.json").read_text(encoding="utf-8"))
-
-    monkeypatch.setattr("recon.workflows.demo.run_clip", copied)
-    monkeypatch.setattr(
-        "recon.workflows.demo.report", lambda settings, *more: Answer({"page": settings.folder / "report.html"})
-    )
-
-
-def draw_small(patch: pytest.MonkeyPatch) -> None:
-    """Figures are drawn as always, at a lower resolution; they are not laid out, nor letters fitted to pixels."""
-    leave_out_layout(patch)
-    patch.setattr(style, "PNG_DPI", SMALL_DPI)
-    with NamedTemporaryFile("w", suffix=".mplstyle", encoding="utf-8", delete=False) as sheet:
-        sheet.write(style._SHEET.read_text(encoding="utf-8") + "text.hinting: none\n")
-    patch.setattr(style, "_SHEET", Path(sheet.name))
-
-
-def leave_out_layout(patch: pytest.MonkeyPatch) -> None:
-    """For figures that nobody looks at: their layout takes longer than the drawing, and `test_plots.py` looks at it."""
-    patch.setattr("matplotlib.figure.Figure.get_layout_engine", lambda _: None)
-
-
-def draw_two_methods(patch: pytest.MonkeyPatch) -> None:
-    """`recon ik --compare` draws only the first two of its methods."""
-    write_ik_figures = ik_clip.write_figures
-
-    def of_two(solved: ik_clip._IKRun, folder: Path) -> None:
-        two = {job: dict(islice(runs.items(), 2)) for job, runs in solved.runs.items()}
-        write_ik_figures(replace(solved, runs=two), folder)
-
-    patch.setattr(ik_clip, "write_figures", of_two)
-
-
 @pytest.fixture(scope="session")
 def optimiser() -> None:
     """For tests that train: torch imports half of itself when the first optimiser is made."""
@@ -168,19 +123,9 @@ def no_playback(monkeypatch: pytest.MonkeyPatch) -> None:
     leave_out_playback(monkeypatch)
 
 
-def leave_out_playback(patch: pytest.MonkeyPatch) -> None:
-    """Fits in this process write an empty one: the true one takes a third of their time."""
-    patch.setattr("recon.show.view.write", lambda motion, path, *_: path.touch())
-
-
 @pytest.fixture
 def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     draw_small(monkeypatch)
-
-
-def empty_figure() -> Figure:
-    with style.drawing(20.0) as figure:
-        return figure
 
 
 @pytest.fixture(scope="session")
@@ -406,3 +351,21 @@ def two_cameras(world_trajectory: Motion) -> Motion:
     )
     second = Source(camera, keypoints, cleaning, file.names)
     return replace(motion, solution=solution, sources=(*motion.sources, second))
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run of `example_run` as run_cam1.csv and run_cam2.csv, the second without its first ten frames, beside
+    scene.json."""
+    from example_run import AHEAD, ASIDE, FISHEYE, keypoints_of, truth_m
+
+    out, cameras = tmp_path_factory.mktemp("two"), []
+    for number, (pose, first) in enumerate(((AHEAD, 0), (ASIDE, 10)), start=1):
+        points = truth_m()
+        blank = View(FISHEYE, pose, np.zeros((*points.shape[:2], 2)), np.ones(points.shape[:2]))
+        noise = 2.0 * np.random.default_rng(number).normal(size=blank.xy_px.shape)
+        write_csv(keypoints_of((blank.project(points)[0] + noise)[first:], first), out / f"run_cam{number}.csv")
+        rotation, t = pose[:3, :3].tolist(), pose[:3, 3, None].tolist()
+        cameras.append({"k": FISHEYE.matrix.tolist(), "d": [[0.0]] * 4, "r": rotation, "t": t, "name": f"cam{number}"})
+    (out / "scene.json").write_text(json.dumps({"camera_resolution": [1920, 1080], "cameras": cameras}))
+    return out

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+import shlex
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -28,8 +30,33 @@ from tests.fuzz.corpus import write_sleap
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLES = ROOT / "data" / "samples"
-CAT = ROOT / "docs" / "my-cat.toml"
+DOCS = ROOT / "docs"
+CAT = DOCS / "my-cat.toml"
 CAT_FPS = 100.0
+FENCE = re.compile(r"^(?P<indent> *)```(?P<language>\S*)\n(?P<text>.*?)^(?P=indent)```$", re.DOTALL | re.MULTILINE)
+
+
+class Block(NamedTuple):
+    page: Path
+    line: int
+    language: str
+    text: str
+
+
+def blocks(page: Path) -> Iterator[Block]:
+    content = page.read_text(encoding="utf-8")
+    for match in FENCE.finditer(content):
+        indent = match["indent"]
+        text = "".join(line.removeprefix(indent) for line in match["text"].splitlines(keepends=True))
+        yield Block(page, content.count("\n", 0, match.start()) + 1, match["language"], text)
+
+
+def commands(block: Block) -> Iterator[str]:
+    """The commands of a shell block, one by one, without comments."""
+    for line in re.sub(r"\\\n\s*", "", block.text).splitlines():
+        words = shlex.split(line, comments=True)
+        if words:
+            yield shlex.join(words) if words[0] == "recon" else line.strip()
 
 
 def toml_of(page: str) -> list[str]:

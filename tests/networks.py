@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
 EVALUATIONS = 3
@@ -17,3 +20,24 @@ def narrow_networks(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(train, "EVALUATIONS", EVALUATIONS)
     patch.setattr(network, "fast_half", lambda device: None)
     patch.setattr("recon.check.inputs.other_picture_finding", lambda given: None)
+
+
+NAMES = ("nose", "left_paw", "right_paw")
+
+
+def write_labels(path: Path, images: list[str], xy: np.ndarray, names: tuple[str, ...] = NAMES) -> Path:
+    """DeepLabCut's label file: one index column, empty cells where NaN."""
+    lines = [
+        "scorer," + ",".join(["me"] * 2 * len(names)),
+        "bodyparts," + ",".join(n for n in names for _ in range(2)),
+        "coords," + ",".join(["x", "y"] * len(names)),
+    ]
+    for image, points in zip(images, xy.reshape(len(images), -1), strict=True):
+        lines.append(",".join([image, *("" if np.isnan(v) else f"{v:g}" for v in points)]))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def grey(level: int, size: tuple[int, int] = (64, 48)) -> np.ndarray:
+    return np.full((size[1], size[0], 3), level, np.uint8)

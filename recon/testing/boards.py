@@ -18,6 +18,15 @@ from recon.geometry.camera import Camera
 
 EDGE_PARTS = 8
 FRACTION_BITS = 6
+SIZE_PX = (800, 600)
+_NORMAL = np.array([[640.0, 0, 408.0], [0, 641.5, 294.0], [0, 0, 1]])
+_WIDE = np.array([[380.0, 0, 408.0], [0, 381.0, 294.0], [0, 0, 1]])
+BOARD_CAMERAS = {
+    "pinhole": Camera("cam", _NORMAL, np.zeros(0), "pinhole", SIZE_PX),
+    "radtan": Camera("cam", _NORMAL, np.array([-0.3, 0.1, 0.001, -0.0007, -0.01]), "radtan", SIZE_PX),
+    "fisheye": Camera("cam", _WIDE, np.array([0.03, -0.01, 0.004, -0.001]), "fisheye", SIZE_PX),
+}
+"""A camera of each lens model that is calibrated from boards."""
 
 
 def draw_board(

@@ -6,9 +6,11 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from recon.base.arrays import Bools, Integers
+from recon.base.arrays import Array, Bools, Integers
 from recon.clip import Keypoints
 from recon.geometry.camera import Camera
 from recon.testing.gallop import SyntheticClip
@@ -79,3 +81,37 @@ def write_scene(cameras: Sequence[Camera], path: Path) -> None:
 
 def _write(path: Path, rows: list[list[str]]) -> None:
     path.write_text("".join(",".join(row) + "\n" for row in rows), encoding="utf-8", newline="\n")
+
+
+TRACK_HEADER = "frame,qw,qx,qy,qz,tx,ty,tz"
+
+
+def track_rows(frames: Integers, poses: Array) -> list[list[float]]:
+    """Return a camera's track as rows (N, 8): frame, quaternion and translation of T_camera_world (N, 4, 4)."""
+    q = Rotation.from_matrix(poses[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
+    return np.column_stack([frames, q, poses[:, :3, 3]]).tolist()
+
+
+def write_track(path: Path, frames: Integers, poses: Array, intrinsics_px: Array | None = None) -> Path:
+    """Write the CSV table of a moving camera, with fx, fy, cx, cy (N, 4) of each frame if they are given."""
+    rows, header = track_rows(frames, poses), TRACK_HEADER
+    if intrinsics_px is not None:
+        header = f"{header},fx,fy,cx,cy"
+        rows = [[*row, *intrinsics] for row, intrinsics in zip(rows, intrinsics_px.tolist(), strict=True)]
+    lines = [header, *(",".join(map(repr, [int(row[0]), *row[1:]])) for row in rows)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def write_damaged_video(path: Path) -> Path:
+    """Write a video of 40 frames of which a tenth of the bytes are 0."""
+    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (64, 48))
+    noise = np.random.default_rng(0)
+    for _ in range(40):
+        writer.write(noise.integers(0, 255, (48, 64, 3), np.uint8))
+    writer.release()
+    content = bytearray(path.read_bytes())
+    first, stop = (len(content) * share // 10 for share in (3, 4))
+    content[first:stop] = bytes(stop - first)
+    path.write_bytes(content)
+    return path

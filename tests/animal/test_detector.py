@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import refusal
+from example_run import settings
 
 from recon import Body, Camera, FitSettings, load_skeleton, read_keypoints
 from recon.animal.measured import detector_toml
@@ -20,7 +21,6 @@ from recon.io import deeplabcut
 from recon.io.hdf5_poses import write_deeplabcut, write_movement, write_nwb
 from recon.show.report import build_report
 from recon.workflows.clip import prepare
-from tests.workflows.test_cameras import folder, settings  # noqa: F401
 
 
 def body(subject: str | None = "phantom") -> Body:
@@ -48,8 +48,8 @@ def with_scorers(run: Path, out: Path, *scorers: str | None, suffix: str = ".csv
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".h5"])
-def test_the_files_scorer_says_which_detector_it_is(folder, tmp_path, suffix):  # noqa: F811
-    given = with_scorers(folder, tmp_path, OF_ACINOSET, OF_ACINOSET, suffix=suffix)
+def test_the_files_scorer_says_which_detector_it_is(runs, tmp_path, suffix):
+    given = with_scorers(runs, tmp_path, OF_ACINOSET, OF_ACINOSET, suffix=suffix)
     body = prepare(given).body
     assert body.detector == "acinoset"
     assert set(body.keypoint_offset_m) == set(body.markers)
@@ -58,16 +58,16 @@ def test_the_files_scorer_says_which_detector_it_is(folder, tmp_path, suffix):  
 
 
 @pytest.mark.parametrize("scorers", [("DLC",), ("DLC", "another"), (None, "DLC"), ("x" + OF_ACINOSET,)])
-def test_a_detector_that_nobody_knows_is_none(folder, tmp_path, scorers):  # noqa: F811
-    given = with_scorers(folder, tmp_path, *scorers)
+def test_a_detector_that_nobody_knows_is_none(runs, tmp_path, scorers):
+    given = with_scorers(runs, tmp_path, *scorers)
     body = prepare(given).body
     assert (body.detector, body.keypoint_offset_m) == ("none", {})
     assert prepare(replace(given, detector="acinoset")).body.detector == "acinoset"
 
 
 @pytest.mark.parametrize("other", ["DLC", None])
-def test_cameras_of_two_detectors_are_not_mixed(folder, tmp_path, other):  # noqa: F811
-    given = with_scorers(folder, tmp_path, OF_ACINOSET, other)
+def test_cameras_of_two_detectors_are_not_mixed(runs, tmp_path, other):
+    given = with_scorers(runs, tmp_path, OF_ACINOSET, other)
     found = [f"run_cam1.csv of acinoset (scorer '{OF_ACINOSET}')", "of none"]
     with refusal(("KEYPOINTS", "detector", found, "--set detector=none")):
         prepare(given)
@@ -172,17 +172,17 @@ def test_a_detector_of_no_known_name():
 
 
 @pytest.mark.parametrize(("name", "write"), [("copy.h5", write_deeplabcut), ("copy.nwb", write_nwb)])
-def test_other_files_keep_it_too(folder, tmp_path, name, write):  # noqa: F811
-    (path,) = with_scorers(folder, tmp_path, OF_ACINOSET).keypoints
+def test_other_files_keep_it_too(runs, tmp_path, name, write):
+    (path,) = with_scorers(runs, tmp_path, OF_ACINOSET).keypoints
     write(replace(read_keypoints(path), fps=90.0), tmp_path / name)
     again = read_keypoints(tmp_path / name)
     assert (again.scorer, again.fps) == (OF_ACINOSET, 90.0)
 
 
 @pytest.mark.parametrize(("fps", "written"), [(None, OF_ACINOSET), (90.0, f"{OF_ACINOSET}_recon_90fps")])
-def test_a_converted_file_keeps_its_scorer(folder, tmp_path, fps, written):  # noqa: F811
+def test_a_converted_file_keeps_its_scorer(runs, tmp_path, fps, written):
     """And with it what it says of the detector."""
-    (path,) = with_scorers(folder, tmp_path, OF_ACINOSET).keypoints
+    (path,) = with_scorers(runs, tmp_path, OF_ACINOSET).keypoints
     keypoints = replace(read_keypoints(path), fps=fps)
     deeplabcut.write_csv(keypoints, tmp_path / "copy.csv")
     assert (tmp_path / "copy.csv").read_text().split(",")[1] == written

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from example_run import AHEAD, ASIDE, BODY, FPS, PRIOR, settings, truth_m, view_of
 
 from recon import Body, SubjectFitSettings, load_skeleton, run_subject_fit
 from recon.fit import constants
@@ -15,10 +16,7 @@ from recon.fit.points import solve_points
 from recon.fit.shape import Shape, ShapeFit, fit_shape
 from recon.io.common import Pose3D
 from recon.io.deeplabcut import write_csv
-from tests.clip.test_views import AHEAD, ASIDE, truth_m, view_of
 from tests.command_line import refusal, run
-from tests.fit.test_trajectory import BODY, FPS, PRIOR
-from tests.workflows.test_cameras import folder, settings  # noqa: F401
 
 KNOWN = {"l_fore_lower": 0.08, "l_hind_foot": -0.06}
 """Factors, by the logarithm, on the lengths of the animal that is filmed."""
@@ -112,10 +110,10 @@ def _run_of(animal: Body) -> np.ndarray:
     return animal.detected.pose(states).points_m
 
 
-def test_command(folder, tmp_path):  # noqa: F811
+def test_command(runs, tmp_path):
     """From the config of a fit to a subject file that `recon fit` takes."""
     config, out = tmp_path / "config.toml", tmp_path / "cat.toml"
-    config.write_text(settings(folder, 1, 2, subject=None).to_toml())
+    config.write_text(settings(runs, 1, 2, subject=None).to_toml())
     ended = run("subject", "fit", config, "--out", out, "--offsets", "--json")
     assert ended.code == 0, ended.err
     said = json.loads(ended.out)
@@ -138,9 +136,9 @@ def test_command(folder, tmp_path):  # noqa: F811
     assert max(abs(row["value"]) for row in said["values"]) < 12  # mm: the keypoints lie on the markers
 
 
-def test_a_few_frames_say_little_and_nothing_else_is_said(folder, tmp_path):  # noqa: F811
+def test_a_few_frames_say_little_and_nothing_else_is_said(runs, tmp_path):
     config = tmp_path / "config.toml"
-    config.write_text(settings(folder, 1, 2, subject=None, frames="10:16").to_toml())
+    config.write_text(settings(runs, 1, 2, subject=None, frames="10:16").to_toml())
     ended = run("subject", "fit", config, "--out", tmp_path / "cat.toml", "--json")
     assert (ended.code, ended.err) == (0, "")
     assert json.loads(ended.out)["frames"] == 6
@@ -154,10 +152,10 @@ def _mean_factor(animal: Body) -> float:
     return float(np.exp(np.log(lengths[0] / lengths[1]).mean()))
 
 
-def test_what_is_wrong_is_said(folder, tmp_path):  # noqa: F811
+def test_what_is_wrong_is_said(runs, tmp_path):
     config, one = tmp_path / "config.toml", tmp_path / "one.toml"
-    config.write_text(settings(folder, 1, 2).to_toml())
-    one.write_text(settings(folder, 1).to_toml())
+    config.write_text(settings(runs, 1, 2).to_toml())
+    one.write_text(settings(runs, 1).to_toml())
     other, detector = tmp_path / "other.csv", {"lengths": False, "offsets": True}
     write_csv(Pose3D(("nose",), np.zeros((40, 1, 3)), np.arange(40)), other)
     for paths, options, expected in (

@@ -32,18 +32,10 @@ from recon.calibrate.boards import (
 )
 from recon.io.video import video_writer
 from recon.show import plots
-from recon.testing.boards import board_poses, draw_board
+from recon.testing.boards import BOARD_CAMERAS, SIZE_PX, board_poses, draw_board
 from recon.workflows.cli import app
 
 CHESS, CHARUCO = "chessboard:9x6:25mm", "charuco:9x6:30mm:22mm:DICT_4X4_50"
-SIZE = (800, 600)
-MATRIX = np.array([[640.0, 0, 408.0], [0, 641.5, 294.0], [0, 0, 1]])
-WIDE = np.array([[380.0, 0, 408.0], [0, 381.0, 294.0], [0, 0, 1]])
-CAMERAS = {
-    "pinhole": Camera("cam", MATRIX, np.zeros(0), "pinhole", SIZE),
-    "radtan": Camera("cam", MATRIX, np.array([-0.3, 0.1, 0.001, -0.0007, -0.01]), "radtan", SIZE),
-    "fisheye": Camera("cam", WIDE, np.array([0.03, -0.01, 0.004, -0.001]), "fisheye", SIZE),
-}
 
 
 def pictures(camera: Camera, board_text: str, count: int, seed: int = 1, fill: float = 0.65) -> list[np.ndarray]:
@@ -68,7 +60,7 @@ def exact_views(camera: Camera, board: Board, where: list, noise_px: float = 0.1
 @pytest.fixture(scope="module")
 def radtan_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("board")
-    for number, picture in enumerate(pictures(CAMERAS["radtan"], CHARUCO, 16)):
+    for number, picture in enumerate(pictures(BOARD_CAMERAS["radtan"], CHARUCO, 16)):
         cv2.imwrite(str(folder / f"{number:02d}.png"), picture)
     cv2.imwrite(str(folder / "99_wall.png"), np.full((600, 800), 128, np.uint8))
     return folder
@@ -77,8 +69,8 @@ def radtan_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def chess_views() -> BoardViews:
     board = parse_board(CHESS)
-    where = board_poses(board, CAMERAS["radtan"], 14, np.random.default_rng(3), fill=0.65)
-    return exact_views(CAMERAS["radtan"], board, where)
+    where = board_poses(board, BOARD_CAMERAS["radtan"], 14, np.random.default_rng(3), fill=0.65)
+    return exact_views(BOARD_CAMERAS["radtan"], board, where)
 
 
 # ---- boards ----
@@ -124,9 +116,9 @@ def test_rendered_charuco_is_the_board_that_opencv_prints(text):
 
 
 @pytest.mark.parametrize("text", [CHESS, CHARUCO])
-@pytest.mark.parametrize("lens", list(CAMERAS))
+@pytest.mark.parametrize("lens", list(BOARD_CAMERAS))
 def test_corners_are_found_to_a_fraction_of_a_pixel(lens, text):
-    camera, board = CAMERAS[lens], parse_board(text)
+    camera, board = BOARD_CAMERAS[lens], parse_board(text)
     rng = np.random.default_rng(5)
     (rotation, translation), *_ = board_poses(board, camera, 1, rng, fill=0.8)
     corners = board.detect(draw_board(board, camera, rotation, translation, blur_px=0.6, noise=2.0, rng=rng))
@@ -145,12 +137,12 @@ def test_corners_are_found_to_a_fraction_of_a_pixel(lens, text):
 @pytest.mark.parametrize(("lens", "text"), [("pinhole", CHESS), ("radtan", CHARUCO), ("fisheye", CHARUCO)])
 def test_intrinsics_come_back(lens, text):
     """Within 0.5 % of the truth, and the lens to a pixel wherever boards reach."""
-    camera, board = CAMERAS[lens], parse_board(text)
+    camera, board = BOARD_CAMERAS[lens], parse_board(text)
     count = 14 if text == CHESS else 24  # its corners are half as many and half as exact
     found = [board.detect(picture) for picture in pictures(camera, text, count)]
     views = tuple(BoardView(str(n), *corners) for n, corners in enumerate(found) if corners is not None)
     assert len(views) >= count - 1
-    calibration = calibrate(BoardViews(board, SIZE, views, (), len(views)), camera.model)
+    calibration = calibrate(BoardViews(board, SIZE_PX, views, (), len(views)), camera.model)
     for name, index in {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2)}.items():
         assert calibration.parameters[name] == pytest.approx(camera.matrix[index], rel=0.005), name
     assert calibration.rms_px < 0.2
@@ -175,7 +167,7 @@ def test_standard_deviations_are_those_of_opencv(chess_views, model):
     rms, matrix, _, _, _, sigma, _, errors = cv2.calibrateCameraExtended(
         [points for _ in used],
         [v.xy_px.astype(np.float32)[:, None] for v in views.views if v.name in used],
-        SIZE, np.eye(3), np.zeros(5), flags=flags, criteria=(3, 200, 1e-10),
+        SIZE_PX, np.eye(3), np.zeros(5), flags=flags, criteria=(3, 200, 1e-10),
     )  # fmt: skip
     n = len(calibration.sigma)
     np.testing.assert_allclose(calibration.sigma, np.ravel(sigma)[:n], rtol=1e-2)
@@ -185,7 +177,7 @@ def test_standard_deviations_are_those_of_opencv(chess_views, model):
 
 
 def test_standard_deviations_of_a_fisheye_are_the_scatter_over_noise():
-    camera, board = CAMERAS["fisheye"], parse_board(CHESS)
+    camera, board = BOARD_CAMERAS["fisheye"], parse_board(CHESS)
     where = board_poses(board, camera, 8, np.random.default_rng(2), fill=0.7)
     runs = [calibrate(exact_views(camera, board, where, seed=seed), "fisheye") for seed in range(9)]
     scatter = np.std([list(run.parameters.values())[:4] for run in runs], axis=0, ddof=1)
@@ -223,7 +215,7 @@ def test_a_good_calibration_is_not_refused(chess_views):
 
 def test_parallel_boards_are_refused():
     """Focal length and distance are confounded: the numbers say how much is missing."""
-    board, camera = Board(9, 6, 0.025), CAMERAS["radtan"]
+    board, camera = Board(9, 6, 0.025), BOARD_CAMERAS["radtan"]
     centre = board.points_m.mean(axis=0)
     rng = np.random.default_rng(0)
     where = [
@@ -269,7 +261,7 @@ def test_each_limit_is_measured(chess_views):
 def test_coverage_is_the_area_of_the_boards():
     """One board that fills the middle ninth of the picture."""
     board = Board(9, 6, 0.025)
-    camera = Camera("c", MATRIX, np.zeros(0), "pinhole", SIZE)
+    camera = Camera("c", BOARD_CAMERAS["pinhole"].matrix, np.zeros(0), "pinhole", SIZE_PX)
     xy = board.points_m[:, :2] / [0.2, 0.125] * [266.6, 200] + [266.7, 200]
     views = exact_views(camera, board, board_poses(board, camera, 6, np.random.default_rng(0)))
     calibration = calibrate(views, "pinhole")
@@ -299,7 +291,7 @@ def test_sharp_and_different_frames_are_chosen():
 
 
 def test_sharpness_falls_with_blur_and_with_motion_in_one_direction():
-    camera, board = CAMERAS["pinhole"], parse_board(CHESS)
+    camera, board = BOARD_CAMERAS["pinhole"], parse_board(CHESS)
     picture = draw_board(board, camera, np.eye(3), np.array([-0.1, -0.06, 0.3]))
     corners = board.detect(picture)
     assert corners is not None
@@ -315,9 +307,9 @@ def test_sharpness_falls_with_blur_and_with_motion_in_one_direction():
 
 def test_a_video_gives_some_of_its_frames(tmp_path):
     """The board glides over the picture for two seconds, then rests for one: the rest is one view."""
-    camera, board = CAMERAS["pinhole"], parse_board(CHARUCO)
+    camera, board = BOARD_CAMERAS["pinhole"], parse_board(CHARUCO)
     glide = [np.array([-0.25 + 0.02 * n, -0.16 + 0.01 * n, 0.6 - 0.01 * n]) for n in range(12)]
-    with video_writer(tmp_path / "board.avi", SIZE, 5.0) as write:
+    with video_writer(tmp_path / "board.avi", SIZE_PX, 5.0) as write:
         for n, place in enumerate(glide + [glide[-1]] * 6):
             tilt = Rotation.from_rotvec([0.5 * math.sin(min(n, 11)), 0.5 * math.cos(min(n, 11)), 0]).as_matrix()
             picture = draw_board(board, camera, tilt, place, oversample=4)

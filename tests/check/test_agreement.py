@@ -8,22 +8,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from example_run import ASIDE, FPS, KEYPOINT_M, POSES, late, run_views, truth_m, view_of
 
 from recon.check.agreement import FRAMES, agreement_findings
 from recon.clip import View
 from recon.fit.result import Finding
 from recon.geometry.frames import euler_rotation, rigid
-from tests.clip.test_views import AHEAD, ASIDE, pose, truth_m, view_of
-from tests.fit.test_trajectory import FPS
-
-KEYPOINT_M = 0.005
-POSES = (AHEAD, ASIDE, pose([4.0, 1.0, 1.0], 0.75 * np.pi), pose([9.0, 10.0, 0.8], np.pi))
-
-
-def cameras(n: int = 4) -> list[View]:
-    """At most as noisy as expected."""
-    views = [view_of(truth_m(), T, sigma_px=2.0, seed=i) for i, T in enumerate(POSES[:n])]
-    return [replace(view, camera=replace(view.camera, name=f"cam{i + 1}")) for i, view in enumerate(views)]
+from recon.testing.cameras import level_pose
 
 
 def judged(views: list[View], offset_s: Sequence[float] = (0.0,) * 5) -> tuple[Finding, ...]:
@@ -56,16 +47,6 @@ def turned(view: View, axis: int) -> View:
     return replace(view, T_camera_world=rigid(rotation, np.zeros(3)) @ view.T_camera_world)
 
 
-def late(view: View, frames: int) -> View:
-    """Its pictures were taken that much later than their numbers say."""
-    xy_px = np.full_like(view.xy_px, np.nan)
-    if frames > 0:
-        xy_px[:-frames] = view.xy_px[frames:]
-    else:
-        xy_px[-frames:] = view.xy_px[:frames]
-    return replace(view, xy_px=xy_px)
-
-
 def exchanged(views: list[View], a: int, b: int) -> list[View]:
     views = [*views]
     views[a], views[b] = replace(views[a], xy_px=views[b].xy_px), replace(views[b], xy_px=views[a].xy_px)
@@ -74,7 +55,7 @@ def exchanged(views: list[View], a: int, b: int) -> list[View]:
 
 @pytest.mark.parametrize("n", [2, 3, 4])
 def test_cameras_that_agree(n):
-    found = judged(cameras(n))
+    found = judged(run_views(n))
     assert findings(found) == []
     assert notes(found)[0].max_level == 1.6
     for camera in notes(found):
@@ -87,7 +68,7 @@ def test_cameras_that_agree(n):
 
 @pytest.mark.parametrize(("n", "which", "axis"), [(3, 0, 0), (4, 2, 0), (3, 2, 1), (4, 0, 2)])
 def test_a_camera_that_is_turned(n, which, axis):
-    views = cameras(n)
+    views = run_views(n)
     views[which] = turned(views[which], axis)
     found = judged(views)
     assert findings(found) == [("camera_turned", (which,))]
@@ -97,7 +78,7 @@ def test_a_camera_that_is_turned(n, which, axis):
 
 @pytest.mark.parametrize(("n", "which", "frames"), [(4, 0, 10), (3, 1, -10), (3, 2, 10)])
 def test_a_camera_that_is_late_or_early(n, which, frames):
-    views = cameras(n)
+    views = run_views(n)
     views[which] = late(views[which], frames)
     found = judged(views, offset_s=[0.0, 0.25, 0.5, 0.75])
     assert findings(found) == [("camera_late", (which,))]
@@ -109,7 +90,7 @@ def test_a_camera_that_is_late_or_early(n, which, frames):
 
 def test_what_is_known_of_the_lag_is_taken_into_account():
     """Half a frame is in the view; the other half is found."""
-    views, points = cameras(3), truth_m()
+    views, points = run_views(3), truth_m()
     between = 0.5 * (points + np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]]))
     views[1] = replace(view_of(between, ASIDE, sigma_px=0.5, seed=1), camera=views[1].camera, offset_frames=0.5)
     assert notes(judged(views))[1].late_frames == 0.0
@@ -118,38 +99,38 @@ def test_what_is_known_of_the_lag_is_taken_into_account():
 
 @pytest.mark.parametrize(("n", "pair"), [(3, (0, 1)), (4, (1, 2))])
 def test_two_exchanged_files(n, pair):
-    found = judged(exchanged(cameras(n), *pair))
+    found = judged(exchanged(run_views(n), *pair))
     assert findings(found) == [("cameras_exchanged", pair)]
     assert min(notes(found)[v].level for v in pair) > 3
 
 
 def test_a_camera_of_another_clip():
     """Neither a turn nor a lag makes the detections of another run fit."""
-    views = cameras()
+    views = run_views()
     points = truth_m()[::-1] * [1.0, 1.0, 1.6] + [0.0, 2.0, 0.4]
     views[3] = replace(view_of(points, POSES[3], seed=9), camera=views[3].camera)
     assert findings(judged(views)) == [("camera_off", (3,))]
 
 
 def test_two_cameras_that_are_off():
-    views = cameras()
+    views = run_views()
     views[1], views[3] = turned(views[1], 1), late(views[3], 8)
-    fifth = view_of(truth_m(), pose([1.0, -1.0, 1.5], 0.45 * np.pi), seed=5)
+    fifth = view_of(truth_m(), level_pose([1.0, -1.0, 1.5], 0.45 * np.pi), seed=5)
     views.append(replace(fifth, camera=replace(fifth.camera, name="cam5")))
     assert findings(judged(views)) == [("camera_turned", (1,)), ("camera_late", (3,))]
 
 
 def test_of_two_cameras_none_can_be_named():
-    views = cameras(2)
+    views = run_views(2)
     views[1] = turned(views[1], 0)
     found = judged(views)
     assert findings(found) == [("cameras_disagree", (0, 1))]
     assert np.isnan(notes(found)[0].turn_rad)
-    assert findings(judged(exchanged(cameras(2), 0, 1))) == [("cameras_exchanged", (0, 1))]
+    assert findings(judged(exchanged(run_views(2), 0, 1))) == [("cameras_exchanged", (0, 1))]
 
 
 def test_cameras_that_see_the_animal_one_after_the_other_cannot_be_compared():
-    views = cameras()[:2]
+    views = run_views()[:2]
     views[0] = replace(views[0], xy_px=np.where(np.arange(len(truth_m()))[:, None, None] < 12, views[0].xy_px, np.nan))
     views[1] = replace(views[1], xy_px=np.where(np.arange(len(truth_m()))[:, None, None] < 12, np.nan, views[1].xy_px))
     found = judged(views)
@@ -167,7 +148,7 @@ def test_noisier_detections_than_expected_are_no_disagreement():
 
 
 def test_of_a_long_clip_the_stretch_in_which_most_is_seen_is_compared():
-    views = cameras(3)
+    views = run_views(3)
     xy_px = [np.concatenate([np.full((600, *v.xy_px.shape[1:]), np.nan), v.xy_px]) for v in views]
     views = [replace(v, xy_px=xy, confidence=np.ones(xy.shape[:2])) for v, xy in zip(views, xy_px, strict=True)]
     T = len(xy_px[0])
@@ -177,4 +158,4 @@ def test_of_a_long_clip_the_stretch_in_which_most_is_seen_is_compared():
 
 
 def test_one_camera_has_nobody_to_agree_with():
-    assert judged(cameras(1)) == ()
+    assert judged(run_views(1)) == ()

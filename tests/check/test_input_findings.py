@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import says
+from example_run import BODY, CAMERA, FPS, PRIOR, plain, run, seen
 
 from recon import FitSettings, fit_clip, samples_folder
 from recon.animal.body import opposites, other_side
@@ -49,7 +50,6 @@ from recon.fit.trajectory import solve_trajectory
 from recon.io.deeplabcut import write_csv
 from recon.io.formats import read_keypoints
 from recon.workflows.clip import prepare
-from tests.fit.test_trajectory import BODY, CAMERA, FPS, PRIOR, plain, run, seen
 
 T = 40
 NAMED = (None,)

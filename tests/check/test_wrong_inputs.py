@@ -6,6 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from example_run import (
+    AHEAD,
+    ASIDE,
+    BODY,
+    CAMERA,
+    CAMERA_FROM_LEVEL,
+    FPS,
+    PRIOR,
+    errors_m,
+    plain,
+    run,
+    seen,
+    solve,
+    truth_m,
+    two,
+    view_of,
+)
 from scipy.spatial.transform import Rotation
 
 from recon.base.errors import InputError
@@ -20,8 +37,6 @@ from recon.fit.trajectory import solve_trajectory
 from recon.gait.clip import over_belt
 from recon.geometry.frames import rigid
 from recon.workflows.clip import other_camera_in
-from tests.clip.test_views import AHEAD, ASIDE, truth_m, two, view_of
-from tests.fit.test_trajectory import BODY, CAMERA, CAMERA_FROM_LEVEL, FPS, PRIOR, errors_m, plain, run, seen, solve
 
 NAMES = BODY.keypoint_names(None)
 

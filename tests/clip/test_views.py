@@ -3,50 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
+from example_run import AHEAD, ASIDE, BODY, CAMERA, FPS, PRIOR, run, seen, truth_m, two, view_of
 
+from recon import samples_folder
 from recon.clip import View, camera_poses, still_view
 from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.result import TrajectorySolution
 from recon.fit.trajectory import solve_trajectory
-from recon.geometry.frames import inverse, level_from_camera, moved, rigid
+from recon.geometry.frames import inverse, moved, rigid
 from recon.io.positions import read_pose3d
-from tests.conftest import SAMPLES
-from tests.fit.test_trajectory import BODY, CAMERA, FPS, PRIOR, run, seen
+from recon.testing.cameras import level_pose
 
-LEVEL = level_from_camera(CAMERA.up)
-
-
-def truth_m() -> np.ndarray:
-    """(T, J, 3): a run, in the level frame of a camera in the origin."""
-    return run() @ LEVEL.T
-
-
-def pose(centre_m: list[float], heading_rad: float) -> np.ndarray:
-    """T_camera_world of a level camera that looks along a heading about z, 0 along x."""
-    right = np.array([np.sin(heading_rad), -np.cos(heading_rad), 0.0])
-    away = np.array([np.cos(heading_rad), np.sin(heading_rad), 0.0])
-    rotation = np.stack([right, [0.0, 0.0, -1.0], away])
-    return rigid(rotation, -rotation @ np.array(centre_m))
-
-
-def view_of(points_m: np.ndarray, T_camera_world: np.ndarray, sigma_px: float = 2.0, seed: int = 0) -> View:
-    blank = View(CAMERA, T_camera_world, np.zeros((*points_m.shape[:2], 2)), np.ones(points_m.shape[:2]))
-    noise = sigma_px * np.random.default_rng(seed).normal(size=blank.xy_px.shape)
-    return replace(blank, xy_px=blank.project(points_m)[0] + noise)
-
-
-AHEAD, ASIDE = pose([0.0, 0.0, 0.0], np.pi / 2), pose([-9.0, 9.0, 0.5], 0.0)
-
-
-@cache
-def two() -> TrajectorySolution:
-    views = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1)]
-    return solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True, size_sigma=0.3))
+SAMPLES = samples_folder()
 
 
 # -- a view --------------------------------------------------------------------------------------------------------
@@ -87,7 +59,7 @@ def test_zoom_scales_the_picture_about_the_principal_point():
 
 def test_rays_of_a_moving_view_meet_the_points():
     points, T = truth_m(), len(truth_m())
-    poses = np.stack([pose([0.05 * t, 0.0, 0.0], np.pi / 2 + 0.01 * t) for t in range(T)])
+    poses = np.stack([level_pose([0.05 * t, 0.0, 0.0], np.pi / 2 + 0.01 * t) for t in range(T)])
     view = view_of(points, poses, sigma_px=0.0)
     off = points - view.centre_m[:, None]
     np.testing.assert_allclose(view.rays(), off / np.linalg.norm(off, axis=-1, keepdims=True), atol=1e-9)
@@ -99,7 +71,7 @@ def test_keypoints_noise_is_as_many_pixels_as_the_lens_makes_of_it():
     lens, points = replace(CAMERA, model="fisheye", distortion=np.zeros(4)), truth_m()
     found = []
     for heading in (np.pi / 2, np.pi / 2 + 0.5):
-        view = replace(view_of(points, pose([0.0, 0.0, 0.0], heading)), camera=lens)
+        view = replace(view_of(points, level_pose([0.0, 0.0, 0.0], heading)), camera=lens)
         found.append(ClipProblem.from_views([view], BODY, PRIOR, FPS, TrajectoryOptions()).px_per_m(points)[0])
         middle = np.median(points, axis=1, keepdims=True)
         steps = 1e-6 * np.concatenate([np.eye(3), -np.eye(3)])
@@ -194,7 +166,7 @@ def test_a_camera_late_by_less_than_a_frame_is_found(monkeypatch):
     """Which nobody said: the place does not suffer, and with one camera it is as uncertain as that."""
     points = truth_m()
     late = view_of(0.6 * points + 0.4 * np.concatenate([points[1:], 2 * points[-1:] - points[-2:-1]]), AHEAD)
-    third = view_of(points, pose([-6.0, 2.0, 0.5], 0.6), seed=2)
+    third = view_of(points, level_pose([-6.0, 2.0, 0.5], 0.6), seed=2)
 
     def known_to(frames: float, *views: View) -> TrajectorySolution:
         with monkeypatch.context() as patch:
@@ -243,7 +215,7 @@ def test_a_camera_that_is_carried_about_shows_the_size():
     """To and fro by a metre in half a second: its own path is known in metres, and the animal's is smoother."""
     points = truth_m()
     T = len(points)
-    poses = np.stack([pose([np.sin(14 * t / FPS), 0.0, 0.3 * np.cos(14 * t / FPS)], np.pi / 2) for t in range(T)])
+    poses = np.stack([level_pose([np.sin(14 * t / FPS), 0.0, 0.3 * np.cos(14 * t / FPS)], np.pi / 2) for t in range(T)])
     solution = solve_trajectory(
         [view_of(points, poses)], BODY, PRIOR, FPS, TrajectoryOptions(fast=True, size_sigma=10.0)
     )
@@ -256,7 +228,7 @@ def test_a_camera_driven_along_shows_the_size_by_feet_that_stand():
     """At 10 m/s beside the animal: feet of another size would slip on the ground."""
     points = read_pose3d(SAMPLES / "whole_truth.csv").xyz_m
     seconds = (np.arange(len(points)) - len(points) / 2) / 60
-    poses = np.stack([pose([10.0 * t, -9.0, 0.6], np.pi / 2) for t in seconds])
+    poses = np.stack([level_pose([10.0 * t, -9.0, 0.6], np.pi / 2) for t in seconds])
     solution = solve_trajectory(
         [view_of(points, poses, sigma_px=0.5)], BODY, PRIOR, 60.0, TrajectoryOptions(fast=True, size_sigma=10.0)
     )

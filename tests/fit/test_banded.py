@@ -7,6 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 from scipy.linalg import solveh_banded
+from term_cases import to_dense
 
 from recon.fit.banded import Normal, add_normal, eliminated, factored, lower_band, step
 
@@ -30,17 +31,6 @@ SIZES = [
 @pytest.fixture
 def rng():
     return np.random.default_rng(11)
-
-
-def to_dense(blocks: np.ndarray) -> np.ndarray:
-    """(TD, TD), of which both triangles are filled."""
-    T, n_blocks, D, _ = blocks.shape
-    dense = np.zeros((T, D, T, D))
-    for t in range(T):
-        for k in range(min(n_blocks, T - t)):
-            dense[t + k, :, t] = blocks[t, k]
-            dense[t, :, t + k] = blocks[t, k].T
-    return dense.reshape(T * D, T * D)
 
 
 def dense_system(rng, T, D, W):

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import refusal, run, says
-from conftest import leave_out_layout
 from scipy.spatial.transform import Rotation
+from shortcuts import leave_out_layout
 
 from recon import (
     Body,

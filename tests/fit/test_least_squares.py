@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
+from term_cases import BODY, FEET, FPS, PRIOR, T, detections, gradient, some_states, terms, to_dense, view
 
 from recon.fit import least_squares as module
 from recon.fit.least_squares import Estimate, LeastSquares, SharedUnknown
@@ -30,8 +31,6 @@ from recon.fit.terms import (
     time_offset,
 )
 from recon.geometry.kinematics import Marker, Segment, Tree
-from tests.fit.test_banded import to_dense
-from tests.fit.test_terms import BODY, FEET, FPS, PRIOR, T, detections, gradient, some_states, terms, view
 
 
 def whole_problem() -> LeastSquares:

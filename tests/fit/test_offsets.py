@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from command_line import refusal
+from example_run import BODY, CAMERA, FPS, KEYPOINT_M, PRIOR, keypoints_of, late, run_views, settings
 
 from recon import fit_clip
 from recon.check.agreement import search_offsets, solve_time_offsets
@@ -17,29 +18,24 @@ from recon.fit.result import TrajectorySolution
 from recon.fit.trajectory import solve_trajectory
 from recon.workflows.clip import prepare
 from recon.workflows.rigs import at_rate
-from tests.check.test_agreement import KEYPOINT_M, cameras, late
-from tests.fit.test_trajectory import BODY, CAMERA, FPS, PRIOR
-from tests.workflows.test_cameras import folder, keypoints_of, settings
-
-__all__ = ["folder"]  # the fixture
 
 
 def test_the_search_finds_whole_frames():
     """One of three cameras films from 4 frames later on, one from 3 frames earlier."""
-    views = cameras(3)
+    views = run_views(3)
     found = search_offsets([views[0], late(views[1], 4), late(views[2], -3)], FPS, 2.0, KEYPOINT_M)
     np.testing.assert_array_equal(found, [0, 4, -3])
 
 
 def test_a_camera_that_sees_nothing_together_with_others_is_not_compared():
-    first, second, third = cameras(3)
+    first, second, third = run_views(3)
     blind = replace(second, xy_px=np.full_like(second.xy_px, np.nan))
     np.testing.assert_array_equal(search_offsets([first, blind, third], FPS, 2.0, KEYPOINT_M), [0, np.nan, 0])
 
 
 def test_lags_are_found_with_their_uncertainty():
     """By a solver that is told that they may be large, beside the first camera's."""
-    views = [replace(view, offset_frames=lead) for view, lead in zip(cameras(2), (0.0, 0.75), strict=True)]
+    views = [replace(view, offset_frames=lead) for view, lead in zip(run_views(2), (0.0, 0.75), strict=True)]
     found = solve_trajectory(views, BODY, PRIOR, FPS, TrajectoryOptions(fast=True, find_offsets=True))
     assert (found.time_offset_frames[0], found.time_offset_sigma_frames[0]) == (0, 0)
     assert found.time_offset_frames[1] == pytest.approx(-0.75, abs=0.1)
@@ -47,8 +43,8 @@ def test_lags_are_found_with_their_uncertainty():
 
 
 def sources() -> list[Source]:
-    given = [keypoints_of(view.xy_px) for view in cameras(2)]
-    poses = [view.T_camera_world for view in cameras(2)]
+    given = [keypoints_of(view.xy_px) for view in run_views(2)]
+    poses = [view.T_camera_world for view in run_views(2)]
     lenses = [replace(CAMERA, rotation=T[:3, :3], translation_m=T[:3, 3], name=f"cam{i}") for i, T in enumerate(poses)]
     return [Source(lens, *clean(own, 0.5), BODY.markers) for lens, own in zip(lenses, given, strict=True)]
 
@@ -75,9 +71,9 @@ def test_a_motion_that_does_not_tell_is_refused():
         solve_time_offsets(sources(), [0.0, 0.0], solve, 2.0, KEYPOINT_M)
 
 
-def test_a_clip_whose_cameras_are_out_of_step(folder):
+def test_a_clip_whose_cameras_are_out_of_step(runs):
     """Both began together; --set offset-s says five frames later, where the search begins."""
-    motion = fit_clip(settings(folder, 1, 2, find_offsets=True, offset_s=[0.0, 5 / FPS]))
+    motion = fit_clip(settings(runs, 1, 2, find_offsets=True, offset_s=[0.0, 5 / FPS]))
     lag = motion.solution.views[1].offset_frames - motion.sources[1].offset_frames
     assert motion.sources[1].offset_s * FPS + lag == pytest.approx(0, abs=0.1)
     assert abs(lag) < 0.05
@@ -99,16 +95,16 @@ def test_points_at_another_frame_rate():
         at_rate(replace(slow, fps=FPS * 20), FPS)
 
 
-def test_cameras_of_different_frame_rates(folder):
+def test_cameras_of_different_frame_rates(runs):
     """The second file's 30 frames, from its frame 10 on, last twice as long."""
-    first, second = prepare(settings(folder, 1, 2, fps=None, camera_fps=[FPS, FPS / 2], frames="0:60")).sources
+    first, second = prepare(settings(runs, 1, 2, fps=None, camera_fps=[FPS, FPS / 2], frames="0:60")).sources
     np.testing.assert_array_equal(first.keypoints.frames, np.arange(59))
     assert np.flatnonzero(second.keypoints.present.any(axis=1)).tolist() == list(range(20, 59))
     assert second.cleaning.notes[-1].startswith("cam2 filmed at 45 Hz: ")
     with refusal(("settings", "camera_fps", "beside fps, 90", "one of the two")):
-        settings(folder, 1, 2, camera_fps=[FPS, FPS / 2])
+        settings(runs, 1, 2, camera_fps=[FPS, FPS / 2])
 
 
-def test_one_camera_has_no_offset(folder):
+def test_one_camera_has_no_offset(runs):
     with refusal(("settings", "find_offsets", "one keypoint file", "several cameras")):
-        settings(folder, 1, find_offsets=True)
+        settings(runs, 1, find_offsets=True)

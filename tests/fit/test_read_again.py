@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import leave_out_layout
+from shortcuts import leave_out_layout
 
 from recon import Camera, FitSettings, Keypoints, Motion, analyse, evaluate_files, read_keypoints
 from recon.animal.body import Body
@@ -18,20 +18,20 @@ from recon.clip import camera_poses
 from recon.io.camera_files import write_camera, write_cameras
 from recon.io.deeplabcut import write_csv
 from recon.io.formats import CONVERTED, read_points
+from recon.testing.cameras import level_pose
+from recon.testing.files import write_track
 from recon.workflows import analyse as analysis
 from recon.workflows.clip_results import run_clip
 from recon.workflows.convert import ConvertSettings, convert
 from recon.workflows.look import PageSettings, report
 from recon.workflows.skeleton import draft_skeleton
-from tests.clip.test_views import pose
-from tests.io.test_camera_track import write_track
 
 FPS, FRAMES = 60.0, 12
 LENS = Camera.from_hfov(60.0, (1920, 1080), name="cam1")
 
 
 def placed(name: str, centre_m: list[float], yaw: float) -> Camera:
-    T = pose(centre_m, yaw)
+    T = level_pose(centre_m, yaw)
     return replace(LENS, name=name, rotation=T[:3, :3], translation_m=T[:3, 3], world_z_up=True)
 
 

@@ -3,71 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from example_run import BODY, CAMERA, CAMERA_FROM_LEVEL, FPS, PRIOR, errors_m, plain, run, seen, solve
 
 from recon import FitSettings, evaluate, fit_clip
 from recon.animal.body import other_side
 from recon.animal.chain import load_chain
-from recon.animal.prior import load_prior, prior_from_body
-from recon.animal.skeleton_file import load_skeleton
+from recon.animal.prior import prior_from_body
 from recon.clip import still_view
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.result import TrajectorySolution
 from recon.fit.starts import approach
 from recon.fit.trajectory import solve_trajectory
-from recon.geometry.camera import Camera
 from recon.io.common import Pose3D
 from recon.io.positions import read_pose3d
 from recon.testing.gallop import gallop
-
-FPS = 90.0
-CAMERA = Camera.from_hfov(60.0, (1920, 1080))
-BODY = load_skeleton("cheetah-24", "phantom")
-PRIOR = load_prior("running-cheetah", BODY)
-CAMERA_FROM_LEVEL = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
-
-
-def run(T: int = 40, heading_rad: float = 0.4, speed_m_s: float = 9.0) -> np.ndarray:
-    """Joints (T, J, 3), camera frame: two strides a half second, along the covariance's two widest directions."""
-    values, vectors = np.linalg.eigh(PRIOR.covariance)
-    t = np.arange(T) / FPS
-    swing = 2 * np.pi * 3.0 * t
-    states = np.zeros((T, BODY.n_state))
-    states[:, 4:] = (
-        PRIOR.mean
-        + np.outer(np.cos(swing), vectors[:, -1] * np.sqrt(values[-1]))
-        + np.outer(np.sin(swing), vectors[:, -2] * np.sqrt(values[-2]))
-    )
-    along = np.array([np.cos(heading_rad), np.sin(heading_rad), 0.0])
-    states[:, :3] = np.array([0.0, 9.0, -0.3]) + np.outer((t - t.mean()) * speed_m_s, along)
-    states[:, 3] = heading_rad
-    return BODY.tree.pose(states).points_m @ CAMERA_FROM_LEVEL.T
-
-
-def seen(joints_m: np.ndarray, sigma_px: float = 2.0, seed: int = 0) -> np.ndarray:
-    xy_px, _ = CAMERA.project(joints_m)
-    return xy_px + sigma_px * np.random.default_rng(seed).normal(size=xy_px.shape)
-
-
-def solve(xy_px: np.ndarray, body=BODY, prior=PRIOR, camera=CAMERA, **options) -> TrajectorySolution:
-    confidence = np.isfinite(xy_px[..., 0]).astype(float)
-    return solve_trajectory([still_view(camera, xy_px, confidence)], body, prior, FPS, TrajectoryOptions(**options))
-
-
-@cache
-def plain() -> TrajectorySolution:
-    return solve(seen(run()))
-
-
-def errors_m(solution: TrajectorySolution, truth: np.ndarray) -> np.ndarray:
-    """(T,): mean distance of the joints, both centred."""
-    found = solution.joints_camera_m
-    centred = found - found.mean(axis=1, keepdims=True) - truth + truth.mean(axis=1, keepdims=True)
-    return np.linalg.norm(centred, axis=-1).mean(axis=1)
 
 
 def test_finds_the_motion():

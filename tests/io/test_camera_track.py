@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from example_run import AHEAD, ASIDE, BODY, FISHEYE, FPS, settings
 from scipy.spatial.transform import Rotation
 
 from recon import FitSettings, Motion, find_clips, fit_clip, read_keypoints
@@ -20,36 +21,16 @@ from recon.io.camera_files import write_camera
 from recon.io.camera_track import read_camera_track
 from recon.io.deeplabcut import write_csv
 from recon.io.positions import read_pose3d
+from recon.testing.cameras import level_pose
+from recon.testing.files import TRACK_HEADER, track_rows, write_track
 from recon.workflows.clip import prepare, read_clip_cameras
 from recon.workflows.clip_results import identity
-from tests.clip.test_views import AHEAD, ASIDE, pose
 from tests.command_line import refusal, says
 from tests.command_line import run as command
-from tests.fit.test_trajectory import BODY, FPS
-from tests.workflows import test_cameras
-from tests.workflows.test_cameras import FISHEYE, settings
 
-folder = test_cameras.folder
-"""A fixture: run_cam1.csv, run_cam2.csv and scene.json."""
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
-HEAD = "frame,qw,qx,qy,qz,tx,ty,tz"
 DRONE = Camera.from_hfov(64.0, (1920, 1080))
-LEVEL = pose([1.0, 2.0, 3.0], 0.3)
-
-
-def rows_of(frames: np.ndarray, poses: np.ndarray) -> list[list[float]]:
-    """(N, 8): frame, quaternion and translation."""
-    q = Rotation.from_matrix(poses[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
-    return np.column_stack([frames, q, poses[:, :3, 3]]).tolist()
-
-
-def write_track(path: Path, frames: np.ndarray, poses: np.ndarray, intrinsics_px: np.ndarray | None = None) -> Path:
-    rows = rows_of(frames, poses)
-    head = HEAD if intrinsics_px is None else f"{HEAD},fx,fy,cx,cy"
-    if intrinsics_px is not None:
-        rows = [[*row, *own] for row, own in zip(rows, intrinsics_px.tolist(), strict=True)]
-    path.write_text("\n".join([head, *(",".join(map(repr, [int(row[0]), *row[1:]])) for row in rows)]) + "\n")
-    return path
+LEVEL = level_pose([1.0, 2.0, 3.0], 0.3)
 
 
 def write_model(out: Path, lenses: list[str], frames: np.ndarray, poses: np.ndarray, of: list[int]) -> Path:
@@ -57,7 +38,7 @@ def write_model(out: Path, lenses: list[str], frames: np.ndarray, poses: np.ndar
     out.mkdir(exist_ok=True)
     (out / "cameras.txt").write_text("# Camera list\n" + "\n".join(lenses) + "\n")
     lines = ["# Image list with two lines of data per image:"]
-    for i, (row, camera) in enumerate(zip(rows_of(frames, poses), of, strict=True)):
+    for i, (row, camera) in enumerate(zip(track_rows(frames, poses), of, strict=True)):
         name = f"run 2/cam1_{int(row[0]):06d}.png"
         lines += [" ".join(map(repr, [i + 1, *row[1:], camera])) + f" {name}", "10.5 20.5 -1 30 40 7" if i % 2 else ""]
     (out / "images.txt").write_text("\n".join(lines) + "\n")
@@ -65,7 +46,7 @@ def write_model(out: Path, lenses: list[str], frames: np.ndarray, poses: np.ndar
 
 
 def turning(T: int, by_rad: float = 0.01, centre_m: tuple[float, float, float] = (1.0, 2.0, 3.0)) -> np.ndarray:
-    return np.stack([pose([*centre_m], 0.3 + by_rad * t) for t in range(T)])
+    return np.stack([level_pose([*centre_m], 0.3 + by_rad * t) for t in range(T)])
 
 
 def refuses(text: str, path: Path, *expected: tuple[object, ...]) -> None:
@@ -125,7 +106,7 @@ def test_poses_of_opendronemap(name, tmp_path):
 def test_a_table_in_another_order_with_other_columns_and_semicolons(tmp_path):
     text = "time;TX;ty;tz;qw;qx;qy;qz;frame\n" + "".join(
         ";".join(map(repr, [0.1, *row[5:], *row[1:5], row[0]])) + "\n"
-        for row in reversed(rows_of(np.arange(3), turning(3)))
+        for row in reversed(track_rows(np.arange(3), turning(3)))
     )
     (tmp_path / "track.csv").write_text(text)
     track = read_camera_track(tmp_path / "track.csv")
@@ -224,9 +205,9 @@ def test_what_a_doubtful_turn_does_to_points():
 
 
 def test_a_table_with_many_faults_names_them_all(tmp_path):
-    path, places = tmp_path / "track.csv", HEAD.replace("tx,ty,tz", "x,y,z")
+    path, places = tmp_path / "track.csv", TRACK_HEADER.replace("tx,ty,tz", "x,y,z")
     refuses(
-        f"{HEAD}\n0,2,0,0,0,0,0,0\n1,1,0,0,0,0,,0\n1,1,0,0,0,0,0,1e9\n",
+        f"{TRACK_HEADER}\n0,2,0,0,0,0,0,0\n1,1,0,0,0,0,,0\n1,1,0,0,0,0,0,1e9\n",
         path,
         ("frame", "line 3, line 4", "each frame"),
         ("numbers", "line 3", "finite"),
@@ -236,10 +217,10 @@ def test_a_table_with_many_faults_names_them_all(tmp_path):
     missing = (("columns", f"no {name}") for name in ("qz", "fy", "cx", "cy"))
     refuses("frame,qw,qx,qy,tx,ty,tz,fx\n", path, *missing)
     cells = ("line 2", "4 cells", 8), ("line 3, qx", "'x'", "number")
-    refuses(f"{HEAD}\n0,1,0,0\n0.5,1,x,0,0,0,0,0\n", path, *cells)
-    refuses(f"{HEAD}\n", path, ("rows", "none"))
+    refuses(f"{TRACK_HEADER}\n0,1,0,0\n0.5,1,x,0,0,0,0,0\n", path, *cells)
+    refuses(f"{TRACK_HEADER}\n", path, ("rows", "none"))
     refuses(f"{places}\n0,1,0,0,0,0,0,0\n1,0,0,0,0,0,0,0\n", path, ("qw, qx, qy, qz", "line 3", "unit quaternions"))
-    refuses(f"{HEAD},fx,fy,cx,cy\n0,1,0,0,0,0,0,0,0,1,2,3\n", path, ("fx, fy, cx, cy", "line 2", "pixels"))
+    refuses(f"{TRACK_HEADER},fx,fy,cx,cy\n0,1,0,0,0,0,0,0,0,1,2,3\n", path, ("fx, fy, cx, cy", "line 2", "pixels"))
 
 
 def test_faults_of_a_colmap_model_are_named(tmp_path):
@@ -300,9 +281,9 @@ def test_files_of_other_kinds(tmp_path):
 # -- settings ------------------------------------------------------------------------------------------------------
 
 
-def test_settings_that_do_not_fit(folder, tmp_path):
+def test_settings_that_do_not_fit(runs, tmp_path):
     track = write_track(tmp_path / "track.csv", np.arange(40), turning(40))
-    given: dict[str, Any] = {"keypoints": folder / "run_cam1.csv", "fps": FPS}
+    given: dict[str, Any] = {"keypoints": runs / "run_cam1.csv", "fps": FPS}
     for more, *expected in (
         ({"camera_track": track}, "camera", ["nothing", "track.csv"], "camera file"),
         ({"camera_track": [track, track], "camera": "a.json"}, "camera_track", "2 for 1 keypoint file"),
@@ -313,41 +294,41 @@ def test_settings_that_do_not_fit(folder, tmp_path):
             prepare(FitSettings(**given, **more))
 
 
-def test_whose_track_it_is(folder, tmp_path):
+def test_whose_track_it_is(runs, tmp_path):
     """The second of two cameras moves: its track's name has the camera's in it."""
     aside = np.tile(ASIDE, (40, 1, 1))
     track = write_track(tmp_path / "cam2_track.csv", np.arange(40), aside)
-    first, second = prepare(settings(folder, 1, 2, camera_track=track)).sources
+    first, second = prepare(settings(runs, 1, 2, camera_track=track)).sources
     assert not first.moves
     assert second.moves
     assert not second.camera.has_extrinsics
-    still = views_of(prepare(settings(folder, 1, 2)).sources)[1]
+    still = views_of(prepare(settings(runs, 1, 2)).sources)[1]
     moving = views_of((first, second))[1]
     np.testing.assert_allclose(moving.T_camera_world[10:], np.tile(still.T_camera_world, (30, 1, 1)), atol=1e-9)
     nobody = write_track(tmp_path / "other.csv", np.arange(40), aside)
     with refusal((nobody, "name", "other", "cam1, cam2")):
-        prepare(settings(folder, 1, 2, camera_track=nobody))
+        prepare(settings(runs, 1, 2, camera_track=nobody))
 
 
-def test_a_model_brings_the_lens_of_its_camera(folder, tmp_path):
+def test_a_model_brings_the_lens_of_its_camera(runs, tmp_path):
     lens = "3 OPENCV_FISHEYE 1920 1080 {0} {0} 960 540 0 0 0 0".format(FISHEYE.matrix[0, 0])
     models = [
         write_model(tmp_path / name, [lens], np.arange(40), np.tile(at, (40, 1, 1)), [3] * 40)
         for name, at in (("cam1", AHEAD), ("cam2", ASIDE))
     ]
     plain: dict[str, Any] = {"fps": FPS, "camera_track": models, "camera_name": ["cam1", "cam2"]}
-    files = (folder / "run_cam1.csv", folder / "run_cam2.csv")
+    files = (runs / "run_cam1.csv", runs / "run_cam2.csv")
     sources = prepare(FitSettings(keypoints=files, **plain)).sources
     assert [source.camera.name for source in sources] == ["cam1", "cam2"]
     np.testing.assert_allclose(sources[0].camera.matrix, FISHEYE.matrix, atol=1e-9)
     with refusal(("--camera-track", "camera", ["camera file", models[0] / "images.txt"], "one of the two")):
-        prepare(replace(settings(folder, 1), camera_track=tuple(models[:1])))
+        prepare(replace(settings(runs, 1), camera_track=tuple(models[:1])))
 
 
-def test_a_batch_reads_it_beside_its_manifest_and_knows_when_it_changes(folder, tmp_path):
+def test_a_batch_reads_it_beside_its_manifest_and_knows_when_it_changes(runs, tmp_path):
     track = write_track(tmp_path / "track.csv", np.arange(40), turning(40))
     manifest = tmp_path / "clips.csv"
-    manifest.write_text(f"keypoints,camera,fps,camera_track\n{folder}/run_cam1.csv,{folder}/scene.json,90,track.csv\n")
+    manifest.write_text(f"keypoints,camera,fps,camera_track\n{runs}/run_cam1.csv,{runs}/scene.json,90,track.csv\n")
     (clip,), _ = find_clips([manifest], {})
     assert clip.settings.camera_track == (track,)
     before = identity(clip.settings)
@@ -358,11 +339,11 @@ def test_a_batch_reads_it_beside_its_manifest_and_knows_when_it_changes(folder, 
 # -- clips ---------------------------------------------------------------------------------------------------------
 
 
-def test_frames_without_a_pose_have_no_detections(folder, tmp_path):
+def test_frames_without_a_pose_have_no_detections(runs, tmp_path):
     """From 12 frames without one: at 90 Hz no more than 9 frames apart is 0.1 s."""
     frames = np.array([t for t in range(35) if not 10 < t < 23 and t not in (3, 4)])
     track = write_track(tmp_path / "track.csv", frames, np.tile(AHEAD, (len(frames), 1, 1)))
-    (source,) = prepare(settings(folder, 1, camera_track=track)).sources
+    (source,) = prepare(settings(runs, 1, camera_track=track)).sources
     absent = [*range(11, 23), *range(35, 40)]
     np.testing.assert_array_equal(np.flatnonzero(~source.keypoints.present.any(axis=1)), absent)
     assert source.poses is not None
@@ -372,11 +353,11 @@ def test_frames_without_a_pose_have_no_detections(folder, tmp_path):
     assert says(between, "2 frames", "0.1 s apart")
     assert says(left_out, f"{lost} points", "left out", f"{BODY.markers[0]} in frame 11, ...")
     far = write_track(tmp_path / "far.csv", np.arange(100, 110), turning(10))
-    with refusal((far, "frame", ["100 to 109", folder / "run_cam1.csv"], "0 to 39")):
-        prepare(settings(folder, 1, camera_track=far))
+    with refusal((far, "frame", ["100 to 109", runs / "run_cam1.csv"], "0 to 39")):
+        prepare(settings(runs, 1, camera_track=far))
 
 
-def panned(folder: Path) -> dict[str, Any]:
+def panned(runs: Path) -> dict[str, Any]:
     """The sample as seen by a camera that turns to and fro about its centre: keypoints and track, for settings."""
     (view,) = views_of(
         prepare(FitSettings(keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60)).sources
@@ -392,11 +373,11 @@ def panned(folder: Path) -> dict[str, Any]:
     pans = View(view.camera, poses, view.xy_px, view.confidence)
     seen = Keypoints(BODY.markers, pans.project(centre + view.rays())[0], view.confidence, keypoints.frames, fps=60.0)
     seen = replace(seen, scorer=keypoints.scorer)
-    write_csv(seen, folder / "pan.csv")
+    write_csv(seen, runs / "pan.csv")
     return {
-        "keypoints": folder / "pan.csv",
+        "keypoints": runs / "pan.csv",
         "camera": SAMPLES / "camera.toml",
-        "camera_track": write_track(folder / "track.csv", keypoints.frames, poses),
+        "camera_track": write_track(runs / "track.csv", keypoints.frames, poses),
         "fps": 60,
         "fast": True,
     }

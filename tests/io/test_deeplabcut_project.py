@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import refusal, run, says
+from networks import NAMES, grey, write_labels
 
 from recon import evaluate_files, find_clips
 from recon.animal.naming import load_names
@@ -20,7 +21,6 @@ from recon.io.positions import read_pose3d
 from recon.keypoint_net.labels import read_labels
 from recon.testing.detectors import ANIMAL3D, split_names
 from recon.workflows.skeleton import _SkeletonDraftSettings, skeleton_from_keypoints
-from tests.keypoint_net.test_net_labels import NAMES, grey, write_labels
 
 SAMPLE = Path(__file__).parents[2] / "data" / "samples" / "whole.csv"
 CAMERA = {"hfov_deg": 60.0, "image_size_px": (1920, 1080), "fps": 60.0}

@@ -10,6 +10,7 @@ import pytest
 from command_line import refusal
 
 from recon.io.video import missing_frames, missing_note, probe, read_frames, read_picture, timed_frames, video_writer
+from recon.testing.files import write_damaged_video
 
 
 def grey(level: int) -> np.ndarray:
@@ -98,20 +99,6 @@ def test_names_that_look_like_addresses(tmp_path, monkeypatch, counted):
         assert probe(f"new{name}" if "/" not in name else f"http:/new{counted.suffix}").size_px == (64, 48)
 
 
-def damaged(path: Path) -> Path:
-    """A video of 40 frames, a tenth of whose bytes are 0."""
-    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (64, 48))
-    noise = np.random.default_rng(0)
-    for _ in range(40):
-        writer.write(noise.integers(0, 255, (48, 64, 3), np.uint8))
-    writer.release()
-    content = bytearray(path.read_bytes())
-    first, stop = (len(content) * share // 10 for share in (3, 4))
-    content[first:stop] = bytes(stop - first)
-    path.write_bytes(content)
-    return path
-
-
 def test_a_picture_that_states_too_many_pixels_cannot_be_read(tmp_path):
     content = bytearray(cv2.imencode(".jpg", grey(90))[1].tobytes())
     (tmp_path / "good.jpg").write_bytes(content)
@@ -123,7 +110,7 @@ def test_a_picture_that_states_too_many_pixels_cannot_be_read(tmp_path):
 
 
 def test_a_hole_in_a_video_is_found_by_its_time_stamps(tmp_path):
-    video = damaged(tmp_path / "a.mkv")
+    video = write_damaged_video(tmp_path / "a.mkv")
     times = np.array([stamp_s for _, stamp_s, _ in timed_frames(video)])
     ((at, count),) = (missing_frames(times) or {}).items()
     assert len(times) == 40 - count < 40
@@ -135,7 +122,7 @@ def test_a_hole_in_a_video_is_found_by_its_time_stamps(tmp_path):
 
 
 def test_frames_may_be_missing_where_time_stamps_do_not_tell(tmp_path):
-    video = damaged(tmp_path / "a.avi")
+    video = write_damaged_video(tmp_path / "a.avi")
     times = np.array([stamp_s for _, stamp_s, _ in timed_frames(video)])
     assert missing_frames(times) == {}
     assert len(times) < 40

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import refusal, says
+from networks import NAMES, grey, write_labels
 
 from recon import InputError
 from recon.io.video import video_writer
@@ -21,26 +22,6 @@ from recon.keypoint_net.labels import (
     sides,
     split_labels,
 )
-
-NAMES = ("nose", "left_paw", "right_paw")
-
-
-def write_labels(path: Path, images: list[str], xy: np.ndarray, names: tuple[str, ...] = NAMES) -> Path:
-    """DeepLabCut's label file: one index column, empty cells where NaN."""
-    lines = [
-        "scorer," + ",".join(["me"] * 2 * len(names)),
-        "bodyparts," + ",".join(n for n in names for _ in range(2)),
-        "coords," + ",".join(["x", "y"] * len(names)),
-    ]
-    for image, points in zip(images, xy.reshape(len(images), -1), strict=True):
-        lines.append(",".join([image, *("" if np.isnan(v) else f"{v:g}" for v in points)]))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path
-
-
-def grey(level: int, size: tuple[int, int] = (64, 48)) -> np.ndarray:
-    return np.full((size[1], size[0], 3), level, np.uint8)
 
 
 @pytest.fixture

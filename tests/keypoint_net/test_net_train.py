@@ -12,6 +12,8 @@ import pytest
 from command_line import refusal, refused, run, says
 from networks import EVALUATIONS, narrow_networks
 
+from recon.testing.files import write_damaged_video
+
 torch = pytest.importorskip("torch")
 
 from recon.base.package import install_command
@@ -22,7 +24,6 @@ from recon.keypoint_net import train as train_module
 from recon.keypoint_net.labels import LabelSource
 from recon.keypoint_net.network import load_torch, run_prediction
 from recon.keypoint_net.train import TrainSettings, run_training, schedule
-from tests.io.test_video import damaged
 
 SIZE, FRAMES = (96, 64), 20
 NAMES = ("nose", "l_paw", "r_paw")
@@ -246,7 +247,7 @@ def test_a_video_that_ends_before_its_stated_end(clip, model, tmp_path, monkeypa
 
 
 def test_frames_that_are_missing_inside_a_video_are_named(whole, quick, tmp_path):
-    video = damaged(tmp_path / "a.mkv")
+    video = write_damaged_video(tmp_path / "a.mkv")
     ended = run("predict", video, "--model", whole, "--out", tmp_path / "p.csv", "--partial", "--device", "cpu")
     said = re.search(r"note: by its time stamps a\.mkv lacks frames \((\d+) before frame", " ".join(ended.out.split()))
     assert ended.code == 0, ended.err

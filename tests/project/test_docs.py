@@ -27,8 +27,8 @@ from urllib.parse import unquote, urlsplit
 import pytest
 import typer
 from command_line import carry_out_here, copy_results, run
-from conftest import draw_small, fit_demo_from, leave_out_playback
-from docs_files import FILES, OF_PAGE
+from docs_files import DOCS, FENCE, FILES, OF_PAGE, Block, blocks, commands
+from shortcuts import draw_small, fit_demo_from, leave_out_playback
 
 from recon import find_clips
 from recon.thesis import figures
@@ -36,7 +36,6 @@ from recon.workflows.cli import app
 from recon.workflows.cli import commands as commands_of_recon
 
 ROOT = Path(__file__).resolve().parents[2]
-DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 
 NOT_RUN = {
@@ -61,33 +60,9 @@ NOT_RUN = {
 }
 """Commands, from their beginning, and why they are not run."""
 
-FENCE = re.compile(r"^(?P<indent> *)```(?P<language>\S*)\n(?P<text>.*?)^(?P=indent)```$", re.DOTALL | re.MULTILINE)
 SNIPPET = re.compile(r'--8<-- "(.*)"\n')
 """A block that the site fills with a file of the repository; the files have tests of their own."""
 LANGUAGES = {"sh", "python", "toml", "csv", "text"}
-
-
-class Block(NamedTuple):
-    page: Path
-    line: int
-    language: str
-    text: str
-
-
-def blocks(page: Path) -> Iterator[Block]:
-    content = page.read_text(encoding="utf-8")
-    for match in FENCE.finditer(content):
-        indent = match["indent"]
-        text = "".join(line.removeprefix(indent) for line in match["text"].splitlines(keepends=True))
-        yield Block(page, content.count("\n", 0, match.start()) + 1, match["language"], text)
-
-
-def commands(block: Block) -> Iterator[str]:
-    """The commands of a shell block, one by one, without comments."""
-    for line in re.sub(r"\\\n\s*", "", block.text).splitlines():
-        words = shlex.split(line, comments=True)
-        if words:
-            yield shlex.join(words) if words[0] == "recon" else line.strip()
 
 
 def name_of(page: Path) -> str:

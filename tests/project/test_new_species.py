@@ -12,11 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import run
-from conftest import leave_out_playback
-from docs_files import cat_file
+from docs_files import DOCS, blocks, cat_file, commands
+from shortcuts import leave_out_playback
 
 from recon import Evaluation, evaluate_files, load_skeleton
-from tests.project.test_docs import DOCS, blocks, commands
 
 PAGE = DOCS / "how-to" / "new-species.md"
 STEPS = [block for block in blocks(PAGE) if block.language == "sh"][1:]  # without the simulation

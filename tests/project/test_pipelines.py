@@ -17,8 +17,7 @@ from networks import narrow_networks
 import recon
 from recon.calibrate.boards import parse_board
 from recon.io.video import read_frames, video_writer
-from recon.testing.boards import board_poses, draw_board
-from tests.calibrate.test_calibrate import CAMERAS
+from recon.testing.boards import BOARD_CAMERAS, board_poses, draw_board
 
 pytestmark = pytest.mark.usefixtures("no_playback")
 ROOT = Path(__file__).resolve().parents[2]
@@ -83,7 +82,7 @@ def test_batch(said, folder, monkeypatch):
 
 def test_calibration(said, folder):
     """Pictures of a board in all corners make a camera; four of them are refused, with where boards are missing."""
-    camera, board = CAMERAS["radtan"], parse_board("charuco:9x6:30mm:22mm:DICT_4X4_50")
+    camera, board = BOARD_CAMERAS["radtan"], parse_board("charuco:9x6:30mm:22mm:DICT_4X4_50")
     (folder / "board").mkdir()
     rng = np.random.default_rng(1)
     for number, (rotation, t) in enumerate(board_poses(board, camera, 16, rng, fill=0.65)):

@@ -1,0 +1,70 @@
+"""What tests leave out of the commands that they run, because it is slow and another test looks at it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from command_line import copy_results
+
+from recon import FitSettings
+from recon.ik import clip as ik_clip
+from recon.show.plots import style
+from recon.workflows.cli import Answer
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SMALL_DPI = 50
+
+
+def fit_demo_from(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`recon demo` has its fit from `whole_results`, and makes no page: `test_demo` does both."""
+
+    def copied(settings: FitSettings, out: Path, *more: object) -> dict[str, Any]:
+        return json.loads((copy_results(whole_results, out) / "report.json").read_text(encoding="utf-8"))
+
+    monkeypatch.setattr("recon.workflows.demo.run_clip", copied)
+    monkeypatch.setattr(
+        "recon.workflows.demo.report", lambda settings, *more: Answer({"page": settings.folder / "report.html"})
+    )
+
+
+def draw_small(patch: pytest.MonkeyPatch) -> None:
+    """Figures are drawn as always, at a lower resolution; they are not laid out, nor letters fitted to pixels."""
+    leave_out_layout(patch)
+    patch.setattr(style, "PNG_DPI", SMALL_DPI)
+    with NamedTemporaryFile("w", suffix=".mplstyle", encoding="utf-8", delete=False) as sheet:
+        sheet.write(style._SHEET.read_text(encoding="utf-8") + "text.hinting: none\n")
+    patch.setattr(style, "_SHEET", Path(sheet.name))
+
+
+def leave_out_layout(patch: pytest.MonkeyPatch) -> None:
+    """For figures that nobody looks at: their layout takes longer than the drawing, and `test_plots.py` looks at it."""
+    patch.setattr("matplotlib.figure.Figure.get_layout_engine", lambda _: None)
+
+
+def draw_two_methods(patch: pytest.MonkeyPatch) -> None:
+    """`recon ik --compare` draws only the first two of its methods."""
+    write_ik_figures = ik_clip.write_figures
+
+    def of_two(solved: ik_clip._IKRun, folder: Path) -> None:
+        two = {job: dict(islice(runs.items(), 2)) for job, runs in solved.runs.items()}
+        write_ik_figures(replace(solved, runs=two), folder)
+
+    patch.setattr(ik_clip, "write_figures", of_two)
+
+
+def leave_out_playback(patch: pytest.MonkeyPatch) -> None:
+    """Fits in this process write an empty one: the true one takes a third of their time."""
+    patch.setattr("recon.show.view.write", lambda motion, path, *_: path.touch())
+
+
+def empty_figure() -> Figure:
+    with style.drawing(20.0) as figure:
+        return figure
