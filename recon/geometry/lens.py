@@ -102,7 +102,10 @@ class _RadialTangential(Lens):
     name = "radtan"
     coefficients = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
     counts = (4, 5, 8)
-    aliases = ("plumb_bob", "rational_polynomial")
+    aliases = (
+        *("plumb_bob", "rational_polynomial", "radial_tangential", "radial-tangential", "brown", "brown_conrady"),
+        *("brown-conrady", "opencv", "standard"),
+    )
     colmap: ClassVar[Mapping[str, str]] = {
         "SIMPLE_RADIAL": "f cx cy k1",
         "RADIAL": "f cx cy k1 k2",
@@ -154,7 +157,7 @@ class _Fisheye(Lens):
     name = "fisheye"
     coefficients = ("k1", "k2", "k3", "k4")
     counts = (4,)
-    aliases = ("equidistant",)
+    aliases = ("equidistant", "equi", "kannala_brandt", "kannala-brandt", "kb4", "opencv_fisheye")
     colmap: ClassVar[Mapping[str, str]] = {"OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4"}
     opencv = "fisheye"
     calibrated = 4

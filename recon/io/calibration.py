@@ -29,6 +29,9 @@ FORMAT, VERSION = "recon-camera", 1
 MAX_BYTES = 1 << 23
 MAX_SIZE_PX = 1_000_000
 ROTATION_TOLERANCE = 1e-3
+MAX_DLT_BYTES = 1 << 14
+KEYS_SHOWN = 160
+"""Characters of a file's keys in a message."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,8 @@ class CameraRecord:
     """The file's keys, by field, where they differ."""
     lenses: Iterable[str] = tuple(LENS_MODELS)
     """Names that the file can have for its lens."""
+    keys: tuple[str, ...] = ()
+    """All keys of the camera's table, to name where a field is missing."""
 
 
 def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None) -> tuple[Camera, ...]:
@@ -76,13 +81,44 @@ def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None
     suffixes = sorted({suffix for f in FORMATS if "cameras" in f.reads for suffix in f.suffixes})
     if path.suffix.lower() not in suffixes:
         expected = f"a calibration file: {', '.join(suffixes)}"
-        kind = "a folder" if path.is_dir() else f"suffix {path.suffix!r}"
+        kind = "a folder" if path.is_dir() else f"suffix {path.suffix!r}{_dlt_text(path)}"
         raise InputError(Problem(path, "format", kind, expected))
+    other = _of_other_program(path)
+    if other is not None:
+        raise InputError(Problem(path, "format", other, f"one of: {titles('cameras')}"))
     reader = recognised(path, "cameras")
     if reader is None:
         parse_json(read_calibration(path), path)
         raise InputError(Problem(path, "format", "JSON of another kind", f"one of: {titles('cameras')}"))
     return cameras_of(reader.read(path), path, image_size_px)
+
+
+_OTHER_PROGRAMS = (
+    (r'"(fl_x|camera_angle_x|transform_matrix)"', "nerfstudio's transforms.json, whose poses are from camera to world"),
+    (r"(?i)<(qualisys|qtm)|<calibration[^>]*(created|qtm)", "a calibration of Qualisys"),
+    (r"<Camera [^>]*DEVICEID", "a calibration of Vicon"),
+    (r"<chunk|<document[^>]*version", "a project or calibration of Metashape"),
+    (r"(?m)^cam0:\s*$", "a camchain of Kalibr"),
+)
+"""Content of calibrations that are not read, and what they are."""
+DLT_COEFFICIENTS = 11
+
+
+def _of_other_program(path: Path) -> str | None:
+    """Return what a calibration file of a known program that is not read is; None for any other file."""
+    if path.suffix.lower() == ".mat":
+        return None
+    text = read_calibration(path)
+    return next((name for pattern, name in _OTHER_PROGRAMS if re.search(pattern, text)), None)
+
+
+def _dlt_text(path: Path) -> str:
+    """Return a hint at coefficients of a direct linear transformation, a column of 11 numbers for each camera."""
+    if not path.is_file() or path.stat().st_size > MAX_DLT_BYTES:
+        return ""
+    lines = [line for line in path.read_text(errors="replace").splitlines() if line.strip()]
+    numeric = all(re.fullmatch(r"[-+0-9.eE,;\s]+", line) for line in lines)
+    return ": DLT coefficients, which hold no lens" if len(lines) == DLT_COEFFICIENTS and numeric else ""
 
 
 def cameras_of(
@@ -189,10 +225,23 @@ def _camera(record: CameraRecord, number: int, path: Path, image_size_px: tuple[
             camera = Camera(**_reshaped(arguments))
         except InputError as error:
             faults = {problem.field: (problem.found, problem.expected) for problem in error.problems} | faults
+    for field in ("matrix", "distortion"):
+        if field in faults and values.get(field) is None and record.keys:
+            faults[field] = f"nothing; the file has {', '.join(record.keys)[:KEYS_SHOWN]}", faults[field][1]
+    if "matrix" in faults and _is_transposed(arguments["matrix"]):
+        found, expected = faults["matrix"]
+        faults["matrix"] = f"{found}, which has the principal point in its last row", f"its transpose: {expected}"
     if faults or camera is None:
         keys = {field: record.place + record.called.get(field, field) for field in faults}
         raise InputError(Problem(path, keys[field], *fault) for field, fault in faults.items())
     return camera
+
+
+def _is_transposed(matrix: Array | None) -> bool:
+    """Return whether a camera matrix has its principal point in the last row."""
+    if matrix is None or matrix.shape != (3, 3):
+        return False
+    return bool((matrix[:2, 2] == 0).all() and (matrix[2, :2] > 0).all() and matrix[2, 2] == 1)
 
 
 def _reshaped(arguments: dict[str, Any]) -> dict[str, Any]:

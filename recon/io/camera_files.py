@@ -1,8 +1,10 @@
 """Read calibration files of other programs as tables of unchecked values, and write ours.
 
+Layouts of further programs are in `recon.io.lab_cameras`.
+
 - OpenCV YAML, JSON and XML (`camera_matrix`, `distortion_coefficients`, `image_width`, `image_height`, and the other
-  spellings in use), including ROS camera_info YAML with `distortion_model`. The lens is a fisheye where the file says
-  `fisheye: 1` or `distortion_model: equidistant`, else radial-tangential. A pose is optional (`R`, `T`; `rotation`,
+  spellings in use), including ROS camera_info YAML with `distortion_model`. The lens is the
+  stated one (`LENS_KEYS`, `fisheye: 1`), else radial-tangential. A pose is optional (`R`, `T`; `rotation`,
   `translation`; `rvec`, `tvec`; world to camera). z is known to point up only where the file has `world_z_up: 1`.
 - AcinoSet JSON: a scene (`cameras` with `k`, `d`, `r`, `t` and perhaps `name`) or one camera (`k`, `d`). Fisheye
   lenses, world to camera, metres, world z up.
@@ -21,6 +23,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import tomli_w
 
 from recon.base.documents import parse_json, parse_toml
@@ -32,14 +35,31 @@ from recon.io.calibration import FORMAT, VERSION, CameraRecord, read_calibration
 from recon.io.common import number
 
 ALIASES = {
-    "matrix": ("matrix", "camera_matrix", "cameraMatrix", "K", "k"),
-    "distortion": ("distortions", "distortion_coefficients", "dist_coeffs", "distCoeffs", "D", "d"),
-    "rotation": ("rotation", "R", "rvec", "r"),
-    "translation_m": ("translation", "T", "tvec", "t"),
-    "image_size_px": ("size", "camera_resolution", "image_size_px"),
+    "matrix": (
+        *("matrix", "camera_matrix", "cameraMatrix", "Camera_Matrix", "intrinsic_matrix", "intrinsicMatrix", "mtx"),
+        *("K", "k"),
+    ),
+    "distortion": (
+        *("distortions", "distortion_coefficients", "Distortion_Coefficients", "distortionCoefficients"),
+        *("dist_coeffs", "distCoeffs", "distCoef", "dist_coef", "distortion", "dist", "D", "d"),
+    ),
+    "rotation": ("rotation", "rotation_matrix", "R", "rvec", "r"),
+    "translation_m": ("translation", "translation_vector", "T", "tvec", "t"),
+    "image_size_px": ("size", "camera_resolution", "image_size_px", "image_size", "imageSize", "resolution"),
     "model": ("distortion_model",),
 }
 """Keys of each field in other programs."""
+LENS_KEYS = (
+    *("distortion_model", "camera_model", "projection_model", "distortion_type", "lens_model", "model", "lens"),
+    *("camera_type", "projection"),
+)
+"""Keys under which files state a lens model."""
+STRICT_LENS_KEYS = LENS_KEYS[:5]
+"""Keys whose value can be a lens model only; the others can name a product, too."""
+FISHEYE_KEYS = ("fisheye", "fisheye_model", "is_fisheye")
+_PERSPECTIVE = ("pinhole", "perspective")
+"""Values of a camera model that say nothing of the lens' distortion."""
+_OTHER_LENS = re.compile(r"fish|omni|equi|kannala|brandt|mei|thin|division|unified|fov", re.IGNORECASE)
 MAX_NESTING = 5_000
 """Deepest nesting of a file; OpenCV crashes at 20,000."""
 
@@ -56,10 +76,45 @@ def _tables(path: Path, value: Any, expected: str) -> dict[str, dict[str, Any]]:
 
 
 def record_of(name: Any, place: str, table: Mapping[str, Any], **more: Any) -> CameraRecord:
-    """Return the record of a table with other programs' keys (`ALIASES`), and further values by field."""
+    """Return the record of a table with other programs' keys (`ALIASES`), and further values by field.
+
+    The lens is the stated one, otherwise radial-tangential.
+    """
     called = {field: next((key for key in keys if key in table), keys[0]) for field, keys in ALIASES.items()}
     values = {field: table.get(key) for field, key in called.items()}
-    return CameraRecord(name, place, values | {"model": "radtan", "world_z_up": False} | more, called)
+    key, model = stated_lens(table)
+    called["model"] = key
+    values |= {"model": model or "radtan", "world_z_up": False} | more
+    if called["matrix"] == "intrinsicMatrix":  # JARVIS has MATLAB's matrices, whose rows are points
+        values |= {field: transposed(values[field]) for field in ("matrix", "rotation")}
+    return CameraRecord(name, place, values, called, keys=tuple(map(str, table)))
+
+
+def stated_lens(table: Mapping[str, Any]) -> tuple[str, str | None]:
+    """Return the key under which a table states its lens, and our name of it, or the file's if it is none of ours.
+
+    None: it states no lens. Contradictory statements are returned as one text, which is no lens.
+    """
+    stated: dict[str, str] = {}
+    for key in LENS_KEYS:
+        text = table.get(key)
+        if not isinstance(text, str) or text.lower() in _PERSPECTIVE:
+            continue
+        known = lens_named(text.lower())
+        if known is not None or key in STRICT_LENS_KEYS or _OTHER_LENS.search(text):
+            stated[key] = known or text
+    for key in FISHEYE_KEYS:
+        if table.get(key):
+            stated[key] = "fisheye"
+    if len({*stated.values()}) > 1:
+        return ", ".join(stated), " and ".join(stated.values())
+    return next(iter(stated.items()), ("distortion_model", None))
+
+
+def transposed(value: Any) -> Any:
+    """Return the transpose of a 3x3 block, or anything else unchanged."""
+    array = np.asarray(value["data"] if isinstance(value, Mapping) and "data" in value else value)
+    return array.reshape(3, 3).T.tolist() if array.dtype.kind in "iuf" and array.size == 9 else value
 
 
 # -- Anipose, Pose2Sim -----------------------------------------------------------------------------------------------
@@ -75,14 +130,17 @@ def read_anipose(path: Path, individual: str | None = None) -> list[CameraRecord
     document = parse_toml(read_calibration(path), path)
     expected = f'[camera] with format = "{FORMAT}", or one table per camera as Anipose and Pose2Sim write'
     known, records = {key for keys in ALIASES.values() for key in keys}, []
+    if isinstance(document.get("cameras"), dict):  # Caliscope: of cameras without a calibration there is only the size
+        inside = document["cameras"]
+        named = {f"cam_{key}" if str(key).isdigit() else key: table for key, table in inside.items()}
+        document = {key: t for key, t in named.items() if not isinstance(t, dict) or t.get("matrix") is not None}
     # others are metadata, or the file is about something else
     tables = {key: table for key, table in document.items() if isinstance(table, dict) and known & table.keys()}
     for section, table in _tables(path, tables, expected).items():
         coefficients = table.get("distortions")
         if isinstance(coefficients, list) and len(coefficients) == 1:
             table = table | {"distortions": coefficients + [0.0] * 3}  # k1 alone, the others were not estimated
-        model = "fisheye" if table.get("fisheye") else "radtan"
-        records.append(record_of(table.get("name", section), f"{section}.", table, model=model))
+        records.append(record_of(table.get("name", section), f"{section}.", table))
     return records
 
 
@@ -90,8 +148,17 @@ def read_anipose(path: Path, individual: str | None = None) -> list[CameraRecord
 
 
 def recognises_acinoset(path: Path) -> bool:
-    """Return whether it is JSON of cameras, other than OpenCV's."""
-    return _is(path, (".json",), r'"(cameras|k)"\s*:') and not _is(path, (".json",), '"opencv-matrix"')
+    """Return whether it is JSON of cameras with AcinoSet's keys, and no others for the same."""
+    if not _is(path, (".json",), r'"(cameras|k)"\s*:') or _is(path, (".json",), '"opencv-matrix"'):
+        return False
+    try:
+        document = parse_json(read_calibration(path), path)
+    except InputError:
+        return True
+    within = document.get("cameras", [document]) if isinstance(document, dict) else []
+    entries = within.values() if isinstance(within, dict) else within if isinstance(within, list) else []
+    foreign = {*LENS_KEYS, *ALIASES["matrix"], *ALIASES["distortion"], "R", "T", "resolution"} - {"k", "d"}
+    return not any(isinstance(entry, dict) and foreign & entry.keys() for entry in entries)
 
 
 def read_acinoset(path: Path, individual: str | None = None) -> list[CameraRecord]:
@@ -198,6 +265,20 @@ def recognises_opencv(path: Path) -> bool:
 
 def read_opencv(path: Path, individual: str | None = None) -> list[CameraRecord]:
     """Return the camera of an OpenCV or ROS file; raise InputError."""
+    document = document_of(path)
+    size = [document.get(f"image_{side}", document.get(side)) for side in ("width", "height")]
+    stated: dict[str, Any] = {"world_z_up": bool(document.get("world_z_up", False))}
+    if None not in size:
+        stated["image_size_px"] = size
+    if "R" in document and not {"T", "translation", "tvec"} & document.keys():
+        stated["rotation"] = None  # ROS: the rectification, not a pose
+    record = record_of(document.get("camera_name"), "", document, **stated)
+    require_lens(path, document, record)
+    return [_of_region(path, document, record)]
+
+
+def document_of(path: Path) -> dict[str, Any]:
+    """Return the document of an OpenCV or ROS file as plain values; raise InputError."""
     text = read_calibration(path)
     if path.suffix.lower() == ".json" and '"opencv-matrix"' not in text:
         document = parse_json(text, path)
@@ -205,18 +286,52 @@ def read_opencv(path: Path, individual: str | None = None) -> list[CameraRecord]
         document = _of_file_storage(path, text)
     if not isinstance(document, dict):
         raise InputError(Problem(path, "content", "no keys", "camera_matrix, distortion_coefficients, ..."))
-    size = [document.get(f"image_{side}", document.get(side)) for side in ("width", "height")]
-    model = document.get("distortion_model")
-    if model is None:
-        model = "fisheye" if document.get("fisheye") or document.get("fisheye_model") else "radtan"
-    stated: dict[str, Any] = {
-        "image_size_px": None if None in size else size,
-        "model": lens_named(str(model)) or model,
-        "world_z_up": bool(document.get("world_z_up", False)),
-    }
-    if "R" in document and not {"T", "translation", "tvec"} & document.keys():
-        stated["rotation"] = None  # ROS: the rectification, not a pose
-    return [record_of(document.get("camera_name"), "", document, **stated)]
+    return document
+
+
+def require_lens(path: Path, document: Mapping[str, Any], record: CameraRecord) -> None:
+    """Raise InputError for four coefficients of no stated lens, which can be of either."""
+    value = record.values["distortion"]
+    coefficients = np.asarray(value["data"] if isinstance(value, Mapping) and "data" in value else value)
+    ambiguous = coefficients.size == 4 and coefficients.dtype.kind in "iuf" and coefficients.any()
+    if ambiguous and stated_lens(document)[1] is None and not {*FISHEYE_KEYS} & document.keys():
+        found = "4 coefficients, which radtan and fisheye lenses have, and no lens model"
+        expected = "distortion_model: plumb_bob (radtan) or equidistant (fisheye) in the file"
+        raise InputError(Problem(path, record.place + record.called["distortion"], found, expected))
+
+
+def _of_region(path: Path, document: Mapping[str, Any], record: CameraRecord) -> CameraRecord:
+    """Return the camera of ROS' region of interest and binning, whose matrix is that of the whole picture.
+
+    As ROS' image_geometry: the region's corner is taken off the principal point, and binning divides.
+    """
+    region = document.get("roi")
+    region = region if isinstance(region, Mapping) else {}
+    binning = [number_or(document.get(f"binning_{axis}"), 1.0) or 1.0 for axis in "xy"]
+    corner = [number_or(region.get(f"{axis}_offset"), 0.0) for axis in "xy"]
+    size = [number_or(region.get(side), 0.0) for side in ("width", "height")]
+    whole = record.values["image_size_px"]
+    if binning == [1.0, 1.0] and corner == [0.0, 0.0] and (size in ([0.0, 0.0], whole)):
+        return record
+    matrix = np.array(_block(record.values["matrix"]), dtype=float)
+    if matrix.size != 9 or not isinstance(whole, list):
+        raise InputError(Problem(path, "roi", "a region or binning", "the matrix and the size of the whole picture"))
+    matrix = matrix.reshape(3, 3)
+    matrix[:2, 2] -= corner
+    matrix[:2] /= np.array(binning)[:, None]
+    region_px = [part or full for part, full in zip(size, whole, strict=True)]
+    image_size_px = [int(side / by) for side, by in zip(region_px, binning, strict=True)]
+    values = dict(record.values) | {"matrix": matrix.tolist(), "image_size_px": image_size_px}
+    return CameraRecord(record.name, record.place, values, record.called, keys=record.keys)
+
+
+def number_or(value: Any, otherwise: float) -> float:
+    """Return a number, or `otherwise` for anything else."""
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else otherwise
+
+
+def _block(value: Any) -> Any:
+    return value["data"] if isinstance(value, Mapping) and "data" in value else [] if value is None else value
 
 
 def _of_file_storage(path: Path, text: str) -> Any:

@@ -114,6 +114,10 @@ FORMATS: tuple[Format, ...] = (
     Format("opendronemap", "OpenDroneMap cameras.json", (".json",), "camera_files/opensfm", _CAMERAS),
     Format("acinoset", "AcinoSet JSON", (".json",), "camera_files/acinoset", _CAMERAS),
     Format("dannce", "DANNCE MAT", (".mat",), "dannce/cameras", _CAMERAS),
+    Format("easymocap", "EasyMocap intri.yml", (".yml", ".yaml"), "lab_cameras/easymocap", _CAMERAS),
+    Format("stereo", "OpenCV stereo YAML, XML or JSON", (".yml", ".yaml", ".xml", ".json"), "lab_cameras/stereo",
+           _CAMERAS),
+    Format("tables", "JSON with a table for each camera", (".json",), "lab_cameras/tables", _CAMERAS),
     Format("opencv", "OpenCV YAML, XML or JSON, ROS camera_info", (".yaml", ".yml", ".xml", ".json"),
            "camera_files/opencv", _CAMERAS),
 )

@@ -360,6 +360,109 @@ class TestImageSize:
         refuses(write("scene.json", content), *both("camera_resolution", str(size), "pixels"), name=1)
 
 
+class TestLayoutsOfLabs:
+    def test_jarvis(self, write):
+        """MATLAB's matrices: intrinsics and rotation are transposed."""
+        values = {"intrinsicMatrix": np.transpose(K), "distortionCoefficients": [RADTAN], "R": R.T}
+        path = write("left.yaml", opencv_text(".yml", **values, T=[[x] for x in T]))
+        camera = read_camera(path, image_size_px=SIZE)
+        assert_camera(camera, RADTAN, "radtan", posed=True, world_z_up=False)
+
+    def test_easymocap(self, write):
+        lenses = {"K_01": K, "dist_01": [RADTAN], "K_02": K, "dist_02": [RADTAN]}
+        turn = Rotation.from_matrix(R).as_rotvec()[:, None]
+        poses = {"R_01": turn, "Rot_01": R, "T_01": [[x] for x in T], "R_02": turn, "T_02": [[x] for x in T]}
+        names = "%YAML:1.0\n---\nnames:\n  - '01'\n  - '02'\n"
+        path = write("intri.yml", names + opencv_text(".yml", **lenses).partition("---\n")[2])
+        assert [c.has_extrinsics for c in read_cameras(path, SIZE)] == [False, False]
+        write("extri.yml", names + opencv_text(".yml", **poses).partition("---\n")[2])
+        cameras = read_cameras(path, SIZE)
+        assert [camera.name for camera in cameras] == ["01", "02"]
+        for camera in cameras:
+            assert_camera(camera, RADTAN, "radtan", posed=True, world_z_up=False)
+        refuses(path.with_name("extri.yml"), ("camera", "poses", "intri.yml"), image_size_px=SIZE)
+
+    def test_caliscope(self, write):
+        """Cameras without a calibration are left out."""
+        posed = anipose("0")["0"] | {"fisheye": False}
+        del posed["name"]
+        path = write("camera_array.toml", {"cameras": {"0": posed, "3": {"size": list(SIZE), "port": 3}}})
+        (camera,) = read_cameras(path)
+        assert camera.name == "cam_0"
+        assert_camera(camera, RADTAN, "radtan", posed=True, world_z_up=False)
+
+    @pytest.mark.parametrize(("matrix", "lens"), [("K", "D"), ("M", "D"), ("cameraMatrix", "distCoeffs")])
+    def test_opencvs_stereo_files(self, write, matrix, lens):
+        values = {f"{matrix}{i}": K for i in (1, 2)} | {f"{lens}{i}": [RADTAN] for i in (1, 2)}
+        path = write("stereo.yml", opencv_text(".yml", **values, R=R, T=[[x] for x in T]))
+        first, second = read_cameras(path, SIZE)
+        np.testing.assert_array_equal(first.centre_world, [0, 0, 0])
+        assert_camera(second, RADTAN, "radtan", posed=True, world_z_up=False)
+
+    @pytest.mark.parametrize("by_name", [False, True])
+    def test_tables_in_json(self, write, by_name):
+        """As CMU Panoptic's: a stated lens counts, and only AcinoSet's own keys mean a fisheye and z up."""
+        table = {"resolution": SIZE, "K": K, "distCoef": RADTAN, "R": R.tolist(), "t": [[x] for x in T]}
+        tables = {"a": table} if by_name else [{"name": "a", "type": "hd"} | table]
+        path = write("panoptic.json", {"cameras": tables})
+        assert_camera(read_camera(path, "a"), RADTAN, "radtan", posed=True, world_z_up=False)
+        write("panoptic.json", {"cameras": [table | {"distCoef": FISHEYE, "distortion_model": "equidistant"}]})
+        assert_camera(read_camera(path), FISHEYE, "fisheye", posed=True, world_z_up=False)
+
+    @pytest.mark.parametrize(
+        ("key", "value", "model"),
+        [
+            ("camera_model", "fisheye", "fisheye"),
+            ("projection_model", "kannala_brandt", "fisheye"),
+            ("lens", "Fisheye", "fisheye"),
+            ("distortion_type", "equidistant", "fisheye"),
+            ("model", "radtan", "radtan"),
+        ],
+    )
+    def test_a_lens_under_any_of_its_keys(self, write, key, value, model):
+        values = {"K": K, "D": FISHEYE, "width": 1920, "height": 1080, key: value}
+        assert_camera(read_camera(write("a.json", values)), FISHEYE, model, world_z_up=False)
+
+    @pytest.mark.parametrize(
+        ("more", "expected"),
+        [
+            ({}, ("D", "4 coefficients", ["plumb_bob", "equidistant"])),
+            ({"camera_model": "omni"}, ("camera_model", "'omni'", "radtan")),
+            ({"lens": "fisheye", "distortion_model": "plumb_bob"}, ("distortion_model, lens", ["radtan and fisheye"])),
+        ],
+    )
+    def test_a_lens_that_is_not_clear(self, write, more, expected):
+        values = {"K": K, "D": FISHEYE, "width": 1920, "height": 1080, **more}
+        refuses(write("a.json", values), expected)
+
+    def test_region_and_binning_of_ros(self, write):
+        """As image_geometry: the corner is taken off the principal point, and binning divides."""
+        text = f"width: 1920\nheight: 1080\nK: {np.ravel(K).tolist()}\nD: {RADTAN}\nbinning_x: 2\nbinning_y: 0\n"
+        text += "roi:\n  x_offset: 320\n  y_offset: 180\n  width: 1280\n  height: 720\n"
+        camera = read_camera(write("roi.yaml", text))
+        assert camera.image_size_px == (640, 720)
+        expected = [[960.5 / 2, 0, (945.8 - 320) / 2], [0, 968.4, 584.5 - 180], [0, 0, 1]]
+        np.testing.assert_allclose(camera.matrix, expected)
+
+    @pytest.mark.parametrize(
+        ("name", "text", "found"),
+        [
+            ("a.json", '{"fl_x": 1, "frames": []}', "nerfstudio"),
+            ("a.xml", "<calibration created='2026'/>", "Qualisys"),
+            ("a.yaml", "cam0:\n  camera_model: pinhole\n", "Kalibr"),
+            ("a.csv", "1,2\n" * 11, "DLT coefficients"),
+        ],
+    )
+    def test_other_programs_are_named(self, write, name, text, found):
+        refuses(write(name, text), ("format", found))
+
+    def test_keys_that_a_file_has_are_named(self, write):
+        values = opencv_values(camera_matrix=None, distortion_coefficients=None) | {"Kmat": K}
+        found = "the file has image_width, image_height, Kmat"
+        fields = ("matrix", "distortions")
+        refuses(write("a.yml", opencv_text(".yml", **values)), *((field, found) for field in fields))
+
+
 class TestMalformed:
     @pytest.mark.parametrize(
         ("name", "text", "expected"),
