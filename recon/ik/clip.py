@@ -19,6 +19,7 @@ from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.settings import Integer, Number, Option, Settings
+from recon.base.tables import write_frame
 from recon.check.verdict import usable, verdict_fields
 from recon.fit.motion import Motion
 from recon.gait.phase import Closure, Portrait
@@ -331,7 +332,7 @@ def _write(solved: _IKRun, folder: Path) -> None:
             steps = pd.RangeIndex(len(values), name="step")
             tables[f"{job}_{name}.csv"] = pd.DataFrame(values, steps, columns)
     for file, table in tables.items():
-        table.to_csv(folder / file, lineterminator="\n")
+        write_frame(table, folder / file, index=True)
     (folder / SUMMARY).write_text(to_json(summary), encoding="utf-8")
 
 

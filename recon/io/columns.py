@@ -318,7 +318,7 @@ def write_long(keypoints: Keypoints, path: Path) -> None:
         for frame, points in zip(keypoints.frames, values, strict=True)
         for name, point in zip(keypoints.names, points, strict=True)
     )
-    writing.write_rows(path, [["frame", *start, "bodypart", "x", "y", "likelihood", *end]], rows)
+    writing.write_rows(path, [["frame", *start, "bodypart", "x", "y", "likelihood", *end]], rows, guard=False)
 
 
 def write_parquet(pose: Pose3D, path: Path) -> None:

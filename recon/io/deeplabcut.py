@@ -275,4 +275,4 @@ def write_csv(data: Keypoints | Pose3D, path: Path) -> None:
     from recon.io.writing import deeplabcut_layout, write_table
 
     header, frames, values = deeplabcut_layout(data)
-    write_table(path, [[level, *cells] for level, cells in header.items()], frames, values)
+    write_table(path, [[level, *cells] for level, cells in header.items()], frames, values, guard=False)

@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 
 from recon.base.errors import InputError, Problem, raise_problems
+from recon.base.file_names import encodable
+from recon.base.tables import guarded
 from recon.clip import Keypoints, frame_ranges
 from recon.io.common import MAX_FRAME, SCORER, Pose3D, StoredPoints, require_span
 
@@ -100,17 +102,24 @@ def without_gaps(frames: np.ndarray, values: np.ndarray, title: str) -> np.ndarr
     return regular
 
 
-def write_table(path: Path, header: Iterable[Sequence[str]], frames: np.ndarray, values: np.ndarray) -> None:
+def write_table(
+    path: Path, header: Iterable[Sequence[str]], frames: np.ndarray, values: np.ndarray, guard: bool = True
+) -> None:
     """Write header rows, then one row per frame: its number, and values (T, C); NaN is an empty cell."""
-    write_rows(path, header, ([frame, *row.tolist()] for frame, row in zip(frames.tolist(), values, strict=True)))
+    rows = ([frame, *row.tolist()] for frame, row in zip(frames.tolist(), values, strict=True))
+    write_rows(path, header, rows, guard)
 
 
-def write_rows(path: Path, header: Iterable[Sequence[str]], rows: Iterable[Sequence[Any]]) -> None:
-    """Write header rows, then rows of text, whole numbers and floats; NaN is an empty cell."""
+def write_rows(path: Path, header: Iterable[Sequence[str]], rows: Iterable[Sequence[Any]], guard: bool = True) -> None:
+    """Write header rows, then rows of text, whole numbers and floats; NaN is an empty cell.
+
+    `guard` keeps texts from being run by a spreadsheet; without, they are as other programs read them.
+    """
+    text = guarded if guard else encodable
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerows(header)
-        writer.writerows([_cell(value) for value in row] for row in rows)
+        writer.writerows([text(name) for name in row] for row in header)
+        writer.writerows([text(cell) if isinstance(cell, str) else _cell(cell) for cell in row] for row in rows)
 
 
 def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
@@ -121,10 +130,16 @@ def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     import pyarrow as pa  # rerun has it
     from pyarrow import csv as arrow_csv
 
-    table = pa.table(
-        {name: pa.array(np.ascontiguousarray(values), from_pandas=True) for name, values in columns.items()}
-    )
+    table = pa.table({name: pa.array(_guarded_column(values), from_pandas=True) for name, values in columns.items()})
     arrow_csv.write_csv(table, path, arrow_csv.WriteOptions(quoting_style="none"))
+
+
+def _guarded_column(values: np.ndarray) -> np.ndarray:
+    """Return a column (N,) with its texts guarded."""
+    if values.dtype.kind != "U":
+        return np.ascontiguousarray(values)
+    texts, numbers = np.unique(values, return_inverse=True)
+    return np.array([guarded(str(text)) for text in texts])[numbers]
 
 
 def _cell(value: Any) -> Any:

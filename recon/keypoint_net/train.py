@@ -33,6 +33,7 @@ from recon.base.errors import InputError, Problem, collect_problems, raise_probl
 from recon.base.files import require_free_folder, sole_writer, staged_folder, write_bytes
 from recon.base.progress import Progress, silent
 from recon.base.settings import Count, Integer, Number, Option, Settings
+from recon.base.tables import write_frame
 from recon.base.version import __version__
 from recon.io.video import Image
 from recon.keypoint_net import labels as data
@@ -410,7 +411,7 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
     table = pd.DataFrame(suspects, columns=["image", "keypoint", *digits, "reasons"])
     for name, places in digits.items():
         table[name] = ["" if np.isnan(value) else f"{value:.{places}f}" for value in table[name]]
-    table.assign(reasons=table["reasons"].map("; ".join)).to_csv(folder / "suspicious.csv", index=False)
+    write_frame(table.assign(reasons=table["reasons"].map("; ".join)), folder / "suspicious.csv")
     held = np.concatenate([split["validation"], split["test"]])
     _write_worst(run.labels, errors, xy_px, held if len(held) else split["train"], folder / "worst.png")
     return report

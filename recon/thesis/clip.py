@@ -12,6 +12,7 @@ from recon.animal.body import Body
 from recon.base.files import require_free_folder, sole_writer, staged_folder
 from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Option, Settings
+from recon.base.tables import write_frame
 from recon.check.verdict import add_verdict
 from recon.clip import views_of
 from recon.fit.motion import Motion
@@ -109,7 +110,7 @@ def solver(settings: _SolverSettings, progress: Progress) -> Answer:
         progress("tables", FIGURES_BEGIN - 0.1)
         with staged_folder(out) as staging:
             for name, table in record.tables().items():
-                table.to_csv(staging / name, index=False, lineterminator="\n")
+                write_frame(table, staging / name)
             record.write_jacobian(staging / JACOBIAN)
             (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
         if settings.figures:

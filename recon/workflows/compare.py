@@ -8,11 +8,11 @@ is that of all clips and adds to the mean of lengths and speeds, however many cl
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
 from textwrap import fill
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
@@ -20,10 +20,12 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from recon.base.arrays import Array
+from recon.base.documents import read_toml
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import require_free_folder, staged_folder
 from recon.base.progress import Progress
 from recon.base.settings import OneOrMore, Option, Settings
+from recon.base.tables import write_frame
 from recon.check.codes import names_text
 from recon.check.verdict import usable
 from recon.fit.motion import Motion
@@ -33,6 +35,7 @@ from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.kinematics import JointKinematics
 from recon.show.plots.style import COLOURS, SMALL, drawing
 from recon.workflows.cli import ANYWAY, Answer, counted, table_of
+from recon.workflows.clip_results import CONFIG
 
 STRIDES, CLIPS, GROUPS, FIGURE = "strides.csv", "clips.csv", "groups.csv", "comparison.png"
 QUANTITIES = {
@@ -88,7 +91,9 @@ def compare(settings: _CompareSettings, progress: Progress) -> Answer:
     require_free_folder(out, [*written, FIGURE], settings.overwrite, "a comparison")
     loaded = dict(zip(names, collect_problems(*(lambda path=path: Motion.load(path) for path in folders)), strict=True))
     levels = {name: motion.verdict.level if motion.verdict else "" for name, motion in loaded.items()}
-    motions = {name: of for name, of in loaded.items() if settings.anyway or levels[name] != "do not use"}
+    usable_motions = {name: of for name, of in loaded.items() if settings.anyway or levels[name] != "do not use"}
+    copies = _copies(usable_motions, dict(zip(names, folders, strict=True)))
+    motions = {name: of for name, of in usable_motions.items() if name not in copies}
     if not motions:  # said of each
         collect_problems(
             *(lambda at=at: usable(*at, anyway=False) for at in zip(loaded.values(), folders, strict=True))
@@ -106,11 +111,14 @@ def compare(settings: _CompareSettings, progress: Progress) -> Answer:
     progress("tables", 0.95)
     with staged_folder(out) as staging:
         for name, table in ((STRIDES, strides), (CLIPS, clips), (GROUPS, groups)):
-            table.to_csv(staging / name, index=False)
+            write_frame(table, staging / name)
             table.to_parquet((staging / name).with_suffix(".parquet"), index=False)
         _figure(clips, groups).savefig(staging / FIGURE)
     notes = []
-    if left_out := [name for name in loaded if name not in motions]:
+    if copies:
+        pairs = names_text([f"{copy} (of {kept})" for copy, kept in copies.items()])
+        notes.append(f"Left out, as they have the same keypoints and cameras as another result: {pairs}.")
+    if left_out := [name for name in loaded if name not in usable_motions]:
         notes.append(f'Left out, as their verdict is "do not use": {names_text(left_out)}. With --anyway they count.')
     seen = {name: _files_seen(motion, folder) for (name, motion), folder in zip(loaded.items(), folders, strict=True)}
     pairs = combinations(motions, 2)
@@ -119,8 +127,40 @@ def compare(settings: _CompareSettings, progress: Progress) -> Answer:
             f"Probably of one run, by their cameras' folder, frames and paths, and yet each counted as a clip: "
             f"{names_text(twice)}. Give one result of each run, best that of all its cameras."
         )
-    data = {"groups": groups.to_dict("records"), "left_out": left_out, "notes": notes}
+    data = {"groups": groups.to_dict("records"), "left_out": [*left_out, *copies], "notes": notes}
     return Answer(data, _lines(clips, groups, out), notes=notes)
+
+
+def _copies(motions: Mapping[str, Motion], folders: Mapping[str, Path]) -> dict[str, str]:
+    """Return the results that repeat another one, by name, and the name of that one, which has as many frames or more.
+
+    They were made from the same keypoint and camera files, by their digests, for the same animal and at the same time.
+    """
+    known: dict[tuple[Any, ...], list[str]] = {}
+    copies = {}
+    for name in sorted(motions, key=lambda name: -len(motions[name].frames)):
+        motion = motions[name]
+        files = _input_digests(folders[name])
+        if files is None:
+            continue
+        key = *files, motion.keypoints.individual, tuple(source.camera.name for source in motion.sources)
+        same = (other for other in known.get(key, ()) if np.isin(motions[other].frames, motion.frames).any())
+        if (kept := next(same, None)) is not None:
+            copies[name] = kept
+        else:
+            known.setdefault(key, []).append(name)
+    return {name: copies[name] for name in motions if name in copies}
+
+
+def _input_digests(folder: Path) -> tuple[frozenset[str], frozenset[str]] | None:
+    """Return the digests of a result's keypoint files and of its camera files; None where they are not noted."""
+    try:
+        digests = read_toml(folder / CONFIG)["recon"]["sha256"].items()
+    except (InputError, KeyError, TypeError, AttributeError):
+        return None
+    keypoints = frozenset(str(sha256) for role, sha256 in digests if role.startswith("keypoints"))
+    cameras = frozenset(str(sha256) for role, sha256 in digests if role.startswith("camera"))
+    return (keypoints, cameras) if keypoints else None
 
 
 _Seen = dict[tuple[Path, str], Path]

@@ -411,6 +411,14 @@ def anipose(project: Path, calibration: Path, square: float, *files: str) -> Non
         filmed(project / Path(file).parent, Path(file).name)
 
 
+@pytest.mark.parametrize("pattern", ["(a+)+$", "(a|a)+$", "(?:a?){40}b", "a*a*a*a*b", "a" * 300])
+def test_a_pattern_of_a_file_that_can_take_for_ever_is_refused(tmp_path, pattern):
+    anipose(tmp_path, Path("rex/calibration"), 25.0, f"rex/day1/pose-2d/{'a' * 44}!.csv")
+    (tmp_path / "config.toml").write_text(tomli_w.dumps({"nesting": 2, "triangulation": {"cam_regex": pattern}}))
+    with refusal((tmp_path / "config.toml", "cam_regex", "can take for ever", "--cameras-by")):
+        find_clips([tmp_path], {"fps": 120, "camera_unit": "mm"})
+
+
 def test_projects_of_anipose(tmp_path):
     """Sessions two folders deep, a calibration for a day, one of them with filtered poses."""
     walk = ("rex/day1/pose-2d/walk-camA.csv", "rex/day1/pose-2d/walk-camB.csv")

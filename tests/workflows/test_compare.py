@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from command_line import Refusal, refused, run, says
 
+from recon.base.files import write_manifest
 from recon.fit.motion import Motion
 from recon.workflows.compare import QUANTITIES, _figure, _group_rows, _lines, _mean_of
 
@@ -68,6 +69,25 @@ def test_results_of_one_run_are_named(tmp_path: Path, whole_motion: Motion):
     folders = [motion.save(tmp_path / name).parent for name, motion in motions.items()]
     ended = run("compare", *folders, "--out", tmp_path / "out")
     assert says(ended.out, "Probably of one run", ": a and b, b and other. Give one")
+
+
+def test_results_of_the_same_keypoints_and_cameras_count_once(tmp_path: Path, whole_motion: Motion):
+    """By the digests of their files, whatever the results are called; other frames of a clip are a clip."""
+    (source,) = whole_motion.sources
+    later = replace(source, keypoints=replace(source.keypoints, frames=source.keypoints.frames + 1000))
+    motions = dict.fromkeys("abc", whole_motion) | {"=later": replace(whole_motion, sources=(later,))}
+    folders = [motion.save(tmp_path / name).parent for name, motion in motions.items()]
+    for folder, keypoints in zip(folders, "1121", strict=True):
+        (folder / "config.toml").write_text(f'[recon.sha256]\nkeypoints = "{keypoints}"\ncamera = "3"\n')
+        write_manifest(folder)
+    ended = run("compare", *folders, "--out", tmp_path / "out", "--json")
+    assert ended.code == 0, ended
+    data = json.loads(ended.out)
+    assert data["left_out"] == ["b"]
+    assert [row["clips"] for row in data["groups"]] == [3]
+    assert says(data["notes"][0], "same keypoints and cameras", "b (of a)")
+    table = pd.read_csv(tmp_path / "out" / "clips.csv")
+    assert [*table["clip"]] == ["a", "c", "'=later"]  # no spreadsheet runs it
 
 
 def test_only_what_some_clip_has_is_drawn():

@@ -32,6 +32,7 @@ from recon.base.package import version
 from recon.base.parallel import STARTING, Event, Tell, carry_out, carry_out_on_cluster
 from recon.base.progress import Progress
 from recon.base.settings import Count, Integer, OneOrMore, Option, Settings
+from recon.base.tables import guarded, unguarded
 from recon.check.verdict import NOTHING_AGAINST
 from recon.fit.result import LEVELS
 from recon.io.common import text_rows
@@ -68,8 +69,6 @@ STATUSES = ("done", "done earlier", "unsolved", "failed", "pending")
 WRITE_EVERY_S = 0.5
 DYING_S = 5.0
 """So long a process may hold a clip's folder after the batch that it belonged to was killed."""
-FORMULAS = ("=", "+", "-", "@", "\t", "\r")
-"""A text that begins so would be run by a spreadsheet."""
 
 
 OnEvent = Callable[[Event, "Summary"], None]
@@ -297,13 +296,8 @@ class Summary:
             writer.writeheader()
             rank = {level: number for number, level in enumerate(LEVELS)}
             for row in sorted(self.rows.values(), key=lambda row: rank.get(row["verdict"], -1)):
-                writer.writerow({name: f"'{x}" if _is_formula(x) else x for name, x in row.items()})
+                writer.writerow({name: guarded(cell) for name, cell in row.items()})
         self._written_s = time.monotonic()
-
-
-def _is_formula(cell: Any) -> bool:
-    """Whether a spreadsheet would take a text for a formula; it stands after an apostrophe in the file."""
-    return isinstance(cell, str) and cell.lstrip("'").startswith(FORMULAS)
 
 
 def write_summary_page(out: Path) -> Path:
@@ -319,7 +313,7 @@ def write_summary_page(out: Path) -> Path:
 def read_rows(path: Path) -> list[dict[str, str]]:
     """The rows of a summary.csv as they were before `Summary.write` made texts of formulas. Raises InputError."""
     (_, header), *rows = [*text_rows(path)] or [(1, [])]
-    texts = ([x[1:] if x[:1] == "'" and _is_formula(x) else x for x in cells] for _, cells in rows)
+    texts = ([*map(unguarded, cells)] for _, cells in rows)
     found = [{name: x for name, x in zip(header, row, strict=False) if x} for row in texts]
     wheres = (f"{path}, line {line}" for line, _ in rows)
     collect_problems(*(partial(validated, _Row, *at) for at in zip(found, wheres, strict=True)))

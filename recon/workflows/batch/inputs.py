@@ -18,6 +18,7 @@ from recon.base.arrays import Brief
 from recon.base.documents import read_head, read_toml
 from recon.base.errors import InputError, Problem, raise_problems
 from recon.base.file_names import encodable
+from recon.base.patterns import slow_part
 from recon.check.codes import names_text
 from recon.fit.motion_forms import MOTION
 from recon.io.calibration import read_cameras
@@ -403,7 +404,8 @@ def _with_camera(
         return draft
     title, by = draft.title, OPTION
     if pattern is None and draft.cam_regex is not None:
-        pattern, by = _compiled(draft.cam_regex[1], draft.cam_regex[0]), f"cam_regex in {draft.cam_regex[0]}"
+        text, config = draft.cam_regex[1], draft.cam_regex[0]
+        pattern, by = _compiled_from_file(text, config), f"cam_regex in {config}"
     if pattern is not None:  # its first group is the camera's name, or all of it, as in Anipose
         match = pattern.search(title.stem)
         found = {} if match is None else {((match[1] if pattern.groups else match[0]) or "").strip(): match}
@@ -420,6 +422,16 @@ def _with_camera(
                 title = (folder if rest else folder.parent) / f"{rest or folder.name}{title.suffix}"
             return replace(draft, row={**draft.row, "camera_name": (camera,)}, called=title, by=by)
     return draft
+
+
+@cache
+def _compiled_from_file(text: str, file: Path) -> re.Pattern[str]:
+    """Return a pattern that stands in a file; raise InputError for one that can take for ever."""
+    pattern = _compiled(text, file)
+    if slow := slow_part(text):
+        expected = f"a simpler pattern, as in '-cam([A-Z])'; or {OPTION} with a pattern of your own"
+        raise InputError(Problem(file, "cam_regex", f"{text[:100]!r}, with {slow}: it can take for ever", expected))
+    return pattern
 
 
 def _compiled(text: str, where: Path | str) -> re.Pattern[str]:

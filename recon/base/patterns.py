@@ -1,0 +1,59 @@
+"""Regular expressions that stand in files, of which nobody knows who wrote them: only those that end soon are used."""
+
+from __future__ import annotations
+
+from re import _constants as codes  # type: ignore[attr-defined]
+from re import _parser as parser  # type: ignore[attr-defined]
+from typing import Any
+
+MAX_REPEATS = 3
+"""Repeats in a pattern: the time grows with the length of the text to the power of their number."""
+MAX_OPTIONS = 6
+"""Optional parts of a pattern: the time doubles with each."""
+MAX_LENGTH = 200
+_REPEATS = (codes.MAX_REPEAT, codes.MIN_REPEAT, codes.POSSESSIVE_REPEAT)
+
+
+def slow_part(pattern: str) -> str | None:
+    """Return what can make a search with a pattern take for ever, in words; None if nothing can.
+
+    Raises
+    ------
+    re.error
+        If the text is no pattern.
+    """
+    if len(pattern) > MAX_LENGTH:
+        return f"{len(pattern)} characters"
+    repeats = _variable_repeats(parser.parse(pattern), inside=False)
+    if repeats is None:
+        return "a repeat or a choice within a repeat"
+    options = repeats.count(1)
+    if len(repeats) - options > MAX_REPEATS:
+        return f"{len(repeats) - options} repeats"
+    return f"{options} optional parts" if options > MAX_OPTIONS else None
+
+
+def _variable_repeats(part: Any, inside: bool) -> list[int] | None:
+    """Return how often each repeat of variable length repeats at most; None if one, or a choice, is within a repeat.
+
+    `inside` is whether the part itself is repeated.
+    """
+    operation = part[0] if isinstance(part, tuple) and len(part) == 2 else None
+    if any(operation is repeat for repeat in _REPEATS):
+        least, most, repeated = part[1]
+        is_variable = least != most
+        if inside and is_variable:
+            return None
+        counts = _variable_repeats(repeated, inside or most > 1)
+        return None if counts is None else [*counts, *([int(most)] if is_variable else ())]
+    if operation is codes.BRANCH and inside:
+        return None
+    if isinstance(part, tuple | list | parser.SubPattern):
+        all_counts: list[int] = []
+        for inner in part:
+            counts = _variable_repeats(inner, inside)
+            if counts is None:
+                return None
+            all_counts += counts
+        return all_counts
+    return []

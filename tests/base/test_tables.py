@@ -1,0 +1,60 @@
+"""Tables that people open, and patterns that stand in files."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from recon.base.patterns import slow_part
+from recon.base.tables import guarded, unguarded, write_frame
+from recon.io.writing import write_columns, write_rows
+
+LINK = '=HYPERLINK("http://example.org")'
+
+
+@pytest.mark.parametrize("text", [LINK, "+a", "-a", "@a", "\ta", "'=a", "'a", "plain", "", "-1.5"])
+def test_a_text_is_guarded_and_read_again(text):
+    written = guarded(text)
+    assert not written.startswith(("=", "+", "-a", "@", "\t"))
+    assert unguarded(written) == text
+    assert guarded(-1.5) == -1.5
+
+
+def test_every_writer_of_tables_guards_texts(tmp_path):
+    write_frame(pd.DataFrame({LINK: [LINK, "a"], "x": [-1.5, np.nan]}), tmp_path / "frame.csv")
+    write_rows(tmp_path / "rows.csv", [[LINK, "x"]], [[LINK, -1.5], ["a", np.nan]])
+    texts = [guarded(LINK).replace('"', '""')] * 2
+    expected = '"{}",x\n"{}",-1.5\na,\n'.format(*texts)
+    for name in ("frame", "rows"):
+        assert (tmp_path / f"{name}.csv").read_text() == expected
+    write_columns(tmp_path / "columns.csv", {"joint": np.array(["=a", "b", "=a"]), "x": np.array([-1.5, 1, np.nan])})
+    lines = (tmp_path / "columns.csv").read_text().splitlines()
+    assert [line.strip('"') for line in lines[1:]] == ["'=a,-1.5", "b,1", "'=a,"]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "slow"),
+    [
+        ("-cam([A-Z])", None),
+        ("(?<=cam)[0-9]+$", None),
+        (".*_(cam[0-9]+)?.*", None),
+        ("([A-Z]{2})+", None),
+        ("(a+)+$", "within a repeat"),
+        ("(ab|a)*$", "within a repeat"),
+        ("(?=(a*)*b)", "within a repeat"),
+        (".*.*.*.*x", "4 repeats"),
+        ("a?" * 7 + "b", "7 optional parts"),
+        ("a" * 201, "201 characters"),
+    ],
+)
+def test_only_patterns_that_end_soon_are_taken(pattern, slow):
+    found = slow_part(pattern)
+    assert found is None if slow is None else slow in str(found)
+
+
+def test_what_is_no_pattern_stays_an_error():
+    with pytest.raises(re.error):
+        slow_part("(")
