@@ -21,6 +21,7 @@ from recon.base.errors import InputError, Problem, raise_problems
 from recon.clip import Keypoints
 from recon.io import common
 from recon.io.common import SCORER, Pose3D, StoredPoints
+from recon.io.pickles import MAX_PICKLE_BYTES, plain_pickle_with_scalars
 
 HEADERS = (
     ("scorer", "bodyparts", "coords"),
@@ -33,6 +34,7 @@ COORDS, COORDS_2D = ("x", "y", "z", "likelihood"), ("x", "y", "likelihood")
 UNIQUE_BODYPARTS = "single"
 PADDING = -1.0
 """x, y and likelihood of an animal that DeepLabCut 3 did not see in a frame."""
+MAX_CROP_PX = 100_000
 PLACES = {"l", "r", "left", "right", "f", "h", "front", "back", "fore", "hind", "rear", "upper", "lower", "near", "far"}
 MIN_PARTS = 3
 """Beginnings of bodypart names, and the least number of bodyparts of each animal whose names begin with its own."""
@@ -183,6 +185,9 @@ def points_of_table(
         points, likelihood = points[..., :2], points[..., 2]
         if scorer is None:
             notes += ("The header's first row, scorer, is missing; the others say what each column is.",)
+        if not images:
+            points, cropped = _uncropped(path, points, likelihood)
+            notes += cropped
     if common.FMPOSE3D in (scorer or ""):
         from recon.io.json_poses import true_names
 
@@ -193,6 +198,38 @@ def points_of_table(
     extra["images"] = tuple(images[i] for i in order) if images else ()
     stored = StoredPoints(names, points, frames[order], likelihood, **extra)
     return common.one_animal(path, animal or None, stored, [animal] if animal else [])
+
+
+def _uncropped(path: Path, points: np.ndarray, likelihood: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return points (T, K, 2) in the whole picture, and a note, if DeepLabCut analysed a crop of it.
+
+    Its predictions are pixels of the crop, which the file of metadata beside them states.
+    """
+    meta = next((file for file in _metadata_files(path) if file.is_file()), None)
+    if meta is None or meta.stat().st_size > MAX_PICKLE_BYTES:
+        return points, ()
+    try:
+        about = plain_pickle_with_scalars(meta.read_bytes())["data"]
+        cropping, edges = bool(about["cropping"]), [float(edge) for edge in about["cropping_parameters"]]
+        left, right, top, bottom = edges
+    except (ValueError, KeyError, TypeError, IndexError, OSError):
+        return points, ()
+    if not cropping or (left, top) == (0.0, 0.0) or not all(0 <= edge < MAX_CROP_PX for edge in edges):
+        return points, ()
+    missing = (points == 0).all(axis=2) & ~(likelihood > 0)
+    region = f"x {left:g} to {right:g}, y {top:g} to {bottom:g}"
+    note = f"DeepLabCut analysed a crop of the picture ({region}, {meta.name}): its corner is added to the keypoints."
+    return np.where(missing[..., None], points, points + np.array((left, top))), (note,)
+
+
+def _metadata_files(path: Path) -> Iterator[Path]:
+    """Yield the names of DeepLabCut's metadata for a table of predictions, which may be filtered or of tracks."""
+    stem = path.stem
+    yield path.with_name(f"{stem}_meta.pickle")
+    for end in ("_filtered", "_el", "_bx", "_sk", "_ctd"):
+        if stem.endswith(end):
+            stem = stem.removesuffix(end)
+            yield path.with_name(f"{stem}_meta.pickle")
 
 
 def _column_problems(path: Path, columns: Sequence[tuple[str, str, str]]) -> Iterator[Problem]:

@@ -95,6 +95,7 @@ FORMATS: tuple[Format, ...] = (
     Format("movement", "movement netCDF", (".nc",), "hdf5_poses/movement", _BOTH, _BOTH, "kept", "as times", "m, z up"),
     Format("nwb", "ndx-pose NWB", (".nwb",), "hdf5_poses/nwb", _BOTH, _BOTH, "needed", "as times", "m, z up"),
     Format("coco", "COCO JSON", (".json",), "json_poses/coco", _2D),
+    Format("alphapose", "AlphaPose JSON", (".json",), "json_poses/alphapose", _2D),
     Format("mmpose", "MMPose JSON", (".json",), "json_poses/mmpose", _2D),
     Format("openpose", "OpenPose JSON, a file a frame", (".json",), "json_poses/openpose", _2D),
     Format("fmpose3d", "FMPose3D JSON of DeepLabCut", (".json",), "json_poses/fmpose3d", _3D, unit="m"),
@@ -199,7 +200,7 @@ def read_points(
         return PLAIN, with_rate(path, PLAIN.function("read")(path, individual, by), fps)
     reader = recognised(path)
     if reader is None:
-        raise InputError(Problem(path, "format", describe(head), f"one of: {titles(kind)}"))
+        raise InputError(Problem(path, "format", *describe(path, head, titles(kind))))
     try:
         stored = _read_animal(reader, path, individual) if kind is None or kind in reader.reads else None
     except NoChoiceError as error:
@@ -284,10 +285,37 @@ def individuals(path: str | Path) -> tuple[str, ...]:
     return ()
 
 
-def describe(head: bytes) -> str:
-    """Return in plain words what the first bytes of a file of no known format look like."""
+_UNREAD = (
+    (b"Format Version,", "an export of Motive (OptiTrack)", "TRC or C3D: in Motive, export the take as one of them"),
+    (b"<?xml", "an XML file", None),
+    (b"%PDF", "a PDF", None),
+    (b"PK\x03\x04", "a ZIP archive, or a document of Office", "CSV: save the table as CSV"),
+)
+"""Beginnings of files of other kinds, their names, and what to use in their place, if that is known."""
+_SLEAP_PROJECT = {"metadata", "frames"}
+_SLEAP_EXPORT = "SLEAP's analysis HDF5: in SLEAP, File > Export Analysis HDF5, or sleap-convert --format analysis"
+
+
+def describe(path: Path, head: bytes, known: str) -> tuple[str, str]:
+    """Return in plain words what a file of no known format looks like, and what is expected in its place.
+
+    `head` are its first bytes, `known` the formats that are read.
+    """
+    expected = f"one of: {known}"
     if head.startswith(b"\x89HDF\r\n\x1a\n"):
-        return "an HDF5 file of another kind"
+        from recon.io.hdf5 import outline
+
+        if outline(path) >= _SLEAP_PROJECT:
+            return "a SLEAP project", _SLEAP_EXPORT
+        return "an HDF5 file of another kind", expected
+    for start, name, instead in _UNREAD:
+        if head.removeprefix(b"\xef\xbb\xbf").startswith(start):
+            return name, instead or expected
+    return _look_of(head), expected
+
+
+def _look_of(head: bytes) -> str:
+    """Return in plain words what the first bytes of a file look like."""
     if head[4:8] == b"ftyp" or head[8:12] == b"AVI " or head.startswith(b"\x1aE\xdf\xa3"):
         return "a video (recon run and recon predict find the keypoints in one)"
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):

@@ -20,8 +20,6 @@
 from __future__ import annotations
 
 import json
-import pickle
-import pickletools
 import re
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
@@ -40,6 +38,7 @@ from recon.io import common, hdf5, writing
 from recon.io.common import Pose3D, StoredPoints
 from recon.io.deeplabcut import HEADERS, header_problem, points_of_table
 from recon.io.hdf5 import attribute, child, member, names, numbers, opened, outline, raw_attribute, read_values, texts
+from recon.io.pickles import plain_pickle
 from recon.io.positions import UNIT_NAMES
 from recon.io.times import frames_of_numbers, with_times
 
@@ -48,15 +47,6 @@ from recon.io.times import frames_of_numbers, with_times
 PANDAS_KEY = "df_with_missing"
 ANY_PANDAS = "0.15.2"
 """Stated version of pandas; pandas 2 and 3 read it the same way."""
-MAX_PICKLE_BYTES = 1 << 24
-PLAIN_PICKLES = {
-    *("INT", "BININT", "BININT1", "BININT2", "LONG", "LONG1", "LONG4", "FLOAT", "BINFLOAT"),
-    *("UNICODE", "SHORT_BINUNICODE", "BINUNICODE", "BINUNICODE8", "STRING", "SHORT_BINSTRING", "BINSTRING"),
-    *("NONE", "NEWTRUE", "NEWFALSE", "EMPTY_LIST", "EMPTY_DICT", "EMPTY_TUPLE", "MARK", "LIST", "TUPLE", "DICT"),
-    *("TUPLE1", "TUPLE2", "TUPLE3", "APPEND", "APPENDS", "SETITEM", "SETITEMS", "PROTO", "FRAME", "STOP"),
-    *("PUT", "BINPUT", "LONG_BINPUT", "MEMOIZE", "GET", "BINGET", "LONG_BINGET"),
-}
-"""Instructions of pickles that build texts, numbers, lists, tuples and dictionaries, and import or call nothing."""
 
 Label = tuple[str, ...]
 _Table = tuple[Sequence[str | None], list[Label], list[Label], np.ndarray]
@@ -184,25 +174,6 @@ def _attribute_value(holder: Any, name: str) -> Any:
         return plain_pickle(value)
     except ValueError as error:
         raise ValueError(f"{name} is {error}, which could run anything") from None
-
-
-def plain_pickle(content: bytes) -> Any:
-    """Return the value of a pickle of plain values.
-
-    A pickle is a program. It is run only if all its instructions are in `PLAIN_PICKLES`. Raises ValueError that names
-    any other instruction.
-    """
-    if len(content) > MAX_PICKLE_BYTES:
-        raise ValueError(f"a pickle of {len(content)} bytes")
-    try:
-        for opcode, argument, _ in pickletools.genops(content):
-            if opcode.name not in PLAIN_PICKLES:
-                raise ValueError(f"a pickled Python object ({opcode.name} {argument or ''}".rstrip() + ")")
-            if opcode.name in ("PUT", "LONG_BINPUT") and int(argument or 0) > len(content):
-                raise ValueError("a damaged pickle")  # a place that memory would be taken for
-        return pickle.loads(content)
-    except (ArithmeticError, AttributeError, LookupError, TypeError, EOFError, pickle.UnpicklingError):
-        raise ValueError("a damaged pickle") from None
 
 
 def write_deeplabcut(data: Keypoints | Pose3D, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Read keypoints as JSON: COCO, MMPose and OpenPose; and FMPose3D's 3D poses.
+"""Read keypoints as JSON: COCO, MMPose, OpenPose and AlphaPose; and FMPose3D's 3D poses.
 
 - COCO: `images`, `annotations` with `keypoints` [x, y, v, ...], and `categories` with their names. v is 0 for a missing
   point. Scores are read from `keypoint_scores` if present. The animal of an annotation is its `individual`, as in files
@@ -9,6 +9,8 @@
   number: run_000000000012_keypoints.json, or run_000012.json from RTMPose's tools, which write the same; the number is
   the frame's. Points have no names: their number says which list it is. Persons are numbered from 1 within each frame,
   which nothing ties to the previous frame: files with several persons have to be tracked first.
+- AlphaPose: a list with `image_id`, `keypoints` and perhaps the track `idx` of each detection, as COCO's results. The
+  points have no names, as OpenPose's.
 - FMPose3D: `run_DLC_fmpose3d_animals_3d.json` of DeepLabCut, with `model`, `bodyparts`, `poses_3d`. A pose comes from
   one picture: relative to a point of the body, in the network's own axes and unit. Frames are numbered from 0, and
   those without an animal are empty. Beside it lies the same as a table, `..._3d.h5`. FMPose3D's own demo writes `.npz`
@@ -247,6 +249,43 @@ def read_openpose(path: Path, individual: str | None = None) -> StoredPoints:
     if all(person.animal == "1" for person in seen):
         seen = [person._replace(animal="") for person in seen]
     return _points(path, individual, LISTS[counts[0] if counts else 25], files.values(), seen)
+
+
+# -- AlphaPose ---------------------------------------------------------------------------------------------------------
+
+
+def recognises_alphapose(path: Path) -> bool:
+    """Return whether it is AlphaPose's JSON, or COCO's of results: a list with the points of each detection."""
+    if not common.starts_with_text(path, b"["):
+        return False
+    with path.open("rb") as file:
+        head = file.read(1 << 16)
+    return b'"image_id"' in head and b'"keypoints"' in head
+
+
+def read_alphapose(path: Path, individual: str | None = None) -> StoredPoints:
+    """Return the points of one animal, by its track (`idx`) if the file has tracks; raise InputError."""
+    content = read_json(path, _EXPECTED)
+    seen = []
+    for i, row in enumerate(content):
+        name = str(row["image_id"])
+        frame = common.frame_number("".join(re.findall(r"[0-9]+", Path(name).stem)[-1:]))
+        if frame is None:
+            raise InputError(
+                Problem(path, f"[{i}].image_id", repr(name)[:60], "a name that ends in the frame's number")
+            )
+        points = np.array(row["keypoints"], dtype=float).reshape(-1, 3)
+        known = np.isfinite(points).all(axis=1) & (points[:, 2] > 0)
+        xy, score = np.where(known[:, None], points[:, :2], np.nan), np.where(known, points[:, 2], 0.0)
+        track = row.get("idx")
+        seen.append(_Seen(f"[{i}]", frame, "" if track is None else str(track), xy, score))
+    counts = sorted({len(detection.score) for detection in seen})
+    if len(counts) != 1:
+        raise InputError(Problem(path, "keypoints", " and ".join(map(str, counts)) or "none", "as many in each frame"))
+    names = LISTS.get(counts[0]) or [f"point{k}" for k in range(1, counts[0] + 1)]
+    if {detection.animal for detection in seen} == {"1"}:
+        seen = [detection._replace(animal="") for detection in seen]
+    return _points(path, individual, names, {detection.frame for detection in seen}, seen)
 
 
 # -- FMPose3D ---------------------------------------------------------------------------------------------------------

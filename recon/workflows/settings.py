@@ -68,11 +68,12 @@ class FitSettings(Settings):
     keypoints: Annotated[
         OneOrMore[File], Option(expected="a keypoint file, or one for each camera", argument="KEYPOINTS")
     ]
-    """Keypoint file, as in clip.csv: DeepLabCut, SLEAP, movement, NWB (ndx-pose), COCO, MMPose, OpenPose (any of its
-    files) or a plain table, long or wide; of a clip of several cameras one for each."""
+    """Keypoint file, as in clip.csv: DeepLabCut, SLEAP, movement, NWB (ndx-pose), COCO, AlphaPose, MMPose, OpenPose
+    (any of its files) or a plain table, long or wide; of a clip of several cameras one for each."""
     camera: OneOrMore[File] | None = None
-    """Calibration: OpenCV or ROS yaml/json/xml, AcinoSet scene.json, OpenDroneMap cameras.json, DANNCE mat, Anipose,
-    Pose2Sim or recon toml; or one such file for each camera."""
+    """Calibration: OpenCV, JARVIS, EasyMocap or ROS yaml/json/xml, AcinoSet scene.json or JSON of other tables,
+    OpenDroneMap cameras.json, DANNCE mat, Anipose, Caliscope, Pose2Sim or recon toml; or one such file for each
+    camera."""
     camera_name: OneOrMore[str] | None = None
     """Which camera of the file, as in cam2 or 2; once for each keypoint file. (default: whose name the keypoint file's
     name contains)"""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import pickle
 import struct
 import warnings
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pandas as pd
 import pytest
@@ -564,6 +566,79 @@ def test_a_column_that_is_repeated(tmp_path):
     path.write_text("frame,nose_x,nose_y,nose_x\n0,1,2,0\n1,3,4,1\n")
     with refusal((path, "header", "column 'nose_x' more than once", "different cells")):
         read_keypoints(path)
+
+
+CROPPED = "clipDLC_resnet50_runAug1shuffle1_1000"
+
+
+@pytest.mark.parametrize("end", [".csv", "_filtered.csv"])
+@pytest.mark.parametrize(
+    ("about", "shift"),
+    [
+        ({"cropping": True, "cropping_parameters": [600, 1920, 50, 1080]}, (600, 50)),
+        ({"cropping": True, "cropping_parameters": np.array([600, 1920, 50, 1080])[[0, 1, 2, 3]].tolist()}, (600, 50)),
+        ({"cropping": np.bool_(True), "cropping_parameters": list(np.array([600.0, 1920, 50, 1080]))}, (600, 50)),
+        ({"cropping": False, "cropping_parameters": [600, 1920, 50, 1080]}, (0, 0)),
+        ({}, (0, 0)),
+    ],
+)
+def test_the_crop_that_deeplabcut_states_beside_its_table(end, about, shift, tmp_path):
+    """Missing points stay (0, 0)."""
+    rows = ["scorer" + ",net" * 3, "bodyparts" + ",nose" * 3, "coords,x,y,likelihood", "0,1.5,2.5,0.9", "1,0,0,0"]
+    path = tmp_path / f"{CROPPED}{end}"
+    path.write_text("\n".join(rows))
+    (tmp_path / f"{CROPPED}_meta.pickle").write_bytes(pickle.dumps({"data": about | {"start": 1.0}}))
+    found = read_keypoints(path)
+    assert found.xy_px.tolist() == [[[1.5 + shift[0], 2.5 + shift[1]]], [[0, 0]]]
+    assert ("crop of the picture (x 600 to 1920, y 50 to 1080" in " ".join(found.notes)) == any(shift)
+
+
+def test_nothing_in_a_pickle_is_run(tmp_path):
+    """A file of metadata that would do something is not used."""
+    rows = ["scorer" + ",net" * 3, "bodyparts" + ",nose" * 3, "coords,x,y,likelihood", "0,1.5,2.5,0.9"]
+    (tmp_path / f"{CROPPED}.csv").write_text("\n".join(rows))
+    harm = tmp_path / "harm"
+    program = b"cos\nsystem\n(S'touch " + str(harm).encode() + b"'\ntR."
+    (tmp_path / f"{CROPPED}_meta.pickle").write_bytes(program)
+    assert read_keypoints(tmp_path / f"{CROPPED}.csv").xy_px.tolist() == [[[1.5, 2.5]]]
+    assert not harm.exists()
+
+
+def test_alphapose(tmp_path):
+    rows = [
+        {"image_id": f"{k}.jpg", "keypoints": [k, 2, 0.9] * 16 + [0, 0, 0], "score": 2.0, "idx": track}
+        for k in range(3)
+        for track in (1, 2)
+    ]
+    (tmp_path / "a.json").write_text(json.dumps(rows))
+    with refusal((tmp_path / "a.json", "individual", "2 animals", "1, 2")):
+        read_keypoints(tmp_path / "a.json")
+    found = read_keypoints(tmp_path / "a.json", "2")
+    assert (found.names[0], len(found.names), found.frames.tolist()) == ("Nose", 17, [0, 1, 2])
+    np.testing.assert_array_equal(found.xy_px[:, 0], [[0, 2], [1, 2], [2, 2]])
+    assert not found.present[:, 16].any()
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (b"Format Version,1.23,Take Name,a\n", ("an export of Motive (OptiTrack)", "TRC or C3D")),
+        (b"%PDF-1.7 and more", ("a PDF", "DeepLabCut CSV")),
+    ],
+)
+def test_files_of_other_programs_are_named(content, expected, tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_bytes(content)
+    with refusal((path, "format", *expected)):
+        read_keypoints(path)
+
+
+def test_a_sleap_project_is_named(tmp_path):
+    with h5py.File(tmp_path / "a.slp", "w") as file:
+        file.create_group("metadata")
+        file["frames"] = [0]
+    with refusal((tmp_path / "a.slp", "format", "a SLEAP project", "Export Analysis HDF5")):
+        read_keypoints(tmp_path / "a.slp")
 
 
 BROKEN = "track,frame_idx,nose.x,nose.y,nose.score,tail.x,tail.y,tail.score"

@@ -1,0 +1,70 @@
+"""Read pickles of plain values. A pickle is a program, which is never run unless all it does is known."""
+
+from __future__ import annotations
+
+import io
+import pickle
+import pickletools
+from typing import Any
+
+MAX_PICKLE_BYTES = 1 << 24
+PLAIN_PICKLES = {
+    *("INT", "BININT", "BININT1", "BININT2", "LONG", "LONG1", "LONG4", "FLOAT", "BINFLOAT"),
+    *("UNICODE", "SHORT_BINUNICODE", "BINUNICODE", "BINUNICODE8", "STRING", "SHORT_BINSTRING", "BINSTRING"),
+    *("NONE", "NEWTRUE", "NEWFALSE", "EMPTY_LIST", "EMPTY_DICT", "EMPTY_TUPLE", "MARK", "LIST", "TUPLE", "DICT"),
+    *("TUPLE1", "TUPLE2", "TUPLE3", "APPEND", "APPENDS", "SETITEM", "SETITEMS", "PROTO", "FRAME", "STOP"),
+    *("PUT", "BINPUT", "LONG_BINPUT", "MEMOIZE", "GET", "BINGET", "LONG_BINGET"),
+}
+"""Instructions of pickles that build texts, numbers, lists, tuples and dictionaries, and import or call nothing."""
+_SCALARS = {
+    *((module, "scalar") for module in ("numpy.core.multiarray", "numpy._core.multiarray")),
+    ("numpy", "dtype"),
+}
+"""NumPy's functions that make single numbers, which are allowed among plain values if asked for."""
+
+
+def plain_pickle(content: bytes) -> Any:
+    """Return the value of a pickle of plain values.
+
+    It is run only if all its instructions are in `PLAIN_PICKLES`. Raises ValueError that names any other instruction.
+    """
+    _require_small(content)
+    try:
+        for opcode, argument, _ in pickletools.genops(content):
+            if opcode.name not in PLAIN_PICKLES:
+                raise ValueError(f"a pickled Python object ({opcode.name} {argument or ''}".rstrip() + ")")
+            _require_place(opcode.name, argument, content)
+        return pickle.loads(content)
+    except (ArithmeticError, AttributeError, LookupError, TypeError, EOFError, pickle.UnpicklingError):
+        raise ValueError("a damaged pickle") from None
+
+
+def plain_pickle_with_scalars(content: bytes) -> Any:
+    """Return the value of a pickle of plain values and NumPy's numbers; raise ValueError for anything else."""
+    _require_small(content)
+    try:
+        for opcode, argument, _ in pickletools.genops(content):
+            _require_place(opcode.name, argument, content)
+        return _ScalarUnpickler(io.BytesIO(content)).load()
+    except (ArithmeticError, AttributeError, LookupError, TypeError, EOFError, pickle.UnpicklingError):
+        raise ValueError("a damaged pickle, or one of other things than plain values") from None
+
+
+class _ScalarUnpickler(pickle.Unpickler):
+    """An unpickler that imports only what makes NumPy's numbers."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) not in _SCALARS:
+            raise pickle.UnpicklingError(f"{module}.{name} in a pickle of plain values")
+        return super().find_class(module, name)
+
+
+def _require_small(content: bytes) -> None:
+    if len(content) > MAX_PICKLE_BYTES:
+        raise ValueError(f"a pickle of {len(content)} bytes")
+
+
+def _require_place(name: str, argument: Any, content: bytes) -> None:
+    """Raise ValueError for a place so far away that memory would be taken for all before it."""
+    if name in ("PUT", "LONG_BINPUT") and int(argument or 0) > len(content):
+        raise ValueError("a damaged pickle")
