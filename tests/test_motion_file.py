@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import json
+import re
 import zipfile
 from collections.abc import Callable
 from contextlib import suppress
@@ -18,8 +19,10 @@ from command_line import refusal
 
 from recon import InputError, Motion
 from recon.base.files import write_manifest
-from recon.base.records import load_record, save_record
-from recon.fit.motion_forms import MOTION, SCHEMA
+from recon.base.records import RECORD, load_record, save_record
+from recon.fit.motion_forms import CLASSES, MOTION, SCHEMA
+
+FILES = Path(__file__).parent / "files"
 
 
 def differences(a: Any, b: Any, where: str = "") -> list[str]:
@@ -128,7 +131,7 @@ def test_pickles(saved: Path) -> None:
             lambda a, r: a.update({"solution.states": a["solution.states"][1:]}),
             ("solution.states", "(7, 28)", "(8, 28)"),
         ),
-        (lambda a, r: r["schema"].update(version=9), ("schema", "version 9", "version 2")),
+        (lambda a, r: r["schema"].update(version=9), ("schema", "version 9", "version 3")),
         (lambda a, r: r.update(schema={"name": "other", "version": 1}), ("schema", "other", "recon.motion")),
         (lambda a, r: r.pop("value"), ("content", "'value'")),
         (lambda a, r: r["value"].pop("side"), ("side", "nothing")),
@@ -150,11 +153,37 @@ def test_other_content(saved: Path, change: Callable[..., Any], expected: tuple[
 
 
 def test_solution_of_another_class(saved: Path) -> None:
-    rewritten(saved, lambda a, r: r["value"]["solution"].update({"class": "recon.animal.body:Body"}))
+    rewritten(saved, lambda a, r: r["value"]["solution"].update({"class": "chain"}))
     with pytest.raises(InputError) as caught:
         Motion.load(saved.parent)
     found = {problem.field: problem.found for problem in caught.value.problems}
-    assert (found["title"], found["sideslip_sigma_rad"]) == ("nothing", "an unknown field")
+    assert (found["file"], found["sideslip_sigma_rad"]) == ("nothing", "an unknown field")
+
+
+@pytest.mark.parametrize("fixture", ["small_motion", "small_trajectory"])
+def test_files_name_classes_by_tags(fixture: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    path = request.getfixturevalue(fixture).save(tmp_path)
+    with np.load(path) as arrays:
+        text = arrays[RECORD].tobytes().decode()
+    assert {*re.findall(r'"class": "(.*?)"', text)} <= {*CLASSES}
+    assert "recon." not in text.replace('"name": "recon.motion"', "")
+
+
+@pytest.mark.parametrize(
+    ("method", "size", "first_joint_m"),
+    [
+        ("trajectory", 0.9547427564698026, [-5.5923231342, -0.387887559, 0.4437566273]),
+        ("frame", 1.0, [-6.9392279035, -0.0054578535, 0.4552808142]),
+    ],
+)
+def test_motions_of_version_0_2(method: str, size: float, first_joint_m: list[float], tmp_path: Path) -> None:
+    """They name classes by modules, some of which are gone."""
+    motion = Motion.load(FILES / "motions-0.2" / method)
+    assert motion.solution.method == method
+    assert motion.solution.size == pytest.approx(size, abs=1e-12)
+    np.testing.assert_allclose(motion.joints_m[0, 0], first_joint_m, atol=1e-9)
+    motion.save(tmp_path)
+    assert not differences(motion, Motion.load(tmp_path))
 
 
 def test_no_motion(tmp_path: Path, small_trajectory: Motion) -> None:
@@ -177,7 +206,7 @@ def test_results_of_an_earlier_version(tmp_path: Path) -> None:
 
 def test_motion_of_an_earlier_version(saved: Path) -> None:
     rewritten(saved, lambda arrays, record: record["schema"].update(version=1))
-    refuses(saved, ("schema", "version 1", ["version 2", "recon fit"]))
+    refuses(saved, ("schema", "version 1", ["version 3", "recon fit"]))
     (saved.parent / "config.toml").write_text("")
     write_manifest(saved.parent)
     again = f"recon fit --config {saved.parent}/config.toml --out {saved.parent} --overwrite"

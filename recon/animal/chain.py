@@ -22,7 +22,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -123,6 +123,9 @@ class AngleRanges:
 @dataclass(frozen=True)
 class Chain(Skeleton):
     """Describe a chain: its links, its keypoints, and the expected ranges of its angles."""
+
+    record_tag: ClassVar[str] = "chain"
+    """What files of motions call the class (`recon.fit.motion_forms.CLASSES`)."""
 
     file: _ChainFile
     """The content of the skeleton's file."""

@@ -3,17 +3,16 @@
 The archive has an array `record`, a text of JSON with all that is no array, and an array for each larger one, called by
 where it stands, as in `solution.states`. Fields are plain values, paths, slices, tuples, mappings with texts as keys,
 arrays of numbers, tables of files (pydantic's models), and dataclasses, also of a subclass within this package; what is
-loaded has the types that they declare. What a dataclass works out from its fields is not in the file.
+loaded has the types that they declare. A subclass is named by its tag, `record_tag`, never by its module, and the
+caller of `load_record` says which classes there are. What a dataclass works out from its fields is not in the file.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Callable, Mapping
 from functools import cache
-from importlib import import_module
 from pathlib import Path
 from types import GenericAlias
 from typing import Any, TypeVar
@@ -28,8 +27,10 @@ from recon.base.field_problems import problems_of
 RECORD = "record"
 SMALL = 64
 """Arrays with no more numbers than this stand in the text: an archive of thousands of tiny files is slow to read."""
-PACKAGE, CLASS = __name__.partition(".")[0], "class"
-"""Whose dataclasses may be in an archive, and where their names stand in it."""
+CLASS = "class"
+"""The key of a subclass's tag."""
+Classes = Mapping[str, Callable[[], type]]
+"""By tag, a function that returns the class: it imports what is slow to import."""
 
 _Class = TypeVar("_Class")
 
@@ -52,8 +53,16 @@ def save_record(value: Any, path: Path, schema: Mapping[str, Any]) -> None:
             raise
 
 
-def load_record(of: type[_Class], path: Path, schema: Mapping[str, Any], expected: str) -> _Class:
-    """Read what `save_record` wrote of that class. expected: what the file should be, in a message.
+def load_record(
+    of: type[_Class],
+    path: Path,
+    schema: Mapping[str, Any],
+    expected: str,
+    classes: Classes | None = None,
+    older_versions: tuple[int, ...] = (),
+) -> _Class:
+    """Read what `save_record` wrote of that class. expected: what the file should be, in a message; classes: the
+    subclasses that may be in it; older_versions: those of the schema that are read, too.
 
     Raises InputError for a file that is damaged, is something else, or would take too much memory: the sizes of all
     that is in it are checked before anything is unpacked."""
@@ -62,11 +71,11 @@ def load_record(of: type[_Class], path: Path, schema: Mapping[str, Any], expecte
         arrays = arrays_of(content, KINDS)
         record = json.loads(arrays.pop(RECORD).astype(np.uint8, casting="no").tobytes())
         found = record["schema"]
-        if found != schema:
+        if found not in (schema, *({**schema, "version": version} for version in older_versions)):
             wanted = f"{schema['name']}, version {schema['version']}: {expected}"
             raise InputError(Problem(path, "schema", f"{found['name']}, version {found['version']}"[:100], wanted))
         try:
-            return _validated(of, _restored(record["value"], arrays))
+            return _validated(of, _restored(record["value"], arrays, classes or {}))
         except ValidationError as error:
             found = problems_of(error, path, within=1)
             raise InputError(dataclasses.replace(p, expected=f"{p.expected}: {expected}") for p in found) from None
@@ -95,7 +104,7 @@ def _plain(value: Any, where: str, arrays: dict[str, np.ndarray], name_of: dict[
         return {key: inside(key, one) for key, one in value.items()}
     if dataclasses.is_dataclass(value):
         own = type(value)
-        named = {CLASS: f"{own.__module__}:{own.__qualname__}"} if dataclasses.is_dataclass(own.__base__) else {}
+        named = {CLASS: _tag(own, where)} if dataclasses.is_dataclass(own.__base__) else {}
         return named | {f.name: inside(f.name, getattr(value, f.name)) for f in dataclasses.fields(value) if f.init}
     if isinstance(value, BaseModel):
         return value.model_dump(mode="json", by_alias=True)
@@ -108,11 +117,18 @@ def _plain(value: Any, where: str, arrays: dict[str, np.ndarray], name_of: dict[
     raise TypeError(f"{where}: a {type(value).__name__} cannot be saved")
 
 
-def _restored(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
+def _tag(subclass: Any, where: str) -> str:
+    """Return what a file calls a subclass."""
+    if not hasattr(subclass, "record_tag"):
+        raise TypeError(f"{where}: a {subclass.__name__} cannot be saved, as it has no record_tag")
+    return subclass.record_tag
+
+
+def _restored(value: Any, arrays: Mapping[str, np.ndarray], classes: Classes) -> Any:
     """What `_plain` made plain, with arrays, slices and the dataclasses that say what they are; others are still
     mappings."""
     if isinstance(value, list):
-        return [_restored(one, arrays) for one in value]
+        return [_restored(one, arrays, classes) for one in value]
     if not isinstance(value, dict):
         return value
     if value.keys() == {"array"}:
@@ -123,19 +139,13 @@ def _restored(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
         if (dtype := np.dtype(value["dtype"])).kind not in KINDS or len(value["values"]) > SMALL:
             raise ValueError(f"an array of {dtype}")
         return np.array(value["values"], dtype).reshape(value["shape"])
-    found = {name: _restored(one, arrays) for name, one in value.items()}
-    return _validated(_dataclass_named(found.pop(CLASS)), found) if CLASS in found else found
-
-
-def _dataclass_named(name: str) -> type:
-    """By its module and name. Raises ValueError unless it is one of this package."""
-    module, _, own = name.replace("recon.wings.", "recon.").partition(":")
-    found = None
-    with suppress(ImportError):
-        found = getattr(import_module(module), own, None) if module.startswith(f"{PACKAGE}.") else None
-    if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
-        raise ValueError(f"{name[:60]!r}, which is no class of {PACKAGE}")
-    return found
+    found = {name: _restored(one, arrays, classes) for name, one in value.items()}
+    if CLASS not in found:
+        return found
+    tag = found.pop(CLASS)
+    if tag not in classes:
+        raise ValueError(f"{str(tag)[:60]!r}, which is no class that such a file holds")
+    return _validated(classes[tag](), found)
 
 
 def _validated(of: type[_Class], fields: Any) -> _Class:

@@ -16,19 +16,49 @@ from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.files import MANIFEST, read_manifest
 from recon.base.records import load_record
-from recon.fit.result import SHAPES
+from recon.fit.result import SHAPES, TrajectorySolution
 from recon.geometry.kinematics import YAW
 
 if TYPE_CHECKING:
     import pandas as pd
 
 MOTION = "motion.npz"
-SCHEMA = {"name": "recon.motion", "version": 2}
+SCHEMA, OLDER_VERSIONS = {"name": "recon.motion", "version": 3}, (2,)
+"""Version 2 is that of recon 0.2, which named classes by their modules (`_CLASSES_BY_PATH`)."""
 EXPECTED = "the motion that `recon fit` or `Motion.save` wrote"
 _REPORT, _CONFIG = "report.json", "config.toml"
 """Files next to a motion in the folder of results that `recon fit` wrote."""
 _OF_A_FIT = (_REPORT, _CONFIG, "angles.csv", "pose3d.csv", "quality.csv")
 """Files of a fit. If one is there and the manifest is not, a run was interrupted."""
+
+
+def _chain() -> type:
+    from recon.animal.chain import Chain
+
+    return Chain
+
+
+def _trajectory_solution() -> type:
+    return TrajectorySolution
+
+
+def _frame_solution() -> type:
+    # A wing: its results are motions, too, and are read when it is installed.
+    from recon.thesis.solution import FrameSolution
+
+    return FrameSolution
+
+
+CLASSES = {"chain": _chain, "trajectory": _trajectory_solution, "frame": _frame_solution}
+"""Subclasses in the file of a motion, by their `record_tag`."""
+_CLASSES_BY_PATH = {
+    "recon.animal.chain:Chain": _chain,
+    "recon.thesis.chain:UnknownsChain": _chain,
+    "recon.fit.result:TrajectorySolution": _trajectory_solution,
+    "recon.thesis.frame:FrameSolution": _frame_solution,
+    "recon.thesis.solution:FrameSolution": _frame_solution,
+    "recon.wings.thesis.frame:FrameSolution": _frame_solution,
+}
 
 
 def load(motion_class: type[Any], folder: Path) -> Any:
@@ -39,7 +69,7 @@ def load(motion_class: type[Any], folder: Path) -> Any:
     if any((folder / name).exists() for name in (MANIFEST, *_OF_A_FIT)):  # not a motion that was saved by itself
         read_manifest(folder).require(MOTION)
     hint = f"; of an earlier version, make it again by {_again(folder)}" if (folder / _CONFIG).is_file() else ""
-    motion = load_record(motion_class, path, SCHEMA, EXPECTED + hint)
+    motion = load_record(motion_class, path, SCHEMA, EXPECTED + hint, CLASSES | _CLASSES_BY_PATH, OLDER_VERSIONS)
     try:
         faults = _misfits(motion)
         _ = motion.limbs, motion.foot_names, motion.forward_names  # names of joints that there are

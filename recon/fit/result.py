@@ -167,8 +167,8 @@ class Solution(Brief):
 
     method: ClassVar[str]
     """Name of the method in the report."""
-    described_by: ClassVar[str] = "recon.show.report"
-    """The module whose `SECTIONS` are what is said of such a solution (`recon.show.report.Section`)."""
+    record_tag: ClassVar[str]
+    """What files of motions call the class (`recon.fit.motion_forms.CLASSES`)."""
     jitters: ClassVar[bool] = False
     """Whether each frame was solved by itself, so that paths jitter from frame to frame."""
 
@@ -207,6 +207,10 @@ class Solution(Brief):
     def findings(self) -> tuple[Finding, ...]:
         """Return what only this method can find in its own solution."""
         return ()
+
+    def report_sections(self) -> tuple[object, ...] | None:
+        """Return the method's own sections of the report (`recon.show.report`), None if they are the usual ones."""
+        return None
 
     @property
     def constant_velocity_m_s(self) -> Array | None:
@@ -272,6 +276,7 @@ class TrajectorySolution(Solution):
     sideslip_sigma_rad: float
 
     method: ClassVar = "trajectory"
+    record_tag: ClassVar = "trajectory"
 
     @property
     def second_cameras(self) -> list[SecondCamera]:

@@ -2,15 +2,14 @@
 
 A section is one field of report.json and lines of the summary (`recon.show.sections`). To add one: write a function of
 a motion that returns its numbers, perhaps one that yields its lines, and enter both in `SECTIONS`. Another method has
-its own list (`Solution.described_by`). The fields of report.json: docs/report.md.
+its own list (`Solution.report_sections`). The fields of report.json: docs/report.md.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
-from importlib import import_module
-from typing import Any
+from typing import Any, cast
 
 from recon.base.arrays import to_plain
 from recon.base.package import version
@@ -53,7 +52,8 @@ SECTIONS: tuple[Section, ...] = (
 
 def sections_of(motion: Motion) -> tuple[Section, ...]:
     """Return the sections of a motion's method."""
-    return import_module(motion.solution.described_by).SECTIONS
+    sections = motion.solution.report_sections()
+    return SECTIONS if sections is None else cast("tuple[Section, ...]", sections)
 
 
 def build_report(motion: Motion) -> dict[str, Any]:

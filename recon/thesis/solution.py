@@ -78,7 +78,7 @@ class FrameSolution(Solution):
     fps: float
 
     method: ClassVar = "frame"
-    described_by: ClassVar = "recon.thesis.report"
+    record_tag: ClassVar = "frame"
     jitters: ClassVar = True
 
     @property
@@ -109,6 +109,12 @@ class FrameSolution(Solution):
         if at_limit > WARN_LIMITS * solved:
             findings.append(finding("at_range_limits", count=at_limit, frames_total=solved))
         return tuple(findings)
+
+    def report_sections(self) -> tuple[object, ...]:
+        """Return the frame method's sections of the report."""
+        from recon.thesis.report import SECTIONS
+
+        return SECTIONS
 
     def _expected(self, field: str) -> Array:
         """Return what the skeleton expects of theta and phi (2 A,)."""
