@@ -9,7 +9,6 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,8 +21,6 @@ from recon.geometry.frames import euler_rotation, inverse, level_from_camera, ri
 if TYPE_CHECKING:
     import pandas as pd
 
-IN_MEMORY = "recon.io.columns"
-"""Module that reads tables in memory. It is imported by name, because the readers are built on this room."""
 CORNER_PX, CONSTANT_SHARE, CONSTANT_KEYPOINTS = 1.0, 0.005, 3
 """A point stands for missing ones this near the corner, if this share of all points and this many keypoints lie exactly
 there.
@@ -94,7 +91,9 @@ class Keypoints(Brief):
         ------
         InputError
         """
-        return import_module(IN_MEMORY).from_dataframe(table, fps, individual)
+        from recon.io.columns import from_dataframe
+
+        return from_dataframe(table, fps, individual)
 
     @classmethod
     def from_xarray(cls, dataset: Any, fps: float | None = None, individual: str | None = None) -> Keypoints:
@@ -113,7 +112,9 @@ class Keypoints(Brief):
         ------
         InputError
         """
-        return import_module(IN_MEMORY).from_xarray(dataset, fps, individual)
+        from recon.io.columns import from_xarray
+
+        return from_xarray(dataset, fps, individual)
 
     @property
     def present(self) -> np.ndarray:

@@ -9,9 +9,8 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -26,6 +25,24 @@ Kind = Literal["2D", "3D", "bones", "cameras", "robot"]
 
 
 @dataclass(frozen=True)
+class Functions:
+    """Hold the functions of one format; None where files of it are not read, or not written."""
+
+    recognises: Callable[[Path], bool] | None = None
+    read: Callable[..., Any] | None = None
+    """From a path and the name of an individual."""
+    write: Callable[[Any, Path], None] | None = None
+
+
+_Loaded = TypeVar("_Loaded")
+
+
+def _present(function: _Loaded | None) -> _Loaded:
+    assert function is not None, "the table names a format for what its module does not do"
+    return function
+
+
+@dataclass(frozen=True)
 class Format:
     """One kind of file: how it is recognised, read and written."""
 
@@ -34,10 +51,8 @@ class Format:
     title: str
     suffixes: tuple[str, ...]
     """Suffixes, the usual one first."""
-    code: str
-    """Module of this room that reads and writes the format, imported on use. For "module/ending" its functions end so,
-    as in `read_ending`.
-    """
+    functions: Callable[[], Functions] | None = None
+    """Imports what reads and writes the format, on use; None of a format that a wing writes."""
     reads: tuple[Kind, ...] = ()
     writes: tuple[Kind, ...] = ()
     fps: str = ""
@@ -58,7 +73,8 @@ class Format:
 
         Raises InputError if damage hides it.
         """
-        return self.function("recognises")(path)
+        recognises = self._loaded().recognises
+        return recognises is not None and recognises(path)
 
     def read(self, path: Path, individual: str | None = None) -> Any:
         """Return the `StoredPoints` of one animal, or a list of `CameraRecord`, from a recognised file.
@@ -66,16 +82,194 @@ class Format:
         Raises InputError, also for what Python and libraries raise on a damaged file.
         """
         with damage_named(path, f"a whole file: {self.title}"):
-            return self.function("read")(path, individual)
+            return _present(self._loaded().read)(path, individual)
 
     def write(self, data: Any, path: Path) -> None:
         """Write `Keypoints`, `Pose3D`, `Armature` or cameras, as in `writes`, to a new file; raise InputError."""
-        self.function("write")(data, path)
+        _present(self._loaded().write)(data, path)
 
-    def function(self, verb: str) -> Callable[..., Any]:
-        """Return the function of its module that recognises, reads or writes the format."""
-        module, _, ending = self.code.partition("/")
-        return getattr(import_module(f"recon.io.{module}"), f"{verb}_{ending}" if ending else verb)
+    def _loaded(self) -> Functions:
+        return _present(self.functions)()
+
+
+def _deeplabcut_csv() -> Functions:
+    from recon.io.deeplabcut import read_csv, recognises_csv, write_csv
+
+    return Functions(recognises=recognises_csv, read=read_csv, write=write_csv)
+
+
+def _hdf5_poses_deeplabcut() -> Functions:
+    from recon.io.hdf5_poses import read_deeplabcut, recognises_deeplabcut, write_deeplabcut
+
+    return Functions(recognises=recognises_deeplabcut, read=read_deeplabcut, write=write_deeplabcut)
+
+
+def _hdf5_poses_points3d() -> Functions:
+    from recon.io.hdf5_poses import read_points3d, recognises_points3d
+
+    return Functions(recognises=recognises_points3d, read=read_points3d)
+
+
+def _hdf5_poses_sleap() -> Functions:
+    from recon.io.hdf5_poses import read_sleap, recognises_sleap
+
+    return Functions(recognises=recognises_sleap, read=read_sleap)
+
+
+def _hdf5_poses_movement() -> Functions:
+    from recon.io.hdf5_poses import read_movement, recognises_movement, write_movement
+
+    return Functions(recognises=recognises_movement, read=read_movement, write=write_movement)
+
+
+def _hdf5_poses_nwb() -> Functions:
+    from recon.io.hdf5_poses import read_nwb, recognises_nwb, write_nwb
+
+    return Functions(recognises=recognises_nwb, read=read_nwb, write=write_nwb)
+
+
+def _json_poses_coco() -> Functions:
+    from recon.io.json_poses import read_coco, recognises_coco
+
+    return Functions(recognises=recognises_coco, read=read_coco)
+
+
+def _json_poses_mmpose() -> Functions:
+    from recon.io.json_poses import read_mmpose, recognises_mmpose
+
+    return Functions(recognises=recognises_mmpose, read=read_mmpose)
+
+
+def _json_poses_openpose() -> Functions:
+    from recon.io.json_poses import read_openpose, recognises_openpose
+
+    return Functions(recognises=recognises_openpose, read=read_openpose)
+
+
+def _json_poses_fmpose3d() -> Functions:
+    from recon.io.json_poses import read_fmpose3d, recognises_fmpose3d
+
+    return Functions(recognises=recognises_fmpose3d, read=read_fmpose3d)
+
+
+def _markers_trc() -> Functions:
+    from recon.io.markers import read_trc, recognises_trc, write_trc
+
+    return Functions(recognises=recognises_trc, read=read_trc, write=write_trc)
+
+
+def _markers_c3d() -> Functions:
+    from recon.io.markers import read_c3d, recognises_c3d, write_c3d
+
+    return Functions(recognises=recognises_c3d, read=read_c3d, write=write_c3d)
+
+
+def _npz() -> Functions:
+    from recon.io.npz import read, recognises, write
+
+    return Functions(recognises=recognises, read=read, write=write)
+
+
+def _npz_fmpose3d() -> Functions:
+    from recon.io.npz import read_fmpose3d, recognises_fmpose3d
+
+    return Functions(recognises=recognises_fmpose3d, read=read_fmpose3d)
+
+
+def _columns_parquet() -> Functions:
+    from recon.io.columns import read_parquet, recognises_parquet, write_parquet
+
+    return Functions(recognises=recognises_parquet, read=read_parquet, write=write_parquet)
+
+
+def _dannce() -> Functions:
+    from recon.io.dannce import read, recognises
+
+    return Functions(recognises=recognises, read=read)
+
+
+def _bones_bvh() -> Functions:
+    from recon.io.bones import read_bvh, recognises_bvh, write_bvh
+
+    return Functions(recognises=recognises_bvh, read=read_bvh, write=write_bvh)
+
+
+def _bones_opensim() -> Functions:
+    from recon.io.bones import write_opensim
+
+    return Functions(write=write_opensim)
+
+
+def _bones_gltf() -> Functions:
+    from recon.io.bones import write_gltf
+
+    return Functions(write=write_gltf)
+
+
+def _columns_long() -> Functions:
+    from recon.io.columns import read_long, recognises_long, write_long
+
+    return Functions(recognises=recognises_long, read=read_long, write=write_long)
+
+
+def _calibration_own() -> Functions:
+    from recon.io.calibration import read_own, recognises_own
+
+    return Functions(recognises=recognises_own, read=read_own)
+
+
+def _camera_files_anipose() -> Functions:
+    from recon.io.camera_files import read_anipose, recognises_anipose
+
+    return Functions(recognises=recognises_anipose, read=read_anipose)
+
+
+def _camera_files_opensfm() -> Functions:
+    from recon.io.camera_files import read_opensfm, recognises_opensfm
+
+    return Functions(recognises=recognises_opensfm, read=read_opensfm)
+
+
+def _camera_files_acinoset() -> Functions:
+    from recon.io.camera_files import read_acinoset, recognises_acinoset
+
+    return Functions(recognises=recognises_acinoset, read=read_acinoset)
+
+
+def _dannce_cameras() -> Functions:
+    from recon.io.dannce import read_cameras, recognises_cameras
+
+    return Functions(recognises=recognises_cameras, read=read_cameras)
+
+
+def _camera_files_opencv() -> Functions:
+    from recon.io.camera_files import read_opencv, recognises_opencv
+
+    return Functions(recognises=recognises_opencv, read=read_opencv)
+
+
+def _json_poses_alphapose() -> Functions:
+    from recon.io.json_poses import read_alphapose, recognises_alphapose
+
+    return Functions(recognises=recognises_alphapose, read=read_alphapose)
+
+
+def _lab_cameras_easymocap() -> Functions:
+    from recon.io.lab_cameras import read_easymocap, recognises_easymocap
+
+    return Functions(recognises=recognises_easymocap, read=read_easymocap)
+
+
+def _lab_cameras_stereo() -> Functions:
+    from recon.io.lab_cameras import read_stereo, recognises_stereo
+
+    return Functions(recognises=recognises_stereo, read=read_stereo)
+
+
+def _lab_cameras_tables() -> Functions:
+    from recon.io.lab_cameras import read_tables, recognises_tables
+
+    return Functions(recognises=recognises_tables, read=read_tables)
 
 
 _2D: tuple[Kind, ...] = ("2D",)
@@ -86,41 +280,41 @@ _CAMERAS: tuple[Kind, ...] = ("cameras",)
 
 # fmt: off
 FORMATS: tuple[Format, ...] = (
-    Format("deeplabcut", "DeepLabCut CSV", (".csv",), "deeplabcut/csv", _BOTH, _BOTH,
+    Format("deeplabcut", "DeepLabCut CSV", (".csv",), _deeplabcut_csv, _BOTH, _BOTH,
            "in the scorer", "kept", "m, z up", unit="m"),
-    Format("deeplabcut", "DeepLabCut H5", (".h5", ".hdf5"), "hdf5_poses/deeplabcut", _BOTH, _BOTH,
+    Format("deeplabcut", "DeepLabCut H5", (".h5", ".hdf5"), _hdf5_poses_deeplabcut, _BOTH, _BOTH,
            "in the scorer", "kept", "m, z up", unit="m"),
-    Format("sleap-anipose", "sleap-anipose's points3d.h5", (".h5",), "hdf5_poses/points3d", _3D),
-    Format("sleap", "SLEAP analysis H5", (".h5",), "hdf5_poses/sleap", _2D),
-    Format("movement", "movement netCDF", (".nc",), "hdf5_poses/movement", _BOTH, _BOTH, "kept", "as times", "m, z up"),
-    Format("nwb", "ndx-pose NWB", (".nwb",), "hdf5_poses/nwb", _BOTH, _BOTH, "needed", "as times", "m, z up"),
-    Format("coco", "COCO JSON", (".json",), "json_poses/coco", _2D),
-    Format("alphapose", "AlphaPose JSON", (".json",), "json_poses/alphapose", _2D),
-    Format("mmpose", "MMPose JSON", (".json",), "json_poses/mmpose", _2D),
-    Format("openpose", "OpenPose JSON, a file a frame", (".json",), "json_poses/openpose", _2D),
-    Format("fmpose3d", "FMPose3D JSON of DeepLabCut", (".json",), "json_poses/fmpose3d", _3D, unit="m"),
-    Format("trc", "TRC", (".trc",), "markers/trc", _3D, _3D, "needed", "kept", "m, y up", up="y"),
-    Format("c3d", "C3D", (".c3d",), "markers/c3d", _3D, _3D, "needed", "RECON:FRAMES", "mm, z up"),
-    Format("npz", "NPZ", (".npz",), "npz", _3D, _3D, "kept", "kept", "m, z up"),
-    Format("fmpose3d", "FMPose3D NPZ of its demo", (".npz",), "npz/fmpose3d", _3D, unit="m"),
-    Format("parquet", "Parquet", (".parquet",), "columns/parquet", _3D, _3D, "in metadata", "kept", "m, z up"),
-    Format("dannce", "DANNCE MAT", (".mat",), "dannce", _3D),
-    Format("bvh", "BVH", (".bvh",), "bones/bvh", _3D, _BONES, "kept", "from 0", "m, y up", up="y"),
-    Format("opensim", "OpenSim model", (".osim",), "bones/opensim", (), _BONES, "as times", "as times", "m, y up",
+    Format("sleap-anipose", "sleap-anipose's points3d.h5", (".h5",), _hdf5_poses_points3d, _3D),
+    Format("sleap", "SLEAP analysis H5", (".h5",), _hdf5_poses_sleap, _2D),
+    Format("movement", "movement netCDF", (".nc",), _hdf5_poses_movement, _BOTH, _BOTH, "kept", "as times", "m, z up"),
+    Format("nwb", "ndx-pose NWB", (".nwb",), _hdf5_poses_nwb, _BOTH, _BOTH, "needed", "as times", "m, z up"),
+    Format("coco", "COCO JSON", (".json",), _json_poses_coco, _2D),
+    Format("alphapose", "AlphaPose JSON", (".json",), _json_poses_alphapose, _2D),
+    Format("mmpose", "MMPose JSON", (".json",), _json_poses_mmpose, _2D),
+    Format("openpose", "OpenPose JSON, a file a frame", (".json",), _json_poses_openpose, _2D),
+    Format("fmpose3d", "FMPose3D JSON of DeepLabCut", (".json",), _json_poses_fmpose3d, _3D, unit="m"),
+    Format("trc", "TRC", (".trc",), _markers_trc, _3D, _3D, "needed", "kept", "m, y up", up="y"),
+    Format("c3d", "C3D", (".c3d",), _markers_c3d, _3D, _3D, "needed", "RECON:FRAMES", "mm, z up"),
+    Format("npz", "NPZ", (".npz",), _npz, _3D, _3D, "kept", "kept", "m, z up"),
+    Format("fmpose3d", "FMPose3D NPZ of its demo", (".npz",), _npz_fmpose3d, _3D, unit="m"),
+    Format("parquet", "Parquet", (".parquet",), _columns_parquet, _3D, _3D, "in metadata", "kept", "m, z up"),
+    Format("dannce", "DANNCE MAT", (".mat",), _dannce, _3D),
+    Format("bvh", "BVH", (".bvh",), _bones_bvh, _3D, _BONES, "kept", "from 0", "m, y up", up="y"),
+    Format("opensim", "OpenSim model", (".osim",), _bones_opensim, (), _BONES, "as times", "as times", "m, y up",
            beside=(".mot", ".trc")),
-    Format("gltf", "glTF", (".glb",), "bones/gltf", (), _BONES, "as times", "from 0", "m, y up"),
-    Format("long", "plain CSV", (".csv",), "columns/long", _BOTH, _2D, "as a column", "kept"),
-    Format("camera", "camera file of recon", (".toml",), "calibration/own", _CAMERAS),
-    Format("anipose", "Anipose or Pose2Sim TOML", (".toml",), "camera_files/anipose", _CAMERAS),
-    Format("opendronemap", "OpenDroneMap cameras.json", (".json",), "camera_files/opensfm", _CAMERAS),
-    Format("acinoset", "AcinoSet JSON", (".json",), "camera_files/acinoset", _CAMERAS),
-    Format("dannce", "DANNCE MAT", (".mat",), "dannce/cameras", _CAMERAS),
-    Format("easymocap", "EasyMocap intri.yml", (".yml", ".yaml"), "lab_cameras/easymocap", _CAMERAS),
-    Format("stereo", "OpenCV stereo YAML, XML or JSON", (".yml", ".yaml", ".xml", ".json"), "lab_cameras/stereo",
+    Format("gltf", "glTF", (".glb",), _bones_gltf, (), _BONES, "as times", "from 0", "m, y up"),
+    Format("long", "plain CSV", (".csv",), _columns_long, _BOTH, _2D, "as a column", "kept"),
+    Format("camera", "camera file of recon", (".toml",), _calibration_own, _CAMERAS),
+    Format("anipose", "Anipose or Pose2Sim TOML", (".toml",), _camera_files_anipose, _CAMERAS),
+    Format("opendronemap", "OpenDroneMap cameras.json", (".json",), _camera_files_opensfm, _CAMERAS),
+    Format("acinoset", "AcinoSet JSON", (".json",), _camera_files_acinoset, _CAMERAS),
+    Format("dannce", "DANNCE MAT", (".mat",), _dannce_cameras, _CAMERAS),
+    Format("easymocap", "EasyMocap intri.yml", (".yml", ".yaml"), _lab_cameras_easymocap, _CAMERAS),
+    Format("stereo", "OpenCV stereo YAML, XML or JSON", (".yml", ".yaml", ".xml", ".json"), _lab_cameras_stereo,
            _CAMERAS),
-    Format("tables", "JSON with a table for each camera", (".json",), "lab_cameras/tables", _CAMERAS),
+    Format("tables", "JSON with a table for each camera", (".json",), _lab_cameras_tables, _CAMERAS),
     Format("opencv", "OpenCV YAML, XML or JSON, ROS camera_info", (".yaml", ".yml", ".xml", ".json"),
-           "camera_files/opencv", _CAMERAS),
+           _camera_files_opencv, _CAMERAS),
 )
 # fmt: on
 """A file has the first format that recognises it. If a suffix has several, the first that writes it is meant unless
@@ -197,7 +391,9 @@ def read_points(
         refuse_several(path)
     head = read_head(path)
     if by is not None:
-        return PLAIN, with_rate(path, PLAIN.function("read")(path, individual, by), fps)
+        from recon.io.columns import read_long
+
+        return PLAIN, with_rate(path, read_long(path, individual, by), fps)
     reader = recognised(path)
     if reader is None:
         raise InputError(Problem(path, "format", *describe(path, head, titles(kind))))

@@ -39,7 +39,6 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Literal
 from xml.etree import ElementTree
@@ -525,10 +524,11 @@ def _turns(chain: SerialChain) -> Array:
 def the_mujoco(source: str | Path) -> Any:
     """The module. Raises InputError where it is not installed; source: what it is needed for."""
     try:
-        return import_module("mujoco")
+        import mujoco
     except ImportError:
         expected = f"the package mujoco: {install_command('robots')}"
         raise InputError(Problem(source, "robot", "no MuJoCo to read or to simulate it", expected)) from None
+    return mujoco
 
 
 def read_model(path: str | Path, free: bool = False) -> Any:

@@ -22,7 +22,6 @@ import typing
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import MISSING, dataclass, replace
-from importlib import import_module
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -348,58 +347,249 @@ def _parameter(info: SettingInfo, overrules: bool) -> inspect.Parameter:
 
 # -- all commands -----------------------------------------------------------------------------------------------------
 
-_CORE, _ROBOTICS, _NET = "recon.workflows.", "recon.robotics.", "recon.keypoint_net."
-_THESIS = "recon.thesis."
+CommandFunction = Callable[..., Any]
+
+
+def _fit() -> CommandFunction:
+    from recon.workflows.fit import fit
+
+    return fit
+
+
+def _batch() -> CommandFunction:
+    from recon.workflows.batch import batch
+
+    return batch
+
+
+def _run() -> CommandFunction:
+    from recon.workflows.run import run
+
+    return run
+
+
+def _demo() -> CommandFunction:
+    from recon.workflows.demo import demo
+
+    return demo
+
+
+def _settings() -> CommandFunction:
+    return settings
+
+
+def _view() -> CommandFunction:
+    from recon.workflows.look import view
+
+    return view
+
+
+def _report() -> CommandFunction:
+    from recon.workflows.look import report
+
+    return report
+
+
+def _analyse() -> CommandFunction:
+    from recon.workflows.analyse import analyse_command
+
+    return analyse_command
+
+
+def _compare() -> CommandFunction:
+    from recon.workflows.compare import compare
+
+    return compare
+
+
+def _evaluate() -> CommandFunction:
+    from recon.workflows.evaluate import evaluate
+
+    return evaluate
+
+
+def _convert() -> CommandFunction:
+    from recon.workflows.convert import convert
+
+    return convert
+
+
+def _overlay() -> CommandFunction:
+    from recon.workflows.look import overlay
+
+    return overlay
+
+
+def _calibrate() -> CommandFunction:
+    from recon.workflows.calibrate import calibrate
+
+    return calibrate
+
+
+def _calibrate_extrinsics() -> CommandFunction:
+    from recon.workflows.extrinsics import extrinsics
+
+    return extrinsics
+
+
+def _camera_motion() -> CommandFunction:
+    from recon.workflows.camera_motion import camera_motion
+
+    return camera_motion
+
+
+def _camera_advice() -> CommandFunction:
+    from recon.workflows.camera_advice import camera_advice
+
+    return camera_advice
+
+
+def _train() -> CommandFunction:
+    from recon.keypoint_net.train import train_command
+
+    return train_command
+
+
+def _predict() -> CommandFunction:
+    from recon.keypoint_net.network import predict_command
+
+    return predict_command
+
+
+def _evaluate_2d() -> CommandFunction:
+    from recon.keypoint_net.labels import evaluate_2d_command
+
+    return evaluate_2d_command
+
+
+def _skeleton_list() -> CommandFunction:
+    from recon.workflows.skeleton import skeleton_list
+
+    return skeleton_list
+
+
+def _skeleton_check() -> CommandFunction:
+    from recon.workflows.skeleton import skeleton_check
+
+    return skeleton_check
+
+
+def _skeleton_from_keypoints() -> CommandFunction:
+    from recon.workflows.skeleton import skeleton_from_keypoints
+
+    return skeleton_from_keypoints
+
+
+def _subject_fit() -> CommandFunction:
+    from recon.workflows.models import subject_fit
+
+    return subject_fit
+
+
+def _prior_fit() -> CommandFunction:
+    from recon.workflows.models import prior_fit
+
+    return prior_fit
+
+
+def _ik() -> CommandFunction:
+    from recon.ik.clip import ik
+
+    return ik
+
+
+def _retarget() -> CommandFunction:
+    from recon.robotics.retarget_clip import retarget_command
+
+    return retarget_command
+
+
+def _robot_pose() -> CommandFunction:
+    from recon.robotics.dh import pose
+
+    return pose
+
+
+def _robot_dh() -> CommandFunction:
+    from recon.robotics.dh import dh
+
+    return dh
+
+
+def _climb() -> CommandFunction:
+    from recon.robotics.climb.plan import climb
+
+    return climb
+
+
+def _frame() -> CommandFunction:
+    from recon.thesis.clip import frame
+
+    return frame
+
+
+def _solver() -> CommandFunction:
+    from recon.thesis.clip import solver
+
+    return solver
+
+
+def _doctor() -> CommandFunction:
+    from recon.workflows.doctor import doctor
+
+    return doctor
+
+
 COMMANDS = {
     "From a clip to its motion": {
-        "fit": (_CORE + "fit:fit", "One clip: keypoints and a camera in, a folder of results out."),
-        "batch": (_CORE + "batch:batch", "Many clips in parallel, from where it was stopped."),
-        "run": (_CORE + "run:run", "From a video to a page: keypoints, fit, analysis, overlay, report.html."),
-        "demo": (_CORE + "demo:demo", "Fit the bundled sample and compare it with its truth."),
-        "settings": (_CORE + "cli:settings", "All settings of a command, also those that are no options."),
+        "fit": (_fit, "One clip: keypoints and a camera in, a folder of results out."),
+        "batch": (_batch, "Many clips in parallel, from where it was stopped."),
+        "run": (_run, "From a video to a page: keypoints, fit, analysis, overlay, report.html."),
+        "demo": (_demo, "Fit the bundled sample and compare it with its truth."),
+        "settings": (_settings, "All settings of a command, also those that are no options."),
     },
     "Look at it and use it": {
-        "view": (_CORE + "look:view", "The playback in the rerun viewer, with the plots of its analysis."),
-        "report": (_CORE + "look:report", "A page of a result, or of a batch, to look at and to pass on."),
-        "analyse": (_CORE + "analyse:analyse_command", "Speeds, angles, gait, vector fields and phase portraits."),
-        "compare": (_CORE + "compare:compare", "Strides and speeds of several clips, by group."),
-        "evaluate": (_CORE + "evaluate:evaluate", "Compare a result with a reference."),
-        "convert": (_CORE + "convert:convert", "Keypoints, 3D positions or results in another file format."),
-        "overlay": (_CORE + "look:overlay", "Draw a result on its video."),
+        "view": (_view, "The playback in the rerun viewer, with the plots of its analysis."),
+        "report": (_report, "A page of a result, or of a batch, to look at and to pass on."),
+        "analyse": (_analyse, "Speeds, angles, gait, vector fields and phase portraits."),
+        "compare": (_compare, "Strides and speeds of several clips, by group."),
+        "evaluate": (_evaluate, "Compare a result with a reference."),
+        "convert": (_convert, "Keypoints, 3D positions or results in another file format."),
+        "overlay": (_overlay, "Draw a result on its video."),
     },
     "Cameras": {
-        "calibrate": (_CORE + "calibrate:calibrate", "A camera, from pictures of a board."),
-        "calibrate extrinsics": (_CORE + "extrinsics:extrinsics", "Where cameras stand, from clips of the animal."),
-        "camera-motion": (_CORE + "camera_motion:camera_motion", "How a camera turned, from its video."),
-        "camera-advice": (_CORE + "camera_advice:camera_advice", "Where to put a camera, to see an angle or a joint."),
+        "calibrate": (_calibrate, "A camera, from pictures of a board."),
+        "calibrate extrinsics": (_calibrate_extrinsics, "Where cameras stand, from clips of the animal."),
+        "camera-motion": (_camera_motion, "How a camera turned, from its video."),
+        "camera-advice": (_camera_advice, "Where to put a camera, to see an angle or a joint."),
     },
     "Keypoints from video": {
-        "train": (_NET + "train:train_command", "Train a small keypoint network on a few labels."),
-        "predict": (_NET + "network:predict_command", "Find the keypoints in every frame of a video."),
-        "evaluate-2d": (_NET + "labels:evaluate_2d_command", "Compare keypoints with labels."),
+        "train": (_train, "Train a small keypoint network on a few labels."),
+        "predict": (_predict, "Find the keypoints in every frame of a video."),
+        "evaluate-2d": (_evaluate_2d, "Compare keypoints with labels."),
     },
     "Models and priors": {
-        "skeleton list": (_CORE + "skeleton:skeleton_list", "List the skeletons that come with the package."),
-        "skeleton check": (_CORE + "skeleton:skeleton_check", "Check a skeleton file, list it, and draw it."),
-        "skeleton from-keypoints": (_CORE + "skeleton:skeleton_from_keypoints", "Draft one for a file's points."),
-        "subject fit": (_CORE + "models:subject_fit", "Measure one animal in clips of several cameras."),
-        "prior fit": (_CORE + "models:prior_fit", "Fit a motion prior to results or 3D poses."),
+        "skeleton list": (_skeleton_list, "List the skeletons that come with the package."),
+        "skeleton check": (_skeleton_check, "Check a skeleton file, list it, and draw it."),
+        "skeleton from-keypoints": (_skeleton_from_keypoints, "Draft one for a file's points."),
+        "subject fit": (_subject_fit, "Measure one animal in clips of several cameras."),
+        "prior fit": (_prior_fit, "Fit a motion prior to results or 3D poses."),
     },
     "Robots and the thesis": {
-        "ik": ("recon.ik.clip:ik", "Inverse kinematics from the trunk to a foot."),
-        "retarget": (_ROBOTICS + "retarget_clip:retarget_command", "The motion on a four-legged robot."),
-        "robot pose": (_ROBOTICS + "dh:pose", "The legs' angles of a body that moves over planted feet."),
-        "robot dh": (_ROBOTICS + "dh:dh", "A leg or chain by its Denavit-Hartenberg table, forward and inverse."),
-        "climb": (_ROBOTICS + "climb.plan:climb", "A four-legged robot climbs a step by potential fields."),
-        "frame": (_THESIS + "clip:frame", "Fit one side of the animal, one frame after the other."),
-        "solver": (_THESIS + "clip:solver", "What the optimiser of recon frame did: costs, Jacobian, limits."),
+        "ik": (_ik, "Inverse kinematics from the trunk to a foot."),
+        "retarget": (_retarget, "The motion on a four-legged robot."),
+        "robot pose": (_robot_pose, "The legs' angles of a body that moves over planted feet."),
+        "robot dh": (_robot_dh, "A leg or chain by its Denavit-Hartenberg table, forward and inverse."),
+        "climb": (_climb, "A four-legged robot climbs a step by potential fields."),
+        "frame": (_frame, "Fit one side of the animal, one frame after the other."),
+        "solver": (_solver, "What the optimiser of recon frame did: costs, Jacobian, limits."),
     },
     "This installation": {
-        "doctor": (_CORE + "doctor:doctor", "Check versions, optional parts, the viewer, and a fit of the sample."),
+        "doctor": (_doctor, "Check versions, optional parts, the viewer, and a fit of the sample."),
     },
 }
-"""By heading and name: where the command's function is, and what `recon --help` says of it. Modules are named, not
-imported: a wing's command is known here by its name only."""
+"""By heading and name: what imports the command's function, and what `recon --help` says of it. Only the command that
+is called is imported."""
 GROUPS = {
     "skeleton": "Skeletons: those that come with the package, and your own.",
     "subject": "Measured animals: lengths of one animal, and how a detector sees it.",
@@ -409,16 +599,15 @@ GROUPS = {
 
 
 class _Group(TyperGroup):
-    """Commands by name, of which only the one that is called is imported. functions: where each one's function is."""
+    """Commands by name, of which only the one that is called is imported. functions: what imports each function."""
 
     def __init__(self, **more: Any) -> None:
         super().__init__(**more)
-        self.functions: dict[str, str] = {}
+        self.functions: dict[str, Callable[[], CommandFunction]] = {}
 
     def load(self, name: str) -> SettingsCommand:
         """A command by its name, of one word or two."""
-        module, _, function = self.functions[name].partition(":")
-        return make_command(name, getattr(import_module(module), function))
+        return make_command(name, self.functions[name]())
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         both = " ".join(args[:2])
@@ -488,7 +677,9 @@ def settings(settings: _ListedSettings) -> Answer:
     Example: recon settings fit
     """
     if settings.schema:
-        schema = import_module("recon.workflows.clip_results").config_schema()
+        from recon.workflows.clip_results import config_schema
+
+        schema = config_schema()
         return Answer(schema, [Text(json.dumps(schema, indent=1, ensure_ascii=False))])
     command = commands().get(settings.command)
     if command is None:

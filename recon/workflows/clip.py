@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,7 +45,7 @@ from recon.fit.trajectory import solve_trajectory
 from recon.geometry.camera import Camera
 from recon.io.calibration import read_camera, read_cameras
 from recon.io.formats import read_keypoints
-from recon.workflows.settings import METHODS, UNITS_M, FitSettings, Unit
+from recon.workflows.settings import UNITS_M, FitSettings, Unit
 
 if TYPE_CHECKING:
     from recon.io.camera_track import CameraTrack
@@ -71,11 +70,15 @@ Cameras = tuple[ClipCamera, ...]
 
 
 def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
-    """Reconstruct one clip: the whole animal, or a chain, over all frames at once, or as another of `METHODS` does it.
+    """Reconstruct one clip over all frames at once, or one frame after the other (method "frame").
+
     Raises InputError for files and settings that cannot be used, with the problems of all of them. Frames that cannot
-    be solved are part of the result."""
-    if settings.method in METHODS:
-        return import_module(METHODS[settings.method]).fit_clip(settings, progress)
+    be solved are part of the result.
+    """
+    if settings.method == "frame":
+        from recon.thesis.clip import fit_clip as fit_frames
+
+        return fit_frames(settings, progress)
     given = prepare(settings)
     body, prior, sources, options = given.body, given.prior, given.sources, settings.trajectory_options()
 
@@ -258,8 +261,10 @@ def _read_clip(settings: FitSettings, path: Path, given_fps: float | None) -> Ke
 
 
 def _model(settings: FitSettings) -> tuple[Body, MotionPrior]:
-    if settings.method in METHODS:
-        body = import_module(METHODS[settings.method]).load_body(settings)
+    if settings.method == "frame":
+        from recon.thesis.clip import load_body
+
+        body = load_body(settings)
         return body, load_prior(None, body)
     body = with_detector_offsets(load_skeleton(settings.skeleton_name, settings.subject), settings.detector)
     body = body if settings.size is None else body.scaled(settings.size)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,9 +24,8 @@ from recon.show.rig import rig_of
 from recon.workflows.cli import ANYWAY, Answer, table_of
 from recon.workflows.settings import INDIVIDUAL, RENAME
 
-ROBOTS, ROBOT_FILE = "recon.robotics.retarget_clip", "robot.npz"
-"""What converts a folder of `recon retarget`, which has such a file. It is imported by its name, as no room needs a
-wing."""
+ROBOT_FILE = "robot.npz"
+"""In a folder of `recon retarget`."""
 
 
 class ConvertSettings(Settings):
@@ -78,7 +76,9 @@ def convert(settings: ConvertSettings) -> Answer:
         raise InputError(Problem("recon convert", "files", found, "IN and OUT, as in recon convert clip.csv clip.nc"))
     if (source / ROBOT_FILE).is_file():
         name = choose_format(out, settings.to, _robot_formats()).name
-        said = import_module(ROBOTS).convert(source, out, name, settings.fps, settings.overwrite)
+        from recon.robotics.retarget_clip import convert as convert_robot
+
+        said = convert_robot(source, out, name, settings.fps, settings.overwrite)
         return Answer({"out": out, "format": name}, [said])
     (data, motion), target, _ = collect_problems(
         lambda: read_any(source, settings),
@@ -160,9 +160,10 @@ def _pose_of(motion: Motion) -> Pose3D:
 
 
 def _robot_formats() -> tuple[Format, ...]:
+    from recon.robotics.retarget_clip import FORMATS
+
     own = {"writes": ("robot",), "fps": "kept", "frames": "from 0", "axes": "m, z up"}
-    files = import_module(ROBOTS).FORMATS.items()
-    return tuple(Format(name, name, (Path(file).suffix,), ROBOTS, **own) for name, (file, _) in files)
+    return tuple(Format(name, name, (Path(file).suffix,), **own) for name, (file, _) in FORMATS.items())
 
 
 def choose_format(out: Path, name: str | None, formats: Sequence[Format] = CONVERTED) -> Format:

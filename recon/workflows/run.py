@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -42,8 +41,6 @@ from recon.workflows.settings import OF_ANY_CLIP, FitSettings
 RECORD = "run.jsonl"
 Stage = Literal["detect", "camera-motion", "fit", "analyse", "overlay", "page"]
 OVERLAY = "overlay.mp4"
-DETECTOR = "recon.keypoint_net.network"
-"""The package that finds keypoints. It is imported by its name, where a job has a network: no room needs a wing."""
 _OfFit = Annotated[dict[str, Any], OptionsOf(FitSettings, OF_ANY_CLIP, "Settings of the fit")]
 
 
@@ -155,13 +152,20 @@ def _line(done: _StageOutcome) -> str:
     return f"{done.stage:<14}{text}"
 
 
+def _model_file(path: Path) -> Path:
+    """Return the file of a network. It is imported where a job has one: no other job needs the package."""
+    from recon.keypoint_net.network import model_file
+
+    return model_file(path)
+
+
 def job_of(run: _RunSettings, given: Mapping[str, Any]) -> _Job:
     """given: settings of the fit by name. The frame rate is the video's own unless it is given. Raises InputError with
     every problem."""
     keypoints = run.keypoints or run.out / f"{run.video.stem}_keypoints.csv"
     info, _, settings, _ = collect_problems(
         lambda: probe(run.video),
-        lambda: None if run.model is None else import_module(DETECTOR).model_file(run.model),
+        lambda: None if run.model is None else _model_file(run.model),
         lambda: read_settings(run.config, {**given, "keypoints": keypoints}),
         lambda: raise_problems(_motion_problems(run, given)),
     )
@@ -253,7 +257,9 @@ def _stages(job: _Job) -> dict[str, _Stage]:
 
     def detect(progress: Progress) -> Answer:
         how = {"threads": job.threads, "overwrite": True, "progress": progress}
-        found = import_module(DETECTOR).run_prediction(run.video, run.model, keypoints, **how)
+        from recon.keypoint_net.network import run_prediction
+
+        found = run_prediction(run.video, run.model, keypoints, **how)
         return Answer({}, files=[keypoints], notes=found.notes)
 
     def solve(progress: Progress) -> Answer:
@@ -262,7 +268,7 @@ def _stages(job: _Job) -> dict[str, _Stage]:
 
     stages = {}
     if run.model is not None:
-        network = film | {"model": import_module(DETECTOR).model_file(run.model)}
+        network = film | {"model": _model_file(run.model)}
         stages["detect"] = _Stage(detect, lambda: identity_of(network, {}), (keypoints,))
     if run.camera_motion is not None and given.camera is not None:
         turning = of_clip(given, run.video, run.track, **first, zoom=run.camera_motion == "zooms", overwrite=True)

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 Method = Literal["trajectory", "frame"]
 Unit = Literal["m", "cm", "mm"]
 UNITS_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-METHODS = {"frame": "recon.thesis.clip"}
-"""By the name of another method, the package that fits by it. It is imported by its name: no room needs a wing."""
 DEFAULT_SKELETONS: dict[Method, str] = {"trajectory": "cheetah-24", "frame": "cheetah-8u"}
 """By method."""
 
