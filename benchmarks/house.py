@@ -1,10 +1,13 @@
 """How large the package is to carry, in one table: code, classes, what a fit loads, its options, circles, times.
 
-python benchmarks/house.py [--rooms] [--quick]
+python benchmarks/house.py [--rooms] [--quick] [--check] [--where]
 
 Code lines are those with code: no blank lines, comments or docstrings. A public class is one at the top of a module
 whose name has no underscore in front. A circle is a group of files that import each other, wherever in a file the
 import stands. --rooms adds a table of lines and classes for each room; --quick leaves out the times.
+
+--check prints how many names and imports of each room break a rule (`RULES`), and fails where there are more than
+allowed; --where prints each of them, too.
 """
 
 from __future__ import annotations
@@ -84,6 +87,134 @@ def public_classes(tree: ast.Module) -> list[str]:
     return [node.name for node in tree.body if isinstance(node, ast.ClassDef) and not node.name.startswith("_")]
 
 
+# -- rules on names and imports ----------------------------------------------------------------------------------------
+
+_WORDS = """
+again alike also another apart aside away before behind beside both each even far found given held here how its more
+most much now of off once one only other others out own said so some still such than that their then there these they
+this those thus told too us very what when where which while who whose why with within yet
+"""
+FUNCTION_WORDS = frozenset(_WORDS.split())
+"""Words that say nothing of a value, and are no names."""
+UPWARD = {
+    "recon.clip": {"recon.io.columns"},  # Keypoints.from_dataframe and from_xarray
+    "recon.io.formats": {"recon.io"},  # the table of formats
+    "recon.fit.motion_forms": {"recon.thesis.solution"},  # Motion.load, of results of the frame method
+    "recon.thesis.solution": {"recon.thesis.report"},  # the method's own sections of the report
+    "recon.workflows.clip": {"recon.thesis.clip"},  # fit_clip, by the frame method
+    "recon.workflows.convert": {"recon.robotics.retarget_clip"},  # results of recon retarget
+    "recon.workflows.run": {"recon.keypoint_net.network"},  # keypoints from a video
+    "recon.workflows.cli": {"recon"},  # the table of commands
+}
+"""Modules that import, inside a function, what is built on them, and which modules that is."""
+
+
+def function_word_names(tree: ast.Module) -> list[tuple[int, str]]:
+    """Return the lines and names of what is called by a function word."""
+    return [(line, name) for line, name in bindings(tree) if name in FUNCTION_WORDS]
+
+
+def shadowing_names(tree: ast.Module) -> list[tuple[int, str]]:
+    """Return the lines and names of local variables that hide an import, a function or a class of the module."""
+    top = {
+        (alias.asname or alias.name).split(".")[0]
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for alias in node.names
+    }
+    definitions = ast.FunctionDef | ast.AsyncFunctionDef
+    top |= {node.name for node in tree.body if isinstance(node, definitions | ast.ClassDef)}
+    functions = [node for node in ast.walk(tree) if isinstance(node, definitions | ast.Lambda)]
+    names = {pair for function in functions for pair in bindings(function) if pair[1] in top}
+    names -= {(node.lineno, node.name) for node in ast.walk(tree) if isinstance(node, definitions | ast.ClassDef)}
+    return sorted(names)
+
+
+def bindings(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Yield the line and name of every variable, parameter, field, function, class and alias of an import."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.lineno, node.id
+        elif isinstance(node, ast.arg):
+            yield node.lineno, node.arg
+        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef) or (
+            isinstance(node, ast.ExceptHandler | ast.MatchAs | ast.MatchStar) and node.name is not None
+        ):
+            yield node.lineno, node.name
+        elif isinstance(node, ast.alias) and node.asname:
+            yield node.lineno, node.asname
+
+
+def string_imports(tree: ast.Module) -> list[tuple[int, str]]:
+    """Return the lines and names of calls that import, or take an attribute, by a name that the code builds."""
+    found = []
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Call):
+            continue
+        called = _called(node.func)
+        built = called == "getattr" and isinstance(node.args[1], ast.JoinedStr | ast.BinOp)
+        if called in ("import_module", "__import__") or built:
+            found.append((node.lineno, called))
+    return found
+
+
+def any_in_signatures(tree: ast.Module) -> list[tuple[int, str]]:
+    """Return the lines and functions of parameters and returned values of which nothing is said but `Any`.
+
+    That is `Any` itself, in a union, or as the element of a sequence; tables of plain types, `dict[str, Any]`, and
+    keywords that are passed on, `**keywords: Any`, do not count.
+    """
+    found = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            parameters = [
+                *node.args.posonlyargs,
+                *node.args.args,
+                *node.args.kwonlyargs,
+                node.args.vararg,
+            ]
+            annotations = [*(one.annotation for one in parameters if one is not None), node.returns]
+            found += [(note.lineno, node.name) for note in annotations if note is not None and _has_any(note)]
+    return found
+
+
+def _has_any(annotation: ast.expr) -> bool:
+    if isinstance(annotation, ast.BinOp):
+        return _has_any(annotation.left) or _has_any(annotation.right)
+    if isinstance(annotation, ast.Subscript) and _called(annotation.value) in SEQUENCES:
+        return _has_any(annotation.slice)
+    return isinstance(annotation, ast.Name) and annotation.id == "Any"
+
+
+SEQUENCES = ("Iterable", "Iterator", "Sequence", "list", "set")
+
+RULES = (
+    ("function words as names", function_word_names, 0),
+    ("names that shadow", shadowing_names, 0),
+    ("imports by strings", string_imports, 0),
+    ("`Any` in signatures", any_in_signatures, 40),
+)
+"""What is counted, by what, and at most how many."""
+
+
+def check(where: bool) -> bool:
+    """Print how many of each of `RULES` every room has, and return whether there are few enough."""
+    counts: Counter[tuple[str, str]] = Counter()
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts, tree = path.relative_to(PACKAGE).parts, ast.parse(path.read_text(encoding="utf-8"))
+        for title, occurrences, _ in RULES:
+            lines = occurrences(tree)
+            counts[parts[0].removesuffix(".py"), title] += len(lines)
+            for line, name in lines if where else ():
+                print(f"{path.relative_to(ROOT)}:{line}: {title}: {name}")
+    rooms = sorted({room for (room, _), count in counts.items() if count})
+    titles = [title for title, _, _ in RULES]
+    totals = [sum(counts[room, title] for room in rooms) for title in titles]
+    table = [[room, *(counts[room, title] for title in titles)] for room in rooms]
+    print_table(["room", *titles], [*table, ["all", *totals], ["at most", *(most for *_, most in RULES)]])
+    return all(total <= most for total, (*_, most) in zip(totals, RULES, strict=True))
+
+
 # -- circles ----------------------------------------------------------------------------------------------------------
 
 
@@ -116,9 +247,15 @@ def _called(function: ast.expr) -> str:
 
 
 def imports() -> dict[str, set[str]]:
-    """For each module of the package those of the package that it imports."""
+    """For each module of the package those of the package that it imports, without those of `UPWARD`."""
     trees = sources()
-    return {name: imported_by(name, tree, is_package(name), trees) for name, tree in trees.items()}
+    graph = {name: imported_by(name, tree, is_package(name), trees) for name, tree in trees.items()}
+    return {name: {target for target in targets if not is_upward(name, target)} for name, targets in graph.items()}
+
+
+def is_upward(module: str, target: str) -> bool:
+    """Return whether an import is one of `UPWARD`."""
+    return any(f"{target}.".startswith(f"{name}.") for name in UPWARD.get(module, ()))
 
 
 def is_package(module: str) -> bool:
@@ -219,7 +356,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rooms", action="store_true")
     parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--check", action="store_true")
+    parser.add_argument("--where", action="store_true")
     options = parser.parse_args()
+    if options.check or options.where:
+        raise SystemExit(not check(options.where))
     print_table(["what", "now", "at most"], list(rows(options.quick)))
     if options.rooms:
         print_rooms()
