@@ -42,7 +42,7 @@ def main() -> int:
         if given.case is not None:
             kept = Path(tempfile.mkdtemp(prefix="recon-fuzz-case-"))
             chosen, content = case(given.case, given.seed, good)
-            print(f"{kept / chosen.name}: {len(content)} bytes", flush=True)
+            print(f"{str(kept / chosen.name)!a}: {len(content)} bytes", flush=True)
             print(run(chosen, content, kept) or "read")
             return 0
         made_s = time.monotonic() - start

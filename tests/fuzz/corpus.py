@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from importlib import resources
@@ -19,7 +21,9 @@ from recon import FitSettings, InputError, find_clips, read_settings
 from recon.animal.naming import load_names
 from recon.animal.prior import load_prior
 from recon.animal.skeleton_file import builtin_subjects, load_skeleton, with_detector_offsets
+from recon.base.errors import Problem, printable
 from recon.base.files import MANIFEST, write_manifest
+from recon.base.tables import guarded
 from recon.clip import Keypoints, clean
 from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
@@ -39,6 +43,7 @@ from recon.robotics.physics import described
 from recon.robotics.quadruped import LEGS, load_robot
 from recon.robotics.retarget import Reference, place, posed
 from recon.robotics.retarget_clip import KEPT, RobotSamples, keep, kept_motions
+from recon.show.plain import to_json
 from recon.show.rig import make_rig
 from recon.workflows.clip_results import Record, run_clip
 
@@ -289,8 +294,32 @@ def _texts() -> Iterator[Seed]:
     batch += f"{SAMPLES}/noisy.csv,{SAMPLES}/camera.toml,30,,frame\n"
     yield Seed("batch.csv", batch.encode(), lambda path: find_clips([path], {}), 2.0)
     yield Seed("rates.json", b'{"fps": [120, 90]}', _rates, 0.5)
+    for name in (b"caf\xe9.csv", "L\u00e4ufer (1).csv".encode(), b"\\xe9=1.csv"):
+        yield Seed("name.txt", name, _file_name, 0.5)
     record = {"schema": {"name": "recon.batch", "version": 3}, "clip": "a", "state": "started", "keypoints": ["a.csv"]}
     yield Seed("record.jsonl", json.dumps(record).encode(), _record, 0.5)
+
+
+def _file_name(path: Path) -> object:
+    """A name is written into a config.toml, and that finds the file again; it is a cell, a line and JSON, too."""
+    name = os.fsdecode(path.read_bytes().replace(b"\0", b"").replace(b"/", b"")[:255])
+    folder = path.with_name("names")
+    shutil.rmtree(folder, ignore_errors=True)
+    (folder / "out").mkdir(parents=True)
+    try:
+        (folder / name).write_text(WIDE, encoding="utf-8")
+    except OSError as error:
+        raise InputError(Problem(path, "name", str(error), "a name of a file")) from None
+    settings = FitSettings(keypoints=folder / name, camera=SAMPLES / "camera.toml", fps=60)
+    (folder / "out" / "config.toml").write_text(settings.to_toml(folder / "out"), encoding="utf-8")
+    assert read_settings(folder / "out" / "config.toml", {}).keypoints == settings.keypoints, ascii(name)
+    json.loads(to_json({name: name}))
+    printable(guarded(name)).encode()
+    clips, _ = find_clips([folder / name], {"camera": SAMPLES / "camera.toml", "fps": 60})
+    for clip in clips:
+        (folder / "out" / clip.name).mkdir()
+        clip.name.encode()
+    return clips
 
 
 def _by_map(path: Path) -> object:

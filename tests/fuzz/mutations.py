@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import re
 import tomllib
 import zipfile
@@ -73,6 +74,34 @@ def spoilt(content: bytes, suffix: str, random: Random) -> bytes:
         except Exception:
             content = in_bytes(content, random)  # its values are spoilt beyond their own form
     return content
+
+
+ODD_PARTS = (
+    b"caf\xe9",
+    b"\xff\xfe",
+    b"\\xe9",
+    b"\n",
+    b"\x1b[31m",
+    b"=1+1",
+    b"-",
+    b" ",
+    b"'",
+    b'"',
+    b"%s",
+    b"{0}",
+    b"[bold]",
+    b"$HOME",
+)
+ODD_PARTS += (b"&<b>", b"#", b";", b",", b"*", b"..", b"\xf0\x9f\x90\x86", b"\xe2\x80\xae", b"e\xcc\x81", b"a" * 180)
+"""In the names of files."""
+
+
+def spoilt_name(name: str, random: Random) -> str:
+    """A file's name, mostly as it is, else with odd bytes before it."""
+    if random.random() < 0.8:
+        return name
+    parts = random.choices(ODD_PARTS, k=random.choice((1, 1, 2)))
+    return os.fsdecode(b"".join(parts)[-200:]) + name
 
 
 # -- bytes --------------------------------------------------------------------------------------------------------

@@ -11,12 +11,12 @@ import time
 import traceback
 import warnings
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from random import Random
 
 from tests.fuzz.corpus import Seed, outcome
-from tests.fuzz.mutations import spoilt
+from tests.fuzz.mutations import spoilt, spoilt_name
 
 CASE_S = 20.0
 """Longer is a hang, also on a busy machine."""
@@ -40,10 +40,11 @@ class Tally:
 
 
 def case(number: int, seed: int, good: list[Seed]) -> tuple[Seed, bytes]:
-    """The file of one case."""
+    """The file of one case. Some have odd names."""
     random = Random(f"{seed} {number}")
     chosen = random.choices(good, [s.share for s in good])[0]
-    return chosen, spoilt(chosen.content, chosen.suffix, random)
+    name = spoilt_name(chosen.name, Random(f"{seed} {number} name"))
+    return replace(chosen, name=name), spoilt(chosen.content, chosen.suffix, random)
 
 
 def run(chosen: Seed, content: bytes, folder: Path) -> str | None:
@@ -103,7 +104,7 @@ class _Child:
         os.chdir(mine)
         for number in range(self.first, self.end, self.step):
             chosen, content = case(number, seed, good)
-            os.write(writing, f"{number} {chosen.name}\n".encode())
+            os.write(writing, f"{number} {chosen.name!a}\n".encode())
             try:
                 answer = run(chosen, content, mine) or "read"
             except BaseException as error:

@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 import tables
 from command_line import refusal, says
+from exact_tables import read_csv
 from typer.testing import CliRunner
 
 from recon.clip import Keypoints
@@ -189,7 +190,7 @@ def test_deeplabcut_by_pandas(files_2d, files_3d, name):
         if path is files_3d[name]:
             levels.remove("individuals")
         if name.endswith("csv"):
-            table = pd.read_csv(path, header=list(range(len(levels))), index_col=0)
+            table = read_csv(path, header=list(range(len(levels))), index_col=0)
         else:
             table = pd.read_hdf(path, key="df_with_missing")
         assert list(table.columns.names) == levels
@@ -340,7 +341,7 @@ def test_trc_by_its_layout(files_3d):
     assert (header["NumFrames"], header["NumMarkers"], header["OrigDataStartFrame"]) == ("5", "4", "7")
     assert lines[3].split("\t") == ["Frame#", "Time", "鼻", "", "", "tail", "", "", "ear", "", "", "paw", "", ""]
     assert lines[4].split("\t")[:5] == ["", "", "X1", "Y1", "Z1"]
-    table = pd.read_csv(files_3d["trc.trc"], sep="\t", skiprows=5, header=None)
+    table = read_csv(files_3d["trc.trc"], sep="\t", skiprows=5, header=None)
     assert table[0].tolist() == FRAMES.tolist()
     np.testing.assert_allclose(table[1], FRAMES / FPS)
     x, y, z = a_pose().xyz_m[..., 0], a_pose().xyz_m[..., 1], a_pose().xyz_m[..., 2]

@@ -6,12 +6,14 @@ import json
 import pickle
 import struct
 import warnings
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 from command_line import refusal, says
 from scipy.io import savemat
@@ -796,8 +798,7 @@ def test_bvh_against_another_reader(tmp_path):
     pose = read_pose3d(path, unit="m", up="z")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of its dependencies
-        import bvhio
-
+        bvhio = pytest.importorskip("bvhio")
         root = bvhio.readAsHierarchy(str(path))
     for t in range(20):
         root.loadPose(t)
@@ -875,7 +876,8 @@ def test_parquet_of_others(tmp_path):
     table.drop(columns="nose_z_mm").to_parquet(tmp_path / "b.parquet")
     long = pd.DataFrame({"frame": [0, 0, 1, 1], "joint": ["nose", "tail"] * 2, "x_m": range(4), "y_m": 1.0, "z_m": 2.0})
     for kind in ("category", "large_string[pyarrow]", "string_view[pyarrow]"):
-        long.astype({"joint": kind}).to_parquet(tmp_path / "long.parquet")
+        with suppress(pa.ArrowNotImplementedError):  # string_view, in old versions: the file of before stays
+            long.astype({"joint": kind}).to_parquet(tmp_path / "long.parquet")
         found = read_pose3d(tmp_path / "long.parquet")
         assert found.names == ("nose", "tail")
         np.testing.assert_array_equal(found.xyz_m[:, :, 0], [[0, 1], [2, 3]])

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
+from exact_tables import read_csv
 
 from recon.io.formats import read_keypoints
 from recon.io.positions import read_pose3d
@@ -32,7 +32,7 @@ def test_pose3d_round_trip(small_motion, tmp_path):
 def test_angles_round_trip(small_motion, tmp_path):
     path = tmp_path / "angles.csv"
     tables.angles(small_motion, path)
-    table = pd.read_csv(path, index_col="frame")
+    table = read_csv(path, index_col="frame")
     assert list(table.columns[:8]) == [
         *("x_m", "y_m", "z_m", "J0_yaw_rad", "J0_pitch_rad", "J0_roll_rad", "phi_6_rad", "theta_6_rad")
     ]
@@ -49,7 +49,7 @@ def test_reprojection_is_a_deeplabcut_file(small_motion, tmp_path):
     np.testing.assert_array_equal(keypoints.frames, small_motion.frames)
     np.testing.assert_array_equal(keypoints.confidence, np.tile(small_motion.solved[:, None], (1, 9)).astype(float))
 
-    table = pd.read_csv(path, header=[0, 1, 2], index_col=0)
+    table = read_csv(path, header=[0, 1, 2], index_col=0)
     assert table.columns.names == ["scorer", "bodyparts", "coords"]
     np.testing.assert_allclose(
         table["recon", "spine", "x"], small_motion.pictures[0].reprojected_px[:, 4, 0], rtol=1e-15
@@ -59,7 +59,7 @@ def test_reprojection_is_a_deeplabcut_file(small_motion, tmp_path):
 
 def test_angles_of_a_whole_animal(world_trajectory, tmp_path):
     tables.angles(world_trajectory, tmp_path / "angles.csv")
-    table = pd.read_csv(tmp_path / "angles.csv", index_col="frame")
+    table = read_csv(tmp_path / "angles.csv", index_col="frame")
     assert list(table.columns[:5]) == ["x_m", "y_m", "z_m", "rear_trunk_yaw_rad", "rear_trunk_pitch_rad"]
     assert table.columns[-1] == "r_hind_foot_pitch_rad"
     np.testing.assert_allclose(table.to_numpy(), world_trajectory.states, rtol=1e-15)
@@ -67,7 +67,7 @@ def test_angles_of_a_whole_animal(world_trajectory, tmp_path):
 
 def test_pose3d_sigma_has_the_layout_of_pose3d(world_trajectory, tmp_path):
     tables.pose3d_sigma(world_trajectory, tmp_path / "pose3d_sigma.csv")
-    table = pd.read_csv(tmp_path / "pose3d_sigma.csv", header=[0, 1], index_col=0)
+    table = read_csv(tmp_path / "pose3d_sigma.csv", header=[0, 1], index_col=0)
     assert table.columns.names == ["bodyparts", "coords"]
     assert list(table.columns.get_level_values(0).unique()) == list(world_trajectory.names)
     coords = ["x_sigma", "y_sigma", "z_sigma", "x_rel", "y_rel", "z_rel"]
@@ -82,7 +82,7 @@ def test_angles_sigma_has_the_columns_of_the_angles(world_trajectory, tmp_path):
     share = np.linspace(0, 1, T * A).reshape(T, A)
     motion = replace(world_trajectory, solution=replace(solution, angle_data_share=share))
     tables.angles_sigma(motion, tmp_path / "angles_sigma.csv")
-    table = pd.read_csv(tmp_path / "angles_sigma.csv", index_col="frame")
+    table = read_csv(tmp_path / "angles_sigma.csv", index_col="frame")
     np.testing.assert_array_equal(table["rear_trunk_pitch_data_share"], share[:, 1])
     np.testing.assert_array_equal(table["r_hind_foot_pitch_sigma_rad"], 0.1)
     assert table.shape == (T, 2 * A)
@@ -90,7 +90,7 @@ def test_angles_sigma_has_the_columns_of_the_angles(world_trajectory, tmp_path):
 
 def test_quality_names_what_is_doubtful(small_trajectory, tmp_path):
     tables.quality(small_trajectory, tmp_path / "quality.csv")
-    table = pd.read_csv(tmp_path / "quality.csv", index_col="frame")
+    table = read_csv(tmp_path / "quality.csv", index_col="frame")
     assert table["flags"].fillna("").tolist() == ["", "", "", "no data", "", "data poor;ambiguous depth", "", ""]
     assert table["detections"].tolist() == [23, 23, 23, 0, 23, 23, 23, 23]
     np.testing.assert_array_equal(table["alternative_m"], small_trajectory.solution.alternative_m)
@@ -101,7 +101,7 @@ def test_quality_names_what_is_doubtful(small_trajectory, tmp_path):
 
 def test_quality_of_the_frame_method_has_the_same_columns(small_motion, tmp_path):
     tables.quality(small_motion, tmp_path / "quality.csv")
-    table = pd.read_csv(tmp_path / "quality.csv", index_col="frame")
+    table = read_csv(tmp_path / "quality.csv", index_col="frame")
     assert tuple(table.columns) == tables.QUALITY_COLUMNS[1:]
     assert table["flags"].fillna("").tolist() == ["", "", "", "no data", "outliers", "few points"]
     assert table["detections"].tolist() == [9, 8, 9, 0, 9, 6]
@@ -132,7 +132,7 @@ def test_every_camera_has_its_table(two_cameras, tmp_path):
     for picture in two_cameras.pictures:
         table = read_keypoints(tmp_path / f"reprojection_{picture.name}.csv")
         np.testing.assert_allclose(table.xy_px, picture.reprojected_px, rtol=1e-12)
-    quality = pd.read_csv(tmp_path / "quality.csv")
+    quality = read_csv(tmp_path / "quality.csv")
     assert quality["detections"].tolist() == two_cameras.detections.tolist()
     np.testing.assert_allclose(quality["mean_weight"], two_cameras.mean_weight)
 
