@@ -72,6 +72,7 @@ def test_every_solver_option_is_a_setting():
         "reprojection": "printed",
         "angle_prior": "none",
         "camera_rotation": "fixed",
+        "path": "free",
         "base_length_m": 0.21,
         "base_sigma_m": 0.001,
         "sigma_px": 2.5,

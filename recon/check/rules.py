@@ -62,9 +62,10 @@ def findings_of(motion: Motion) -> tuple[Finding, ...]:
     """Return all findings of a motion, its own and those of the rules, in the order of a summary."""
     solution = motion.solution
     given_findings = [*motion.findings, *solution.findings()]
-    rules = COMMON
-    if isinstance(solution, TrajectorySolution):
-        rules = (*COMMON, *OF_TRAJECTORY) if motion.solved.any() else (no_pose,)
+    rules: tuple[Rule, ...] = (no_pose,)
+    if motion.solved.any():
+        of_trajectory = OF_TRAJECTORY if isinstance(solution, TrajectorySolution) else ()
+        rules = (*COMMON, *of_trajectory, *OF_POSES)
     return sort_findings([*given_findings, *(item for rule in rules for item in rule(motion))])
 
 
@@ -245,16 +246,26 @@ def _span(body: Body) -> float:
 
 
 def solution_unusual(motion: Motion) -> Iterator[Finding]:
-    """Yield findings on single numbers of the solution: its minimum, size, speed, and number of frames."""
-    solution, speed, solved = _solution(motion), mean_speed_m_s(motion.states, motion.fps), int(motion.solved.sum())
+    """Yield findings on single numbers of the solution: its minimum and its size."""
+    solution = _solution(motion)
     if solution.status != "converged":
         yield finding("not_converged")
     if abs(solution.size - 1) > SIZE_SIGMAS * solution.size_prior_sigma:
         most = min(SIZE_SIGMAS_MOST * solution.size_prior_sigma, LOG_SIZE_MOST)
         code = "size_impossible" if abs(math.log(solution.size)) > most else "size_unexpected"
         yield finding(code, size=solution.size, expected_sigma=solution.size_prior_sigma)
+
+
+def too_fast(motion: Motion) -> Iterator[Finding]:
+    """Yield a finding if no animal is as fast."""
+    speed = mean_speed_m_s(motion.states, motion.fps)
     if speed > FASTEST_M_S:
         yield finding("too_fast", speed_m_s=speed)
+
+
+def few_frames(motion: Motion) -> Iterator[Finding]:
+    """Yield a finding if few frames have a pose."""
+    solved = int(motion.solved.sum())
     if solved < FEW_FRAMES:
         yield finding("few_frames", count=solved)
 
@@ -283,7 +294,11 @@ def second_solution(motion: Motion) -> Iterator[Finding]:
 
 def frames_flagged(motion: Motion) -> Iterator[Finding]:
     """Yield a finding if most frames have a flag; flags of other findings do not count."""
-    flags = [{*flags}.difference(FLAG_OF.values()) for flags, t in zip(motion.flags, motion.solved, strict=True) if t]
+    flags = [
+        {*flags}.intersection(FLAGS).difference(FLAG_OF.values())
+        for flags, t in zip(motion.flags, motion.solved, strict=True)
+        if t
+    ]
     count = sum(map(bool, flags))
     if count > FLAGGED * len(flags):
         commonest = max(FLAGS, key=lambda name: sum(name in frame_flags for frame_flags in flags))
@@ -295,12 +310,12 @@ OF_TRAJECTORY: tuple[Rule, ...] = (
     motion_unlike_prior,
     ground_above_camera,
     ground_elsewhere,
-    subject_unlike_species,
     solution_unusual,
     pair_disagrees,
     second_solution,
-    frames_flagged,
 )
+OF_POSES: tuple[Rule, ...] = (too_fast, few_frames, subject_unlike_species, frames_flagged)
+"""Of both methods, where some frame has a pose."""
 
 
 def _outliers(motion: Motion) -> tuple[int, float]:

@@ -52,12 +52,6 @@ _MEAN_OF_NORM = 0.92
 """Mean length of a vector of three equal normal components, in roots of their summed variance."""
 _LEAST_M2 = 1e-8
 """Least variance: one that is all the size's has rounding left."""
-_FRAME_BY_FRAME = 1.9
-"""Factor on the stated error of a method that solves each frame by itself.
-
-Its errors are 1.6 times those of the trajectory method that states as much (median of 15 views of five runs; 1.0 to
-2.2).
-"""
 _MEAN_OF_SIGMA = 0.8
 """Mean distance of a quantity from its middle, in standard deviations."""
 
@@ -116,7 +110,7 @@ def evidence_of(motion: Motion) -> Evidence:
     focal_sigma = (motion.settings.get("focal_sigma") or 0.0) if len(motion.sources) == 1 else 0.0
     return Evidence(
         trunk_m=float(np.linalg.norm(trunk_m, axis=-1).mean()),
-        posterior_m=(_FRAME_BY_FRAME if solution.jitters else 1.0) * _MEAN_OF_NORM * float(np.sqrt(variance).mean()),
+        posterior_m=solution.posterior_factor * _MEAN_OF_NORM * float(np.sqrt(variance).mean()),
         misfit=max(
             (segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None), default=1.0
         ),

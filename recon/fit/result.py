@@ -218,6 +218,16 @@ class Solution(Brief):
         return None
 
     @property
+    def position_lasts_s(self) -> float | None:
+        """Time for which an error of the animal's position lasts, where the method estimates the path by itself."""
+        return None
+
+    @property
+    def posterior_factor(self) -> float:
+        """Factor by which the poses' stated standard deviations are to be enlarged for the errors that they have."""
+        return 1.0
+
+    @property
     def posed(self) -> Bools:
         """Return which frames have a pose, (T,)."""
         return np.asarray(np.isfinite(self.joints_m[:, 0, 0]))

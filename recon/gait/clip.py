@@ -44,7 +44,7 @@ slower."""
 RUNNING_S = 0.1
 """`lasts_s` of a running animal. All stances are found with it: with their own value the stances of a walking dog
 come out 5 to 20 % too short."""
-SPEED_KNOWN = 0.1
+SPEED_KNOWN = 0.2
 """Largest standard deviation of a peak speed, relative to it, with which speeds count as known."""
 UNSEEN_S = 0.2
 """Time for which detections before and after determine the position of a foot. Beyond it only the prior does."""
@@ -234,6 +234,8 @@ class ClipAnalysis(Brief):
         """
         if not self.motion.jitters:
             return None
+        if self.motion.solution.position_lasts_s is None:
+            return "every frame was solved by itself, and the depth of one frame is hardly known"
         peak, sigma = self.reference_motion.peak_speed_m_s, self.reference_motion.peak_speed_sigma_m_s
         return f"its peak is {interval_text(peak, sigma, 'm/s')}" if sigma > SPEED_KNOWN * peak else None
 
@@ -340,19 +342,31 @@ def limb_chains(motion: Motion) -> dict[str, tuple[str, ...]]:
 
 
 def _errors(motion: Motion, last_s: float) -> Sequence[Errors]:
-    if motion.jitters:
+    lasting_s = motion.solution.position_lasts_s
+    if motion.jitters and lasting_s is None:
         return kinematics.lasting_errors(motion.upright.xyz_m, motion.fps)
     # What is common to all joints; the relative errors of a single one can be larger than its absolute ones.
     floor = 1e-4
     position = np.sqrt(np.maximum(motion.upright_sigma_m**2 - motion.upright_relative_sigma_m**2, floor**2))
     of_pose = Errors(np.maximum(motion.upright_relative_sigma_m, floor), POSE_LASTS * last_s)
     solution = motion.solution
+    if motion.jitters and lasting_s is not None:
+        return *kinematics.lasting_errors(motion.upright.xyz_m, motion.fps), *_position_errors(
+            motion, position, lasting_s
+        )
     if not isinstance(solution, TrajectorySolution) or len(solution.views) != 1:
         return Errors(position, POSITION_LASTS * last_s), of_pose
+    return *_position_errors(motion, position, POSITION_LASTS * last_s), of_pose
+
+
+def _position_errors(motion: Motion, position_sigma: Array, position_lasts_s: float) -> tuple[Errors, Errors]:
+    """Return the errors of the size and the rest of those of the position (T, J, 3), as one camera leaves them."""
+    solution, floor = motion.solution, 1e-4
+    size_sigma = getattr(solution, "size_sigma", None) or 0.0
     from_camera_m = solution.joints_m - solution.views[0].centre_m[:, None]
-    by_size = solution.size_sigma / solution.size * from_camera_m
-    rest = np.sqrt(np.maximum(position**2 - by_size**2, floor**2))
-    return Errors(by_size, np.inf), Errors(rest, POSITION_LASTS * last_s), of_pose
+    by_size = size_sigma / solution.size * from_camera_m
+    rest = np.sqrt(np.maximum(position_sigma**2 - by_size**2, floor**2))
+    return Errors(by_size, np.inf), Errors(rest, position_lasts_s)
 
 
 def lasts_s(xyz_m: Array, fps: float) -> float:

@@ -23,11 +23,11 @@ from recon.base.files import read_manifest, write_bytes
 from recon.fit.motion import Motion
 from recon.thesis.objectives import FrameOptions
 from recon.thesis.solution import FrameSolution
-from recon.thesis.solver import FrameSearch, FrameSolver, solve_frames
+from recon.thesis.solver import FrameSearch, FrameSolver, solve_frames, with_tolerance
 from recon.workflows.clip_results import CONFIG, read_config
 
 TABLES = ("solver_frames.csv", "solver_unknowns.csv", "image_errors.csv", "solver_frame.csv")
-COUNTS = ("iterations", "function_evaluations", "starts", "optimizer_status")
+COUNTS = ("iterations", "function_evaluations", "first_evaluations", "starts", "optimizer_status")
 CAMERA_ANGLES = ("xi", "psi", "zeta")
 EXIT_FLAGS = {
     0: "evaluations used up",
@@ -68,7 +68,13 @@ def read_solver(motion: Motion, folder: Path, frame: int | None = None) -> Solve
         expected = f"one with a pose, from {motion.frames[solved[0]]} to {motion.frames[solved[-1]]}"
         raise InputError(Problem("--frame", "frame", str(frame), expected))
     problem = solution.views[0], solution.chain, motion.fps
-    solver = FrameSolver(*problem, options, np.where(motion.solved[:, None], solution.chain_states, np.nan))
+    solver = FrameSolver(
+        *problem,
+        with_tolerance(options),
+        np.where(motion.solved[:, None], solution.chain_states, np.nan),
+        solution.path,
+        solution.start_states,
+    )
     rotation = "free" if options.camera_rotation == "fixed" else "fixed"
     other_solution = solve_frames(*problem, replace(options, camera_rotation=rotation))
     sigma_px = solution.reported("sigma_px")

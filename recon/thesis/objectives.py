@@ -55,6 +55,8 @@ class FrameOptions:
     """The largest that this distance is in the picture."""
     robust_c: float = 4.5
     """Residuals of this many standard deviations count half."""
+    path: Literal["smooth", "free"] = "smooth"
+    """The reference joint's path as smooth as an animal moves (`recon.thesis.path`), or every frame by itself."""
     tolerance: float = 1e-8
     """Relative change of cost, step and gradient at which a search ends."""
     max_evaluations: int = 400

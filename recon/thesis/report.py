@@ -10,6 +10,7 @@ import numpy as np
 from recon.base.arrays import median
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import ClipAnalysis
+from recon.gait.gait import interval_text
 from recon.geometry.frames import level_axes
 from recon.show.plain import number, spread
 from recon.show.report import SECTIONS as TRAJECTORY_SECTIONS
@@ -101,17 +102,16 @@ def travel(motion: Motion) -> dict[str, Any]:
 
 def travel_lines(motion: Motion, data: Any) -> Iterator[Line]:
     """Yield the summary's lines on speed, path and heading."""
-    speed = data["median_speed_m_s"]
-    known = f"{number(speed, '.1f')} m/s, of a straight run through all frames"
-    yield "speed", "not told by a path this short or slow" if speed is None else known
-    root, frame = root_path_data(motion), f"{motion.frame_of_reference} frame"
-    if (reason := ClipAnalysis(motion).why_no_speed) is not None:
-        above = "; take the speed above" if speed is not None else ""
-        yield "path", f"too uncertain in depth for its speed ({frame}): {reason}{above}"
+    run_m_s = data["median_speed_m_s"]
+    if (reason := ClipAnalysis(motion).why_no_speed) is None:
+        path = ClipAnalysis(motion).reference_motion
+        peak = interval_text(path.peak_speed_m_s, path.peak_speed_sigma_m_s, "m/s")
+        yield "speed", f"at most {peak}, over a path of {number(path.distance_m, '.1f')} m"
+    elif run_m_s is None:
+        yield "speed", f"one camera does not tell it here: {reason}"
     else:
-        path, smoothing = root["smoothed"] or root["exact"], "smoothed" if root["smoothed"] else "not smoothed"
-        distance, peak = (number(path[name], ".1f") for name in ("distance_m", "peak_speed_m_s"))
-        yield "path", f"{distance} m, peak {peak} m/s ({frame}, {smoothing})"
+        run = f"about {number(run_m_s, '.0f')} m/s, if the animal ran straight on"
+        yield "speed", f"{run}; one camera does not tell more here: {reason}"
     yield "heading", heading_text(data["heading_to_picture_rad"])
 
 

@@ -3,6 +3,9 @@
 scipy's `least_squares(method="lm")` (MINPACK) minimises the stacked residuals of all objectives. A frame starts from
 the solution of the frame before, its position carried on along its path. The first frame starts from geometry alone
 (`recon.thesis.start`). Frames whose solution leaves points unexplained get further starts, and the lowest cost wins.
+
+The frames' depths jitter. By default all frames are therefore solved a second time, from their first solutions, with
+the reference joint tied to the path that all of them show together (`recon.thesis.path`).
 """
 
 from __future__ import annotations
@@ -11,6 +14,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.linalg import eigh
@@ -22,6 +26,7 @@ from recon.clip import View
 from recon.geometry.camera import Camera
 from recon.thesis.chain import ChainPose, UnknownsChain
 from recon.thesis.objectives import FrameOptions, JointReprojection, Objective, base_length, frame_objectives
+from recon.thesis.path import Path, PathTie, path_of
 from recon.thesis.solution import FrameSolution, _FrameReport, in_world
 from recon.thesis.start import estimate_travel, geometric_start
 
@@ -34,6 +39,8 @@ _WIDE_MAX = 50.0
 _WIDE_UNSEEN = 10.0
 """The factor where the start has joints that cannot be projected."""
 _WIDE_TOLERANCE = 1e-3
+_FIRST_TOLERANCE, _SECOND_TOLERANCE = 1e-3, 1e-5
+"""Tolerances where all frames are solved a second time: a smaller one moves no joint by a tenth of a millimetre."""
 _FIRST_TURNS_RAD = (0.0, 0.5, -0.5)
 """Turns of the first frame's starts from the direction of travel."""
 
@@ -57,21 +64,58 @@ def solve_frames(
     progress : called with the count of frames, the present one included
     """
     view = view.mask_outside_image()
-    solver = FrameSolver(view, chain, fps, options)
-    covariance = np.full((*solver.states.shape, chain.n_state), np.nan)
+    passes = 2 if options.path == "smooth" else 1
+    first_options, options = with_tolerance(options, _FIRST_TOLERANCE), with_tolerance(options)
+    solver = FrameSolver(view, chain, fps, first_options)
+    covariance, reports = _solve_all(solver, lambda count: progress(max(count // passes, 1)))
+    more: dict[str, Any] = {}
+    if passes == 2 and (path := path_of(solver.chain, solver.states, covariance, fps)) is not None:
+        T, first_states, first_reports = len(reports), solver.states, reports
+        solver = FrameSolver(view, chain, fps, options, path=path, starts=first_states)
+        covariance, reports = _solve_all(solver, lambda count: progress((T + count) // passes), first_reports)
+        more = {"path": path, "start_states": first_states}
+    names = tuple(term.name for term in solver.objectives)
+    more |= {"reports": tuple(reports), "travel": solver.travel, "objectives": names, "fps": fps}
+    return in_world(view, chain, solver.states, covariance, **more)
+
+
+def with_tolerance(options: FrameOptions, least: float = _SECOND_TOLERANCE) -> FrameOptions:
+    """Return the options with a tolerance that is not smaller, if all frames are solved a second time."""
+    return replace(options, tolerance=max(options.tolerance, least)) if options.path == "smooth" else options
+
+
+def _solve_all(
+    solver: FrameSolver, progress: Callable[[int], None], first: Sequence[_FrameReport | None] | None = None
+) -> tuple[Array, list[_FrameReport | None]]:
+    """Solve every frame into the solver's states; return their covariances (T, D, D) and reports.
+
+    first: reports of the first solutions, where this is the second time. Frames that they have no pose of stay so.
+    """
+    covariance = np.full((*solver.states.shape, solver.chain.n_state), np.nan)
     reports: list[_FrameReport | None] = []
     for frame, detections in enumerate(np.isfinite(solver.rays[..., 0]).sum(axis=1)):
         progress(frame + 1)
-        if detections < MIN_JOINTS:
-            reports.append(None)
+        earlier = None if first is None else first[frame]
+        if detections < MIN_JOINTS or (earlier is not None and not earlier.in_view):
+            reports.append(earlier)
             continue
         state, C, report = solver.solve(frame)
-        reports.append(report)
+        reports.append(report if earlier is None else _total(earlier, report))
         if report.in_view:  # a pose that diverged is no start for the next frame
             solver.states[frame], covariance[frame] = state, C
-    names = tuple(term.name for term in solver.objectives)
-    more = {"reports": tuple(reports), "travel": solver.travel, "objectives": names, "fps": fps}
-    return in_world(view, chain, solver.states, covariance, **more)
+    return covariance, reports
+
+
+def _total(first: _FrameReport, second: _FrameReport) -> _FrameReport:
+    """Return the second report with the effort of both."""
+    return replace(
+        second,
+        iterations=first.iterations + second.iterations,
+        function_evaluations=first.function_evaluations + second.function_evaluations,
+        first_evaluations=first.function_evaluations,
+        solve_s=first.solve_s + second.solve_s,
+        starts=max(first.starts, second.starts),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,10 +246,19 @@ class FrameSolver:
     view : detections, in the order of the chain's joints
     fps : frames a second
     states : (T, D), solutions from before, NaN elsewhere; None: there are none
+    path : that the reference joint is tied to
+    starts : (T, D), first solutions that the frames start from, NaN where there is none; None: the frame before
     """
 
     def __init__(
-        self, view: View, chain: UnknownsChain, fps: float, options: FrameOptions, states: Array | None = None
+        self,
+        view: View,
+        chain: UnknownsChain,
+        fps: float,
+        options: FrameOptions,
+        states: Array | None = None,
+        path: Path | None = None,
+        starts: Array | None = None,
     ) -> None:
         view = view.mask_outside_image()
         nominal, sigma = base_length(chain, options)
@@ -217,6 +270,9 @@ class FrameSolver:
         self.objectives = frame_objectives(
             view.camera, self.chain, view.xy_px, view.confidence, self.travel, self.options
         )
+        self.path, self.starts = path, starts
+        if path is not None:
+            self.objectives += (PathTie(path.position_m, nominal, self.chain.base_index),)
 
     def before(self, frame: int) -> list[int]:
         """Return the last two solved frames before this one, newest last."""
@@ -262,7 +318,10 @@ class FrameSolver:
     def search(self, frame: int) -> tuple[FrameSearch, int]:
         """Return the best of the minima, and the number of starts."""
         rays, heading, before = self.rays[frame], self.travel.heading[frame], self.before(frame)
-        starts = [self._carried_on(frame, before)] if before else self._first_starts(rays, heading)
+        if self.path is not None and self.starts is not None and np.isfinite(self.starts[frame, 0]):
+            starts = [self._on_path(frame)]
+        else:
+            starts = [self._carried_on(frame, before)] if before else self._first_starts(rays, heading)
         problem = self.problem(frame, self._noise_px(starts[0]))
         searches = [self._solve_from(start, problem) for start in starts]
         # Converged, and no detection further off than c sigma: no point is left unexplained.
@@ -283,6 +342,14 @@ class FrameSolver:
             geometric_start(self.camera, self.chain, rays, np.cos(turn) * heading + np.sin(turn) * across)
             for turn in _FIRST_TURNS_RAD
         ]
+
+    def _on_path(self, frame: int) -> Array:
+        """Return the frame's first solution, its root moved onto the path."""
+        assert self.starts is not None
+        assert self.path is not None
+        state = self.starts[frame]
+        size = state[self.chain.base_index] / self.chain.nominal_base_length_m
+        return self._placed(state, size * self.path.position_m[frame])
 
     def _carried_on(self, frame: int, before: Sequence[int]) -> Array:
         """Return the state before, its root moved on along its path.
@@ -338,7 +405,7 @@ class FrameSolver:
     def _minimise(self, start: Array, problem: FrameProblem, tolerance: float) -> FrameSearch:
         """Return MINPACK's search from one start; a fixed rotation is taken out of the unknowns."""
         free = np.ones(self.chain.n_state, dtype=bool)
-        if self.options.camera_rotation == "fixed" and problem.previous is not None:
+        if self.options.camera_rotation == "fixed" and (problem.previous is not None or self.starts is not None):
             free[self.chain.euler_slice] = False
         x, last, evaluations = start.copy(), (start, start, start), 0
         steps: list[Array] = []

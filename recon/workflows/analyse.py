@@ -101,12 +101,18 @@ def analyse_command(settings: AnalyseSettings, progress: Progress = silent) -> A
     return Answer(summary, lines, files=[out / name for name in sorted(files)])
 
 
+ACCELERATION_KNOWN_M_S2 = 10.0
+"""Standard deviation of an acceleration above which no number is given: animals hardly have more."""
+
+
 def _lines(found: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str | Text | Table]:
     motion = found.motion
     yield from verdict_texts(motion.verdict)
     yield from result_sentences(motion, found.reference_motion, found.gait, found.why_no_speed)
     net, sigma = found.net_acceleration_m_s2
-    if math.isfinite(net):
+    if math.isfinite(net) and sigma > ACCELERATION_KNOWN_M_S2:
+        yield "Acceleration along the way: this camera does not tell it."
+    elif math.isfinite(net):
         yield f"Acceleration along the way, over the whole clip: {interval_text(net, sigma, 'm/s²', '+')}."
     if "spine_flexion" in found.angles:
         low, high = (math.degrees(angle) for angle in found.angles["spine_flexion"].range_rad)

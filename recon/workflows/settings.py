@@ -148,6 +148,8 @@ class FitSettings(Settings):
     """Priors on angles and heading."""
     camera_rotation: Annotated[Literal["free", "fixed"], _FRAME] = "free"
     """The body's rotation: free, or fixed to the first frame's."""
+    path: Annotated[Literal["smooth", "free"], _FRAME] = "smooth"
+    """Path of the reference joint: as smooth as an animal moves, or every frame by itself."""
     base_length_m: Annotated[Positive | None, _FRAME] = None
     """Base length of the chain in metres, as in 0.203. (default: the skeleton's)"""
     base_sigma_m: Annotated[Positive | None, _FRAME] = None

@@ -101,6 +101,7 @@ SENTENCES = {
         "75% of the 40 detections of nose, l_eye disagree",
         {"share": 0.75, "used": 40, "keypoints": ("nose", "l_eye")},
     ),
+    "angles_unusual": ("2.3 times the usual cost", {"times": 2.3}),
     "at_range_limits": ("2 of 9 frames have angles beyond", {"count": 2, "frames_total": 9}),
     "up_from_feet": (
         "beyond their intervals: the first camera is 1.9 m above the ground that they stand on, which is z = 0",

@@ -17,6 +17,7 @@ from recon.thesis.objectives import (
     Objective,
     RateLimit,
 )
+from recon.thesis.path import PathTie
 
 SK = load_chain("cheetah-8u")
 RNG = np.random.default_rng(1)
@@ -57,6 +58,7 @@ TERMS: list[Objective] = [
     DirectionPrior("roll prior", 2, UP[None], np.zeros((N, 3)), 0.12, SK.euler_slice),
     DirectionPrior("heading tie", 0, LEVEL, None, 1.0, SK.euler_slice),
     DirectionPrior("travel prior", 0, LEVEL, HEADING, 0.25, SK.euler_slice),
+    PathTie(np.tile([0.1, 0.2, 6.0], (N, 1)), 0.2, SK.base_index, 0.5),
 ]
 
 

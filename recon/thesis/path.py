@@ -1,0 +1,133 @@
+"""The path of the reference joint, as smooth as an animal moves, from frames that were solved one by one.
+
+One frame of one camera hardly shows the depth: the positions R p0 jitter along the line of sight by decimetres from
+frame to frame, and their derivatives are noise. An animal's acceleration is limited and lasts for some time. The path
+is therefore estimated from all frames at once: position, velocity and acceleration in three dimensions, the
+acceleration a random process of standard deviation `ACCELERATION_M_S2` that lasts `ACCELERATION_LASTS_S`. A frame's
+position enters with its posterior covariance. The errors of neighbouring frames are alike, because they come from
+poses that are alike: they count as one measurement for `ERRORS_LAST_S`. The estimate is the Kalman filter's, smoothed
+backwards (Rauch, Tung and Striebel 1965).
+
+The frames are then solved again with `PathTie`, the distance of R p0 from this path, as one of their objectives.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+
+from recon.base.arrays import Array
+from recon.thesis.chain import ChainPose, UnknownsChain
+from recon.thesis.objectives import Objective, ResidualAndJacobian
+
+ACCELERATION_M_S2 = 9.0
+"""Standard deviation of the acceleration of a running animal's reference joint, in each direction."""
+ACCELERATION_LASTS_S = 0.05
+"""Correlation time of this acceleration."""
+ERRORS_LAST_S = 0.06
+"""Time for which the errors of neighbouring frames count as one (integral of their correlation)."""
+LEAST_SIGMA_M = 0.02
+"""A frame's position is never known better than this: the reference joint is no fixed point of the animal."""
+TIE_SIGMA_M = 0.01
+"""Standard deviation of the reference joint about the path when the frames are solved again."""
+_FIRST_POSITION_M, _FIRST_SPEED_M_S = 100.0, 30.0
+"""Standard deviations of the first position and velocity before any frame is read."""
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """Hold the path of the reference joint in the camera frame over T frames, for the nominal base length."""
+
+    position_m: Array
+    """(T, 3)"""
+    velocity_m_s: Array
+    """(T, 3)"""
+    covariance: Array
+    """(T, 6, 6): of position and velocity, without the uncertainty of the base length."""
+
+
+@dataclass(frozen=True, eq=False)
+class PathTie(Objective):
+    """The reference joint lies on the path: (R p0 * nominal base length / base length - path) / sigma.
+
+    The factor leaves the scale open, as the pixels do: the whole scene can grow.
+    """
+
+    position_m: Array
+    """(T, 3), NaN where there is no path (zero rows)."""
+    nominal_base_length_m: float
+    base_index: int
+    sigma_m: float = TIE_SIGMA_M
+    name: str = "path tie"
+
+    def evaluate(self, pose: ChainPose, previous: ChainPose | None, frame: int, dt_s: float) -> ResidualAndJacobian:
+        assert pose.joints_jacobian is not None
+        target_m = self.position_m[frame]
+        if not np.isfinite(target_m[0]):
+            return np.zeros(3), np.zeros((3, pose.state.shape[1]))
+        base_m = pose.state[0, self.base_index]
+        scale = self.nominal_base_length_m / base_m
+        root_m = pose.joints_m[0, 0]
+        jacobian = scale * pose.joints_jacobian[0, 0]
+        jacobian[:, self.base_index] -= scale * root_m / base_m
+        return (scale * root_m - target_m) / self.sigma_m, jacobian / self.sigma_m
+
+
+def path_of(chain: UnknownsChain, states: Array, covariance: Array, fps: float) -> Path | None:
+    """Return the path of the frames' solutions; None for fewer than two of them.
+
+    Parameters
+    ----------
+    states : (T, D), NaN without a pose
+    covariance : (T, D, D), of the states given the frame before
+    """
+    pose = chain.pose_with_jacobian(states)
+    assert pose.joints_jacobian is not None
+    base_m = states[:, chain.base_index, None]
+    scale = chain.nominal_base_length_m / base_m
+    root_m = scale * pose.joints_m[:, 0]
+    by_state = scale[..., None] * pose.joints_jacobian[:, 0]
+    by_state[..., chain.base_index] -= root_m / base_m
+    of_root = np.einsum("tad,tde,tbe->tab", by_state, covariance, by_state)
+    is_known = np.isfinite(root_m).all(axis=1) & np.isfinite(of_root).all(axis=(1, 2))
+    if is_known.sum() < 2:
+        return None
+    inflation = max(1.0, ERRORS_LAST_S * fps)
+    noise = inflation * of_root + LEAST_SIGMA_M**2 * np.eye(3)
+    return _smoothed(root_m, noise, is_known, 1.0 / fps)
+
+
+def _smoothed(points_m: Array, noise: Array, is_known: Array, dt_s: float) -> Path:
+    """Return the smoothed path of points (T, 3) with covariances (T, 3, 3), frames dt_s apart."""
+    F, Q = _motion_model(dt_s)
+    T = len(points_m)
+    x = np.concatenate([points_m[np.flatnonzero(is_known)[0]], np.zeros(6)])
+    P = np.diag(np.repeat([_FIRST_POSITION_M**2, _FIRST_SPEED_M_S**2, ACCELERATION_M_S2**2], 3))
+    means, covariances = np.empty((2, T, 9)), np.empty((2, T, 9, 9))  # [0]: predicted, [1]: with the frame's position
+    for t in range(T):
+        if t:
+            x, P = F @ x, F @ P @ F.T + Q
+        means[0, t], covariances[0, t] = x, P
+        if is_known[t]:
+            gain = np.linalg.solve(P[:3, :3] + noise[t], P[:3]).T
+            x, P = x + gain @ (points_m[t] - x[:3]), P - gain @ P[:3]
+        means[1, t], covariances[1, t] = x, P
+    smooth_x, smooth_P = means[1].copy(), covariances[1].copy()
+    for t in range(T - 2, -1, -1):
+        back = np.linalg.solve(covariances[0, t + 1], F @ covariances[1, t]).T
+        smooth_x[t] += back @ (smooth_x[t + 1] - means[0, t + 1])
+        smooth_P[t] += back @ (smooth_P[t + 1] - covariances[0, t + 1]) @ back.T
+    return Path(smooth_x[:, :3], smooth_x[:, 3:6], smooth_P[:, :6, :6])
+
+
+def _motion_model(dt_s: float) -> tuple[Array, Array]:
+    """Return the transition (9, 9) of position, velocity and acceleration over dt_s, and its covariance (9, 9)."""
+    A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0 / ACCELERATION_LASTS_S]])
+    drive = np.zeros((3, 3))
+    drive[2, 2] = 2.0 * ACCELERATION_M_S2**2 / ACCELERATION_LASTS_S
+    # Van Loan (1978): both are blocks of one matrix exponential.
+    blocks = expm(dt_s * np.block([[-A, drive], [np.zeros((3, 3)), A.T]]))
+    F = blocks[3:, 3:].T
+    return np.kron(F, np.eye(3)), np.kron(F @ blocks[:3, 3:], np.eye(3))

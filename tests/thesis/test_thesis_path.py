@@ -1,0 +1,98 @@
+"""The path of the reference joint: as smooth as an animal, with intervals that hold, and the term that ties frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from recon import FitSettings, fit_clip
+from recon.gait.clip import ClipAnalysis
+from recon.thesis.chain import load_chain, mean_pose
+from recon.thesis.path import LEAST_SIGMA_M, PathTie, _motion_model, path_of
+from recon.workflows.demo import samples_folder
+
+CHAIN = load_chain("cheetah-8u")
+
+
+def straight_states(depth_noise_m: float, T: int = 60, fps: float = 90.0) -> np.ndarray:
+    """Return states (T, D) of a chain that runs along x at 10 m/s, 8 m away, with noise in depth."""
+    states = np.tile(mean_pose(CHAIN), (T, 1))
+    states[:, CHAIN.place_slice] = [0.0, 0.0, 8.0]
+    states[:, CHAIN.place_slice.start] = 10.0 * np.arange(T) / fps
+    states[:, CHAIN.place_slice.stop - 1] += np.random.default_rng(3).normal(0.0, depth_noise_m, T)
+    return states
+
+
+def covariances(sigma_depth_m: float, T: int = 60) -> np.ndarray:
+    """Return covariances (T, D, D): 1 cm across, more in depth, 10 % of size that all share with the distance."""
+    sigma = np.full(CHAIN.n_state, 0.1)
+    sigma[CHAIN.euler_slice] = 1e-4
+    sigma[CHAIN.place_slice] = 0.01, 0.01, sigma_depth_m
+    sigma[CHAIN.base_index] = 1e-9
+    return np.tile(np.diag(sigma**2), (T, 1, 1))
+
+
+def test_a_straight_run_keeps_its_speed_whatever_jitters_in_depth():
+    path = path_of(CHAIN, straight_states(0.5), covariances(0.5), 90.0)
+    speed = np.linalg.norm(path.velocity_m_s, axis=1)
+    sigma = np.sqrt(path.covariance[:, 5, 5])
+    assert np.abs(path.velocity_m_s[:, 0] - 10.0).max() < 0.1
+    assert np.abs(path.velocity_m_s[10:-10, 2]).max() < 3 * sigma[10:-10].min()
+    assert speed.max() < 11.0
+    assert np.diff(path.position_m[:, 2]).std() < 0.02
+    exact = np.gradient(straight_states(0.5)[:, CHAIN.place_slice], 1 / 90, axis=0)
+    assert np.linalg.norm(exact, axis=1).max() > 40.0
+
+
+def test_size_and_distance_are_left_open():
+    """The path is that at the nominal size: a scene that is larger as a whole has the same."""
+    states, base = straight_states(0.0), CHAIN.base_index
+    larger = states.copy()
+    larger[:, CHAIN.place_slice] *= 1.2
+    larger[:, base] *= 1.2
+    paths = [path_of(CHAIN, s, covariances(0.3), 90.0).position_m for s in (states, larger)]
+    np.testing.assert_allclose(*paths, atol=2e-3)
+    tie = PathTie(paths[0], CHAIN.nominal_base_length_m, base)
+    poses = [CHAIN.pose_with_jacobian(state[5][None]) for state in (states, larger)]
+    np.testing.assert_allclose(*(tie.evaluate(pose, None, 5, 0.1)[0] for pose in poses), atol=1e-9)
+
+
+def test_no_path_of_a_single_frame():
+    states = straight_states(0.0)
+    states[1:] = np.nan
+    assert path_of(CHAIN, states, covariances(0.3), 90.0) is None
+
+
+def test_the_motion_model_is_a_bounded_acceleration():
+    F, Q = _motion_model(0.01)
+    assert np.diag(F)[:3] == pytest.approx(1.0)
+    assert F[0, 3] == pytest.approx(0.01)
+    assert np.diag(F)[6:] == pytest.approx(np.exp(-0.01 / 0.05))
+    assert Q[6, 6] == pytest.approx(81.0 * (1 - np.exp(-0.4)))  # stationary
+    assert np.linalg.eigvalsh(Q).min() > -1e-12
+    assert LEAST_SIGMA_M > 0
+
+
+@pytest.fixture(scope="module")
+def fits():
+    """A real fit of the noisy sample with and without the path."""
+    samples = samples_folder()
+    given = {"keypoints": samples / "noisy.csv", "camera": samples / "camera.toml", "fps": 30.0, "method": "frame"}
+    return {path: fit_clip(FitSettings(**given, path=path)) for path in ("smooth", "free")}
+
+
+def test_the_path_is_a_term_with_a_name_and_can_be_switched_off(fits):
+    assert fits["smooth"].solution.objectives[-1] == "path tie"
+    assert "path tie" not in fits["free"].solution.objectives
+    shares = [r.cost_shares["path tie"] for r in fits["smooth"].solution.reports]
+    assert 0 < np.mean(shares) < 0.05
+
+
+def test_a_false_peak_is_not_stated(fits):
+    """Frames by themselves jitter in depth: no speed is stated. Tied to the path, the truth lies in the interval."""
+    assert "by itself" in ClipAnalysis(fits["free"]).why_no_speed
+    analysis = ClipAnalysis(fits["smooth"])
+    path = analysis.reference_motion
+    assert abs(path.peak_speed_m_s - 16.6) < 1.645 * path.peak_speed_sigma_m_s
+    jitter = [np.abs(np.diff(m.root_m, 3, axis=0)).max() for m in fits.values()]
+    assert jitter[0] < 0.5 * jitter[1]
