@@ -38,6 +38,10 @@ from recon.io.positions import read_pose3d
 PCK_THRESHOLDS_M, PCK_LARGEST = (0.05, 0.1, 0.15), 1 / 3
 """Thresholds, divided by ten until the largest is at most this part of the animal: all of a mouse lies within 0.15
 m."""
+SAME_RATE = 2e-3
+"""Frame rates that differ by less, such as 29.97 and 30, are the same."""
+WHOLE_FRAME = 1e-4
+"""A time this near a frame, in frames, is that frame's."""
 LEVELS = (0.5, 0.9)
 """Levels of the intervals that are compared with the truth."""
 
@@ -151,6 +155,7 @@ def evaluate_files(
     )
     if rename is not None:
         pose, truth = (pose, _renamed(truth, rename)) if pose_path.is_dir() else (_renamed(pose, rename), truth)
+    truth = at_frames_of(truth, pose)
     result = replace(evaluate(pose, truth, sigmas_m), verdict=verdict)
     notes = *pose.notes, *truth.notes, *result.notes, *_counted_from_one(pose, truth, result)
     common_count, smaller_count = len(result.frames), min(len(pose.frames), len(truth.frames))
@@ -164,6 +169,40 @@ def evaluate_files(
             f"the reference, {truth_path}, is a result of recon fit, and what is scored is not: perhaps exchanged",
         )
     return replace(result, notes=tuple(dict.fromkeys(notes)))
+
+
+def at_frames_of(truth: Pose3D, pose: Pose3D) -> Pose3D:
+    """Return a reference at the times of a pose's frames, interpolated, if it has another frame rate.
+
+    Frame 0 of both is at 0 s. Positions between a known and an unknown one are unknown. Raises InputError without a
+    common time.
+    """
+    if pose.fps is None or truth.fps is None or abs(pose.fps / truth.fps - 1) <= SAME_RATE:
+        return truth
+    position = pose.frames / pose.fps * truth.fps
+    before = np.where(np.abs(position - np.rint(position)) < WHOLE_FRAME, np.rint(position), np.floor(position))
+    share = np.where(before == np.rint(position), np.maximum(position - before, 0), position - before)
+    share = np.where(share < WHOLE_FRAME, 0.0, share)
+    row_of = {int(frame): row for row, frame in enumerate(truth.frames)}
+    first = np.array([row_of.get(int(frame), -1) for frame in before])
+    second = np.array([row_of.get(int(frame), -1) for frame in before + (share > 0)])
+    inside = (first >= 0) & (second >= 0)
+    rates = f"{truth.fps:g} frames per second, and {pose.fps:g} in {pose.source}"
+    if not inside.any():
+        raise InputError(Problem(str(truth.source), "fps", f"{rates}, with no time in common", "a common time"))
+    weight = share[inside, None, None]
+    start_m, end_m = truth.xyz_m[first[inside]], truth.xyz_m[second[inside]]
+    xyz_m = np.where(weight > 0, start_m + weight * (end_m - start_m), start_m)
+    note = f"The reference has {rates}: it is compared at the same times, frame 0 of both at 0 s."
+    return replace(
+        truth,
+        xyz_m=xyz_m,
+        frames=pose.frames[inside],
+        fps=pose.fps,
+        sigma_m=None,
+        flags=None,
+        notes=(*truth.notes, note),
+    )
 
 
 def _is_result(path: Path) -> bool:

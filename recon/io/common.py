@@ -242,6 +242,22 @@ def frames_seen(stored: StoredPoints) -> np.ndarray:
     return stored.frames[np.isfinite(stored.values).all(axis=2).any(axis=1)]
 
 
+def without_zeros(stored: StoredPoints) -> StoredPoints:
+    """Return 3D points without those at exactly (0, 0, 0), with which many programs write a lost marker.
+
+    A point that is there in all frames is an origin, and stays.
+    """
+    zero = (stored.values == 0).all(axis=2)
+    lost = zero & ~zero.all(axis=0)
+    if not lost.any():
+        return stored
+    named = [f"{name} in {count} frames" for name, count in zip(stored.names, lost.sum(axis=0), strict=True) if count]
+    shown = ", ".join(named[:3]) + (f" and {len(named) - 3} more" if len(named) > 3 else "")
+    note = f"Points at exactly (0, 0, 0) are taken as missing: {shown}."
+    values = np.where(lost[..., None], np.nan, stored.values)
+    return replace(stored, values=values, notes=(*stored.notes, note))
+
+
 def joined_tracks(path: Path, tracks: Sequence[StoredPoints], individual: str) -> StoredPoints:
     """Return the tracks of one animal in one file as one; raise InputError if two have points in the same frame."""
     first = tracks[0]

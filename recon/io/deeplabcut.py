@@ -34,6 +34,10 @@ COORDS, COORDS_2D = ("x", "y", "z", "likelihood"), ("x", "y", "likelihood")
 UNIQUE_BODYPARTS = "single"
 PADDING = -1.0
 """x, y and likelihood of an animal that DeepLabCut 3 did not see in a frame."""
+TRIANGULATED = (
+    "Positions that DeepLabCut triangulated have the unit of its board and the axes of its first camera, y down and z "
+    "ahead, unless they were turned: they are read with z up (or --up y)."
+)
 MAX_CROP_PX = 100_000
 PLACES = {"l", "r", "left", "right", "f", "h", "front", "back", "fore", "hind", "rear", "upper", "lower", "near", "far"}
 MIN_PARTS = 3
@@ -194,10 +198,15 @@ def points_of_table(
         names, renaming = true_names(names, scorer or "", in_space)
         notes += renaming
     extra: dict[str, Any] = {"unit": "m", "up": "z"} if in_space and scorer == SCORER else {}
+    if in_space and not extra:
+        ours = scorer is None or common.FMPOSE3D in scorer
+        extra = {"unit": "m"} if ours else {}
+        notes += () if ours else (TRIANGULATED,)
     extra |= {"fps": fps, "scorer": None if in_space else scorer, "notes": notes}
     extra["images"] = tuple(images[i] for i in order) if images else ()
     stored = StoredPoints(names, points, frames[order], likelihood, **extra)
-    return common.one_animal(path, animal or None, stored, [animal] if animal else [])
+    stored = common.one_animal(path, animal or None, stored, [animal] if animal else [])
+    return common.without_zeros(stored) if in_space else stored
 
 
 def _uncropped(path: Path, points: np.ndarray, likelihood: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:

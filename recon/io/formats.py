@@ -281,9 +281,9 @@ _CAMERAS: tuple[Kind, ...] = ("cameras",)
 # fmt: off
 FORMATS: tuple[Format, ...] = (
     Format("deeplabcut", "DeepLabCut CSV", (".csv",), _deeplabcut_csv, _BOTH, _BOTH,
-           "in the scorer", "kept", "m, z up", unit="m"),
+           "in the scorer", "kept", "m, z up"),
     Format("deeplabcut", "DeepLabCut H5", (".h5", ".hdf5"), _hdf5_poses_deeplabcut, _BOTH, _BOTH,
-           "in the scorer", "kept", "m, z up", unit="m"),
+           "in the scorer", "kept", "m, z up"),
     Format("sleap-anipose", "sleap-anipose's points3d.h5", (".h5",), _hdf5_poses_points3d, _3D),
     Format("sleap", "SLEAP analysis H5", (".h5",), _hdf5_poses_sleap, _2D),
     Format("movement", "movement netCDF", (".nc",), _hdf5_poses_movement, _BOTH, _BOTH, "kept", "as times", "m, z up"),

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from recon import evaluate, evaluate_files
 from recon.check.codes import sentence
-from recon.gait.evaluation import aligned, joint_errors, mismatches
+from recon.gait.evaluation import aligned, at_frames_of, joint_errors, mismatches
 from recon.io.common import Pose3D
 from recon.io.deeplabcut import write_csv
 from recon.io.markers import write_trc
@@ -39,6 +39,34 @@ def test_the_truth_itself_has_no_error():
     for score in (result.mpjpe_m, result.mpe_m, result.scale_mpjpe_m, result.pa_mpjpe_m):
         assert score.mean == pytest.approx(0, abs=1e-12)
     assert [s.mean for _, s in result.pck] == [1, 1, 1]
+
+
+@pytest.mark.parametrize("fps", [25.0, 60.0, 200.0])
+def test_a_reference_of_another_frame_rate(fps, tmp_path):
+    """It is compared at the same times; a point between a known and an unknown one is unknown."""
+    start, speed = RNG.normal(0, 0.5, (6, 3)), RNG.normal(0, 1, (6, 3))
+
+    def run_at(fps: float) -> Pose3D:
+        times_s = np.arange(40) / fps
+        return replace(pose(start + speed * times_s[:, None, None]), fps=fps)
+
+    reconstruction, truth = run_at(100.0), run_at(fps)
+    truth.xyz_m[10, 0] = NAN
+    there = at_frames_of(truth, reconstruction)
+    assert there.fps == 100
+    result = evaluate(reconstruction, there)
+    assert result.mpe_m.mean == pytest.approx(0, abs=1e-9)
+    assert result.frames.tolist() == list(range(int(39 / fps * 100 + 1e-6) + 1))[:40]
+    lost = there.frames[np.isnan(there.xyz_m[:, 0, 0])] / 100 * fps
+    assert len(lost)
+    assert (np.abs(lost - 10) < 1).all()
+    assert "60 frames per second, and 100" in there.notes[-1] or fps != 60
+
+
+def test_a_reference_of_the_same_rate_is_itself():
+    truth = replace(pose(TRUTH), fps=29.97)
+    assert at_frames_of(truth, replace(pose(TRUTH), fps=30.0)) is truth
+    assert at_frames_of(truth, pose(TRUTH)) is truth
 
 
 def test_metrics_by_hand():

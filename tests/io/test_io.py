@@ -641,8 +641,9 @@ def test_a_long_file_is_read_to_its_last_value(tmp_path):
 
 def test_pose3d(tmp_path):
     text = "bodyparts,a,a,a,b,b,b\ncoords,x,y,z,x,y,z\n7,1,2,3,4,5,6\n9,1,2,3,,,\n"
-    for path in (save(tmp_path, text), save(tmp_path, "scorer,s,s,s,s,s,s\n" + text, "scorer.csv")):
-        pose = read_pose3d(path)
+    of_another = save(tmp_path, "scorer,s,s,s,s,s,s\n" + text, "scorer.csv")
+    for path, unit in ((save(tmp_path, text), None), (of_another, "m")):
+        pose = read_pose3d(path, unit=unit)
         assert pose.names == ("a", "b")
         assert pose.frames.tolist() == [7, 9]
         np.testing.assert_array_equal(pose.xyz_m, [[[1, 2, 3], [4, 5, 6]], [[1, 2, 3], [NAN, NAN, NAN]]])

@@ -643,6 +643,39 @@ def test_a_sleap_project_is_named(tmp_path):
         read_keypoints(tmp_path / "a.slp")
 
 
+LOST = [
+    "PathFileType\t4\t(X/Y/Z)\ta.trc",
+    "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits",
+    "60\t60\t3\t2\tm",
+    "Frame#\tTime\tpaw\t\t\torigin\t\t",
+    "\t\tX1\tY1\tZ1\tX2\tY2\tZ2",
+]
+
+
+def test_lost_markers_that_are_written_as_zeros(tmp_path):
+    """A point that is zero throughout is an origin, and stays."""
+    rows = ["0\t0.0\t1\t2\t3\t0\t0\t0", "1\t0.0167\t0\t0\t0\t0\t0\t0", "2\t0.0333\t0\t2\t3\t0\t0\t0"]
+    (tmp_path / "a.trc").write_text("\n".join([*LOST, *rows]))
+    found = read_pose3d(tmp_path / "a.trc", up="z")
+    np.testing.assert_array_equal(found.xyz_m[:, 0], [[1, 2, 3], [np.nan] * 3, [0, 2, 3]])
+    np.testing.assert_array_equal(found.xyz_m[:, 1], np.zeros((3, 3)))
+    assert "Points at exactly (0, 0, 0) are taken as missing: paw in 1 frames." in found.notes
+
+
+@pytest.mark.parametrize(("scorer", "asked"), [("DLC_3D", True), ("recon", False), (None, False)])
+def test_the_unit_of_triangulated_positions(scorer, asked, tmp_path):
+    """DeepLabCut's are in units of the board; ours, and tables without a scorer, are metres."""
+    rows = [] if scorer is None else [f"scorer,{scorer},{scorer},{scorer}"]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([*rows, "bodyparts,nose,nose,nose", "coords,x,y,z", "0,100,200,3000"]))
+    if asked:
+        with refusal((path, "unit", "none", "--unit")):
+            read_pose3d(path)
+    found = read_pose3d(path, unit="mm" if asked else None)
+    np.testing.assert_allclose(found.xyz_m[0, 0], np.array([100, 200, 3000]) / (1000 if asked else 1))
+    assert any("DeepLabCut triangulated" in note for note in found.notes) == asked
+
+
 BROKEN = "track,frame_idx,nose.x,nose.y,nose.score,tail.x,tail.y,tail.score"
 
 
