@@ -5,8 +5,9 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-# Folders of recordings for `make benchmark`, each with clips and their truth: make benchmark RUNS=/path/to/runs
-RUNS ?=
+# What `make benchmark` measures, and whether only parts that take about a minute: make benchmark QUESTIONS=gait QUICK=1
+QUESTIONS ?= accuracy cameras uncertainty wrong_inputs gait robots thesis net speed
+QUICK ?=
 DEMO_OUT := demo-output
 # Where the tests' torch comes from.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
@@ -34,7 +35,7 @@ help:
 	@echo 'make docs-version SITES=folder  the same, beside the sites of earlier versions'
 	@echo 'make notebooks  run the notebooks and save their outputs'
 	@echo 'make samples    make the clips in data/samples again'
-	@echo 'make benchmark  tables of accuracy and speed; real recordings: RUNS=folder'
+	@echo 'make benchmark  measure accuracy, speed and more, and make the tables of docs/ from it'
 	@echo 'make wheel      the package into dist/, installed and tried in a clean environment'
 	@echo 'make clean      remove outputs and caches; $(VENV) stays'
 
@@ -93,25 +94,8 @@ samples: $(BASE)
 	$(BIN)/python data/samples/make_rendered.py
 
 benchmark: $(BASE)
-	$(BIN)/python benchmarks/trajectory.py $(RUNS)
-	$(BIN)/python benchmarks/agreement.py $(RUNS)
-	$(BIN)/python benchmarks/verdict.py
-	$(BIN)/python benchmarks/wrong_inputs.py
-	$(BIN)/python benchmarks/cheetah_runs.py $(RUNS)
-	$(BIN)/python benchmarks/moving.py $(RUNS)
-	$(BIN)/python benchmarks/samples.py
-	$(BIN)/python benchmarks/gait.py $(RUNS)
-	$(BIN)/python benchmarks/speeds.py $(RUNS)
-	$(BIN)/python benchmarks/ik.py $(RUNS)
-	$(BIN)/python benchmarks/mistakes.py $(RUNS)
-	$(BIN)/python benchmarks/calibration.py
-	$(BIN)/python benchmarks/dog.py
-	$(BIN)/python benchmarks/mismatch.py
-	$(BIN)/python benchmarks/retarget.py $(RUNS)
-	$(BIN)/python benchmarks/climb.py
-	$(BIN)/python benchmarks/batch.py
-	$(BIN)/python benchmarks/startup.py
-	$(BIN)/python benchmarks/analyse.py
+	for question in $(QUESTIONS); do $(BIN)/python benchmarks/$$question.py $(if $(QUICK),--quick) || exit 1; done
+	$(BIN)/python benchmarks/tables.py
 
 # What is released: built, installed into an environment of its own, and run there.
 wheel: $(BASE)

@@ -26,6 +26,8 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parent / "parts"))
+
 import startup
 from markdown_table import print_table
 

@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from recordings import recordings
+from question import recordings
 
 FAILED = "failed.txt"
 CLOCK_COLUMNS = ("solve_s", "us_per_step")

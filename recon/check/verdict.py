@@ -1,8 +1,8 @@
 """Give the verdict on a clip: use, check or do not use, with its reason and the expected errors of pose and position.
 
 The posterior is right on average, but does not separate good views from bad ones. Therefore the expected error of the
-pose is a product of powers of quantities that do (`Evidence.factors`), which `benchmarks/verdict.py` fits. The expected
-error of the position is that of the posterior.
+pose is a product of powers of quantities that do (`Evidence.factors`), which `benchmarks/uncertainty.py` fits. The
+expected error of the position is that of the posterior.
 """
 
 from __future__ import annotations

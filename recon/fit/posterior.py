@@ -351,7 +351,7 @@ def prior_misfit_of(problem: LeastSquares, estimate: Estimate) -> PriorMisfit:
 
 
 DEGREES_OF_FREEDOM = 7.0
-"""nu: the most likely one for the errors of 28 real views (`benchmarks/regions.py`)."""
+"""nu: the most likely one for the errors of 28 real views (`benchmarks/uncertainty.py`)."""
 _ROUNDING_M2 = 1e-12
 """Added to variances: those of a pose relative to its own middle may be singular to rounding."""
 

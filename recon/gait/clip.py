@@ -8,7 +8,7 @@ The errors of a fit with uncertainty have three parts that last for different ti
 away from a single camera in every frame by the same factor; the position of the whole animal; and the pose. The latter
 two change as the errors of detections do and as the animal moves. They last for the geometric mean of the two times
 (`lasts_s`), multiplied by a factor that makes the standard deviations of velocities large enough on average in real
-runs (`python benchmarks/trajectory.py --only rates`).
+runs (`python benchmarks/gait.py --only rates`).
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ height returns to its start. The duration of the stride is that of the strides a
 how fore and hind feet share the impulse; feet of a pair share it equally within `FOOT`. Intervals come from draws of
 all of these and of the stances' times. The force at an instant is the mean of the draws: its maximum is lower than the
 peak, whose time is not known exactly. The shape and the spread within a pair are those of force plates under two
-galloping cheetahs (`benchmarks/dynamics.py`); those of another animal or gait may differ by more. Joint torques are
+galloping cheetahs (`benchmarks/gait.py`); those of another animal or gait may differ by more. Joint torques are
 left out: their intervals would be wider than the values.
 """
 

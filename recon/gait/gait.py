@@ -64,7 +64,7 @@ the least speed in the swing, relative to the body's."""
 LANDS, LIFTS, EVENT_SIGMAS = 0.12, 0.22, (0.05, 0.1)
 """Relative speed at touch-down and at lift-off, fitted to force plates, and one standard deviation of each."""
 SPEED_ERROR = 0.6
-"""Apparent speed of a standing foot, in standard deviations of its speed. `benchmarks/gait.py --held-out` chooses
+"""Apparent speed of a standing foot, in standard deviations of its speed. `benchmarks/parts/gait.py --held-out` chooses
 the value on two of three kinds of recordings and times the third with it."""
 LOW = (0.15, 0.3)
 """Height of a standing foot above the ground in leg lengths: certainly standing, and at most."""

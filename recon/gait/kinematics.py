@@ -52,7 +52,7 @@ _LOG10_LAM = (-16.0, 8.0)
 JITTER_LASTS_S, JITTER_TIMES = 0.05, 2.0
 """Correlation time of the errors of a method that solves frame by frame, and their size relative to the jitter
 within that time. With these values the standard deviations of its speeds are right to a quarter in each of five real
-runs (`python benchmarks/speeds.py`)."""
+runs (`python benchmarks/gait.py --only speeds`)."""
 
 _WINDOW, _MARGIN = 200, 40
 """Frames of an exact spline whose standard deviations are computed at once, and frames on either side that enter: a

@@ -34,7 +34,7 @@ trajectory method."""
 POSE_PRIORS = ("theta prior", "phi prior", "roll prior")
 USUAL_PRIOR_COST = 2.4
 """Squared norm of their residuals in a frame: median of 28 views of five runs. Where it is twice as large, poses are
-off by more than twice what the posterior states (`python benchmarks/thesis.py`)."""
+off by more than twice what the posterior states (`python benchmarks/thesis.py --only frame`)."""
 UNUSUAL_PRIOR_COST = 2.0
 """Times the usual cost from which the angles are a finding."""
 _DIFFERENCE_RAD = 1e-6

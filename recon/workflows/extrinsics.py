@@ -33,7 +33,7 @@ from recon.workflows.settings import FitSettings
 DISAGREEMENT = 16.0
 """Squared deviations, of 6 unknowns, from which on a camera that stood still is unlikely (1 in 70)."""
 UNTOLD_DEG = 10.0
-"""A camera whose turn is known no better is not told by its clips: it may stand anywhere (benchmarks/rigs.py)."""
+"""A camera whose turn is known no better is not told by its clips: it may stand anywhere (benchmarks/cameras.py)."""
 LEAST_MOVED = 0.5
 """The least way of an animal, in its lengths in the picture: on its feet it swings by less."""
 

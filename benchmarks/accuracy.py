@@ -1,0 +1,27 @@
+"""How far off are the poses and positions of one camera?
+
+    python benchmarks/accuracy.py [--only NAME ...] [--quick]
+
+Results are kept in benchmarks/results/accuracy.json; `python benchmarks/tables.py` makes the docs' tables.
+"""
+
+from __future__ import annotations
+
+from question import Part, main
+
+PARTS = {
+    "views": Part("trajectory.py", ["--only", "accuracy"], data="cheetah-runs"),
+    "ablation": Part("trajectory.py", ["--only", "ablation"], data="cheetah-runs"),
+    "robustness": Part("trajectory.py", ["--only", "robustness"], data="cheetah-runs"),
+    "size": Part("trajectory.py", ["--only", "size"], data="cheetah-runs"),
+    "focal": Part("focal.py", data="cheetah-runs"),
+    "prior": Part("mismatch.py", data="cheetah-runs"),
+    "dogs": Part("dog.py", ["--only", "accuracy"], data="dog-mocap"),
+    "detectors": Part("detector_choice.py", data="cheetah-runs"),
+    "detector-files": Part("detector_files.py", quick=[]),
+    "bones": Part("bones.py", quick=[]),
+}
+
+
+if __name__ == "__main__":
+    main(__doc__ or "", "accuracy", PARTS)

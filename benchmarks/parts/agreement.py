@@ -1,0 +1,149 @@
+"""Is a camera named that does not agree with the others of its clip, and no other?
+
+    python benchmarks/parts/agreement.py [FOLDER]
+
+FOLDER has one folder for each run, as in benchmarks/trajectory.py. Each run is judged as it is, which shows every
+camera against the others; then with one of its cameras turned by 5 degrees about each of its axes, with one camera 10
+frames late or early, and with the files of two cameras exchanged: every camera and every pair in turn. A case counts if
+what was done is among the findings, of the camera it was done to, and nothing else is but what was found in the run as
+it is. Without FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import json
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+from markdown_table import print_table
+
+from recon import FitSettings, load_skeleton
+from recon.check.agreement import agreement_findings
+from recon.clip import View, views_of
+from recon.fit.clip_problem import TrajectoryOptions
+from recon.fit.result import Finding
+from recon.geometry.frames import euler_rotation, rigid
+from recon.workflows.clip import prepare
+
+SKELETON = "cheetah-24"
+TURN_DEG, LAG = 5.0, 10
+Case = tuple[str, list[View], str, tuple[int, ...]]
+"""What was done, the views with it, and what should be found of which cameras."""
+
+
+def views_of_run(run: Path) -> tuple[list[View], float]:
+    """All cameras of a run, and the frame rate."""
+    meta = json.loads((run / "meta.json").read_text())
+    settings = FitSettings(
+        keypoints=tuple(run / f"cam{camera}.csv" for camera in meta["cameras"]),
+        camera=(run / "scene.json",),
+        camera_name=tuple(f"cam{camera}" for camera in meta["cameras"]),
+        fps=meta["fps"],
+        skeleton=SKELETON,
+    )
+    given = prepare(settings)
+    return [view.mask_outside_image() for view in views_of(given.sources)], given.fps
+
+
+def judged(views: Sequence[View], fps: float) -> tuple[Finding, ...]:
+    """The findings of a motion that has what is read of it."""
+    sources = [SimpleNamespace(offset_frames=view.offset_frames, offset_s=0.0) for view in views]
+    frames, solution = np.arange(len(views[0].xy_px)), SimpleNamespace(views=views)
+    motion = SimpleNamespace(solution=solution, sources=sources, fps=fps, frames=frames)
+    noise_m = load_skeleton(SKELETON).keypoint_sigma_m
+    return agreement_findings(motion, TrajectoryOptions().sigma_px, noise_m)  # type: ignore[arg-type]
+
+
+def cases(views: list[View]) -> Iterator[Case]:
+    def with_one(v: int, view: View) -> list[View]:
+        return [*views[:v], view.mask_outside_image(), *views[v + 1 :]]
+
+    for v, view in enumerate(views):
+        for axis, name in enumerate(("tilted", "panned", "rolled")):
+            yield f"{name} by {TURN_DEG:g} degrees", with_one(v, turned(view, axis)), "camera_turned", (v,)
+        for frames in (LAG, -LAG):
+            done = f"{LAG} frames {'late' if frames > 0 else 'early'}"
+            yield done, with_one(v, late(view, frames)), "camera_late", (v,)
+    for a, b in combinations(range(len(views)), 2):
+        swapped = [*views]
+        swapped[a], swapped[b] = (
+            replace(views[here], xy_px=views[there].xy_px, confidence=views[there].confidence).mask_outside_image()
+            for here, there in ((a, b), (b, a))
+        )
+        yield "two files exchanged", swapped, "cameras_exchanged", (a, b)
+
+
+def turned(view: View, axis: int) -> View:
+    rotation = euler_rotation(np.radians(TURN_DEG) * np.eye(3)[axis])
+    return replace(view, T_camera_world=rigid(rotation, np.zeros(3)) @ view.T_camera_world)
+
+
+def late(view: View, frames: int) -> View:
+    """Its detections are those of so many frames later."""
+    xy_px, confidence = np.full_like(view.xy_px, np.nan), np.zeros_like(view.confidence)
+    to, of = (slice(None, -frames), slice(frames, None)) if frames > 0 else (slice(-frames, None), slice(None, frames))
+    xy_px[to], confidence[to] = view.xy_px[of], view.confidence[of]
+    return replace(view, xy_px=xy_px, confidence=confidence)
+
+
+def named(findings: Sequence[Finding], views: Sequence[View]) -> set[tuple[str, tuple[int, ...]]]:
+    """Codes but for notes, and the cameras that they are about."""
+    names = [view.camera.name for view in views]
+    return {
+        (one.code, tuple(names.index(name) for name in one.names("cameras") or (str(one.camera),)))
+        for one in findings
+        if one.severity != "note"
+    }
+
+
+def main() -> None:
+    shared = os.environ.get("RECON_SHARED_DATA", Path(__file__).resolve().parents[3] / "shared" / "data")
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(shared) / "cheetah-runs"
+    runs = sorted(path for path in folder.iterdir() if (path / "meta.json").is_file()) if folder.is_dir() else []
+    if not runs:
+        print(f"no runs in {folder}")
+        return
+    unchanged, right, total, seconds = [], {}, {}, {"as it is": [], "changed": []}
+    for run in runs:
+        views, fps = views_of_run(run)
+        began = time.process_time()
+        as_it_is = judged(views, fps)
+        seconds["as it is"].append(time.process_time() - began)
+        notes = [SimpleNamespace(**one.numbers) for one in as_it_is if one.code == "camera_agreement"]
+        for v, (view, found) in enumerate(zip(views, notes, strict=True)):
+            says = [code for code, cameras in named(as_it_is, views) if v in cameras]
+            unchanged.append(
+                [
+                    run.name,
+                    view.camera.name,
+                    *(f"{x:.2f}" for x in (found.level, np.degrees(found.turn_rad), found.level_turned)),
+                    *(f"{x:.2f}" for x in (found.late_frames, found.level_late)),
+                    ", ".join(says),
+                ]
+            )
+        for done, changed, kind, cameras in cases(views):
+            began = time.process_time()
+            findings = named(judged(changed, fps), changed)
+            seconds["changed"].append(time.process_time() - began)
+            ok = (kind, cameras) in findings and findings - {(kind, cameras)} <= named(as_it_is, views)
+            for table, by in ((right, ok), (total, 1)):
+                row = table.setdefault(done, {})
+                row[run.name] = row.get(run.name, 0) + by
+    print_table(["run", "camera", "level", "turn_deg", "level_turned", "late_frames", "level_late", "named"], unchanged)
+    header = ["done to each camera or pair", *(run.name for run in runs)]
+    print_table(header, [[done, *(f"{right[done][r]} of {n}" for r, n in row.items())] for done, row in total.items()])
+    print("; ".join(f"{name}: {np.median(s):.2f} s (median)" for name, s in seconds.items()))
+
+
+if __name__ == "__main__":
+    main()

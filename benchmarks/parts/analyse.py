@@ -1,0 +1,66 @@
+"""What `recon analyse` of a long clip takes.
+
+python benchmarks/parts/analyse.py [FRAMES [FOLDER]]
+
+Fits a simulated animal that runs in circles over FRAMES frames (10,000 by default, which takes minutes) unless FOLDER
+holds such results from before, and times the command as a whole process, with the figures and without.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from markdown_table import print_header, print_row
+from trajectory import FPS, SIMULATED_CAMERA, body_of, circling
+
+from recon.clip import Keypoints
+from recon.io.deeplabcut import write_csv
+
+
+def fit(frames: int, folder: Path) -> None:
+    (view,), _ = circling(frames)
+    seen = np.isfinite(view.xy_px[..., 0]).astype(float)
+    keypoints = Keypoints(body_of("phantom").markers, view.xy_px, seen, np.arange(frames), fps=FPS)
+    file = folder.with_suffix(".csv")
+    write_csv(keypoints, file)
+    size = "x".join(map(str, SIMULATED_CAMERA.image_size_px))
+    camera = ("--hfov-deg", "60", "--image-size", size, "--tilt-deg", "0", "--fps", f"{FPS:g}")
+    recon("fit", str(file), *camera, "--out", str(folder), "--quiet", "--overwrite")
+
+
+def recon(*arguments: str) -> tuple[float, float, float]:
+    """Seconds of the clock and of the processor, and the peak of memory (MB)."""
+    began = time.perf_counter()
+    with subprocess.Popen([sys.executable, "-m", "recon", *arguments], stdout=subprocess.DEVNULL) as process:
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise SystemExit(f"recon {' '.join(arguments)}: exit code {process.returncode}")
+    return time.perf_counter() - began, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024
+
+
+def main() -> None:
+    frames = int(sys.argv[1]) if sys.argv[1:] else 10_000
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(sys.argv[2] if sys.argv[2:] else temporary) / "circling"
+        if not folder.exists():
+            fit(frames, folder)
+        print_header(["frames", "", "s", "of the processor", "ms a frame", "peak memory MB"])
+        commands = {
+            "figures": ("analyse",),
+            "no figures": ("analyse", "--no-figures"),
+        }
+        for name, (command, *options) in commands.items():
+            taken_s, used_s, memory_mb = recon(command, str(folder), *options, "--overwrite")
+            numbers = (f"{taken_s:.1f}", f"{used_s:.1f}", f"{1000 * used_s / frames:.2f}", f"{memory_mb:.0f}")
+            print_row([str(frames), name, *numbers])
+
+
+if __name__ == "__main__":
+    main()

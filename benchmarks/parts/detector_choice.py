@@ -1,0 +1,135 @@
+"""Which detector a fit takes keypoints for when nobody says it, and what that costs.
+
+    python benchmarks/parts/detector_choice.py
+
+Every view of cheetah-runs and plate-trials (in $RECON_SHARED_DATA, or ../shared/data) by itself: with nothing said,
+with `none`, with the shipped detector file, and with that file made without the run, as in `cameras.py`. Measured
+lengths where the animal has some. Means of the views' MPJPE, over the joints that the truth has. Then the views with a
+detector that nobody measured before: with `none`, and with what `recon subject fit --no-lengths --offsets` finds in so
+many of the other runs, with all their cameras. One thread.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from cameras import PRIOR, Run, as_seen, of_each_view, run_of, with_detector
+from markdown_table import print_header, print_row, print_table
+from recordings import recordings
+from trajectory import body_of, meta_of, prior_of, truth_of
+
+from recon import Body, FitSettings, Pose3D, read_pose3d
+from recon.animal.measured import detector_toml
+from recon.clip import align_cameras, views_of
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
+from recon.fit.shape import Shape, fit_shape
+from recon.gait.evaluation import evaluate
+from recon.workflows.clip import fit_clip, prepare
+
+WITH_LENGTHS = ("jules", "phantom")
+SHIPPED = "acinoset"
+HEADER = ("recordings", "views", "taken by itself", "nothing said", "none", SHIPPED, f"{SHIPPED} of the other runs")
+
+
+def mpjpe_mm(folder: Path, number: int, detector: str | None) -> tuple[float, str]:
+    """The error of one view, and the detector that was taken."""
+    scene, meta = folder / "scene.json", meta_of(folder)
+    motion = fit_clip(
+        FitSettings(
+            keypoints=(folder / f"cam{number}.csv",),
+            camera=(scene if scene.is_file() else folder / f"cam{number}.toml",),
+            fps=meta["fps"],
+            subject=meta["subject"] if meta["subject"] in WITH_LENGTHS else None,
+            detector=detector,
+        )
+    )
+    pose = Pose3D(motion.names, motion.joints_m, motion.frames)
+    return 1000 * evaluate(pose, read_pose3d(folder / "truth.csv")).mpjpe_m.mean, str(motion.body.detector)
+
+
+def cells(kind: str, folders: Sequence[Path], without: dict[Path, Path]) -> list[object]:
+    """One kind of recordings, as in `HEADER`. without: by run, the detector's file that the others make."""
+    taken: set[str] = set()
+    errors_mm: list[list[float]] = []
+    for folder in folders:
+        ways = [None, "none", SHIPPED, *([str(without[folder])] if folder in without else [])]
+        for number in meta_of(folder)["cameras"]:
+            found = [mpjpe_mm(folder, number, detector) for detector in ways]
+            errors_mm.append([error for error, _ in found])
+            taken.add(found[0][1])
+    means = [f"{mean:.1f}" for mean in np.mean(errors_mm, axis=0)]
+    return [kind, len(errors_mm), " and ".join(sorted(taken)), *means, *[""] * (4 - len(means))]
+
+
+def measured(label: str, runs: Sequence[Run], bodies: dict[Run, Body]) -> None:
+    """A line for each number of other runs, those that follow; bodies: with their lengths."""
+    plain = {run: np.array([row["mpjpe_mm"] for row in of_each_view(run, bodies[run])]) for run in runs}
+    print_row([label, 0, f"{np.mean(np.concatenate([*plain.values()])):.1f}", "", ""])
+    for n in range(1, len(runs)):
+        found = {}
+        for i, run in enumerate(runs):
+            others = tuple((*runs[i + 1 :], *runs[:i])[:n])
+            body = with_detector(bodies[run], detector_of(others, {other: bodies[other] for other in others}))
+            found[run] = np.array([row["mpjpe_mm"] for row in of_each_view(run, body)])
+        worse = np.concatenate([found[run] - plain[run] for run in runs])
+        mean = np.mean(np.concatenate([*found.values()]))
+        print_row([label, n, f"{mean:.1f}", f"{(worse > 0).sum()} of {len(worse)}", f"{worse.max():+.1f}"])
+
+
+def detector_of(runs: Sequence[Run], bodies: dict[Run, Body]) -> Body:
+    views = [(run, list(run.views.values())) for run in runs]
+    clips = [
+        ClipProblem.from_views(seen, bodies[run], prior_of(PRIOR), run.fps, TrajectoryOptions()) for run, seen in views
+    ]
+    return fit_shape(Shape.of_body(body_of(), lengths=False, offsets=True), clips).seen(body_of())
+
+
+def plate_run(folder: Path) -> Run:
+    """As `run_of`, whose cameras are in a file each."""
+    cameras, given = meta_of(folder)["cameras"], []
+    for number in cameras:
+        one = FitSettings(
+            keypoints=(folder / f"cam{number}.csv",), camera=(folder / f"cam{number}.toml",), fps=meta_of(folder)["fps"]
+        )
+        given.append(prepare(one).sources[0])
+    sources = align_cameras(given, (0.0,) * len(given))
+    frames, points_m = truth_of(folder)
+    own = sources[0].keypoints.frames
+    _, here, there = np.intersect1d(own, frames, return_indices=True)
+    truth_m = np.full((len(own), *points_m.shape[1:]), np.nan)
+    truth_m[here] = points_m[there]
+    each = zip(cameras, sources, views_of(sources), strict=True)
+    by_camera = [(number, source, view) for number, source, view in each]
+    return Run(folder, {n: source for n, source, _ in by_camera}, {n: view for n, _, view in by_camera}, truth_m)
+
+
+def runs_in(kind: str) -> list[Path]:
+    return [path.parent for path in sorted(recordings(kind).resolve().glob("*/meta.json"))]
+
+
+def main() -> None:
+    known, plates = runs_in("cheetah-runs"), runs_in("plate-trials")
+    if not known or not plates:
+        raise SystemExit("no recordings")
+    with tempfile.TemporaryDirectory() as made:
+        without, runs = {}, [run_of(folder) for folder in known]
+        for run in runs:
+            without[run.folder] = Path(made) / f"{run.folder.name}.toml"
+            body = as_seen(body_of(), run, runs, posed=True)
+            without[run.folder].write_text(detector_toml(body, "without a run"), encoding="utf-8")
+        print_header(["recordings", "other runs", "MPJPE mean, mm", "views that are worse", "at most, mm"])
+        measured("cheetah-runs", runs, {run: body_of(run.subject) for run in runs})
+        trials = [plate_run(folder) for folder in plates]
+        measured("plate-trials", trials, {run: body_of() for run in trials})
+        print_table(HEADER, [cells("cheetah-runs", known, without), cells("plate-trials", plates, {})])
+
+
+if __name__ == "__main__":
+    main()

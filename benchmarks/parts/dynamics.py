@@ -1,0 +1,350 @@
+"""Vertical forces of the feet against force plates, and the centre of mass against gravity.
+
+    python benchmarks/parts/dynamics.py
+
+The plate-trials of $RECON_SHARED_DATA, or of ../shared/data: single views and both cameras, and what the error is made
+of, by taking one thing after the other from the plates. Of the same place the dog-mocap, by one camera beside it
+against the markers: speed and net acceleration, flights against gravity, and the mean force of all feet over complete
+strides, which is 1. The simulated gallop of the samples has stances and a stride, so that its mean force is known, too.
+A gallop and a trot that given forces carry (`carried.py`) have exact poses: with paws that leave the ground and land as
+fast as those over the plates, with paws that do so at rest, and with half a sine as the force of a stance. The same two
+seen by one camera beside them, fitted from noisy detections, say what the intervals hold where the feet share the
+impulse as they are stated to: far more feet than there are over plates.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from dog import Clip, read_clips, write_view
+from markdown_table import print_table
+from recordings import recordings
+
+import recon.gait.dynamics as method
+from recon import FitSettings, Motion, fit_clip, load_skeleton, samples_folder
+from recon.fit.posterior import radius
+from recon.gait.clip import ClipAnalysis, analyse
+from recon.gait.dynamics import G_M_S2, MEAN_OF_PEAK, OFF_GRAVITY, off_gravity, shape
+from recon.gait.gait import FEET, INTERVAL
+from recon.gait.kinematics import OVERSAMPLING, net_acceleration, point_kinematics
+from recon.testing.steady_gait import GALLOP, TROT, SteadyGait, compare_forces, with_exact_states
+
+
+def trials() -> list[Path]:
+    return sorted(path.parent for path in recordings("plate-trials").glob("*/forces.csv"))
+
+
+def measured(run: Path) -> tuple[pd.DataFrame, dict[str, np.ndarray]]:
+    """Forces by frame, and the frames of touch-down and lift-off by foot's joint."""
+    stances = pd.read_csv(run / "stances.csv")
+    ends = stances[["touch_down_frame", "lift_off_frame"]].to_numpy(float)
+    return pd.read_csv(run / "forces.csv", index_col=0), dict(zip(stances["joint"], ends, strict=True))
+
+
+def against_plates(run: Path, found: ClipAnalysis, fps: float) -> list[dict[str, float]]:
+    """A row for each measured stance that the clip has."""
+    force, stance = measured(run)
+    d, rows, impulses = found.dynamics, [], force.sum() / fps
+    if d is None or found.gait is None:
+        return []
+    start_s, (starts, ends, drawn) = found.motion.frames[0] / fps, method._drawn(found.gait)
+    for foot, joint in FEET.items():
+        down, up = stance[joint]
+        at_s = np.arange(down, up + 1) / fps
+        plate = force[joint].reindex(range(int(down), int(up) + 1), fill_value=0.0).to_numpy()
+        time_s = found.gait.tracks.time_s
+        force_bw = np.stack([np.interp(at_s, time_s, d.force[foot][:, k], left=np.nan, right=np.nan) for k in range(3)])
+        near = d.forces[(d.forces["foot"] == foot) & ((d.forces["start_s"] - down / fps).abs() < 0.1)]
+        if near.empty or not np.isfinite(force_bw).all() or at_s[0] < start_s:
+            continue
+        one, impulse = near.iloc[0], plate.sum() / fps
+
+        def off(start_s, end_s, impulse, at_s: np.ndarray = at_s, plate=plate) -> float:
+            """Root mean square of what the mean of stances of these ends and impulses is off."""
+            begins_s, lasts = start_s[1:, None], (end_s - start_s)[1:, None]
+            force = impulse[1:, None] / (MEAN_OF_PEAK * lasts) * shape((at_s - begins_s) / lasts)
+            return float(np.sqrt(np.mean((force.mean(axis=0) - plate) ** 2)))
+
+        i = next(i for i, s in enumerate(found.gait.stances) if (s.foot, s.start_s) == (foot, one["start_s"]))
+        said, known = (starts[:, i], ends[:, i]), np.ones((len(starts), 1)) * [(down - 0.5) / fps, (up - 0.5) / fps]
+        level = drawn[:, i] * impulses.sum() / found.gait.stride_s
+        right = np.full(len(starts), impulse)
+        rows.append(
+            {
+                "rms": float(np.sqrt(np.mean((force_bw[0] - plate) ** 2))),
+                "inside": float(np.mean((force_bw[1] - 1e-9 <= plate) & (plate <= force_bw[2] + 1e-9))),
+                "peak": one["peak_bw"] / plate.max() - 1,
+                "peak inside": float(one["peak_low_bw"] <= plate.max() <= one["peak_high_bw"]),
+                "impulse inside": float(one["impulse_low_bw_s"] <= impulse <= one["impulse_high_bw_s"]),
+                "times": off(known[:, 0], known[:, 1], drawn[:, i]),
+                "sum of the feet": off(*said, level),
+                "each foot's impulse": off(*said, right),
+                "times and impulses": off(known[:, 0], known[:, 1], right),
+            }
+        )
+    return rows
+
+
+HELD = ("force", "peak", "impulse")
+CARRIED = "strides, intervals of the mean force that hold 1, mean force"
+
+
+def stride_forces(found: ClipAnalysis) -> list[tuple[float, float, float]]:
+    """The mean vertical force of all feet over each complete stride, of the foot with the most, whose stances the clip
+    holds whole, and the ends of its interval of 90 %."""
+    gait, rows = found.gait, []
+    if gait is None or found.dynamics is None or not gait.strides or len(gait.tracks.feet) < 4:
+        return []
+    starts, ends, impulses = method._drawn(gait)
+    feet = [stride.foot for stride in gait.strides]
+    for stride in gait.strides:
+        time_s = np.linspace(stride.start_s, stride.end_s, 200)
+        over = [s for s in gait.stances if s.end_s > stride.start_s and s.start_s < stride.end_s]
+        cut = any(not (s.begins and s.ends) for s in over)
+        if stride.foot != max(feet, key=feet.count) or cut or {s.foot for s in over} != {*gait.tracks.feet}:
+            continue
+        total = np.zeros(len(starts))
+        for i, stance in enumerate(gait.stances):
+            if stance in over:
+                lasts = (ends - starts)[:, i, None]
+                force = (impulses[:, i, None] / (MEAN_OF_PEAK * lasts)) * shape((time_s - starts[:, i, None]) / lasts)
+                total += force.mean(axis=1)
+        rows.append((float(total[0]), *map(float, np.quantile(total[1:], [(1 - INTERVAL) / 2, (1 + INTERVAL) / 2]))))
+    return rows
+
+
+def carry_the_body(*found: ClipAnalysis) -> str:
+    """How many complete strides there are, how many of their intervals hold a body weight, and the mean force."""
+    rows = np.array([row for one in found for row in stride_forces(one)]).reshape(-1, 3)
+    if not len(rows):
+        return "none"
+    held = int(((rows[:, 1] <= 1) & (rows[:, 2] >= 1)).sum())
+    return f"{len(rows)}, {held}, {rows[:, 0].mean():.2f}"
+
+
+def cheetahs() -> tuple[list[ClipAnalysis], list[float]]:
+    """Every view of the cheetah-runs; and the share of a run's frames in which what turns about the centre of mass lies
+    in the view's intervals, by all cameras of the run: the internal energy, each part of the angular momentum."""
+    found, held = [], []
+    for run in sorted(path.parent for path in recordings("cheetah-runs").glob("*/meta.json")):
+        about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
+        of_run = []
+        for cameras in (about["cameras"], *([camera] for camera in about["cameras"])):
+            view = FitSettings(
+                keypoints=tuple(run / f"cam{camera}.csv" for camera in cameras),
+                camera=(run / "scene.json",),
+                camera_name=tuple(f"cam{camera}" for camera in cameras),
+                fps=about["fps"],
+            )
+            of_run.append(analyse(fit_clip(view)))
+        (true, true_sigma), *views = map(turning, of_run)
+        off = (((said - true) ** 2 / (sigma**2 + true_sigma**2)).dropna() for said, sigma in views)
+        held.append(np.mean([(of < radius(INTERVAL) ** 2).mean() for of in off], axis=0))
+        found += of_run[1:]
+    return found, np.mean(held, axis=0).tolist()
+
+
+def turning(found: ClipAnalysis) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The internal energy and the angular momentum in columns, frames in rows; and their standard deviations."""
+    d, frames = found.dynamics, found.motion.frames
+    assert d is not None
+    both = (d.internal_j_kg, d.angular_momentum), (d.internal_sigma_j_kg, d.angular_momentum_sigma)
+    said, sigma = (pd.DataFrame(np.column_stack(of)[::OVERSAMPLING], index=frames) for of in both)
+    return said, sigma
+
+
+def independent(off: np.ndarray) -> float:
+    """As how many independent ones so many errors in a row (T,) say, by their correlations."""
+    off = off - off.mean()
+    along = np.correlate(off, off, "full")[len(off) - 1 :] / (off @ off)
+    until = int(np.argmax(along < 0)) or len(along)
+    return len(off) / (1 + 2 * float(along[1:until].sum()))
+
+
+def dog_rows(as_stated: bool) -> list[list[str]]:
+    """A row for each clip: speeds and net accelerations within their intervals, flights, mean force. as_stated: of an
+    animal whose size and keypoints are off as the skeleton says that they may be."""
+    folder, body, rows, reach = recordings("dog-mocap"), load_skeleton("dog-27"), [], radius(INTERVAL)
+    with tempfile.TemporaryDirectory() as written:
+        for seed, clip in enumerate(read_clips(folder) if folder.is_dir() else ()):
+            if as_stated:
+                size = 1 + body.size_sigma * np.random.default_rng(100 + seed).standard_normal()
+                clip = replace(clip, points_m=size * clip.points_m)
+            motion = fit_clip(write_view(clip, Path(written), seed, as_stated=as_stated)[0])
+            found = ClipAnalysis(motion)
+            true_m = clip.markers(body)[motion.frames][:, body.markers.index(motion.reference)]
+            moved, d = found.reference_motion, found.dynamics
+            assert d is not None
+            signed = moved.speed_m_s - point_kinematics(motion.time_s, true_m).speed_m_s
+            off = np.abs(signed)
+            (net, sigma), (true_net, _) = found.net_acceleration_m_s2, net_acceleration(motion.time_s, true_m)
+            of_flights = off_gravity(d.flights)
+            rows.append(
+                [
+                    *(clip.name, f"{np.nanmean(off < reach * moved.speed_sigma_m_s):.0%}, {independent(signed):.0f}"),
+                    f"{np.sqrt(np.nanmean(off**2)):.2f}, {np.sqrt(np.nanmean(moved.speed_sigma_m_s**2)):.2f}",
+                    f"{net:.2f} ± {reach * sigma:.2f}, {true_net:.2f}",
+                    f"{len(of_flights)}, {int((of_flights.abs() > OFF_GRAVITY).sum())}",
+                    carry_the_body(found),
+                ]
+            )
+    return rows
+
+
+def carried_rows(motion: Motion) -> list[list[str]]:
+    """A row for each run that given forces carry, with as many frames as this motion."""
+    rows = []
+    at_rest = {"leaves": 0.0, "lands": 0.0}
+    for name, run, fps in (
+        ("gallop", GALLOP, 120.0),
+        ("gallop, half a sine", replace(GALLOP, skew=1.0), 120.0),
+        ("trot", TROT, 60.0),
+        ("trot, half a sine", replace(TROT, skew=1.0), 60.0),
+        ("trot, paws that leave and land at rest", replace(TROT, **at_rest), 60.0),
+    ):
+        found = analyse(with_exact_states(motion, run.states(motion.body, motion.frames / fps), fps))
+        off = compare_forces(run, found)
+        rows.append(
+            [
+                *(name, f"{off.centre_m:.0e}", f"{off.kinetic_j_kg:.3f}", f"{off.rms_bw:.2f}"),
+                *(f"{off.timed_rms_bw:.2f}", f"{off.inside:.0%}", carry_the_body(found)),
+            ]
+        )
+    return rows
+
+
+VIEWS, SHARES = 5, 200
+"""Clips of each simulated run, and how often the feet's shares of the impulse are drawn for each."""
+
+
+def simulated_row(name: str, run: SteadyGait, fps: float, frames: int, fore: tuple[float, float]) -> list[str]:
+    """A run by one camera beside it: what is in the intervals of 90 % where the feet share the impulse as stated."""
+    body, rng, rows = load_skeleton("cheetah-24"), np.random.default_rng(0), []
+    with tempfile.TemporaryDirectory() as written:
+        for seed in range(VIEWS):
+            time_s = np.arange(frames) / fps + rng.uniform(0, run.stride_s)
+            points_m = body.tree.pose(run.states(body, time_s)).points_m
+            clip = Clip(name, body.markers, (), fps, points_m)
+            found = analyse(fit_clip(write_view(clip, Path(written), seed, "cheetah-24", "tail_base")[0]))
+            d, gait = found.dynamics, found.gait
+            assert d is not None
+            assert gait is not None
+            in_front = np.clip(fore[0] + fore[1] * rng.standard_normal(SHARES), 0.1, 0.9)
+            factor = {foot: np.exp(method.FOOT * rng.standard_normal(SHARES)) for foot in FEET}
+            for one in d.forces.to_dict("records"):
+                foot, of_pair = one["foot"], [factor[side + one["foot"][1]] for side in "LR"]
+                share = factor[foot] / sum(of_pair) * (in_front if foot.endswith("F") else 1 - in_front)
+                times = one["start_s"], gait.tracks.time_s
+                landed, since = ((t + time_s[0]) / run.stride_s - run.landings[foot] for t in times)
+                into = (since - round(landed)) / run.duty_factor
+                stands = (into > 0) & (into < 1)
+                peak, impulse = share / (MEAN_OF_PEAK * run.duty_factor), share * run.stride_s
+                true = peak[:, None] * shape(into[stands])
+                said, low, high = d.force[foot][stands].T
+                rows.append(
+                    (
+                        *(np.mean((said - true) ** 2), np.mean((low - 1e-9 <= true) & (true <= high + 1e-9))),
+                        np.mean((one["peak_low_bw"] <= peak) & (peak <= one["peak_high_bw"])),
+                        np.mean((one["impulse_low_bw_s"] <= impulse) & (impulse <= one["impulse_high_bw_s"])),
+                    )
+                )
+    square, *inside = np.mean(rows, axis=0)
+    return [name, str(len(rows)), f"{np.sqrt(square):.2f}", *(f"{share:.0%}" for share in inside)]
+
+
+def main() -> None:
+    runs, rows, tables, carried = trials(), [], [], []
+    for kind in ("single views", "both cameras"):
+        found: list[dict[str, float]] = []
+        for run in runs:
+            about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
+            for cameras in [about["cameras"]] if kind == "both cameras" else [[c] for c in about["cameras"]]:
+                settings = FitSettings(
+                    keypoints=tuple(run / f"cam{c}.csv" for c in cameras),
+                    camera=tuple(run / f"cam{c}.toml" for c in cameras),
+                    fps=about["fps"],
+                )
+                analysed = analyse(fit_clip(settings))
+                of_clip = against_plates(run, analysed, about["fps"])
+                found += of_clip
+                if analysed.gait is not None:
+                    impulse_bw_s = measured(run)[0].to_numpy().sum() / about["fps"]
+                    rms = np.sqrt(np.mean([row["rms"] ** 2 for row in of_clip]))
+                    carried.append(
+                        [
+                            run.name,
+                            "+".join(map(str, cameras)),
+                            f"{impulse_bw_s / analysed.gait.stride_s:.2f}",
+                            f"{rms:.2f}",
+                        ]
+                    )
+        if found:
+            table = pd.DataFrame(found)
+            tables.append((kind, table))
+            rows.append(
+                [
+                    *(kind, len(table), f"{np.sqrt((table['rms'] ** 2).mean()):.2f}"),
+                    f"{table['peak'].median():+.0%}",
+                    *(f"{of(table['peak'].abs()):.0%}" for of in (np.median, np.max)),
+                    *(f"{table[name].mean():.0%}" for name in ("inside", "peak inside", "impulse inside")),
+                ]
+            )
+    if rows:
+        head = ["of", "stances", "RMS, body weights", "peak: median", "absolute", "largest"]
+        print_table([*head, *(f"{of} in 90 %" for of in HELD)], rows)
+        print("\nRMS with this from the plates:\n")
+        parts = ["times", "sum of the feet", "each foot's impulse", "times and impulses"]
+        print_table(
+            ["of", *parts], [[kind, *(f"{np.sqrt((t[x] ** 2).mean()):.2f}" for x in parts)] for kind, t in tables]
+        )
+        print("\nBy clip, and of what share of a body weight the plates' forces are the mean over its stride:\n")
+        print_table(["trial", "cameras", "body weights", "RMS"], carried)
+    for how, as_stated in (("of its own size and keypoints", False), ("both off as the skeleton states", True)):
+        if dogs := dog_rows(as_stated):
+            head = ["clip", "speed in 90 %, independent", "off, stated, m/s", "net acceleration, 90 %, true, m/s²"]
+            print(f"\nA dog by one camera, {how}:\n")
+            print_table([*head, "flights, against gravity", CARRIED], dogs)
+    views, held = cheetahs()
+    if views:
+        print(f"\nCheetahs, views of the cheetah-runs: {CARRIED}: {carry_the_body(*views)}")
+        print(
+            "in 90 % of a view, by all cameras: internal energy {:.0%}, angular momentum {:.0%} {:.0%} {:.0%}".format(
+                *held
+            )
+        )
+    if not rows:
+        print("no recordings: forces not measured")
+    samples = samples_folder()
+    motion = fit_clip(FitSettings(keypoints=(samples / "whole.csv",), camera=(samples / "camera.toml",), fps=60))
+    print("\nExact poses of runs that given forces carry:\n")
+    head = ["run", "centre of mass off, m", "kinetic energy off, J/kg", "forces, RMS, body weights"]
+    print_table([*head, "with the true times", "force in 90 %", CARRIED], carried_rows(motion))
+    print("\nThe same by one camera, the feet's impulses as different as they are stated to be:\n")
+    simulated = [
+        simulated_row("gallop", GALLOP, 120.0, 72, method.GALLOP_FORE),
+        simulated_row("trot", TROT, 60.0, 60, method.OTHER_FORE),
+    ]
+    print_table(["run", "stances", "RMS, body weights", *(f"{of} in 90 %" for of in HELD)], simulated)
+    found_sample = analyse(motion)
+    d, gait = found_sample.dynamics, found_sample.gait
+    assert d is not None
+    assert gait is not None
+    impulse = d.forces["impulse_bw_s"].mean() * len(d.force) / gait.stride_s
+    print(
+        f"\nThe sample: mean vertical force over a stride {impulse:.2f} body weights; flights against gravity: ", end=""
+    )
+    print(
+        ", ".join(
+            f"{up + G_M_S2:+.0f} ± {sigma:.0f} m/s²" for up, sigma in d.flights[["up_m_s2", "sigma_m_s2"]].to_numpy()
+        )
+        or "none"
+    )
+
+
+if __name__ == "__main__":
+    main()

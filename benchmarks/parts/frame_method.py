@@ -1,0 +1,145 @@
+"""The frame method on every view of real runs: peak speeds, poses, their 90 % intervals, verdicts, and effort.
+
+    python benchmarks/parts/frame_method.py [FOLDER] [--only RUN ...] [--quick] [--set path=free ...]
+
+Each run of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA, has camN.csv, scene.json, truth.csv and
+meta.json. Every view is fitted as `recon frame` does it. The true peak speed is the fastest of the reference joint at
+the frames, from the spline through the reconstruction of all cameras. A speed is stated if `ClipAnalysis.why_no_speed`
+gives no reason against it. quick: only the camera that meta.json names. The last lines are the summary, also with
+each run left out: the numbers of the method stand or fall with all of them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from markdown_table import print_table
+from recordings import recordings
+
+from recon import FitSettings, Motion, Pose3D, evaluate, fit_clip, read_pose3d
+from recon.fit.posterior import radius
+from recon.gait.clip import ClipAnalysis
+from recon.gait.gait import INTERVAL
+from recon.gait.kinematics import frame_times, series_kinematics
+from recon.thesis.solution import frame_solution
+
+WITHIN = 0.3
+"""A stated peak speed is near the truth within this share of it."""
+POOR_MM = 160.0
+"""No pose with a larger error may have the verdict "use"."""
+
+
+def view_row(run: Path, camera: int, meta: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
+    """Return one view's errors, intervals and effort."""
+    settings = FitSettings(
+        keypoints=(run / f"cam{camera}.csv",),
+        camera=(run / "scene.json",),
+        camera_name=(f"cam{camera}",),
+        fps=meta["fps"],
+        method="frame",
+        skeleton="cheetah-8u",
+        **options,
+    )
+    motion, truth = fit_clip(settings), read_pose3d(run / "truth.csv")
+    analysis, solution = ClipAnalysis(motion), frame_solution(motion)
+    path = analysis.reference_motion
+    error_mm = 1000 * evaluate(Pose3D(motion.names, motion.joints_m, motion.frames), truth).mpjpe_m.mean
+    verdict, distance_px = motion.verdict, motion.pictures[0].distance_px
+    assert verdict is not None
+    stated = verdict.pose_m
+    return {
+        "run": run.name,
+        "camera": camera,
+        "named": camera == meta.get("monocular_camera"),
+        "verdict": verdict.level,
+        "true_peak_m_s": true_peak_m_s(motion, truth),
+        "peak_m_s": path.peak_speed_m_s,
+        "sigma_m_s": path.peak_speed_sigma_m_s,
+        "speed_stated": analysis.why_no_speed is None,
+        "mpjpe_mm": error_mm,
+        "low_mm": 1000 * stated.low if stated else np.nan,
+        "high_mm": 1000 * stated.high if stated else np.nan,
+        "error_px": float(distance_px[np.isfinite(distance_px)].mean()),
+        "iterations": float(np.nanmedian(solution.reported("iterations"))),
+        "evaluations": float(np.nanmedian(solution.reported("function_evaluations"))),
+    }
+
+
+def true_peak_m_s(motion: Motion, truth: Pose3D) -> float:
+    """Return the fastest speed of the reference joint at the frames."""
+    joint = truth.names.index(motion.reference)
+    time_s = frame_times(truth.frames, motion.fps)
+    rate = series_kinematics(time_s, truth.xyz_m[:, joint], oversampling=1).rate
+    return float(np.nanmax(np.linalg.norm(rate, axis=1)))
+
+
+def summary(table: pd.DataFrame) -> list[str]:
+    """Return the cells that say whether the goals are met."""
+    stated = table[table["speed_stated"]]
+    ratio = stated["peak_m_s"] / stated["true_peak_m_s"]
+    off = (stated["peak_m_s"] - stated["true_peak_m_s"]).abs()
+    pose_holds = (table["mpjpe_mm"] >= table["low_mm"]) & (table["mpjpe_mm"] <= table["high_mm"])
+    usable, named = table[table["verdict"] == "use"], table[table["named"]]
+    is_wrong = usable["speed_stated"] & ((usable["peak_m_s"] / usable["true_peak_m_s"] - 1).abs() > WITHIN)
+    return [
+        f"{len(stated)} of {len(table)}",
+        f"{np.mean((ratio - 1).abs() <= WITHIN):.0%}",
+        f"{np.mean(off <= radius(INTERVAL) * stated['sigma_m_s']):.0%}",
+        f"{pose_holds[table['low_mm'].notna()].mean():.0%}",
+        f"{int((usable['mpjpe_mm'] > POOR_MM).sum())} / {int(is_wrong.sum())} of {len(usable)}",
+        f"{named['mpjpe_mm'].mean():.0f}, {table['mpjpe_mm'].mean():.0f}",
+        f"{table['error_px'].median():.1f}",
+        f"{table['iterations'].median():.0f}, {table['evaluations'].median():.0f}",
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?", default=recordings("cheetah-runs"))
+    parser.add_argument("--only", nargs="+", default=[], metavar="RUN", help="runs whose names begin so")
+    parser.add_argument("--quick", action="store_true", help="the named camera of each run only")
+    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of every fit")
+    parser.add_argument("--csv", type=Path, help="write all rows here")
+    given = parser.parse_args()
+    options = dict(item.split("=", 1) for item in given.set)
+    rows = []
+    for run in sorted(path.parent for path in given.folder.glob("*/meta.json")):
+        if given.only and not run.name.startswith(tuple(given.only)):
+            continue
+        meta = json.loads((run / "meta.json").read_text())
+        cameras = [meta["monocular_camera"]] if given.quick else meta["cameras"]
+        rows += [view_row(run, camera, meta, options) for camera in cameras]
+    if not rows:
+        parser.exit(message=f"no runs in {given.folder}: nothing measured\n")
+    table = pd.DataFrame(rows)
+    if given.csv:
+        table.to_csv(given.csv, index=False)
+    cells = [
+        [
+            *(row.run[:26], f"{row.camera}{' *' * row.named}", row.verdict, f"{row.true_peak_m_s:.1f}"),
+            f"{row.peak_m_s:.1f} ± {row.sigma_m_s:.1f}{'' if row.speed_stated else ' (not stated)'}",
+            *(f"{row.mpjpe_mm:.0f} ({row.low_mm:.0f} to {row.high_mm:.0f})", f"{row.error_px:.1f}"),
+            *(f"{row.iterations:.0f}", f"{row.evaluations:.0f}"),
+        ]
+        for row in table.itertuples()
+    ]
+    print_table(
+        ["run", "camera", "verdict", "true peak m/s", "peak", "MPJPE mm", "px", "iterations", "evaluations"], cells
+    )
+    print()
+    names = "runs, speed stated, near the truth, 90 % hold, pose 90 % hold, use: poor pose / wrong peak, "
+    names += "MPJPE mm (named; all), px, iterations and evaluations"
+    lines = [["all", *summary(table)]]
+    runs = list(dict.fromkeys(table["run"]))
+    for run in runs if len(runs) > 1 else ():
+        lines.append([f"without {run[:26]}", *summary(table[table["run"] != run])])
+    print_table(names.split(", "), lines)
+
+
+if __name__ == "__main__":
+    main()

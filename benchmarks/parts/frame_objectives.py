@@ -1,0 +1,110 @@
+"""What each objective of the frame method does on real runs: poses with some of them only.
+
+    python benchmarks/parts/frame_objectives.py [FOLDER]
+
+The named camera of every run of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA. An objective that is left
+out weighs a millionth, so that there are never fewer residuals than unknowns. Pixels: mean reprojection error of the
+best 90 %, median of the runs. MPJPE by run, and their mean. Share: of f2 to f5 in the squared residuals, mean. Jitter:
+of the thetas from frame to frame, degrees, median. A quarter of an hour.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+from cheetah_runs import PUBLISHED, best_90_px
+from markdown_table import print_header, print_row
+from recordings import recordings
+
+from recon import FitSettings, Pose3D, evaluate, fit_clip, read_pose3d
+from recon.gait.kinematics import frame_jitter_m
+from recon.thesis import solver as frame
+from recon.thesis.objectives import Objective, ResidualAndJacobian, frame_objectives
+from recon.thesis.solution import FrameSolution
+
+LIMITS = ("theta range", "phi range", "theta rate", "phi rate")
+"""f2, f3, f4 and f5."""
+PRIORS = ("theta prior", "phi prior", "roll prior", "heading tie", "travel prior")
+SIZE = ("base length prior",)
+EVERY = (*LIMITS, *SIZE, *PRIORS)
+CASES: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {
+    "f1 alone": ((), {}),
+    **{f"f1, f{2 + k}": ((name,), {}) for k, name in enumerate(LIMITS)},
+    "f1 to f5": (LIMITS, {}),
+    "f1 to f5 as printed": (LIMITS, {"form": "printed"}),
+    "f1, base length": (SIZE, {}),
+    "f1 to f5, base length": ((*LIMITS, *SIZE), {}),
+    "the same as printed": ((*LIMITS, *SIZE), {"form": "printed"}),
+    "f1, base length, priors": ((*SIZE, *PRIORS), {}),
+    "all, as by default": (EVERY, {}),
+    "all, f2 to f5 as printed": (EVERY, {"form": "printed"}),
+    "all, f1 as printed": (EVERY, {"reprojection": "printed"}),
+    "all as printed": (EVERY, {"form": "printed", "reprojection": "printed"}),
+    "f1 to f5, base length, rotation fixed": ((*LIMITS, *SIZE), {"camera_rotation": "fixed"}),
+    "all, rotation fixed": (EVERY, {"camera_rotation": "fixed"}),
+}
+FADED = 1e-6
+
+
+class Faded:
+    """An objective that hardly weighs."""
+
+    def __init__(self, term: Objective) -> None:
+        self.name, self.ties, self.term = term.name, term.ties, term
+
+    def evaluate(self, *given) -> ResidualAndJacobian:
+        residual, jacobian = self.term.evaluate(*given)
+        return FADED * residual, FADED * jacobian
+
+
+def measured(run: Path, kept: tuple[str, ...], options: dict[str, Any]) -> tuple[float, float, float, float]:
+    """Pixels, MPJPE in mm, the share of f2 to f5, and the jitter of the thetas in degrees."""
+    every, meta = frame_objectives, json.loads((run / "meta.json").read_text())
+    camera = meta["monocular_camera"]
+    settings = FitSettings(
+        keypoints=(run / f"cam{camera}.csv",),
+        camera=(run / "scene.json",),
+        camera_name=(f"cam{camera}",),
+        fps=meta["fps"],
+        method="frame",
+        skeleton=PUBLISHED,
+        **options,
+    )
+
+    def some(*given) -> tuple[Any, ...]:
+        first, *others = every(*given)
+        return (first, *(term if term.name in kept else Faded(term) for term in others))
+
+    with mock.patch.object(frame, "frame_objectives", some):
+        motion = fit_clip(settings)
+    solution = motion.solution
+    assert isinstance(solution, FrameSolution)
+    score = evaluate(Pose3D(motion.names, motion.joints_m, motion.frames), read_pose3d(run / "truth.csv"))
+    shares = [sum(r.cost_shares.get(name, 0.0) for name in LIMITS) for r in solution.reports if r is not None]
+    thetas = np.unwrap(solution.chain_states[motion.solved][:, solution.chain.theta_slice], axis=0)
+    jitter = float(np.degrees(np.median(frame_jitter_m(thetas))))
+    return best_90_px(motion), 1000 * score.mpjpe_m.mean, float(np.mean(shares)), jitter
+
+
+def main() -> None:
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else recordings("cheetah-runs")
+    runs = sorted(path.parent for path in folder.glob("*/meta.json"))
+    if not runs:
+        sys.exit(f"no runs in {folder}: nothing measured")
+    print_header(
+        ["objectives", "pixels", *(f"run {k}" for k in range(1, len(runs) + 1)), "mean, mm", "share", "jitter"]
+    )
+    for name, (kept, options) in CASES.items():
+        pixels, mpjpe, share, jitter = np.array([measured(run, kept, options) for run in runs]).T
+        cells = [f"{np.median(pixels):.1f}", *(f"{mm:.0f}" for mm in mpjpe), f"{mpjpe.mean():.0f}"]
+        weighed = f"{share.mean():.1%}" if {*kept} & {*LIMITS} else ""
+        print_row([name, *cells, weighed, f"{np.median(jitter):.1f}"])
+
+
+if __name__ == "__main__":
+    main()

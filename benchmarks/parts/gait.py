@@ -1,0 +1,369 @@
+"""Kinematics and gait of the samples against their formula, and of real runs from their multi-camera reconstructions.
+
+    python benchmarks/parts/gait.py [FOLDER] [--held-out]
+
+--held-out: how the share of a foot's stated speed that a standing one seems to move by (`SPEED_ERROR`) is chosen: for
+each of three kinds of recordings by the stances of the two others, with what it is worth on the third.
+
+The samples: speeds and stance events of the true joints, and of reconstructions, against the formula at 3600 fps. Each
+run is a folder with truth.csv and meta.json (fps). Prints what the clips show of the gait, and the mean magnitudes of
+the links' motion relative to their parents. Without FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of
+../shared/data; without any runs, the samples only. Of the same place the plate-trials, single views and the
+multi-camera reconstruction against the force plates' stances; the dog-mocap, motion capture of walks, runs and a turn,
+by its markers and by one camera beside it; and the horse-side, labels by hand.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from dog import Clip, read_clips, write_view
+from markdown_table import print_table
+from recordings import recordings
+
+import recon.gait.gait as method
+from recon import FitSettings, Pose3D, fit_clip, load_skeleton, read_pose3d
+from recon.fit.motion import Motion
+from recon.fit.posterior import radius
+from recon.gait.clip import ClipAnalysis, analyse
+from recon.gait.gait import FEET, INTERVAL, Gait, Stance, gait, match_stances, pose_tracks, stances
+from recon.gait.kinematics import joint_kinematics, spine_flexion
+from recon.gait.phase import field_means, pose_vector_field
+from recon.testing.gallop import gallop
+from recon.workflows.clip_results import run_clip
+
+SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
+REFERENCE = "spine"
+CHAINS = {
+    "hind": ("spine", "tail_base", "{}_back_knee", "{}_back_ankle", "{}_back_paw"),
+    "spine": ("tail_base", "spine", "neck_base"),
+    "front": ("spine", "neck_base", "{}_front_knee", "{}_front_ankle", "{}_front_paw"),
+}
+"""The links 6, 7, 8; 1; 2, 3, 4 of the skeleton cheetah-8u."""
+LINKS = {"hind": "678", "spine": "1", "front": "234"}
+
+
+def run_row(pose: Pose3D, fps: float) -> dict:
+    """One run as one row of the tables of stances and gaits."""
+    tracks = pose_tracks(pose, fps)
+    found = gait(tracks)
+    ((_, plane),) = tracks.grounds
+    whole = [s for s in found.stances if s.begins and s.ends]
+    flexion = spine_flexion(pose, fps)
+    return {
+        "frames": len(pose.frames),
+        "fps": f"{fps:g}",
+        "speed_m_s": f"{found.speed_m_s:.1f}",
+        "leg_m": f"{tracks.leg_m:.2f}",
+        "stances": len(found.stances),
+        "stance_ms": f"{1000 * np.mean([s.duration_s for s in whole]):.0f}" if whole else "-",
+        "landed": " ".join(found.order),
+        "strides": len(found.strides),
+        "gait": found.name.name,
+        "criterion": found.name.criterion,
+        "slope_percent": f"{100 * np.hypot(*plane.slope):.1f}",
+        "spread_mm": f"{1000 * plane.spread_m:.0f}",
+        "flexion_deg": "{:+.0f} to {:+.0f}".format(*np.degrees(flexion.range_rad)),
+    }
+
+
+def link_speeds(pose: Pose3D, fps: float) -> dict[str, float]:
+    """Mean speed of each link's tip relative to its parent, m/s, mean of both sides."""
+    found = {}
+    for limb, chain in CHAINS.items():
+        sides = [
+            field_means(pose_vector_field(pose, tuple(j.format(side) for j in chain), fps))["speed_m_s"].tolist()
+            for side in "lr"
+        ]
+        found |= dict(zip(LINKS[limb], np.mean(sides, axis=0).tolist(), strict=True))
+    return found
+
+
+# -- the samples -----------------------------------------------------------------------------------------------------
+
+FORMULA_FPS = 3600
+
+
+def sample_rows() -> list[dict]:
+    """True joints and reconstructions of the samples; errors against the formula, or the true joints for `whole`."""
+    formula = gallop(fps=float(FORMULA_FPS), n_frames=29 * FORMULA_FPS // 30 + 1)
+    fine = Pose3D(formula.names, formula.truth_m, np.arange(len(formula.truth_m)))
+    clean, whole = (read_pose3d(SAMPLES / f"{name}_truth.csv") for name in ("clean", "whole"))
+    rows = [sample_row("clean, true joints", clean, 30, fine, FORMULA_FPS, FEET)]
+    fits = (
+        ("noisy, frame method", {"method": "frame"}),
+        ("noisy, trajectory method, same chain", {"skeleton": "cheetah-8u"}),
+    )
+    for name, options in fits:
+        rows.append(fitted_row(name, "noisy", 30, options, fine, FORMULA_FPS))
+    rows.append(fitted_row("whole, trajectory method", "whole", 60, {}, whole, 60))
+    return rows
+
+
+def fitted_row(name: str, sample: str, fps: int, options: dict, truth: Pose3D, truth_fps: int) -> dict:
+    with tempfile.TemporaryDirectory() as folder:
+        settings = FitSettings(
+            keypoints=(SAMPLES / f"{sample}.csv",), camera=(SAMPLES / "camera.toml",), fps=fps, **options
+        )
+        run_clip(settings, Path(folder) / "fit")
+        found = analyse(Motion.load(Path(folder) / "fit"))
+    row = sample_row(name, found.pose, fps, truth, truth_fps, found.motion.foot_names)
+    sigma = found.joints[REFERENCE].speed_sigma_m_s
+    return row | {"stated sigma m/s": "-" if np.isnan(sigma).all() else f"{np.nanmedian(sigma):.1f}"}
+
+
+def sample_row(name: str, pose: Pose3D, fps: int, truth: Pose3D, truth_fps: int, feet: Mapping[str, str]) -> dict:
+    moved, true = (joint_kinematics(p, REFERENCE, f) for p, f in ((pose, fps), (truth, truth_fps)))
+    every = truth_fps // fps
+    at_frames = moved.speed_m_s[::10], true.speed_m_s[:: 10 * every][: len(pose.frames)]
+    of_joints = [
+        joint_kinematics(pose, j, fps).peak_speed_m_s / joint_kinematics(truth, j, truth_fps).peak_speed_m_s - 1
+        for j in pose.names
+        if j in truth.names
+    ]
+    tracks = [pose_tracks(p, f, feet=feet) for p, f in ((pose, fps), (truth, truth_fps))]
+    row = {
+        "joints": name,
+        "fps": fps,
+        f"peak speed of {REFERENCE} m/s (error)": f"{moved.peak_speed_m_s:.2f} "
+        f"({moved.peak_speed_m_s / true.peak_speed_m_s - 1:+.1%})",
+        "mean (error)": f"{moved.mean_speed_m_s:.2f} ({moved.mean_speed_m_s / true.mean_speed_m_s - 1:+.1%})",
+        "speed, rms error m/s": f"{np.sqrt(np.nanmean((at_frames[0] - at_frames[1]) ** 2)):.2f}",
+        "stated sigma m/s": "-",
+        "largest error of any joint's peak": f"{max(of_joints, key=abs):+.1%}",
+        "peak acceleration m/s2 (true)": f"{moved.peak_acceleration_m_s2:.0f} ({true.peak_acceleration_m_s2:.0f})",
+    }
+    found, exact = (stances(t) for t in tracks)
+    pairs = match_stances(exact, found)
+    off = [fps * (b.start_s - a.start_s) for a, b in pairs if a.begins and b.begins]
+    off += [fps * (b.end_s - a.end_s) for a, b in pairs if a.ends and b.ends]
+    missed, extra = len(exact) - len(pairs), len(found) - len(pairs)
+    row["stances: paired, missed, extra"] = f"{len(pairs)}, {missed}, {extra}"
+    row["events: median, worst error, frames"] = (
+        f"{np.median(np.abs(off)):.1f}, {np.max(np.abs(off)):.1f}" if off else "-"
+    )
+    return row
+
+
+# -- force plates and motion capture ---------------------------------------------------------------------------------
+
+
+Events = list[tuple[float, float, bool]]
+"""Each event: seconds late, standard deviation, and whether it is a touch-down."""
+
+
+def fitted(run: Path, camera: int, about: dict) -> Motion:
+    """A single view."""
+    scene = run / "scene.json"
+    one, name = (scene, (f"cam{camera}",)) if scene.is_file() else (run / f"cam{camera}.toml", None)
+    return fit_clip(
+        FitSettings(keypoints=(run / f"cam{camera}.csv",), camera=(one,), camera_name=name, fps=about["fps"])
+    )
+
+
+def found_gait(motion: Motion) -> Gait:
+    found = ClipAnalysis(motion).gait
+    assert found is not None
+    return found
+
+
+def events(found: Sequence[Stance], exact: Sequence[Stance]) -> Events:
+    """The events of the stances that are in both."""
+    both = match_stances(exact, found)
+    late = [(b.start_s - a.start_s, b.start_sigma_s, True) for a, b in both if a.begins and b.begins]
+    return late + [(b.end_s - a.end_s, b.end_sigma_s, False) for a, b in both if a.ends and b.ends]
+
+
+def plate_stances(run: Path, fps: float) -> list[Stance]:
+    measured = pd.read_csv(run / "stances.csv")
+    rows = dict(zip(measured["joint"], measured.drop(columns="joint").to_numpy(float), strict=True))
+    ends = [(foot, *map(float, rows[joint])) for foot, joint in FEET.items()]
+    return [Stance(foot, down / fps, up / fps, down, up) for foot, down, up in ends]
+
+
+def plate_rows() -> list[dict]:
+    """Against the force plates, and what is known of the stances' ends by the intervals."""
+    kinds: dict[str, list[tuple[tuple[Stance, ...], list[Stance]]]] = {"single views": [], "reconstructions": []}
+    for run in sorted(path.parent for path in recordings("plate-trials").glob("*/stances.csv")):
+        about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
+        exact = plate_stances(run, about["fps"])
+        for camera in about["cameras"]:
+            kinds["single views"].append((found_gait(fitted(run, camera, about)).stances, exact))
+        found = stances(pose_tracks(read_pose3d(run / "truth.csv"), about["fps"]))
+        kinds["reconstructions"].append((found, exact))
+    return [event_row(kind, some) for kind, some in kinds.items() if some]
+
+
+CANDIDATES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8)
+
+
+def held_out_rows(runs: Sequence[Path]) -> list[dict]:
+    """For each kind of recordings the share that is best for the others, by stances missed and by how far the median
+    duration is off; and what it is worth."""
+    kinds: dict[str, list[tuple[Motion, Sequence[Stance]]]] = {"cheetahs over plates": [], "cheetahs": [], "a dog": []}
+    for run in sorted(path.parent for path in recordings("plate-trials").glob("*/stances.csv")):
+        about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
+        exact = plate_stances(run, about["fps"])
+        kinds["cheetahs over plates"] += [(fitted(run, camera, about), exact) for camera in about["cameras"]]
+    for run in runs:
+        about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
+        exact = stances(pose_tracks(read_pose3d(run / "truth.csv"), about["fps"]))
+        kinds["cheetahs"] += [(fitted(run, camera, about), exact) for camera in about["cameras"]]
+    kinds["a dog"] = [
+        (motion, marked.stances) for clip, marked, motion in dog_gaits() if not clip.name.startswith("turn")
+    ]
+    rows, found, before = [], {}, method.SPEED_ERROR
+    for share in CANDIDATES:
+        method.SPEED_ERROR = share
+        found[share] = {
+            kind: event_row(kind, [(found_gait(motion).stances, exact) for motion, exact in some])
+            for kind, some in kinds.items()
+            if some
+        }
+    method.SPEED_ERROR = before
+
+    def off(row: dict) -> float:
+        return row["missed"] / row["stances"] + abs(float(row["duration / measured"]) - 1)
+
+    for kind in (*found[before], "none"):
+        others = {s: sum(off(row) for other, row in of.items() if other != kind) for s, of in found.items()}
+        best = min(others, key=others.__getitem__)
+        if kind in found[best]:
+            rows.append({"left out": kind, "best for the others": best} | found[best][kind])
+        else:
+            print(f"By all of them: {best}\n")
+    return rows
+
+
+def event_row(kind: str, some: Sequence[tuple[Sequence[Stance], Sequence[Stance]]]) -> dict:
+    late = [event for found, exact in some for event in events(found, exact)]
+    pairs = [pair for found, exact in some for pair in match_stances(exact, found)]
+    down, up = (1000 * np.array([off for off, _, lands in late if lands == which]) for which in (True, False))
+    whole = [(a, b) for a, b in pairs if b.begins and b.ends and a.begins and a.ends]
+    known = np.array([abs(off) < radius(INTERVAL) * sigma for off, sigma, _ in late])
+    return {
+        "of": kind,
+        "stances": sum(len(exact) for _, exact in some),
+        "missed": sum(len(exact) for _, exact in some) - len(pairs),
+        "touch-down late ms: median, absolute": f"{np.median(down):+.1f}, {np.median(np.abs(down)):.1f}",
+        "lift-off late ms: median, absolute": f"{np.median(up):+.1f}, {np.median(np.abs(up)):.1f}",
+        "duration / measured": f"{np.median([b.duration_s / a.duration_s for a, b in whole]):.2f}",
+        "sigma ms, median": f"{1000 * np.median([sigma for _, sigma, _ in late]):.0f}",
+        "in intervals of 90 %": f"{known.mean():.0%}",
+    }
+
+
+def view_rows(runs: Sequence[Path]) -> list[dict]:
+    """Single views against the same rule of stances by what all cameras or the markers say."""
+    rows, cheetahs, dogs = [], [], []
+    for run in runs:
+        about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
+        exact = stances(pose_tracks(read_pose3d(run / "truth.csv"), about["fps"]))
+        cheetahs += [(found_gait(fitted(run, camera, about)).stances, exact) for camera in about["cameras"]]
+    if cheetahs:
+        rows.append(event_row("cheetahs, all cameras", cheetahs))
+    for clip, marked, seen in dog_gaits():
+        if not clip.name.startswith("turn"):
+            dogs.append((found_gait(seen).stances, marked.stances))
+    return [*rows, event_row("a dog, markers", dogs)] if dogs else rows
+
+
+@cache
+def dog_gaits() -> tuple[tuple[Clip, Gait, Motion], ...]:
+    """Each clip with its gait by the markers, and fitted by one camera beside it."""
+    folder, body, found = recordings("dog-mocap"), load_skeleton("dog-27"), []
+    with tempfile.TemporaryDirectory() as written:
+        for seed, clip in enumerate(read_clips(folder) if folder.is_dir() else ()):
+            pose = Pose3D(body.markers, clip.markers(body), np.arange(len(clip.points_m)))
+            marked = gait(pose_tracks(pose, clip.fps, feet=body.feet_by_label(), body=body.forward))
+            settings, _ = write_view(clip, Path(written), seed)
+            found.append((clip, marked, fit_clip(settings)))
+    return tuple(found)
+
+
+def animal_rows() -> list[dict]:
+    """What a dog's clips and a horse's are called."""
+    rows = []
+    for clip, marked, motion in dog_gaits():
+        seen = found_gait(motion)
+        low, high = seen.name.duty_interval
+        rows.append(
+            {
+                "clip": clip.name,
+                "speed m/s": f"{marked.speed_m_s:.1f}",
+                "markers: gait, strides, duty factor": shown(marked),
+                "one view": shown(seen),
+                "90 %": f"{low:.2f} to {high:.2f}",
+                "feet below 0.6 m/s": f"{np.nanmean(marked.tracks.foot_speed_m_s < 0.6):.2f}",
+            }
+        )
+    labels = recordings("horse-side") / "CollectedData_Byron.csv"
+    if labels.is_file():
+        settings = FitSettings(
+            keypoints=(labels,), skeleton="horse-22", fps=24.0, hfov_deg=50.0, image_size_px=(288, 162)
+        )
+        seen = found_gait(fit_clip(settings))
+        row = {"clip": "horse, labels by hand", "speed m/s": f"{seen.speed_m_s:.1f}", "one view": shown(seen)}
+        rows.append({key: row.get(key, "") for key in (rows[0] if rows else row)})
+        rows[-1] |= {"90 %": "{:.2f} to {:.2f}".format(*seen.name.duty_interval)}
+    return rows
+
+
+def shown(found: Gait) -> str:
+    return f"{found.name.name}, {len(found.strides)}, {found.name.duty_factor:.2f}"
+
+
+def print_rows(rows: list[dict]) -> None:
+    print_table(list(rows[0]), [row.values() for row in rows])
+
+
+def main() -> None:
+    default = recordings("cheetah-runs")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?", default=default)
+    parser.add_argument(
+        "--held-out", action="store_true", help="choose SPEED_ERROR by other recordings, and nothing else"
+    )
+    arguments = parser.parse_args()
+    runs = sorted(p.parent for p in arguments.folder.glob("*/meta.json") if (p.parent / "truth.csv").is_file())
+    if arguments.held_out:
+        print_rows(held_out_rows(runs))
+        return
+    print("### Samples\n")
+    print_rows(sample_rows())
+    tables = (("Force plates", plate_rows()), ("Single views", view_rows(runs)), ("A dog and a horse", animal_rows()))
+    for title, measured in tables:
+        if measured:
+            print(f"\n\n### {title}\n")
+            print_rows(measured)
+    if not runs:
+        parser.exit(message=f"no runs in {arguments.folder}\n")
+    rows, links = [], []
+    for run in runs:
+        fps = json.loads((run / "meta.json").read_text(encoding="utf-8"))["fps"]
+        pose = read_pose3d(run / "truth.csv")
+        rows.append({"run": run.name, **run_row(pose, fps)})
+        links.append(link_speeds(pose, fps))
+    columns = list(rows[0])
+    at = columns.index("landed")
+    print("\n### Stances\n")
+    print_rows([{name: row[name] for name in columns[:at]} for row in rows])
+    print("\n### Gait\n")
+    print_rows([{name: row[name] for name in ("run", *columns[at:])} for row in rows])
+    print("\n### Mean speed of links relative to their parents, m/s\n")
+    named = [
+        {"run": row["run"], **{k: f"{v:.2f}" for k, v in link.items()}} for row, link in zip(rows, links, strict=True)
+    ]
+    mean = {k: f"{np.mean([link[k] for link in links]):.2f}" for k in links[0]}
+    print_rows([*named, {"run": "mean", **mean}])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,548 @@
+"""Inverse kinematics: time per step, success rates, iterations and closures, and strides of a folder of real runs.
+
+    python benchmarks/parts/ik.py [FOLDER] [--only steps targets alphas circle costs strides fits held-out online]
+
+Joints of `cheetah-8u`'s spine and front leg in their level base frame, and of `cheetah-24`'s left front leg. One core,
+warm. Tables in Markdown, as in docs/ik.md. The last four need real runs: each is a folder with truth.csv and meta.json
+(fps), by default those of cheetah-runs in $RECON_SHARED_DATA, or in ../shared/data.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import time
+
+import numpy as np
+from markdown_table import print_header, print_row, print_table
+from recordings import recordings
+from scipy.interpolate import CubicSpline
+
+from recon import Pose3D, read_pose3d
+from recon.animal.chain import load_chain
+from recon.animal.skeleton_file import load_skeleton
+from recon.fit.points import solve_points
+from recon.gait.gait import pose_gait
+from recon.ik.animal_chain import body_chain, body_chain_angles, chain_angles, projected_chain, spine_front_leg
+from recon.ik.chain import SerialChain
+from recon.ik.costs import Cost, harmonic_map, joint_differences, pose_distance, rotational_energy
+from recon.ik.drive import degree_of_closure, drive_to, follow
+from recon.ik.limb import LAST, Limb, fit_parameter_series, follow_stride, stride_lasts_s
+from recon.ik.methods import (
+    ExtendedJacobian,
+    GradientProjection,
+    JacobianTranspose,
+    LeastNorm,
+    Method,
+    SelectivelyDamped,
+    best_scale,
+    damped_least_squares,
+    weighted_least_norm,
+)
+from recon.ik.null_space import to_null_space_optimum
+from recon.ik.parameters import Fit, Frames, explained_by, fits, rates_of
+from recon.ik.stride import StridePath, find_stride
+
+Array = np.ndarray
+
+ALPHAS = (0.1, 0.3, 0.5, 0.8, 1.0, 1.3, 1.6, 1.9, 2.1, 2.3)
+ALPHA_TASKS = 10
+TASKS, SEED = 50, 0
+STEPS, WARM = 4000, 500
+TURNS, POINTS, RADIUS_M = 10, 400, 0.1
+SLOWER = 10
+"""Strides are followed in slow motion, so that the limits of the rates do not hold the methods back."""
+SIDES = ("left", "right")
+PUBLISHED = {
+    "gradient projection (differences)": "264, ended 11 mm away",
+    "weighted (lengths)": "6,100",
+    "damped (0.05 m)": "765",
+    "extended Jacobian (energy)": "587, ended 32.7 mm away",
+}
+"""Iterations to a target that the publication does not state; its cost is not stated either."""
+
+
+HARMONIC = "harmonic map"
+COSTS: dict[str, Callable[[SerialChain], Cost]] = {
+    "joint differences": joint_differences,
+    "rotational energy": rotational_energy,
+    "distance from the middle pose": lambda chain: pose_distance(np.zeros(chain.n)),
+    HARMONIC: lambda chain: harmonic_map(),
+}
+NEAR_RAD, CLOSED_RAD, APART = 1e-6, 1e-3, 1e3
+"""How near two starts are; how well a path closes; how much further apart than they began two chaotic ways end."""
+
+
+def joined(parts: list[Frames]) -> Frames:
+    """The frames of several chains of one kind, one after the other."""
+    arrays = (np.concatenate([getattr(part, of) for part in parts]) for of in ("q", "jacobian", "dx", "dq"))
+    return Frames(*arrays, names=parts[0].names)
+
+
+def chains(limited: bool) -> dict[str, SerialChain]:
+    skeleton, body = load_chain("cheetah-8u"), load_skeleton("cheetah-24")
+    return {
+        "2D, 5 joints": spine_front_leg(skeleton, dim=2, limited=limited),
+        "3D, 10 joints": spine_front_leg(skeleton, limited=limited),
+        "whole animal, 9 joints": body_chain(body, "l_front_paw", limited=limited),
+    }
+
+
+def methods(chain: SerialChain) -> dict[str, Method]:
+    differences, energy = joint_differences(chain), rotational_energy(chain)
+    every: dict[str, Method] = {
+        "least norm": LeastNorm(),
+        "Jacobian transpose": JacobianTranspose(),
+        "gradient projection (differences)": GradientProjection(differences),
+        "weighted (lengths)": weighted_least_norm(chain.joint_lengths_m),
+        "damped (0.05 m)": damped_least_squares(),
+        "selectively damped": SelectivelyDamped(),
+        "extended Jacobian (differences)": ExtendedJacobian(differences),
+        "extended Jacobian (energy)": ExtendedJacobian(energy),
+        "extended Jacobian (energy), N constant": ExtendedJacobian(energy, full=False),
+    }
+    if chain.base.shape == (2, 3) or len(chain.groups) == 2:  # the map is one of the 8U chain's joints
+        every["extended Jacobian (harmonic map)"] = ExtendedJacobian(harmonic_map())
+    return every
+
+
+# -- steps and targets -----------------------------------------------------------------------------------------------
+
+
+def step_us(chain: SerialChain, method: Method) -> float:
+    """Median time of `rates` at random configurations within the limits, microseconds."""
+    rng = np.random.default_rng(SEED)
+    q = rng.uniform(chain.lower_rad, chain.upper_rad, (STEPS, chain.n))
+    dx = rng.normal(size=(STEPS, chain.dim))
+    times = np.empty(STEPS)
+    for k in range(STEPS):
+        start = time.perf_counter()
+        method.rates(chain, q[k], dx[k])
+        times[k] = time.perf_counter() - start
+    return 1e6 * float(np.median(times[WARM:]))
+
+
+def time_of(chain: SerialChain, name: str) -> str:
+    method = methods(chain).get(name)
+    return f"{step_us(chain, method):.0f}" if method else ""
+
+
+def print_steps() -> None:
+    print("Microseconds per step:\n")
+    every = chains(True)
+    names = methods(next(iter(every.values())))
+    rows = [[name, *(time_of(chain, name) for chain in every.values())] for name in names]
+    print_table(["method", *every], rows)
+
+
+def tasks(chain: SerialChain) -> list[tuple[Array, Array]]:
+    """Starts and targets from random poses within the limits."""
+    starts, ends = np.random.default_rng(SEED).uniform(chain.lower_rad, chain.upper_rad, (2, TASKS, chain.n))
+    return [(q, chain.end(end)) for q, end in zip(starts, ends, strict=True)]
+
+
+def print_targets() -> None:
+    for (title, free), limited in zip(chains(False).items(), chains(True).values(), strict=True):
+        print(f"\n{title}, {TASKS} targets, seed {SEED}:\n")
+        rows = []
+        for name, method in methods(free).items():
+            drives = [drive_to(free, q, x, method) for q, x in tasks(limited)]
+            within = [drive_to(limited, q, x, method).reached for q, x in tasks(limited)]
+            done = [d for d in drives if d.reached]
+            steps = [d.iterations for d in done]
+            rows.append(
+                [
+                    *(name, f"{100 * len(done) / TASKS:.0f} %", f"{np.median(steps):.0f} ({max(steps)})"),
+                    *([PUBLISHED.get(name, "")] if free.dim == 2 else []),
+                    *(f"{np.mean([d.length_m for d in done]):.3f}",),
+                    *(f"{np.median([d.roughness_rad2 for d in done]):.1e}", f"{100 * np.mean(within):.0f} %"),
+                ]
+            )
+        context = ["published, another target"] if free.dim == 2 else []
+        measures = ["path, m", "roughness, rad2", "reached within limits"]
+        print_table(["method", "reached", "iterations, median (max)", *context, *measures], rows)
+
+
+def print_alphas() -> None:
+    """One factor on the rates of every method: from steps that are too short to some that go beyond their points."""
+    chain = next(iter(chains(False).values()))
+    some = tasks(next(iter(chains(True).values())))[:ALPHA_TASKS]
+    print(f"\nIterations to {ALPHA_TASKS} targets in the plane by alpha, median; in brackets how many were reached:\n")
+    print_header(["method", *(f"{alpha:g}" for alpha in ALPHAS)])
+    for name, method in methods(chain).items():
+        cells = []
+        for alpha in ALPHAS:
+            drives = [drive_to(chain, q, x, replace(method, alpha=alpha)) for q, x in some]
+            steps = [drive.iterations for drive in drives if drive.reached]
+            all_of_them = len(steps) == len(drives)
+            cells.append((f"{np.median(steps):.0f}" if steps else "") + ("" if all_of_them else f" ({len(steps)})"))
+        print_row([name, *cells])
+    print(flush=True)
+
+
+# -- closed paths ----------------------------------------------------------------------------------------------------
+
+
+def start_of(chain: SerialChain, q: Array, method: Method) -> Array:
+    """The optimum of the method's cost (or the energy's) that the null space leads to."""
+    cost = method.cost if isinstance(method, ExtendedJacobian) else rotational_energy(chain)
+    return to_null_space_optimum(chain, q, cost)[0]
+
+
+def circle_closure(chain: SerialChain, q: Array, name: str) -> str:
+    """Least closures of any joint after the turns on a circle: angle / (angle, rate) plane."""
+    method = methods(chain).get(name)
+    if method is None:
+        return ""
+    q = start_of(chain, q, method)
+    run = follow(chain, q, circle(chain, q), method, turns=TURNS)
+    closures = run.closures()
+    singular = ", singular on the way" if run.singular.any() else ""
+    return f"{np.nanmin(closures['angle']):.2f} / {np.nanmin(closures['plane']):.2f}{singular}"
+
+
+def circle(chain: SerialChain, q: Array) -> Array:
+    """(POINTS + 1, dim), closed, from where the end is at q."""
+    angle, start = np.linspace(0, 2 * np.pi, POINTS + 1), chain.end(q)
+    u, v = np.array([1.0, 0.0, 0.0])[: chain.dim], np.array([0.0, 0.8, 0.6])[: chain.dim]
+    path = start + RADIUS_M * ((np.cos(angle) - 1)[:, None] * u + np.sin(angle)[:, None] * v)
+    path[-1] = path[0]
+    return path
+
+
+def cost_verdict(chain: SerialChain, q: Array, cost: Cost) -> str:
+    """What the extended Jacobian does with a cost on the circle, from its optimum: convergent where the angles after
+    every turn are those at its beginning, singular where the matrix was on the way, chaotic where a start that is off
+    by `NEAR_RAD` ends `APART` times as far away, drifting otherwise; with how many joints limits held."""
+    method = ExtendedJacobian(cost)
+    q = to_null_space_optimum(chain, q, cost)[0]
+    path = circle(chain, q)
+    run = follow(chain, q, path, method, turns=TURNS)
+    held = f", {len(run.limits)} joints at limits" if run.limits else ""
+    if np.nanmax(np.abs(run.q[:: len(path) - 1] - run.q[0])) < CLOSED_RAD:
+        return f"convergent{held}"
+    if run.singular.any():
+        return f"singular{held}"
+    near = follow(chain, q + NEAR_RAD, path, method, turns=TURNS)
+    apart = np.nanmax(np.abs(near.q[-1] - run.q[-1]))
+    return f"{'chaotic' if apart > APART * NEAR_RAD else 'drifting'}{held}"
+
+
+def print_costs() -> None:
+    print(f"\nThe extended Jacobian by cost, {TURNS} turns on a circle of {RADIUS_M} m:\n")
+    rows = []
+    for name, cost_of in COSTS.items():
+        cells = [name]
+        for (title, free), limited in zip(chains(False).items(), chains(True).values(), strict=True):
+            q = (limited.lower_rad + limited.upper_rad) / 2
+            if title.startswith("3D"):
+                q[5:] = [0.1, 0.15, -0.1, 0.2, 0.15]
+            cells += [
+                cost_verdict(chain, q, cost_of(chain)) if name != HARMONIC or title[0] in "23" else ""
+                for chain in (free, limited)
+            ]
+        rows.append(cells)
+    heads = [f"{title}, {limits}" for title in chains(False) for limits in ("free", "limits")]
+    print_table(["cost", *heads], rows)
+
+
+def print_circle() -> None:
+    print(f"\nLeast closure of any joint after {TURNS} turns on a circle of {RADIUS_M} m, percent, angle / plane:\n")
+    every, bounds = chains(False), chains(True).values()
+    middles = [(chain.lower_rad + chain.upper_rad) / 2 for chain in bounds]
+    middles[1][5:] = [0.1, 0.15, -0.1, 0.2, 0.15]
+    rows = []
+    for name in methods(next(iter(every.values()))):
+        starts = zip(every.values(), middles, strict=True)
+        rows.append([name, *(circle_closure(chain, q, name) for chain, q in starts)])
+    print_table(["method", *every], rows)
+
+
+# -- real strides ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """A run's front leg: name of run and side, the chain with the animal's size, its angles (T, n), the frame rate, how
+    long a stride takes at least and at most."""
+
+    name: str
+    chain: SerialChain
+    q: Array
+    fps: float
+    lasts_s: tuple[float, float]
+
+    def online(self, stride: StridePath) -> dict[str, list[Method]]:
+        """By method those refitted at every frame of a stride."""
+        return fit_parameter_series(Limb("", self.chain, self.q, self.fps, 0.0, "UVW", 0.0), stride, None, LAST)[1]
+
+
+@cache
+def real_legs(folder: Path) -> dict[str, list[Leg]]:
+    """All runs' legs, by chain: "2D" in the plane of the travel, "3D", "whole animal"."""
+    skeleton, body = load_chain("cheetah-8u"), load_skeleton("cheetah-24")
+    legs: dict[str, list[Leg]] = {"2D": [], "3D": [], "whole animal": []}
+    for meta in sorted(folder.glob("*/meta.json")):
+        fps = json.loads(meta.read_text(encoding="utf-8"))["fps"]
+        pose = read_pose3d(meta.parent / "truth.csv")
+
+        def points(names: Sequence[str], pose: Pose3D = pose) -> Array:
+            return pose.xyz_m[:, [pose.names.index(name) for name in names]]
+
+        root, lasts_s = points(["tail_base"])[:, 0], stride_lasts_s(pose_gait(pose, fps))
+        body_states, _, size = solve_points(body, points(body.markers), None)
+        for side in SIDES:
+            name = f"{meta.parent.name}, {side}"
+            leg = ("tail_base", "spine", "neck_base", *(f"{side[0]}_front_{part}" for part in ("knee", "ankle", "paw")))
+            known = np.isfinite(root[:, 0])
+            flat, q, _ = projected_chain(points(leg), root[known][-1] - root[known][0])
+            legs["2D"].append(Leg(name, flat, q, fps, lasts_s))
+            states, _, factor = solve_points(skeleton.body, points(skeleton.body.keypoint_names(side)), None)
+            summed = spine_front_leg(skeleton, factor * skeleton.nominal_base_length_m, 3, limited=False)
+            legs["3D"].append(Leg(name, summed, chain_angles(skeleton, states), fps, lasts_s))
+            whole = body_chain(body, leg[-1], size, limited=False)
+            q = body_chain_angles(body, leg[-1], body_states)
+            legs["whole animal"].append(Leg(name, whole, q, fps, lasts_s))
+    return legs
+
+
+def stride_cell(stride: StridePath) -> str:
+    whole = " (whole clip)" if stride.how == "whole clip" else ""
+    return f"{1000 * (stride.end_s - stride.start_s):.0f} ms, {stride.gap_percent:.0f} %{whole}"
+
+
+def animal_closures(stride: StridePath, fps: float) -> dict[str, np.ndarray]:
+    """The closures of the animal itself."""
+    q = stride.q[np.isfinite(stride.q).all(axis=1)]
+    paths = np.stack([q, np.gradient(q, 1 / fps, axis=0)], axis=2).transpose(1, 0, 2)
+    return {
+        "angle": np.array([degree_of_closure(path[:, 0]) for path in paths]),
+        "plane": np.array([degree_of_closure(path) for path in paths]),
+    }
+
+
+def print_strides(folder: Path) -> None:
+    legs_of = real_legs(folder)
+    found = {
+        kind: [find_stride(leg.chain, leg.q, leg.fps, lasts_s=leg.lasts_s) for leg in legs]
+        for kind, legs in legs_of.items()
+    }
+    print("\nStrides of the end effector, and the gap that was closed, in percent of the path's diameter:\n")
+    cells = [[stride_cell(s) for s in strides] for strides in found.values()]
+    print_table(["run, side", *found], [[leg.name, *row] for leg, *row in zip(legs_of["2D"], *cells, strict=True)])
+    for kind, legs in legs_of.items():
+        strides = found[kind]
+        n = legs[0].chain.n
+        animal = [animal_closures(s, leg.fps) for leg, s in zip(legs, strides, strict=True)]
+        rows = [closure_row("the animal", animal, 0.0, 0)]
+        for name in methods(legs[0].chain):
+            runs = []
+            for leg, stride in zip(legs, strides, strict=True):
+                method, q = methods(leg.chain)[name], stride.q[0]
+                # The extended Jacobian keeps G = 0, where the animal is not.
+                q = start_of(leg.chain, q, method) if isinstance(method, ExtendedJacobian) else q
+                runs.append(follow(leg.chain, q, stride.path_m, method, interval_s=SLOWER * stride.interval_s))
+            off = float(np.median([run.distance_m.max() for run in runs]))
+            rows.append(closure_row(name, [r.closures() for r in runs], off, sum(r.singular.any() for r in runs)))
+        print(f"\n{kind}, median closure in the (angle, rate) plane over {len(legs)} strides, percent:\n")
+        joints = [f"{angle} {k}" for angle in ("theta", "phi") for k in (9, 1, 2, 3, 4)][:n]
+        if kind == "whole animal":
+            joints = [f"{angle} {part}" for part in ("rear", "front") for angle in ("yaw", "pitch", "roll")]
+            joints += [f"pitch {part}" for part in ("upper", "lower", "foot")]
+        print_table(["method", *joints, "least", "angle alone", "off the path, mm", "singular strides"], rows)
+
+
+def closure_row(name: str, closures: list[dict[str, np.ndarray]], off_m: float, singular: int) -> list[str]:
+    plane, angle = np.array([c["plane"] for c in closures]), np.array([c["angle"] for c in closures])
+    cells = [*np.nanmedian(plane, axis=0), np.nanmin(plane), np.nanmedian(angle)]
+    return [name, *(f"{v:.0f}" for v in cells), f"{1000 * off_m:.1f}", str(singular)]
+
+
+def frames_of(leg: Leg, span_s: tuple[float, float] = (-np.inf, np.inf)) -> Frames:
+    """The known frames from when to when, with the rates of a spline through all."""
+    known = np.isfinite(leg.q).all(axis=1)
+    q, time_s = leg.q[known], np.flatnonzero(known) / leg.fps
+    dq = CubicSpline(time_s, q).derivative()(time_s)
+    within = (time_s >= span_s[0] - 1e-6) & (time_s <= span_s[1] + 1e-6)
+    q, dq = q[within], dq[within]
+    return Frames.of(leg.chain, q, np.array([leg.chain.jacobian(x) @ v for x, v in zip(q, dq, strict=True)]), dq)
+
+
+def print_fits(folder: Path) -> None:
+    """The 8U chain in space has no fits: its phi jump where a link stands upright, and so do their rates."""
+    for kind in ("2D", "whole animal"):
+        legs = real_legs(folder)[kind]
+        data = [frames_of(leg) for leg in legs]
+        print(f"\n{kind}, parameters of {len(data)} legs' joint rates, medians:\n")
+        rows = []
+        for name, fit_of, unit in FITS:
+            found = [fit_of(leg.chain)(frames) for leg, frames in zip(legs, data, strict=True)]
+            values = np.median([f.parameter for f in found], axis=0)
+            explained = [100 * f.explained for f in found]
+            rows.append(
+                [
+                    *(name, ", ".join(f"{v:.2g}" for v in values) + unit),
+                    f"{np.median(explained):.0f} ({min(explained):.0f} to {max(explained):.0f})",
+                    str(sum(bool(f.note) for f in found)),
+                ]
+            )
+        print_table(["method", "parameter", "explained, percent (range)", "legs at an edge"], rows)
+
+
+FITS: tuple[tuple[str, Callable[[SerialChain], Fit], str], ...] = (
+    ("least norm", lambda _: fits()["least-norm"], ""),
+    ("Jacobian transpose, alpha", lambda _: fits()["transpose"], " 1/m2"),
+    ("gradient projection, constant g", lambda _: fits()["gradient-projection"], ""),
+    (
+        "gradient projection, differences and energy",
+        lambda chain: fits((joint_differences(chain), rotational_energy(chain)))["gradient-projection"],
+        "",
+    ),
+    ("weighted, diag W", lambda _: fits()["weighted"], ""),
+    ("damped, lambda", lambda _: fits()["damped"], " m"),
+    ("selectively damped, gamma_max", lambda _: fits()["selectively-damped"], " rad"),
+)
+
+
+# -- held-out strides ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """A leg's stride, its frames, and the run that it is of."""
+
+    leg: Leg
+    stride: StridePath
+    frames: Frames
+
+    @classmethod
+    def of(cls, leg: Leg) -> Shown:
+        stride = find_stride(leg.chain, leg.q, leg.fps, lasts_s=leg.lasts_s)
+        return cls(leg, stride, frames_of(leg, (stride.start_s, stride.end_s)))
+
+    @property
+    def run(self) -> str:
+        return self.leg.name.split(",")[0]
+
+    def off_deg(self, method: Method, each: Sequence[Method] = ()) -> float:
+        """How far the joints are from the animal's while the method, or that of each frame, follows the stride from the
+        animal's own pose (the extended Jacobian from its own), rms."""
+        run = follow_stride(self.leg.chain, self.stride, method, each=each)
+        every = round(1 / (self.leg.fps * self.stride.interval_s))
+        off = run.q[::every][: len(self.stride.q)] - self.stride.q
+        return float(np.degrees(np.sqrt(np.nanmean(off**2))))
+
+
+def rates_by(method: Method, shown: Shown) -> Array:
+    """(T, n): what a method gives without limits."""
+    chain = copy(shown.leg.chain)
+    object.__setattr__(chain, "max_rate_rad_s", np.full(chain.n, 1e9))
+    return np.array([method.rates(chain, q, dx).dq for q, dx in zip(shown.frames.q, shown.frames.dx, strict=True)])
+
+
+def unfitted(shown: Shown, others: Sequence[Shown]) -> dict[str, Method]:
+    """Methods without a parameter, or with one that is not fitted; the pose is the others' mean."""
+    chain = shown.leg.chain
+    pose = np.mean([one.frames.q.mean(axis=0) for one in others], axis=0)
+    every = {name: method for name, method in methods(chain).items() if name.startswith(("extended", "weighted"))}
+    return {**every, "extended Jacobian (pose)": ExtendedJacobian(pose_distance(pose))}
+
+
+def print_held_out(folder: Path) -> None:
+    """Parameters from the strides of all other runs."""
+    for kind in ("2D", "whole animal"):
+        data = [Shown.of(leg) for leg in real_legs(folder)[kind]]
+        others = [[one for one in data if one.run != shown.run] for shown in data]
+        print(f"\n{kind}, {len(data)} strides, parameters from the other runs:\n")
+        rows = []
+        for name, fit_of, unit in FITS:
+            fits = [fit_of(s.leg.chain)(joined([o.frames for o in of])) for s, of in zip(data, others, strict=True)]
+            own = [fit_of(s.leg.chain)(s.frames).explained for s in data]
+            rates = [rates_of(fit.method, s.frames) for fit, s in zip(fits, data, strict=True)]
+            value = ", ".join(f"{v:.2g}" for v in np.median([fit.parameter for fit in fits], axis=0)) + unit
+            scales = [fit.alpha for fit in fits]
+            rows.append(held_out_row(name, value, own, rates, scales, data, [fit.method for fit in fits]))
+        every = [unfitted(shown, of) for shown, of in zip(data, others, strict=True)]
+        for name in every[0]:
+            chosen = [of[name] for of in every]
+            rates = [rates_by(method, s) for method, s in zip(chosen, data, strict=True)]
+            scales = [
+                best_scale(
+                    np.concatenate([r for r, o in zip(rates, data, strict=True) if o.run != s.run]),
+                    np.concatenate([o.frames.dq for o in data if o.run != s.run]),
+                )
+                for s in data
+            ]
+            rows.append(held_out_row(name, "", [], rates, scales, data, chosen))
+        columns = ["method", "parameter, median", "own stride, %", "held out, % (range)", "alpha", "with alpha, %"]
+        print_table([*columns, "joints off, deg"], rows)
+
+
+def print_online(folder: Path) -> None:
+    """Parameters from the strides of all other runs, and refitted at every frame to the animal's rates just before, as
+    `recon ik --online` does: what they explain of a frame's rates, and how far off a way along the stride leads."""
+    data = [Shown.of(leg) for leg in real_legs(folder)["2D"]]
+    print(f"\n2D, {len(data)} strides, median: explained of the joint rates, percent, and joints off, deg:\n")
+    online = [s.leg.online(s.stride) for s in data]
+    rows = []
+    for name, fit in fits().items():
+        cells = []
+        for s, each in zip(data, online, strict=True):
+            kept, own = fit(joined([o.frames for o in data if o.run != s.run])).method, each[name]
+            rates = [rates_of(method, s.frames[t : t + 1])[0] for t, method in enumerate(own)]
+            explained = explained_by(rates_of(kept, s.frames), s.frames.dq), explained_by(np.array(rates), s.frames.dq)
+            cells.append([100 * share for share in explained] + [s.off_deg(kept), s.off_deg(kept, own)])
+        rows.append([name, *(f"{v:.0f}" for v in np.median(cells, axis=0))])
+    where = ("from the other runs", f"from the {LAST} frames before")
+    print_table(["method", *(f"{what}, {how}" for what in ("explained", "joints off") for how in where)], rows)
+
+
+def held_out_row(
+    name: str,
+    value: str,
+    own: list[float],
+    rates: list[Array],
+    scales: list[float],
+    data: list[Shown],
+    chosen: list[Method],
+) -> list[str]:
+    explained = [100 * explained_by(r, s.frames.dq) for r, s in zip(rates, data, strict=True)]
+    scaled = [100 * explained_by(a * r, s.frames.dq) for a, r, s in zip(scales, rates, data, strict=True)]
+    off = [s.off_deg(method) for s, method in zip(data, chosen, strict=True)]
+    return [
+        *(name, value, f"{100 * np.median(own):.0f}" if own else ""),
+        f"{np.median(explained):.0f} ({min(explained):.0f} to {max(explained):.0f})",
+        *(f"{np.median(scales):.2f}", f"{np.median(scaled):.0f}", f"{np.median(off):.0f}"),
+    ]
+
+
+def main() -> None:
+    default = recordings("cheetah-runs")
+    tables = {"steps": print_steps, "targets": print_targets, "alphas": print_alphas, "circle": print_circle}
+    tables |= {"costs": print_costs}
+    real = {"strides": print_strides, "fits": print_fits, "held-out": print_held_out, "online": print_online}
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?", default=default)
+    parser.add_argument("--only", nargs="+", choices=[*tables, *real], default=[*tables, *real])
+    arguments = parser.parse_args()
+    for name, table in tables.items():
+        if name in arguments.only:
+            table()
+    if not any(arguments.folder.glob("*/meta.json")):
+        parser.exit(message=f"no runs in {arguments.folder}: no real strides\n")
+    for name, table in real.items():
+        if name in arguments.only:
+            table(arguments.folder)
+
+
+if __name__ == "__main__":
+    main()

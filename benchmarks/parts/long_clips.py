@@ -1,0 +1,89 @@
+"""Long clips, each a whole process of `recon fit`: time, peak of memory and size of what it writes.
+
+python benchmarks/parts/long_clips.py [CASE ...] [--against CHECKOUT]
+
+A case is frames x cameras, as in 4000x6, or frames of which 120 are seen, in three stretches, as in 216000/120; by
+default a list of them. A simulated animal runs in circles before cameras that stand still. --against: each case is
+fitted by another checkout too, before this one's turn.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from markdown_table import print_header, print_row
+from trajectory import FPS, SIMULATED_CAMERA, body_of, circling
+
+import recon
+from recon.clip import Keypoints
+from recon.io.deeplabcut import write_csv
+
+CASES = ("1000x1", "4000x1", "16000x1", "4000x6", "216000/120")
+STRETCHES = 3
+
+
+def written(folder: Path, case: str) -> tuple[list[str], int]:
+    """The arguments of `recon fit` for a case's files, and how many frames are seen."""
+    frames, _, cameras = case.partition("x")
+    frames, _, count = frames.partition("/")
+    T = int(frames)
+    seen = np.ones(T, dtype=bool)
+    if count:
+        per = int(count) // STRETCHES
+        seen[:] = False
+        for k in range(STRETCHES):
+            seen[round(T * (k + 0.5) / STRETCHES) :][:per] = True
+    views, _ = circling(int(seen.sum()), int(cameras or 1))
+    placed, files = [], []
+    for i, view in enumerate(views):
+        xy_px = np.full((T, *view.xy_px.shape[1:]), np.nan)
+        xy_px[seen] = view.xy_px
+        pose = view.T_camera_world
+        placed.append(replace(SIMULATED_CAMERA, name=f"cam{i}", rotation=pose[:3, :3], translation_m=pose[:3, 3]))
+        confidence = np.isfinite(xy_px[..., 0]).astype(float)
+        files.append(folder / f"run_cam{i}.csv")
+        write_csv(Keypoints(body_of("phantom").markers, xy_px, confidence, np.arange(T), fps=FPS), files[-1])
+    recon.write_cameras(placed, folder / "cameras.toml")
+    return [*map(str, files), "--camera", str(folder / "cameras.toml"), "--fps", f"{FPS:g}"], int(seen.sum())
+
+
+def fitted(checkout: Path, arguments: list[str], out: Path) -> tuple[float, float, float]:
+    """Seconds, the peak of memory and the size of what was written, both in MB."""
+    command = [sys.executable, "-m", "recon", "fit", *arguments, "--out", str(out), "--overwrite", "--quiet"]
+    began = time.perf_counter()
+    with subprocess.Popen(command, env={**os.environ, "PYTHONPATH": str(checkout)}, cwd=out.parent) as process:
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise SystemExit(f"{' '.join(command)}: exit code {process.returncode}")
+    size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
+    return time.perf_counter() - began, usage.ru_maxrss / 1024, size / 1e6
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("cases", nargs="*", default=CASES)
+    parser.add_argument("--against", type=Path)
+    options = parser.parse_args()
+    here = Path(__file__).resolve().parents[2]
+    print_header(["case", "checkout", "s", "ms a frame seen", "peak of memory MB", "written MB"])
+    for case in options.cases:
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = Path(temporary)
+            arguments, seen = written(folder, case)
+            for checkout in filter(None, (options.against, here)):
+                taken_s, memory_mb, size_mb = fitted(checkout, arguments, folder / "out")
+                numbers = (f"{taken_s:.1f}", f"{1000 * taken_s / seen:.1f}", f"{memory_mb:.0f}", f"{size_mb:.1f}")
+                print_row([case, checkout.name, *numbers])
+
+
+if __name__ == "__main__":
+    main()

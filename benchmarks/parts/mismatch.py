@@ -1,0 +1,214 @@
+"""A prior that does not know the motion: what it costs, and whether it is noticed.
+
+    python benchmarks/parts/mismatch.py [--only dog|cheetah|segments]
+
+Each clip is fitted with a prior from other motions and, beside it, with each angle on its own, as the skeleton's file
+expects it (`--prior none`). Weight: the part that the prior kept. Named: in the summary.
+
+dog: the side views of `dog.py`; the prior of the clips that walk on those that run and turn, and the reverse. cheetah:
+the real views of `trajectory.py` with the subject's lengths and the detector acinoset; a prior from the segments that
+`running-cheetah` leaves out as too slow, and itself. segments: those that it was made from, seen from the side with
+2 px of noise, with the prior from the slow ones and with one from the other ten, each clip left out in turn: those that
+this surprises are false alarms. Without the recordings of $RECON_SHARED_DATA nothing is measured. One thread.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import dog
+import numpy as np
+import trajectory
+from recordings import recordings
+
+from recon import Body, Camera
+from recon.animal.prior import MotionPrior, load_prior, mean_speed_m_s, prior_from_body
+from recon.animal.prior_fit import fit_prior
+from recon.animal.skeleton_file import with_detector_offsets
+from recon.clip import View, still_view
+from recon.fit.points import solve_points
+from recon.fit.result import TrajectorySolution
+from recon.fit.trajectory import solve_trajectory
+from recon.gait.evaluation import aligned, joint_errors, score
+from recon.io.positions import read_pose_segments
+
+FAST_M_S = 8.5
+"""The least speed of the segments that `running-cheetah` is made from."""
+APART = ("tail_1", "tail_2")
+ASIDE_M, ABOVE_M = 8.0, 0.8
+Rows = list[dict]
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A clip, and the truth (T, J, 3) in the world."""
+
+    name: str
+    body: Body
+    view: View
+    fps: float
+    truth_m: np.ndarray
+
+
+def fitted(case: Case, prior: MotionPrior) -> TrajectorySolution:
+    return solve_trajectory([case.view], case.body, prior, case.fps)
+
+
+def errors_mm(case: Case, solution: TrajectorySolution) -> tuple[float, float]:
+    """MPJPE and MPE."""
+    found_m = solution.joints_m
+    centred, off = (joint_errors(p, case.truth_m) for p in (aligned(found_m, case.truth_m), found_m))
+    return 1000 * score(centred).mean, 1000 * score(off).mean
+
+
+def row(case: Case, prior: MotionPrior, plain_mm: tuple[float, float]) -> dict:
+    """plain_mm: the errors with each angle on its own."""
+    solution = fitted(case, prior)
+    mpjpe, mpe = errors_mm(case, solution)
+    worst = max(solution.segments, key=lambda segment: segment.prior_misfit or 0.0)
+    return {
+        "clip": case.name,
+        "frames": len(case.truth_m),
+        "prior from": prior.name,
+        "misfit": worst.prior_misfit,
+        "weight": worst.prior_weight,
+        "named": worst.unlike_prior,
+        "mpjpe_mm": mpjpe,
+        "alone mpjpe_mm": plain_mm[0],
+        "times": mpjpe / plain_mm[0],
+        "mpe_mm": mpe,
+        "alone mpe_mm": plain_mm[1],
+        "solve_s": solution.stage_s["all"],
+    }
+
+
+def table(title: str, rows: Rows) -> None:
+    trajectory.print_table(title, rows)
+    times, noticed = np.array([r["times"] for r in rows]), sum(r["named"] for r in rows)
+    print(
+        f"\nnoticed in {noticed} of {len(rows)}; MPJPE mean {np.mean([r['mpjpe_mm'] for r in rows]):.1f} mm, with each "
+        f"angle on its own {np.mean([r['alone mpjpe_mm'] for r in rows]):.1f} mm; more than 1.1 times that in "
+        f"{np.sum(times > 1.1)}, worst {times.max():.2f}"
+    )
+
+
+def compared(cases: Sequence[Case], priors: Sequence[MotionPrior], plain: MotionPrior) -> Iterator[dict]:
+    """A row for each prior of each case."""
+    for case in cases:
+        alone_mm = errors_mm(case, fitted(case, plain))
+        for prior in priors:
+            yield row(case, prior, alone_mm)
+
+
+# -- the dog ---------------------------------------------------------------------------------------------------------
+
+
+def dogs(folder: Path) -> None:
+    body, clips = dog.body_of(), dog.read_clips(folder)
+    solved = dog.solve(clips)
+    walking = [one for one in solved if "walk" in one.clip.name]
+    moving = [one for one in solved if "walk" not in one.clip.name]
+    for title, known, scored in (("running and turning", moving, walking), ("walking", walking, moving)):
+        prior = learned(body, [(one.clip.name, one.states, one.clip.fps) for one in known], title)
+        cases = [_dog(one.clip, clips.index(one.clip), body) for one in scored]
+        table(f"dog, prior from {title}", list(compared(cases, [prior], prior_from_body(body))))
+
+
+def _dog(clip: dog.Clip, seed: int, body: Body) -> Case:
+    camera, _ = dog.side_view(clip)
+    truth_m = clip.markers(body)
+    return Case(clip.name, body, _seen(camera, truth_m, seed), clip.fps, truth_m)
+
+
+def _seen(camera: Camera, points_m: np.ndarray, seed: int) -> View:
+    px, _ = camera.project(camera.world_to_camera(points_m))
+    px = px + np.random.default_rng(seed).normal(0, dog.NOISE_PX, px.shape)
+    return still_view(camera, px, np.ones(px.shape[:2]))
+
+
+def learned(body: Body, segments: Sequence[tuple[str, np.ndarray, float]], name: str) -> MotionPrior:
+    return fit_prior(body, segments, name, apart=APART if body.name == trajectory.SKELETON else ())
+
+
+# -- cheetahs --------------------------------------------------------------------------------------------------------
+
+
+def segments_of(folder: Path) -> list[tuple[str, np.ndarray, float]]:
+    """Name, states and frames per second."""
+    body = trajectory.body_of("phantom")
+    poses = read_pose_segments(folder / "training_positions.csv")
+    rates = json.loads((folder / "segments.json").read_text())["fps"]
+    found = []
+    for i, (pose, fps) in enumerate(zip(poses.values(), rates, strict=True)):
+        at = [pose.names.index(marker) for marker in body.markers]
+        found.append((str(i), solve_points(body, pose.xyz_m[:, at])[0], float(fps)))
+    return found
+
+
+def cheetahs(runs: Sequence[Path], segments: Sequence[tuple[str, np.ndarray, float]]) -> None:
+    body = trajectory.body_of()
+    slow = learned(body, [s for s in segments if mean_speed_m_s(s[1], s[2]) < FAST_M_S], "slow segments")
+    cases = [_real(job) for job in trajectory.views(runs)]
+    rows = list(compared(cases, [slow, load_prior(trajectory.PRIOR, body)], prior_from_body(body)))
+    table("cheetah, prior from slow segments", [r for r in rows if r["prior from"] == slow.name])
+    table("cheetah, running-cheetah", [r for r in rows if r["prior from"] != slow.name])
+
+
+def _real(job: trajectory.Job) -> Case:
+    camera, xy_px, confidence, truth_m = trajectory.view_of(job.run, job.camera)
+    meta = trajectory.meta_of(job.run)
+    body = with_detector_offsets(trajectory.body_of(meta["subject"]), "acinoset")
+    view = still_view(camera, xy_px, np.where(np.isfinite(xy_px[..., 0]), confidence, 0.0))
+    return Case(f"{job.run.name} {job.camera}", body, view, meta["fps"], camera.camera_to_world(truth_m))
+
+
+def gallops(segments: Sequence[tuple[str, np.ndarray, float]]) -> None:
+    body = trajectory.body_of("phantom")
+    fast = [s for s in segments if mean_speed_m_s(s[1], s[2]) >= FAST_M_S]
+    slow = learned(body, [s for s in segments if s not in fast], "slow segments")
+    rows: Rows = []
+    for one in fast:
+        others = learned(body, [s for s in fast if s is not one], "other gallops")
+        rows += compared([_from_the_side(one, body)], [slow, others], prior_from_body(body))
+    table("segments, prior from slow segments", [r for r in rows if r["prior from"] == slow.name])
+    table("segments, prior from the other gallops", [r for r in rows if r["prior from"] != slow.name])
+
+
+def _from_the_side(segment: tuple[str, np.ndarray, float], body: Body) -> Case:
+    """Running along x."""
+    name, states, fps = segment
+    points_m = body.tree.pose(states).points_m
+    x, y, _ = points_m[-1].mean(axis=0) - points_m[0].mean(axis=0)
+    along = np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, np.hypot(x, y)]]) / np.hypot(x, y)
+    points_m = (points_m - points_m.mean(axis=(0, 1))) @ along.T
+    points_m[..., 2] -= points_m[..., 2].min()
+    camera, _ = dog.narrowest(points_m, np.array([0.0, -ASIDE_M, ABOVE_M]))
+    return Case(f"segment {name}", body, _seen(camera, points_m, int(name)), fps, points_m)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", choices=("dog", "cheetah", "segments"), help="one part")
+    only = parser.parse_args().only
+    clips, poses, real = (recordings(name) for name in ("dog-mocap", "cheetah-poses", "cheetah-runs"))
+    runs = sorted(path.parent for path in real.glob("*/meta.json"))
+    if only in (None, "dog") and clips.is_dir():
+        dogs(clips)
+    if poses.is_dir() and runs:
+        segments = segments_of(poses)
+        if only in (None, "cheetah"):
+            cheetahs(runs, segments)
+        if only in (None, "segments"):
+            gallops(segments)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,111 @@
+"""Offsets put into the second of two cameras, and found: `recon fit --set find-offsets=true`.
+
+    python benchmarks/parts/out_of_step.py [FOLDER]
+
+Each run is a folder as in `cheetah_runs.py`, with the named camera and the one that sees the animal from the most
+different direction. The second one's detections are taken that many frames later, between two frames along straight
+lines. Real cameras are out of step by themselves, and fewer frames have both cameras then: so what is found is compared
+with what is found of the same detections as they were. Errors are over all 24 joints. Without FOLDER: the cheetah-runs
+of $RECON_SHARED_DATA, or of ../shared/data. One thread.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from cameras import PRIOR, Run, errors, most_different, runs_given, solved
+from markdown_table import print_table
+from trajectory import body_of, prior_of
+
+from recon.check.agreement import solve_time_offsets
+from recon.clip import Source, views_of
+from recon.fit.clip_problem import TrajectoryOptions
+from recon.fit.result import TrajectorySolution
+from recon.fit.trajectory import solve_trajectory
+
+OFFSETS = (0.0, 0.5, -0.5, 2.3, -2.3, 5.5, -5.5)
+
+
+def taken_later(source: Source, frames: float) -> Source:
+    """With the detections of so many frames later, where there are such."""
+    keypoints = source.keypoints
+    T = len(keypoints.frames)
+    a, b = (np.clip(np.arange(T) + int(f(frames)), 0, T - 1) for f in (np.floor, np.ceil))
+    share, inside = np.full((T, 1), frames - np.floor(frames)), remaining(T, frames)
+
+    def moved(values: np.ndarray, share: np.ndarray) -> np.ndarray:
+        return (1 - share) * values[a] + share * values[b]
+
+    xy_px = np.where(inside[:, None, None], moved(keypoints.xy_px, share[..., None]), np.nan)
+    confidence = np.where(np.isnan(xy_px[..., 0]), 0.0, moved(keypoints.confidence, share))
+    return replace(source, keypoints=replace(keypoints, xy_px=xy_px, confidence=confidence))
+
+
+def remaining(T: int, frames: float) -> np.ndarray:
+    """(T,): the rows that have detections of so many frames later."""
+    at = np.arange(T) + frames
+    return (at >= 0) & (at <= T - 1)
+
+
+def without(source: Source, rows: np.ndarray) -> Source:
+    keypoints = source.keypoints
+    xy_px = np.where(rows[:, None, None], np.nan, keypoints.xy_px)
+    return replace(
+        source,
+        keypoints=replace(keypoints, xy_px=xy_px, confidence=np.where(rows[:, None], 0.0, keypoints.confidence)),
+    )
+
+
+def rows(run: Run) -> Iterator[dict]:
+    body, prior, fps = body_of(run.subject), prior_of(PRIOR), run.fps
+    cameras = [run.named, most_different(run)]
+    first, second = (run.sources[camera] for camera in cameras)
+    options = TrajectoryOptions(find_offsets=True)
+
+    def solve(sources: tuple[Source, ...]) -> TrajectorySolution:
+        return solve_trajectory(views_of(sources), body, prior, fps, options)
+
+    def found(other: Source) -> tuple[float, float, float]:
+        """The offset and its standard deviation in frames, and MPJPE."""
+        noise = (options.sigma_px, options.keypoint_noise_m(body))
+        sources, solution = solve_time_offsets([first, other], [0.0, 0.0], solve, *noise)
+        truth_m = np.full((len(sources[0].keypoints.frames), *run.truth_m.shape[1:]), np.nan)
+        truth_m[first.keypoints.frames - sources[0].keypoints.frames[0]] = run.truth_m
+        error_mm = errors(replace(run, truth_m=truth_m), solution)["mpjpe_mm"]
+        return (
+            sources[1].offset_s * fps + solution.time_offset_frames[1],
+            solution.time_offset_sigma_frames[1],
+            error_mm,
+        )
+
+    for put in OFFSETS:
+        offset, sigma, error_mm = found(taken_later(second, put))
+        own, _, own_error_mm = found(without(second, ~remaining(len(run.truth_m), -put)))
+        yield {
+            "run": run.folder.name[:28],
+            "put in": f"{put:+.1f}",
+            "found": f"{offset:+.2f} ± {sigma:.2f}",
+            "as they were": f"{own:+.2f}",
+            "off": abs(offset - own - put),
+            "MPJPE mm": error_mm,
+            "more than as they were": error_mm - own_error_mm,
+            "not sought": errors(run, solved(run, cameras, body))["mpjpe_mm"] if put == 0 else "",
+        }
+
+
+def main() -> None:
+    runs = runs_given(__doc__)
+    found = [row for run in runs for row in rows(run)]
+    print_table(list(found[0]), [[f"{v:.2f}" if isinstance(v, float) else v for v in row.values()] for row in found])
+    worst = {name: max(abs(row[name]) for row in found) for name in ("off", "more than as they were")}
+    print(f"worst: {worst['off']:.2f} frames off, {worst['more than as they were']:.1f} mm MPJPE more or less")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,86 @@
+"""The rendered film with a camera that pans after the animal, from its video to the pose, beside the still one.
+
+    python benchmarks/parts/panning_film.py [--steps 1000] [--seeds 0 1 2] [--out DIR]
+
+The same animal in the same world, filmed from the same place through the same lens at the same times; the camera
+turns after the animal, and shakes. Each film's labels, of the same frames, train a network of its own, which finds
+the points of all frames; the camera's turn is found in the film, as `recon run --camera-motion turns` does it, with
+the tilt of the first picture given; the still camera's pose is that of its calibration. Errors are those of all
+frames, in the world that each fit gives. Tables in Markdown, as in docs/benchmarks.md. With --film, the film alone is
+drawn.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from markdown_table import print_header, print_row
+from net_circle import Circle, run_circle
+from scipy.spatial.transform import Rotation
+
+from recon.io.camera_track import read_camera_track
+from recon.keypoint_net.train import TrainSettings
+from recon.testing.cameras import panning_camera
+from recon.testing.film import film_clip, panning_film, render_frames, write_film
+
+
+def turn_errors_deg(track: Path, truth: np.ndarray) -> np.ndarray:
+    """(N,), of the found turn from the first frame."""
+    found = read_camera_track(track)
+    rotations, truth = found.T_camera_world[:, :3, :3], truth[found.frames]
+    off = (rotations @ rotations[0].T) @ (truth @ truth[0].T).swapaxes(1, 2)
+    return np.degrees(Rotation.from_matrix(off).magnitude())
+
+
+def row(name: str, seed: int, circle: Circle, truth: np.ndarray | None, out: Path) -> tuple[object, ...]:
+    turned = ("", "")
+    if truth is not None:
+        error = turn_errors_deg(out / "predicted" / "track.csv", truth)
+        turned = (f"{np.median(error):.3f}", f"{error.max():.3f}")
+    score, predicted, noisy = circle.points["all"], circle.predicted, circle.noisy
+    return (
+        name, seed, f"{score['median_px']:.2f}", f"{score['pck_px']['5.0']:.2f}", *turned,
+        *(f"{1000 * error.mean:.1f}" for error in (predicted.mpjpe_m, noisy.mpjpe_m)),
+        *(f"{1000 * error.mean:.0f}" for error in (predicted.mpe_m, noisy.mpe_m)),
+    )  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--steps", type=int, default=1000)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--device", default="auto")
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--out", type=Path, help="for the film and the networks (default: one that is removed)")
+    parser.add_argument("--film", action="store_true", help="draw the film only")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        out = args.out or Path(temporary)
+        still, ground_m = film_clip()
+        camera_at = panning_camera(still)
+        pan = panning_film(still, camera_at)
+        (out / "film").mkdir(parents=True, exist_ok=True)
+        write_film(out / "film", pan.clip, render_frames(still.truth_m, still.names, camera_at, ground_m))
+        if args.film:
+            return
+        print_header((
+            "film", "seed", "points: median, px", "within 5 px", "turn: median °", "worst °", "MPJPE mm",
+            "with true points + 2 px", "MPE mm", "with true points + 2 px",
+        ))  # fmt: skip
+        ratios = []
+        for seed in args.seeds:
+            settings, how = TrainSettings(steps=args.steps, seed=seed), {"device": args.device, "threads": args.threads}
+            before = run_circle(out / f"still{seed}", settings, **how)
+            print_row(row("still", seed, before, None, out / f"still{seed}"))
+            folder = out / f"panning{seed}"
+            found = run_circle(folder, settings, samples=out / "film", turns=True, tilt_deg=pan.tilt_deg, **how)
+            print_row(row("panning", seed, found, pan.rotations, folder))
+            ratios.append(found.predicted_m / before.predicted_m)
+        print(f"\nMPJPE {', '.join(f'{ratio:.2f}' for ratio in ratios)} times the still film's")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,12 @@
+"""Where the recordings that are not part of the project lie."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+
+def recordings(kind: str) -> Path:
+    """The folder of that kind, as cheetah-runs, in $RECON_SHARED_DATA, or in ../shared/data."""
+    beside = Path(__file__).resolve().parents[3] / "shared" / "data"
+    return Path(os.environ.get("RECON_SHARED_DATA", beside)) / kind

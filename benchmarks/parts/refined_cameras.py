@@ -1,0 +1,167 @@
+"""Cameras that lie beside their poses, and are refined: `--set refine-cameras=true`, in fits and calibrations.
+
+    python benchmarks/parts/refined_cameras.py [FOLDER]
+
+Each run is a folder as in `cheetah_runs.py`, with all cameras. All but the first are turned by 2 degrees about an axis,
+and moved by 5 cm in a direction, drawn at random; the first one, named in the run, stays. What comes out is compared
+with what comes out of the poses as they are, refined as well: those are not exact either. Errors are over all 24
+joints. First comes what runs of one camera file tell together, beside what each one tells; where the detector's
+keypoints lie is measured in the other runs. Then what one run tells with other detections, means over the runs: the
+truth's projections, and white noise of the size of the detector's deviations beside them, taken for what it is as well.
+Without FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of
+../shared/data. One thread.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from cameras import PRIOR, Run, as_seen, cameras_of, errors, runs_given
+from changed_constants import holding
+from extrinsics import off_in_sigmas, rigs, with_parts
+from markdown_table import print_table
+from scipy.spatial.transform import Rotation
+from trajectory import body_of, prior_of
+
+from recon import Body
+from recon.clip import View
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
+from recon.fit.extrinsics import solve_extrinsics
+from recon.fit.result import TrajectorySolution
+from recon.fit.trajectory import solve_trajectory
+from recon.geometry.frames import rigid
+
+TURN_DEG, SHIFT_M, DRAWS = 2.0, 0.05, 3
+
+
+def displaced(views: Sequence[View], rng: np.random.Generator) -> list[View]:
+    """All but the first."""
+    found = [views[0]]
+    for view in views[1:]:
+        axis, way = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+        turn = Rotation.from_rotvec(np.radians(TURN_DEG) * axis).as_matrix()
+        found.append(replace(view, T_camera_world=rigid(turn, SHIFT_M * way) @ view.T_camera_world))
+    return found
+
+
+def apart(views: Sequence[View], others: Sequence[View]) -> np.ndarray:
+    """(V - 1, 2): degrees and metres between the poses of all but the first."""
+    found = []
+    for a, b in zip(views[1:], others[1:], strict=True):
+        turn = Rotation.from_matrix(a.T_camera_world[:3, :3] @ b.T_camera_world[:3, :3].T).magnitude()
+        found.append((np.degrees(turn), np.linalg.norm(a.centre_m[0] - b.centre_m[0])))
+    return np.array(found)
+
+
+def rows(run: Run) -> Iterator[dict]:
+    body, prior, options = body_of(run.subject), prior_of(PRIOR), TrajectoryOptions()
+
+    def solved(views: Sequence[View], refine: bool) -> TrajectorySolution:
+        return solve_trajectory(views, body, prior, run.fps, replace(options, refine_cameras=refine))
+
+    views = [run.views[camera] for camera in cameras_of(run)["all"]]
+    as_they_are, refined = solved(views, False), solved(views, True)
+    first = {
+        "poses": "as they are",
+        "beside them": _worst(apart(refined.views, views)),
+        "beside those refined": "",
+        "MPJPE mm": errors(run, refined)["mpjpe_mm"],
+        "not refined": errors(run, as_they_are)["mpjpe_mm"],
+    }
+    yield {"run": run.folder.name[:28], **first}
+    for draw in range(DRAWS):
+        wrong = displaced(views, np.random.default_rng(draw))
+        found = solved(wrong, True)
+        far, sigma = apart(found.views, refined.views), found.extrinsic_correction_sigma[1:]
+        yield {
+            "run": run.folder.name[:28],
+            "poses": f"displaced, {draw + 1}",
+            "beside them": _worst(apart(found.views, views)),
+            "beside those refined": _worst(far),
+            "MPJPE mm": errors(run, found)["mpjpe_mm"],
+            "not refined": errors(run, solved(wrong, False))["mpjpe_mm"],
+            "sigma": f"{np.degrees(sigma[:, :3].max()):.2f}°, {100 * sigma[:, 3:].max():.1f} cm",
+            "off / stated": off_in_sigmas(found.views, views, found.extrinsic_correction_sigma),
+        }
+
+
+def together(clips: Sequence[Run], views: Sequence[Sequence[View]], bodies: Sequence[Body]) -> dict:
+    """What all clips of a rig tell, from the poses as they are and from displaced ones: degrees and metres, means over
+    the draws; and how far off the displaced are then, in what is stated."""
+    own = views[0]
+
+    def refined(first: Sequence[View]) -> tuple[list[View], np.ndarray]:
+        settings = []
+        for run, of, body in zip(clips, views, bodies, strict=True):
+            placed = [replace(view, T_camera_world=at.T_camera_world) for view, at in zip(of, first, strict=True)]
+            settings.append(ClipProblem.from_views(placed, body, prior_of(PRIOR), run.fps, TrajectoryOptions()))
+        rig = solve_extrinsics(settings, posed=True)
+        return [replace(view, T_camera_world=T) for view, T in zip(first, rig.T_camera_world, strict=True)], rig.sigma
+
+    in_place, sigma = refined(own)
+    found = [refined(displaced(own, np.random.default_rng(draw))) for draw in range(DRAWS)]
+    row: dict = {}
+    for beside, other in (("the file's", own), ("those refined in place", in_place)):
+        far = np.array([apart(one, other) for one, _ in found])
+        row[f"beside {beside}: median"] = np.median(far, axis=1).mean(axis=0)
+        row[f"{beside}: worst"] = far.max(axis=1).mean(axis=0)
+    row["stated, median"] = np.median(sigma[1:].reshape(-1, 2, 3), axis=(0, 2)) * [180 / np.pi, 1]
+    return row | {"off / stated": np.sqrt(np.mean([off_in_sigmas(at, own, stated) ** 2 for at, stated in found]))}
+
+
+def of_detector(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
+    cameras = cameras_of(clips[0])["all"]
+    views = [[run.views[camera] for camera in cameras] for run in clips]
+    row = together(clips, views, [as_seen(body_of(run.subject), run, runs) for run in clips])
+    return {"clips": ", ".join(run.folder.name[:28] for run in clips)} | _shown(row)
+
+
+def of_others(runs: Sequence[Run]) -> Iterator[dict]:
+    """Means over the runs, one clip each."""
+    independent = {"ERROR_TIME_S": 0.0, "KEYPOINT_BIAS_SHARE": 0.0}
+    for label, random, constants in (
+        ("projections of the truth", 0, {}),
+        ("and white noise", 1, {}),
+        ("and white noise, taken for it", 1, independent),
+    ):
+        rows = []
+        for i, run in enumerate(runs):
+            rng = np.random.default_rng(i)
+            views = [with_parts(run, run.views[c], 0, 0, random, rng) for c in cameras_of(run)["all"]]
+            with holding(**constants):
+                rows.append(together([run], [views], [replace(body_of(run.subject), keypoint_spread_m={})]))
+        yield {"detections": label} | _shown({name: np.mean([row[name] for row in rows], axis=0) for name in rows[0]})
+
+
+def _shown(row: dict) -> dict[str, str]:
+    return {n: _worst(value[None]) if np.ndim(value) else f"{value:.1f}" for n, value in row.items()}
+
+
+def _worst(far: np.ndarray) -> str:
+    return "{:.2f}°, {:.1f} cm".format(*(far * [1, 100]).max(axis=0))
+
+
+def main() -> None:
+    runs = runs_given(__doc__)
+    groups = [[run] for run in runs] + [group for group in rigs(runs) if len(group) > 1]
+    for table in ([of_detector(clips, runs) for clips in groups], list(of_others(runs))):
+        print_table(list(table[0]), [list(row.values()) for row in table])
+    found = [row for run in runs for row in rows(run)]
+    names = list(found[-1])
+    print_table(
+        names,
+        [
+            [f"{row.get(n, ''):.1f}" if isinstance(row.get(n), float) else row.get(n, "") for n in names]
+            for row in found
+        ],
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,85 @@
+"""Speeds and net accelerations of real runs by both methods, and whether their deviations are right.
+
+    python benchmarks/parts/speeds.py [FOLDER]
+
+Every view of every run of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA. Error, stated: of the velocity of
+the joint that stands for the animal's place, root mean square over axes and frames, against the spline through the
+reconstruction of all cameras; error / stated: of each view, root mean square. Net acceleration: along the way over
+the whole clip, of fit and reference over the same frames.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+from markdown_table import print_table
+from recordings import recordings
+
+from recon import FitSettings, Motion, Pose3D, fit_clip, read_pose3d
+from recon.fit.posterior import radius
+from recon.gait.clip import ClipAnalysis
+from recon.gait.gait import INTERVAL
+from recon.gait.kinematics import at_frames, frame_times, net_acceleration, series_kinematics
+
+METHODS = {"frame": {"method": "frame", "skeleton": "cheetah-8u"}, "trajectory": {}}
+
+
+def measured(motion: Motion, truth: Pose3D) -> tuple[float, float, float, float, float, bool]:
+    """Error and stated deviation of the velocity, their quotient's root mean square, error of the net acceleration and
+    its deviation, and whether the speed is said to be known."""
+    said = ClipAnalysis(motion)
+    series = at_frames(said.reference_motion.series)
+    at = truth.names.index(motion.reference)
+    _, here, there = np.intersect1d(motion.frames, truth.frames, return_indices=True)
+    time_s = frame_times(truth.frames, motion.fps)
+    true = series_kinematics(time_s, truth.xyz_m[:, at], oversampling=1).rate[there]
+    error, sigma = series.rate[here] - true, series.rate_sigma[here]
+    points = np.full_like(motion.upright.xyz_m[:, 0], np.nan)
+    points[here] = truth.xyz_m[there, at]
+    net, net_sigma = said.net_acceleration_m_s2
+    off = net - net_acceleration(motion.time_s, points)[0]
+    off_by, stated, share = (float(np.sqrt(np.nanmean(values**2))) for values in (error, sigma, error / sigma))
+    return off_by, stated, share, off, net_sigma, said.why_no_speed is None
+
+
+def main() -> None:
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else recordings("cheetah-runs")
+    runs = sorted(path.parent for path in folder.glob("*/meta.json"))
+    if not runs:
+        sys.exit(f"no runs in {folder}: nothing measured")
+    rows = []
+    for method, options in METHODS.items():
+        by_run = {}
+        for run in runs:
+            meta, truth = json.loads((run / "meta.json").read_text()), read_pose3d(run / "truth.csv")
+            views = [
+                FitSettings(
+                    keypoints=(run / f"cam{camera}.csv",),
+                    camera=(run / "scene.json",),
+                    camera_name=(f"cam{camera}",),
+                    fps=meta["fps"],
+                    **options,
+                )
+                for camera in meta["cameras"]
+            ]
+            by_run[run.name] = np.array([measured(fit_clip(view), truth) for view in views], dtype=float)
+        every = np.concatenate([*by_run.values()])
+        for name, views in (by_run | {"all": every}).items():
+            error, stated, quotient, off, sigma, known = views.T
+            z = np.abs(off / sigma)
+            rows.append(
+                [
+                    *(method, name, str(len(views)), f"{np.sqrt(np.mean(error**2)):.1f}"),
+                    *(f"{np.sqrt(np.mean(stated**2)):.1f}", f"{np.sqrt(np.mean(quotient**2)):.2f}"),
+                    *(f"{known.sum():.0f}", f"{np.median(np.abs(off)):.1f}", f"{np.mean(z < radius(INTERVAL)):.0%}"),
+                ]
+            )
+    columns = "method, run, views, error m/s, stated m/s, error / stated, known, net acceleration off m/s², within 90 %"
+    print_table(columns.split(", "), rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,73 @@
+"""Which way is up by the ground that feet stand on, against what the calibration says, in real runs of several cameras.
+
+    python benchmarks/parts/upward.py
+
+The cheetah-runs and the plate-trials of $RECON_SHARED_DATA, or of ../shared/data; each run with all its cameras, and
+the cheetah-runs with every two as well. Off: the angle between the two directions, degrees. Stated: its standard
+deviation about the less known axis, where nearly all of the error is: right is 0.67 of it in the median, and 1.64 for
+nine in ten. Refused: where it is more than 10 degrees, the program does not turn the world. One thread.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations
+from unittest.mock import patch
+
+import numpy as np
+from cameras import run_of
+from markdown_table import print_table
+from recordings import recordings
+from trajectory import meta_of
+
+from recon import FitSettings, load_skeleton
+from recon.check import agreement
+from recon.check.agreement import up_from_feet
+from recon.clip import View, views_of
+from recon.fit.clip_problem import TrajectoryOptions
+from recon.workflows.clip import prepare
+
+BODY, SIGMA_PX = load_skeleton("cheetah-24"), TrajectoryOptions().sigma_px
+
+
+def clips() -> Iterator[tuple[str, Sequence[View], float]]:
+    """What they are, their views, and the frame rate."""
+    for folder in sorted(path.parent for path in recordings("cheetah-runs").glob("*/meta.json")):
+        run = run_of(folder)
+        yield "cheetah-runs, all cameras", [*run.views.values()], run.fps
+        for two in combinations(run.views.values(), 2):
+            yield "cheetah-runs, two cameras", two, run.fps
+    for folder in sorted(path.parent for path in recordings("plate-trials").glob("*/meta.json")):
+        about = meta_of(folder)
+        files = [folder / f"cam{c}" for c in about["cameras"]]
+        keypoints, cameras = (tuple(f.with_suffix(ending) for f in files) for ending in (".csv", ".toml"))
+        given = prepare(FitSettings(keypoints=keypoints, camera=cameras, fps=about["fps"]))
+        yield "plate-trials, two cameras", views_of(given.sources), about["fps"]
+
+
+def main() -> None:
+    found: dict[str, list[tuple[float, float]]] = {}
+    limit_deg = np.degrees(agreement.MAX_SIGMA_RAD)
+    with patch.object(agreement, "MAX_SIGMA_RAD", np.inf):
+        for what, views, fps in clips():
+            up = up_from_feet(views, BODY, fps, SIGMA_PX)
+            off_rad = np.nan if up is None else np.arccos(np.clip(up.up[2], -1.0, 1.0))
+            found.setdefault(what, []).append((np.degrees(off_rad), np.nan if up is None else np.degrees(up.sigma_rad)))
+    rows = []
+    for what, each in found.items():
+        off, sigma = np.array(each)[np.isfinite(each).all(axis=1)].T
+        for label, which in ((what, sigma < limit_deg), (f"{what}, refused", sigma >= limit_deg)):
+            if which.any():
+                within = np.quantile(off[which] / sigma[which], [0.5, 0.9])
+                deg = (f"{x:.1f}" for x in (np.median(off[which]), off[which].max(), np.median(sigma[which])))
+                rows.append((label, f"{which.sum()} of {len(each)}", *deg, *(f"{x:.2f}" for x in within)))
+    header = ("clips", "number", "off, median", "off, worst", "stated, median", "off / stated, median", "nine in ten")
+    print_table(header, rows)
+
+
+if __name__ == "__main__":
+    main()

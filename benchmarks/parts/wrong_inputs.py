@@ -1,0 +1,656 @@
+"""Inputs that look right and are wrong: what each does to the result, and what is said of it.
+
+    python benchmarks/parts/wrong_inputs.py [--jobs 2] [--cases mirrored,follows] [--views 4] [--csv TABLE.csv]
+
+Every view of the cheetah-runs and plate-trials of $RECON_SHARED_DATA, or of ../shared/data, is fitted as `recon fit`
+does with each of `CASES` put into its files or settings; cases of two cameras take each pair of a run's. --views:
+every so many of them. Errors are those in the world that the camera file is in, the pose's with both centred. A row
+counts the clips whose error in pose or position is at least twice that of the same clip without the mistake. Named: a
+finding says what it is, or something as true of it. Called something else: a finding of `CAUSES` that it is not, and
+that the clip does not have without the mistake. Of what was seen: the errors in the frame of the camera whose keypoints
+they are, and of the clip that they are of, which is all that one camera can tell.
+Nothing is wrong with a case whose name begins with "right".
+--findings: which findings each case has, and a horse that is fitted as a cheetah, the horse-side of the same folder.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+import json
+import tempfile
+import tomllib
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from markdown_table import print_table
+from recordings import recordings
+
+from recon import Camera, FitSettings, InputError, Motion, fit_clip, read_camera, read_keypoints, read_pose3d
+from recon.animal.body import other_side
+from recon.base.documents import builtin_file
+from recon.clip import Keypoints
+from recon.io.camera_files import write_cameras
+from recon.io.deeplabcut import write_csv
+from recon.testing.coverage import coverage
+
+CAUSES = {
+    *(
+        "frames_dropped",
+        "detections_frozen",
+        "detections_repeated",
+        "detections_interpolated",
+        "far_side_copied",
+        "same_keypoints",
+    ),
+    *("missing_as_constant", "keypoints_normalised", "keypoints_y_up", "picture_upside_down", "picture_turned"),
+    *("world_not_z_up", "smaller_video", "other_camera_named", "left_right_swap", "frame_rate_stated"),
+    *(
+        "frame_rate",
+        "animal_still",
+        "time_reversed",
+        "treadmill",
+        "camera_moves",
+        "camera_unit",
+        "subject_unlike_species",
+    ),
+    *("cameras_apart_in_time", "cameras_exchanged", "cameras_disagree", "camera_turned", "camera_late", "camera_off"),
+    *("picture_zooms", "keypoints_undistorted"),
+}
+"""Codes that say what is wrong with an input."""
+SWAPS = ("left_right_swap", "left_right_swap_possible")
+OFF = ("cameras_disagree", "cameras_exchanged", "cameras_out_of_step", "size_unexpected", "pair_disagrees")
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What keypoints are really of: a run, the camera that saw it, and how much later its frames' numbers are."""
+
+    run: Path
+    camera: Camera
+    later: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """What a camera's files say, and how the truth follows: which frame of the truth each of the clip is, and the world
+    that the camera file is in, x' = R x + t."""
+
+    keypoints: Keypoints
+    camera: Camera
+    frame: Callable[[np.ndarray], np.ndarray] = lambda frames: frames
+    R: np.ndarray = field(default_factory=lambda: np.eye(3))
+    t: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    told: dict[str, Any] = field(default_factory=dict)
+    really: Seen | None = None
+
+    @property
+    def xy_px(self) -> np.ndarray:
+        return self.keypoints.xy_px
+
+    @property
+    def size_px(self) -> np.ndarray:
+        return np.array(self.camera.image_size_px)
+
+    def seen(self, xy_px: np.ndarray, frames: np.ndarray | None = None, **more: Any) -> Given:
+        """With other points, whose confidences are 1."""
+        frames = self.keypoints.frames if frames is None else frames
+        confidence = np.where(np.isfinite(xy_px[..., 0]), 1.0, 0.0)
+        keypoints = replace(self.keypoints, xy_px=xy_px, confidence=confidence, frames=frames)
+        return replace(self, keypoints=keypoints, **more)
+
+    def moved(self, R: np.ndarray | None = None, t: Sequence[float] | np.ndarray = (0, 0, 0)) -> Given:
+        """In another world."""
+        R, t_m = np.eye(3) if R is None else R, np.asarray(t, dtype=float)
+        assert self.camera.rotation is not None
+        assert self.camera.translation_m is not None
+        turned = self.camera.rotation @ R.T
+        camera = replace(self.camera, rotation=turned, translation_m=self.camera.translation_m - turned @ t_m)
+        return replace(self, camera=camera, R=R, t=t_m)
+
+    def turned(self, by: np.ndarray, shift_m: Sequence[float] = (0, 0, 0)) -> Given:
+        """The camera beside where it is, by a rotation and a shift in its own frame."""
+        assert self.camera.rotation is not None
+        assert self.camera.translation_m is not None
+        camera = replace(
+            self.camera, rotation=by @ self.camera.rotation, translation_m=by @ self.camera.translation_m + shift_m
+        )
+        return replace(self, camera=camera)
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """One or two cameras of a run."""
+
+    run: Path
+    cameras: tuple[str, ...]
+
+    @property
+    def meta(self) -> dict[str, Any]:
+        return json.loads((self.run / "meta.json").read_text())
+
+    @property
+    def others(self) -> list[str]:
+        return [name for name in cameras_of(self.run) if name not in self.cameras]
+
+    @property
+    def rng(self) -> np.random.Generator:
+        return np.random.default_rng(sum(map(ord, self.run.name + self.cameras[0])))
+
+    def given(self, name: str) -> Given:
+        calibration = self.run / "scene.json"
+        camera = read_camera(calibration, name) if calibration.is_file() else read_camera(self.run / f"{name}.toml")
+        keypoints = replace(read_keypoints(self.run / f"{name}.csv"), fps=self.meta["fps"])
+        return Given(keypoints, replace(camera, name=name))
+
+
+def cameras_of(run: Path) -> list[str]:
+    return [f"cam{number}" for number in json.loads((run / "meta.json").read_text())["cameras"]]
+
+
+Change = Callable[[Clip, Given], Given]
+"""A change of the only camera's files, or of the second's of two."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """codes: what it may be called."""
+
+    change: Change
+    codes: tuple[str, ...] = ()
+    two: bool = False
+
+
+def about(axis: str, degrees: float) -> np.ndarray:
+    angle, (i, j) = np.radians(degrees), {"x": (1, 2), "y": (2, 0), "z": (0, 1)}[axis]
+    turn = np.eye(3)
+    turn[[i, i, j, j], [i, j, i, j]] = np.cos(angle), -np.sin(angle), np.sin(angle), np.cos(angle)
+    return turn
+
+
+def sides(names: Sequence[str], part: str = "") -> list[int]:
+    return [names.index(other_side(n)) if part in n and other_side(n) in names else i for i, n in enumerate(names)]
+
+
+def other_only_camera(clip: Clip, given: Given) -> Given:
+    return replace(given, camera=clip.given(clip.others[0]).camera)
+
+
+def other_renamed(clip: Clip, given: Given) -> Given:
+    camera = replace(clip.given(clip.others[0]).camera, name=given.camera.name)
+    return replace(given, camera=camera, really=Seen(clip.run, given.camera))
+
+
+def cropped(clip: Clip, given: Given) -> Given:
+    low = np.nanpercentile(given.xy_px.reshape(-1, 2), 2, axis=0)
+    return given.seen(given.xy_px - np.clip(low - 60, 0, None))
+
+
+def focal_15(clip: Clip, given: Given) -> Given:
+    return replace(
+        given, camera=replace(given.camera, matrix=given.camera.matrix * ([1.5, 1.5, 1.0] * np.ones((3, 1))))
+    )
+
+
+def undistorted(clip: Clip, given: Given) -> Given:
+    import cv2
+
+    camera, xy_px = given.camera, given.xy_px.copy()
+    known = np.isfinite(xy_px[..., 0])
+    undistort = cv2.fisheye.undistortPoints if camera.model == "fisheye" else cv2.undistortPoints
+    xy_px[known] = undistort(xy_px[known][:, None], camera.matrix, camera.distortion, P=camera.matrix)[:, 0]
+    return given.seen(xy_px)
+
+
+def pans(clip: Clip, given: Given) -> Given:
+    along = np.linspace(-200, 200, len(given.xy_px))[:, None]
+    return given.seen(given.xy_px - np.stack([along, 0 * along], axis=-1))
+
+
+def follows(clip: Clip, given: Given) -> Given:
+    middle, t = np.nanmedian(given.xy_px, axis=1), np.arange(len(given.xy_px))
+    known = np.isfinite(middle[:, 0])
+    path = np.stack([np.polyval(np.polyfit(t[known], middle[known, i], 3), t) for i in (0, 1)], axis=1)
+    return given.seen(given.xy_px - path[:, None] + given.size_px / 2)
+
+
+def zooms(clip: Clip, given: Given) -> Given:
+    centre = given.camera.matrix[:2, 2]
+    return given.seen((given.xy_px - centre) * np.linspace(1, 1.5, len(given.xy_px))[:, None, None] + centre)
+
+
+def frozen(clip: Clip, given: Given) -> Given:
+    xy_px = given.xy_px.copy()
+    xy_px[len(xy_px) // 2 :] = xy_px[len(xy_px) // 2]
+    return given.seen(xy_px)
+
+
+def interpolated(clip: Clip, given: Given) -> Given:
+    t = np.arange(len(given.xy_px))
+    columns = given.xy_px.reshape(len(t), -1).T
+    return given.seen(np.stack([np.interp(t, t[::8], c[::8]) for c in columns], axis=1).reshape(given.xy_px.shape))
+
+
+def doubled(clip: Clip, given: Given) -> Given:
+    frames = np.arange(2 * len(given.xy_px)) + 2 * given.keypoints.frames[0]
+    return given.seen(np.repeat(given.xy_px, 2, axis=0), frames, frame=lambda frames: frames // 2)
+
+
+def far_from_near(clip: Clip, given: Given) -> Given:
+    names = given.keypoints.names
+    near = [names.index(other_side(n)) if n.startswith("r_") else i for i, n in enumerate(names)]
+    return given.seen(given.xy_px[:, near])
+
+
+def dropped(clip: Clip, given: Given) -> Given:
+    numbers = given.keypoints.frames
+    kept = np.sort(clip.rng.choice(len(numbers), int(0.75 * len(numbers)), replace=False))
+    frames = numbers[0] + np.arange(len(kept))
+    return given.seen(given.xy_px[kept], frames, frame=lambda frames: numbers[kept][frames - numbers[0]])
+
+
+def missing_as(value: float) -> Change:
+    def change(clip: Clip, given: Given) -> Given:
+        missing = clip.rng.uniform(size=given.xy_px.shape[:2]) < 0.2
+        return given.seen(np.where(missing[..., None], value, given.xy_px))
+
+    return change
+
+
+def still(clip: Clip, given: Given) -> Given:
+    xy_px = np.repeat(given.xy_px[len(given.xy_px) // 2][None], len(given.xy_px), axis=0)
+    return given.seen(xy_px + clip.rng.normal(0, 1, xy_px.shape))
+
+
+def backwards(clip: Clip, given: Given) -> Given:
+    both = int(given.keypoints.frames[0] + given.keypoints.frames[-1])
+    return given.seen(given.xy_px[::-1], frame=lambda frames: both - frames)
+
+
+def in_unit(per_m: float) -> Change:
+    def change(clip: Clip, given: Given) -> Given:
+        assert given.camera.translation_m is not None
+        return replace(given, camera=replace(given.camera, translation_m=per_m * given.camera.translation_m))
+
+    return change
+
+
+def of_other_clip(clip: Clip, given: Given) -> Given:
+    """The run after it of the same kind, by a camera with as large a picture, where there is one."""
+    runs = sorted(path.parent for path in clip.run.parent.glob("*/meta.json"))
+    for run in runs[runs.index(clip.run) + 1 :] + runs[: runs.index(clip.run)]:
+        for name in cameras_of(run):
+            other = Clip(run, (name,)).given(name)
+            if other.camera.image_size_px == given.camera.image_size_px:
+                T = min(len(other.xy_px), len(given.xy_px))
+                really = Seen(run, other.camera, int(other.keypoints.frames[0] - given.keypoints.frames[0]))
+                return given.seen(other.xy_px[:T], given.keypoints.frames[:T], really=really)
+    return given
+
+
+def of_other_camera(clip: Clip, given: Given) -> Given:
+    other = clip.given(clip.others[0])
+    xy_px, later = other.xy_px[: len(given.xy_px)], int(other.keypoints.frames[0] - given.keypoints.frames[0])
+    really = Seen(clip.run, other.camera, later)
+    return given.seen(xy_px, given.keypoints.frames[: len(xy_px)], really=really)
+
+
+def shuffled(clip: Clip, given: Given) -> Given:
+    return given.seen(given.xy_px[clip.rng.permutation(len(given.xy_px))])
+
+
+def gross_outliers(share: float) -> Change:
+    def change(clip: Clip, given: Given) -> Given:
+        rng, xy_px = clip.rng, given.xy_px.copy()
+        wrong = rng.uniform(size=xy_px.shape[:2]) < share
+        xy_px[wrong] = rng.uniform((0, 0), given.size_px, (int(wrong.sum()), 2))
+        return given.seen(xy_px)
+
+    return change
+
+
+def swapped(part: str, rows: Callable[[int], slice]) -> Change:
+    def change(clip: Clip, given: Given) -> Given:
+        xy_px, where = given.xy_px.copy(), rows(len(given.xy_px))
+        xy_px[where] = xy_px[where][:, sides(given.keypoints.names, part)]
+        return given.seen(xy_px)
+
+    return change
+
+
+def at_rate(factor: float) -> Change:
+    return lambda clip, given: replace(given, told={"fps": factor * clip.meta["fps"]})
+
+
+def half_rate_of_one(clip: Clip, given: Given) -> Given:
+    frames = given.keypoints.frames[::2]
+    return given.seen(given.xy_px[::2], np.arange(len(frames)) + frames[0] // 2)
+
+
+def same_twice(clip: Clip, given: Given) -> Given:
+    return replace(given, keypoints=replace(clip.given(clip.cameras[0]).keypoints, source=given.keypoints.source))
+
+
+def without(share: float) -> Change:
+    """Detections missing."""
+
+    def change(clip: Clip, given: Given) -> Given:
+        gone = clip.rng.uniform(size=given.xy_px.shape[:2]) < share
+        return given.seen(np.where(gone[..., None], np.nan, given.xy_px))
+
+    return change
+
+
+def hidden(which: Callable[[str], bool]) -> Change:
+    """Keypoints that are never detected."""
+
+    def change(clip: Clip, given: Given) -> Given:
+        never = np.array([which(name) for name in given.keypoints.names])
+        return given.seen(np.where(never[:, None], np.nan, given.xy_px))
+
+    return change
+
+
+def lower_leg(name: str) -> bool:
+    return name.endswith(("knee", "ankle", "paw"))
+
+
+def middle(n: int) -> Change:
+    """So many frames."""
+
+    def change(clip: Clip, given: Given) -> Given:
+        part = slice((len(given.xy_px) - n) // 2, (len(given.xy_px) - n) // 2 + n)
+        return given.seen(given.xy_px[part], given.keypoints.frames[part])
+
+    return change
+
+
+def beyond_edge(comes: bool) -> Change:
+    """An edge of the picture where half of the animal is seen after a quarter of the clip, or three quarters."""
+
+    def change(clip: Clip, given: Given) -> Given:
+        x, t = np.nanmedian(given.xy_px[..., 0], axis=1), np.arange(len(given.xy_px))
+        line = np.polyfit(t[np.isfinite(x)], x[np.isfinite(x)], 1)
+        edge = np.polyval(line, len(t) // 4 if comes else 3 * len(t) // 4)
+        gone = given.xy_px[..., 0] < edge if (line[0] > 0) == comes else given.xy_px[..., 0] > edge
+        return given.seen(np.where(gone[..., None], np.nan, given.xy_px))
+
+    return change
+
+
+def lengths_15(clip: Clip, given: Given) -> Given:
+    """Told the animal's lengths, one and a half times as long."""
+    skeleton = tomllib.loads(builtin_file("animal/skeletons", "cheetah-24.toml").read_text())
+    placed = {one["name"]: one["at_m"] for kind in ("segments", "markers") for one in skeleton[kind] if "at_m" in one}
+    lines = "".join(
+        f"{name} = {[1.5 * x for x in at]}\n" for name, at in placed.items() if name != skeleton["segments"][0]["name"]
+    )
+    head = 'skeleton = "cheetah-24"\ntitle = "an animal 1.5 times as long"\nsize_sigma = 0.02\n\n[at_m]\n'
+    return replace(given, told={"subject": head + lines})
+
+
+UP = about("x", -90)
+CASES = {
+    "untouched": Case(lambda clip, given: given),
+    "origin half a metre above the ground": Case(lambda c, g: g.moved(t=(0, 0, -0.5)), ("ground_elsewhere",)),
+    "origin half a metre below the ground": Case(lambda c, g: g.moved(t=(0, 0, 0.5)), ("ground_elsewhere",)),
+    "heights above the sea": Case(lambda c, g: g.moved(t=(0, 0, 100)), ("ground_elsewhere",)),
+    "origin at the camera": Case(
+        lambda c, g: g.moved(t=np.asarray(g.camera.rotation).T @ g.camera.translation_m), ("ground_elsewhere",)
+    ),
+    "only camera is another": Case(other_only_camera, ("other_camera_named",)),
+    "the same, called as this one": Case(other_renamed, ("ground_elsewhere",)),
+    "cropped video": Case(cropped, ("smaller_video", "ground_elsewhere")),
+    "focal length x 1.5": Case(focal_15),
+    "tilt 15 degrees": Case(lambda c, g: g.turned(about("x", 15)), ("ground_elsewhere",)),
+    "undistorted, lens kept": Case(undistorted, ("keypoints_undistorted", "picture_zooms")),
+    "pans by 400 px": Case(pans, ("camera_moves", "treadmill", "picture_zooms", "path_jolts")),
+    "follows": Case(follows, ("treadmill", "camera_moves", "picture_zooms", "path_jolts")),
+    "zooms x 1.5": Case(zooms, ("camera_moves", "picture_zooms", "path_jolts")),
+    "frozen for half": Case(frozen, ("detections_frozen",)),
+    "interpolated, every 8th": Case(interpolated, ("detections_interpolated",)),
+    "every frame doubled": Case(doubled, ("detections_repeated",)),
+    "far side copied": Case(far_from_near, ("far_side_copied",)),
+    "a quarter of frames dropped": Case(dropped, ("frames_dropped", "picture_zooms", "path_jolts", "frame_rate")),
+    "missing as (-1, -1)": Case(missing_as(-1.0), ("missing_as_constant",)),
+    "missing as (0, 0)": Case(missing_as(0.0), ("missing_as_constant",)),
+    "mirrored": Case(lambda c, g: g.seen([g.size_px[0] - 1, 0] + g.xy_px * [-1, 1]), SWAPS),
+    "portrait": Case(
+        lambda c, g: g.seen(np.stack([g.xy_px[..., 1], g.size_px[0] - 1 - g.xy_px[..., 0]], axis=-1)),
+        ("picture_turned", "picture_upside_down", "keypoints_y_up", "refused"),
+    ),
+    "y-up world": Case(lambda c, g: g.moved(R=UP), ("world_not_z_up",)),
+    "still animal": Case(still, ("animal_still",)),
+    "time reversed": Case(backwards, ("time_reversed",)),
+    "unit mm": Case(in_unit(1000.0), ("camera_unit",)),
+    "unit cm": Case(in_unit(100.0), ("camera_unit",)),
+    "unit feet": Case(in_unit(3.28084), ("camera_unit", "ground_elsewhere")),
+    "lengths x 1.5": Case(lengths_15, ("subject_unlike_species",)),
+    "of another clip": Case(of_other_clip),
+    "of another camera": Case(of_other_camera, ("other_camera_named", "ground_elsewhere")),
+    "shifted by half the clip": Case(lambda c, g: g.seen(np.roll(g.xy_px, len(g.xy_px) // 2, axis=0))),
+    "shuffled": Case(shuffled, ("gross_outliers",)),
+    "30 % gross outliers": Case(gross_outliers(0.3), ("gross_outliers",)),
+    "50 % gross outliers": Case(gross_outliers(0.5), ("gross_outliers",)),
+    "70 % gross outliers": Case(gross_outliers(0.7), ("gross_outliers",)),
+    "ten frames swapped": Case(swapped("", lambda T: slice(T // 2 - 5, T // 2 + 5)), SWAPS),
+    "whole clip swapped": Case(swapped("", lambda T: slice(0, T)), SWAPS),
+    "fore legs swapped": Case(swapped("front", lambda T: slice(T // 2, T)), SWAPS),
+    "hind legs swapped": Case(swapped("back", lambda T: slice(T // 2, T)), SWAPS),
+    **{f"frame rate x {by:.2g}": Case(at_rate(by), ("frame_rate",)) for by in (0.5, 0.6, 0.75, 4 / 3, 5 / 3, 2.0)},
+    "y up in the picture": Case(lambda c, g: g.seen([0, g.size_px[1] - 1] + g.xy_px * [1, -1]), ("keypoints_y_up",)),
+    "upside down": Case(lambda c, g: g.seen(g.size_px - 1 - g.xy_px), ("picture_upside_down",)),
+    "video of half the size": Case(lambda c, g: g.seen(g.xy_px / 2), ("smaller_video",)),
+    "right: half missing": Case(without(0.5)),
+    "right: a side hidden": Case(hidden(lambda name: name.startswith("r_"))),
+    "right: a fore leg hidden": Case(hidden(lambda name: name.startswith("r_front") and lower_leg(name))),
+    "right: lower legs hidden": Case(hidden(lower_leg)),
+    "right: 15 frames": Case(middle(15)),
+    "right: comes into the picture": Case(beyond_edge(True)),
+    "right: leaves the picture": Case(beyond_edge(False)),
+    "two cameras": Case(lambda clip, given: given, two=True),
+    **{
+        f"two, one turned by {degrees} degrees": Case(lambda c, g, by=degrees: g.turned(about("y", by)), OFF, two=True)
+        for degrees in (6, -6, 4, -4, 2, -2)
+    },
+    **{
+        f"two, one moved by {x_m} m": Case(lambda c, g, by_m=x_m: g.turned(np.eye(3), (by_m, 0, 0)), OFF, two=True)
+        for x_m in (0.5, -0.5, 0.25, -0.25)
+    },
+    **{
+        f"two, one late by {by} frames": Case(
+            lambda c, g, by=by: replace(g, keypoints=replace(g.keypoints, frames=g.keypoints.frames + by)),
+            ("camera_late", *OFF),
+            two=True,
+        )
+        for by in (2, -2)
+    },
+    "two, one of half the rate": Case(half_rate_of_one, (*OFF, "cameras_apart_in_time", "frame_rate"), two=True),
+    "two, the same keypoints": Case(same_twice, (*OFF, "same_keypoints"), two=True),
+}
+
+
+def fitted(clip: Clip, case: Case, folder: Path) -> tuple[Motion, Given]:
+    """Raises InputError."""
+    first, *rest = [clip.given(name) for name in clip.cameras]
+    given = [first, *(case.change(clip, one) for one in rest)] if case.two else [case.change(clip, first)]
+    paths = [folder / f"{name}.csv" for name in clip.cameras]
+    for one, path in zip(given, paths, strict=True):
+        write_csv(replace(one.keypoints, fps=None), path)
+    write_cameras([one.camera for one in given], folder / "cameras.toml")
+    told = dict(given[-1].told)
+    if "subject" in told:
+        (folder / "subject.toml").write_text(told["subject"])
+        told["subject"] = folder / "subject.toml"
+    settings = {"keypoints": tuple(paths), "camera": folder / "cameras.toml", "fps": clip.meta["fps"]}
+    return fit_clip(FitSettings(**settings | told)), given[0]
+
+
+def truth_of(run: Path, motion: Motion, frames: np.ndarray) -> np.ndarray:
+    """(T, J, 3) at these frames of the truth, NaN where there is none."""
+    pose = read_pose3d(run / "truth.csv")
+    rows = {int(frame): row for row, frame in enumerate(pose.frames)}
+    truth_m = np.full(motion.joints_m.shape, np.nan)
+    for t, frame in enumerate(frames):
+        if int(frame) in rows:
+            truth_m[t] = pose.xyz_m[rows[int(frame)]][[pose.names.index(name) for name in motion.names]]
+    return truth_m
+
+
+def truth_on(clip: Clip, given: Given, motion: Motion) -> np.ndarray:
+    return truth_of(clip.run, motion, given.frame(motion.frames)) @ given.R.T + given.t
+
+
+def errors(off_m: np.ndarray) -> tuple[float, float]:
+    """The errors of the pose in mm and of the position in metres, for joints (T, J, 3) that are so far off."""
+    centred = off_m - off_m.mean(axis=1, keepdims=True)
+    return 1000 * float(np.linalg.norm(centred, axis=-1).mean()), float(
+        np.linalg.norm(off_m.mean(axis=1), axis=-1).mean()
+    )
+
+
+def of_what_was_seen(seen: Seen, motion: Motion) -> dict[str, float]:
+    """Errors in the frame of the camera that saw it, which is all that one camera can be right about."""
+    assert seen.camera.rotation is not None
+    assert seen.camera.translation_m is not None
+    truth_m = truth_of(seen.run, motion, motion.frames + seen.later)
+    off_m = motion.joints_camera_m - truth_m @ seen.camera.rotation.T - seen.camera.translation_m
+    off_m = off_m[np.isfinite(off_m).all(axis=(1, 2))]
+    return dict(zip(("seen pose_mm", "seen position_m"), errors(off_m), strict=True)) if len(off_m) else {}
+
+
+def measured(clip: Clip, given: Given, motion: Motion) -> dict[str, Any]:
+    off_m = motion.joints_m - truth_on(clip, given, motion)
+    off_m = off_m[np.isfinite(off_m).all(axis=(1, 2))]
+    if not len(off_m):
+        return {}
+    known = motion.solved & np.isfinite(truth_on(clip, given, motion)).all(axis=(1, 2))
+    centred, R = off_m - off_m.mean(axis=1, keepdims=True), motion.T_reference_world[:3, :3]
+    solution = motion.solution
+    pose_mm, position_m = errors(off_m)
+    return {
+        "pose_mm": pose_mm,
+        "position_m": position_m,
+        "pose in 90 %": coverage(centred, (R @ solution.relative_covariance_m2 @ R.T)[known], 0.9),
+        "position in 90 %": coverage(off_m, (R @ solution.covariance_m2 @ R.T)[known], 0.9),
+    }
+
+
+def row(clip: Clip, name: str) -> dict[str, Any]:
+    case, found = CASES[name], {"case": name, "run": clip.run.name, "camera": "+".join(clip.cameras)}
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            motion, given = fitted(clip, case, Path(folder))
+        except InputError:
+            return found | {"codes": "refused", "level": "refused"}
+    codes = [one.code for one in motion.findings if one.severity != "note" or one.code == "missing_as_constant"]
+    assert motion.verdict is not None
+    said = {"codes": " ".join(sorted({*codes})), "level": motion.verdict.level}
+    seen = {} if given.really is None else of_what_was_seen(given.really, motion)
+    return found | measured(clip, given, motion) | seen | said
+
+
+def rows_of(clip: Clip, names: Sequence[str]) -> list[dict[str, Any]]:
+    return [row(clip, name) for name in names if CASES[name].two == (len(clip.cameras) == 2)]
+
+
+def clips(every: int) -> Iterator[Clip]:
+    runs = [path.parent for kind in ("cheetah-runs", "plate-trials") for path in recordings(kind).glob("*/meta.json")]
+    views = [Clip(run, (name,)) for run in sorted(runs) for name in cameras_of(run)]
+    pairs = [Clip(run, pair) for run in sorted(runs) for pair in combinations(cameras_of(run), 2)]
+    yield from [*views[::every], *pairs[::every]]
+
+
+def judged(table: pd.DataFrame) -> pd.DataFrame:
+    """With whether each clip's error is doubled, and whether what is said of it is true."""
+    plain = table[table["case"].isin(["untouched", "two cameras"])].set_index(["run", "camera"])
+    keys = pd.MultiIndex.from_frame(table[["run", "camera"]])
+    times = [table[of].to_numpy() / plain[of].reindex(keys).to_numpy() for of in ("pose_mm", "position_m")]
+    codes = [{*text.split()} for text in table["codes"]]
+    before = [{*str(text).split()} for text in plain["codes"].reindex(keys)]
+    own = [{*CASES[name].codes} for name in table["case"]]
+    return table.assign(
+        doubled=np.nanmax([*times, np.zeros(len(table))], axis=0) >= 2.0,
+        named=[bool(said & right) or said == {"refused"} for said, right in zip(codes, own, strict=True)],
+        else_named=[bool(said & CAUSES - right - was) for said, right, was in zip(codes, own, before, strict=True)],
+    )
+
+
+def cells(of: pd.DataFrame) -> list[str]:
+    def part(which: str, rows: pd.DataFrame) -> str:
+        return f"{rows[which].sum():.0f}" if len(rows) else ""
+
+    hurt = of[of["doubled"]]
+    figures = [f"{of['pose_mm'].median():.0f}", f"{of['position_m'].median():.2f}"]
+    figures += [part("named", of), part("named", hurt), part("else_named", of)]
+    figures += [f"{(rows['level'] == 'use').sum()}" for rows in (of, hurt)]
+    figures += [f"{of[name].mean():.0%}" for name in ("pose in 90 %", "position in 90 %")]
+    seen = [of[f"seen {name}"].median() for name in ("pose_mm", "position_m")]
+    return [*figures, f"{seen[0]:.0f}; {seen[1]:.2f}" if np.isfinite(seen[0]) else ""]
+
+
+def horse_as_cheetah() -> str:
+    """Level and codes."""
+    names = {"Nose": "nose", "Eye": "l_eye", "Wither": "neck_base", "Ischium": "tail_base", "Shoulder": "l_shoulder"}
+    names |= {"Elbow": "l_front_knee", "Hip": "l_hip", "Stifle": "l_back_knee"}
+    for side, of in (("l", "Near"), ("r", "Off")):
+        names |= {f"{of}knee": f"{side}_front_ankle", f"{of}frontfoot": f"{side}_front_paw"}
+        names |= {f"{of}hindhock": f"{side}_back_ankle", f"{of}hindfoot": f"{side}_back_paw"}
+    labels = recordings("horse-side") / "CollectedData_Byron.csv"
+    if not labels.is_file():
+        return "no recording"
+    with tempfile.TemporaryDirectory() as folder:
+        rename = Path(folder) / "names.csv"
+        rename.write_text("old,new\n" + "".join(f"{old},{new}\n" for old, new in names.items()))
+        camera = {"hfov_deg": 50.0, "image_size_px": (288, 162)}
+        motion = fit_clip(FitSettings(keypoints=(labels,), rename=str(rename), fps=24.0, **camera))
+    assert motion.verdict is not None
+    return f"{motion.verdict.level}, " + ", ".join(one.code for one in motion.findings if one.severity != "note")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cases", help="those whose name has one of these in it, with commas between them")
+    parser.add_argument("--views", type=int, default=1, help="every so many clips")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--csv", type=Path, help="write all rows here")
+    parser.add_argument("--findings", action="store_true", help="which findings each case has")
+    arguments = parser.parse_args()
+    wanted = [n for n in CASES if arguments.cases is None or any(part in n for part in arguments.cases.split(","))]
+    wanted = [*dict.fromkeys(["untouched", "two cameras", *wanted])]
+    rows: list[dict[str, Any]] = []
+    with ProcessPoolExecutor(arguments.jobs) as pool:
+        for of_clip in pool.map(partial(rows_of, names=wanted), clips(arguments.views)):
+            rows += of_clip
+            if arguments.csv:
+                pd.DataFrame(rows).to_csv(arguments.csv, index=False)
+    if not rows:
+        parser.exit(message="no recordings: nothing measured\n")
+    table = pd.DataFrame(rows)
+    table = judged(table.reindex(columns=[*dict.fromkeys([*table.columns, "seen pose_mm", "seen position_m"])]))
+    use = ["use", "use of doubled"]
+    header = ["case", "clips", "doubled", "pose mm", "position m", "named", "named of doubled", "called something else"]
+    grouped = [(name, table[table["case"] == name]) for name in wanted if (table["case"] == name).any()]
+    print_table(
+        [*header, *use, "pose in 90 %", "position in 90 %", "of what was seen: mm; m"],
+        [[name, len(of), of["doubled"].sum(), *cells(of)] for name, of in grouped],
+    )
+    if arguments.findings:
+        for name, of in grouped:
+            counts = pd.Series(" ".join(of["codes"]).split(), dtype=str).value_counts()
+            print(f"{name}: " + ", ".join(f"{code} {count}" for code, count in counts.items()))
+        print("a horse as a cheetah: " + horse_as_cheetah())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,19 @@
+"""What becomes of a motion on a robot, and how does a robot climb?
+
+    python benchmarks/robots.py [--only NAME ...] [--quick]
+
+Results are kept in benchmarks/results/robots.json; `python benchmarks/tables.py` makes the docs' tables.
+"""
+
+from __future__ import annotations
+
+from question import Part, main
+
+PARTS = {
+    "retarget": Part("retarget.py", data="cheetah-runs"),
+    "climb": Part("climb.py", quick=[]),
+}
+
+
+if __name__ == "__main__":
+    main(__doc__ or "", "robots", PARTS)

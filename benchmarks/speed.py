@@ -1,0 +1,25 @@
+"""How long does it take, and how much memory?
+
+    python benchmarks/speed.py [--only NAME ...] [--quick]
+
+Results are kept in benchmarks/results/speed.json; `python benchmarks/tables.py` makes the docs' tables.
+"""
+
+from __future__ import annotations
+
+from question import Part, main
+
+PARTS = {
+    "clips": Part("trajectory.py", ["--only", "time"], data="cheetah-runs"),
+    "scaling": Part("trajectory.py", ["--only", "scaling"]),
+    "long": Part("long_clips.py", ["100000x1", "4000x6", "216000/120"], quick=["1000x1"]),
+    "batch": Part("batch.py", quick=["--clips", "10", "--broken", "1"]),
+    "start": Part("startup.py", quick=["3"]),
+    "analyse": Part("analyse.py", ["10000"], quick=["500"]),
+    "pages": Part("pages.py", ["pages"], quick=["pages", "--clips", "10"]),
+    "run": Part("pages.py", ["run"]),
+}
+
+
+if __name__ == "__main__":
+    main(__doc__ or "", "speed", PARTS)
