@@ -42,7 +42,8 @@ from recon.io.formats import read_keypoints
 from recon.show.plain import by_name, picked
 from recon.workflows.cli import Answer, table_of
 from recon.workflows.clip import arrange, read_clip_cameras, read_clips
-from recon.workflows.settings import INDIVIDUAL, FitSettings
+from recon.workflows.rigs import FIRST_CAMERA
+from recon.workflows.settings import INDIVIDUAL, UNITS_M, FitSettings, Unit
 
 STEMS = ("skeleton", "angles")
 """Pictures, each as .png and .svg: the expected pose with names; every angle at both ends of its range."""
@@ -163,6 +164,8 @@ def _segments(body: Body) -> Iterator[dict[str, Any]]:
 def _remarks(body: Body) -> Iterator[str]:
     at = dict(zip(body.markers, body.expected_points_m(), strict=True))
     rear, front = (at[marker] for marker in body.forward)
+    if (length_m := float(np.ptp([*at.values()], axis=0).max())) > LARGEST_ANIMAL_M:
+        yield f"lengths: the animal is {length_text(length_m)} long. Lengths are metres, not mm or cm."
     if front[0] <= rear[0]:
         yield f"forward: in the expected pose {body.forward[1]} is not ahead (x) of {body.forward[0]}."
     if not body.feet:
@@ -195,6 +198,8 @@ keypoints, by so many times what those between steady neighbours do, but not by 
 KEYPOINT_SHARE, SIZE_SIGMA = 0.02, 0.05
 """For the skeleton: keypoint_sigma_m as a share of its length, and size_sigma of an animal that was measured."""
 HEAD = ("keypoint_sigma_m", "size_sigma")
+LARGEST_ANIMAL_M = 15.0
+"""No animal on legs is longer."""
 SWING_RAD, SWING_HZ = (0.2, 1.2), (0.5, 8.0)
 
 
@@ -219,7 +224,13 @@ class _SkeletonDraftSettings(Settings):
     fps: Positive | None = None
     """With --camera: the frame rate in Hz. (default: what the file says)"""
     up: str | None = None
-    """With --camera: as of recon fit. (default: what the file says)"""
+    """With --camera: which axis of its world points up, as in z or -y; first-camera: that counts as level. (default:
+    what the file says)"""
+    camera_name: OneOrMore[str] | None = None
+    """With --camera: which camera of the file, as in cam2 or 2; once for each keypoint file. (default: whose name the
+    keypoint file's name contains)"""
+    camera_unit: Unit = "m"
+    """With --camera: unit of the cameras' positions in the file; Anipose's is often mm."""
     overwrite: bool = False
     """Replace the file."""
 
@@ -252,22 +263,42 @@ def skeleton_from_keypoints(settings: _SkeletonDraftSettings) -> Answer:
 
 
 def _of_geometry(settings: _SkeletonDraftSettings) -> SkeletonDraft:
-    """Raises InputError also where the cameras' poses are not known, or which way is up."""
-    given = FitSettings(**picked(settings, "keypoints", "camera", "fps", "up", "individual"))
+    """Draft a skeleton from several cameras; raise InputError also for cameras without poses or direction up."""
+    options = ("keypoints", "camera", "fps", "up", "individual", "camera_name", "camera_unit")
+    given = FitSettings(**picked(settings, *options))
     files, cameras = collect_problems(lambda: read_clips(given), lambda: read_clip_cameras(given))
     first, source = files[0], settings.keypoints[0]
     assert first.fps is not None
-    if len(files) < 2 or not all(camera.knows_up for camera, _ in cameras):
-        found = f"{len(files)} camera(s): {', '.join(camera.name for camera, _ in cameras)}"
-        raise InputError(Problem("--camera", "poses", found, "two or more with poses, and --up unless these say it"))
+    if len(files) < 2 or not all(camera.has_extrinsics for camera, _ in cameras):
+        poses = [f"{camera.name} {'with' if camera.has_extrinsics else 'without'} a pose" for camera, _ in cameras]
+        raise InputError(Problem("--camera", "poses", ", ".join(poses), "two or more cameras with poses"))
+    if settings.up != FIRST_CAMERA and not all(camera.knows_up for camera, _ in cameras):
+        found = "poses that do not say which way is up"
+        raise InputError(Problem("--up", "up", found, f"an axis of their world, as in z or -y, or {FIRST_CAMERA}"))
     sources = [
         Source(camera, *clean(arrange(file, first.names), given.likelihood_min), file.names)
         for file, (camera, _) in zip(files, cameras, strict=True)
     ]
     views = views_of(align_cameras(sources, (0.0,) * len(sources)))
     places_m = points_m(views, given.trajectory_options().sigma_px, 0.0)
+    _require_size(places_m, settings)
     known, text = drafted(first.names, places_m, first.fps, settings.out.stem, source)
     return {name: name for name in known}, tuple(n for n in first.names if n not in known), text
+
+
+def _require_size(positions_m: Array, settings: _SkeletonDraftSettings) -> None:
+    """Raise InputError for an animal so large that the calibration is in another unit."""
+    known = np.isfinite(positions_m).all(axis=2)
+    enough = known.sum(axis=1) >= MIN_JOINTS
+    if not enough.any():
+        return
+    extents_m = [float(np.ptp(row[seen], axis=0).max()) for row, seen in zip(positions_m, known, strict=True)]
+    size_m = float(np.median(np.array(extents_m)[enough]))
+    smaller = {unit: size_m * UNITS_M[unit] / UNITS_M[settings.camera_unit] for unit in ("cm", "mm")}
+    if size_m > LARGEST_ANIMAL_M:
+        units = " or ".join(f"{unit} ({length_text(length)})" for unit, length in smaller.items() if length < size_m)
+        found = f"an animal of {length_text(size_m)}, with lengths of the calibration in {settings.camera_unit}"
+        raise InputError(Problem("--camera-unit", "camera_unit", found, f"the unit of the calibration: {units}"))
 
 
 def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDraft:

@@ -4,6 +4,7 @@ call their points; and that whatever is behind a fit takes them."""
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -46,7 +47,13 @@ from recon.testing.rigs import write_rig_clip
 from recon.testing.walkers import running_mouse, walking_person
 from recon.workflows.clip import prepare
 from recon.workflows.clip_results import run_clip
-from recon.workflows.skeleton import _SkeletonDraftSettings, draft_skeleton, drafted, skeleton_from_keypoints
+from recon.workflows.skeleton import (
+    _SkeletonDraftSettings,
+    check_skeleton,
+    draft_skeleton,
+    drafted,
+    skeleton_from_keypoints,
+)
 
 pytestmark = pytest.mark.usefixtures("no_playback")
 OBLIQUE_M = [[1.0, -5.5, 1.5], [4.5, -4.0, 1.7], [-4.5, 4.0, 1.8], [5.0, 4.0, 2.0]]
@@ -289,10 +296,43 @@ def test_a_draft_from_geometry(skeleton, alone, tmp_path):
     assert np.median(off_m) < 1.5 * true.keypoint_sigma_m
     with refusal(("KEYPOINTS", "files", "2 files without --camera", "--camera")):
         skeleton_from_keypoints(_SkeletonDraftSettings(keypoints=tuple(files[:2]), out=tmp_path / "a.toml"))
-    with refusal(("--camera", "poses", "1 camera(s): cam1", ["two or more", "--up"])):
+    with refusal(("--camera", "poses", "cam1 with a pose", "two or more")):
         skeleton_from_keypoints(
             _SkeletonDraftSettings(keypoints=(files[0],), camera=(rig,), fps=rigs.FPS, out=tmp_path / "a.toml")
         )
+
+
+def test_a_draft_from_a_calibration_in_millimetres(tmp_path):
+    """The unit is asked for where metres make no animal; a direction up has to be known, or the first camera level."""
+    true = load_skeleton("mouse-top")
+    views, true_m = rigs.random_clip(true, 0.0, 4, 0)
+    names, files = tuple(f"point {j}" for j in range(len(true.markers))), []
+    for view in views:
+        files.append(tmp_path / f"{view.camera.name}.csv")
+        write_csv(Keypoints(names, view.xy_px, view.confidence, np.arange(len(true_m)), fps=rigs.FPS), files[-1])
+    cameras = [
+        replace(v.camera, translation_m=1000 * np.asarray(v.camera.translation_m), world_z_up=False) for v in views
+    ]
+    rig = tmp_path / "rig.toml"
+    write_cameras(cameras, rig)
+
+    def drafted_with(**options) -> str:
+        out = tmp_path / "mine.toml"
+        given = {"keypoints": tuple(files), "camera": (rig,), "fps": rigs.FPS, "out": out, "overwrite": True}
+        skeleton_from_keypoints(_SkeletonDraftSettings(**given, **options))
+        return out.read_text()
+
+    with refusal(("--up", "up", "do not say which way is up", ["-y", "first-camera"])):
+        drafted_with(camera_unit="mm")
+    with refusal(("--camera-unit", "camera_unit", ["an animal of", "in m"], ["cm (", "mm ("])):
+        drafted_with(up="z")
+    text = drafted_with(up="z", camera_unit="mm")
+    assert drafted_with(up="z", camera_unit="mm", camera_name=tuple(v.camera.name for v in views)) == text
+    assert 0.03 < check_skeleton(tmp_path / "mine.toml")["length_m"] < 0.3
+    drafted_with(up="first-camera", camera_unit="mm")
+    large = re.sub(r"at_m = \[(.*?)\]", lambda m: f"at_m = {[1e3 * float(x) for x in m[1].split(',')]}", text)
+    (tmp_path / "large.toml").write_text(large)
+    assert "Lengths are metres" in " ".join(check_skeleton(tmp_path / "large.toml")["remarks"])
 
 
 @pytest.mark.parametrize(
