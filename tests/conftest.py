@@ -7,12 +7,9 @@ import json
 import os
 import re
 import shlex
-import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
-from copy import deepcopy
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 
 # Before numpy is loaded: matrices are small here, and several processes share the cores.
@@ -59,15 +56,6 @@ def pytest_collection_finish() -> None:
 
 
 SAMPLES = Path(__file__).resolve().parents[1] / "data" / "samples"
-
-
-@pytest.fixture(scope="session", autouse=True)
-def toml_once() -> Iterator[None]:
-    """The same text is parsed once: commands in this process read the bundled skeletons again and again."""
-    parsed = lru_cache(maxsize=100)(tomllib.loads)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tomllib, "loads", lambda text: deepcopy(parsed(text)))
-        yield
 
 
 @pytest.fixture(scope="session")

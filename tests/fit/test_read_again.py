@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -135,7 +134,6 @@ def test_what_a_fit_writes_is_read_by_all_behind_it(clip, tmp_path, monkeypatch)
     if clip not in ODD:
         monkeypatch.setattr("recon.show.view.write", lambda *_: None)  # nothing reads a playback
     run_clip(settings, out)
-    monkeypatch.setattr(Motion, "load", cache(Motion.load))
     motion = Motion.load(out)
     assert motion.solved.sum() > FRAMES / 2
     assert (motion.frames[0] < 0) == (clip in ("offset", "six, drafted"))
