@@ -171,6 +171,8 @@ class Body(Brief):
     """By segment, its share of the body's mass and one standard deviation; empty if unknown."""
     mass_source: str | None = None
     """Source of the masses."""
+    anatomy: dict[str, tuple[str, str, str]] = field(default_factory=dict)
+    """Markers above, at and below each joint, by its name and side, such as left_elbow (`recon.animal.anatomy`)."""
     subject: str | None = None
     """Name of the measured animal whose lengths these are; None for those of the skeleton."""
 

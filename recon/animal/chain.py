@@ -27,6 +27,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import BeforeValidator, Field
 
+from recon.animal.anatomy import anatomy_problems
 from recon.animal.body import CHAIN_PLACES, MIN_JOINTS, Body, Side, Skeleton, foot_problems, foot_table
 from recon.base import documents
 from recon.base.arrays import Array, Index
@@ -105,6 +106,8 @@ class _ChainFile(FileTable):
     softness_rad: Sigma
     prior: _Prior
     links: tuple[_Link, ...] = Field(min_length=1)
+    anatomy: dict[str, tuple[str, str, str]] = Field(default_factory=dict)
+    """By joint, the chain's joints above, at and below it."""
     length_m: dict[str, Sigma] = Field(default_factory=dict)
     """Measured lengths of links, in place of their ratios."""
 
@@ -201,6 +204,7 @@ class Chain(Skeleton):
             tree=tree,
             keypoints=(self.file.root_keypoint, *(link.keypoint for link in self.links)),
             limbs=limbs,
+            anatomy=self.file.anatomy,
             forward=self.file.forward,
             feet=tuple(self.file.feet.values()),
             foot_labels=tuple(CHAIN_PLACES[place] for place in self.file.feet),
@@ -296,7 +300,9 @@ def _chain_problems(file: _ChainFile, source: str) -> Iterator[Problem]:
         expected = f"one from {file.root} without theta and phi: the body's forward axis lies along it"
         yield Problem(source, "links", "none without angles from the root", expected)
     ends = [*(("forward", joint) for joint in file.forward), *(("feet", joint) for joint in file.feet.values())]
+    ends += [(f"anatomy.{name}", joint) for name, joints in file.anatomy.items() for joint in joints]
     yield from unknown(source, ends, sorted(known))
+    yield from anatomy_problems(file.anatomy, source)
     yield from foot_problems(file.feet, source)
 
 

@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import numpy as np
 from pydantic import Field
 
+from recon.animal.anatomy import anatomy_problems, joints_of_both_sides
 from recon.animal.body import MIN_JOINTS, PLACES, Body, foot_problems, foot_table, other_side, side_of
 from recon.base import documents
 from recon.base.documents import FileTable, Number, Sigma, unknown, validated
@@ -120,6 +121,8 @@ class _BodyFile(FileTable):
     segments: tuple[_Segment, ...] = Field(min_length=1)
     markers: tuple[_Marker, ...]
     limbs: dict[str, tuple[str, ...]]
+    anatomy: dict[str, tuple[str, str, str]] = Field(default_factory=dict)
+    """By joint, the markers above, at and below it; a left joint stands for the right one, too."""
     mass: _Mass | None = None
 
 
@@ -195,6 +198,8 @@ def _body_problems(file: _BodyFile, source: str) -> Iterator[Problem]:
     if len(markers) < MIN_JOINTS:
         yield Problem(source, "markers", f"{len(markers)}", f"at least {MIN_JOINTS}: fewer do not place it")
     named = {"forward": file.forward, "feet": file.feet.values()} | {f"limbs.{k}": v for k, v in file.limbs.items()}
+    named |= {f"anatomy.{joint}": joint_markers for joint, joint_markers in file.anatomy.items()}
+    yield from anatomy_problems(file.anatomy, source)
     yield from unknown(source, [(field, name) for field, names in named.items() for name in names], sorted(markers))
     if file.mass is not None:
         shares = file.mass.share
@@ -231,6 +236,7 @@ def _body(f: _BodyFile) -> Body:
         ),
         keypoints=tuple((m.name, m.name) for m in markers),
         limbs=f.limbs,
+        anatomy=joints_of_both_sides(f.anatomy),
         forward=f.forward,
         feet=tuple(f.feet.values()),
         foot_labels=tuple(PLACES[position] for position in f.feet),

@@ -30,6 +30,7 @@ from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.result import TrajectorySolution
 from recon.gait import kinematics, phase
 from recon.gait.dynamics import Dynamics, dynamics
+from recon.gait.flexion import JointFlexion, StrideCurve, joint_flexions, stride_curves
 from recon.gait.gait import BODY, Gait, Stride, gait, interval_of, interval_text, pose_tracks
 from recon.gait.kinematics import MIN_POINTS, AngleKinematics, Errors, JointKinematics, at_frames
 from recon.io.common import Pose3D
@@ -179,6 +180,16 @@ class ClipAnalysis(Brief):
             limb: phase.pose_vector_field(self.pose, chain, motion.fps, forward) for limb, chain in chains.items()
         }
         return _with_sigma(fields, motion, chains, [*self.skeleton_angles.values()])
+
+    @cached_property
+    def flexions(self) -> tuple[JointFlexion, ...]:
+        """Return the flexion of the skeleton's anatomical joints; empty for a skeleton without anatomy."""
+        return joint_flexions(self.motion)
+
+    @cached_property
+    def flexion_curves(self) -> tuple[StrideCurve, ...]:
+        """Return the mean flexion of each joint over the stride; empty without complete strides."""
+        return stride_curves(self.flexions, self.gait, self.motion.time_s)
 
     @cached_property
     def stride(self) -> Stride | None:

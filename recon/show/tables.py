@@ -17,6 +17,8 @@ import numpy as np
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.gait.dynamics import FORCE_COLUMNS, G_M_S2, OVER_STRIDE, over_stride
+from recon.gait.flexion import PERCENT
+from recon.gait.gait import interval_of
 from recon.gait.kinematics import AngleKinematics
 from recon.gait.phase import field_means
 from recon.io.writing import write_columns, write_rows, write_table
@@ -169,6 +171,34 @@ def joint_angles(analysis: ClipAnalysis) -> Table:
         for name, angle in angles_of_kind.items()
     ]
     return ["angle", "kind", "least_rad", "greatest_rad", *names, "data_share"], rows
+
+
+def joint_flexion(analysis: ClipAnalysis) -> Columns:
+    """Return the flexion of the anatomical joints at every frame, degrees, with standard deviations."""
+    columns = {"frame": analysis.motion.frames, "time_s": analysis.motion.time_s}
+    for flexion in analysis.flexions:
+        columns[f"{flexion.name}_deg"] = np.degrees(flexion.angle_rad)
+        columns[f"{flexion.name}_sigma_deg"] = np.degrees(flexion.sigma_rad)
+    return columns
+
+
+def joint_flexion_stride(analysis: ClipAnalysis) -> Columns:
+    """Return the mean flexion of each joint by percent of the stride, with 90 % bands, degrees.
+
+    The band of the fit's uncertainty and the band between strides stand apart.
+    """
+    parts: list[Columns] = []
+    for curve in analysis.flexion_curves:
+        texts = {"joint": curve.joint, "side": curve.side or "middle", "foot": curve.foot}
+        part = {name: np.full(len(PERCENT), text) for name, text in texts.items()} | {"percent": PERCENT}
+        part["flexion_deg"] = np.degrees(curve.mean_rad)
+        bands = {"posterior": curve.posterior_sigma_rad, "between_strides": curve.between_sigma_rad}
+        for name, sigma_rad in bands.items():
+            _, low, high = interval_of(curve.mean_rad, sigma_rad)
+            part |= {f"{name}_low_deg": np.degrees(low), f"{name}_high_deg": np.degrees(high)}
+        numbers = {"strides": curve.strides, "duty_factor": curve.duty_factor}
+        parts.append(part | {name: np.full(len(PERCENT), number) for name, number in numbers.items()})
+    return {name: np.concatenate([part[name] for part in parts]) for name in (parts[0] if parts else ())}
 
 
 def angle_rates(analysis: ClipAnalysis) -> Columns:
@@ -331,9 +361,12 @@ def force_over_time(analysis: ClipAnalysis) -> Columns:
     return columns
 
 
-_MOTION = joints, reference, velocities, joint_angles, angle_rates, vector_field, vector_field_means, closures
+_MOTION = joints, reference, velocities, vector_field, vector_field_means
+_ANGLES = joint_angles, joint_flexion, joint_flexion_stride, angle_rates, closures
 _GAIT = stances, strides, gait, centre_of_mass, forces, force_over_time
-TABLES: dict[str, Callable[[ClipAnalysis], Table | Columns]] = {f"{of.__name__}.csv": of for of in (*_MOTION, *_GAIT)}
+TABLES: dict[str, Callable[[ClipAnalysis], Table | Columns]] = {
+    f"{of.__name__}.csv": of for of in (*_MOTION, *_ANGLES, *_GAIT)
+}
 """Tables by file name, which is the function's."""
 
 

@@ -257,6 +257,7 @@ def write_figures(found: ClipAnalysis, folder: Path, progress: Progress) -> None
 def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
     """By file name, what draws it."""
     from recon.show.plots.configurations import body_fixed, composites, in_body, observability
+    from recon.show.plots.flexion import joint_flexion
     from recon.show.plots.over_time import footfall, forces, phase_portraits, speeds, vector_fields
 
     motion, time_s, during, gait = found.motion, found.motion.time_s, found.during_stride, found.gait
@@ -284,6 +285,8 @@ def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
         drawn[f"vector_field_{limb.replace(' ', '_')}"] = partial(vector_fields, fields, time_s, limb)
     if gait is not None:
         drawn["footfalls"] = partial(footfall, {"gait": gait}, motion.fps)
+        if found.flexion_curves:
+            drawn["joint_flexion"] = partial(joint_flexion, found.flexion_curves)
         if found.dynamics is not None:
             drawn["forces"] = partial(forces, found.dynamics, gait)
     return drawn

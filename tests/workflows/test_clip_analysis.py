@@ -280,6 +280,7 @@ FIGURES = (
     "body_fixed_spine",
     "composites",
     "footfalls",
+    "joint_flexion",
     "observability",
     "phase_portraits",
     "speed",

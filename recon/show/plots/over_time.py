@@ -250,7 +250,7 @@ def _limit(axes: Axes, series: list[tuple[Array, Array]]) -> None:
 
 ANGLES_MM = (62.0, 36.0)
 """Width and height: three are a page wide."""
-_BOX = (0.12, 0.21, 0.85, 0.64)
+_BOX = (0.12, 0.24, 0.85, 0.61)
 
 
 AngleCurve = tuple[Array, Array, bool]

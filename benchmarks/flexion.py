@@ -1,0 +1,129 @@
+"""Measure joint angles by anatomy against made-up gallops and a dog's motion capture, each seen by one camera.
+
+    python benchmarks/flexion.py [FOLDER] [--seeds 4] [--only gallops|dogs]
+
+FOLDER: the dog-mocap, by default that of $RECON_SHARED_DATA, or of ../shared/data; without it, the gallops only. The
+gallops have the noise that the skeleton states: each keypoint lies off its marker for the whole clip, and jitters. The
+dog's clips have noise of a detector and the dog's own proportions. Prints, for each joint, the RMS error, the stated
+standard deviation (root mean square) and the share of frames inside the 90 % band, then the same for all joints.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from dog import SKELETON, read_clips, write_view
+from markdown_table import print_table
+from recordings import recordings
+
+from recon.animal.anatomy import FLEXES_CAUDALLY, GIRDLE, joint_and_side
+from recon.animal.body import Body
+from recon.fit.motion import Motion
+from recon.fit.posterior import radius
+from recon.gait.flexion import joint_flexions
+from recon.gait.gait import INTERVAL
+from recon.io.camera_files import write_camera
+from recon.testing.files import write_keypoints
+from recon.testing.gallop import project_clip, whole_gallop
+from recon.workflows.clip import fit_clip
+from recon.workflows.settings import FitSettings
+
+JITTER_PX = 3.0
+DOG_CLIPS = (("walk00", 250), ("walk01", 800), ("walk02", 660), ("walk03", 300), ("walk04", 300), ("run00", 340))
+"""Clips and the first of `DOG_FRAMES` frames, in which the dog moves."""
+DOG_FRAMES = 200
+PAIRS = {"cheetah-24": ("l_hip", "l_shoulder"), "dog-27": ("LeftUpLeg", "LeftArm")}
+"""Left markers of the hind and the fore girdle, which with the right ones give the true sagittal plane."""
+
+
+def true_flexion(body: Body, points_m: np.ndarray) -> np.ndarray:
+    """Return the flexion (A, T) of the joints by the true markers (T, J, 3) alone, rad."""
+    at = {marker: points_m[:, i] for i, marker in enumerate(body.markers)}
+    rear, front = body.forward
+    forward = at[front] - at[rear]
+    angles = []
+    for name, (above, middle, below) in body.anatomy.items():
+        joint = joint_and_side(name)[0]
+        left_marker = PAIRS[body.name][GIRDLE[joint] != "H"]
+        right_marker = left_marker.replace("l_", "r_").replace("Left", "Right")
+        left = at[left_marker] - at[right_marker]
+        left = left - np.sum(left * forward, axis=1, keepdims=True) / np.sum(forward**2, axis=1)[:, None] * forward
+        left /= np.linalg.norm(left, axis=1, keepdims=True)
+        proximal, distal = at[middle] - at[above], at[below] - at[middle]
+        flat = [link - np.sum(link * left, axis=1, keepdims=True) * left for link in (proximal, distal)]
+        angle = np.arctan2(np.sum(np.cross(*flat) * left, axis=1), np.sum(flat[0] * flat[1], axis=1))
+        angles.append(FLEXES_CAUDALLY[joint] * angle)
+    return np.array(angles)
+
+
+def gallops(seeds: int, folder: Path) -> Iterator[tuple[Motion, np.ndarray]]:
+    """Yield fits of the simulated gallop with different noise, and its markers (T, J, 3)."""
+    clip, _ = whole_gallop()
+    exact = project_clip(clip.camera, clip)
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        settings = FitSettings(keypoints=(folder / "run.csv",), camera=(folder / "camera.toml",), fps=60)
+        distance_m = float(np.linalg.norm(clip.camera.centre_world - clip.truth_m.mean(axis=(0, 1))))
+        per_m = clip.camera.matrix[0, 0] / distance_m
+        offsets = rng.normal(0, 0.04 * per_m, exact.xy_px.shape[1:])
+        xy_px = exact.xy_px + offsets + rng.normal(0, JITTER_PX, exact.xy_px.shape)
+        write_keypoints(replace(exact, xy_px=xy_px), folder / "run.csv", decimals=2)
+        write_camera(clip.camera, folder / "camera.toml")
+        motion = fit_clip(settings)
+        yield motion, clip.truth_m
+
+
+def dogs(recorded: Path, folder: Path) -> Iterator[tuple[Motion, np.ndarray]]:
+    """Yield fits of the dog's clips from beside, and its markers (T, J, 3)."""
+    clips = {clip.name: clip for clip in read_clips(recorded)}
+    for name, first in DOG_CLIPS:
+        clip = replace(clips[name], points_m=clips[name].points_m[first : first + DOG_FRAMES])
+        settings, _ = write_view(clip, folder, 0, SKELETON)
+        motion = fit_clip(settings)
+        yield motion, clip.markers(motion.body)
+
+
+def rows_of(fits: Iterator[tuple[Motion, np.ndarray]]) -> list[Sequence[str]]:
+    """Return a row for each joint, and one for all."""
+    errors, sigmas = defaultdict[str, list[np.ndarray]](list), defaultdict[str, list[np.ndarray]](list)
+    for motion, truth_m in fits:
+        for flexion, truth in zip(joint_flexions(motion), true_flexion(motion.body, truth_m), strict=True):
+            known = np.isfinite(flexion.angle_rad)
+            off = np.mod(flexion.angle_rad - truth + np.pi, 2 * np.pi) - np.pi
+            for joint in (flexion.joint, "all"):
+                errors[joint].append(np.degrees(off[known]))
+                sigmas[joint].append(np.degrees(flexion.sigma_rad[known]))
+    rows = []
+    for joint in errors:
+        error, sigma = np.concatenate(errors[joint]), np.concatenate(sigmas[joint])
+        inside = np.mean(np.abs(error) < radius(INTERVAL) * sigma)
+        rms = (f"{np.sqrt(np.mean(values**2)):.1f}" for values in (error, sigma))
+        rows.append((joint, *rms, f"{100 * inside:.0f}"))
+    return sorted(rows, key=lambda row: row[0] == "all")
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", nargs="?", type=Path, default=recordings("dog-mocap"))
+    parser.add_argument("--seeds", type=int, default=4)
+    parser.add_argument("--only", choices=("gallops", "dogs"))
+    given = parser.parse_args()
+    head = ("joint", "RMS error °", "stated °", "inside 90 % band, %")
+    with tempfile.TemporaryDirectory() as name:
+        if given.only != "dogs":
+            print(f"\n{given.seeds} simulated gallops, one camera:\n")
+            print_table(head, rows_of(gallops(given.seeds, Path(name))))
+        if given.only != "gallops" and given.folder is not None:
+            print(f"\nA dog, {len(DOG_CLIPS)} clips, one camera:\n")
+            print_table(head, rows_of(dogs(given.folder, Path(name))))
+
+
+if __name__ == "__main__":
+    main()

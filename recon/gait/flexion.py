@@ -1,0 +1,196 @@
+"""Measure joint angles by anatomy, in degrees, over time and over the stride.
+
+The skeleton's file says which three markers meet at a joint (`[anatomy]`). The flexion is the angle between the line
+from the first marker to the joint and the line from the joint to the third marker, in the sagittal plane of the segment
+that carries the first marker: 0 for a straight joint, positive for flexion, negative for extension beyond straight.
+
+Standard deviations are those of the fit's angles, linear, each angle independent of the others, and `MODEL_RAD` for the
+skeleton, whose joints turn about fixed axes. Over a stride, curves are means over the strides of the foot of the same
+limb; the posterior's uncertainty and the spread between strides are given apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from recon.animal.anatomy import FLEXES_CAUDALLY, GIRDLE, joint_and_side
+from recon.animal.body import Body, Side
+from recon.base.arrays import Array, Brief
+from recon.fit.motion import Motion
+from recon.gait.gait import Gait, Stride
+
+MODEL_RAD = np.radians(5.0)
+"""One standard deviation of an angle for all that a skeleton of hinges cannot follow (`benchmarks/flexion.py`)."""
+PERCENT = np.arange(101.0)
+"""Percent of the stride, from touch-down to touch-down."""
+LEAST_KNOWN = 0.9
+"""Share of a stride's frames with a pose, from which it counts."""
+_STEP_RAD = 1e-4
+_ROWS_AT_ONCE = 2000
+"""Frames whose derivatives are worked out at once."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class JointFlexion(Brief):
+    """Flexion of one joint over the T frames; NaN without a pose."""
+
+    joint: str
+    """Anatomical name, such as elbow."""
+    side: Side | None
+    """None for the spine and the neck."""
+    angle_rad: Array
+    """Flexion, shape (T,)."""
+    sigma_rad: Array
+    """One standard deviation, shape (T,); NaN if unknown."""
+
+    @property
+    def name(self) -> str:
+        """Return the joint with its side, such as left_elbow."""
+        return self.joint if self.side is None else f"{self.side}_{self.joint}"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StrideCurve(Brief):
+    """Flexion of one joint at `PERCENT` of the stride, mean over strides, rad."""
+
+    joint: str
+    side: Side | None
+    foot: str
+    """Foot whose touch-downs begin the strides."""
+    mean_rad: Array
+    """Mean over the strides, shape (101,)."""
+    posterior_sigma_rad: Array
+    """One standard deviation by the fit's uncertainty, root mean square over the strides, shape (101,)."""
+    between_sigma_rad: Array
+    """One standard deviation between strides, shape (101,); NaN for a single stride."""
+    strides: int
+    duty_factor: float
+    """Share of the stride for which the foot stands, from 0 %."""
+
+    @property
+    def name(self) -> str:
+        """Return the joint with its side, such as left_elbow."""
+        return self.joint if self.side is None else f"{self.side}_{self.joint}"
+
+
+def flexion_rad(body: Body, states: Array, size: float = 1.0) -> Array:
+    """Return the flexion of the joints of `body.anatomy` in states (T, D), shape (A, T), rad.
+
+    From -90 to 270 degrees: no joint extends so far beyond straight, and a folded one may pass 180 degrees.
+    """
+    points_m = body.tree.pose(states, size).points_m
+    orientations = body.tree.orientations(states)
+    segment_names = [segment.name for segment in body.tree.segments]
+    carriers = {marker.name: segment_names.index(marker.segment) for marker in body.tree.markers}
+    angles = []
+    for name, markers in body.anatomy.items():
+        first, middle, last = (points_m[:, body.markers.index(marker)] for marker in markers)
+        left = orientations[:, carriers[markers[0]], :, 1]
+        angle = _sagittal_angle(middle - first, last - middle, left) * FLEXES_CAUDALLY[joint_and_side(name)[0]]
+        angles.append(np.mod(angle + np.pi / 2, 2 * np.pi) - np.pi / 2)
+    return np.array(angles).reshape(-1, len(states))
+
+
+def _sagittal_angle(proximal: Array, distal: Array, left: Array) -> Array:
+    """Return the angle (T,) from one link to the next about an axis to the left, all (T, 3)."""
+    sine = np.sum(np.cross(proximal, distal) * left, axis=1)
+    across = np.sum(proximal * left, axis=1) * np.sum(distal * left, axis=1)
+    return np.arctan2(sine, np.sum(proximal * distal, axis=1) - across)
+
+
+def joint_flexions(motion: Motion) -> tuple[JointFlexion, ...]:
+    """Return the flexion of every joint of the skeleton's anatomy over a motion."""
+    body, posed = motion.body, np.flatnonzero(motion.solved)
+    if not body.anatomy or not len(posed):
+        return ()
+    angle = np.full((len(body.anatomy), len(motion.frames)), np.nan)
+    sigma = angle.copy()
+    for rows in np.array_split(posed, -(-len(posed) // _ROWS_AT_ONCE)):
+        states, angle_sigma = motion.states[rows], motion.solution.angle_sigma_rad[rows]
+        angle[:, rows] = flexion_rad(body, states, motion.size)
+        sigma[:, rows] = np.sqrt(_variance(body, states, motion.size, angle_sigma) + MODEL_RAD**2)
+    joints = map(joint_and_side, body.anatomy)
+    return tuple(JointFlexion(joint, side or motion.side, angle[i], sigma[i]) for i, (joint, side) in enumerate(joints))
+
+
+def _variance(body: Body, states: Array, size: float, angle_sigma: Array) -> Array:
+    """Return the variance (A, T) of the flexions by the fit's angles (T, D - 3), each independent of the others."""
+    variance = np.zeros((len(body.anatomy), len(states)))
+    some = states[:: -(-len(states) // 3)]
+    for column in range(3, states.shape[1]):
+        step = _STEP_RAD * (np.arange(states.shape[1]) == column)
+        if np.abs(_change(body, some, size, step)).max() > 1e-6:
+            variance += (_change(body, states, size, step) * angle_sigma[:, column - 3]) ** 2
+    return variance
+
+
+def _change(body: Body, states: Array, size: float, step: Array) -> Array:
+    """Return the derivative (A, T) of the flexions along a step."""
+    change = flexion_rad(body, states + step, size) - flexion_rad(body, states - step, size)
+    return (np.mod(change + np.pi, 2 * np.pi) - np.pi) / (2 * _STEP_RAD)
+
+
+# -- over the stride --------------------------------------------------------------------------------------------------
+
+
+def stride_curves(flexions: Sequence[JointFlexion], gait: Gait | None, time_s: Array) -> tuple[StrideCurve, ...]:
+    """Return the mean curve of each joint over the complete strides of the foot of its limb.
+
+    The spine's and the neck's are over the strides of the foot with the most strides. Joints without any are left out.
+    """
+    if gait is None or not gait.strides:
+        return ()
+    strides: dict[str, list[Stride]] = {}
+    for stride in gait.strides:
+        strides.setdefault(stride.foot, []).append(stride)
+    reference = max(strides, key=lambda foot: (len(strides[foot]), foot))
+    curves = (
+        _curve_over(flexion, foot, strides[foot], time_s)
+        for flexion in flexions
+        if (foot := _foot_of(flexion, strides, reference)) is not None
+    )
+    return tuple(curve for curve in curves if curve is not None)
+
+
+def _foot_of(flexion: JointFlexion, strides: Mapping[str, Sequence[Stride]], reference: str) -> str | None:
+    """Return the foot of a joint's limb, the reference for a joint without one, None for a foot without strides."""
+    girdle = GIRDLE[flexion.joint]
+    if flexion.side is None or girdle is None:
+        return reference
+    label = {"left": "L", "right": "R"}[flexion.side] + girdle
+    if label in strides:
+        return label
+    return reference if girdle == "F" and not any(foot.endswith("F") for foot in strides) else None
+
+
+def _curve_over(flexion: JointFlexion, foot: str, strides: Sequence[Stride], time_s: Array) -> StrideCurve | None:
+    angles, variances, duties = [], [], []
+    for stride in strides:
+        inside = (time_s >= stride.start_s) & (time_s <= stride.end_s)
+        known = np.isfinite(flexion.angle_rad)
+        if not inside.any() or known[inside].mean() < LEAST_KNOWN:
+            continue
+        # Strides between lift-offs end with their swing: their touch-down is the duty factor before their end.
+        touch_down_s = stride.end_s - stride.duty_factor * stride.duration_s if stride.at == "lift-off" else None
+        at_s = stride.start_s + PERCENT / 100 * stride.duration_s
+        if touch_down_s is not None:
+            at_s = stride.start_s + np.mod(touch_down_s - stride.start_s + at_s - stride.start_s, stride.duration_s)
+        angles.append(np.interp(at_s, time_s[known], flexion.angle_rad[known]))
+        variances.append(np.interp(at_s, time_s[known], flexion.sigma_rad[known] ** 2))
+        duties.append(stride.duty_factor)
+    if not angles:
+        return None
+    values = np.array(angles)
+    return StrideCurve(
+        joint=flexion.joint,
+        side=flexion.side,
+        foot=foot,
+        mean_rad=values.mean(axis=0),
+        posterior_sigma_rad=np.sqrt(np.mean(variances, axis=0)),
+        between_sigma_rad=values.std(axis=0, ddof=1) if len(values) > 1 else np.full(len(PERCENT), np.nan),
+        strides=len(values),
+        duty_factor=float(np.median(duties)),
+    )

@@ -1,0 +1,156 @@
+"""Joint angles by anatomy: their signs, their curves over the stride, their bands, and what skeleton files may say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from recon.animal.anatomy import FLEXES_CAUDALLY
+from recon.animal.skeleton_file import builtin_names, load_skeleton
+from recon.base.errors import InputError
+from recon.fit.motion import Motion
+from recon.gait.clip import ClipAnalysis
+from recon.gait.flexion import PERCENT, flexion_rad, joint_flexions
+from recon.io.positions import read_pose3d
+from recon.show.plots.flexion import joint_flexion as draw
+from recon.show.tables import joint_flexion, joint_flexion_stride
+from recon.testing.steady_gait import GALLOP, TROT, with_exact_states
+
+SAMPLES = Path(__file__).parents[2] / "data" / "samples"
+BODY = load_skeleton("cheetah-24")
+
+
+@pytest.fixture(scope="module")
+def fitted(whole_results) -> Motion:
+    return Motion.load(whole_results)
+
+
+def states(**angles: float) -> np.ndarray:
+    """One state of the cheetah with all angles 0 but these."""
+    row = np.zeros(len(BODY.state_names))
+    for name, angle in angles.items():
+        row[BODY.state_names.index(name)] = angle
+    return row[None]
+
+
+def of(name: str, row: np.ndarray) -> float:
+    return float(np.degrees(flexion_rad(BODY, row)[[*BODY.anatomy].index(name), 0]))
+
+
+@pytest.mark.parametrize("name", builtin_names())
+def test_every_built_in_skeleton_has_an_anatomy(name):
+    body = load_skeleton(name)
+    assert body.anatomy
+    assert all(marker in body.markers for markers in body.anatomy.values() for marker in markers)
+
+
+@pytest.mark.parametrize(
+    ("joint", "angle"),
+    [
+        ("left_elbow", "l_fore_lower_pitch"),
+        ("right_carpus", "r_fore_foot_pitch"),
+        ("left_stifle", "l_hind_shin_pitch"),
+        ("right_hock", "r_hind_foot_pitch"),
+        ("spine", "front_trunk_pitch"),
+    ],
+)
+def test_a_straight_joint_has_0_degrees_and_flexes_to_its_own_side(joint, angle):
+    """A positive pitch turns what hangs down backwards, and the front of what lies ahead down."""
+    if joint in ("right_carpus", "right_hock"):  # the markers above the others are not on the bone's axis
+        assert of(joint, states()) == pytest.approx(0.0, abs=1e-6)
+    sign = FLEXES_CAUDALLY[joint.split("_")[-1]]
+    for degrees in (30.0, -20.0):
+        change = of(joint, states(**{angle: np.radians(degrees)})) - of(joint, states())
+        assert change == pytest.approx(sign * degrees, abs=1e-6)
+
+
+def test_flexion_does_not_change_with_heading_roll_and_position():
+    row = states(l_hind_shin_pitch=1.0, l_hind_thigh_pitch=-0.5)
+    moved = row.copy()
+    moved[:, :6] = 3.0, -2.0, 0.5, 1.2, 0.3, -0.4
+    assert flexion_rad(BODY, moved) == pytest.approx(flexion_rad(BODY, row), abs=1e-9)
+
+
+@pytest.mark.parametrize("gait", [GALLOP, TROT])
+def test_curves_over_the_stride_are_those_of_the_gait(fitted, gait):
+    fps = len(fitted.frames) / (3.5 * gait.stride_s)
+    motion = with_exact_states(fitted, gait.states(BODY, fitted.frames / fps), fps)
+    analysis = ClipAnalysis(motion)
+    curves = {curve.name: curve for curve in analysis.flexion_curves}
+    assert set(curves) == set(BODY.anatomy)
+    for name, curve in curves.items():
+        begin_s = gait.landings[curve.foot] * gait.stride_s
+        truth = flexion_rad(BODY, gait.states(BODY, begin_s + PERCENT / 100 * gait.stride_s))
+        off = np.degrees(curve.mean_rad - truth[[*BODY.anatomy].index(name)])
+        assert np.sqrt(np.mean(off**2)) < 6.0, name
+        assert curve.duty_factor == pytest.approx(gait.duty_factor, abs=0.05)
+        assert np.degrees(np.nanmax(curve.between_sigma_rad)) < 6.0
+        assert np.degrees(curve.posterior_sigma_rad).max() == pytest.approx(5.0, abs=0.1)
+
+
+def test_bands_hold_the_truth_of_the_sample(fitted):
+    truth = read_pose3d(SAMPLES / "whole_truth.csv")
+    points_m = truth.xyz_m[:, [truth.names.index(name) for name in fitted.names]]
+    inside = []
+    for flexion, markers in zip(joint_flexions(fitted), BODY.anatomy.values(), strict=True):
+        first, middle, last = (points_m[:, fitted.names.index(marker)] for marker in markers)
+        up, down = middle - first, last - middle
+        straight = np.sum(up * down, axis=1) / np.linalg.norm(up, axis=1) / np.linalg.norm(down, axis=1)
+        # The truth's angle in space is that in the sagittal plane, but for the width of the animal.
+        off = np.arccos(np.cos(flexion.angle_rad)) - np.arccos(straight)
+        inside.append(np.abs(off) < 1.645 * flexion.sigma_rad)
+    assert 0.85 < np.mean(inside) <= 1.0
+
+
+def test_tables_have_every_frame_and_every_percent(fitted):
+    analysis = ClipAnalysis(fitted)
+    by_frame = pd.DataFrame(joint_flexion(analysis))
+    assert [*by_frame][:4] == ["frame", "time_s", "left_shoulder_deg", "left_shoulder_sigma_deg"]
+    assert len(by_frame) == len(fitted.frames)
+    by_percent = pd.DataFrame(joint_flexion_stride(analysis))
+    assert (by_percent.groupby(["joint", "side"])["percent"].agg(["min", "max", "count"]) == [0, 100, 101]).all(
+        axis=None
+    )
+    assert (by_percent["posterior_low_deg"] < by_percent["flexion_deg"]).all()
+    several = by_percent["strides"] > 1
+    assert (by_percent["between_strides_low_deg"].isna() == ~several).all()
+
+
+def test_the_figure_names_joints_strides_and_bands(fitted):
+    figure = draw(ClipAnalysis(fitted).flexion_curves)
+    titles = [axes.get_title("left") for axes in figure.axes]
+    assert titles[:8] == ["shoulder", "elbow", "carpus", "hip", "stifle", "hock", "spine", "neck"]
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert any(text.startswith("left, ") and text.endswith("strides") for text in legend)
+    assert {"90 % between strides", "90 % by the fit's uncertainty", "bars: the foot stands"} <= {*legend}
+    assert not draw(()).axes
+
+
+def test_a_clip_without_strides_has_angles_and_no_curves(fitted):
+    short = replace(ClipAnalysis(fitted).gait, strides=())
+    from recon.gait.flexion import stride_curves
+
+    assert stride_curves(joint_flexions(fitted), short, fitted.time_s) == ()
+    assert stride_curves(joint_flexions(fitted), None, fitted.time_s) == ()
+
+
+@pytest.mark.parametrize(
+    ("line", "field", "expected"),
+    [
+        ('knee = ["l_hip", "l_back_knee", "l_back_ankle"]', "anatomy.knee", "one of shoulder, elbow"),
+        ('hock = ["l_hip", "l_hip", "l_back_ankle"]', "anatomy.hock", "three markers"),
+        ('hock = ["l_hip", "l_back_ankle", "l_toe"]', "anatomy.hock", "l_toe"),
+    ],
+)
+def test_an_anatomy_that_cannot_be_used_is_named(tmp_path, line, field, expected):
+    text = (Path(load_skeleton.__globals__["__file__"]).parent / "skeletons" / "cheetah-24.toml").read_text("utf-8")
+    path = tmp_path / "mine.toml"
+    path.write_text(text.partition("[anatomy]")[0] + f"[anatomy]\n{line}\n", encoding="utf-8")
+    with pytest.raises(InputError) as error:
+        load_skeleton(path)
+    assert field in str(error.value)
+    assert expected in str(error.value)
