@@ -22,7 +22,7 @@ from rich.table import Table
 from recon.base.arrays import Array
 from recon.base.documents import read_toml
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
-from recon.base.files import require_free_folder, staged_folder
+from recon.base.files import require_free_folder, staged_folder, write_bytes
 from recon.base.progress import Progress
 from recon.base.settings import OneOrMore, Option, Settings
 from recon.base.tables import write_frame
@@ -33,7 +33,7 @@ from recon.fit.motion_forms import MOTION
 from recon.fit.result import TrajectorySolution
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.kinematics import JointKinematics
-from recon.show.plots.style import COLOURS, SMALL, drawing
+from recon.show.plots.style import COLOURS, SMALL, drawing, png_of
 from recon.workflows.cli import ANYWAY, Answer, counted, table_of
 from recon.workflows.clip_results import CONFIG
 
@@ -113,7 +113,7 @@ def compare(settings: _CompareSettings, progress: Progress) -> Answer:
         for name, table in ((STRIDES, strides), (CLIPS, clips), (GROUPS, groups)):
             write_frame(table, staging / name)
             table.to_parquet((staging / name).with_suffix(".parquet"), index=False)
-        _figure(clips, groups).savefig(staging / FIGURE)
+        write_bytes(staging / FIGURE, png_of(_figure(clips, groups)))
     notes = []
     if copies:
         pairs = names_text([f"{copy} (of {kept})" for copy, kept in copies.items()])

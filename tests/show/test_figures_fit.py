@@ -1,0 +1,134 @@
+"""Every figure is drawn by one style, and no text of it is cut off at its edges."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.artist import Artist
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from recon.animal.skeleton_file import load_skeleton
+from recon.calibrate.camera_advice import AZIMUTHS_RAD, ELEVATIONS_RAD, Advice
+from recon.fit.motion import Motion
+from recon.gait.clip import ClipAnalysis, analyse
+from recon.show.plots import style
+from recon.show.plots.configurations import angle_ranges, camera_advice, views
+from recon.show.plots.flexion import joint_flexion
+from recon.show.plots.over_time import angle_over_time, footfall, speeds
+from recon.workflows.analyse import figures_of
+from recon.workflows.compare import QUANTITIES, _figure
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def whole(whole_results) -> ClipAnalysis:
+    return analyse(Motion.load(whole_results))
+
+
+def drawn_texts(figure: Figure) -> Iterator[Text]:
+    """The texts that a reader sees: of axes those within their limits."""
+    hidden: set[Artist] = set()
+    for axes in [*figure.axes, *(child for parent in figure.axes for child in parent.child_axes)]:
+        for axis in (axes.xaxis, axes.yaxis):
+            shown = {*axis._update_ticks()} if axis.get_visible() and axes.axison else set()  # type: ignore[attr-defined]
+            for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()):
+                if tick not in shown:
+                    hidden |= {tick.label1, tick.label2}
+            if not axes.axison:
+                hidden |= {axis.label, axis.offsetText}
+    for text in figure.findobj(Text):
+        if text.get_visible() and text.get_text().strip() and text not in hidden:
+            yield text
+
+
+def cut_off(figure: Figure) -> list[str]:
+    """The texts that reach out of a figure as it is saved."""
+    with style._settings():
+        figure.canvas.draw()
+        renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+        edge = figure.bbox
+        return [
+            text.get_text()
+            for text in drawn_texts(figure)
+            if (box := text.get_window_extent(renderer)).x0 < edge.x0 - 1
+            or box.y0 < edge.y0 - 1
+            or box.x1 > edge.x1 + 1
+            or box.y1 > edge.y1 + 1
+        ]
+
+
+def test_a_text_that_is_cut_off_is_found():
+    with style.drawing(40.0) as figure:
+        figure.subplots()
+        figure.text(0.9, 0.5, "much too long for what is left of the figure")
+    assert cut_off(figure) == ["much too long for what is left of the figure"]
+
+
+def test_figures_of_an_analysis_have_all_their_text(whole):
+    outside = {name: cut_off(draw()) for name, draw in figures_of(whole).items()}
+    assert {name: texts for name, texts in outside.items() if texts} == {}
+
+
+def test_figures_of_several_clips_and_of_the_page_have_all_their_text(whole):
+    moved = {name: whole.joints[name] for name in ("spine", "l_front_paw", "nose")}
+    motion = whole.motion
+    angle = {"l_fore_lower_pitch": (motion.posture_rad[:, 3], motion.posture_sigma_rad[:, 3], True)}
+    doubtful = np.zeros(len(motion.frames), dtype=bool)
+    figures = {
+        "speeds": speeds(moved, "three joints"),
+        "narrow speeds": speeds(moved, width_mm=style.COLUMN_MM),
+        "gaits": footfall({"by one camera": whole.gait, "by another camera": whole.gait}, motion.fps, "two gaits"),
+        "angle": angle_over_time(motion.time_s, "fore lower pitch", angle, doubtful),
+        "flexion of some": joint_flexion(whole.flexion_curves[:4], "four joints"),
+    }
+    assert {name: texts for name, figure in figures.items() if (texts := cut_off(figure))} == {}
+
+
+@pytest.mark.parametrize("name", ["cheetah-24", "dog-27", "human-25", "mouse-top"])
+def test_figures_of_skeletons_have_all_their_text(name):
+    body = load_skeleton(name)
+    assert cut_off(views(body, body.title)) == []
+    assert cut_off(angle_ranges(body, 2.0, "two standard deviations")) == []
+
+
+def test_the_advice_on_cameras_has_all_its_text():
+    shape = len(ELEVATIONS_RAD), len(AZIMUTHS_RAD)
+    share = np.linspace(0, 1, shape[0] * shape[1]).reshape(shape)
+    advice = Advice("front_trunk_yaw", "rad", 6.9, 0.3 - 0.2 * share, share)
+    beside = Advice("front_trunk_yaw", "rad", 6.9, 0.3 - 0.2 * share, share, (0.0, 0.5))
+    assert cut_off(camera_advice([advice, beside])) == []
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 12.0, 1234.5])
+def test_a_comparison_has_all_its_text(scale):
+    groups = ["a", "a group with a long name", "c", "d"]
+    rng = np.random.default_rng(0)
+    rows = [
+        {"group": group, **{name: scale * (1 + 0.01 * rng.random()) for name in QUANTITIES}} for group in groups * 2
+    ]
+    rows = [row | {f"{name}_sigma": 0.05 * scale for name in QUANTITIES} for row in rows]
+    clips = pd.DataFrame(rows)
+    assert cut_off(_figure(clips, clips.iloc[: len(groups)])) == []
+
+
+def test_figures_are_drawn_and_saved_by_the_style_alone():
+    """A figure that is saved otherwise has ticks of another size than it was laid out for."""
+    strangers = []
+    for path in sorted((ROOT / "recon").rglob("*.py")):
+        if path.name == "style.py" and path.parent.name == "plots":
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            called = node.func if isinstance(node, ast.Call) else None
+            name = (
+                called.attr if isinstance(called, ast.Attribute) else called.id if isinstance(called, ast.Name) else ""
+            )
+            if name in ("savefig", "Figure"):
+                strangers.append(f"{path.relative_to(ROOT)}:{node.lineno}: {name}")
+    assert strangers == []
