@@ -1,4 +1,4 @@
-"""Makes the pictures of these pages again: python docs/figures.py
+"""Make the pictures of these pages again (`python docs/figures.py`).
 
 They are what `recon analyse`, `recon overlay` and `recon skeleton check` draw of the bundled sample and of the skeleton
 in writing-a-skeleton.md, made smaller. `playback.png` is a screenshot of the viewer and is not made here.

@@ -1,4 +1,4 @@
-"""Put the site that `make docs` built beside those of earlier versions: python docs/versions.py FOLDER
+"""Put the site that `make docs` built beside those of earlier versions (`python docs/versions.py FOLDER`).
 
 FOLDER/VERSION gets the site; FOLDER/versions.json is what the menu of versions on every page reads, and
 FOLDER/index.html leads to the newest. The folder is what a web server shows.

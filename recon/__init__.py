@@ -4,7 +4,8 @@ import recon
 
 settings = recon.FitSettings(keypoints="clip.csv", camera="camera.toml", fps=120)
 motion = recon.fit_clip(settings)
-motion.joints_m  # (frames, joints, 3), metres"""
+motion.joints_m  # (frames, joints, 3), metres
+"""
 
 import logging
 

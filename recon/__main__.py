@@ -61,7 +61,7 @@ def _require_memory() -> None:
 
 
 def _flush() -> None:
-    """Standard output that cannot be written is told of here, not by Python when it is about to end."""
+    """Report standard output that cannot be written here, not by Python when it is about to end."""
     try:
         sys.stdout.flush()
     except OSError as error:

@@ -176,9 +176,9 @@ def test_files_name_classes_by_tags(fixture: str, request: pytest.FixtureRequest
         ("frame", 1.0, [-6.9392279035, -0.0054578535, 0.4552808142]),
     ],
 )
-def test_motions_of_version_0_2(method: str, size: float, first_joint_m: list[float], tmp_path: Path) -> None:
+def test_motions_of_schema_version_2(method: str, size: float, first_joint_m: list[float], tmp_path: Path) -> None:
     """They name classes by modules, some of which are gone."""
-    motion = Motion.load(FILES / "motions-0.2" / method)
+    motion = Motion.load(FILES / "motions-version-2" / method)
     assert motion.solution.method == method
     assert motion.solution.size == pytest.approx(size, abs=1e-12)
     np.testing.assert_allclose(motion.joints_m[0, 0], first_joint_m, atol=1e-9)

@@ -168,7 +168,7 @@ class Settings:
             pydantic.dataclasses.dataclass(frozen=True, kw_only=True, repr=False, config=_CONFIG)(cls)
             check = cls.__init__
 
-            def __init__(self: Settings, **given: Any) -> None:
+            def __init__(self: Settings, **given: Any) -> None:  # noqa: N807  it is given to the class
                 given = {name: value for name, value in given.items() if value is not None}
                 problems = []
                 try:

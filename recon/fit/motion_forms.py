@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 MOTION = "motion.npz"
 SCHEMA, OLDER_VERSIONS = {"name": "recon.motion", "version": 3}, (2,)
-"""Version 2 is that of recon 0.2, which named classes by their modules (`_CLASSES_BY_PATH`)."""
+"""Version 2 named classes by their modules (`_CLASSES_BY_PATH`)."""
 EXPECTED = "the motion that `recon fit` or `Motion.save` wrote"
 _REPORT, _CONFIG = "report.json", "config.toml"
 """Files next to a motion in the folder of results that `recon fit` wrote."""

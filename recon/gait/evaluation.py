@@ -107,8 +107,13 @@ class Evaluation(Brief):
         def by_joint(values: np.ndarray) -> dict[str, float]:
             return dict(zip(self.names, values.tolist(), strict=True))
 
-        for name in ("mpjpe", "mpe", "scale_mpjpe", "pa_mpjpe"):
-            score: _Score = getattr(self, f"{name}_m")
+        scores = {
+            "mpjpe": self.mpjpe_m,
+            "mpe": self.mpe_m,
+            "scale_mpjpe": self.scale_mpjpe_m,
+            "pa_mpjpe": self.pa_mpjpe_m,
+        }
+        for name, score in scores.items():
             result |= {f"{name}_mm": 1e3 * score.mean, f"{name}_per_frame_mm": 1e3 * score.per_frame}
             result[f"{name}_per_joint_mm"] = by_joint(1e3 * score.per_joint)
         result["pck"] = [

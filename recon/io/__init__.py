@@ -1,3 +1,4 @@
 """Files in and out: 2D keypoints, 3D positions, bones, and cameras. `FORMATS` is the one table of formats.
 
-Names of `recon.io.video` import OpenCV when they are first used."""
+`recon.io.video` imports OpenCV, which takes a moment: import it inside the function that needs it.
+"""

@@ -137,7 +137,8 @@ def fast_half(device: torch.device) -> Any:
     if device.type == "cuda":
         return torch.bfloat16 if torch.cuda.is_bf16_supported() else None
     if device.type == "cpu":
-        has = (getattr(torch.cpu, f"_is_{unit}_supported", lambda: False)() for unit in ("amx_tile", "avx512_bf16"))
+        units = ("_is_amx_tile_supported", "_is_avx512_bf16_supported")
+        has = (getattr(torch.cpu, unit, lambda: False)() for unit in units)
         return torch.bfloat16 if any(has) else None
     return None
 

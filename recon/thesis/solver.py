@@ -378,8 +378,9 @@ class FrameSolver:
         return placed
 
     def _noise_px(self, start: Array) -> float:
-        """Return the standard deviation of a detection: the detector's noise and, at the start's distance, the
-        keypoints'.
+        """Return the standard deviation of a detection.
+
+        It is made up of the detector's noise and, at the start's distance, the keypoints'.
         """
         options = self.options
         depth = max(float(self.chain.pose(start[None]).joints_m[0, :, 2].mean()), 0.1)

@@ -48,9 +48,9 @@ def files_up_to(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def put(format: Format, kind: str, path: Path) -> None:
+def put(file_format: Format, kind: str, path: Path) -> None:
     with staged_file(path) as staged:
-        format.write(DATA[kind], staged)
+        file_format.write(DATA[kind], staged)
 
 
 def film(path: Path) -> None:
@@ -60,16 +60,16 @@ def film(path: Path) -> None:
             write(picture)
 
 
-@pytest.mark.parametrize(("format", "kind"), WRITERS, ids=[f"{f.title} {kind}" for f, kind in WRITERS])
-def test_every_format(format: Format, kind: str, tmp_path: Path) -> None:
-    path = tmp_path / f"data{format.suffixes[0]}"
-    put(format, kind, path)
+@pytest.mark.parametrize(("file_format", "kind"), WRITERS, ids=[f"{f.title} {kind}" for f, kind in WRITERS])
+def test_every_format(file_format: Format, kind: str, tmp_path: Path) -> None:
+    path = tmp_path / f"data{file_format.suffixes[0]}"
+    put(file_format, kind, path)
     size = path.stat().st_size
     for written in tmp_path.iterdir():
         written.unlink()
     for limit in (0, size // 3, size - 1):
         with files_up_to(limit), pytest.raises(OSError, match=r"File too large|is the disk full") as caught:
-            put(format, kind, path)
+            put(file_format, kind, path)
         assert caught.value.filename == str(path)
         assert list(tmp_path.iterdir()) == []
 

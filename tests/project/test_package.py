@@ -123,13 +123,13 @@ def docstrings(path: Path) -> Iterator[tuple[int, str, str]]:
 
 
 def test_docstrings_are_understood_by_themselves():
-    """None leaves out its noun, and none of a public name is but a few words."""
+    """None leaves out its noun, and none of a public name is but a word or two."""
     poor = [
         f"{path.relative_to(ROOT)}:{line}: {text}"
         for folder in ("recon", "tests", "benchmarks", "pipelines", "docs", "data")
         for path in sorted((ROOT / folder).rglob("*.py"))
         for line, name, text in docstrings(path)
         if re.match(r"(Of|That of|Those)\b", text)
-        or (folder == "recon" and name[:1] not in ("", "_") and len(text.split()) <= 4)
+        or (folder == "recon" and name[:1] not in ("", "_") and len(text.split()) <= 2)
     ]
     assert poor == []

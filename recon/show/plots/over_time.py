@@ -194,12 +194,15 @@ def speeds(
     """
     peaks = ["not known, errors of the path" if unknown else _peak(motion, acceleration) for motion in curves.values()]
     labels = [f"{name}: {peak}" for name, peak in zip(curves, peaks, strict=True)]
-    quantities = ("speed", "m_s", "m/s"), *([("acceleration", "m_s2", "m/s²")] if acceleration else [])
+    speeds_m_s = [(motion.speed_m_s, motion.speed_sigma_m_s) for motion in curves.values()]
+    quantities = [("speed", "m/s", speeds_m_s)]
+    if acceleration:
+        accelerations_m_s2 = [(motion.acceleration_m_s2, motion.acceleration_sigma_m_s2) for motion in curves.values()]
+        quantities.append(("acceleration", "m/s²", accelerations_m_s2))
     height_mm = 14 + 42 * len(quantities) + style.legend_shape(labels, width_mm)[1]
     with style.drawing(height_mm, width_mm, title) as figure:
         panels, lines = figure.subplots(len(quantities), 1, sharex=True, squeeze=False)[:, 0], []
-        for axes, (name, suffix, unit) in zip(panels, quantities, strict=True):
-            pairs = [(getattr(m, f"{name}_{suffix}"), getattr(m, f"{name}_sigma_{suffix}")) for m in curves.values()]
+        for axes, (name, unit, pairs) in zip(panels, quantities, strict=True):
             series = [motion.series for motion in curves.values()]
             lines = [
                 _curve(axes, i, one_series, *pair, unknown)
