@@ -214,6 +214,27 @@ class Settings:
         return found
 
 
+OUTPUTS = ("out", "overlay")
+"""The settings that name what a command writes; all other paths are what it reads."""
+
+
+def input_paths(settings: Settings) -> tuple[Path, ...]:
+    """Return the files and folders among the values of settings that a command reads."""
+    paths: list[Path] = []
+    for name in settings.infos():
+        value = getattr(settings, name)
+        values = value if isinstance(value, tuple) else (value,)
+        paths += [Path(one) for one in values if name not in OUTPUTS and isinstance(one, str | Path)]
+    return tuple(path for path in paths if _exists(path))
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # a text that no file can be called
+        return False
+
+
 def _problems(cls: type[Settings], given: Mapping[str, Any], error: ValidationError) -> list[Problem]:
     """In the user's words, one for each setting."""
     infos, found = cls.infos(), {}

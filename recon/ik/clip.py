@@ -17,8 +17,9 @@ from threadpoolctl import threadpool_limits
 
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
-from recon.base.files import require_free_folder, sole_writer, staged_folder
-from recon.base.settings import Integer, Number, Option, Settings
+from recon.base.locks import sole_writer
+from recon.base.outputs import Output, ReadResults
+from recon.base.settings import Integer, Number, Option, Settings, input_paths
 from recon.base.tables import write_frame
 from recon.check.verdict import usable, verdict_fields
 from recon.fit.motion import Motion
@@ -271,9 +272,11 @@ class _IKRun:
 def run_ik(settings: IkSettings) -> _IKRun:
     """`recon ik`: tables and figures into a folder. With parameters fitted to the clip, these are fitted to each frame
     of the stride, too. Raises InputError."""
-    out, motion = settings.out_folder, usable(Motion.load(settings.folder), settings.folder, settings.anyway)
-    with sole_writer(out):
-        require_free_folder(out, (SUMMARY,), settings.overwrite)
+    made_from = ReadResults.of(settings.folder)
+    motion = usable(Motion.load(settings.folder), settings.folder, settings.anyway)
+    output = Output(settings.out_folder, "ik", settings.overwrite, input_paths(settings), made_from)
+    with sole_writer(settings.out_folder):
+        output.require((SUMMARY,))
         limb = limb_of(motion, settings.foot, 2 if settings.dim == 2 else 3, settings.limits)
         chain, cost = limb.chain, None if settings.cost is None else cost_of(limb, settings.cost)
         target = STRIDE_MAX if settings.both else settings.target
@@ -292,10 +295,10 @@ def run_ik(settings: IkSettings) -> _IKRun:
             each = {n: refitted.get(n, ()) if settings.online else () for n in followed}
             follows = {n: follow_stride(chain, stride, m, settings.turns, each[n]) for n, m in followed.items()}
         solved = _IKRun(settings, motion, limb, stride, goal, {"target": drives, "follow": follows}, parameters, series)
-        with staged_folder(out) as staging:
+        with output.staged() as staging:
             _write(solved, staging)
         if settings.figures:  # after the tables, which are there whatever befalls them
-            with staged_folder(out) as staging:
+            with output.staged(adds=True) as staging:
                 write_figures(solved, staging)
     return solved
 

@@ -43,11 +43,12 @@ from scipy.special import expit, logit
 from recon.base.arrays import Array, Bools
 from recon.base.documents import check_unpacked_size, validated
 from recon.base.errors import InputError, Problem, collect_problems
-from recon.base.files import require_free_file, staged_file, write_bytes
+from recon.base.files import staged_file, write_bytes
+from recon.base.outputs import Output, output_file, require_suffix
 from recon.base.package import install_command
 from recon.base.parallel import available_cores
 from recon.base.progress import Progress, silent
-from recon.base.settings import Count, Option, Settings
+from recon.base.settings import Count, Option, Settings, input_paths
 from recon.clip import Keypoints
 from recon.io.formats import FORMATS
 from recon.io.video import Image, VideoInfo, missing_note, probe, require_codec, timed_frames, video_writer
@@ -553,21 +554,32 @@ def predict_command(settings: PredictSettings, progress: Progress) -> Answer:
     return Answer(data | {"notes": keypoints.notes}, [said], notes=keypoints.notes)
 
 
-def run_prediction(video: Path, model: Path, out: Path, *, progress: Progress = silent, **options: Any) -> Keypoints:
-    """`recon predict`: a keypoint file in DeepLabCut's layout. options: the other fields of `PredictSettings`. Raises
-    InputError; then nothing is written."""
+def run_prediction(
+    video: Path, model: Path, out: Path, *, progress: Progress = silent, output: Output | None = None, **options: Any
+) -> Keypoints:
+    """Find the keypoints of a video as `recon predict` does, and write them in DeepLabCut's layout.
+
+    output: what may be replaced, by default the file itself, with overwrite. options: the other fields of
+    `PredictSettings`. Raises InputError; then nothing is written.
+    """
     s = PredictSettings(video=video, model=model, out=out, **options)
+    output = output or output_file(out, "predict", s.overwrite, input_paths(s))
     _, device, *_ = collect_problems(
         lambda: model_file(model),
         lambda: choose_device(s.device),
-        lambda: require_free_file(out, s.overwrite, suffixes=WRITERS),
+        lambda: require_suffix(out, WRITERS),
+        lambda: output.require((out.name,)),
         lambda: None if s.overlay is None else require_codec(s.overlay),
-        lambda: None if s.overlay is None else require_free_file(s.overlay, s.overwrite, "--overlay", video),
+        lambda: None if s.overlay is None else _overlay_output(s, s.overlay).require((s.overlay.name,)),
     )
     keypoints = predict_video(load_model(model, device), s, progress)
-    with staged_file(out) as staged:
-        WRITERS[out.suffix.lower()](keypoints, staged)
+    with output.staged(adds=True) as folder:
+        WRITERS[out.suffix.lower()](keypoints, folder / out.name)
     return keypoints
+
+
+def _overlay_output(s: PredictSettings, overlay: Path) -> Output:
+    return output_file(overlay, "predict", s.overwrite, input_paths(s), option="--overlay")
 
 
 def predict_video(trained: TrainedNetwork, settings: PredictSettings, progress: Progress = silent) -> Keypoints:
@@ -584,7 +596,8 @@ def predict_video(trained: TrainedNetwork, settings: PredictSettings, progress: 
         write = None
         if settings.overlay is not None:
             even = (info.size_px[0] // 2 * 2, info.size_px[1] // 2 * 2)
-            write = stack.enter_context(video_writer(settings.overlay, even, info.fps or 30.0))
+            staged = stack.enter_context(_overlay_output(settings, settings.overlay).staged_file())
+            write = stack.enter_context(video_writer(staged, even, info.fps or 30.0))
         made = _chunks(video, info, spec.scale, keep=write is not None)
         for of_chunk, stamps_s, pictures, originals in stack.enter_context(closing(ahead(made, 1 + WAITING))):
             xy, raw = trained.points(pictures, background)

@@ -30,9 +30,11 @@ from pydantic import Field
 
 from recon.base.arrays import Array, Bools, Integers, mean, median, to_plain
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
-from recon.base.files import require_free_folder, sole_writer, staged_folder, write_bytes
+from recon.base.files import write_bytes
+from recon.base.locks import sole_writer
+from recon.base.outputs import Output
 from recon.base.progress import Progress, silent
-from recon.base.settings import Count, Integer, Number, Option, Settings
+from recon.base.settings import Count, Integer, Number, Option, Settings, input_paths
 from recon.base.tables import write_frame
 from recon.base.version import __version__
 from recon.io.video import Image
@@ -47,6 +49,7 @@ if TYPE_CHECKING:
     import torch  # pyright: ignore[reportMissingImports]
 
 CHECKPOINT_FILE = "checkpoint.pt"
+REPORT_FILES = ("training.json", "suspicious.csv", "worst.png")
 TOLERANCE = 0.04
 """Within this, relative to the body length, a point counts as right for its likelihood."""
 LEARNING_RATE, WEIGHT_DECAY = 2e-3, 0.05
@@ -146,15 +149,15 @@ def prepare(labels: data.Labels, s: _TrainRunSettings, device: torch.device) -> 
 
 
 def train(
-    run: TrainingRun, out: Path, resume: bool = False, threads: int | None = None, progress: Progress = silent
+    run: TrainingRun, output: Output, resume: bool = False, threads: int | None = None, progress: Progress = silent
 ) -> State:
-    """Trains, or goes on, to the end; `out` gets a checkpoint at each evaluation, and the model at the end.
+    """Trains, or goes on, to the end; `output` gets a checkpoint at each evaluation, and the model at the end.
 
     threads: for the CPU; None: those that a run had before, or all.
     """
     torch = net.require_torch()
     torch.backends.cudnn.deterministic, torch.backends.cudnn.benchmark = True, False
-    state = _resumed(run, out) if resume else _begin(run)
+    state = _resumed(run, output.folder) if resume else _begin(run)
     settings, half = run.settings, net.fast_half(run.device)
     shown = np.flatnonzero(run.labels.labelled.any(axis=1))
     first = np.intersect1d(run.split["train"], shown)
@@ -182,7 +185,7 @@ def train(
                     state.history.append(row | ({} if held_out else {"finishing": 1.0}))
                     state.losses.clear()
                     _evaluate(state, run, calibrates=held_out and state.finishing)
-                    _save_checkpoint(state, run, out)
+                    _save_checkpoint(state, run, output)
                 last = state.history[-1] if state.history else {}
                 text = f"step {state.step}, loss {np.mean(state.losses) if state.losses else last['loss']:.3f}"
                 if "validation_px" in last:
@@ -190,7 +193,8 @@ def train(
                 progress(f"{'finishing' if state.finishing else 'learning'}: {text}", state.share)
     spec = dataclasses.asdict(run.spec) | {"calibration": state.calibration}
     content = {"format": net.FORMAT, "spec": spec, "weights": state.average.state_dict()}
-    net.save_torch(content, out / net.MODEL_FILE)
+    with output.staged(adds=True) as folder:
+        net.save_torch(content, folder / net.MODEL_FILE)
     return state
 
 
@@ -302,7 +306,7 @@ def _begin(run: TrainingRun) -> State:
     return State(network, copy.deepcopy(network).requires_grad_(False).eval(), optimizer)
 
 
-def _save_checkpoint(state: State, run: TrainingRun, out: Path) -> None:
+def _save_checkpoint(state: State, run: TrainingRun, output: Output) -> None:
     """Everything that the rest of a run depends on, whole or not at all."""
     content = {
         "settings": run.settings.of_training(),
@@ -311,7 +315,8 @@ def _save_checkpoint(state: State, run: TrainingRun, out: Path) -> None:
         **{name: getattr(state, name).state_dict() for name in _TORCH},
         **{name: getattr(state, name) for name in _PLAIN},
     }
-    net.save_torch(content, out / CHECKPOINT_FILE)
+    with output.staged(adds=True) as folder:
+        net.save_torch(content, folder / CHECKPOINT_FILE)
 
 
 def _resumed(run: TrainingRun, out: Path) -> State:
@@ -517,9 +522,10 @@ def run_training(
     run = prepare(labels, s, chosen)
     with sole_writer(out):
         _check_folder(s)
-        state = train(run, out, s.resume, s.threads, progress)
+        output = dataclasses.replace(_output(s), overwrite=True)
+        state = train(run, output, s.resume, s.threads, progress)
         progress("report", 1.0)
-        with staged_folder(out) as staging:
+        with output.staged(adds=True) as staging:
             return write_training_report(run, state, staging)
 
 
@@ -546,5 +552,9 @@ def _check_folder(s: _TrainRunSettings) -> None:
     checkpoint, expected = s.out / CHECKPOINT_FILE, "one to go on from; without --resume, a new run"
     if s.resume and not checkpoint.is_file():
         raise InputError(Problem(checkpoint, "checkpoint", "no such file", expected))
-    made = net.MODEL_FILE, CHECKPOINT_FILE
-    require_free_folder(s.out, made, s.overwrite or s.resume, "a network, --resume to go on with it")
+    _output(s).require((net.MODEL_FILE, CHECKPOINT_FILE, *REPORT_FILES))
+
+
+def _output(s: _TrainRunSettings) -> Output:
+    content = "a network, --resume to go on with it"
+    return Output(s.out, "train", s.overwrite or s.resume, input_paths(s), content=content)

@@ -33,11 +33,12 @@ from pydantic import Field
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from recon.base import files
+from recon.base import files, outputs
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, collect_problems
+from recon.base.locks import sole_writer
 from recon.base.records import load_record, save_record
-from recon.base.settings import Integer, Option, Positive, Settings
+from recon.base.settings import Integer, Option, Positive, Settings, input_paths
 from recon.check.verdict import usable, verdict_fields
 from recon.fit.motion import Motion
 from recon.fit.result import TrajectorySolution
@@ -161,14 +162,25 @@ SLIP_M = 0.002
 def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any]]:
     """`recon retarget`: tables, report and playback into a folder; and what report.json says. Raises InputError."""
     out, folder = settings.out, settings.folder
+    names = [f"{of}{table}.csv" for of in ("", "stride_") for table in ("joints", "base", "feet")]
+    names += [REPORT, KEPT, "motion.rrd", "stride.rrd", files.MANIFEST]
+    output = outputs.Output(
+        out,
+        "retarget",
+        settings.overwrite,
+        input_paths(settings),
+        outputs.ReadResults.of(folder),
+        has_manifest=True,
+        mark=KEPT,
+    )
     results, machine, _ = collect_problems(
         lambda: usable(Motion.load(folder), folder, settings.anyway),
         lambda: load_robot(settings.robot),
-        lambda: files.require_free_folder(out, (REPORT,), settings.overwrite),
+        lambda: output.require(names),
     )
     animal = reference_of(results, settings.stride)
-    with files.sole_writer(out):
-        files.require_free_folder(out, (REPORT,), settings.overwrite)
+    with sole_writer(out):
+        output.require(names)
         done = retarget(animal, machine, settings.scale, settings.slower)
         model = physics.simulated(machine) if settings.check or settings.fit_limits else None
         before: dict[str, Any] = {}
@@ -182,7 +194,7 @@ def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any
         report["animal"]["results"] = files.seen_from(out, folder)
         report["robot"]["source"] = files.name_seen_from(out, machine.source)
         said = {k: report[k] for k in ("verdict", "robot", "animal", "scale", "slower")}
-        with files.staged_results(out) as staging:
+        with output.staged() as staging:
             if settings.samples is not None:
                 motions = drawn(done, settings, settings.samples, model if settings.fit_limits else None)
                 report["samples"] = write_ensemble(motions, settings, staging, said)
@@ -626,20 +638,16 @@ def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any
     return restored(found.clip), restored(found.stride), found.said
 
 
-def convert(folder: Path, out: Path, name: str, rate_hz: float | None, overwrite: bool) -> str:
+def convert(folder: Path, out: Path, name: str, rate_hz: float | None, output: outputs.Output) -> str:
     """`recon convert` of a folder of `recon retarget`: the clip into out, the stride that repeats beside it, both or
     none; and what to say of it. name: of `FORMATS`. Raises InputError."""
-
-    def free(path: Path) -> None:
-        files.require_free_file(path, overwrite, "OUT")
-
-    (*motions, said), _ = collect_problems(lambda: kept_motions(folder / KEPT), lambda: free(out))
     stride = out.with_name(f"stride_{out.name}")
-    with files.staged_folder(out.parent) as staging:
+    names = out.name, stride.name
+    (*motions, said), _ = collect_problems(lambda: kept_motions(folder / KEPT), lambda: output.require(names))
+    with output.staged(adds=True) as staging:
         rates = [
             write_for_trainer(motion, name, rate_hz or RATE_HZ, staging / path.name, said, "--fps")
             for motion, path in zip(motions, (out, stride), strict=True)
         ]
-        collect_problems(*(partial(free, out.parent / one.name) for one in staging.iterdir()))
     hz = " and ".join(f"{rate:.4g}" for rate in rates)
     return f"{out}: {name}, {motions[0].robot.title}, {hz} frames per second; a stride that repeats is in {stride}"

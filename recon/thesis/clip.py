@@ -9,9 +9,10 @@ from rich.console import Console
 from threadpoolctl import threadpool_limits
 
 from recon.animal.body import Body
-from recon.base.files import require_free_folder, sole_writer, staged_folder
+from recon.base.locks import sole_writer
+from recon.base.outputs import Output, ReadResults
 from recon.base.progress import Progress, silent
-from recon.base.settings import Integer, Option, Settings
+from recon.base.settings import Integer, Option, Settings, input_paths
 from recon.base.tables import write_frame
 from recon.check.verdict import add_verdict
 from recon.clip import views_of
@@ -97,24 +98,27 @@ def solver(settings: _SolverSettings, progress: Progress) -> Answer:
     Example: recon solver results/clip
     """
     out = settings.folder / FOLDER if settings.out is None else settings.out
+    made_from = ReadResults.of(settings.folder)
     motion = Motion.load(settings.folder)
+    inputs = input_paths(settings)
+    output = Output(out, "solver", settings.overwrite, inputs, made_from, content="what the optimiser did")
     from recon.show.plots import style
     from recon.thesis.figures import FIGURES
 
     with sole_writer(out):
-        require_free_folder(out, (SUMMARY, *TABLES, JACOBIAN), settings.overwrite, "what the optimiser did")
+        output.require((SUMMARY, *TABLES, JACOBIAN))
         progress("problem", 0.1)
         with threadpool_limits(1, user_api="blas"):  # threads cost more than they gain for small matrices
             record = read_solver(motion, settings.folder, settings.frame)
             summary = record.summary()
         progress("tables", FIGURES_BEGIN - 0.1)
-        with staged_folder(out) as staging:
+        with output.staged() as staging:
             for name, table in record.tables().items():
                 write_frame(table, staging / name)
             record.write_jacobian(staging / JACOBIAN)
             (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
         if settings.figures:
-            with staged_folder(out) as staging:
+            with output.staged(adds=True) as staging:
                 for i, draw in enumerate(FIGURES):
                     progress(f"figures: {draw.__name__}", FIGURES_BEGIN + (1.0 - FIGURES_BEGIN) * i / len(FIGURES))
                     style.save(draw(record), staging, draw.__name__)

@@ -15,9 +15,10 @@ from rich.text import Text
 from threadpoolctl import threadpool_limits
 
 from recon.base.arrays import mean, median
-from recon.base.files import require_free_folder, sole_writer, staged_folder
+from recon.base.locks import sole_writer
+from recon.base.outputs import Output, ReadResults
 from recon.base.progress import Progress, silent
-from recon.base.settings import Option, Positive, Settings
+from recon.base.settings import Option, Positive, Settings, input_paths
 from recon.check.codes import sentence
 from recon.check.verdict import usable, verdict_fields
 from recon.fit.motion import MEASURED_SHARE, Motion
@@ -75,24 +76,26 @@ def analyse_command(settings: AnalyseSettings, progress: Progress = silent) -> A
     """
     out = settings.folder / FOLDER if settings.out is None else settings.out
     progress("reading", 0.0)
+    made_from = ReadResults.of(settings.folder)
     motion = Motion.load(settings.folder)
     if settings.belt_speed_m_s is not None:
         motion = over_belt(motion, settings.belt_speed_m_s)
     motion = usable(motion, settings.folder, settings.anyway)
+    output = Output(out, "analyse", settings.overwrite, input_paths(settings), made_from, content="an analysis")
     with sole_writer(out):
-        require_free_folder(out, (SUMMARY, *TABLES), settings.overwrite, "an analysis")
+        output.require((SUMMARY, *TABLES))
         progress("analysis", 0.1)
         with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
             found = analyse(motion, settings.stride)
         found = replace(found, body_mass_kg=settings.body_mass_kg)
         summary = summarise(found, settings.folder.absolute().name)
         progress("tables", FIGURES_BEGIN - 0.1)
-        with staged_folder(out) as staging:
+        with output.staged() as staging:
             write_analysis(found, staging)
             (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
             files = [path.name for path in staging.iterdir()]
         if settings.figures:  # whatever befalls them, the tables are there
-            with staged_folder(out) as staging:
+            with output.staged(adds=True) as staging:
                 write_figures(found, staging, progress)
                 files += [path.name for path in staging.iterdir()]
     lines = [*_lines(found, summary), f"{len(files)} files are in {out}."]

@@ -12,9 +12,10 @@ from rich.table import Table
 from rich.text import Text
 
 from recon.base.errors import Problem, collect_problems, raise_problems
-from recon.base.files import require_free_file, staged_folder, write_bytes
+from recon.base.files import write_bytes
+from recon.base.outputs import output_file, require_suffix
 from recon.base.progress import Progress, silent
-from recon.base.settings import OneOrMore, Option, Settings
+from recon.base.settings import OneOrMore, Option, Settings, input_paths
 from recon.calibrate.boards import calibrate as solved
 from recon.calibrate.boards import check as checked
 from recon.calibrate.boards import collect, find_views, parse_board
@@ -99,13 +100,16 @@ def run_calibration(settings: CalibrationSettings, progress: Progress = silent) 
     types. A calibration that a check refuses is not written unless `force`; the picture is, since it shows what is
     missing. Raises InputError, with every problem, for inputs that cannot be used."""
     picture = settings.out.with_name(f"{settings.out.stem}_coverage.png")
+    inputs = input_paths(settings)
+    output = output_file(settings.out, "calibrate", settings.overwrite, inputs)
     known = [name for name, lens in LENS_MODELS.items() if lens.opencv]
     unknown = Problem("--model", "lens model", repr(settings.model), f"one of {', '.join(known)}")
     files, board, *_ = collect_problems(
         lambda: collect(settings.inputs),
         lambda: parse_board(settings.board),
         lambda: raise_problems([unknown] if settings.model not in known else []),
-        lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".toml",)),
+        lambda: require_suffix(settings.out, (".toml",)),
+        lambda: output.require((settings.out.name, picture.name)),
     )
     views = find_views(files, board, progress)
     progress("solving", 1.0)
@@ -115,7 +119,7 @@ def run_calibration(settings: CalibrationSettings, progress: Progress = silent) 
     from recon.show.plots.configurations import calibration as drawn  # matplotlib
     from recon.show.plots.style import png_of
 
-    with staged_folder(settings.out.absolute().parent) as folder:
+    with output.staged(adds=True) as folder:
         write_bytes(folder / picture.name, png_of(drawn(calibration)))
         if settings.force or not refused:
             write_camera(calibration.camera, folder / settings.out.name)

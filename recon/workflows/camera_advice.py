@@ -13,9 +13,9 @@ from pydantic import Field
 from recon.animal.prior import load_prior
 from recon.animal.skeleton_file import load_skeleton
 from recon.base.errors import Problem, raise_problems
-from recon.base.files import require_free_folder, staged_folder
+from recon.base.outputs import Output
 from recon.base.progress import Progress
-from recon.base.settings import Integer, Number, Settings
+from recon.base.settings import Integer, Number, Settings, input_paths
 from recon.calibrate.camera_advice import AZIMUTHS_RAD, ELEVATIONS_RAD, PICTURE_PX, Advice, advise
 from recon.fit.motion import MEASURED_SHARE
 from recon.io.writing import write_rows
@@ -101,7 +101,8 @@ def camera_advice(settings: _CameraAdviceSettings, progress: Progress) -> Answer
         if name is not None and name not in names
     )
     motions = load_prior(settings.prior, body)
-    require_free_folder(settings.out, (REPORT, TABLE, f"{FIGURE}.png", f"{FIGURE}.svg"), settings.overwrite, "advice")
+    output = Output(settings.out, "camera-advice", settings.overwrite, input_paths(settings), content="advice")
+    output.require((REPORT, TABLE, f"{FIGURE}.png", f"{FIGURE}.svg"))
     setup = picked(settings, "hfov_deg", "distance_m", "cameras")
     wanted = settings.angle or settings.joint
     found = advise(body, motions, wanted, **setup, progress=lambda share: progress("cameras", share))
@@ -119,7 +120,7 @@ def camera_advice(settings: _CameraAdviceSettings, progress: Progress) -> Answer
         "cameras": [of.drop(columns="camera").iloc[at].to_dict() for of, at in zip(places, best, strict=True)],
         "words": [*in_sentences(found)],
     }
-    with staged_folder(settings.out) as staging:
+    with output.staged() as staging:
         (staging / REPORT).write_text(to_json(report), encoding="utf-8")
         write_rows(staging / TABLE, [[*table.columns]], table.itertuples(index=False))
         save(advice_figure(found), staging, FIGURE)

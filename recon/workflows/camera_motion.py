@@ -14,9 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
-from recon.base.files import require_free_file, staged_folder, write_bytes
+from recon.base.files import write_bytes
+from recon.base.outputs import Output, output_file, require_suffix
 from recon.base.progress import Progress, silent
-from recon.base.settings import Integer, Number, Option, Settings
+from recon.base.settings import Integer, Number, Option, Settings, input_paths
 from recon.calibrate.camera_motion.rotation import LevelMark, as_level, read_marks, tilted, up_by_marks
 from recon.calibrate.camera_motion.track import CLEARLY, Tracker, TurningMotion, panorama, thumbnail
 from recon.clip import Keypoints
@@ -85,12 +86,25 @@ def camera_motion(settings: _MotionSettings, progress: Progress = silent) -> Ans
 
     Example: recon camera-motion clip.mp4 --camera camera.toml --keypoints clip.csv --out track.csv
     """
-    info, lens, animal, marks, _ = collect_problems(
+    output = output_file(settings.out, "camera-motion", settings.overwrite, input_paths(settings))
+    return run_camera_motion(settings, output, progress)
+
+
+def motion_files(track: Path) -> tuple[str, str, str]:
+    """Return the names of the track, the report and the panorama that go together."""
+    return track.name, f"{track.stem}_report.json", f"{track.stem}_panorama.png"
+
+
+def run_camera_motion(settings: _MotionSettings, output: Output, progress: Progress = silent) -> Answer:
+    """Find how a camera turned, as `recon camera-motion` does, and write its files to an output."""
+    files = motion_files(settings.out)
+    info, lens, animal, marks, *_ = collect_problems(
         lambda: probe(settings.video),
         lambda: read_camera(settings.camera, settings.camera_name),
         lambda: None if settings.keypoints is None else read_keypoints(settings.keypoints, settings.individual),
         lambda: () if settings.level_marks is None else read_marks(settings.level_marks),
-        lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".csv",)),
+        lambda: require_suffix(settings.out, (".csv",)),
+        lambda: output.require(files),
     )
     raise_problems(size_problems(settings.video, info, lens))
     points = {} if animal is None else _points(animal, settings.first_frame)
@@ -113,14 +127,13 @@ def camera_motion(settings: _MotionSettings, progress: Progress = silent) -> Ans
     up, level = _up(settings, motion, lens, marks)
     motion = replace(motion, orientations=as_level(motion.orientations, up))
     report = _report(settings, motion, lens, level, times_s)
-    ends = "_report.json", "_panorama.png"
-    report_file, picture_file = (settings.out.with_name(settings.out.stem + end) for end in ends)
     drawn = panorama(lens, motion, pictures, points)
-    with staged_folder(settings.out.absolute().parent) as folder:
-        _write_track(folder / settings.out.name, settings, motion, lens)
-        (folder / report_file.name).write_text(to_json(report), encoding="utf-8")
-        write_bytes(folder / picture_file.name, cv2.imencode(".png", drawn)[1].tobytes())
-    files = (settings.out, report_file, picture_file)
+    with output.staged(adds=True) as folder:
+        track_file, report_file, picture_file = (folder / name for name in files)
+        _write_track(track_file, settings, motion, lens)
+        report_file.write_text(to_json(report), encoding="utf-8")
+        write_bytes(picture_file, cv2.imencode(".png", drawn)[1].tobytes())
+    paths = [settings.out.with_name(name) for name in files]
     lost, keyframes = len(report["frames_without_background"]), counted(len(report["keyframes"]), "keyframe")
     lines = [f"{report['frames'] - lost} of {report['frames']} frames placed, {keyframes}."]
     lines += [f"Too little background in {counted(lost, 'frame')}: no pose there."] if lost else []
@@ -129,7 +142,7 @@ def camera_motion(settings: _MotionSettings, progress: Progress = silent) -> Ans
     notes = report["notes"][len(NOTES) :]
     lines += [f"Note: {note}." for note in notes]
     lines.append(f"Level: {report['level']}. A rolling shutter is not modelled.")
-    return Answer(report, [*lines, "Written: " + ", ".join(map(str, files))], files=files, notes=notes)
+    return Answer(report, [*lines, "Written: " + ", ".join(map(str, paths))], files=paths, notes=notes)
 
 
 # -- what cannot be used ----------------------------------------------------------------------------------------------

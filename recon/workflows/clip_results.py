@@ -7,6 +7,7 @@ import json
 import os
 import time
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -16,17 +17,11 @@ from pydantic import TypeAdapter
 
 from recon.animal.prior import load_prior
 from recon.base.documents import parse_json, read_toml, validated
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, raise_problems
 from recon.base.file_names import existing_path
-from recon.base.files import (
-    MANIFEST,
-    read_manifest,
-    require_free_folder,
-    sha256_of,
-    sole_writer,
-    staged_results,
-    write_text,
-)
+from recon.base.files import MANIFEST, read_manifest, sha256_of, write_text
+from recon.base.locks import sole_writer
+from recon.base.outputs import Output
 from recon.base.package import version
 from recon.base.progress import Progress, silent
 from recon.base.settings import on_command_line
@@ -35,13 +30,14 @@ from recon.fit.clip_problem import ClipProblem
 from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
 from recon.fit.result import TrajectorySolution
-from recon.show.page.own_page import PAGE
 from recon.show.plain import write_report
 from recon.show.report import build_report
-from recon.show.tables import CLIP_OUTPUTS, REPROJECTION, of_any_camera, write_tables
-from recon.workflows.clip import fit_clip
+from recon.show.tables import CLIP_OUTPUTS, REPROJECTION, camera_files, of_any_camera, write_tables
+from recon.workflows.clip import fit_clip, read_clip_cameras
 from recon.workflows.settings import SETTINGS, FitSettings, with_paths
 
+FIT = "fit"
+"""The kind of a fit's files."""
 CONFIG = "config.toml"
 SCHEMA = {"name": "recon.record", "version": 1}
 AS_THEY_WERE = "the prior and the settings of the fit, as they were: fit the clip again"
@@ -51,10 +47,23 @@ OUTPUT_FILES = (*CLIP_OUTPUTS, REPROJECTION, MOTION, "report.json", "motion.rrd"
 """Every file that a clip of one camera gets. With several cameras there is a `REPROJECTION` for each."""
 
 
-def output_files(out: Path) -> tuple[str, ...]:
-    """Every file in a folder that is a clip's, or that a clip of one camera could get there. Its page goes with
-    them: it shows the results that it was made of."""
-    return (*OUTPUT_FILES, PAGE, REFINED_CAMERAS, *of_any_camera(out))
+def output_files(settings: FitSettings, out: Path) -> list[str]:
+    """Return the names of the files that a fit with these settings writes, of tables by camera those that are there."""
+    tables: list[str] = []
+    if of_any_camera(out) or (out / REPROJECTION).exists():
+        with suppress(InputError):  # the fit raises it, too
+            tables = camera_files([camera.name for camera, _ in read_clip_cameras(settings)])
+    refined = [REFINED_CAMERAS] if settings.seeks_cameras else []
+    return [*(name for name in OUTPUT_FILES if name != REPROJECTION), *tables, *refined]
+
+
+def output_of(settings: FitSettings, out: Path, overwrite: bool) -> Output:
+    """Return what a fit may write into its folder.
+
+    A config.toml that the settings come from is no input: it may be replaced by one with the same settings.
+    """
+    inputs = tuple(input_files(settings).values())
+    return Output(out, FIT, overwrite, inputs, has_manifest=True, mark=MOTION)
 
 
 _Digests = Mapping[str, str | None]
@@ -63,17 +72,37 @@ _Digests = Mapping[str, str | None]
 def write_clip(
     motion: Motion, settings: FitSettings, out: Path, solve_s: float | None = None, sha256: _Digests | None = None
 ) -> dict[str, Any]:
-    """Write every output of a clip into the folder `out`, all or none, and give back the report. sha256: of the
-    input files by their role, if they are known."""
+    """Write every output of a clip into a folder, all or none, and return the report.
+
+    Results that an earlier fit wrote there are replaced, unless somebody changed them since.
+
+    Parameters
+    ----------
+    motion
+        As `fit_clip` returned it.
+    settings
+        Those of the fit.
+    out
+        The folder, which is made if need be.
+    solve_s
+        How long the fit took, if it is known.
+    sha256
+        Of the input files by their role; by default they are read again.
+
+    Raises
+    ------
+    InputError
+        The folder has a file of a name to be written that no fit wrote, or that was changed since.
+    """
     from recon.show import view  # rerun is slow to import
 
     if sha256 is None:
-        sha256 = {role: digest(path) for role, path in input_files(settings).items()}
+        sha256 = input_digests(settings)
     known = {role: found for role, found in sha256.items() if found is not None}
     timing_s = {} if solve_s is None else {"solve_s": solve_s}
     motion = replace(motion, settings=settings.plain(out), timing_s=timing_s)
     report = build_report(motion)
-    with staged_results(out, output_files(out)) as folder:
+    with output_of(settings, out, overwrite=True).staged() as folder:
         motion.save(folder)
         write_tables(motion, folder)
         write_report(report, folder / "report.json")
@@ -90,16 +119,18 @@ def run_clip(settings: FitSettings, out: Path, overwrite: bool = False, progress
     """`recon fit`: reconstruct a clip and write its folder; the report. Raises InputError before any work is done if
     `out` holds results already and may not be overwritten, or if another process is writing to it."""
     with sole_writer(out):
-        require_free_folder(out, output_files(out), overwrite)
+        output_of(settings, out, overwrite).require(output_files(settings, out))
         return fit_into(out, settings, progress)
 
 
-def fit_into(
-    out: Path, settings: FitSettings, progress: Progress = silent, sha256: _Digests | None = None
-) -> dict[str, Any]:
-    """Reconstruct a clip and write its folder, over what is there; the report. sha256: as for `write_clip`."""
-    start = time.perf_counter()
+def fit_into(out: Path, settings: FitSettings, progress: Progress = silent) -> dict[str, Any]:
+    """Reconstruct a clip, write its folder in place of an earlier fit's files, and return the report.
+
+    Raises InputError also where an input file changes meanwhile: nobody could say which of its contents was fitted.
+    """
+    start, sha256 = time.perf_counter(), input_digests(settings)
     motion = fit_clip(settings, progress)
+    require_same_inputs(settings, sha256)
     solve_s = time.perf_counter() - start
     progress("writing", 1.0)
     return write_clip(motion, settings, out, solve_s, sha256)
@@ -125,12 +156,37 @@ def input_files(settings: FitSettings) -> dict[str, Path]:
     return files
 
 
-file_sha256 = cache(lambda path: digest(path))
-"""As `digest`; remembered, as a batch asks again and again."""
+def input_digests(settings: FitSettings) -> dict[str, str | None]:
+    """Return the digest of each input file by its role; None where it cannot be read."""
+    return {role: file_sha256(path) for role, path in input_files(settings).items()}
+
+
+def require_same_inputs(settings: FitSettings, sha256: _Digests) -> None:
+    """Raise InputError for input files that have another content than that of these digests."""
+    changed = [path for role, path in input_files(settings).items() if file_sha256(path) != sha256[role]]
+    expected = "a file that nobody changes while it is fitted: fit the clip again"
+    raise_problems(Problem(path, "content", "another than when the fit began", expected) for path in changed)
+
+
+def file_sha256(path: Path) -> str | None:
+    """Return the digest of a file's content, None where it cannot be read.
+
+    The digest is remembered as long as the file's size and times stay, as a batch asks again and again.
+    """
+    try:
+        state = path.stat()
+        return _sha256_of(path, (state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns))
+    except OSError:
+        return None
+
+
+@cache
+def _sha256_of(path: Path, state: tuple[int, ...]) -> str:
+    return sha256_of(path)
 
 
 def digest(path: Path) -> str | None:
-    """The digest of a file's content; None where it cannot be read."""
+    """Return the digest of a file's content, read now; None where it cannot be read."""
     try:
         return sha256_of(path)
     except OSError:
@@ -170,19 +226,24 @@ class _Line:
     row: dict[str, Any] = field(default_factory=dict)
 
 
+_BEGIN = '{"'
+"""How every line of a record begins."""
+
+
 class Record:
     """What each part of a work was made from, and what became of it: lines of JSON, of which the last of a part counts.
 
     Only one process writes it. A part has a row before it begins and another one, with the files that it wrote, when it
     has ended: what a run that is killed at any moment leaves does not look finished. Rows of other versions count as
     none, and so does the last one where it is cut off, as by a full disk. Raises InputError for any other that a
-    record cannot have.
+    record cannot have, and for a link: the file may be a user's.
     """
 
     def __init__(self, path: Path) -> None:
-        file_sha256.cache_clear()  # files may have changed since another work of this process
         self.path = path
         self.rows: dict[str, dict[str, Any]] = {}
+        if path.is_symlink():
+            raise InputError(Problem(path, "file", "a link, which is not followed", "no such file, or a record"))
         try:
             lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
         except OSError:
@@ -192,10 +253,10 @@ class Record:
             try:
                 row = parse_json(line, where)
             except InputError:
-                if number < len(lines):
+                if number < len(lines) or not (line.startswith(_BEGIN) or _BEGIN.startswith(line)):
                     raise
                 break
-            if not isinstance(row, dict) or row.get("schema") == SCHEMA:
+            if not isinstance(row, dict) or row.get("schema", SCHEMA) == SCHEMA:
                 validated(_Line, row, where)
                 self.rows[row["part"]] = row
 

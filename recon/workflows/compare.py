@@ -22,9 +22,10 @@ from rich.table import Table
 from recon.base.arrays import Array
 from recon.base.documents import read_toml
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
-from recon.base.files import require_free_folder, staged_folder, write_bytes
+from recon.base.files import write_bytes
+from recon.base.outputs import Output
 from recon.base.progress import Progress
-from recon.base.settings import OneOrMore, Option, Settings
+from recon.base.settings import OneOrMore, Option, Settings, input_paths
 from recon.base.tables import write_frame
 from recon.check.codes import names_text
 from recon.check.verdict import usable
@@ -88,7 +89,8 @@ def compare(settings: _CompareSettings, progress: Progress) -> Answer:
     )
     of_clip = _groups(settings.table, settings.by, names)
     written = [name for table in (GROUPS, STRIDES, CLIPS) for name in (table, table.replace(".csv", ".parquet"))]
-    require_free_folder(out, [*written, FIGURE], settings.overwrite, "a comparison")
+    output = Output(out, "compare", settings.overwrite, input_paths(settings), content="a comparison")
+    output.require([*written, FIGURE])
     loaded = dict(zip(names, collect_problems(*(lambda path=path: Motion.load(path) for path in folders)), strict=True))
     levels = {name: motion.verdict.level if motion.verdict else "" for name, motion in loaded.items()}
     usable_motions = {name: of for name, of in loaded.items() if settings.anyway or levels[name] != "do not use"}
@@ -109,7 +111,7 @@ def compare(settings: _CompareSettings, progress: Progress) -> Answer:
     clips = pd.DataFrame(clip_rows)
     groups, strides = _group_rows(clips), pd.DataFrame(rows, columns=None if rows else [*clip_rows[0]][:3])
     progress("tables", 0.95)
-    with staged_folder(out) as staging:
+    with output.staged() as staging:
         for name, table in ((STRIDES, strides), (CLIPS, clips), (GROUPS, groups)):
             write_frame(table, staging / name)
             table.to_parquet((staging / name).with_suffix(".parquet"), index=False)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 from recon.animal.naming import load_names, renamed
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
-from recon.base.files import require_free_file, staged_file
-from recon.base.settings import Option, Positive, Settings
+from recon.base.outputs import ReadResults, output_file
+from recon.base.settings import Option, Positive, Settings, input_paths
 from recon.check.verdict import usable, verdict_fields, verdict_lines
 from recon.clip import Keypoints, mark_missing
 from recon.fit.motion import Motion
@@ -74,22 +73,24 @@ def convert(settings: ConvertSettings) -> Answer:
     if source is None or out is None:
         found = "nothing" if source is None else "one file"
         raise InputError(Problem("recon convert", "files", found, "IN and OUT, as in recon convert clip.csv clip.nc"))
+    made_from = ReadResults.of(source) if source.is_dir() else None
+    output = output_file(out, "convert", settings.overwrite, input_paths(settings), made_from, "OUT")
     if (source / ROBOT_FILE).is_file():
         name = choose_format(out, settings.to, _robot_formats()).name
         from recon.robotics.retarget_clip import convert as convert_robot
 
-        said = convert_robot(source, out, name, settings.fps, settings.overwrite)
+        said = convert_robot(source, out, name, settings.fps, output)
         return Answer({"out": out, "format": name}, [said])
     (data, motion), target, _ = collect_problems(
         lambda: read_any(source, settings),
         lambda: choose_format(out, settings.to),
-        lambda: require_free_file(out, settings.overwrite, "OUT"),
+        lambda: output.require((out.name,)),
     )
     notes, content, wanted = data.notes, "2D keypoints" if isinstance(data, Keypoints) else "3D positions", ""
     written: Any = data
     if "bones" in target.writes and motion is not None:
         beside = [out.with_suffix(extension) for extension in target.beside]
-        collect_problems(*(partial(require_free_file, path, settings.overwrite, "OUT") for path in beside))
+        output.require([path.name for path in beside])
         written = rig_of(motion, data.fps, settings.body_mass_kg)
         data, notes = written.pose, notes + written.notes
         notes += (f"Beside it: {', '.join(map(str, beside))}.",) if beside else ()
@@ -107,7 +108,7 @@ def convert(settings: ConvertSettings) -> Answer:
         wanted = f"2D keypoints for {target.title}"
     if wanted or target.write is None:
         raise InputError(Problem(source, "content", content, wanted))
-    with staged_file(out) as staged:
+    with output.staged_file() as staged:
         target.write(written, staged)
     what = f"{len(data.names)} keypoints, 2D" if isinstance(data, Keypoints) else f"{len(data.names)} joints, 3D"
     frames = f"frames {data.frames[0]} to {data.frames[-1]} ({len(data.frames)})"

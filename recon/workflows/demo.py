@@ -6,11 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from recon.base.errors import InputError, Problem
+from recon.base.outputs import Output
 from recon.base.progress import Progress
 from recon.base.settings import Settings
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.gait.evaluation import evaluate_files
+from recon.show.page.own_page import PAGE
 from recon.show.sentences import result_sentences
 from recon.workflows.cli import Answer, answer_of_fit
 from recon.workflows.clip_results import run_clip
@@ -43,6 +45,7 @@ def demo(settings: _DemoSettings, progress: Progress) -> Answer:
     """
     samples, out = samples_folder(), settings.out
     of_sample = FitSettings(keypoints=(samples / "whole.csv",), camera=(samples / "camera.toml",), fps=60)
+    Output(out, "report", True).require((PAGE,))
     of_fit = run_clip(of_sample, out, settings.overwrite, progress)
     page = report(PageSettings(folder=out), progress).data["page"]
     mpjpe_mm = 1000 * evaluate_files(out / "pose3d.csv", samples / "whole_truth.csv").mpjpe_m.mean

@@ -14,8 +14,8 @@ from rich.console import Console
 
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
-from recon.base.files import require_free_file
 from recon.base.numbers import length_text
+from recon.base.outputs import output_file, require_suffix
 from recon.base.progress import Progress, silent
 from recon.base.settings import Number, OneOrMore, Option, Settings
 from recon.clip import Source, View, align_cameras, camera_poses
@@ -27,7 +27,7 @@ from recon.io.camera_files import write_cameras
 from recon.workflows.batch.inputs import AUTO, find_clips
 from recon.workflows.cli import Answer, OptionsOf, say
 from recon.workflows.clip import ClipInputs, prepare
-from recon.workflows.clip_results import read_settings
+from recon.workflows.clip_results import input_files, read_settings
 from recon.workflows.settings import FitSettings
 
 DISAGREEMENT = 16.0
@@ -132,12 +132,15 @@ def run_extrinsics(
     InputError, with every problem, for inputs that cannot be used.
     """
     posed, tilt_deg = bool(clips[0].refine_cameras), clips[0].tilt_deg
+    inputs = [path for clip in clips for path in input_files(clip).values()]
+    output = output_file(out, "calibrate extrinsics", overwrite, inputs)
     twice = "a value beside --set refine-cameras=true, whose file says it", "one of the two"
     both = {"--tilt-deg": tilt_deg, "--level-deg": level_rad or None} if posed else {}
     given, *_ = collect_problems(
         lambda: collect_problems(*(lambda clip=clip: _each_alone(clip) for clip in clips)),
         lambda: raise_problems(Problem(option, "up", *twice) for option, value in both.items() if value is not None),
-        lambda: require_free_file(out, overwrite, suffixes=(".toml",)),
+        lambda: require_suffix(out, (".toml",)),
+        lambda: output.require((out.name,)),
     )
     cameras = _all_cameras(given)
     if posed:
@@ -166,7 +169,8 @@ def run_extrinsics(
         replace(camera, rotation=T[:3, :3], translation_m=T[:3, 3] - height_m * T[:3, 2], world_z_up=True, tilt_rad=0.0)
         for camera, T in zip(cameras, rig.T_camera_world, strict=True)
     )
-    write_cameras(found, out)
+    with output.staged_file() as staged:
+        write_cameras(found, staged)
     names, rows = [camera.name for camera in found], []
     each = zip(clips, in_step, given, rig.time_offset_frames, rig.disagreement, strict=True)
     for clip, sources, of, late_frames, apart in each:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -18,10 +17,12 @@ from rich.console import Console
 
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
-from recon.base.files import MANIFEST, read_manifest, require_free_file, sole_writer, staged_file, write_text
+from recon.base.files import MANIFEST, read_manifest, staged_file
+from recon.base.locks import sole_writer
+from recon.base.outputs import Output, ReadResults, is_current, output_file
 from recon.base.parallel import Event, carry_out
 from recon.base.progress import Progress, silent
-from recon.base.settings import Integer, Number, Option, Settings
+from recon.base.settings import Integer, Number, Option, Settings, input_paths
 from recon.check.codes import FLAG_OF
 from recon.check.verdict import usable
 from recon.fit.motion import Motion
@@ -29,7 +30,7 @@ from recon.gait.clip import analyse
 from recon.io.video import Image, missing_note, probe, require_codec, size_problems, video_writer
 from recon.show import view as viewer
 from recon.show.overlay import SIDE_COLOURS, Overlay, canvas_size, clip_frames, draw_frame, draw_tiles
-from recon.show.page.own_page import PAGE, require_own_page
+from recon.show.page.own_page import PAGE
 from recon.show.page.pages import clip_page, jpeg
 from recon.show.report import REPORT
 from recon.workflows.analyse import FOLDER, PLAYBACK
@@ -126,8 +127,10 @@ def overlay(settings: OverlaySettings, progress: Progress = silent) -> Answer:
     Example: recon overlay results/clip --video clip.mp4 --out overlay.mp4
     """
     video, out = settings.video, settings.out
-    free = partial(require_free_file, out, settings.overwrite, source=video)
-    motion, number = result_and_video(settings, lambda: require_codec(out), free)
+    made_from = ReadResults.of(settings.folder)
+    output = output_file(out, "overlay", settings.overwrite, input_paths(settings), made_from)
+    checks = lambda: require_codec(out), lambda: output.require((out.name,))
+    motion, number = result_and_video(settings, *checks)
     wide, high = usable(motion, settings.folder, settings.anyway).cameras[number].image_size_px
     speed = min(1.0, SLOW_FPS / motion.fps) if settings.speed is None else settings.speed
     zoom = -(-MIN_WIDTH_PX // wide)
@@ -135,7 +138,8 @@ def overlay(settings: OverlaySettings, progress: Progress = silent) -> Answer:
     start = first_in_clip(motion, number, settings)
     first = max(int(motion.frames.min()), start)
     fps, count, stamps_s = motion.fps * speed, int(motion.frames.max()) + 1 - first, []
-    with video_writer(out, canvas_size((zoom * wide, zoom * high)), fps) as write:
+    size_px = canvas_size((zoom * wide, zoom * high))
+    with output.staged_file() as staged, video_writer(staged, size_px, fps) as write:
         for frame, row, stamp_s, picture in clip_frames(motion.frames, video, start):
             stamps_s.append(stamp_s)
             if len(stamps_s) > count:
@@ -253,7 +257,8 @@ def report(settings: PageSettings, progress: Progress = silent) -> Answer:
     folder, page, video = settings.folder, settings.folder / PAGE, settings.video
     if (folder / SUMMARY).is_file() and not (folder / REPORT).is_file():
         return _pages_of_batch(folder, video, progress)
-    motion, number = result_and_video(settings, lambda: require_own_page(page))
+    output = Output(folder, "report", True, made_from=ReadResults.of(folder))
+    motion, number = result_and_video(settings, lambda: output.require((PAGE,)) if folder.is_dir() else None)
     progress("pictures", 0.1)
     drawn, rows, pictures = stills(motion, number, settings, STILLS)
     tiles = draw_tiles(drawn, rows, pictures) if len(rows) else []
@@ -261,12 +266,16 @@ def report(settings: PageSettings, progress: Progress = silent) -> Answer:
     progress("figures", 0.3)
     written = read_manifest(folder) if (folder / MANIFEST).is_file() else None
     changed = [Path(problem.file).name for problem in written.changed()] if written else []
-    names = [*BESIDE, *sorted(written.files if written else ())]
-    files = [name for name in names if name not in changed and (folder / name).is_file()]
+    beside = [name for name in BESIDE if (folder / name).is_file()]
+    stale = [name for name in beside if not is_current(folder / name, folder)]
+    names = [*beside, *sorted(written.files if written else ())]
+    files = [name for name in names if name not in [*changed, *stale] and (folder / name).is_file()]
     html = clip_page(motion, shown, None if video is None else video.name, files, number)
-    write_text(page, html)
+    output.write(PAGE, html)
     of_changed = f"missing, or not as the fit wrote it, so that the page has no link to it: {', '.join(changed)}"
-    notes = [*filter(None, [first_frame_note(motion, settings), of_changed if changed else None])]
+    of_stale = f"not known to be of these results, so that the page has no link to it: {', '.join(stale)}"
+    said = [first_frame_note(motion, settings), of_changed if changed else None, of_stale if stale else None]
+    notes = [*filter(None, said)]
     data = {"page": page, "failed": {}, "notes": notes}
     return Answer(data, [f"Open {page} in a browser."], files=[page], notes=notes)
 
@@ -329,8 +338,11 @@ def view(settings: _ViewSettings, console: Console) -> Answer:
     if not playback.is_file():
         raise InputError(Problem(playback, "file", "no such file", "a recording (.rrd) that `recon fit` has written"))
     read_manifest(folder).require(PLAYBACK)
+    output = None
     if out is not None:
-        require_free_file(out, settings.overwrite)
+        made_from = ReadResults.of(folder)
+        output = output_file(out, "view", settings.overwrite, input_paths(settings), made_from)
+        output.require((out.name,))
     analysed = (folder / FOLDER / ANALYSIS).is_file()
     with TemporaryDirectory() as temporary:
         if out is not None or settings.video is not None or analysed:
@@ -338,8 +350,8 @@ def view(settings: _ViewSettings, console: Console) -> Answer:
             if note := first_frame_note(motion, settings):
                 say(console, f"note: {note}")
             found = analyse(motion) if analysed else None
-            playback = Path(temporary) / PLAYBACK if out is None else out
-            with staged_file(playback) as staged:
+            playback = Path(temporary) / PLAYBACK
+            with staged_file(playback) if output is None else output.staged_file() as staged:
                 viewer.write(motion, staged, found, settings.video, first_in_clip(motion, number, settings), number)
         if out is None:
             viewer.open_viewer(playback)

@@ -24,8 +24,8 @@ from recon.animal.skeleton_file import NONE, load_skeleton
 from recon.base.arrays import Array, Integers
 from recon.base.documents import read_json
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
-from recon.base.files import require_free_file, write_text
-from recon.base.settings import Count, NotNegative, OneOrMore, Option, Settings
+from recon.base.outputs import output_file, require_suffix
+from recon.base.settings import Count, NotNegative, OneOrMore, Option, Settings, input_paths
 from recon.check.verdict import usable
 from recon.clip import views_of
 from recon.fit.clip_problem import ClipProblem
@@ -133,6 +133,7 @@ def run_prior_fit(settings: PriorFitSettings) -> dict[str, Any]:
     pose files, a number, or a JSON file with one for every piece of motion in their order; None without any. Raises
     InputError for files and options that cannot be used, with the problems of all of them.
     """
+    output = output_file(settings.out, "prior fit", settings.overwrite, input_paths(settings))
     paths = list(dict.fromkeys(settings.poses))
     folders, tables = [path for path in paths if path.is_dir()], [path for path in paths if not path.is_dir()]
     given, results, files, rates, *_ = collect_problems(
@@ -140,7 +141,8 @@ def run_prior_fit(settings: PriorFitSettings) -> dict[str, Any]:
         lambda: collect_problems(*(partial(_motion, path, settings.anyway) for path in folders)),
         lambda: collect_problems(*(partial(read_pose_segments, path) for path in tables)),
         lambda: _rates(settings.fps, tables),
-        lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".npz",)),
+        lambda: require_suffix(settings.out, (".npz",)),
+        lambda: output.require((settings.out.name,)),
     )
     results, files = dict(zip(folders, results, strict=True)), dict(zip(tables, files, strict=True))
     body = _common_body(given, results)
@@ -155,7 +157,8 @@ def run_prior_fit(settings: PriorFitSettings) -> dict[str, Any]:
     of, how = (settings.name or settings.out.stem, settings.source), picked(settings, "min_speed_m_s", "apart")
     prior = fit_prior(body, segments, *of, components, **how)
     held_out = _held_out(body, segments, prior) if settings.check else None
-    save_prior(prior, settings.out)
+    with output.staged_file() as staged:
+        save_prior(prior, staged)
     rows = zip(prior.segments, (*(None for _ in of_results), *misfits_mm), strict=True)
     there = {joint for pieces in files.values() for pose in pieces.values() for joint in pose.names}
     return {
@@ -372,9 +375,11 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
     offsets are those beside these. Raises InputError for clips and options that cannot be used, with the problems of
     all of them.
     """
+    output = output_file(settings.out, "subject fit", settings.overwrite, input_paths(settings))
     fits, _, known = collect_problems(
         lambda: collect_problems(*(partial(read_config, p / CONFIG if p.is_dir() else p, {}) for p in settings.clips)),
-        lambda: require_free_file(settings.out, settings.overwrite, suffixes=(".toml",)),
+        lambda: require_suffix(settings.out, (".toml",)),
+        lambda: output.require((settings.out.name,)),
         lambda: collect_problems(*(partial(read_pose3d, path) for path in settings.poses)),
     )
     _require_one_skeleton(fits, settings.clips)
@@ -407,7 +412,7 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
         text = subject_toml(fits[0].skeleton_name, body, settings.title or f"{shape.body.title}, {count}", notes)
     else:
         text = detector_toml(fit.seen(shape.body), settings.title or f"a detector, {count}", notes)
-    write_text(settings.out, text)
+    output.write(settings.out.name, text)
     counts = {"clips": len(settings.clips), "frames": frames, "converged": fit.converged}
     return {**counts, "size": size, "size_sigma": sigma, "values": rows}
 

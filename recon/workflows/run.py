@@ -6,6 +6,7 @@ ended has written nothing down, and is done again. A folder of videos is a batch
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,25 +17,38 @@ from typing import Annotated, Any, Literal, NamedTuple
 from rich.console import Console
 
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
-from recon.base.files import MANIFEST, read_manifest, sole_writer
+from recon.base.files import MANIFEST, read_manifest
+from recon.base.locks import sole_writer
+from recon.base.outputs import Output, adopt
 from recon.base.parallel import carry_out
 from recon.base.progress import Progress, silent
-from recon.base.settings import Count, Integer, Option, Settings
+from recon.base.settings import Count, Integer, Option, Settings, input_paths
 from recon.fit.motion import Motion
 from recon.gait.kinematics import MIN_POINTS
 from recon.io.formats import recognised
 from recon.io.video import SUFFIXES, probe, size_problems
-from recon.show.page.own_page import PAGE, SUMMARY_PAGE, require_own_page
+from recon.show.page.own_page import PAGE, SUMMARY_PAGE
 from recon.show.plain import picked
 from recon.show.report import build_report, is_unsolved
+from recon.show.tables import TABLES
 from recon.workflows.analyse import FOLDER, AnalyseSettings, analyse_command
 from recon.workflows.analyse import SUMMARY as ANALYSIS
-from recon.workflows.batch import ClipPlan, OnEvent, Summary, results_of, shown_batch, work_off
-from recon.workflows.batch.inputs import Clip, file_names
-from recon.workflows.camera_motion import camera_motion, of_clip
+from recon.workflows.batch import ClipPlan, OnEvent, Summary, results_of, shown_batch, summary_output, work_off
+from recon.workflows.batch.inputs import SUMMARY, Clip, file_names
+from recon.workflows.camera_motion import motion_files, of_clip, run_camera_motion
 from recon.workflows.cli import FIRST_FRAME, Answer, OptionsOf, answer_of_fit, progress_bar, say
 from recon.workflows.clip import read_model_and_cameras
-from recon.workflows.clip_results import Record, digests, fit_into, identity, identity_of, output_files, read_settings
+from recon.workflows.clip_results import (
+    FIT,
+    Record,
+    digests,
+    fit_into,
+    identity,
+    identity_of,
+    output_files,
+    output_of,
+    read_settings,
+)
 from recon.workflows.look import OverlaySettings, PageSettings, overlay, rate_note, report
 from recon.workflows.settings import OF_ANY_CLIP, FitSettings
 
@@ -65,7 +79,7 @@ class _RunSettings(Settings):
     config: Path | None = None
     """Settings as in the config.toml of a fit; options here overrule it."""
     overwrite: bool = False
-    """Replace files that no run has made, or that were changed since."""
+    """Replace what recon fit, analyse and others made in DIR; never a file that was changed since, or is your own."""
 
     def problems(self) -> Iterator[Problem]:
         if (self.model is None) == (self.keypoints is None):
@@ -103,8 +117,10 @@ class _Stage(NamedTuple):
     """Does it, over what is there, and gives the files that it wrote, and notes on the video."""
     identity: Callable[[], dict[str, Any]]
     """What it is made from, once the stages before it are done."""
-    places: tuple[Path, ...] = ()
-    """Files that are in its way, unless a run has made them; none where it looks for itself what it may replace."""
+    output: Output
+    """What it may replace."""
+    names: tuple[str, ...]
+    """Files that it writes, as far as they are known."""
 
 
 class _StageOutcome(NamedTuple):
@@ -194,6 +210,17 @@ def run_video(
     out, found = job.run.out, {}
     with sole_writer(out):
         record, stages, dones, again = Record(out / RECORD), _stages(job), [], False
+        record.tidy()
+        for name, row in record.rows.items():  # version 0.2 had no other record of them
+            if name in stages:
+                folder = stages[name].output.folder
+                own = {p: sha256 for p, sha256 in row.get("files", {}).items() if (out / p).parent == folder}
+                adopt(folder, stages[name].output.kind, {Path(p).name: sha256 for p, sha256 in own.items()})
+        for name, stage in stages.items():  # before any work
+            again = again or name == job.run.start
+            if again or record.look(name, stage.identity(), out)[0]:
+                _require_own(name, stage, job, record, again)
+        again = False
         for number, (name, stage) in enumerate(stages.items()):
             again = again or name == job.run.start
 
@@ -213,31 +240,31 @@ def run_video(
 
 def _carry_out(name: str, stage: _Stage, job: _Job, record: Record, again: bool, progress: Progress) -> _StageOutcome:
     began, known, out = time.perf_counter(), stage.identity(), job.run.out
-    why, changed = record.look(name, known, out)
-    if not again and not job.run.overwrite:
-        _require_own(name, stage, name not in record.rows, changed)
+    why, _ = record.look(name, known, out)
     status: Literal["done", "unchanged"] = "done" if why or again else "unchanged"
     if status == "done":
+        _require_own(name, stage, job, record, again)
         if name in ("detect", "camera-motion", "fit"):
             _check_inputs(job)
         record.note(name, known)
         progress("starting", 0.0)
         made = stage.work(progress)
+        if stage.identity() != known:
+            expected = "files that nobody changes meanwhile: run the command again"
+            raise InputError(Problem(job.run.video, name, "input files that were changed meanwhile", expected))
         record.note(name, known, files=digests(made.files, out), notes=[*made.notes])
     row = record.rows[name]
     return _StageOutcome(name, status, time.perf_counter() - began, tuple(row["files"]), tuple(row.get("notes", ())))
 
 
-def _require_own(name: str, stage: _Stage, is_first: bool, changed: Sequence[Path]) -> None:
-    """Raises InputError where files are in the way of a stage that no run has made, or that were changed since."""
-    found, expected = "one that recon run has not made", "another --out, or --overwrite"
-    if not is_first:
-        found = "other than recon run wrote it"
-        expected = f"--from {name} to write it again; --keypoints takes a file of your own"
-    foreign = [path for path in (stage.places if is_first else changed if stage.places else ()) if path.exists()]
-    if foreign:
-        more = f", and so are {len(foreign) - 1} more" if len(foreign) > 1 else ""
-        raise InputError(Problem(foreign[0], "file", found + more, expected))
+def _require_own(name: str, stage: _Stage, job: _Job, record: Record, again: bool) -> None:
+    """Raise InputError for files that the stage may not replace, or without --overwrite, that another command made."""
+    stage.output.require(stage.names)
+    present = [path for path in (stage.output.folder / file for file in stage.names) if os.path.lexists(path)]
+    if present and name not in record.rows and not again and not job.run.overwrite:
+        more = f", and so are {len(present) - 1} more" if len(present) > 1 else ""
+        expected = "another --out, or --overwrite"
+        raise InputError(Problem(present[0], "file", "one that recon run has not made" + more, expected))
 
 
 def _check_inputs(job: _Job) -> None:
@@ -251,14 +278,17 @@ def _check_inputs(job: _Job) -> None:
 def _stages(job: _Job) -> dict[str, _Stage]:
     """The stages that this job has, by name."""
     run, given, out = job.run, job.given, job.run.out
-    keypoints, places = given.keypoints[0], tuple(out / name for name in output_files(out) if name != PAGE)
+    keypoints = given.keypoints[0]
     fit, film, first = {"fit": out / MANIFEST}, {"video": run.video}, {"first_frame": run.first_frame}
     shown: dict[str, Any] = {"folder": out, **film, **first}
 
+    def output(kind: str, folder: Path = out) -> Output:
+        return Output(folder, kind, overwrite=True, inputs=input_paths(run))
+
     def detect(progress: Progress) -> Answer:
-        how = {"threads": job.threads, "overwrite": True, "progress": progress}
         from recon.keypoint_net.network import run_prediction
 
+        how = {"threads": job.threads, "overwrite": True, "progress": progress, "output": output("predict")}
         found = run_prediction(run.video, run.model, keypoints, **how)
         return Answer({}, files=[keypoints], notes=found.notes)
 
@@ -269,19 +299,25 @@ def _stages(job: _Job) -> dict[str, _Stage]:
     stages = {}
     if run.model is not None:
         network = film | {"model": _model_file(run.model)}
-        stages["detect"] = _Stage(detect, lambda: identity_of(network, {}), (keypoints,))
+        made_of = partial(identity_of, network, {})
+        stages["detect"] = _Stage(detect, made_of, output("predict"), (keypoints.name,))
     if run.camera_motion is not None and given.camera is not None:
         turning = of_clip(given, run.video, run.track, **first, zoom=run.camera_motion == "zooms", overwrite=True)
         files = film | {"camera": given.camera[0], "keypoints": keypoints}
         how = first | {"motion": run.camera_motion} | picked(given, "camera_name", "tilt_deg", "individual")
-        stages["camera-motion"] = _Stage(partial(camera_motion, turning), lambda: identity_of(files, how), (run.track,))
+        track = output("camera-motion")
+        work, made_of = partial(run_camera_motion, turning, track), partial(identity_of, files, how)
+        stages["camera-motion"] = _Stage(work, made_of, track, motion_files(run.track))
     analysis = AnalyseSettings(folder=out, overwrite=True)
     drawn = OverlaySettings(out=out / OVERLAY, overwrite=True, **shown)
+    of_fit, of_film = partial(identity_of, fit, {}), partial(identity_of, fit | film, first)
+    fitted = output_of(job.fit, out, overwrite=True)
+    tables = (ANALYSIS, *TABLES)
     return stages | {
-        "fit": _Stage(solve, lambda: identity(job.fit), places),
-        "analyse": _Stage(partial(analyse_command, analysis), lambda: identity_of(fit, {}), (out / FOLDER / ANALYSIS,)),
-        "overlay": _Stage(partial(overlay, drawn), lambda: identity_of(fit | film, first), (out / OVERLAY,)),
-        "page": _Stage(partial(report, PageSettings(**shown)), lambda: identity_of(fit | film, first)),
+        FIT: _Stage(solve, partial(identity, job.fit), fitted, (*output_files(job.fit, out),)),
+        "analyse": _Stage(partial(analyse_command, analysis), of_fit, output("analyse", out / FOLDER), tables),
+        "overlay": _Stage(partial(overlay, drawn), of_film, output("overlay"), (OVERLAY,)),
+        "page": _Stage(partial(report, PageSettings(**shown)), of_film, output("report"), (PAGE,)),
     }
 
 
@@ -322,7 +358,7 @@ def run_folder(
     """`run_video` for all jobs, and summary.csv and summary.html of them in `out`. processes: at a time, by default one
     for each core, each with one thread. A video that fails stops nothing; KeyboardInterrupt as in `run_batch`."""
     with sole_writer(out):
-        require_own_page(out / SUMMARY_PAGE)
+        summary_output(out).require((SUMMARY, SUMMARY_PAGE))
         folders = [(job.run.out.name, job) for job in jobs]
         plan = [ClipPlan(Clip(name, job.given), job.run.out, "new", "", identity(job.given)) for name, job in folders]
         tasks = [(name, replace(job, threads=1)) for name, job in folders]

@@ -31,9 +31,9 @@ from recon.animal.skeleton_file import builtin_names, load_skeleton
 from recon.base.arrays import Array
 from recon.base.documents import builtin_file
 from recon.base.errors import InputError, Problem, collect_problems
-from recon.base.files import require_free_file, require_free_folder, write_text
 from recon.base.numbers import length_text
-from recon.base.settings import File, OneOrMore, Option, Positive, Settings
+from recon.base.outputs import Output, output_file
+from recon.base.settings import File, OneOrMore, Option, Positive, Settings, input_paths
 from recon.check.agreement import points_m
 from recon.clip import Source, align_cameras, clean, views_of
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES
@@ -88,10 +88,14 @@ def skeleton_check(settings: _SkeletonCheckSettings) -> Answer:
         from recon.show.plots.style import save
 
         pictures = [f"{stem}{end}" for stem in STEMS for end in (".png", ".svg")]
-        require_free_folder(out, pictures, settings.overwrite, "these pictures")
+        given = input_paths(settings)
+        output = Output(out, "skeleton check", settings.overwrite, given, content="these pictures")
+        output.require(pictures)
         body, title = load_skeleton(settings.skeleton, settings.subject), f"{check['name']}: {check['title']}"
-        for stem, figure in zip(STEMS, (views(body, title), angle_ranges(body, REACH_SIGMAS, title)), strict=True):
-            save(figure, out, stem)
+        figures = views(body, title), angle_ranges(body, REACH_SIGMAS, title)
+        with output.staged() as staging:
+            for stem, figure in zip(STEMS, figures, strict=True):
+                save(figure, staging, stem)
     return Answer(check, [*_lines(check), *([] if out is None else [f"Pictures are in {out}."])])
 
 
@@ -242,8 +246,8 @@ def skeleton_from_keypoints(settings: _SkeletonDraftSettings) -> Answer:
     Example: recon skeleton from-keypoints clip.csv --out my-animal.toml
     """
     out, source = settings.out, settings.keypoints[0]
-    for path in settings.keypoints:
-        require_free_file(out, settings.overwrite, source=path)
+    output = output_file(out, "skeleton from-keypoints", settings.overwrite, input_paths(settings))
+    output.require((out.name,))
     if settings.camera is not None:
         markers, others, text = _of_geometry(settings)
     elif len(settings.keypoints) > 1:
@@ -253,7 +257,7 @@ def skeleton_from_keypoints(settings: _SkeletonDraftSettings) -> Answer:
         project = find_project(source)
         names = bodyparts(project) if project else read_keypoints(source, settings.individual).names
         markers, others, text = draft_skeleton(names, out.stem, project.folder if project else source)
-    write_text(out, text)
+    output.write(out.name, text)
     other = [f"{name} as {marker}" for name, marker in markers.items() if name != marker]
     lines = [f"{out}: {len(markers)} of {len(markers) + len(others)} keypoints have a place."]
     lines += [f"Taken for the quadruped's: {', '.join(other)}."] if other else []

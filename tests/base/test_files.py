@@ -15,11 +15,15 @@ import pytest
 from command_line import refusal
 
 from recon import InputError
-from recon.base.files import read_manifest, require_free_folder, sole_writer, staged_file, staged_folder, staged_results
+from recon.base.files import read_manifest, staged_file, staged_folder
+from recon.base.locks import sole_writer
+from recon.base.outputs import RECORD, Output
 
 
 def contents(folder: Path) -> dict[str, str]:
-    return {path.relative_to(folder).as_posix(): path.read_text() for path in folder.rglob("*") if path.is_file()}
+    """By their paths, the texts of all files but recon's record."""
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name != RECORD)
+    return {path.relative_to(folder).as_posix(): path.read_text() for path in files}
 
 
 def write_half(out: Path, exception: BaseException) -> None:
@@ -201,23 +205,23 @@ def test_a_folder_that_cannot_be_written_to(tmp_path):
 
 
 def write_results(out: Path, **files: str) -> None:
-    with staged_results(out, ("a.csv", "b.csv", "c.csv")) as staging:
+    with Output(out, "fit", overwrite=True, has_manifest=True).staged() as staging:
         for name, text in files.items():
             (staging / f"{name}.csv").write_text(text)
 
 
 def test_results_come_with_a_manifest_and_replace_earlier_ones(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
-    (tmp_path / "c.csv").write_text("of a version without a manifest")
+    (tmp_path / "c.csv").write_text("mine, too")
     write_results(tmp_path, a="1", b="2")
-    assert {*contents(tmp_path)} == {"a.csv", "b.csv", "manifest.json", "notes.txt"}
+    assert {*contents(tmp_path)} == {"a.csv", "b.csv", "c.csv", "manifest.json", "notes.txt"}
     first = read_manifest(tmp_path)
     assert first.files["b.csv"] == (1, "d4735e3a265e16eee03f59718b9b5d03019c07d8b6c51f90da3a666eec13ab35")
     assert first.changed() == []
     write_results(tmp_path, a="3", other="4")
-    assert {*contents(tmp_path)} == {"a.csv", "other.csv", "manifest.json", "notes.txt"}
+    assert {*contents(tmp_path)} == {"a.csv", "c.csv", "other.csv", "manifest.json", "notes.txt"}
     write_results(tmp_path, a="3")
-    assert {*contents(tmp_path)} == {"a.csv", "manifest.json", "notes.txt"}
+    assert {*contents(tmp_path)} == {"a.csv", "c.csv", "manifest.json", "notes.txt"}
 
 
 def test_a_folder_in_the_place_of_a_file_is_seen_before_anything_is_replaced(tmp_path):
@@ -229,9 +233,9 @@ def test_a_folder_in_the_place_of_a_file_is_seen_before_anything_is_replaced(tmp
     with refusal((tmp_path / "b.csv", "file", "a folder", "move")):
         write_two(tmp_path)
     with refusal((tmp_path / "b.csv", "file", "a folder", "move")):
-        require_free_folder(tmp_path, ("a.csv", "b.csv"), overwrite=True)
+        Output(tmp_path, "fit", overwrite=True).require(("a.csv", "b.csv"))
     assert contents(tmp_path) == before
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.csv", "b.csv", "c.csv", "manifest.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [RECORD, "a.csv", "b.csv", "c.csv", "manifest.json"]
 
 
 def write_two(out: Path) -> None:
@@ -241,17 +245,20 @@ def write_two(out: Path) -> None:
 
 
 def steps_of_replacing(out: Path, monkeypatch: pytest.MonkeyPatch, at_step) -> None:
-    """Replace results; at_step(number) is called before every move."""
+    """Replace results; at_step(number) is called before every move of a file."""
     write_results(out, a="1", b="1")
     count = itertools.count()
-    move = os.replace
 
-    def replace(*args):
-        at_step(next(count))
-        move(*args)
+    def stepping(function):
+        def step(*args):
+            at_step(next(count))
+            return function(*args)
+
+        return step
 
     with monkeypatch.context() as patch:
-        patch.setattr(os, "replace", replace)
+        for name in ("replace", "link"):
+            patch.setattr(os, name, stepping(getattr(os, name)))
         write_results(out, a="2", b="2", c="2")
 
 
@@ -263,19 +270,20 @@ def test_what_fails_on_the_way_leaves_the_earlier_results(tmp_path, monkeypatch,
         if number == failing:
             raise exception
 
-    for failing in range(20):
+    raised = []
+    for failing in range(10):
         out = tmp_path / str(failing)
         try:
             steps_of_replacing(out, monkeypatch, fail)
         except (OSError, KeyboardInterrupt):
-            assert {name: text for name, text in contents(out).items() if name != "manifest.json"} == {
-                "a.csv": "1",
-                "b.csv": "1",
-            }
-            assert read_manifest(out).changed() == []
-        else:
-            break
-    assert failing == 7  # moves: three files away, four in
+            raised.append(failing)
+        texts = {name: text for name, text in contents(out).items() if name != "manifest.json"}
+        is_new = failing not in raised or failing == 8
+        assert texts == ({"a.csv": "2", "b.csv": "2", "c.csv": "2"} if is_new else {"a.csv": "1", "b.csv": "1"})
+        assert read_manifest(out).changed() == []
+    # Moves: the record, three files away, four in, and the record. A disk without links is no error, nor is one that is
+    # full at the end, where all is there.
+    assert raised == ([0, 1, 2, 3] if isinstance(exception, OSError) else [*range(9)])
 
 
 def test_a_kill_on_the_way_leaves_nothing_that_is_taken_for_results(tmp_path, monkeypatch):
@@ -291,7 +299,7 @@ def test_a_kill_on_the_way_leaves_nothing_that_is_taken_for_results(tmp_path, mo
             taken.append((number, contents(out)["a.csv"]))
 
     steps_of_replacing(out, monkeypatch, look)
-    assert taken == [(0, "1")]
+    assert taken == [(0, "1"), (1, "1"), (8, "2")]  # the record first and last
     assert read_manifest(out).changed() == []
 
 

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from recon import Camera, InputError, read_camera
+from recon.base.outputs import RECORD
 from recon.calibrate.boards import (
     Board,
     BoardView,
@@ -368,7 +369,7 @@ def test_command_writes_a_camera_that_can_be_read(radtan_folder, tmp_path):
     assert said["without_board"] == ["99_wall.png"]
     assert {picture["name"] for picture in said["pictures"]} == {f"{n:02d}.png" for n in range(16)}
     assert cv2.imread(str(tmp_path / "new" / "camera_coverage.png")) is not None
-    assert {path.name for path in out.parent.iterdir()} == {"camera.toml", "camera_coverage.png"}
+    assert {path.name for path in out.parent.iterdir()} == {"camera.toml", "camera_coverage.png", RECORD}
     again = CliRunner().invoke(app, args)
     assert isinstance(again.exception, InputError)
     assert "--overwrite" in str(again.exception)

@@ -24,26 +24,26 @@ from pathlib import Path
 from typing import Any
 
 from recon import FitSettings, InputError
-from recon.base.files import staged_results
+from recon.base.outputs import RECORD, Output
 from recon.fit.motion import Motion
-from recon.workflows.clip_results import OUTPUT_FILES, run_clip
+from recon.workflows.clip_results import run_clip
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
-STEPS = ("mkdir", "replace")
+STEPS = ("mkdir", "replace", "link", "unlink")
 """The functions of `os` by which results are put in place; cleaning up comes after."""
 
 
 def contents(folder: Path) -> dict[str, bytes]:
     """The content of the results alone; a killed process leaves hidden files beside them."""
-    return {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file() and not p.name.startswith(".recon-")}
+    return {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file() and not p.name.startswith(".recon")}
 
 
 def replaced(source: Path, out: Path, step: Callable[[], None]) -> None:
     """Write the results of source into out; step: called before and after every change from the first on that is
     visible from outside."""
-    with staged_results(out, OUTPUT_FILES) as staging:
+    with Output(out, "fit", overwrite=True, has_manifest=True).staged() as staging:
         for path in source.iterdir():
-            if path.name != "manifest.json":
+            if path.name not in ("manifest.json", RECORD):
                 shutil.copyfile(path, staging / path.name)
         for name in STEPS:
             setattr(os, name, _with_steps(getattr(os, name), step))
@@ -119,9 +119,9 @@ def check(sources: list[Path], out: Path, count: int, rng: random.Random) -> Cou
 
 def replaced_by_us(source: Path, out: Path) -> None:
     """After whatever was left."""
-    with staged_results(out, OUTPUT_FILES) as staging:
+    with Output(out, "fit", overwrite=True, has_manifest=True).staged() as staging:
         for path in source.iterdir():
-            if path.name != "manifest.json":
+            if path.name not in ("manifest.json", RECORD):
                 shutil.copyfile(path, staging / path.name)
     assert not [path.name for path in out.iterdir() if path.name.startswith(".recon-")]
 

@@ -388,7 +388,11 @@ def test_2d_does_not_become_3d_nor_3d_2d(files_2d, files_3d, tmp_path):
 def test_every_problem_at_once(tmp_path):
     (tmp_path / "a.csv").write_text("nothing of use\n")
     path = tmp_path / "a.csv"
-    with refusal((path, "format", "nothing of use"), ("--to", "format", "'fbx'"), ("OUT", "file", path, "--overwrite")):
+    with refusal(
+        (path, "format", "nothing of use"),
+        ("--to", "format", "'fbx'"),
+        (path, "file", "an input of this run", "another OUT"),
+    ):
         convert(ConvertSettings(source=path, out=path, to="fbx"))
     assert path.read_text() == "nothing of use\n"
 

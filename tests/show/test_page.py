@@ -247,7 +247,7 @@ def test_a_page_goes_with_its_results(small_trajectory, tmp_path):
     settings = FitSettings(keypoints=Path("run.csv"), camera=Path("camera.toml"), fps=30)
     write_clip(small_trajectory, settings, tmp_path)
     (tmp_path / "report.html").write_text("my own")
-    with refusal((tmp_path / "report.html", "file", "not made")):
+    with refusal((tmp_path / "report.html", "file", "`recon report` did not write", "moved away")):
         report(PageSettings(folder=tmp_path))
     assert (tmp_path / "report.html").read_text() == "my own"
     (tmp_path / "report.html").unlink()
@@ -257,9 +257,10 @@ def test_a_page_goes_with_its_results(small_trajectory, tmp_path):
     )
     assert "quality.csv" not in page
     write_clip(small_trajectory, settings, tmp_path)
+    assert not (tmp_path / "report.html").exists()
     (tmp_path / "report.html").write_text(GENERATED)
     write_clip(small_trajectory, settings, tmp_path)
-    assert not (tmp_path / "report.html").exists()
+    assert (tmp_path / "report.html").read_text() == GENERATED
 
 
 @pytest.mark.usefixtures("page_undrawn")
@@ -400,7 +401,7 @@ def test_pages_of_a_batch_are_made_beside_each_other(batch, monkeypatch):
     assert pages == []
     assert "good: " in ended.err
     assert "motion.npz" in ended.err  # other than the manifest says
-    assert says(ended.err, "report.html: file", "not made")
+    assert says(ended.err, "report.html: file", "did not write")
     assert "summary.html in a browser" in ended.out
     (batch / EVIL / "report.html").unlink()
     run("report", batch)

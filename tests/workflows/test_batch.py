@@ -23,14 +23,15 @@ from command_line import Refusal, carry_out_here, compare, refusal, refused, run
 
 from recon import FitSettings, InputError, find_clips, fit_clip, plan_batch, run_batch
 from recon.base import parallel
-from recon.base.files import sole_writer
+from recon.base.locks import sole_writer
+from recon.base.outputs import Output
 from recon.base.parallel import Event, outcome_of
 from recon.base.progress import silent
 from recon.io.calibration import read_cameras
 from recon.workflows.analyse import AnalyseSettings, analyse_command
 from recon.workflows.batch import COLUMNS, RECORD, Summary, fit_planned, input_problems, read_rows
 from recon.workflows.batch.inputs import Clip, is_manifest
-from recon.workflows.clip_results import Record, run_clip
+from recon.workflows.clip_results import Record, output_of, run_clip
 
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"
 CAMERA = SAMPLES / "camera.toml"
@@ -485,7 +486,8 @@ def test_a_camera_more_or_less_is_the_same_clip_again(tmp_path):
     both, _ = find_clips([tmp_path / "clips"], TWO)
     (planned,) = plan_batch(both, out)
     planned.out.mkdir(parents=True)
-    (planned.out / "pose3d.csv").write_text("results")
+    with output_of(planned.clip.settings, planned.out, overwrite=True).staged() as folder:
+        (folder / "pose3d.csv").write_text("results")
     record = Record(out / RECORD)
     begun = {"identity": planned.identity, "keypoints": planned.clip.settings.keypoints_from(out)}
     record.note("walk", **begun)
@@ -604,7 +606,7 @@ def test_results_of_others_are_left_alone(clips, tmp_path):
 
 
 def test_what_comes_after_the_fit_does_not_have_it_made_again(clips, tmp_path):
-    """But results that are not as they were written do."""
+    """But results that are missing do; those that somebody changed are not touched."""
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
     analyse_command(AnalyseSettings(folder=out / "a", figures=False))
@@ -613,6 +615,10 @@ def test_what_comes_after_the_fit_does_not_have_it_made_again(clips, tmp_path):
     assert planned.action == "done"
     table = (out / "a" / "pose3d.csv").read_bytes()
     (out / "a" / "pose3d.csv").write_bytes(table.replace(b"1", b"2", 1))  # of the same size
+    for overwrite in (False, True):
+        with refusal((out / "a" / "pose3d.csv", "file", "did not write, or that was changed since", "moved away")):
+            plan_batch(found(clips / "a.csv"), out, overwrite)
+    (out / "a" / "pose3d.csv").unlink()
     assert fit(found(clips / "a.csv"), out) == [("refit", "not complete")]
     assert (out / "a" / "pose3d.csv").read_bytes() == table
 
@@ -824,13 +830,15 @@ def test_what_failed_is_done_again_beside_what_is_done(clips, tmp_path):
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
     speed = str(Record(out / RECORD).rows["a"]["row"]["peak_speed_m_s"])
-    (out / "b").mkdir()
-    (out / "b" / "crash.log").write_text("the worker was killed")
+    Output(out / "b", "batch").write("crash.log", "the worker was killed")
+    Output(out / "a", "batch").write("crash.log", "of a user")
+    (out / "a" / "crash.log").write_text("mine")
     assert fit(found(clips / "[ab].csv"), out) == [("done", ""), ("new", "")]
     rows = table(out)
     assert (rows["a"]["status"], rows["a"]["attempts"], rows["b"]["status"]) == ("done earlier", "0", "done")
     assert rows["a"]["peak_speed_m_s"] == speed
     assert not (out / "b" / "crash.log").exists()
+    assert (out / "a" / "crash.log").read_text() == "mine"
 
 
 # ---- the command ----

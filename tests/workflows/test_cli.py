@@ -26,6 +26,7 @@ import recon.workflows.cli
 from recon import FitSettings, Motion, evaluate_files, read_settings
 from recon.animal.body import MIN_JOINTS
 from recon.base.arrays import to_plain
+from recon.base.outputs import RECORD, Output
 from recon.check.verdict import verdict_lines
 from recon.io.formats import read_keypoints
 from recon.workflows.cli import error_text, say, table_of, terminal
@@ -157,7 +158,7 @@ def test_fit_writes_every_output(fitted):
     out, ended = fitted
     assert ended.code == 0
     assert ended.err == ""
-    assert sorted(path.name for path in out.iterdir()) == sorted(OUTPUT_FILES)
+    assert sorted(path.name for path in out.iterdir()) == sorted([*OUTPUT_FILES, RECORD])
     assert all(path.stat().st_size for path in out.iterdir())
     assert "30 of 30 converged" in ended.out
     assert f"recon view {out}" in ended.out
@@ -314,7 +315,7 @@ def test_brackets_in_names_are_printed_as_they_are(tmp_path):
 def test_trajectory_writes_every_output(whole):
     out, ended = whole
     assert (ended.code, ended.err) == (0, "")
-    assert sorted(path.name for path in out.iterdir()) == sorted(OUTPUT_FILES)
+    assert sorted(path.name for path in out.iterdir()) == sorted([*OUTPUT_FILES, RECORD])
     assert all(path.stat().st_size for path in out.iterdir())
     assert "30 of 30 with a pose" in ended.out
     assert ended.out.startswith("verdict     use: ")
@@ -610,9 +611,13 @@ def test_out_is_a_file(tmp_path, below):
 def test_results_are_not_replaced_unasked(tmp_path):
     (tmp_path / "angles.csv").write_text("mine")
     # Said at once, before any other file is looked at.
-    there = ("--out", "folder", f"angles.csv in {tmp_path}", "--overwrite")
-    refused(fit_args(tmp_path, keypoints=tmp_path / "no.csv"), there)
-    assert files(tmp_path) == {"angles.csv": b"mine"}
+    there = (tmp_path / "angles.csv", "file", "did not write, or that was changed since", "another --out")
+    for more in ((), ("--overwrite",)):
+        refused(fit_args(tmp_path, *more, keypoints=tmp_path / "no.csv"), there)
+        assert files(tmp_path) == {"angles.csv": b"mine"}
+    write_old(tmp_path / "earlier")
+    named = f"pose3d.csv and 10 more in {tmp_path / 'earlier'}"
+    refused(fit_args(tmp_path / "earlier", keypoints=tmp_path / "no.csv"), ("--out", "folder", named, "--overwrite"))
 
 
 @pytest.mark.parametrize(
@@ -658,7 +663,7 @@ def test_exit_code_1_when_no_pose_can_be_found(tmp_path):
     ended = run(*whole_args(out, keypoints=clip))
     assert ended.code == 1
     assert says(ended.err, "error: no frame", out / "report.json")
-    assert sorted(path.name for path in out.iterdir()) == sorted(OUTPUT_FILES)
+    assert sorted(path.name for path in out.iterdir()) == sorted([*OUTPUT_FILES, RECORD])
     assert "0 of 30 with a pose" in ended.out
     assert "4 of the skeleton's 24 used; missing: nose, " in ended.out
     used = sum(row["used"] or 0 for row in report_of(out)["keypoints"])
@@ -676,7 +681,7 @@ def test_exit_code_1_when_no_frame_can_be_solved(tmp_path):
     ended = run(*fit_args(out, keypoints=clip))
     assert ended.code == 1
     assert says(ended.err, "error: no frame", out / "report.json")
-    assert sorted(path.name for path in out.iterdir()) == sorted(OUTPUT_FILES)
+    assert sorted(path.name for path in out.iterdir()) == sorted([*OUTPUT_FILES, RECORD])
     report = report_of(out)
     assert report["summary"]["frames_no_data"] == 30
     assert "0 of 30 converged" in ended.out
@@ -687,18 +692,25 @@ def test_exit_code_1_when_no_frame_can_be_solved(tmp_path):
 # ---- overwriting, and runs that are cut short ----
 
 
+def write_old(out: Path) -> None:
+    """Write files into a folder as an earlier fit would have."""
+    with Output(out, "fit", has_manifest=True).staged() as folder:
+        for name in OUTPUT_FILES:
+            if name != "manifest.json":
+                (folder / name).write_text("old")
+
+
 def test_a_config_repeats_the_run_bit_for_bit_and_overwrite_keeps_other_files(fitted, tmp_path, monkeypatch):
     out, _ = fitted
     monkeypatch.chdir(tmp_path)
-    for name in OUTPUT_FILES:
-        (tmp_path / name).write_text("old")
+    write_old(tmp_path)
     (tmp_path / "notes.txt").write_text("mine")
-    stale = tmp_path / ".recon-partial-abc"
-    stale.mkdir()
+    stale = tmp_path / ".recon-partial-abc" / "new"
+    stale.mkdir(parents=True)
     (stale / "pose3d.csv").write_text("half")
     assert run("fit", "--config", out / "config.toml", "--out", ".", "--overwrite").code == 0
     # Nothing of the other method's results stays behind.
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted((*OUTPUT_FILES, "notes.txt"))
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*OUTPUT_FILES, RECORD, "notes.txt"])
     assert (tmp_path / "notes.txt").read_text() == "mine"
     for name in ("pose3d.csv", "angles.csv", "reprojection.csv"):
         assert (tmp_path / name).read_bytes() == (out / name).read_bytes(), name
@@ -728,17 +740,17 @@ def test_killed_run_leaves_no_output_and_the_next_works(tmp_path):
     assert run_process(*args, before=KILLED_APPROACHING).code == -signal.SIGKILL
     assert [path.name for path in out.iterdir()] == [".recon-writing"]
     assert run(*args).code == 0
-    assert sorted(path.name for path in out.iterdir()) == sorted(OUTPUT_FILES)
+    assert sorted(path.name for path in out.iterdir()) == sorted([*OUTPUT_FILES, RECORD])
 
 
 @needs_sigkill
 def test_killed_overwriting_leaves_the_earlier_results(tmp_path):
-    for name in OUTPUT_FILES:
-        (tmp_path / name).write_text("old")
+    write_old(tmp_path)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     args = whole_args(tmp_path, "--frames", ":6", "--overwrite")
     assert run_process(*args, before=KILLED_WRITING).code == -signal.SIGKILL
-    assert {(tmp_path / name).read_text() for name in OUTPUT_FILES} == {"old"}
-    *_, partial, writing = sorted({path.name for path in tmp_path.iterdir()} - {*OUTPUT_FILES}, key=len, reverse=True)
+    assert {name: (tmp_path / name).read_bytes() for name in before} == before
+    *_, partial, writing = sorted({path.name for path in tmp_path.iterdir()} - {*before}, key=len, reverse=True)
     assert (partial[:15], writing) == (".recon-partial-", ".recon-writing")
 
 
@@ -814,7 +826,7 @@ def test_demo(tmp_path):
     ended = run("demo", "--out", tmp_path / "demo")
     assert (ended.code, ended.err) == (0, "")
     names = sorted(path.name for path in (tmp_path / "demo").iterdir())
-    assert names == sorted([*OUTPUT_FILES, "report.html"])
+    assert names == sorted([*OUTPUT_FILES, RECORD, "report.html"])
     assert says(" ".join(ended.out.split()), f"Open {tmp_path / 'demo' / 'report.html'}")
     assert "Gait: transverse gallop" in ended.out
     error_mm = 1000 * evaluate_files(tmp_path / "demo" / "pose3d.csv", SAMPLES / "whole_truth.csv").mpjpe_m.mean

@@ -11,6 +11,7 @@ from command_line import compare, refusal, says
 
 from recon import FitSettings, InputError, fit_clip, samples_folder, write_clip
 from recon.base.files import read_manifest
+from recon.base.outputs import RECORD
 from recon.clip import still_view
 from recon.io.calibration import read_camera
 from recon.io.deeplabcut import write_csv
@@ -113,7 +114,7 @@ def test_a_chain_is_fitted_and_written(tmp_path, skeleton: str, method: str):
     settings = sample(skeleton=skeleton, method=method)
     motion = fit_clip(settings)
     report = write_clip(motion, settings, tmp_path / "out")
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted(OUTPUT_FILES)
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted([*OUTPUT_FILES, RECORD])
     assert report["summary"]["frames"] == 6
     assert report["method"] == method
     assert motion.solved.sum() >= 3
@@ -128,7 +129,7 @@ def test_a_whole_animal_is_fitted_and_written(tmp_path, subject):
     settings = sample(skeleton="cheetah-24", subject=subject)
     motion = fit_clip(settings)
     report = write_clip(motion, settings, tmp_path / "out")
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted(OUTPUT_FILES)
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted([*OUTPUT_FILES, RECORD])
     assert (motion.side, motion.body.one_sided) == (None, False)
     said = "not measured: all metres and m/s assume average size" if subject is None else "as given (jules)"
     assert says(dict(report["lines"])["size"], said)
@@ -149,7 +150,7 @@ def test_the_other_methods_results_are_replaced_as_a_whole(tmp_path):
     for method in ("trajectory", "frame"):
         settings = sample(method=method, frames="0:4")
         write_clip(fit_clip(settings), settings, tmp_path)
-        assert sorted(p.name for p in tmp_path.iterdir()) == sorted(OUTPUT_FILES)
+        assert sorted(p.name for p in tmp_path.iterdir()) == sorted([*OUTPUT_FILES, RECORD])
 
 
 def test_a_whole_animal_is_nothing_for_the_frame_method_and_has_no_side():
@@ -217,11 +218,11 @@ def test_a_run_with_fewer_cameras_leaves_no_tables_of_others(two_cameras, world_
     settings, out = sample(), tmp_path / "out"
     write_clip(two_cameras, settings, out)
     of_cameras = {"reprojection_cam1.csv", "reprojection_cam2.csv"}
-    assert {p.name for p in out.iterdir()} == {*OUTPUT_FILES} - {"reprojection.csv"} | of_cameras
+    assert {p.name for p in out.iterdir()} == {*OUTPUT_FILES, RECORD} - {"reprojection.csv"} | of_cameras
     assert of_cameras < read_manifest(out).files.keys()
     (out / "manifest.json").unlink()
     write_clip(world_trajectory, settings, out)
-    assert {p.name for p in out.iterdir()} == {*OUTPUT_FILES}
+    assert {p.name for p in out.iterdir()} == {*OUTPUT_FILES, RECORD}
     write_clip(two_cameras, settings, out)
     assert not (out / "reprojection.csv").exists()
 
@@ -229,7 +230,7 @@ def test_a_run_with_fewer_cameras_leaves_no_tables_of_others(two_cameras, world_
 def test_tables_of_cameras_are_results(two_cameras, tmp_path):
     write_clip(two_cameras, sample(), tmp_path)
     for path in tmp_path.iterdir():
-        if not path.name.startswith("reprojection_"):
+        if not path.name.startswith(("reprojection_", RECORD)):
             path.unlink()
     with refusal(("--out", "folder", ["reprojection_cam1.csv", "1 more", tmp_path], "--overwrite")):
         run_clip(sample(), tmp_path)

@@ -144,4 +144,5 @@ def test_what_cannot_be_compared_is_refused(clips: Path, tmp_path: Path, whole_m
     refuses([clips], ("--out", "folder", ["groups.csv", out], "--overwrite"))
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "clips.parquet").write_text("of somebody else")
-    refused(["compare", clips, "--out", tmp_path / "mine"], ("--out", "folder", "clips.parquet", "--overwrite"))
+    foreign = (tmp_path / "mine" / "clips.parquet", "file", "`recon compare` did not write", "moved away")
+    refused(["compare", clips, "--out", tmp_path / "mine"], foreign)

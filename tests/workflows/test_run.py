@@ -16,11 +16,11 @@ from command_line import carry_out_here, refusal, refused, run, says
 
 import recon.workflows.run as module
 from recon import FitSettings, Keypoints, read_keypoints, write_clip
-from recon.base.files import staged_results
+from recon.base.outputs import Output
 from recon.io.video import video_writer
 from recon.keypoint_net.network import PredictSettings
 from recon.workflows.cli import Answer
-from recon.workflows.clip_results import output_files
+from recon.workflows.clip_results import output_of
 from recon.workflows.run import _Job, _RunSettings, job_of, jobs_of, keypoints_of, run_folder, run_video
 
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"
@@ -50,8 +50,8 @@ def called(monkeypatch, report, small_trajectory) -> list[str]:
     numbers = count()
 
     def write(path: Path, name: str) -> Path:
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(f"{name} {len(names)}")
+        kind = {"page": "report", "track": "camera-motion"}.get(name, name)
+        Output(path.parent, kind, overwrite=True).write(path.name, f"{name} {len(names)}")
         return path
 
     def does(name: str, file: str, notes: Sequence[str] = ()):
@@ -61,26 +61,27 @@ def called(monkeypatch, report, small_trajectory) -> list[str]:
 
         return work
 
-    def predict(video: Path, model: Path, out: Path, *, progress, **options) -> Keypoints:
+    def predict(video: Path, model: Path, out: Path, *, progress, output, **options) -> Keypoints:
         PredictSettings(video=video, model=model, out=out, **options)
         names.append("detect")
-        shutil.copy(SAMPLES / "whole.csv", out)
+        with output.staged(adds=True) as folder:
+            shutil.copy(SAMPLES / "whole.csv", folder / out.name)
         return read_keypoints(out)
 
-    def track(settings, progress):
+    def track(settings, output, progress):
         names.append("camera-motion")
         return Answer({}, files=(write(settings.out, "track"),))
 
     def write_results(out: Path, settings, progress) -> dict:
         names.append("fit")
-        with staged_results(out, output_files(out)) as folder:
+        with output_of(settings, out, overwrite=True).staged() as folder:
             replace(small_trajectory, timing_s={"solve_s": 0.1}).save(folder)
             (folder / "report.json").write_text(report, encoding="utf-8")
             (folder / "pose3d.csv").write_text(f"poses {next(numbers)}")
         return json.loads(report)
 
     monkeypatch.setattr("recon.keypoint_net.network.run_prediction", predict)
-    monkeypatch.setattr("recon.workflows.run.camera_motion", track)
+    monkeypatch.setattr("recon.workflows.run.run_camera_motion", track)
     monkeypatch.setattr("recon.workflows.run._check_inputs", lambda job: None)
     monkeypatch.setattr("recon.workflows.run.fit_into", write_results)
     monkeypatch.setattr("recon.workflows.run.analyse_command", does("analyse", "analysis/analysis.json"))
@@ -128,7 +129,7 @@ def test_nothing_is_done_twice(film, called):
     assert done(job(film, first_frame=3, start="analyse"), called) == ["analyse", "overlay", "page"]
     (film.parent / "points.csv").write_text((SAMPLES / "whole_cam1.csv").read_text())
     assert done(job(film, first_frame=3), called) == ALL
-    (film.parent / "out" / "report.html").write_text("of recon report")
+    Output(film.parent / "out", "report", overwrite=True).write("report.html", "of recon report")
     assert done(job(film, first_frame=3), called) == ["page"]
     (film.parent / "out" / "overlay.mp4").unlink()
     assert done(job(film, first_frame=3), called) == ["overlay"]
@@ -185,25 +186,37 @@ def test_a_stage_that_was_interrupted_is_done_again(film, called, monkeypatch):
     assert done(job(film), called) == ["overlay", "page"]
 
 
-def test_files_of_others_are_not_replaced(film, called):
+def test_files_of_a_user_s_are_not_replaced(film, called):
     out = film.parent / "out"
     out.mkdir()
-    (out / "pose3d.csv").write_text("mine")
-    with refusal((out / "pose3d.csv", "file", "not made", "--overwrite")):
-        run_video(job(film))
-    assert (called, (out / "pose3d.csv").read_text()) == ([], "mine")
-    for name in ("angles.csv", "report.json"):
+    names = ("pose3d.csv", "report.html", "overlay.mp4", "analysis")
+    for name in names[:3]:
         (out / name).write_text("mine")
-    with refusal((out / "pose3d.csv", "file", ["not made", "2 more"], "--overwrite")):
+        for more in ({}, {"overwrite": True}, {"start": "fit"}):
+            with refusal((out / name, "file", "did not write, or that was changed", "moved away")):
+                run_video(job(film, **more))
+        assert (called, (out / name).read_text()) == ([], "mine")
+        (out / name).unlink()
+    assert done(job(film), called) == ALL
+    for name in ("pose3d.csv", "report.html", "analysis/analysis.json"):
+        before = (out / name).read_text()
+        (out / name).write_text("corrected by hand")
+        for more in ({}, {"overwrite": True}, {"start": "fit"}):
+            called.clear()
+            with refusal((out / name, "file", "did not write, or that was changed", "moved away")):
+                run_video(job(film, **more))
+            assert (called, (out / name).read_text()) == ([], "corrected by hand")
+        (out / name).write_text(before)
+    assert done(job(film), called) == []
+
+
+def test_results_of_another_command_are_replaced_only_if_asked_for(film, called, small_trajectory):
+    out = film.parent / "out"
+    write_clip(small_trajectory, job(film).fit, out)
+    with refusal((out / "pose3d.csv", "file", ["not made", "more"], "--overwrite")):
         run_video(job(film))
     assert done(job(film, overwrite=True), called) == ALL
-    (out / "pose3d.csv").write_text("corrected by hand")
-    (out / "report.json").unlink()
-    with refusal((out / "pose3d.csv", "file", "other than", "--from fit")):
-        run_video(job(film))
-    assert done(job(film, start="fit"), called) == ALL
-    (out / "pose3d.csv").write_text("corrected by hand")
-    assert done(job(film, overwrite=True), called) == ALL
+    assert not (out / "angles.csv").exists()
 
 
 def test_without_a_pose_there_is_a_page_and_no_more(film, called, report, monkeypatch):
@@ -212,7 +225,7 @@ def test_without_a_pose_there_is_a_page_and_no_more(film, called, report, monkey
     nothing["unsolved"] = True
 
     def write(out: Path, settings, progress) -> dict:
-        with staged_results(out, output_files(out)) as folder:
+        with output_of(settings, out, overwrite=True).staged() as folder:
             (folder / "report.json").write_text(json.dumps(nothing))
         return nothing
 
@@ -300,7 +313,11 @@ def test_the_stages_are_those_of_the_commands(tmp_path, monkeypatch):
     assert [*dict(shares)] == ALL
     assert shares == sorted(shares, key=lambda pair: pair[1])
     written = {path.relative_to(job.run.out).as_posix() for path in job.run.out.rglob("*") if path.is_file()}
-    assert written == {name for stage in stages for name in stage.files} | {"run.jsonl"}
+    assert written == {name for stage in stages for name in stage.files} | {
+        "run.jsonl",
+        ".recon.json",
+        "analysis/.recon.json",
+    }
     assert "rendered.mp4 ['overlay.mp4', 'analysis/analysis.json'," in (job.run.out / "report.html").read_text()
     assert all(stage.status != "done" for stage in run_video(job)[0])
 

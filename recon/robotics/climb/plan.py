@@ -43,8 +43,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from recon.base.arrays import Array, Bools, Integers
 from recon.base.documents import FileTable, read_toml, validated
 from recon.base.errors import InputError, Problem, collect_problems
-from recon.base.files import name_seen_from, require_free_folder, sole_writer, staged_results
-from recon.base.settings import Number, Option, Settings
+from recon.base.files import MANIFEST, name_seen_from
+from recon.base.locks import sole_writer
+from recon.base.outputs import Output
+from recon.base.settings import Number, Option, Settings, input_paths
 from recon.geometry.frames import rigid
 from recon.io.writing import write_rows
 from recon.robotics.physics import Rule, margins_figure
@@ -496,14 +498,13 @@ def climb(settings: _ClimbSettings) -> Answer:
     Exit code 0: valid in every frame. 1: it is not, and all is written. 2: the input cannot be used.
     """
     out = settings.out
-    recipe, _ = collect_problems(
-        lambda: load_recipe(settings.recipe), lambda: require_free_folder(out, (REPORT,), settings.overwrite)
-    )
+    output = Output(out, "climb", settings.overwrite, input_paths(settings), has_manifest=True, mark=PLAYBACK)
+    recipe, _ = collect_problems(lambda: load_recipe(settings.recipe), lambda: output.require(FILES))
     done = plan(load_robot(recipe.robot), recipe if settings.height is None else raised(recipe, settings.height))
     report = _report(done, settings)
     with sole_writer(out):
-        require_free_folder(out, (REPORT,), settings.overwrite)
-        with staged_results(out) as staging:
+        output.require(FILES)
+        with output.staged() as staging:
             _write(done, report, staging)
             if settings.figures:
                 save(climb_footfalls(done), staging, "footfalls")
@@ -523,12 +524,14 @@ def _climb_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
     yield "valid in every frame" if report["valid"] else f"not valid: {'; '.join(report['problems'])}"
     if report["settled_share"] < 1:
         yield f"note: in equilibrium in {100 * report['settled_share']:.0f} % of the frames only"
-    yield f"The playback is {out / 'climb.rrd'}."
+    yield f"The playback is {out / PLAYBACK}."
 
 
 # -- what the command runs ---------------------------------------------------------------------------------------------
 
-REPORT = "report.json"
+REPORT, PLAYBACK = "report.json", "climb.rrd"
+FILES = ("joints.csv", "base.csv", "feet.csv", "margins.csv", REPORT, PLAYBACK, MANIFEST)
+"""What every climb gets, besides figures."""
 _COLUMNS = 4
 
 
@@ -578,7 +581,7 @@ def _write(climb: Climb, report: dict[str, Any], folder: Path) -> None:
     ]
     write_robot(
         climb.motion,
-        folder / "climb.rrd",
+        folder / PLAYBACK,
         step=(climb.recipe.step.edge_m, climb.recipe.step.height_m),
         more=curves,
         title=_title(climb),

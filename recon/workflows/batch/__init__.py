@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
+import os
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -27,7 +28,9 @@ from threadpoolctl import threadpool_limits
 from recon.base.arrays import Brief
 from recon.base.documents import validated
 from recon.base.errors import InputError, Problem, collect_problems, problems_of, raise_problems
-from recon.base.files import MANIFEST, require_free_folder, seen_from, sole_writer, staged_file, write_text
+from recon.base.files import MANIFEST, seen_from
+from recon.base.locks import sole_writer
+from recon.base.outputs import Output
 from recon.base.package import version
 from recon.base.parallel import STARTING, Event, Tell, carry_out, carry_out_on_cluster
 from recon.base.progress import Progress
@@ -37,15 +40,26 @@ from recon.check.verdict import NOTHING_AGAINST
 from recon.fit.result import LEVELS
 from recon.io.common import text_rows
 from recon.show.console import STYLES
-from recon.show.page.own_page import SUMMARY_PAGE, require_own_page
+from recon.show.page.own_page import SUMMARY_PAGE
 from recon.show.report import is_unsolved, warnings
 from recon.workflows.batch.inputs import SUMMARY, Clip
 from recon.workflows.batch.inputs import find_clips as find_clips
 from recon.workflows.cli import Answer, OptionsOf, counted, progress_bar, say, stop, table_of, terminal
 from recon.workflows.clip import Unknown, prepare, read_model_and_cameras
-from recon.workflows.clip_results import Record, beside, digests, fit_into, identity, output_files
+from recon.workflows.clip_results import (
+    Record,
+    beside,
+    digests,
+    fit_into,
+    identity,
+    output_files,
+    output_of,
+    require_same_inputs,
+)
 from recon.workflows.settings import OF_ANY_CLIP, FitSettings
 
+BATCH = "batch"
+"""The kind of a batch's own files."""
 RECORD, CRASH_LOG = "batch.jsonl", "crash.log"
 Problems = tuple[Problem, ...]
 RESULTS = (
@@ -94,18 +108,20 @@ def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> lis
 
     Results of the same input files, settings and version are done. Those that a batch made of the same keypoints, or of
     some of the clip's cameras, with other settings are made again. Raises InputError for folders with any other
-    results, unless they may be overwritten.
+    results, unless they may be overwritten; and, in any case, for files that no fit wrote or that were changed since.
     """
-    require_free_folder(out, (), overwrite=True)
+    summary_output(out).require((SUMMARY, SUMMARY_PAGE))
     record = Record(out / RECORD)
     return collect_problems(*(partial(_planned, clip, out / clip.name, record, overwrite) for clip in clips))
 
 
 def _planned(clip: Clip, out: Path, record: Record, overwrite: bool) -> ClipPlan:
     mine, row = identity(clip.settings), record.rows.get(clip.name)
-    if not any((out / name).exists() for name in output_files(out)):
+    names, output = output_files(clip.settings, out), output_of(clip.settings, out, overwrite=True)
+    if not any(os.path.lexists(out / name) for name in names):
         return ClipPlan(clip, out, "new", "", mine)
     if overwrite:
+        output.require(names)
         return ClipPlan(clip, out, "refit", "--overwrite", mine)
     expected = "a folder without results, or of an earlier batch of this clip; or --overwrite"
     why, changed = record.look(clip.name, mine, out)
@@ -115,6 +131,7 @@ def _planned(clip: Clip, out: Path, record: Record, overwrite: bool) -> ClipPlan
     if not {*before} & {*map(str, clip.settings.keypoints)} and not _keypoints(row["identity"]) & _keypoints(mine):
         raise InputError(Problem(out, "folder", f"results of {', '.join(before)}", expected))
     if why or "row" not in row:
+        output.require(names)
         return ClipPlan(clip, out, "refit", why, mine)
     validated(_Row, {"clip": clip.name, **row["row"]}, f"{record.path}, row of {clip.name}")
     return ClipPlan(clip, out, "done", "", mine, row["row"])
@@ -182,21 +199,21 @@ def run_batch(
     def note(event: Event, summary: Summary) -> None:
         planned, outcome = todo[event.name], event.outcome
         keypoints = planned.clip.settings.keypoints_from(out)
-        log = planned.out / CRASH_LOG
+        log = Output(planned.out, BATCH, overwrite=True)
         if event.stage == STARTING:
             record.note(event.name, planned.identity, keypoints=keypoints)
         elif event.kind == "ended" and outcome["status"] != "failed":
-            log.unlink(missing_ok=True)
+            with suppress(OSError, InputError):
+                log.remove(CRASH_LOG)
             row = {name: outcome[name] for name in COLUMNS if name in outcome and name != "attempts"}
-            record.note(event.name, planned.identity, keypoints=keypoints, files=outcome["files"], row=row)
+            record.note(event.name, outcome["identity"], keypoints=keypoints, files=outcome["files"], row=row)
         elif "log" in outcome:
-            with suppress(OSError):
-                planned.out.mkdir(parents=True, exist_ok=True)
-                log.write_text(f"{outcome['error']}\n\n{outcome['log']}", encoding="utf-8")
+            with suppress(OSError, InputError):
+                log.write(CRASH_LOG, f"{outcome['error']}\n\n{outcome['log']}")
         on_event(event, summary)
 
     with sole_writer(out):
-        require_own_page(out / SUMMARY_PAGE)
+        summary_output(out).require((SUMMARY, SUMMARY_PAGE))
         record = Record(out / RECORD)
         record.tidy()
         tasks = [(name, replace(planned, out=planned.out.absolute())) for name, planned in todo.items()]
@@ -225,15 +242,22 @@ def work_off(plan: Sequence[ClipPlan], out: Path, run: Callable[[Tell], None], o
 
 
 def fit_planned(planned: ClipPlan, progress: Progress) -> dict[str, Any]:
-    """Fit and write one clip, in a process that does nothing else meanwhile: columns of its summary, and the digest of
-    its manifest."""
+    """Fit and write one clip, in a process that does nothing else meanwhile.
+
+    Returns columns of its summary, the digest of its manifest, and what its results follow from: its files may be
+    others than when the batch was planned.
+    """
     here, there = version(), planned.identity["version"]
     if here != there:
         return {"status": "failed", "error": f"recon {here} on the worker, {there} where the batch runs"}
     with sole_writer(planned.out, DYING_S), threadpool_limits(1):
-        report = fit_into(planned.out, planned.clip.settings, progress, planned.identity["inputs"])
+        known = identity(planned.clip.settings)
+        report = fit_into(planned.out, planned.clip.settings, progress)
+        require_same_inputs(planned.clip.settings, known["inputs"])
         files = digests([planned.out / MANIFEST], planned.out)
-    return {"status": "unsolved" if is_unsolved(report) else "done", **results_of(report), "files": files}
+    status = "unsolved" if is_unsolved(report) else "done"
+    made_from = {"identity": known, "inputs_hash": _hash(known["inputs"])}
+    return {"status": status, **results_of(report), "files": files, **made_from}
 
 
 # -- what became of the clips -----------------------------------------------------------------------------------------
@@ -262,11 +286,17 @@ def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+def summary_output(out: Path) -> Output:
+    """Return what a batch may write into its own folder: summary.csv and its page, made anew as clips finish."""
+    return Output(out, BATCH, overwrite=True)
+
+
 class Summary:
     """The rows of a batch, by clip, and their file. What was done earlier has its row already."""
 
     def __init__(self, plan: Sequence[ClipPlan], out: Path) -> None:
         self.path = out / SUMMARY
+        self._output = summary_output(out)
         self.rows: dict[str, dict[str, Any]] = {planned.clip.name: _row(planned, out) for planned in plan}
         self._written_s = -WRITE_EVERY_S
 
@@ -291,7 +321,7 @@ class Summary:
         return {level: count[level] for level in LEVELS if count[level]}
 
     def write(self) -> None:
-        with staged_file(self.path) as staged, staged.open("w", encoding="utf-8", newline="") as f:
+        with self._output.staged(adds=True) as folder, (folder / SUMMARY).open("w", encoding="utf-8", newline="") as f:
             writer = csv.DictWriter(f, COLUMNS, lineterminator="\n")
             writer.writeheader()
             rank = {level: number for number, level in enumerate(LEVELS)}
@@ -304,10 +334,8 @@ def write_summary_page(out: Path) -> Path:
     """summary.html, of what summary.csv in the folder says. Raises InputError for another file in its place."""
     from recon.show.page.pages import batch_page  # needs matplotlib, which the processes that fit do not
 
-    page = out / SUMMARY_PAGE
-    require_own_page(page)
-    write_text(page, batch_page(out, read_rows(out / SUMMARY)))
-    return page
+    summary_output(out).write(SUMMARY_PAGE, batch_page(out, read_rows(out / SUMMARY)))
+    return out / SUMMARY_PAGE
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
@@ -331,9 +359,13 @@ def _row(planned: ClipPlan, out: Path) -> dict[str, Any]:
         "attempts": 0,
     }
     for name, part in (("settings", [known["settings"], known["version"]]), ("inputs", known["inputs"])):
-        row[f"{name}_hash"] = hashlib.sha256(json.dumps(part, sort_keys=True).encode()).hexdigest()[:16]
+        row[f"{name}_hash"] = _hash(part)
     earlier = dict(planned.row or {})
     return row | earlier | ({"status": "done earlier"} if earlier.get("status") == "done" else {})
+
+
+def _hash(content: Any) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
 # -- the command ------------------------------------------------------------------------------------------------------
@@ -369,7 +401,7 @@ class _BatchSettings(Settings):
     retries: Annotated[Annotated[Integer, Field(ge=0)], Option(panel=_WORK)] = 1
     """Tries more where a worker died."""
     overwrite: Annotated[bool, Option(panel=_WORK)] = False
-    """Fit everything again, and replace any results."""
+    """Fit everything again, and replace results of other fits that nobody changed."""
     dry_run: Annotated[bool, Option(panel=_WORK)] = False
     """Only look: what would be done, and what inputs lack."""
     strict: Annotated[bool, Option(panel=_WORK)] = False

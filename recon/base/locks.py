@@ -1,0 +1,210 @@
+"""One process at a time where two would write the same."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import stat
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from recon.base.errors import InputError, Problem
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def _lock(file: int) -> None:
+        msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
+
+else:
+    import fcntl
+
+    def _lock(file: int) -> None:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+WRITING = ".recon-writing"
+"""The file that the only writer of a folder holds locked."""
+COMMITTING = ".recon-commit"
+"""The file that a process holds locked while it moves new files into a folder."""
+COMMIT_WAIT_S = 30.0
+_POLL_S = 0.05
+_OWN_CONTENT = re.compile(rb"\d{0,19}\n?")
+"""What a lock file may hold: the number of its process."""
+_NO_LINKS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+
+
+def is_locked_here(file: int) -> bool | None:
+    """Lock an open file: True if this process has the lock now.
+
+    False: another process has it. None: the file system has no locks.
+    """
+    try:
+        _lock(file)
+    except OSError as error:
+        return False if error.errno in (errno.EAGAIN, errno.EACCES, errno.EDEADLK) else None
+    return True
+
+
+@contextmanager
+def sole_writer(folder: str | Path, wait_s: float = 0.0) -> Iterator[None]:
+    """Keep other processes out of blocks like this for the same folder, which is made if need be.
+
+    A process that dies lets go of the folder.
+
+    Raises
+    ------
+    InputError
+        Another process is in such a block after wait_s, or the lock file is not one of recon's.
+    """
+    require_usable(Path(folder))
+    with gone_if_empty(Path(folder)), _exclusive(Path(folder) / WRITING, wait_s):
+        yield
+
+
+@contextmanager
+def committing(folder: Path) -> Iterator[None]:
+    """Keep other processes from moving files into or out of the folder for the moment that the block takes."""
+    with _exclusive(folder / COMMITTING, COMMIT_WAIT_S):
+        yield
+
+
+@contextmanager
+def gone_if_empty(folder: Path) -> Iterator[None]:
+    """Remove a folder that was made in the block, and its parents, if nothing is in them at the end."""
+    made = [p for p in (folder, *folder.parents) if not p.exists()]
+    try:
+        yield
+    finally:
+        for path in made:
+            with suppress(OSError):  # it was not made after all, or there is something in it
+                path.rmdir()
+
+
+@contextmanager
+def _exclusive(path: Path, wait_s: float) -> Iterator[None]:
+    lock = _locked_file(path, time.monotonic() + wait_s)
+    try:
+        yield
+    finally:
+        if sys.platform == "win32":
+            os.close(lock)
+        with suppress(OSError):  # another user's, in a folder that protects it
+            path.unlink(missing_ok=True)
+        if sys.platform != "win32":
+            os.close(lock)
+
+
+def _locked_file(path: Path, until_s: float) -> int:
+    """Return the descriptor of the locked file."""
+    while True:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            lock, is_writable = _open(path)
+        except FileNotFoundError:
+            continue  # the process that had made the folder, or the file, has just removed it
+        owner = ""
+        try:
+            is_free = is_locked_here(lock)
+            if is_free is None and not is_writable:
+                raise _not_usable(path)
+            with suppress(FileNotFoundError):  # the process that had it before removes it
+                if is_free is not False and os.path.samestat(os.fstat(lock), os.lstat(path)):
+                    if is_writable:
+                        with suppress(OSError):  # a full disk holds no number
+                            os.truncate(lock, 0)
+                            os.write(lock, f"{os.getpid()}\n".encode())
+                    return lock
+            with suppress(OSError):  # where a lock keeps it from being read
+                owner = os.read(lock, 20).decode("ascii", "replace").strip()
+        except BaseException:
+            os.close(lock)
+            raise
+        os.close(lock)
+        if is_free is False and time.monotonic() >= until_s:
+            found = f"another process{f' ({owner})' if owner else ''}, which is writing to it"
+            expected = "one at a time: wait until it has ended, or choose another folder"
+            raise InputError(Problem(path.parent, "folder", found, expected))
+        time.sleep(_POLL_S if is_free is False else 0.0)
+
+
+def _open(path: Path) -> tuple[int, bool]:
+    """Open a new lock file, or one that another run left; and whether its content may be written.
+
+    Links are not followed, and nothing is written to a file that may be a user's.
+    """
+    try:
+        return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | _NO_LINKS, 0o666), True
+    except FileExistsError:
+        pass
+    except OSError as error:
+        error.filename = str(path.parent)  # the file itself says nothing to a user
+        raise
+    if path.is_symlink():
+        raise _not_usable(path)
+    is_writable = True
+    try:
+        lock = os.open(path, os.O_RDWR | _NO_LINKS)
+    except PermissionError:
+        is_writable = False
+        try:
+            lock = os.open(path, os.O_RDONLY | _NO_LINKS)
+        except PermissionError:
+            raise _not_usable(path) from None
+    except FileNotFoundError:
+        raise
+    except OSError:
+        raise _not_usable(path) from None
+    try:
+        state = os.fstat(lock)
+        content = b""
+        with suppress(OSError):  # where a lock keeps it from being read
+            content = os.pread(lock, 21, 0) if hasattr(os, "pread") else os.read(lock, 21)
+            os.lseek(lock, 0, os.SEEK_SET)
+        if not stat.S_ISREG(state.st_mode) or state.st_nlink > 1 or not _OWN_CONTENT.fullmatch(content):
+            raise _not_usable(path)
+    except BaseException:
+        os.close(lock)
+        raise
+    return lock, is_writable
+
+
+def _not_usable(path: Path) -> InputError:
+    """Return what to say of a lock file that cannot be taken, or is something else."""
+    try:
+        state = os.lstat(path)
+    except OSError:
+        found = "a lock file that cannot be opened"
+    else:
+        if stat.S_ISREG(state.st_mode) and state.st_nlink == 1 and state.st_uid != _user():
+            found = f"a lock file of another user ({_name_of(state.st_uid)}), whose run was perhaps killed"
+        else:
+            found = "a file or link that is no lock file of recon"
+    expected = "this file to be removed, if no run is still writing to the folder; or another folder"
+    return InputError(Problem(path, "lock", found, expected))
+
+
+def _user() -> int:
+    return os.geteuid() if hasattr(os, "geteuid") else 0
+
+
+def _name_of(user: int) -> str:
+    try:
+        import pwd
+
+        return pwd.getpwuid(user).pw_name
+    except (ImportError, KeyError):
+        return str(user)
+
+
+def require_usable(out: Path) -> None:
+    """Raise InputError where `out` is no folder that can be written to, and cannot become one."""
+    existing = next(path for path in (out, *out.absolute().parents) if path.exists())
+    if not existing.is_dir():
+        raise InputError(Problem("--out", "folder", f"the file {existing}", "a folder, which is made if need be"))
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise InputError(Problem("--out", "folder", f"{existing}, which may not be written to", "a folder of your own"))

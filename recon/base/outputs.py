@@ -1,0 +1,434 @@
+"""What a command may write: nothing of a user's is ever replaced or deleted.
+
+A command replaces or deletes only what an earlier run of the same kind wrote, and nobody changed since. What it wrote
+is known by size and SHA-256: from `RECORD`, a hidden file in every folder that recon writes to, and from the folder's
+manifest, if it has one. Anything else stays: an input of the run that is starting, a link, a folder, a file of a user's
+or of another command. A command that would have to write such a name ends with a message before it touches anything.
+
+One exception: with --overwrite, the single file that a user names, as in --out camera.toml, may be any file but an
+input, a link, or a part of the results that the command reads.
+
+`RECORD` has the new digests before the first file moves, and loses the old ones after the last. Whatever a killed run
+leaves is recognised again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from recon.base.errors import InputError, Problem, raise_problems
+from recon.base.files import (
+    MANIFEST,
+    NEW,
+    FileState,
+    exchange,
+    is_plain_name,
+    names_in,
+    read_manifest,
+    require_no_folders,
+    seen_from,
+    sha256_of,
+    staging_in,
+    write_manifest,
+    write_text,
+)
+from recon.base.locks import committing, require_usable
+
+RECORD = ".recon.json"
+SCHEMA = {"name": "recon.files", "version": 1}
+NAMED = 3
+"""How many files a message names."""
+
+
+# -- what recon wrote ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class WrittenFile:
+    """A file as a run wrote it."""
+
+    kind: str
+    """The command, as in analyse."""
+    size: int
+    """Bytes."""
+    sha256: str
+    """Of the content, in hexadecimal digits."""
+    results: str | None = None
+    """The folder of results that it was made from, seen from its own; None: not made from results."""
+    manifest: str | None = None
+    """The SHA-256 of these results' manifest at that time."""
+    is_named: bool = False
+    """Whether the user named this very file: it stays when the results that it was made from go."""
+
+
+_Written = dict[str, tuple[WrittenFile, ...]]
+"""By name, each content that recon may have left under it."""
+
+
+def read_record(folder: Path) -> _Written:
+    """Return what recon wrote into a folder, as its `RECORD` says; nothing where there is none.
+
+    Raises InputError for a file of that name that is no such record.
+    """
+    path = folder / RECORD
+    try:
+        if path.is_symlink():
+            raise ValueError
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["schema"] != SCHEMA or not all(map(is_plain_name, content["files"])):
+            raise ValueError
+        return {name: tuple(_entry(**entry) for entry in entries) for name, entries in content["files"].items()}
+    except (FileNotFoundError, NotADirectoryError):
+        return {}
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        expected = "the record of what recon wrote into the folder: move it away"
+        raise InputError(Problem(path, "content", "something else", expected)) from None
+
+
+def _entry(**stored: Any) -> WrittenFile:
+    """Return an entry of a record; raise TypeError for values that none has."""
+    entry = WrittenFile(**stored)
+    types = {"kind": str, "size": int, "sha256": str, "results": str | None, "manifest": str | None, "is_named": bool}
+    if not all(isinstance(getattr(entry, name), kind) for name, kind in types.items()):
+        raise TypeError
+    return entry
+
+
+def _write_record(folder: Path, written: Mapping[str, Sequence[WrittenFile]]) -> None:
+    """Write the record, or remove one that would be empty."""
+    files = {
+        name: [{key: value for key, value in vars(entry).items() if value or key == "size"} for entry in entries]
+        for name, entries in sorted(written.items())
+        if entries
+    }
+    if files:
+        write_text(folder / RECORD, json.dumps({"schema": SCHEMA, "files": files}, indent=1) + "\n")
+    else:
+        (folder / RECORD).unlink(missing_ok=True)
+
+
+def _is_as_written(path: Path, entries: Iterable[WrittenFile]) -> bool:
+    """Whether a file, which is no link, has a content that recon wrote."""
+    try:
+        if path.is_symlink() or not path.is_file():
+            return False
+        size = path.stat().st_size
+        known = {entry.sha256 for entry in entries if entry.size == size}
+        return bool(known) and sha256_of(path) in known
+    except OSError:
+        return False
+
+
+# -- results that something is made from -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ReadResults:
+    """A folder of results as it was when a command began to read it."""
+
+    folder: Path
+    manifest: str | None
+    """The SHA-256 of its manifest; None where it has none."""
+
+    @classmethod
+    def of(cls, folder: Path) -> ReadResults:
+        """Return the results that are in the folder now."""
+        return cls(folder, _manifest_sha256(folder))
+
+    @contextmanager
+    def unchanged(self) -> Iterator[None]:
+        """Keep the results from being replaced in the block; raise InputError where they were since they were read."""
+        with ExitStack() as stack:
+            if os.access(self.folder, os.W_OK | os.X_OK):
+                stack.enter_context(committing(self.folder))
+            self.require_unchanged()
+            yield
+
+    def require_unchanged(self) -> None:
+        """Raise InputError where other results are in the folder by now."""
+        if _manifest_sha256(self.folder) != self.manifest:
+            found = "other results than were read: another run has replaced them meanwhile"
+            raise InputError(Problem(self.folder, "results", found, "the command to be run again"))
+
+
+def _manifest_sha256(folder: Path) -> str | None:
+    try:
+        return sha256_of(folder / MANIFEST)
+    except OSError:
+        return None
+
+
+def is_current(path: Path, results: Path) -> bool:
+    """Whether a file, such as an analysis, is known to be made from the results that are in a folder now."""
+    try:
+        entries = read_record(path.parent).get(path.name, ())
+    except InputError:
+        return False
+    now = _manifest_sha256(results)
+    return any(_is_of(entry, path.parent, results) and entry.manifest == now for entry in entries)
+
+
+def _is_of(entry: WrittenFile, folder: Path, results: Path) -> bool:
+    """Whether a file in a folder was made from what was in the results' folder."""
+    if entry.results is None:
+        return False
+    return os.path.realpath(folder / entry.results) == os.path.realpath(results)
+
+
+def _goes(entry: WrittenFile, folder: Path, results: Path) -> bool:
+    """Whether a file goes with the results that it was made from."""
+    return _is_of(entry, folder, results) and not entry.is_named
+
+
+# -- what may be written ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Output:
+    """A folder that a command writes to."""
+
+    folder: Path
+    kind: str
+    """The command that its files are known by, as in analyse."""
+    overwrite: bool = False
+    """Whether the same command's earlier files, if nobody changed them, may be replaced."""
+    inputs: Sequence[Path] = ()
+    """Files and folders that the run reads."""
+    made_from: ReadResults | None = None
+    """The results that the run reads."""
+    exact: str | None = None
+    """The name of the one file that the user named, where it is not a folder that was named."""
+    has_manifest: bool = False
+    """Whether its files belong together, as a manifest then says. What was made from earlier ones goes with them."""
+    mark: str = ""
+    """A file by which such a manifest of version 0.2, which does not say its kind, is known."""
+    content: str = "results"
+    """What a message calls the files."""
+    option: str = "--out"
+    """What a message calls the folder, or the file."""
+
+    def require(self, names: Iterable[str] = ()) -> None:
+        """Raise InputError where the folder cannot be written to, or where a file of these names may not be replaced.
+
+        Meant to be called before any work is done; `staged` looks again.
+        """
+        require_usable(self.folder)
+        self._require_replaceable(names, self._written(), adds=self.exact is not None)
+
+    @contextmanager
+    def staged(self, adds: bool = False) -> Iterator[Path]:
+        """Give a folder to write files in, which move into the output's at the end of the block: all, or none.
+
+        adds: files that an earlier run of the same kind wrote stay, unless they are replaced; otherwise they go.
+        Raises InputError as `require` does, and where the results that they were made from are no more.
+        """
+        with staging_in(self.folder) as staging:
+            yield staging / NEW
+            if self.has_manifest:
+                write_manifest(staging / NEW, self.kind)
+            with ExitStack() as stack:
+                source = self.made_from
+                if source is not None and not _is_same(source.folder, self.folder):
+                    stack.enter_context(source.unchanged())
+                stack.enter_context(committing(self.folder))
+                if source is not None:
+                    source.require_unchanged()
+                self._commit(staging, adds)
+
+    @contextmanager
+    def staged_file(self) -> Iterator[Path]:
+        """Give a path to write the one exact file to, as `staged` does."""
+        assert self.exact is not None
+        with self.staged(adds=True) as folder:
+            yield folder / self.exact
+
+    def write(self, name: str, text: str) -> None:
+        """Write a file of text, beside those that are there."""
+        with self.staged(adds=True) as folder:
+            (folder / name).write_text(text, encoding="utf-8")
+
+    def remove(self, name: str) -> None:
+        """Delete a file of an earlier run of this kind; any other stays."""
+        path = self.folder / name
+        if not os.path.lexists(path):
+            return
+        with committing(self.folder):
+            written = read_record(self.folder)
+            if self._is_own(name, self._written()):
+                path.unlink()
+                _write_record(self.folder, written | {name: ()})
+
+    # -- what is there already
+
+    def _written(self) -> _Written:
+        """Return what the record and the manifest of the folder say."""
+        written = read_record(self.folder)
+        with suppress(InputError, OSError):
+            manifest = read_manifest(self.folder)
+            if manifest.kind is None and self.mark not in manifest.files:
+                return written
+            kind = manifest.kind or self.kind
+            known = {name: WrittenFile(kind, *entry) for name, entry in manifest.files.items()}
+            text = manifest.text.encode()
+            if (self.folder / MANIFEST).read_bytes() == text:  # as it was written
+                known[MANIFEST] = WrittenFile(kind, len(text), sha256_of(self.folder / MANIFEST))
+            for name, entry in known.items():
+                written[name] = (*written.get(name, ()), entry)
+        return written
+
+    def _is_own(self, name: str, written: _Written) -> bool:
+        """Whether a file is of an earlier run of this kind and as it was written."""
+        return _is_as_written(self.folder / name, (e for e in written.get(name, ()) if e.kind == self.kind))
+
+    def _is_input(self, name: str) -> bool:
+        path = self.folder / name
+        with suppress(OSError):
+            return any(path.samefile(given) for given in self.inputs if given.is_file())
+        return False
+
+    @property
+    def _is_in_input(self) -> bool:
+        """Whether the folder is one that the run reads, or is in one."""
+        folder = Path(os.path.realpath(self.folder))
+        given = [Path(os.path.realpath(path)) for path in self.inputs if path.is_dir()]
+        return any(folder.is_relative_to(path) for path in given)
+
+    def _require_replaceable(self, names: Iterable[str], written: _Written, adds: bool) -> None:
+        """Raise InputError unless each name is free, or its file may be replaced.
+
+        Without --overwrite, there may be no earlier results of the same command either, unless it adds to them.
+        """
+        names = [name for name in names if os.path.lexists(self.folder / name)]
+        is_strict = self.exact is not None and self._is_in_input
+        links = [name for name in names if (self.folder / name).is_symlink()]
+        raise_problems(self._refused(links, "a link, which is not followed"))
+        require_no_folders(self.folder, names)
+        raise_problems(self._refused([name for name in names if self._is_input(name)], "an input of this run"))
+        others = [name for name in names if name != self.exact or is_strict]
+        if not self.overwrite and self.exact in names:
+            found = f"{self.folder / self.exact}, which is there already"
+            raise InputError(Problem(self.option, "file", found, "a new name, or --overwrite"))
+        foreign = [name for name in others if not self._is_own(name, written)]
+        what = f"a file that `recon {self.kind}` did not write, or that was changed since"
+        raise_problems(self._refused(foreign, what))
+        if not adds and not self.overwrite:
+            names += [name for name in written if name not in names and self._is_own(name, written)]
+        if self.exact is None and names and not self.overwrite:
+            more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+            found = f"{names[0]}{more} in {self.folder}"
+            expected = f"a folder without {self.content}, or --overwrite"
+            raise InputError(Problem(self.option, "folder", found, expected))
+
+    def _refused(self, names: Sequence[str], found: str) -> Iterator[Problem]:
+        """Give one problem for all files that may not be replaced."""
+        if names:
+            some, count = names[1 : 1 + NAMED], len(names) - 1
+            more = f"; the same of {', '.join(some)}{f' and {count - NAMED} more' * (count > NAMED)}" if some else ""
+            expected = f"another {self.option}, or the file moved away: recon would have to replace it"
+            yield Problem(self.folder / names[0], "file", found + more, expected)
+
+    # -- putting files there
+
+    def _commit(self, staging: Path, adds: bool) -> None:
+        """Move the new files in, and what they replace out."""
+        folder, names = self.folder, names_in(staging / NEW)
+        before, written = read_record(folder), self._written()
+        self._require_replaceable(names, written, adds)
+        leaving = [name for name in names if os.path.lexists(folder / name)]
+        if not adds:
+            leaving += [name for name in written if name not in names and self._may_go(name, written)]
+        states = {name: FileState.of(folder / name) for name in leaving}
+        new = {name: self._entry(staging / NEW / name) for name in names if self._is_recorded(name, before)}
+        is_recorded = bool(new) or any(name in before for name in leaving)
+        if is_recorded:
+            known = {name: (*before.get(name, ()), *written.get(name, ()), entry) for name, entry in new.items()}
+            _write_record(folder, before | known)
+        try:
+            exchange(staging, folder, states)
+        except BaseException:
+            if is_recorded:
+                with suppress(OSError):
+                    _write_record(folder, before)
+            raise
+        if is_recorded:
+            kept = {name: entries for name, entries in before.items() if name not in leaving}
+            with suppress(OSError):  # then the record knows more than it needs to
+                _write_record(folder, kept | {name: (entry,) for name, entry in new.items()})
+        if self.has_manifest:
+            _remove_made_from(folder)
+
+    def _may_go(self, name: str, written: _Written) -> bool:
+        """Whether a file that is not written again goes: an earlier one of this kind, or one made from such."""
+        entries = written[name]
+        if self._is_input(name) or not os.path.lexists(self.folder / name):
+            return False
+        own = [e for e in entries if e.kind == self.kind or (self.has_manifest and _goes(e, self.folder, self.folder))]
+        return _is_as_written(self.folder / name, own)
+
+    def _is_recorded(self, name: str, before: _Written) -> bool:
+        """Whether the record has an entry for a new file: not for a single one that stands by itself."""
+        return name != self.exact or name in before or self._is_in_input
+
+    def _entry(self, path: Path) -> WrittenFile:
+        source = self.made_from
+        results = None if source is None else seen_from(self.folder, source.folder.absolute())
+        manifest = None if source is None else source.manifest
+        is_named = path.name == self.exact
+        return WrittenFile(self.kind, path.stat().st_size, sha256_of(path), results, manifest, is_named)
+
+
+def output_file(
+    path: Path,
+    kind: str,
+    overwrite: bool,
+    inputs: Sequence[Path] = (),
+    made_from: ReadResults | None = None,
+    option: str = "--out",
+) -> Output:
+    """Return the output of a command that writes the one file which the user names."""
+    return Output(path.parent, kind, overwrite, inputs, made_from, exact=path.name, option=option)
+
+
+def require_suffix(path: Path, suffixes: Iterable[str], option: str = "--out") -> None:
+    """Raise InputError unless the file's name ends in one of these."""
+    if path.suffix.lower() not in suffixes:
+        expected = f"a file name that ends in {' or '.join(suffixes)}"
+        raise InputError(Problem(option, "file", repr(str(path)), expected))
+
+
+def adopt(folder: Path, kind: str, digests: Mapping[str, str]) -> None:
+    """Record files that another record of recon's, by their SHA-256, says were written by a command of this kind."""
+    with committing(folder):
+        written = read_record(folder)
+        for name, sha256 in digests.items():
+            path = folder / name
+            if is_plain_name(name) and name not in written and path.is_file() and not path.is_symlink():
+                written[name] = (WrittenFile(kind, path.stat().st_size, sha256),)
+        _write_record(folder, written)
+
+
+def _remove_made_from(results: Path) -> None:
+    """Delete what was made from earlier results, as nobody changed it, in the folders within theirs."""
+    for folder in sorted(path.parent for path in results.glob(f"*/{RECORD}")):
+        if folder.is_symlink():
+            continue
+        with suppress(InputError, OSError), committing(folder):
+            written = read_record(folder)
+            for name, entries in [*written.items()]:
+                made = [entry for entry in entries if _goes(entry, folder, results)]
+                if made and _is_as_written(folder / name, made):
+                    (folder / name).unlink()
+                    del written[name]
+            _write_record(folder, written)
+        with suppress(OSError):  # a user's files are in it
+            folder.rmdir()
+
+
+def _is_same(a: Path, b: Path) -> bool:
+    return os.path.realpath(a) == os.path.realpath(b)

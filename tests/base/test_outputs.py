@@ -1,0 +1,415 @@
+"""Nothing of a user's is ever replaced or deleted, whichever command runs, with --overwrite or without."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import pytest
+from command_line import refusal, run
+
+from recon import InputError
+from recon.base.files import MANIFEST, read_manifest
+from recon.base.locks import sole_writer
+from recon.base.outputs import RECORD, Output, ReadResults, is_current, output_file, read_record
+from recon.base.settings import Settings, input_paths
+
+SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
+CAMERA = ("--camera", SAMPLES / "camera.toml")
+QUICK = ("--fps", 60, "--frames", "0:8", "--set", "fast=true")
+FOREIGN = 40
+"""How many files of a user's lie where a command wants to write."""
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """The text of every file below a folder, of a link where it leads, but for recon's record."""
+    return {
+        path.relative_to(folder).as_posix(): os.readlink(path) if path.is_symlink() else path.read_text("latin-1")
+        for path in folder.rglob("*")
+        if (path.is_file() or path.is_symlink()) and path.name != RECORD
+    }
+
+
+def written(out: Path, kind: str = "fit", overwrite: bool = True, **files: str) -> None:
+    """Write texts into a folder as a command of that kind does."""
+    with Output(out, kind, overwrite, has_manifest=True).staged() as folder:
+        for name, text in files.items():
+            (folder / f"{name}.csv").write_text(text)
+
+
+# -- one folder ------------------------------------------------------------------------------------------------------
+
+
+def test_own_unchanged_files_are_replaced_and_obsolete_ones_go(tmp_path):
+    (tmp_path / "notes.csv").write_text("mine")
+    written(tmp_path, a="1", b="1")
+    written(tmp_path, a="2", c="2")
+    assert {*contents(tmp_path)} == {"a.csv", "c.csv", "notes.csv", MANIFEST}
+    assert (tmp_path / "a.csv").read_text() == "2"
+    assert {*read_record(tmp_path)} == {"a.csv", "c.csv", MANIFEST}
+    assert read_manifest(tmp_path).kind == "fit"
+
+
+def test_a_changed_file_is_refused_and_an_obsolete_one_that_was_changed_stays(tmp_path):
+    written(tmp_path, a="1", b="1")
+    (tmp_path / "a.csv").write_text("changed")
+    before = contents(tmp_path)
+    with refusal((tmp_path / "a.csv", "file", "`recon fit` did not write, or that was changed", "moved away")):
+        written(tmp_path, a="2")
+    assert contents(tmp_path) == before
+    (tmp_path / "a.csv").write_text("1")
+    (tmp_path / "b.csv").write_text("changed")
+    written(tmp_path, a="2")
+    assert (tmp_path / "b.csv").read_text() == "changed"
+
+
+def test_another_command_s_files_are_not_replaced(tmp_path):
+    written(tmp_path, "fit", a="1")
+    with refusal((tmp_path / "a.csv", "file", f"; the same of {MANIFEST}", "another --out")):
+        written(tmp_path, "retarget", a="2")
+    assert (tmp_path / "a.csv").read_text() == "1"
+
+
+def test_nothing_is_replaced_unless_it_may_be(tmp_path):
+    written(tmp_path, a="1")
+    with refusal(("--out", "folder", f"a.csv and 1 more in {tmp_path}", "a folder without results, or --overwrite")):
+        written(tmp_path, overwrite=False, a="2")
+    written(tmp_path / "new", overwrite=False, a="2")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links need a privilege on Windows")
+def test_links_are_not_followed_nor_replaced(tmp_path):
+    (tmp_path / "precious.csv").write_text("mine")
+    out = tmp_path / "out"
+    written(out, b="1")
+    for name, target in (("a.csv", "../precious.csv"), ("b.csv", "nowhere.csv")):
+        (out / name).unlink(missing_ok=True)
+        (out / name).symlink_to(target)
+        before = contents(tmp_path)
+        with refusal((out / name, "file", "a link", "moved away")):
+            written(out, a="2", b="2")
+        assert contents(tmp_path) == before
+        (out / name).unlink()
+
+
+def test_an_input_is_never_replaced_nor_removed(tmp_path):
+    written(tmp_path, cameras="1", a="1")
+    inputs = (tmp_path / "cameras.csv",)
+    with (
+        refusal((tmp_path / "cameras.csv", "file", "an input of this run", "another --out")),
+        Output(tmp_path, "fit", True, inputs, has_manifest=True).staged() as folder,
+    ):
+        (folder / "cameras.csv").write_text("2")
+    with Output(tmp_path, "fit", True, inputs, has_manifest=True).staged() as folder:
+        (folder / "a.csv").write_text("2")
+    assert (tmp_path / "cameras.csv").read_text() == "1"
+    assert (tmp_path / "a.csv").read_text() == "2"
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="children are forked")
+def test_what_a_killed_run_leaves_is_known_again(tmp_path):
+    """A kill before each step of putting files in place, and then the next run."""
+    for kill_at in range(1, 60):
+        out = tmp_path / str(kill_at)
+        written(out, a="1", b="1")
+        child = os.fork()
+        if child == 0:
+            count = [0]
+            for name in ("link", "replace", "unlink"):
+                setattr(os, name, _killed(getattr(os, name), count, kill_at))
+            written(out, a="2", b="2", c="2")
+            os._exit(0)
+        is_killed = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) < 0
+        written(out, a="3", b="3")
+        assert contents(out) == {"a.csv": "3", "b.csv": "3", MANIFEST: (out / MANIFEST).read_text()}, kill_at
+        if not is_killed:
+            break
+    assert 10 < kill_at < 59
+
+
+def _killed(function: Callable[..., object], count: list[int], last: int) -> Callable[..., object]:
+    """The function, before whose call of that number the process kills itself."""
+
+    def step(*args: Any, **more: Any) -> object:
+        count[0] += 1
+        if count[0] == last:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return function(*args, **more)
+
+    return step
+
+
+def test_results_of_version_0_2_are_known_by_their_manifest(tmp_path):
+    """It has no kind, and there is no other record."""
+    written(tmp_path, motion="1", old="1")
+    (tmp_path / RECORD).unlink()
+    manifest = json.loads((tmp_path / MANIFEST).read_text())
+    del manifest["kind"]
+    (tmp_path / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n")
+    other = Output(tmp_path, "retarget", True, has_manifest=True, mark="robot.csv")
+    with refusal((tmp_path / "motion.csv", "file", "did not write", "moved")):
+        other.require(("motion.csv",))
+    fit = Output(tmp_path, "fit", True, has_manifest=True, mark="motion.csv")
+    with fit.staged() as folder:
+        (folder / "motion.csv").write_text("2")
+    assert {*contents(tmp_path)} == {"motion.csv", MANIFEST}
+
+
+@pytest.mark.parametrize("name", ["../thesis.tex", "/etc/thesis.tex", "..", "sub/thesis.tex", ""])
+def test_a_manifest_that_names_files_elsewhere_is_none(tmp_path, name):
+    (tmp_path / "thesis.tex").write_text("mine")
+    out = tmp_path / "out"
+    written(out, a="1")
+    manifest = json.loads((out / MANIFEST).read_text())
+    manifest["files"][name] = {"size": 4, "sha256": "0"}
+    (out / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n")
+    with refusal((out / MANIFEST, "files", repr(name), "its own folder")):
+        read_manifest(out)
+    with refusal((out / MANIFEST, "file", "did not write, or that was changed", "moved")):
+        written(out, a="2")
+    record = json.loads((out / RECORD).read_text())
+    record["files"][name] = record["files"]["a.csv"]
+    (out / RECORD).write_text(json.dumps(record))
+    with refusal((out / RECORD, "content", "something else", "move it away")):
+        written(out, a="2")
+    assert (tmp_path / "thesis.tex").read_text() == "mine"
+    assert (out / "a.csv").read_text() == "1"
+
+
+def test_a_record_that_is_none_is_left_alone(tmp_path):
+    for text in (
+        "mine",
+        "[]",
+        '{"schema": 1}',
+        '{"schema": {"name": "recon.files", "version": 1}, "files": {"a": [1]}}',
+    ):
+        (tmp_path / RECORD).write_text(text)
+        with refusal((tmp_path / RECORD, "content", "something else", "move it away")):
+            written(tmp_path, a="1")
+        assert (tmp_path / RECORD).read_text() == text
+
+
+def test_a_file_that_appears_or_changes_meanwhile_stays(tmp_path):
+    written(tmp_path, a="1")
+    with refusal((tmp_path / "b.csv", "file", "did not write", "moved")), Output(tmp_path, "fit", True).staged() as new:
+        (new / "a.csv").write_text("2")
+        (new / "b.csv").write_text("2")
+        (tmp_path / "b.csv").write_text("mine")
+    with refusal((tmp_path / "a.csv", "file", "did not write", "moved")), Output(tmp_path, "fit", True).staged() as new:
+        (new / "a.csv").write_text("2")
+        (tmp_path / "a.csv").write_text("mine")
+    assert (tmp_path / "a.csv").read_text() == (tmp_path / "b.csv").read_text() == "mine"
+
+
+# -- one file that the user names -------------------------------------------------------------------------------------
+
+
+def test_one_named_file_is_replaced_if_asked_for_but_no_input(tmp_path):
+    path = tmp_path / "camera.toml"
+    path.write_text("mine")
+    with refusal(("--out", "file", f"{path}, which is there already", "a new name, or --overwrite")):
+        output_file(path, "calibrate", overwrite=False).require((path.name,))
+    with refusal((path, "file", "an input of this run", "another --out")):
+        output_file(path, "calibrate", overwrite=True, inputs=[tmp_path / "." / "camera.toml"]).require((path.name,))
+    with output_file(path, "calibrate", overwrite=True).staged_file() as staged:
+        staged.write_text("new")
+    assert contents(tmp_path) == {"camera.toml": "new"}
+    assert not (tmp_path / RECORD).exists()
+
+
+def test_files_beside_the_named_one_have_to_be_own(tmp_path):
+    output = output_file(tmp_path / "camera.toml", "calibrate", overwrite=True)
+    picture = tmp_path / "camera_coverage.png"
+    for text in ("1", "2"):
+        with output.staged(adds=True) as folder:
+            (folder / "camera.toml").write_text(text)
+            (folder / picture.name).write_text(text)
+    assert contents(tmp_path) == {"camera.toml": "2", "camera_coverage.png": "2"}
+    picture.write_text("mine")
+    with refusal((picture, "file", "`recon calibrate` did not write", "moved away")):
+        output.require(("camera.toml", picture.name))
+
+
+def test_no_file_of_the_results_that_are_read_is_replaced(tmp_path):
+    written(tmp_path, pose3d="1")
+    (tmp_path / "mine.csv").write_text("mine")
+    for name in ("pose3d.csv", "mine.csv"):
+        output = output_file(tmp_path / name, "convert", True, [tmp_path], ReadResults.of(tmp_path))
+        with refusal((tmp_path / name, "file", "`recon convert` did not write", "moved")):
+            output.require((name,))
+    for text in ("1", "2"):
+        output = output_file(tmp_path / "new.csv", "convert", True, [tmp_path], ReadResults.of(tmp_path))
+        with output.staged_file() as staged:
+            staged.write_text(text)
+    assert (tmp_path / "new.csv").read_text() == "2"
+
+
+def test_inputs_are_the_paths_among_the_settings_that_are_there(tmp_path):
+    class Given(Settings):
+        source: Path
+        names: str = "whole"
+        several: tuple[Path, ...] = ()
+        out: Path | None = None
+
+    for name in ("a", "b", "c"):
+        (tmp_path / name).touch()
+    found = input_paths(Given(source=tmp_path / "a", names=str(tmp_path / "b"), out=tmp_path / "c"))
+    assert found == (tmp_path / "a", tmp_path / "b")
+    assert input_paths(Given(source=tmp_path / ("x" * 200), names="x" * 5000, several=(tmp_path / "b",))) == (
+        tmp_path / "b",
+    )
+
+
+# -- made from results -----------------------------------------------------------------------------------------------
+
+
+def test_what_was_made_from_results_goes_with_them(tmp_path):
+    out = tmp_path / "clip"
+
+    def analysed(folder: Path, name: str, exact: bool = False) -> None:
+        output = Output(folder, "analyse", True, made_from=ReadResults.of(out), exact=name if exact else None)
+        with output.staged(adds=True) as staging:
+            (staging / name).write_text("1")
+
+    written(out, a="1")
+    analysed(out / "analysis", "speeds.csv")
+    analysed(out / "analysis", "forces.csv")
+    analysed(out, "report.html")
+    analysed(tmp_path / "elsewhere", "speeds.csv")
+    assert is_current(out / "report.html", out)
+    assert is_current(out / "analysis" / "speeds.csv", out)
+    (out / "analysis" / "forces.csv").write_text("changed")
+    written(out, a="2")
+    assert {*contents(tmp_path)} == {f"clip/{name}" for name in ("a.csv", MANIFEST, "analysis/forces.csv")} | {
+        "elsewhere/speeds.csv"
+    }
+    assert not is_current(out / "analysis" / "forces.csv", out)
+    assert not is_current(tmp_path / "elsewhere" / "speeds.csv", out)
+
+
+def test_nothing_is_written_of_results_that_are_replaced_meanwhile(tmp_path):
+    out = tmp_path / "clip"
+    written(out, a="1")
+    for folder in (out, tmp_path / "analysis"):
+        with (
+            refusal((out, "results", "another run has replaced them meanwhile", "run again")),
+            Output(folder, "analyse", True, made_from=ReadResults.of(out)).staged() as staging,
+        ):
+            (staging / "b.csv").write_text("of the earlier ones")
+            written(out, a="2" if folder == out else "3")
+        assert not (folder / "b.csv").exists()
+
+
+# -- locks -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links need a privilege on Windows")
+@pytest.mark.parametrize("kind", ["symlink", "hard link", "file", "folder", "fifo"])
+def test_a_lock_that_is_something_else_is_left_alone(tmp_path, kind):
+    precious, lock = tmp_path / "precious.csv", tmp_path / "out" / ".recon-writing"
+    precious.write_text("1234\n" * 100)
+    lock.parent.mkdir()
+    make = {
+        "symlink": lambda: lock.symlink_to(precious),
+        "hard link": lambda: lock.hardlink_to(precious),
+        "file": lambda: lock.write_text("my notes"),
+        "folder": lambda: lock.mkdir(),
+        "fifo": lambda: os.mkfifo(lock),
+    }
+    make[kind]()
+    with refusal((lock, "lock", "no lock file of recon", "removed")), sole_writer(lock.parent):
+        pass
+    assert precious.read_text() == "1234\n" * 100
+    assert os.path.lexists(lock)
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() != 0, reason="needs another user")
+def test_another_user_s_lock_is_taken_if_it_is_stale_and_named_if_it_cannot_be_opened():
+    reader, writer = os.pipe()
+    with TemporaryDirectory() as name:
+        Path(name).chmod(0o777)
+        lock = Path(name) / ".recon-writing"
+        for mode in (0o644, 0o600):
+            lock.write_text("1\n")
+            lock.chmod(mode)
+            if (child := os.fork()) == 0:
+                os.seteuid(65534)
+                try:
+                    with sole_writer(name):
+                        os.write(writer, b"in")
+                except InputError as error:
+                    os.write(writer, str(error).encode())
+                os._exit(0)
+            os.waitpid(child, 0)
+            said = os.read(reader, 1000).decode()
+            assert said == "in" if mode == 0o644 else f"{lock}: lock: found a lock file of another user (root)" in said
+            assert lock.exists() == (mode == 0o600)
+
+
+# -- every command ---------------------------------------------------------------------------------------------------
+
+Arguments = Sequence[object]
+
+
+def commands(clip: Path, frame: Path) -> dict[str, tuple[Arguments, str]]:
+    """For each command its arguments, and the name of a file that it surely writes. clip, frame: results of fits."""
+    return {
+        "fit": (("fit", SAMPLES / "whole.csv", *CAMERA, *QUICK), "motion.npz"),
+        "frame": (("frame", SAMPLES / "noisy.csv", *CAMERA, "--fps", 30, "--frames", "0:4"), "motion.npz"),
+        "batch": (("batch", SAMPLES / "whole.csv", *CAMERA, *QUICK), "summary.csv"),
+        "analyse": (("analyse", clip, "--no-figures"), "analysis.json"),
+        "retarget": (("retarget", clip, "--robot", "a1"), "report.json"),
+        "climb": (("climb", "--no-figures"), "report.json"),
+        "ik": (("ik", clip, "--target", "stride-max", "--no-figures"), "ik.json"),
+        "solver": (("solver", frame, "--no-figures"), "solver.json"),
+        "camera-advice": (("camera-advice", "--skeleton", "cheetah-24"), "camera_advice.json"),
+        "compare": (("compare", clip), "groups.csv"),
+        "skeleton check": (("skeleton", "check", "cheetah-24"), "skeleton.png"),
+    }
+
+
+@pytest.mark.parametrize("name", commands(Path(), Path()))
+@pytest.mark.usefixtures("no_playback", "small_pictures")
+def test_no_command_touches_files_of_names_that_it_writes(whole_results, frame_results, tmp_path, name):
+    """A first run says which; 40 files of a user's lie there when the second one comes."""
+    arguments, sure = commands(whole_results, frame_results)[name]
+    ended = run(*arguments, "--out", tmp_path / "first")
+    assert ended.code in (0, 1), ended.err
+    names = sorted(path.name for path in (tmp_path / "first").iterdir() if path.is_file() and path.name != RECORD)
+    assert sure in names
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    names += [f"{number}_{sure}" for number in range(FOREIGN - len(names))]
+    for file in names:
+        (mine / file).write_text(f"mine, {file}")
+    before = contents(mine)
+    for more in ((), ("--overwrite",)):
+        ended = run(*arguments, "--out", mine, *more)
+        assert ended.code == 2, ended
+        assert "did not write, or that was changed since" in ended.err
+        assert contents(mine) == before
+        assert sorted(path.name for path in mine.iterdir()) == sorted(names)
+    (mine / sure).unlink()
+    for file in names:  # one foreign file is enough
+        if file != sure and (tmp_path / "first" / file).exists():
+            (mine / file).unlink()
+    (mine / sure).write_text("mine")
+    assert run(*arguments, "--out", mine, "--overwrite").code == 2
+    assert (mine / sure).read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["analyse", "retarget", "solver"])
+@pytest.mark.usefixtures("no_playback", "small_pictures")
+def test_a_command_replaces_its_own(whole_results, frame_results, tmp_path, name):
+    arguments, sure = commands(whole_results, frame_results)[name]
+    for more in ((), ("--overwrite",)):
+        assert run(*arguments, "--out", tmp_path / "out", *more).code in (0, 1)
+        assert (tmp_path / "out" / sure).is_file()
+    (tmp_path / "out" / sure).write_text("changed")
+    assert run(*arguments, "--out", tmp_path / "out", "--overwrite").code == 2
+    assert (tmp_path / "out" / sure).read_text() == "changed"
