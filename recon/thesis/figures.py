@@ -153,7 +153,48 @@ def solver_rotation(record: SolverRecord) -> Figure:
     return figure
 
 
-FIGURES = (solver_search, solver_unknowns, image_errors, solver_frame, solver_matrices, solver_rotation)
+def solver_gradient(record: SolverRecord) -> Figure:
+    """Draw the size of the gradient and of the Jacobian's columns over the clip, unknowns x frames; white is zero."""
+    names, frames = record.unknowns, record.motion.frames
+    with style.drawing(170) as figure:
+        panels = figure.subplots(2, 1, sharex=True)
+        shown = (np.abs(record.gradient), "|gradient|"), (record.column_norm, "norm of the Jacobian's column")
+        for axes, (values, label) in zip(panels, shown, strict=True):
+            size = np.where(values == 0, np.nan, values).T
+            most = float(np.nanmax(size, initial=_LEAST))
+            image = _logarithmic_image(figure, axes, size, _DECADES * most, most, label)
+            image.set_extent((frames[0] - 0.5, frames[-1] + 0.5, len(names) - 0.5, -0.5))
+            axes.set_yticks(range(len(names)), names, fontsize=style.SMALL)
+            axes.tick_params(axis="y", length=0)
+        panels[-1].set_xlabel("frame")
+    return figure
+
+
+def reference_path(record: SolverRecord) -> Figure:
+    """Draw the reference joint in the camera frame with the camera's rotation free and fixed."""
+    labels = ("x, to the right (m)", "y, down (m)", "z, depth (m)")
+    names = [f"rotation {name}" for name in record.solutions]
+    with style.drawing(110) as figure:
+        rows = figure.subplots(3, 1, sharex=True)
+        for i, solution in enumerate(record.solutions.values()):
+            points_m = solution.chain.pose(solution.chain_states).joints_m[:, 0]
+            for axes, values in zip(rows, points_m.T, strict=True):
+                axes.plot(record.motion.time_s, values, **style.dots(len(values), 2.2), **style.look(i))
+        _over_time(figure, rows, labels)
+        style.add_legend(figure, rows[0].lines, names)
+    return figure
+
+
+FIGURES = (
+    solver_search,
+    solver_unknowns,
+    image_errors,
+    solver_frame,
+    solver_matrices,
+    solver_gradient,
+    solver_rotation,
+    reference_path,
+)
 """All figures; each is saved under its function's name."""
 
 

@@ -8,6 +8,7 @@ tables: docs/solver.md. Figures: `recon.thesis.figures`.
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -26,7 +27,23 @@ from recon.thesis.solution import FrameSolution
 from recon.thesis.solver import FrameSearch, FrameSolver, solve_frames, with_tolerance
 from recon.workflows.clip_results import CONFIG, read_config
 
-TABLES = ("solver_frames.csv", "solver_unknowns.csv", "image_errors.csv", "solver_frame.csv")
+TABLES = (
+    "solver_frames.csv",
+    "solver_unknowns.csv",
+    "image_errors.csv",
+    "solver_frame.csv",
+    "variables.csv",
+    "gradient.csv",
+    "reference_paths.csv",
+)
+PUBLISHED = {
+    "f1": "reprojection",
+    "f2": "theta range",
+    "f3": "phi range",
+    "f4": "theta rate",
+    "f5": "phi rate",
+}
+"""The published names of the objectives, and the names of their terms."""
 COUNTS = ("iterations", "function_evaluations", "first_evaluations", "starts", "optimizer_status")
 CAMERA_ANGLES = ("xi", "psi", "zeta")
 EXIT_FLAGS = {
@@ -79,7 +96,12 @@ def read_solver(motion: Motion, folder: Path, frame: int | None = None) -> Solve
     other_solution = solve_frames(*problem, replace(options, camera_rotation=rotation))
     sigma_px = solution.reported("sigma_px")
     terms = {t: solver.problem(t, sigma_px[t]).by_term(solver.states[t]) for t in solved.tolist()}
-    return SolverRecord(motion, solution, terms, solver.search(row)[0], other_solution)
+    return SolverRecord(motion, solution, terms, solver.search(row)[0], other_solution, options)
+
+
+def published_names(unknowns: Sequence[str]) -> list[str]:
+    """Return the published names of the unknowns: th6 for theta_6, x0 for x0_m, base_length for base_length_m."""
+    return [name.replace("theta_", "th").replace("phi_", "ph").removesuffix("_m") for name in unknowns]
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +116,8 @@ class SolverRecord:
     """The search of the frame that is shown."""
     other_solution: FrameSolution
     """The clip with the camera's rotation fixed, or free where the fit has it fixed."""
+    options: FrameOptions
+    """Those of the fit."""
 
     @property
     def frame(self) -> int:
@@ -162,8 +186,40 @@ class SolverRecord:
 
     def tables(self) -> dict[str, pd.DataFrame]:
         """Return every table by the name of its file (`TABLES`)."""
-        tables = (self._frames_table(), self._unknowns_table(), self._errors_table(), self._search_table())
+        tables = (
+            self._frames_table(),
+            self._unknowns_table(),
+            self._errors_table(),
+            self._search_table(),
+            self._variables_table(),
+            self._gradient_table(),
+            self._paths_table(),
+        )
         return dict(zip(TABLES, map(pd.DataFrame, tables), strict=True))
+
+    def _variables_table(self) -> dict[str, Any]:
+        """Return the unknowns under their published names, and half the squares of f1 to f5."""
+        columns: dict[str, Any] = {"frame": self.motion.frames, "time_s": self.motion.time_s}
+        columns |= dict(zip(published_names(self.unknowns), self.solution.chain_states.T, strict=True))
+        return columns | {name: self.cost.get(term, 0.0) for name, term in PUBLISHED.items()}
+
+    def _gradient_table(self) -> dict[str, Any]:
+        columns: dict[str, Any] = {"frame": self.motion.frames}
+        return columns | dict(zip(self.unknowns, self.gradient.T, strict=True))
+
+    def _paths_table(self) -> dict[str, Any]:
+        """R p0 in the camera frame, with the camera's rotation as fitted and the other way."""
+        columns: dict[str, Any] = {"frame": self.motion.frames, "time_s": self.motion.time_s}
+        for name, solution in self.solutions.items():
+            points_m = solution.chain.pose(solution.chain_states).joints_m[:, 0]
+            columns |= {f"{axis}_{name}_m": points_m[:, k] for k, axis in enumerate("xyz")}
+        return columns
+
+    @property
+    def solutions(self) -> dict[str, FrameSolution]:
+        """The two solutions by how the camera's rotation is treated, the fit's first: "free" and "fixed"."""
+        first, second = ("fixed", "free") if self.options.camera_rotation == "fixed" else ("free", "fixed")
+        return {first: self.solution, second: self.other_solution}
 
     def _frames_table(self) -> dict[str, Any]:
         motion, solution = self.motion, self.solution
@@ -190,7 +246,12 @@ class SolverRecord:
         search = self.search
         columns: dict[str, Any] = {"frame": self.frame, "point": range(len(search.points))}
         columns |= {"evaluations": search.evaluations_at, "cost": search.costs}
-        return columns | {"damping": [*search.damping, np.nan]}
+        columns |= {"damping": [*search.damping, np.nan], "step": [*search.step_norms, np.nan]}
+        parts = [search.problem.by_term(x) for x in search.points]
+        return columns | {
+            name: [0.5 * float(np.sum(terms[term][0] ** 2)) if term in terms else 0.0 for terms in parts]
+            for name, term in PUBLISHED.items()
+        }
 
     def write_jacobian(self, path: Path) -> None:
         """Write the Jacobian as NPZ that `scipy.sparse.load_npz` reads as a matrix (M, T D).

@@ -130,4 +130,5 @@ def _motion_model(dt_s: float) -> tuple[Array, Array]:
     # Van Loan (1978): both are blocks of one matrix exponential.
     blocks = expm(dt_s * np.block([[-A, drive], [np.zeros((3, 3)), A.T]]))
     F = blocks[3:, 3:].T
-    return np.kron(F, np.eye(3)), np.kron(F @ blocks[:3, 3:], np.eye(3))
+    Q = F @ blocks[:3, 3:]
+    return np.asarray(np.kron(F, np.eye(3)), float), np.asarray(np.kron(Q, np.eye(3)), float)

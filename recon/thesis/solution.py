@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Literal
@@ -275,7 +274,7 @@ def _flags(solution: FrameSolution) -> tuple[tuple[str, ...], ...]:
     sigma_px, trust = solution.noise_px[0], solution.reported("mean_weight")
     present = view.present.sum(axis=1)
     distance_px = np.linalg.norm(view.project(solution.joints_m)[0] - view.xy_px, axis=-1)
-    is_flagged: dict[str, Sequence[bool] | Array] = {
+    is_flagged: dict[str, Any] = {
         "no data": [report is None for report in reports],
         "diverged": [report is not None and not report.in_view for report in reports],
         "few points": [report is not None for report in reports] & (present < FEW_POINTS_SHARE * J),

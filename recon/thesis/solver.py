@@ -198,7 +198,7 @@ class FrameSearch:
     @property
     def step_norms(self) -> Array:
         """(K - 1,): length of the step from each point."""
-        return np.linalg.norm(np.diff(self.points, axis=0), axis=1)
+        return np.asarray(np.linalg.norm(np.diff(self.points, axis=0), axis=1), dtype=float)
 
     @property
     def step_norm(self) -> float:

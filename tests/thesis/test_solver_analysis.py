@@ -54,7 +54,8 @@ def test_jacobian_in_the_file_gives_gradient_and_norms(frame, tmp_path):
 def test_tables(frame, tmp_path):
     for name, table in frame.tables().items():
         table.to_csv(tmp_path / name, index=False)
-    frames, unknowns, errors, search = (pd.read_csv(tmp_path / name) for name in TABLES)
+    read = {name: pd.read_csv(tmp_path / name) for name in TABLES}
+    frames, unknowns, errors, search, variables, gradient, paths = read.values()
     np.testing.assert_array_equal(frames["frame"], frame.motion.frames)
     np.testing.assert_array_equal(frames["optimality"], frame.optimality)
     told = build_report(frame.motion)
@@ -65,6 +66,15 @@ def test_tables(frame, tmp_path):
     assert frames["rates_passed"].sum() == frame.active["rates"].sum()
     np.testing.assert_allclose(unknowns["column_norm_median"], np.median(frame.column_norm, axis=0))
     assert search["cost"].tolist() == pytest.approx(frame.search.costs.tolist())
+    assert search["step"].iloc[:-1].tolist() == pytest.approx(frame.search.step_norms.tolist())
+    order = "th6 th7 th8 th1 th2 th3 th4 ph6 ph7 ph8 ph1 ph2 ph3 ph4 x0 y0 z0 xi psi zeta base_length f1 f2 f3 f4 f5"
+    assert variables.columns.tolist() == ["frame", "time_s", *order.split()]
+    np.testing.assert_allclose(variables.iloc[:, 2:23], frame.solution.chain_states)
+    np.testing.assert_allclose(variables["f1"], frame.cost["reprojection"])
+    np.testing.assert_allclose(gradient.iloc[:, 1:], frame.gradient)
+    points_m = frame.solution.chain.pose(frame.solution.chain_states).joints_m[:, 0]
+    np.testing.assert_allclose(paths[["x_free_m", "y_free_m", "z_free_m"]], points_m)
+    assert np.abs(paths["z_fixed_m"] - paths["z_free_m"]).max() > 0.01
 
 
 def test_figures(frame):
