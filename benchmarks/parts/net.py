@@ -38,7 +38,7 @@ from recon.keypoint_net.network import (
     choose_device,
     load_model,
     new_network,
-    placed,
+    on_device,
     predict_video,
     require_torch,
     run_prediction,
@@ -131,7 +131,7 @@ def _network(model: Path | None, device: str) -> TrainedNetwork:
         return load_model(model, choose_device(device))
     spec = Spec(tuple(f"point{k}" for k in range(22)), 1.0, 120.0, 5.0)
     on = choose_device(device)
-    return TrainedNetwork(spec, placed(new_network(22, two_stages=False), on).eval(), on)
+    return TrainedNetwork(spec, on_device(new_network(22, two_stages=False), on).eval(), on)
 
 
 def _noise_video(path: Path, size_px: tuple[int, int], frames: int) -> None:

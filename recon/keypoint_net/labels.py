@@ -1,6 +1,7 @@
-"""Labelled pictures: DeepLabCut's label files with the images of a project folder, or with the frames of one video; and
-which of them a network is trained on, and which it is judged by; and `recon evaluate-2d`, which compares predictions
-with them.
+"""Labelled pictures, how they are split for training, and `recon evaluate-2d`.
+
+Labels are DeepLabCut's label files, with the images of a project folder or the frames of one video. The split says
+which pictures a network learns from and which it is judged by. `recon evaluate-2d` compares predictions with labels.
 """
 
 from __future__ import annotations
@@ -62,11 +63,11 @@ class Labels:
 
     @property
     def labelled(self) -> Bools:
-        """Which of the K keypoints are labelled in each of the N pictures, shape (N, K)."""
+        """Return which of the K keypoints are labelled in each of the N pictures, (N, K)."""
         return known_points(self.xy_px)
 
     def scaled(self, scale: float) -> Labels:
-        """Pictures and labels at another size; the centres of pixels lie at whole numbers."""
+        """Return pictures and labels at another size; the centres of pixels lie at whole numbers."""
         pictures = tuple(resize(picture, scale) for picture in self.pictures)
         return replace(self, pictures=pictures, xy_px=scale_points(self.xy_px, scale))
 
@@ -90,22 +91,23 @@ class LabelSource(Settings):
 
 
 def known_points(xy_px: Array) -> Bools:
-    """Which points (..., 2) have both coordinates, (...)."""
+    """Return which points (..., 2) have both coordinates, (...)."""
     return np.asarray(np.isfinite(xy_px).all(axis=-1), dtype=np.bool_)
 
 
 def resize(picture: Image, scale: float) -> Image:
-    """The picture in the size that `scaled_size` says; pixel (x, y) moves to `scale_points`."""
+    """Return a picture in the size that `scaled_size` gives; pixel (x, y) moves to `scale_points`."""
     if scale == 1.0:
         return picture
     size = scaled_size((picture.shape[1], picture.shape[0]), scale)
-    to = np.array([[scale, 0.0, (scale - 1) / 2], [0.0, scale, (scale - 1) / 2]])
+    transform = np.array([[scale, 0.0, (scale - 1) / 2], [0.0, scale, (scale - 1) / 2]])
     if scale < 0.8:  # each pixel averages those that it covers
         picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.5 * (1 / scale - 1) ** 0.5 + 0.15 / scale), np.uint8)
-    return np.asarray(cv2.warpAffine(picture, to, size, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+    return np.asarray(cv2.warpAffine(picture, transform, size, borderMode=cv2.BORDER_REPLICATE), np.uint8)
 
 
 def scaled_size(size_px: tuple[int, int], scale: float) -> tuple[int, int]:
+    """Return a size (width, height) in pixels times a scale, at least one pixel."""
     return max(1, round(size_px[0] * scale)), max(1, round(size_px[1] * scale))
 
 
@@ -115,10 +117,21 @@ def scale_points(xy_px: Array, scale: float) -> Array:
 
 
 def read_labels(data: Path, labels: Path | None = None, **options: Any) -> Labels:
-    """A project folder, or its config.yaml, or a video with its label file; options: the other fields of `LabelSource`.
+    """Read a project folder, its config.yaml, or a video with its label file.
 
-    Raises InputError with every problem: labels without a picture, pictures that cannot be read, files that do not fit
-    each other.
+    Parameters
+    ----------
+    data : Path
+        The project or the video.
+    labels : Path, optional
+        The label file of the video.
+    **options
+        The other fields of `LabelSource`.
+
+    Raises
+    ------
+    InputError
+        With every problem: labels without a picture, unreadable pictures, files that do not fit each other.
     """
     s = LabelSource(data=data, labels=labels, **options)
     if labels is None:
@@ -137,15 +150,16 @@ def read_labels(data: Path, labels: Path | None = None, **options: Any) -> Label
     outside = read.labelled & ((read.xy_px < -0.5) | (read.xy_px > sizes - 0.5)).any(axis=2)
     if outside.sum() > OUTSIDE * read.labelled.sum():  # too many to be the labels of these pictures
         i, k = np.argwhere(outside)[0]
-        found = f"{outside.sum()} of {read.labelled.sum()} points outside, {read.names[k]} in {read.images[i]} first"
-        raise InputError(Problem(read.source, "labels", found, "labels that lie in their pictures"))
+        detail = f"{outside.sum()} of {read.labelled.sum()} points outside, {read.names[k]} in {read.images[i]} first"
+        raise InputError(Problem(read.source, "labels", detail, "labels that lie in their pictures"))
     return read
 
 
 def read_label_file(path: Path, individual: str | None = None) -> tuple[Keypoints, tuple[str, ...]]:
-    """Points as labelled, NaN where there is none, and the name of each row's image (its number, where it has none).
+    """Return points as labelled, NaN where there is none, and the name of each row's image.
 
-    Raises InputError for a file that is no table of DeepLabCut's, or that has no label in it.
+    A row without an image has its number as the name. Raise InputError for a file that is not a table of DeepLabCut, or
+    that has no label in it.
     """
     keypoints, images = _read_rows(path, individual)
     if not keypoints.present.any():
@@ -155,10 +169,10 @@ def read_label_file(path: Path, individual: str | None = None) -> tuple[Keypoint
 
 def _read_rows(path: Path, individual: str | None) -> tuple[Keypoints, tuple[str, ...]]:
     read_head(path)
-    found = recognised(path, "2D")
-    if found is None or found.name != "deeplabcut":
+    file_format = recognised(path, "2D")
+    if file_format is None or file_format.name != "deeplabcut":
         raise InputError(Problem(path, "format", "another kind of file", "labels in DeepLabCut's layout, CSV or H5"))
-    stored = found.read(path, individual)
+    stored = file_format.read(path, individual)
     keypoints, _ = mark_missing(as_keypoints(path, stored))
     return keypoints, stored.images or tuple(map(str, keypoints.frames))
 
@@ -168,20 +182,20 @@ def _read_video(video: Path, path: Path, first_frame: int, individual: str | Non
     if keypoints.frames[0] < first_frame:
         expected = f"{keypoints.frames[0]} or less: the labels begin with frame {keypoints.frames[0]}"
         raise InputError(Problem("--first-frame", "number", str(first_frame), expected))
-    wanted, pictures, decoded = (keypoints.frames - first_frame).tolist(), {}, 0
-    asked = {*wanted}
-    for number, picture in read_frames(video, 0, max(wanted) + 1):
+    numbers, pictures, decoded = (keypoints.frames - first_frame).tolist(), {}, 0
+    labelled_numbers = {*numbers}
+    for number, picture in read_frames(video, 0, max(numbers) + 1):
         decoded = number + 1
-        if number in asked:
+        if number in labelled_numbers:
             pictures[number] = picture
-    if missing := [image for image, number in zip(images, wanted, strict=True) if number not in pictures]:
+    if missing := [image for image, number in zip(images, numbers, strict=True) if number not in pictures]:
         stated = "" if info.stated_frames in (None, decoded) else f" (the file states {info.stated_frames})"
         expected = (
-            f"a picture for each of the {len(wanted)} labelled frames; none for {len(missing)} of them, {missing[0]} "
+            f"a picture for each of the {len(numbers)} labelled frames; none for {len(missing)} of them, {missing[0]} "
             "first. --first-frame says which number the labels give to the video's first frame"
         )
         raise InputError(Problem(video, "frames", f"{decoded} frames that can be decoded{stated}", expected))
-    return _of_clip(video, keypoints, images, [pictures[number] for number in wanted], path)
+    return _of_clip(video, keypoints, images, [pictures[number] for number in numbers], path)
 
 
 def _of_clip(clip: Path, keypoints: Keypoints, images: tuple[str, ...], pictures: list[Image], source: Path) -> Labels:
@@ -203,8 +217,8 @@ def _read_project(folder: Path, project: Project | None, individual: str | None)
     if not parts:
         raise InputError(Problem(folder, "labels", "none in any label file", "at least one labelled point"))
     names, expected = parts[0].names, f"those of {parts[0].source}: {', '.join(parts[0].names)}"
-    others = [p for p in parts if sorted(p.names) != sorted(names)]
-    raise_problems(Problem(p.source, "bodyparts", ", ".join(p.names), expected) for p in others)
+    unlike = [p for p in parts if sorted(p.names) != sorted(names)]
+    raise_problems(Problem(p.source, "bodyparts", ", ".join(p.names), expected) for p in unlike)
     joined = {name: sum((getattr(p, name) for p in parts), ()) for name in ("images", "clips", "pictures", "notes")}
     xy_px = np.concatenate([p.xy_px[:, [p.names.index(n) for n in names]] for p in parts])
     clip = np.repeat(np.arange(len(parts)), [len(p.images) for p in parts])
@@ -212,7 +226,7 @@ def _read_project(folder: Path, project: Project | None, individual: str | None)
 
 
 def _read_folder(path: Path, individual: str | None) -> Labels | None:
-    """The pictures beside a label file; None where nothing is labelled in it, as in folders that wait for it."""
+    """Return the pictures beside a label file; None where nothing is labelled yet."""
     keypoints, images = _read_rows(path, individual)
     if not keypoints.present.any():
         return None
@@ -221,36 +235,42 @@ def _read_folder(path: Path, individual: str | None) -> Labels | None:
         file = path.parent / PureWindowsPath(image).name
         picture = read_picture(file, cv2.IMREAD_COLOR)
         if picture is None:
-            found = "a picture that cannot be read" if file.is_file() else "no such picture"
-            problems.append(Problem(file, "picture", found, f"the picture that {path.name} labels"))
+            description = "a picture that cannot be read" if file.is_file() else "no such picture"
+            problems.append(Problem(file, "picture", description, f"the picture that {path.name} labels"))
         else:
             pictures.append(picture)
     sizes = sorted({p.shape[1::-1] for p in pictures})
     if len(sizes) > 1:
-        shown = ", ".join(f"{w}x{h}" for w, h in sizes)
-        problems.append(Problem(path.parent, "pictures", f"several sizes: {shown} px", "one size, that of the video"))
+        shapes = ", ".join(f"{w}x{h}" for w, h in sizes)
+        problems.append(Problem(path.parent, "pictures", f"several sizes: {shapes} px", "one size, that of the video"))
     raise_problems(first_problems(problems, path))
     return _of_clip(path.parent, keypoints, images, pictures, path)
 
 
 def extents_px(xy_px: Array) -> Array:
-    """(N,): diagonals of the boxes around the labelled points (N, K, 2); NaN with fewer than two."""
-    known = known_points(xy_px)
-    points = np.where(known[..., None], xy_px, np.nan)
+    """Return diagonals (N,) of the boxes around labelled points (N, K, 2); NaN with fewer than two."""
+    is_known = known_points(xy_px)
+    points = np.where(is_known[..., None], xy_px, np.nan)
     sides = np.fmax.reduce(points, axis=1) - np.fmin.reduce(points, axis=1)
-    return np.where(known.sum(axis=1) > 1, np.linalg.norm(sides, axis=1), np.nan)
+    return np.where(is_known.sum(axis=1) > 1, np.linalg.norm(sides, axis=1), np.nan)
 
 
 def body_length_px(xy_px: Array) -> float:
-    """The length of the animal in the pictures: the median diagonal of the box around its points, over the pictures
-    that show most of it (NaN where nothing has two points)."""
-    known = known_points(xy_px).sum(axis=1)
-    return median(extents_px(xy_px)[known >= max(2, 0.7 * known.max(initial=0))])
+    """Return the length of the animal in pictures with points (N, K, 2), in pixels.
+
+    It is the median diagonal of the box around its points, over the pictures that show most of it; NaN where no picture
+    has two points.
+    """
+    counts = known_points(xy_px).sum(axis=1)
+    return median(extents_px(xy_px)[counts >= max(2, 0.7 * counts.max(initial=0))])
 
 
 def sides(names: Sequence[str]) -> tuple[int, ...]:
-    """For each keypoint, the one that it becomes in a mirror: names that differ in their side as `recon.animal` knows
-    it, or in a leg's letters (fl/fr, lf/rf). A keypoint without a partner is its own."""
+    """Return for each keypoint the index of the one that it becomes in a mirror.
+
+    Partners differ in their side as `recon.animal` knows it, or in a leg's letters (fl/fr, lf/rf). A keypoint without a
+    partner is its own.
+    """
     by_name = {name: k for k, name in enumerate(names)}
     return tuple(next((by_name[m] for m in _mirrored(name) if m in by_name), k) for k, name in enumerate(names))
 
@@ -260,13 +280,13 @@ _OTHER = str.maketrans("lrLR", "rlRL")
 
 
 def _mirrored(name: str) -> Iterator[str]:
-    """Names that the mirror picture of a keypoint may have; rl is a rear left leg, or a right one."""
-    if (other := other_side(name)) != name:
-        yield other
+    """Yield names that a keypoint's mirror image may have; rl is a rear left leg, or a right one."""
+    if (opposite := other_side(name)) != name:
+        yield opposite
     for leg in _LEG.finditer(name):
-        for at in (leg.start(), leg.end() - 1):
-            if name[at] in "lrLR":
-                yield name[:at] + name[at].translate(_OTHER) + name[at + 1 :]
+        for index in (leg.start(), leg.end() - 1):
+            if name[index] in "lrLR":
+                yield name[:index] + name[index].translate(_OTHER) + name[index + 1 :]
 
 
 # -- which pictures are learned from ---------------------------------------------------------------------------------
@@ -283,27 +303,30 @@ _Choice = float | tuple[int | None, int | None]
 
 
 def split_labels(labels: Labels, validation: str, test: str, seed: int) -> dict[str, Integers]:
-    """For each of `PARTS` its indices into the labelled pictures, increasing. validation, test: a share as in "0.2", or
-    frame numbers as in "110:150". Raises InputError where nothing would be left to train on."""
+    """Return for each of `PARTS` its indices into the labelled pictures, increasing.
+
+    `validation` and `test` are a share as in "0.2", or frame numbers as in "110:150". Raise InputError where nothing
+    would be left to train on.
+    """
     chosen = collect_problems(lambda: _parse(validation, "--validation"), lambda: _parse(test, "--test"))
-    rest = np.arange(len(labels.images))
-    of_test = _choose(labels, rest, chosen[1], seed, "--test")
-    rest = np.setdiff1d(rest, of_test)
-    of_validation = _choose(labels, rest, chosen[0], seed + 1, "--validation")
-    train = np.setdiff1d(rest, of_validation)
+    remaining = np.arange(len(labels.images))
+    test_pictures = _choose(labels, remaining, chosen[1], seed, "--test")
+    remaining = np.setdiff1d(remaining, test_pictures)
+    validation_pictures = _choose(labels, remaining, chosen[0], seed + 1, "--validation")
+    train = np.setdiff1d(remaining, validation_pictures)
     if not labels.labelled[train].any():
-        found = f"no labelled picture of {len(labels.images)} left to train on"
-        raise InputError(Problem("--validation, --test", "split", found, "smaller parts"))
-    return dict(zip(PARTS, (train, of_validation, of_test), strict=True))
+        description = f"no labelled picture of {len(labels.images)} left to train on"
+        raise InputError(Problem("--validation, --test", "split", description, "smaller parts"))
+    return dict(zip(PARTS, (train, validation_pictures, test_pictures), strict=True))
 
 
 def frames_by_part(labels: Labels, split: dict[str, Integers]) -> dict[str, dict[str, list[str]]]:
-    """Frame numbers by part and clip."""
-    found: dict[str, dict[str, list[str]]] = {part: {} for part in split}
-    for part, which in split.items():
-        for c in np.unique(labels.clip[which]):
-            found[part][labels.clips[c]] = frames_text(labels.numbers[which][labels.clip[which] == c])
-    return found
+    """Return frame numbers by part and clip."""
+    numbers: dict[str, dict[str, list[str]]] = {part: {} for part in split}
+    for part, indices in split.items():
+        for c in np.unique(labels.clip[indices]):
+            numbers[part][labels.clips[c]] = frames_text(labels.numbers[indices][labels.clip[indices] == c])
+    return numbers
 
 
 def _parse(text: str, option: str) -> _Choice:
@@ -321,19 +344,21 @@ def _parse(text: str, option: str) -> _Choice:
     return share
 
 
-def _choose(labels: Labels, rest: Integers, choice: _Choice, seed: int, option: str) -> Integers:
+def _choose(labels: Labels, remaining: Integers, choice: _Choice, seed: int, option: str) -> Integers:
     if isinstance(choice, tuple):
         low, high = choice
-        numbers = labels.numbers[rest]
-        chosen = rest[(numbers >= (low or 0)) & (numbers < (np.inf if high is None else high))]
+        numbers = labels.numbers[remaining]
+        chosen = remaining[(numbers >= (low or 0)) & (numbers < (np.inf if high is None else high))]
         if not len(chosen):
-            shown = f"{'' if low is None else low}:{'' if high is None else high}"
-            has = f"{numbers.min()} to {numbers.max()}" if len(numbers) else "none"
-            raise InputError(Problem(option, "frames", f"none in the range {shown}", f"numbers of the labels ({has})"))
+            limits = f"{'' if low is None else low}:{'' if high is None else high}"
+            ends = f"{numbers.min()} to {numbers.max()}" if len(numbers) else "none"
+            raise InputError(
+                Problem(option, "frames", f"none in the range {limits}", f"numbers of the labels ({ends})")
+            )
         return chosen
-    if choice == 0 or len(rest) < 2:
-        return rest[:0]
-    blocks = np.array_split(rest, min(len(rest), max(BLOCKS, round(2 / choice))))
+    if choice == 0 or len(remaining) < 2:
+        return remaining[:0]
+    blocks = np.array_split(remaining, min(len(remaining), max(BLOCKS, round(2 / choice))))
     count = min(len(blocks) - 1, max(1, round(choice * len(blocks))))
     picked = np.random.default_rng(seed).permutation(len(blocks))[:count]
     return np.sort(np.concatenate([blocks[i] for i in picked]))
@@ -377,17 +402,20 @@ def evaluate_2d_command(settings: Evaluate2DSettings) -> Answer:
 
 
 def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str, Any]:
-    """options: further fields of `Evaluate2DSettings`. Raises InputError for files that cannot be read or have nothing
-    in common."""
+    """Compare a file of predictions with a label file; see `evaluate_2d` for the result.
+
+    `options` are further fields of `Evaluate2DSettings`. Raise InputError for files that cannot be read or have nothing
+    in common.
+    """
     o = Evaluate2DSettings(predicted=predicted, labels=labels, **options)
 
     def read_predicted() -> Keypoints:
         keypoints = mark_missing(read_keypoints(predicted, o.individual))[0]
         return keypoints if o.rename is None else renamed(keypoints, load_names(o.rename))
 
-    asked = parse_frame_range(o.frames) if o.frames else None
+    frame_range = parse_frame_range(o.frames) if o.frames else None
     guess, truth = collect_problems(
-        read_predicted, lambda: select_frames(read_label_file(labels, o.individual)[0], asked)
+        read_predicted, lambda: select_frames(read_label_file(labels, o.individual)[0], frame_range)
     )
     common = [name for name in truth.names if name in guess.names]
     problems = []
@@ -405,9 +433,9 @@ def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str
     raise_problems(problems)
     rows_g = pd.Index(numbers).get_indexer(truth.frames[rows_t])
     g, t = [guess.names.index(n) for n in common], [truth.names.index(n) for n in common]
-    found, sure, known = guess.xy_px[rows_g][:, g], guess.confidence[rows_g][:, g], truth.xy_px[rows_t]
+    found, likelihood, label_px = guess.xy_px[rows_g][:, g], guess.confidence[rows_g][:, g], truth.xy_px[rows_t]
     limits = picked(o, "likelihood_min", "tolerance_px")
-    return evaluate_2d(tuple(common), found, sure, known[:, t], body_length_px(known), **limits)
+    return evaluate_2d(tuple(common), found, likelihood, label_px[:, t], body_length_px(label_px), **limits)
 
 
 def evaluate_2d(
@@ -419,19 +447,39 @@ def evaluate_2d(
     likelihood_min: float = 0.5,
     tolerance_px: float = 5.0,
 ) -> dict[str, Any]:
-    """Scores of points (N, K, 2) with likelihoods (N, K), against labels (N, K, 2), each NaN where there is none: how
-    many `frames`; scores (`_score`) of `all`, of those with a likelihood cut-off (`likely`), and with the two sides of
-    the animal allowed to be the wrong way round (`swaps_forgiven`, None where no names differ in their side), by
-    keypoint (`per_keypoint`, `likely_per_keypoint`); and the `reliability` of the likelihoods, None without any."""
+    """Return scores of points against labels.
+
+    Parameters
+    ----------
+    names : tuple of K str
+        The keypoints.
+    xy_px : (N, K, 2)
+        Predicted points, NaN where there is none.
+    likelihood : (N, K)
+        Their likelihoods.
+    label_px : (N, K, 2)
+        Labels, NaN where there is none.
+    length_px : float
+        The length of the animal.
+    likelihood_min, tolerance_px : float
+        From which likelihood a point is likely, and within which distance of its label it is right.
+
+    Returns
+    -------
+    dict
+        `frames`, their number; scores (`_score`) of `all` points, of the `likely` ones, and with the animal's sides
+        allowed to be swapped (`swaps_forgiven`, None where no names differ in their side), by keypoint (`per_keypoint`,
+        `likely_per_keypoint`); and the `reliability` of the likelihoods, None without any.
+    """
     errors, partner = np.linalg.norm(xy_px - label_px, axis=2), sides(names)
     likely = np.where(likelihood >= likelihood_min, errors, np.nan)
     paired = any(p != k for k, p in enumerate(partner))
-    known = np.isfinite(errors) & np.isfinite(likelihood)
+    is_known = np.isfinite(errors) & np.isfinite(likelihood)
 
-    def score(values: Array, which: int | slice = slice(None)) -> dict[str, Any]:
-        return _score(values[:, which], known_points(label_px)[:, which], length_px)
+    def score(values: Array, columns: int | slice = slice(None)) -> dict[str, Any]:
+        return _score(values[:, columns], known_points(label_px)[:, columns], length_px)
 
-    sure, right = np.clip(likelihood[known], 0, 1), errors[known] <= tolerance_px
+    sure, right = np.clip(likelihood[is_known], 0, 1), errors[is_known] <= tolerance_px
     return {
         "frames": len(label_px),
         "body_length_px": length_px,
@@ -442,49 +490,66 @@ def evaluate_2d(
         "swaps_forgiven": score(_forgiving_errors_px(xy_px, label_px, partner)) if paired else None,
         "per_keypoint": {name: score(errors, k) for k, name in enumerate(names)},
         "likely_per_keypoint": {name: score(likely, k) for k, name in enumerate(names)},
-        "reliability": reliability(sure, right) if known.any() else None,
+        "reliability": reliability(sure, right) if is_known.any() else None,
     }
 
 
 def _forgiving_errors_px(xy_px: Array, label_px: Array, partner: tuple[int, ...]) -> Array:
-    """Errors (N, K) with each pair of sides the right way round or the other, whichever is better for the pair."""
-    own = np.linalg.norm(xy_px - label_px, axis=2)
-    other = np.linalg.norm(xy_px[:, list(partner)] - label_px, axis=2)
-    cost = np.stack([own, other])
-    of_pair = np.nansum(np.stack([cost, cost[:, :, list(partner)]]), axis=0)
-    return np.where(of_pair[1] < of_pair[0], other, own)
+    """Return errors (N, K) with each pair of sides as predicted or swapped, whichever is better."""
+    direct = np.linalg.norm(xy_px - label_px, axis=2)
+    swapped = np.linalg.norm(xy_px[:, list(partner)] - label_px, axis=2)
+    cost = np.stack([direct, swapped])
+    pair_costs = np.nansum(np.stack([cost, cost[:, :, list(partner)]]), axis=0)
+    return np.where(pair_costs[1] < pair_costs[0], swapped, direct)
 
 
 def _score(errors: Array, labelled: Bools, length_px: float) -> dict[str, Any]:
-    """Scores of errors that are NaN where not labelled or not found: how many labelled `points`, the share of them
-    `found` (and likely enough), RMSE and median over those, NaN without any, and by distance (`pck_px`) and by part of
-    the body length (`pck_relative`) shares of all labelled points, those not found being wrong."""
+    """Return scores of errors (..., K) that are NaN where not labelled or not found.
+
+    The scores are the number of labelled `points`; the share of them that was `found` and is likely enough; RMSE and
+    median over those, NaN without any; and by distance (`pck_px`) and by part of the body length (`pck_relative`) the
+    shares of all labelled points within it. A point that was not found is wrong.
+    """
     n = int(labelled.sum())
-    found = errors[labelled & np.isfinite(errors)]
+    found_errors = errors[labelled & np.isfinite(errors)]
 
     def share(limit_px: float) -> float:
-        return float((found <= limit_px).sum() / n) if n and np.isfinite(limit_px) else np.nan
+        return float((found_errors <= limit_px).sum() / n) if n and np.isfinite(limit_px) else np.nan
 
     return {
         "points": n,
-        "found": len(found) / n if n else np.nan,
-        "rmse_px": float(np.sqrt(np.mean(found**2))) if len(found) else np.nan,
-        "median_px": float(np.median(found)) if len(found) else np.nan,
+        "found": len(found_errors) / n if n else np.nan,
+        "rmse_px": float(np.sqrt(np.mean(found_errors**2))) if len(found_errors) else np.nan,
+        "median_px": float(np.median(found_errors)) if len(found_errors) else np.nan,
         "pck_px": {str(limit): share(limit) for limit in PCK_PX},
         "pck_relative": {str(limit): share(limit * length_px) for limit in PCK_RELATIVE},
     }
 
 
 def reliability(likelihood: Array, right: Bools, bins: int = BINS) -> dict[str, Any]:
-    """How reliable likelihoods (N,) in 0 to 1 are, given whether their points are right (N,): how many `points` they
-    are; their `expected_calibration_error`, the mean difference of likelihood and share of right points, NaN without
-    any; and for the `bins` of equal width with points in them how many; low and high, between which their likelihoods
-    lie; their mean; and the share of them that is right."""
-    which, rows = np.minimum((likelihood * bins).astype(int), bins - 1), []
-    for b in np.unique(which):
-        here = which == b
-        ends = {"low": float(b / bins), "high": float((b + 1) / bins), "points": int(here.sum())}
-        rows.append(ends | {"likelihood": float(likelihood[here].mean()), "right": float(right[here].mean())})
+    """Return how reliable likelihoods are.
+
+    Parameters
+    ----------
+    likelihood : (N,)
+        From 0 to 1.
+    right : (N,)
+        Whether each point is right.
+    bins : int
+        Number of bins of equal width.
+
+    Returns
+    -------
+    dict
+        `points`, their number; `expected_calibration_error`, the mean difference of likelihood and share of right
+        points, NaN without any; and for each of the `bins` with points its ends, their number, their mean likelihood
+        and the share that is right.
+    """
+    bin_of_point, rows = np.minimum((likelihood * bins).astype(int), bins - 1), []
+    for b in np.unique(bin_of_point):
+        in_bin = bin_of_point == b
+        ends = {"low": float(b / bins), "high": float((b + 1) / bins), "points": int(in_bin.sum())}
+        rows.append(ends | {"likelihood": float(likelihood[in_bin].mean()), "right": float(right[in_bin].mean())})
     total = len(likelihood)
     error = sum(r["points"] * abs(r["likelihood"] - r["right"]) for r in rows) / total if total else float("nan")
     return {"points": total, "expected_calibration_error": float(error), "bins": rows}

@@ -1,23 +1,25 @@
-"""The network: a picture in, for each keypoint its place and likelihood out; saved with all that it takes to use it.
+"""The network: from a picture to the position and likelihood of each keypoint, and `recon predict`.
 
-An encoder of residual blocks down to 1/32 of the picture, and a decoder back up to 1/4 (`STRIDE`). Convolutions only,
-so that any size of picture goes in; about 2.7 million parameters for any number of keypoints. For an animal that is
-large in the pictures there are two: one for the whole animal in small pictures, and one that looks again near each of
-its points at full size.
+An encoder of residual blocks leads down to 1/32 of the picture, and a decoder back up to 1/4 (`STRIDE`). All layers are
+convolutions, so that any size of picture goes in; there are about 2.7 million parameters for any number of keypoints.
+An animal that is large in the pictures has two networks: one for the whole animal in small pictures, and one that looks
+again near each of its points at full size.
 
-A softmax over the grid makes probabilities of a keypoint's scores. The point is where most of it lies within a small
-blur (`BLUR` places): a broad peak beats a sharp one of less weight. Between places of the grid, a parabola through the
-logarithm of the blurred probability at the peak and its neighbours finds the maximum; it is exact for a Gaussian, which
-is what the network is trained on. The raw likelihood is the probability within the tolerance of the point.
+A softmax over the grid makes probabilities of a keypoint's scores. The point is where most of the probability lies
+within a small blur (`BLUR` cells): a broad peak beats a sharp one of less weight. Between cells of the grid, a parabola
+through the logarithm of the blurred probability at the peak and its neighbours finds the maximum; it is exact for a
+Gaussian, which is what the network is trained on. The raw likelihood is the probability within the tolerance of the
+point.
 
-A network is surer on the pictures that it knows than it may be on others. On the validation pictures it is known which
-points are right (within the tolerance of their label); a logistic function of the raw likelihood's logit is fitted to
-them, and makes of it the share of points that are right.
+A network is surer on the pictures that it knows than it may be on others. The validation pictures show which points are
+right (within the tolerance of their label). A logistic function of the raw likelihood's logit is fitted to them, and
+turns it into the share of points that are right.
 
-It needs the optional package torch, which is imported where it is used.
+The optional package torch is imported where it is used.
 
-`recon predict` takes a video and writes a keypoint file. The frames go through the network in batches, the next ones
-decoded meanwhile. Pictures are held for a few batches only; what grows with the video are the points, 12 bytes each.
+`recon predict` takes a video and writes a keypoint file. The frames go through the network in batches, while the next
+ones are decoded. Pictures stay in memory for a few batches only; what grows with the video are the points, 12 bytes
+each.
 """
 
 from __future__ import annotations
@@ -53,7 +55,7 @@ from recon.clip import Keypoints
 from recon.io.formats import FORMATS
 from recon.io.video import Image, VideoInfo, missing_note, probe, require_codec, timed_frames, video_writer
 from recon.keypoint_net.labels import resize, scale_points
-from recon.keypoint_net.pictures import ahead, background_of_video
+from recon.keypoint_net.pictures import background_of_video, prefetched
 from recon.show.overlay import Colour, draw_circle
 from recon.show.plain import picked
 from recon.workflows.cli import Answer
@@ -69,7 +71,7 @@ CHANNELS = 6
 GREY, SPREAD, DIFFERENCE = 115.0, 64.0, 64.0
 """Levels that become 0 and 1, and the difference that becomes 1."""
 STRIDE = 4
-"""Pixels between neighbouring places of the grid; place (0, 0) is pixel (0, 0)."""
+"""Pixels between neighbouring cells of the grid; cell (0, 0) is pixel (0, 0)."""
 WIDTHS, BLOCKS = (16, 32, 64, 128, 192), (0, 1, 2, 2, 2)
 """Channels and residual blocks at 1/2, 1/4, ... 1/32 of the picture."""
 SECOND_WIDTHS, SECOND_BLOCKS = (16, 32, 64, 96), (0, 1, 2, 2)
@@ -78,15 +80,15 @@ work."""
 HEAD = 48
 
 SIGMA = 0.9
-"""The standard deviation of the Gaussian that the network is to give, in places of the grid."""
+"""The standard deviation of the Gaussian that the network is to give, in cells of the grid."""
 LEAST_SIGMA = 0.15
-"""Standard deviation of a point in places, if the probability is no broader than that."""
+"""Standard deviation of a point in cells, if the probability is no broader than that."""
 BLUR = 0.8
-"""Standard deviation, in places of the grid."""
+"""Standard deviation, in cells of the grid."""
 FAR = 4.0
 _REACH = 3
 NOWHERE = -1e4
-"""Score of places outside of the window."""
+"""Score of cells outside of the window."""
 MARGIN_PX = 32
 """Around where the second stage looks, for it to see what is near."""
 SURE = 0.05
@@ -104,36 +106,38 @@ THREADS = Option("Threads on the CPU. (default: one for each core)", "1 or more"
 
 
 def require_torch() -> Any:
-    """The package. Raises InputError, which says what to install, where there is none."""
+    """Return the package torch; raise InputError, which says what to install, if it is missing."""
     try:
         import torch  # pyright: ignore[reportMissingImports]
     except ImportError:
-        found, expected = "none", f"torch: {install_command('net')}"
-        raise InputError(Problem("recon train, recon predict", "package for networks", found, expected)) from None
+        version, expected = "none", f"torch: {install_command('net')}"
+        raise InputError(Problem("recon train, recon predict", "package for networks", version, expected)) from None
     return torch
 
 
 def choose_device(name: str) -> torch.device:
-    """ "auto" is CUDA or MPS where there is one, else the CPU. Raises InputError for a device that is not there."""
+    """Return the device of a name; auto is CUDA or MPS if there is one, else the CPU."""
     torch = require_torch()
-    there = {"cpu": True, "cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
+    is_available = {"cpu": True, "cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
     if name == "auto":
-        name = next(device for device in ("cuda", "mps", "cpu") if there[device])
-    if not there.get(name):
-        found = f"'{name}'" if name not in DEVICES else f"{name}, which torch {torch.__version__} does not find here"
-        expected = ", ".join(["one of: auto", *(device for device in there if there[device])])
-        raise InputError(Problem("--device", "device", found, expected))
+        name = next(device for device in ("cuda", "mps", "cpu") if is_available[device])
+    if not is_available.get(name):
+        detail = f"'{name}'" if name not in DEVICES else f"{name}, which torch {torch.__version__} does not find here"
+        expected = ", ".join(["one of: auto", *(device for device in is_available if is_available[device])])
+        raise InputError(Problem("--device", "device", detail, expected))
     return torch.device(name)
 
 
 def use_threads(count: int | None) -> None:
-    """Threads for the CPU: as given, or as many as this process may use. The number is part of what a run repeats."""
+    """Set the threads of the CPU: as given, or as many as this process may use."""
     require_torch().set_num_threads(count or available_cores())
 
 
 def fast_half(device: torch.device) -> Any:
-    """bfloat16 where a device computes faster with it than with float32, or None. Not float16, whose range is too small
-    for gradients unless they are scaled."""
+    """Return bfloat16 if a device computes faster with it than with float32, else None.
+
+    It is not float16, whose range is too small for gradients unless they are scaled.
+    """
     torch = require_torch()
     if device.type == "cuda":
         return torch.bfloat16 if torch.cuda.is_bf16_supported() else None
@@ -148,7 +152,10 @@ def fast_half(device: torch.device) -> Any:
 
 
 def build_network(keypoints: int, widths: tuple[int, ...], blocks: tuple[int, ...]) -> torch.nn.Module:
-    """A network with random weights: (B, CHANNELS, H, W) in, scores (B, keypoints, ceil(H / 4), ceil(W / 4)) out."""
+    """Return a network with random weights.
+
+    It takes (B, CHANNELS, H, W) and gives scores (B, keypoints, ceil(H / 4), ceil(W / 4)).
+    """
     torch = require_torch()
     nn, functional = torch.nn, torch.nn.functional
 
@@ -196,7 +203,10 @@ def build_network(keypoints: int, widths: tuple[int, ...], blocks: tuple[int, ..
 
 
 def new_network(keypoints: int, two_stages: bool) -> torch.nn.Module:
-    """With random weights; of two stages a dict of `first`, for the whole animal, and `second`, for its parts."""
+    """Return a network with random weights.
+
+    A network of two stages is a dict of `first`, for the whole animal, and `second`, for its parts.
+    """
     first = build_network(keypoints, WIDTHS, BLOCKS)
     if not two_stages:
         return first
@@ -205,36 +215,36 @@ def new_network(keypoints: int, two_stages: bool) -> torch.nn.Module:
 
 
 def stages(network: torch.nn.Module) -> tuple[torch.nn.Module, ...]:
-    """The two of `new_network`, or the one that there is."""
+    """Return the one or two stages of a network of `new_network`."""
     return tuple(network.children()) if isinstance(network, require_torch().nn.ModuleDict) else (network,)
 
 
-def placed(network: Any, device: torch.device) -> Any:
-    """On a device, in the layout that convolutions are fastest in."""
+def on_device(network: Any, device: torch.device) -> Any:
+    """Return a network on a device, in the layout in which convolutions are fastest."""
     return network.to(device).to(memory_format=require_torch().channels_last)
 
 
 def as_input(pictures: NDArray[np.uint8], background: Image | None, device: torch.device) -> torch.Tensor:
-    """(B, 6, H, W): what the network sees of pictures (B, H, W, 3) with one background, or one for each."""
+    """Return (B, 6, H, W), the network's input for pictures (B, H, W, 3) with one background, or one for each."""
     torch = require_torch()
     x = torch.from_numpy(pictures).to(device).float()
-    still = x if background is None else torch.from_numpy(np.ascontiguousarray(background)).to(device).float()
-    return torch.cat([(x - GREY) / SPREAD, (x - still) / DIFFERENCE], dim=-1).permute(0, 3, 1, 2)
+    backgrounds = x if background is None else torch.from_numpy(np.ascontiguousarray(background)).to(device).float()
+    return torch.cat([(x - GREY) / SPREAD, (x - backgrounds) / DIFFERENCE], dim=-1).permute(0, 3, 1, 2)
 
 
 # -- scores and points -----------------------------------------------------------------------------------------------
 
 Window = tuple["torch.Tensor", float]
-"""Where each keypoint may be: near (B, K, 2), and within which distance of it, in places of the grid."""
+"""Where each keypoint may be: near (B, K, 2), and within which distance of it, in cells of the grid."""
 
 
 def _inside(window: Window, size: Sequence[int]) -> torch.Tensor:
-    """(B, K, h, w): which places are in the window; none for a keypoint that is NaN."""
+    """Return which cells (B, K, h, w) are in the window; none for a keypoint that is NaN."""
     return _distance2(window[0], size) <= window[1] ** 2
 
 
 def _distance2(xy: torch.Tensor, size: Sequence[int]) -> torch.Tensor:
-    """(B, K, h, w): squared distance of each place from points (B, K, 2)."""
+    """Return the squared distance (B, K, h, w) of each cell from points (B, K, 2)."""
     import torch  # pyright: ignore[reportMissingImports]
 
     rows, columns = (torch.arange(n, dtype=torch.float32, device=xy.device) for n in size)
@@ -243,7 +253,7 @@ def _distance2(xy: torch.Tensor, size: Sequence[int]) -> torch.Tensor:
 
 
 def probabilities(scores: torch.Tensor, window: Window | None = None) -> torch.Tensor:
-    """(B, K, h, w), float32, each keypoint's grid adding up to 1."""
+    """Return probabilities (B, K, h, w), float32; the grid of each keypoint adds up to 1."""
     scores = scores.float()
     if window is not None:
         scores = scores.masked_fill(~_inside(window, scores.shape[2:]), NOWHERE)
@@ -251,7 +261,7 @@ def probabilities(scores: torch.Tensor, window: Window | None = None) -> torch.T
 
 
 def decode(probability: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
-    """Points (B, K, 2) as x, y in places of the grid, and the probability (B, K) within `tolerance` places of them."""
+    """Return points (B, K, 2) in cells of the grid, and the probability (B, K) within `tolerance` cells of them."""
     import torch  # pyright: ignore[reportMissingImports]
 
     b, k, h, w = probability.shape
@@ -266,45 +276,51 @@ def decode(probability: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, t
     row, column = peak // w, peak % w
     n = torch.arange(b * k, device=probability.device)
 
-    def refined(along: torch.Tensor, size: int, at: list[torch.Tensor]) -> torch.Tensor:
-        before, here, after = (value.clamp_min(1e-30).log() for value in at)
-        bend = before - 2 * here + after
-        shift = torch.where(bend < -1e-6, 0.5 * (before - after) / bend.clamp(max=-1e-6), torch.zeros_like(bend))
+    def refined(along: torch.Tensor, size: int, values: list[torch.Tensor]) -> torch.Tensor:
+        left, middle, right = (value.clamp_min(1e-30).log() for value in values)
+        bend = left - 2 * middle + right
+        shift = torch.where(bend < -1e-6, 0.5 * (left - right) / bend.clamp(max=-1e-6), torch.zeros_like(bend))
         inside = (along > 0) & (along < size - 1)
         return along + torch.where(inside, shift.clamp(-0.5, 0.5), torch.zeros_like(shift))
 
     x = refined(column, w, [blurred[n, row, (column + d).clamp(0, w - 1)] for d in (-1, 0, 1)])
     y = refined(row, h, [blurred[n, (row + d).clamp(0, h - 1), column] for d in (-1, 0, 1)])
     xy = torch.stack([x, y], dim=1).view(b, k, 2)
-    # A place at the tolerance's edge counts in part.
+    # A cell at the tolerance's edge counts in part.
     share = (tolerance + 0.5 - _distance2(xy, (h, w)).sqrt()).clamp(0, 1)
     return xy, (probability * share).sum(dim=(2, 3)).clamp(0, 1)
 
 
 def variance(probability: torch.Tensor, xy: torch.Tensor) -> torch.Tensor:
-    """(B, K), in places squared, along each axis, of points (B, K, 2): how much broader the probability (B, K, h, w) is
-    around them than the Gaussian that the network is to give. What is far away counts as at `FAR`."""
+    """Return the variance (B, K) of points (B, K, 2) along each axis, in cells squared.
+
+    It is how much broader the probability (B, K, h, w) is around them than the Gaussian that the network is trained on.
+    Probability farther away counts as at `FAR`.
+    """
     spread = 0.5 * (probability * _distance2(xy, probability.shape[2:]).clamp(max=FAR**2)).sum(dim=(2, 3))
     return (spread - SIGMA**2).clamp_min(0) + LEAST_SIGMA**2
 
 
 def loss(scores: torch.Tensor, xy: torch.Tensor, window: Window | None = None) -> torch.Tensor:
-    """Mean cross-entropy with a Gaussian around each point that is labelled: those of xy (B, K, 2), in places of the
-    grid, that are not NaN; inside of the window, if there is one. 0 where there is none."""
+    """Return the mean cross-entropy with a Gaussian around each labelled point, 0 without labels.
+
+    Points `xy` (B, K, 2) are in cells of the grid, NaN where not labelled. Only cells inside the window count, if there
+    is one.
+    """
     import torch  # pyright: ignore[reportMissingImports]
 
     size = scores.shape[2:]
     labelled = torch.isfinite(xy).all(dim=2)
-    known = torch.where(labelled[..., None], xy, torch.zeros_like(xy))
-    aim = (-0.5 * _distance2(known, size) / SIGMA**2).flatten(2).softmax(dim=2)
+    points = torch.where(labelled[..., None], xy, torch.zeros_like(xy))
+    aim = (-0.5 * _distance2(points, size) / SIGMA**2).flatten(2).softmax(dim=2)
     scores = scores.float()
     if window is not None:
         mask = _inside(window, size)
         aim = aim * mask.flatten(2)
         aim = aim / aim.sum(dim=2, keepdim=True).clamp_min(1e-6)
         scores = scores.masked_fill(~mask, NOWHERE)
-    each = -(aim * scores.flatten(2).log_softmax(dim=2)).sum(dim=2)
-    return (each * labelled).sum() / labelled.sum().clamp_min(1)
+    entropies = -(aim * scores.flatten(2).log_softmax(dim=2)).sum(dim=2)
+    return (entropies * labelled).sum() / labelled.sum().clamp_min(1)
 
 
 # -- likelihoods -----------------------------------------------------------------------------------------------------
@@ -314,7 +330,7 @@ Calibration = tuple[float, float]
 
 
 def calibrated(raw: Array, calibration: Calibration | None) -> Array:
-    """Calibrated likelihoods from raw ones; NaN stays NaN."""
+    """Return calibrated likelihoods from raw ones; NaN stays NaN."""
     if calibration is None:
         return np.clip(raw, 0.0, 1.0)
     slope, offset = calibration
@@ -322,8 +338,11 @@ def calibrated(raw: Array, calibration: Calibration | None) -> Array:
 
 
 def fit_calibration(raw: Array, right: Bools) -> Calibration | None:
-    """From raw likelihoods (N,) and whether their points are right (N,), by maximum likelihood with a weak prior on
-    slope and offset, which keeps both finite where all points are right."""
+    """Return the calibration from raw likelihoods (N,) and whether their points are right (N,).
+
+    It is fitted by maximum likelihood with a weak prior on slope and offset, which keeps both finite where all points
+    are right. None without points.
+    """
     if not len(raw):
         return None
     x, y = logit(np.clip(raw, _EDGE, 1 - _EDGE)), right.astype(float)
@@ -334,8 +353,8 @@ def fit_calibration(raw: Array, right: Bools) -> Calibration | None:
         value = float((np.logaddexp(0, z) - y * z).sum() + 0.5 * (off**2).sum())
         return value, np.array([(slack * x).sum(), slack.sum()]) + off / _PRIOR_SIGMA
 
-    found = minimize(cost, _PRIOR, jac=True, method="L-BFGS-B", bounds=[(0.05, 5.0), (-10.0, 10.0)])
-    return float(found.x[0]), float(found.x[1])
+    minimum = minimize(cost, _PRIOR, jac=True, method="L-BFGS-B", bounds=[(0.05, 5.0), (-10.0, 10.0)])
+    return float(minimum.x[0]), float(minimum.x[1])
 
 
 # -- a trained network -----------------------------------------------------------------------------------------------
@@ -362,17 +381,22 @@ class Spec:
 
     @property
     def two_stages(self) -> bool:
+        """Return whether a second stage looks at parts of the picture."""
         return self.first < 1
 
     @property
-    def reach_places(self) -> float:
-        """How far from a point of the first stage the second one looks, in its own pictures: as far as the first one
-        says that it is likely to be."""
+    def reach_cells(self) -> float:
+        """Return how far from a point of the first stage the second one looks, in cells of its own grid.
+
+        It is the distance within which the first stage expects the point.
+        """
         return self.tolerance_px * self.scale / STRIDE
 
 
 @dataclass(frozen=True, eq=False)
 class TrainedNetwork:
+    """A network with its weights, ready to find points."""
+
     spec: Spec
     network: torch.nn.Module
     device: torch.device
@@ -380,11 +404,14 @@ class TrainedNetwork:
     """A 16-bit type to compute in, or None."""
 
     def points(self, pictures: Sequence[Image], background: Image | None) -> tuple[Array, Array]:
-        """Points (B, K, 2) in pixels of the clip and raw likelihoods (B, K) of pictures of one size, scaled already."""
+        """Return points (B, K, 2) in pixels of the clip and raw likelihoods (B, K).
+
+        `pictures` have one size and the network's scale.
+        """
         first = self.spec.first
         small = np.stack([resize(picture, first) for picture in pictures])
-        still = None if background is None else resize(background, first)
-        xy_px, raw, variance_px2 = self._found(0, small, still)
+        small_background = None if background is None else resize(background, first)
+        xy_px, raw, variance_px2 = self._found(0, small, small_background)
         if self.spec.two_stages:
             begin = scale_points(xy_px, 1 / first), raw, variance_px2 / first**2
             xy_px = self._refined(*begin, pictures, background)
@@ -393,32 +420,37 @@ class TrainedNetwork:
     def _refined(
         self, xy_px: Array, raw: Array, variance_px2: Array, pictures: Sequence[Image], background: Image | None
     ) -> Array:
-        """Points (B, K, 2): the mean of what both stages see, weighted by how sure each is of it, in the part of each
-        picture where most points are; others stay."""
-        low, size = part_of(xy_px, raw, STRIDE * self.spec.reach_places + MARGIN_PX, pictures[0].shape[1::-1])
+        """Return points (B, K, 2) that both stages see, each stage weighted by its certainty.
+
+        The second stage looks at the part of each picture where most points are; points elsewhere stay as the first
+        found them.
+        """
+        low, size = part_of(xy_px, raw, STRIDE * self.spec.reach_cells + MARGIN_PX, pictures[0].shape[1::-1])
         parts = [(slice(y, y + size[1]), slice(x, x + size[0])) for x, y in low]
         crops = np.stack([picture[part] for picture, part in zip(pictures, parts, strict=True)])
-        still = None if background is None else np.stack([background[part] for part in parts])
-        near = xy_px - low[:, None]
-        found_px, _, found_px2 = self._found(1, crops, still, near)
-        inside = ((near >= 0) & (near <= np.array(size) - 1)).all(axis=2)
+        backgrounds = None if background is None else np.stack([background[part] for part in parts])
+        near_px = xy_px - low[:, None]
+        found_px, _, found_px2 = self._found(1, crops, backgrounds, near_px)
+        inside = ((near_px >= 0) & (near_px <= np.array(size) - 1)).all(axis=2)
         weight = inside * variance_px2 / (variance_px2 + found_px2)
-        return xy_px + weight[..., None] * (found_px - near)
+        return xy_px + weight[..., None] * (found_px - near_px)
 
     def _found(
         self, stage: int, pictures: Image, background: Image | None, near_px: Array | None = None
     ) -> tuple[Array, Array, Array]:
-        """Points (B, K, 2) in pixels of the pictures, raw likelihoods (B, K), and the points' variances along each axis
-        (B, K); near_px: where the second stage looks."""
+        """Return points (B, K, 2) in pixels, raw likelihoods (B, K), and variances along each axis (B, K).
+
+        `near_px` is where the second stage looks.
+        """
         torch, spec = require_torch(), self.spec
         with torch.inference_mode():
             x = as_input(pictures, background, self.device)
-            window = None if near_px is None else (places(near_px, self.device), spec.reach_places)
+            window = None if near_px is None else (to_cells(near_px, self.device), spec.reach_cells)
             with torch.autocast(x.device.type, self.half, enabled=self.half is not None):
                 scores = stages(self.network)[stage](x)
-            found = probabilities(scores, window)
-            xy, raw = decode(found, spec.reach_places * spec.first)
-            parts = (STRIDE * xy, raw, STRIDE**2 * variance(found, xy))
+            probability = probabilities(scores, window)
+            xy, raw = decode(probability, spec.reach_cells * spec.first)
+            parts = (STRIDE * xy, raw, STRIDE**2 * variance(probability, xy))
         xy_px, raw, variance_px2 = (part.cpu().double().numpy() for part in parts)
         return xy_px, raw, variance_px2
 
@@ -426,8 +458,10 @@ class TrainedNetwork:
 def part_of(
     xy_px: Array, raw: Array, margin_px: float, size_px: Sequence[int]
 ) -> tuple[NDArray[np.int64], tuple[int, int]]:
-    """The part of pictures of size_px around the points (B, K, 2) that are likely enough: its first pixel in each (B,
-    2), and the size (width, height) of all."""
+    """Return the part of pictures of `size_px` around points (B, K, 2) that are likely enough.
+
+    It is given by its first pixel in each picture (B, 2), and its size (width, height) in all.
+    """
     sure = (raw >= np.minimum(SURE, raw.max(axis=1, keepdims=True)))[..., None]
     low = np.where(sure, xy_px, np.inf).min(axis=1) - margin_px
     high = np.where(sure, xy_px, -np.inf).max(axis=1) + margin_px
@@ -437,21 +471,21 @@ def part_of(
     return np.clip(first, 0, np.array(size_px) - [width, height]), (width, height)
 
 
-def places(xy_px: Array, device: torch.device) -> torch.Tensor:
-    """The places in the grid of points in pixels."""
+def to_cells(xy_px: Array, device: torch.device) -> torch.Tensor:
+    """Return points in pixels as points in cells of the grid."""
     return require_torch().from_numpy((xy_px / STRIDE).astype(np.float32)).to(device)
 
 
 def save_torch(content: dict[str, Any], path: Path) -> None:
-    """Whole or not at all."""
-    made = BytesIO()
-    require_torch().save(content, made)
+    """Write a file of torch, whole or not at all."""
+    buffer = BytesIO()
+    require_torch().save(content, buffer)
     with staged_file(path) as staged:
-        write_bytes(staged, made.getvalue())
+        write_bytes(staged, buffer.getvalue())
 
 
 def model_file(folder: Path) -> Path:
-    """Where the network of a folder is that `recon train` wrote. Raises InputError where there is none."""
+    """Return the path of a folder's network; raise InputError if `recon train` wrote none there."""
     path = folder / MODEL_FILE if folder.is_dir() else folder
     if not path.is_file():
         expected = f"the {MODEL_FILE} of a folder that `recon train` wrote"
@@ -460,17 +494,17 @@ def model_file(folder: Path) -> Path:
 
 
 def load_model(folder: Path, device: torch.device) -> TrainedNetwork:
-    """The network of such a folder. Raises InputError."""
+    """Return the network of a folder that `recon train` wrote; raise InputError if it cannot be used."""
     path = model_file(folder)
     content = load_torch(path)
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise InputError(Problem(path, "model", "a file of another kind or version", "one that `recon train` wrote"))
     try:
-        kept = content["spec"]
-        if old := kept.get("calibrations", {}).get("fast"):  # of version 0.2
-            kept["calibration"] = old["slope"], old["offset"]
+        spec_table = content["spec"]
+        if calibration_02 := spec_table.get("calibrations", {}).get("fast"):  # of version 0.2
+            spec_table["calibration"] = calibration_02["slope"], calibration_02["offset"]
         names = [field.name for field in dataclasses.fields(Spec)]
-        spec = validated(Spec, {name: kept[name] for name in names if name in kept}, path)
+        spec = validated(Spec, {name: spec_table[name] for name in names if name in spec_table}, path)
         network = new_network(len(spec.names), spec.two_stages)
         network.load_state_dict(content["weights"])
     except InputError:
@@ -478,20 +512,20 @@ def load_model(folder: Path, device: torch.device) -> TrainedNetwork:
     except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
         found = f"a network with parts missing or altered ({' '.join(str(error).split())[:100]})"
         raise InputError(Problem(path, "model", found, "one as `recon train` wrote it")) from None
-    return TrainedNetwork(spec, placed(network, device).eval(), device, fast_half(device))
+    return TrainedNetwork(spec, on_device(network, device).eval(), device, fast_half(device))
 
 
 MAX_PICKLE_BYTES = 1 << 22
 
 
 def load_torch(path: Path) -> Any:
-    """What torch saved: numbers and plain types only. Raises InputError for another kind of file, or a damaged one."""
+    """Return what torch saved, numbers and plain types only; raise InputError for another or a damaged file."""
     torch = require_torch()
     try:
         # torch writes a zip archive; what it makes of other and damaged files is almost any exception.
         with zipfile.ZipFile(path) as archive:
             check_unpacked_size(archive)
-            if any(one.file_size > MAX_PICKLE_BYTES for one in archive.infolist() if one.filename.endswith(".pkl")):
+            if any(info.file_size > MAX_PICKLE_BYTES for info in archive.infolist() if info.filename.endswith(".pkl")):
                 raise ValueError("more than names and sizes")  # torch reads them slowly
         return torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
@@ -549,18 +583,17 @@ def predict_command(settings: PredictSettings, progress: Progress) -> Answer:
     drawn = f", drawn on the video in {settings.overlay}" if settings.overlay else ""
     speed = f"{frames} frames in {seconds:.1f} s ({frames / seconds:.0f} a second)"
     likely = f"{sure:.0%} of the points have a likelihood of {LIKELY:g} or more"
-    said = f"{speed}; {likely}. They are in {settings.out}{drawn}."
+    sentence = f"{speed}; {likely}. They are in {settings.out}{drawn}."
     data = {**picked(settings, "out", "overlay"), "frames": frames, "seconds": seconds, "likely_share": sure}
-    return Answer(data | {"notes": keypoints.notes}, [said], notes=keypoints.notes)
+    return Answer(data | {"notes": keypoints.notes}, [sentence], notes=keypoints.notes)
 
 
 def run_prediction(
     video: Path, model: Path, out: Path, *, progress: Progress = silent, output: Output | None = None, **options: Any
 ) -> Keypoints:
-    """Find the keypoints of a video as `recon predict` does, and write them in DeepLabCut's layout.
+    """Carry out `recon predict`: write a keypoint file in DeepLabCut's layout, and return the keypoints.
 
-    output: what may be replaced, by default the file itself, with overwrite. options: the other fields of
-    `PredictSettings`. Raises InputError; then nothing is written.
+    `options` are the other fields of `PredictSettings`. Raise InputError before anything is written.
     """
     s = PredictSettings(video=video, model=model, out=out, **options)
     output = output or output_file(out, "predict", s.overwrite, input_paths(s))
@@ -583,14 +616,16 @@ def _overlay_output(s: PredictSettings, overlay: Path) -> Output:
 
 
 def predict_video(trained: TrainedNetwork, settings: PredictSettings, progress: Progress = silent) -> Keypoints:
-    """Every frame's points as the network sees them, without smoothing, with calibrated likelihoods. Raises
-    InputError."""
+    """Return every frame's points as the network sees them, without smoothing.
+
+    Likelihoods are calibrated. Raise InputError if too many frames cannot be decoded.
+    """
     video, spec = settings.video, trained.spec
     info = probe(video)
     progress("background", 0.0)
     background = background_of_video(video, spec.scale)
     use_threads(settings.threads)
-    found: list[tuple[list[int], list[float], NDArray[np.float32], NDArray[np.float32]]] = []
+    results: list[tuple[list[int], list[float], NDArray[np.float32], NDArray[np.float32]]] = []
     total, count = max(info.stated_frames or 0, 1), 0
     with ExitStack() as stack:
         write = None
@@ -598,52 +633,55 @@ def predict_video(trained: TrainedNetwork, settings: PredictSettings, progress: 
             even = (info.size_px[0] // 2 * 2, info.size_px[1] // 2 * 2)
             staged = stack.enter_context(_overlay_output(settings, settings.overlay).staged_file())
             write = stack.enter_context(video_writer(staged, even, info.fps or 30.0))
-        made = _chunks(video, info, spec.scale, keep=write is not None)
-        for of_chunk, stamps_s, pictures, originals in stack.enter_context(closing(ahead(made, 1 + WAITING))):
+        chunks = _chunks(video, info, spec.scale, keep=write is not None)
+        for of_chunk, stamps_s, pictures, originals in stack.enter_context(closing(prefetched(chunks, 1 + WAITING))):
             xy, raw = trained.points(pictures, background)
             sure = calibrated(raw, spec.calibration)
-            found.append((of_chunk, stamps_s, xy.astype(np.float32), sure.astype(np.float32)))
+            results.append((of_chunk, stamps_s, xy.astype(np.float32), sure.astype(np.float32)))
             count += len(of_chunk)
             if write is not None:
-                for picture, points, how in zip(originals, xy, sure, strict=True):
-                    drawn = draw_points(picture, points, how)
+                for picture, points, likelihoods in zip(originals, xy, sure, strict=True):
+                    drawn = draw_points(picture, points, likelihoods)
                     write(drawn[: drawn.shape[0] // 2 * 2, : drawn.shape[1] // 2 * 2])
             progress(f"frame {of_chunk[-1]}", min(1.0, count / total))
         lost = (stated := info.stated_frames or 0) - count
         if not settings.partial and lost > max(LOST_FRAMES, LOST_SHARE * stated):
             expected = f"the {stated} that the file states; --partial takes what can be decoded"
             raise InputError(Problem(video, "frames", f"{count} that can be decoded", expected))
-    numbers, times_s, xy_px, likelihood = (np.concatenate(column) for column in zip(*found, strict=True))
+    numbers, times_s, xy_px, likelihood = (np.concatenate(column) for column in zip(*results, strict=True))
     note = missing_note(video, times_s)
-    about: dict[str, Any] = {"fps": info.fps, "image_size_px": info.size_px, "source": str(video)}
-    about["notes"] = () if note is None else (note,)
-    return Keypoints(spec.names, xy_px.astype(float), likelihood.astype(float), numbers, **about)
+    properties: dict[str, Any] = {"fps": info.fps, "image_size_px": info.size_px, "source": str(video)}
+    properties["notes"] = () if note is None else (note,)
+    return Keypoints(spec.names, xy_px.astype(float), likelihood.astype(float), numbers, **properties)
 
 
 def _chunks(video: Path, info: VideoInfo, scale: float, keep: bool) -> Generator[_Chunk]:
-    """The frames of a video in batches. keep: the original pictures, too."""
+    """Yield the frames of a video in batches; `keep` adds the original pictures."""
     width, height = info.size_px
     size = int(np.clip(PIXELS / (width * height * scale**2), 1, 32))
     frames = timed_frames(video)
-    while some := list(islice(frames, size)):
-        numbers, times_s, pictures = (list(column) for column in zip(*some, strict=True))
+    while chunk := list(islice(frames, size)):
+        numbers, times_s, pictures = (list(column) for column in zip(*chunk, strict=True))
         yield numbers, times_s, [resize(picture, scale) for picture in pictures], pictures if keep else []
 
 
 def draw_points(picture: Image, xy_px: Array, likelihood: Array) -> Image:
-    """A copy with dots at points (K, 2); those less likely than `LIKELY` are rings."""
+    """Return a copy with dots at points (K, 2); those less likely than `LIKELY` are rings."""
     drawn = picture.copy()
     radius = max(2.0, max(picture.shape[:2]) / 160)
-    for at, how, colour in zip(xy_px, likelihood, point_colours(len(xy_px)), strict=True):
-        if np.isfinite(at).all():
-            likely = how >= LIKELY
+    for point, point_likelihood, colour in zip(xy_px, likelihood, point_colours(len(xy_px)), strict=True):
+        if np.isfinite(point).all():
+            likely = point_likelihood >= LIKELY
             if likely:
-                draw_circle(drawn, at, radius + 1, (0, 0, 0), -1)
-            draw_circle(drawn, at, radius if likely else 0.7 * radius, colour, -1 if likely else 1)
+                draw_circle(drawn, point, radius + 1, (0, 0, 0), -1)
+            draw_circle(drawn, point, radius if likely else 0.7 * radius, colour, -1 if likely else 1)
     return drawn
 
 
 def point_colours(count: int) -> list[Colour]:
-    """One for each keypoint, blue, green, red: evenly around the colour wheel, bright and dark by turns."""
-    found = (hsv_to_rgb(k / count, 0.85, 0.75 if k % 2 else 1.0) for k in range(count))
-    return [(round(255 * blue), round(255 * green), round(255 * red)) for red, green, blue in found]
+    """Return a colour (blue, green, red) for each keypoint.
+
+    They lie evenly around the colour wheel, bright and dark by turns.
+    """
+    colours = (hsv_to_rgb(k / count, 0.85, 0.75 if k % 2 else 1.0) for k in range(count))
+    return [(round(255 * blue), round(255 * green), round(255 * red)) for red, green, blue in colours]

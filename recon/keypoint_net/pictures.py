@@ -1,13 +1,13 @@
-"""Training pictures, in batches that a thread makes while the network learns from the last ones.
+"""Make batches of training pictures in a thread, while the network learns from the last ones.
 
-Pictures that nobody took are made of those that are labelled: turned, scaled, moved, mirrored, pasted elsewhere, in
-another light, blurred, covered in part and noisy. Each is a function of its random generator, and that of the run's
-seed and the place of the picture in it: a run that goes on after a break draws the same pictures.
+New pictures are made of the labelled ones: turned, scaled, moved, mirrored, pasted elsewhere, in another light,
+blurred, covered in part and noisy. Each is a function of its random generator, which is seeded by the run's seed and
+the picture's number: a run that goes on after a break draws the same pictures.
 
 The still background of a clip is what a camera on a tripod sees where nothing moves. The network gets the difference of
-a picture to it besides the picture itself, which shows what is new in the scene whatever the place and the light; and
-training pastes the animal on it elsewhere. Where the camera moves, or where there are too few pictures, there is none,
-and the difference is all zero.
+a picture to it besides the picture itself, which shows what is new in the scene whatever the scene and the light.
+Training pastes the animal on it elsewhere. Where the camera moves, or where there are too few pictures, there is no
+background, and the difference is all zero.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ FULL_LENGTH_PX = 480.0
 """Length of the animal in the pictures of a second stage, at most: labels are no more precise than this."""
 TWO_STAGES = 1.5
 """Animals so many times longer than NETWORK_LENGTH_PX are looked for in small pictures, and each of their points then
-near the place found, at full size."""
+near the position found, at full size."""
 PART_PX = (128, 128)
 """Size of training pictures of the second stage."""
 OFF = 0.75
@@ -51,7 +51,7 @@ AHEAD = 3
 LEAST_PICTURES = 8
 MOST_PICTURES = 60
 MOST_BYTES = 2**28
-"""The most bytes of a video's pictures that are held at a time."""
+"""The most bytes of a video's pictures in memory at a time."""
 STILL_LEVELS = 12.0
 """Grey levels by which most of a picture differs at most from the background where the camera is still."""
 STILL_SHARE = 0.6
@@ -62,9 +62,10 @@ MOVED_LEVELS = 22.0
 
 @dataclass(frozen=True)
 class Augmentation:
-    """Ranges; each is drawn evenly between its ends, in its logarithm where it is a factor. Shares are probabilities.
+    """Ranges of random changes of a picture; shares are probabilities.
 
-    partner: for each keypoint, the one that it becomes in a mirror; None: pictures are not mirrored.
+    Each value is drawn evenly between the ends of its range, in its logarithm if it is a factor. `partner` is for each
+    keypoint the one that it becomes in a mirror; None: pictures are not mirrored.
     """
 
     rotation_deg: float = 20.0
@@ -103,18 +104,18 @@ class Example:
 def augment(
     example: Example, size_px: tuple[int, int], options: Augmentation, rng: np.random.Generator
 ) -> tuple[Image, Image | None, Array]:
-    """A picture of size_px (width, height), its background, and the points in it (K, 2), NaN where there is none."""
+    """Return a picture of `size_px` (width, height), its background, and the points in it (K, 2), NaN where outside."""
     partner = options.partner if options.partner is not None and rng.random() < 0.5 else None
-    to = _affine(example, size_px, options, partner is not None, rng)
-    picture = _warp(example.picture, to, size_px)
+    transform = _affine(example, size_px, options, partner is not None, rng)
+    picture = _warp(example.picture, transform, size_px)
     background = None
     if example.background is not None:
-        background = _warp(example.background, to, size_px)
+        background = _warp(example.background, transform, size_px)
         if example.mask is not None and rng.random() < options.paste:
-            mask = _warp(example.mask, to, size_px, constant=True)[..., None].astype(np.float32) / 255
+            mask = _warp(example.mask, transform, size_px, constant=True)[..., None].astype(np.float32) / 255
             background = _other_background(example.background, size_px, rng)
             picture = (picture * mask + background * (1 - mask)).astype(np.uint8)
-    xy_px = example.xy_px @ to[:, :2].T + to[:, 2]
+    xy_px = example.xy_px @ transform[:, :2].T + transform[:, 2]
     if partner is not None:
         xy_px = xy_px[list(partner)]
     outside = np.any((xy_px < 0) | (xy_px > np.array(size_px) - 1.0), axis=1, keepdims=True)
@@ -132,7 +133,7 @@ def augment(
 
 
 def motion_blur(picture: Image, length_px: float, angle_rad: float) -> Image:
-    """As of a picture that moved evenly along a line while it was taken."""
+    """Return a picture as if it had moved evenly along a line while it was taken."""
     half = max(1, math.ceil(length_px / 2))
     kernel = np.zeros((2 * half + 1, 2 * half + 1), np.float32)
     for t in np.linspace(-0.5, 0.5, 8 * half + 1):
@@ -147,43 +148,43 @@ def motion_blur(picture: Image, length_px: float, angle_rad: float) -> Image:
 def _affine(
     example: Example, size_px: tuple[int, int], options: Augmentation, mirrored: bool, rng: np.random.Generator
 ) -> Array:
-    """(2, 3): the animal's middle, or one of its points, to anywhere in the new picture but its edges."""
-    known = example.xy_px[known_points(example.xy_px)]
+    """Return a map (2, 3) of the animal's middle, or of one of its points, to a random point of the picture."""
+    points = example.xy_px[known_points(example.xy_px)]
     height, width = example.picture.shape[:2]
-    centre = 0.5 * (known.min(axis=0) + known.max(axis=0)) if len(known) else rng.uniform(0, [width, height])
-    if example.part and len(known):
-        centre = known[rng.integers(len(known))]
+    centre = 0.5 * (points.min(axis=0) + points.max(axis=0)) if len(points) else rng.uniform(0, [width, height])
+    if example.part and len(points):
+        centre = points[rng.integers(len(points))]
     scale = math.exp(rng.uniform(*np.log(options.scale)))
     stretch = math.exp(rng.uniform(-options.stretch, options.stretch))
     turn = math.radians(rng.normal(0, options.rotation_deg / 2))
     turn = float(np.clip(turn, *np.radians([-options.rotation_deg, options.rotation_deg])))
     rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
     linear = rotation @ np.diag([scale * stretch * (-1 if mirrored else 1), scale / stretch])
-    place = rng.uniform([0.2, 0.25], [0.8, 0.75]) * size_px
-    return np.column_stack([linear, place - linear @ centre])
+    target = rng.uniform([0.2, 0.25], [0.8, 0.75]) * size_px
+    return np.column_stack([linear, target - linear @ centre])
 
 
-def _warp(picture: Image, to: Array, size_px: tuple[int, int], constant: bool = False) -> Image:
+def _warp(picture: Image, transform: Array, size_px: tuple[int, int], constant: bool = False) -> Image:
     border = cv2.BORDER_CONSTANT if constant else cv2.BORDER_REFLECT_101
-    small = abs(np.linalg.det(to[:, :2])) < 0.5
+    small = abs(np.linalg.det(transform[:, :2])) < 0.5
     flags = cv2.INTER_AREA if small else cv2.INTER_LINEAR
-    return np.asarray(cv2.warpAffine(picture, to, size_px, flags=flags, borderMode=border), np.uint8)
+    return np.asarray(cv2.warpAffine(picture, transform, size_px, flags=flags, borderMode=border), np.uint8)
 
 
 def _other_background(background: Image, size_px: tuple[int, int], rng: np.random.Generator) -> Image:
-    """Another part of the clip's own background, or its mirror picture."""
+    """Return another part of the clip's own background, or its mirror image."""
     height, width = background.shape[:2]
     scale = math.exp(rng.uniform(-0.4, 0.5)) * max(1.0, 0.7 * size_px[0] / width, 0.7 * size_px[1] / height)
     mirror = -1.0 if rng.random() < 0.5 else 1.0
     linear = np.diag([scale * mirror, scale])
-    place = 0.5 * np.array(size_px) - linear @ rng.uniform([0.2 * width, 0.2 * height], [0.8 * width, 0.8 * height])
-    return _warp(background, np.column_stack([linear, place]), size_px)
+    target = 0.5 * np.array(size_px) - linear @ rng.uniform([0.2 * width, 0.2 * height], [0.8 * width, 0.8 * height])
+    return _warp(background, np.column_stack([linear, target]), size_px)
 
 
 def _random_light(
     size_px: tuple[int, int], options: Augmentation, rng: np.random.Generator
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None]:
-    """A table (256, 3) for the levels of each colour, and a factor for each pixel (H, W, 1) where there is a patch."""
+    """Return a table (256, 3) of each colour's levels, and a factor for each pixel (H, W, 1) if a patch is lit."""
     levels = np.arange(256)[:, None] / 255.0
     gamma = math.exp(rng.uniform(-options.gamma, options.gamma))
     contrast = math.exp(rng.uniform(-options.contrast, options.contrast))
@@ -195,8 +196,8 @@ def _random_light(
     if rng.random() >= options.light_patch:
         return table, None
     x, y = np.meshgrid(np.arange(size_px[0]), np.arange(size_px[1]))
-    angle, at = rng.uniform(0, 2 * math.pi), rng.uniform(0.2, 0.8, 2) * size_px
-    across = (x - at[0]) * math.cos(angle) + (y - at[1]) * math.sin(angle)
+    angle, centre = rng.uniform(0, 2 * math.pi), rng.uniform(0.2, 0.8, 2) * size_px
+    across = (x - centre[0]) * math.cos(angle) + (y - centre[1]) * math.sin(angle)
     soft = 1 / (1 + np.exp(-np.clip(across / rng.uniform(2, 30), -30, 30)))
     factor = 1 + (math.exp(rng.uniform(-0.7, 0.5)) - 1) * soft
     return table, factor[..., None].astype(np.float32)
@@ -211,7 +212,7 @@ def _in_light(picture: Image, light: tuple[NDArray[np.uint8], NDArray[np.float32
 def _partly_covered(
     picture: Image, background: Image | None, length_px: float, options: Augmentation, rng: np.random.Generator
 ) -> Image:
-    """Up to three rectangles of one colour, or of the background: what stands before the animal."""
+    """Return a picture with up to three rectangles of one colour, or of the background, before the animal."""
     if rng.random() >= options.cutout:
         return picture
     picture = picture.copy()
@@ -230,29 +231,29 @@ def _partly_covered(
 
 
 def background_of(pictures: Sequence[Image]) -> Image | None:
-    """The median of pictures of one clip; None where they are few, or where the camera moves."""
+    """Return the median of one clip's pictures; None where they are few, or where the camera moves."""
     if len(pictures) < LEAST_PICTURES:
         return None
     picked = [pictures[i] for i in np.unique(np.linspace(0, len(pictures) - 1, MOST_PICTURES).round().astype(int))]
     background = np.empty_like(picked[0])
     for rows in np.array_split(np.arange(len(background)), max(1, background.size * len(picked) // 2**24)):
         background[rows] = np.median(np.stack([p[rows] for p in picked]), axis=0).astype(np.uint8)
-    still = [float((cv2.absdiff(p, background).max(axis=2) < STILL_LEVELS).mean()) for p in picked]
-    return background if float(np.median(still)) >= STILL_SHARE else None
+    still_shares = [float((cv2.absdiff(p, background).max(axis=2) < STILL_LEVELS).mean()) for p in picked]
+    return background if float(np.median(still_shares)) >= STILL_SHARE else None
 
 
-def backgrounds(labels: Labels, apart: Integers) -> tuple[Image | None, ...]:
-    """One for each clip, from its pictures but those `apart` (indices), which nobody has yet."""
-    found = []
+def backgrounds(labels: Labels, left_out: Integers) -> tuple[Image | None, ...]:
+    """Return a background for each clip, from its pictures without those of `left_out` (indices)."""
+    medians = []
     for c in range(len(labels.clips)):
-        here = np.flatnonzero(labels.clip == c)
-        known = np.setdiff1d(here, apart)
-        found.append(background_of([labels.pictures[i] for i in (known if len(known) else here)]))
-    return tuple(found)
+        of_clip = np.flatnonzero(labels.clip == c)
+        usable = np.setdiff1d(of_clip, left_out)
+        medians.append(background_of([labels.pictures[i] for i in (usable if len(usable) else of_clip)]))
+    return tuple(medians)
 
 
 def background_of_video(video: Path, scale: float) -> Image | None:
-    """From pictures spread over the frames that the video states, at the network's scale. Few are held at a time."""
+    """Return the background of a video at the network's scale; only few pictures are in memory at a time."""
     info = probe(video)
     width, height = scaled_size(info.size_px, scale)
     most = int(np.clip(MOST_BYTES // (3 * width * height), LEAST_PICTURES, MOST_PICTURES))
@@ -262,16 +263,16 @@ def background_of_video(video: Path, scale: float) -> Image | None:
 
 
 def moving_mask(picture: Image, background: Image, xy_px: Array, margin_px: float) -> Image:
-    """(height, width), 0 to 255: what differs from the background near the labelled points (K, 2)."""
-    near = np.zeros(picture.shape[:2], np.uint8)
-    known = xy_px[known_points(xy_px)]
-    if len(known):
-        hull = cv2.convexHull(known.astype(np.float32)).round().astype(np.int32)
-        cv2.fillConvexPoly(near, hull, 255)
+    """Return a mask (height, width), 0 to 255, of what differs from the background near labelled points (K, 2)."""
+    region = np.zeros(picture.shape[:2], np.uint8)
+    points = xy_px[known_points(xy_px)]
+    if len(points):
+        hull = cv2.convexHull(points.astype(np.float32)).round().astype(np.int32)
+        cv2.fillConvexPoly(region, hull, 255)
         size = 2 * round(margin_px) + 1
-        near = cv2.dilate(near, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
+        region = cv2.dilate(region, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
     moved = (cv2.absdiff(picture, background).max(axis=2) > MOVED_LEVELS).astype(np.uint8) * 255
-    moved = cv2.bitwise_and(cv2.morphologyEx(moved, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)), near)
+    moved = cv2.bitwise_and(cv2.morphologyEx(moved, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)), region)
     # Holes are where the animal looks like the background; what lies between its legs is open to the ground.
     gap = 2 * max(1, round(0.25 * margin_px)) + 1
     moved = cv2.morphologyEx(moved, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (gap, gap)))
@@ -287,28 +288,30 @@ def moving_mask(picture: Image, background: Image, xy_px: Array, margin_px: floa
 T = TypeVar("T")
 
 
-def ahead(made: Generator[T], count: int) -> Generator[T]:
-    """The items of a generator, none of which is None, made by a thread up to `count` of them ahead."""
+def prefetched(items: Generator[T], count: int) -> Generator[T]:
+    """Yield the items of a generator, none of which is None, made by a thread up to `count` ahead."""
     with ThreadPoolExecutor(max_workers=1, thread_name_prefix="ahead") as executor:
-        waiting = deque(executor.submit(next, made, None) for _ in range(count))
+        waiting = deque(executor.submit(next, items, None) for _ in range(count))
         try:
             while (item := waiting.popleft().result()) is not None:
-                waiting.append(executor.submit(next, made, None))
+                waiting.append(executor.submit(next, items, None))
                 yield item
         finally:
             executor.shutdown(wait=True, cancel_futures=True)
-            made.close()
+            items.close()
 
 
 Batch = tuple[NDArray[np.uint8], NDArray[np.uint8], Array, Array | None]
 """Pictures (B, H, W, 3); their backgrounds (B, H, W, 3), the picture itself where there is none, which makes the
-difference 0; K points of each (B, K, 2), NaN where a point is not labelled or not in the picture; and places near them
-(B, K, 2), as a first stage might find them, None for the first stage itself."""
+difference 0; K points of each (B, K, 2), NaN where a point is not labelled or not in the picture; and positions near
+them (B, K, 2), as a first stage might find them, None for the first stage itself."""
 
 
 def network_scales(xy_px: Array) -> tuple[float, float]:
-    """By which pictures are scaled for the network, and from there once more for its first stage (1: there is but one),
-    from labels (N, K, 2)."""
+    """Return the scales of the pictures of the network's last stage and, from there, of its first stage.
+
+    The second is 1 where there is only one stage. `xy_px` are labels (N, K, 2).
+    """
     length = body_length_px(xy_px)
     scale = NETWORK_LENGTH_PX / length if np.isfinite(length) and length > 0 else 1.0
     if TWO_STAGES * scale < 1:
@@ -318,8 +321,10 @@ def network_scales(xy_px: Array) -> tuple[float, float]:
 
 
 def crop_size(labels: Labels, scale: float) -> tuple[int, int]:
-    """(width, height) of training pictures at a scale of the labels' own: that of the clips' pictures, or less where
-    the animal is small in them."""
+    """Return the size (width, height) of training pictures at a scale of the labels' own.
+
+    It is the size of the clips' pictures, or less where the animal is small in them.
+    """
     length = scale * body_length_px(labels.xy_px)
     length = length if np.isfinite(length) else NETWORK_LENGTH_PX
     sizes = [scaled_size((p.shape[1], p.shape[0]), scale) for p in labels.pictures]
@@ -330,25 +335,28 @@ def crop_size(labels: Labels, scale: float) -> tuple[int, int]:
 
 
 def examples_of(labels: Labels, backgrounds: tuple[Image | None, ...]) -> list[Example]:
+    """Return an example for each labelled picture, with the background of its clip."""
     length = body_length_px(labels.xy_px)
     length = length if np.isfinite(length) else NETWORK_LENGTH_PX
-    found = []
+    examples = []
     for picture, clip, xy in zip(labels.pictures, labels.clip, labels.xy_px, strict=True):
         background = backgrounds[clip]
         mask = None
         if background is not None and known_points(xy).sum() >= 4:
             mask = moving_mask(picture, background, xy, MARGIN * length)
-        found.append(Example(picture, background, mask, xy, length))
-    return found
+        examples.append(Example(picture, background, mask, xy, length))
+    return examples
 
 
 def make_batch(
     examples: Sequence[Example], size_px: tuple[int, int], options: Augmentation, size: int, seed: int, step: int,
     pool: Integers, off_px: float = 0.0,
 ) -> Batch:  # fmt: skip
-    """The batch of a step: a function of the seed, the step and the pictures to draw from only. off_px: how far from
-    its points a second stage is told to look; 0: it is the first."""
-    pictures, backgrounds, points, near = [], [], [], []
+    """Return the batch of a step, a function of the seed, the step and the pictures to draw from only.
+
+    `off_px` is how far from its points a second stage looks; 0 for the first stage.
+    """
+    pictures, backgrounds, points, near_points = [], [], [], []
     for i in range(size):
         rng = np.random.default_rng((seed, step, i))
         example = examples[int(rng.choice(pool))]
@@ -359,6 +367,6 @@ def make_batch(
         backgrounds.append(picture if background is None else background)
         points.append(xy)
         if off_px:
-            angle, far = rng.uniform(0, 2 * np.pi, len(xy)), off_px * rng.uniform(0, 1, len(xy)) ** 0.5
-            near.append(xy + np.stack([far * np.cos(angle), far * np.sin(angle)], axis=1))
-    return np.stack(pictures), np.stack(backgrounds), np.stack(points), np.stack(near) if near else None
+            angle, distance_px = rng.uniform(0, 2 * np.pi, len(xy)), off_px * rng.uniform(0, 1, len(xy)) ** 0.5
+            near_points.append(xy + np.stack([distance_px * np.cos(angle), distance_px * np.sin(angle)], axis=1))
+    return np.stack(pictures), np.stack(backgrounds), np.stack(points), np.stack(near_points) if near_points else None

@@ -1,8 +1,9 @@
 """`recon train`: from labelled pictures to weights.
 
-AdamW with a warm-up and a cosine down to nothing, twice; the weights that count are a moving average of those that it
-moves. The first part of a run learns from the training pictures and is judged by the validation pictures, which also
-calibrate the likelihoods; the last part, from `FINISH` on, learns from both, so that no label is lost.
+The optimiser is AdamW with a warm-up and a cosine down to nothing, twice; the weights that count are a moving average
+of those that it moves. The first part of a run learns from the training pictures and is judged by the validation
+pictures, which also calibrate the likelihoods. The last part, from `FINISH` on, learns from both, so that no label is
+lost.
 
 A run is a function of its settings, its labels and its device: augmentation depends on the seed and the step only, and
 a checkpoint holds everything else. With a number of steps, a run that was stopped and goes on ends in the same weights
@@ -80,7 +81,7 @@ class TrainSettings(Settings):
     labelled going one way and filmed going both. Takes longer to learn."""
 
     def of_training(self) -> dict[str, Any]:
-        """The settings of training alone, where there are others beside them."""
+        """Return the settings of training alone, without those of a subclass."""
         return {name: getattr(self, name) for name in TrainSettings.infos()}
 
 
@@ -134,14 +135,16 @@ class State:
 
     @property
     def finishing(self) -> bool:
+        """Return whether the run learns from the validation pictures, too."""
         return self.share >= FINISH
 
 
 def prepare(labels: data.Labels, s: _TrainRunSettings, device: torch.device) -> TrainingRun:
+    """Return what stays the same during a run: the split, the network's scales, pictures and backgrounds."""
     split = data.split_labels(labels, s.validation, s.test, s.seed)
-    known = np.concatenate([split["train"], split["validation"]])
-    scale, first = pictures.network_scales(labels.xy_px[known])
-    length = data.body_length_px(labels.xy_px[known])
+    learned = np.concatenate([split["train"], split["validation"]])
+    scale, first = pictures.network_scales(labels.xy_px[learned])
+    length = data.body_length_px(labels.xy_px[learned])
     length = length if np.isfinite(length) else 100.0
     spec = net.Spec(labels.names, scale, float(length), float(TOLERANCE * length), first)
     scaled = labels.scaled(scale)
@@ -151,35 +154,36 @@ def prepare(labels: data.Labels, s: _TrainRunSettings, device: torch.device) -> 
 def train(
     run: TrainingRun, output: Output, resume: bool = False, threads: int | None = None, progress: Progress = silent
 ) -> State:
-    """Trains, or goes on, to the end; `output` gets a checkpoint at each evaluation, and the model at the end.
+    """Train, or go on, to the end.
 
-    threads: for the CPU; None: those that a run had before, or all.
+    `out` gets a checkpoint at each evaluation, and the model at the end. `threads` are those of the CPU; None: those
+    that the run had before, or all.
     """
     torch = net.require_torch()
     torch.backends.cudnn.deterministic, torch.backends.cudnn.benchmark = True, False
     state = _resumed(run, output.folder) if resume else _begin(run)
     settings, half = run.settings, net.fast_half(run.device)
-    shown = np.flatnonzero(run.labels.labelled.any(axis=1))
-    first = np.intersect1d(run.split["train"], shown)
-    both = np.union1d(first, np.intersect1d(run.split["validation"], shown))
+    labelled = np.flatnonzero(run.labels.labelled.any(axis=1))
+    first = np.intersect1d(run.split["train"], labelled)
+    all_labelled = np.union1d(first, np.intersect1d(run.split["validation"], labelled))
     sources = _sources(run)
     net.use_threads(threads or state.threads)
     state.threads = torch.get_num_threads()
     began_s = time.monotonic() - state.seconds
     while state.share < 1.0:
         held_out = not state.finishing
-        pool, steps = first if held_out else both, count(state.step)
-        made = (tuple(source(step, pool) for source in sources) for step in steps)
-        with closing(pictures.ahead(made, pictures.AHEAD)) as drawn:
+        pool, steps = first if held_out else all_labelled, count(state.step)
+        batches = (tuple(source(step, pool) for source in sources) for step in steps)
+        with closing(pictures.prefetched(batches, pictures.AHEAD)) as drawn:
             while state.share < 1.0 and held_out != state.finishing:
-                rate, before = LEARNING_RATE * schedule(state.share), state.share
+                rate, share_before = LEARNING_RATE * schedule(state.share), state.share
                 value = _learn(state, next(drawn), rate, run, half)
                 state.seconds = time.monotonic() - began_s
-                timed = max(before, state.seconds / (60 * settings.minutes))
-                share = before + 1 / settings.steps if settings.steps else timed
+                timed = max(share_before, state.seconds / (60 * settings.minutes))
+                share = share_before + 1 / settings.steps if settings.steps else timed
                 state.share = 1.0 if share > 1 - 1e-9 else share
                 state.losses.append(value)
-                due = math.floor(state.share * EVALUATIONS) > math.floor(before * EVALUATIONS) or state.share >= 1
+                due = math.floor(state.share * EVALUATIONS) > math.floor(share_before * EVALUATIONS) or state.share >= 1
                 if due or (held_out and state.finishing):
                     row = {"step": state.step, "loss": float(np.mean(state.losses)), "rate": rate, "share": state.share}
                     state.history.append(row | ({} if held_out else {"finishing": 1.0}))
@@ -199,28 +203,29 @@ def train(
 
 
 def _sources(run: TrainingRun) -> tuple[Any, ...]:
-    """For each stage, what makes the batch of a step from a pool of pictures."""
+    """Return for each stage a function that makes the batch of a step from a pool of pictures."""
     settings, spec = run.settings, run.spec
     options = pictures.Augmentation(partner=data.sides(spec.names) if settings.mirror else None)
-    labels, still = run.scaled, run.still
+    labels, backgrounds = run.scaled, run.still
     if spec.two_stages:
         labels = labels.scaled(spec.first)
-        still = tuple(None if b is None else data.resize(b, spec.first) for b in still)
+        backgrounds = tuple(None if b is None else data.resize(b, spec.first) for b in backgrounds)
     size_px, last = pictures.crop_size(run.scaled, spec.first), (options, settings.batch, settings.seed)
-    first = partial(pictures.make_batch, pictures.examples_of(labels, still), size_px, *last)
+    first = partial(pictures.make_batch, pictures.examples_of(labels, backgrounds), size_px, *last)
     if not spec.two_stages:
         return (first,)
     # What is drawn or blurred on a part is as large in it as on the whole animal in its smaller picture.
-    seen = {"part": True, "length_px": pictures.NETWORK_LENGTH_PX}
-    parts = [dataclasses.replace(example, **seen) for example in pictures.examples_of(run.scaled, run.still)]
-    off_px = pictures.OFF * spec.reach_places * net.STRIDE
+    part_settings = {"part": True, "length_px": pictures.NETWORK_LENGTH_PX}
+    parts = [dataclasses.replace(example, **part_settings) for example in pictures.examples_of(run.scaled, run.still)]
+    off_px = pictures.OFF * spec.reach_cells * net.STRIDE
     return first, partial(pictures.make_batch, parts, pictures.PART_PX, *last, off_px=off_px)
 
 
 def schedule(share: float) -> float:
-    """Factor of the learning rate at a share of the run: a warm-up and a cosine, and another one for the last part.
+    """Return the factor of the learning rate at a share of the run.
 
-    The network is at rest when it is calibrated, as it is at the end.
+    It is a warm-up and a cosine, and another one for the last part. The network is at rest when it is calibrated, as it
+    is at the end.
     """
     if share < FINISH:
         return min(1.0, (share + 1e-3) / WARM_UP) * _cosine(share / FINISH)
@@ -228,7 +233,7 @@ def schedule(share: float) -> float:
 
 
 def _cosine(share: float) -> float:
-    """From 1 down to nearly 0."""
+    """Return a cosine from 1 down to nearly 0."""
     return 1e-3 + (0.5 + 0.5 * math.cos(math.pi * share))
 
 
@@ -241,12 +246,12 @@ def _learn(state: State, batch: tuple[pictures.Batch, ...], rate: float, run: Tr
     state.optimizer.zero_grad(set_to_none=True)
     value = 0.0
     for stage, part in zip(net.stages(state.network), batch, strict=True):
-        seen, stills, xy_px, near_px = part
-        x = net.as_input(seen, stills, run.device)
-        window = None if near_px is None else (net.places(near_px, run.device), run.spec.reach_places)
+        batch_pictures, backgrounds, xy_px, near_px = part
+        x = net.as_input(batch_pictures, backgrounds, run.device)
+        window = None if near_px is None else (net.to_cells(near_px, run.device), run.spec.reach_cells)
         with torch.autocast(run.device.type, half, enabled=half is not None):
             scores = stage(x)
-        error = net.loss(scores, net.places(xy_px, run.device), window)
+        error = net.loss(scores, net.to_cells(xy_px, run.device), window)
         error.backward()
         value += float(error.detach())
     torch.nn.utils.clip_grad_norm_(state.network.parameters(), 5.0)
@@ -263,28 +268,31 @@ def _learn(state: State, batch: tuple[pictures.Batch, ...], rate: float, run: Tr
 
 
 def _evaluate(state: State, run: TrainingRun, calibrates: bool) -> None:
-    """By the validation pictures; calibrates: at the end of the first part, when they have not been learned from."""
-    which = run.split["validation"]
-    if not run.labels.labelled[which].any():
+    """Judge the network by the validation pictures.
+
+    `calibrates` fits the calibration, too: at the end of the first part, when they have not been learned from.
+    """
+    indices = run.split["validation"]
+    if not run.labels.labelled[indices].any():
         return
-    errors, raw, _ = judge(net.TrainedNetwork(run.spec, state.average, run.device), run, which)
+    errors, raw, _ = judge(net.TrainedNetwork(run.spec, state.average, run.device), run, indices)
     labelled = np.isfinite(errors)
-    known = errors[labelled]
-    state.history[-1] |= {"validation_px": float(np.median(known)), "validation_mean_px": float(known.mean())}
+    error_px = errors[labelled]
+    state.history[-1] |= {"validation_px": float(np.median(error_px)), "validation_mean_px": float(error_px.mean())}
     if calibrates:
-        right: Bools = known <= run.spec.tolerance_px
+        right: Bools = error_px <= run.spec.tolerance_px
         state.calibration = net.fit_calibration(raw[labelled], right)
         state.judged = net.calibrated(raw[labelled], state.calibration).tolist(), right.tolist()
 
 
-def judge(trained: net.TrainedNetwork, run: TrainingRun, which: Integers) -> tuple[Array, Array, Array]:
-    """Errors (n, K) in px of the clip, NaN where there is no label; raw likelihoods (n, K); points (n, K, 2)."""
-    xy, raw = np.zeros((len(which), len(run.spec.names), 2)), np.zeros((len(which), len(run.spec.names)))
-    for c in np.unique(run.scaled.clip[which]):
-        here = np.flatnonzero(run.scaled.clip[which] == c)
-        for part in np.array_split(here, -(-len(here) // 8)):
-            xy[part], raw[part] = trained.points([run.scaled.pictures[which[i]] for i in part], run.still[c])
-    return np.linalg.norm(xy - run.labels.xy_px[which], axis=2), raw, xy
+def judge(trained: net.TrainedNetwork, run: TrainingRun, indices: Integers) -> tuple[Array, Array, Array]:
+    """Return errors (n, K) in px of the clip, NaN without a label; raw likelihoods (n, K); and points (n, K, 2)."""
+    xy, raw = np.zeros((len(indices), len(run.spec.names), 2)), np.zeros((len(indices), len(run.spec.names)))
+    for c in np.unique(run.scaled.clip[indices]):
+        of_clip = np.flatnonzero(run.scaled.clip[indices] == c)
+        for part in np.array_split(of_clip, -(-len(of_clip) // 8)):
+            xy[part], raw[part] = trained.points([run.scaled.pictures[indices[i]] for i in part], run.still[c])
+    return np.linalg.norm(xy - run.labels.xy_px[indices], axis=2), raw, xy
 
 
 # -- checkpoints -----------------------------------------------------------------------------------------------------
@@ -298,16 +306,16 @@ def _begin(run: TrainingRun) -> State:
     with torch.random.fork_rng():
         torch.manual_seed(run.settings.seed)
         network = net.new_network(len(run.spec.names), run.spec.two_stages)
-    network = net.placed(network, run.device)
+    network = net.on_device(network, run.device)
     decayed = [p for p in network.parameters() if p.ndim > 1]
-    others = [p for p in network.parameters() if p.ndim <= 1]
-    groups = [{"params": decayed, "weight_decay": WEIGHT_DECAY}, {"params": others, "weight_decay": 0.0}]
+    undecayed = [p for p in network.parameters() if p.ndim <= 1]
+    groups = [{"params": decayed, "weight_decay": WEIGHT_DECAY}, {"params": undecayed, "weight_decay": 0.0}]
     optimizer = torch.optim.AdamW(groups, lr=LEARNING_RATE)
     return State(network, copy.deepcopy(network).requires_grad_(False).eval(), optimizer)
 
 
 def _save_checkpoint(state: State, run: TrainingRun, output: Output) -> None:
-    """Everything that the rest of a run depends on, whole or not at all."""
+    """Write everything that the rest of a run depends on, whole or not at all."""
     content = {
         "settings": run.settings.of_training(),
         "names": list(run.spec.names),
@@ -320,7 +328,7 @@ def _save_checkpoint(state: State, run: TrainingRun, output: Output) -> None:
 
 
 def _resumed(run: TrainingRun, out: Path) -> State:
-    """The state of a checkpoint. Raises InputError where it belongs to other keypoints, settings or pictures."""
+    """Return the state of a checkpoint; raise InputError if it belongs to other keypoints, settings or pictures."""
     path = out / CHECKPOINT_FILE
     content = net.load_torch(path)
     if not isinstance(content, dict) or "optimizer" not in content:
@@ -366,24 +374,24 @@ MOST = 30
 
 
 def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[str, Any]:
-    """Into an existing folder; returns what stands in training.json."""
+    """Write the report of a run into an existing folder, and return what stands in training.json."""
     spec, split, history = dataclasses.replace(run.spec, calibration=state.calibration), run.split, state.history
     trained = net.TrainedNetwork(spec, state.average, run.device)
     errors, raw, xy_px = judge(trained, run, np.arange(len(run.labels.images)))
     likelihood, judged = net.calibrated(raw, spec.calibration), {}
-    for name, which in split.items():
-        if len(which):
-            truth, length_px = run.labels.xy_px[which], median(data.extents_px(run.labels.xy_px[which]))
+    for name, indices in split.items():
+        if len(indices):
+            truth, length_px = run.labels.xy_px[indices], median(data.extents_px(run.labels.xy_px[indices]))
             length_px = length_px if np.isfinite(length_px) else spec.body_length_px
-            given = spec.names, xy_px[which], likelihood[which], truth, length_px
-            judged[name] = data.evaluate_2d(*given, tolerance_px=spec.tolerance_px)
+            points = spec.names, xy_px[indices], likelihood[indices], truth, length_px
+            judged[name] = data.evaluate_2d(*points, tolerance_px=spec.tolerance_px)
     # Of the network as it was calibrated: before it learned from the validation pictures.
-    before = data.reliability(np.array(state.judged[0]), np.array(state.judged[1], bool))
+    reliability_before = data.reliability(np.array(state.judged[0]), np.array(state.judged[1], bool))
     # Elsewhere, that the network disagrees says more about the network.
     learned = np.concatenate([split["train"], split["validation"]])
-    seen = np.full_like(xy_px, np.nan)
-    seen[learned] = xy_px[learned]
-    suspects = suspicious_labels(run.labels, seen, spec.body_length_px)
+    learned_points = np.full_like(xy_px, np.nan)
+    learned_points[learned] = xy_px[learned]
+    suspects = suspicious_labels(run.labels, learned_points, spec.body_length_px)
     held_out = [row for row in history if "validation_px" in row and "finishing" not in row]
     best = min(held_out, key=lambda row: row["validation_px"], default=None)
     first = [int(row["step"]) for row in history if "finishing" not in row]
@@ -399,13 +407,13 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
         **picked(spec, "scale", "body_length_px", "tolerance_px"),
         "settings": run.settings.of_training(),
         "split": data.frames_by_part(run.labels, split),
-        "labelled_points": {name: int(run.labels.labelled[which].sum()) for name, which in split.items()},
+        "labelled_points": {name: int(run.labels.labelled[indices].sum()) for name, indices in split.items()},
         "steps": state.step,
         "seconds": round(state.seconds, 1),
         "best_validation": best and {"median_px": best["validation_px"], "step": best["step"]},
         "validation_in_training_from": max(first, default=None),
         "calibration": spec.calibration and dict(zip(("slope", "offset"), spec.calibration, strict=True)),
-        "reliability_validation": before,
+        "reliability_validation": reliability_before,
         "errors": judged,
         "suspicious_labels": suspects,
         "history": history,
@@ -414,21 +422,23 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
     (folder / "training.json").write_text(to_json(report), encoding="utf-8")
     digits = {"x_px": 2, "y_px": 2, "rank": 3, "network": 3, "others": 3}
     table = pd.DataFrame(suspects, columns=["image", "keypoint", *digits, "reasons"])
-    for name, places in digits.items():
-        table[name] = ["" if np.isnan(value) else f"{value:.{places}f}" for value in table[name]]
+    for name, decimals in digits.items():
+        table[name] = ["" if np.isnan(value) else f"{value:.{decimals}f}" for value in table[name]]
     write_frame(table.assign(reasons=table["reasons"].map("; ".join)), folder / "suspicious.csv")
-    held = np.concatenate([split["validation"], split["test"]])
-    _write_worst(run.labels, errors, xy_px, held if len(held) else split["train"], folder / "worst.png")
+    unlearned = np.concatenate([split["validation"], split["test"]])
+    _write_worst(run.labels, errors, xy_px, unlearned if len(unlearned) else split["train"], folder / "worst.png")
     return report
 
 
-def _write_worst(labels: data.Labels, errors: Array, xy_px: Array, which: Integers, path: Path) -> None:
-    """The pictures with the largest mean error, no two of them neighbours in time: a ring at each label, a dot at its
-    prediction, and a line between them."""
+def _write_worst(labels: data.Labels, errors: Array, xy_px: Array, indices: Integers, path: Path) -> None:
+    """Draw the pictures with the largest mean error, no two of them neighbours in time.
+
+    Each label has a ring, its prediction a dot, and a line joins them.
+    """
     mean_px, chosen = np.array([mean(of_one) for of_one in errors]), []
-    for i in which[np.argsort(-np.nan_to_num(mean_px[which], nan=-np.inf))]:
-        apart = all(labels.clip[i] != labels.clip[j] or abs(labels.numbers[i] - labels.numbers[j]) > 2 for j in chosen)
-        if apart and np.isfinite(mean_px[i]) and len(chosen) < WORST:
+    for i in indices[np.argsort(-np.nan_to_num(mean_px[indices], nan=-np.inf))]:
+        is_new = all(labels.clip[i] != labels.clip[j] or abs(labels.numbers[i] - labels.numbers[j]) > 2 for j in chosen)
+        if is_new and np.isfinite(mean_px[i]) and len(chosen) < WORST:
             chosen.append(i)
     tiles: list[Image] = []
     for i in chosen:
@@ -444,38 +454,53 @@ def _write_worst(labels: data.Labels, errors: Array, xy_px: Array, which: Intege
         draw_text(drawn, f"{labels.images[i]}: mean {mean_px[i]:.1f} px", (8, 20), 0.5, LABEL)
         tiles.append(drawn)
     height, width, _ = np.max([tile.shape for tile in tiles], axis=0)
-    alike = [np.pad(tile, ((0, height - len(tile)), (0, width - len(tile[0])), (0, 0))) for tile in tiles]
-    alike += [np.zeros_like(alike[0])] * (len(tiles) % 2)
-    sheet = np.vstack([np.hstack(pair) for pair in zip(alike[::2], alike[1::2], strict=True)])
+    padded = [np.pad(tile, ((0, height - len(tile)), (0, width - len(tile[0])), (0, 0))) for tile in tiles]
+    padded += [np.zeros_like(padded[0])] * (len(tiles) % 2)
+    sheet = np.vstack([np.hstack(pair) for pair in zip(padded[::2], padded[1::2], strict=True)])
     write_bytes(path, cv2.imencode(path.suffix, sheet)[1].tobytes())
 
 
 def suspicious_labels(labels: data.Labels, xy_px: Array, length_px: float) -> list[dict[str, Any]]:
-    """Labels that are probably wrong, found in two ways: the network, once trained, puts the keypoint somewhere else
-    and is not tempted by the label; or the label is farther from every other label of its picture than this keypoint is
-    anywhere else from them. The distances are in body lengths; a label's rank is the sum of those in which it stands
-    out. The most suspicious first: image and keypoint, x_px and y_px; what speaks against the label, by the network and
-    the others, in body lengths (NaN where it says nothing); its rank and the reasons in words.
+    """Return labels that are probably wrong, the most suspicious first.
 
-    xy_px (N, K, 2): what the network says, in pixels of the clip, NaN in pictures that it has not learned from."""
+    A label is suspicious if the network, once trained, puts the keypoint somewhere else and is not tempted by the
+    label; or if the label is farther from every other label of its picture than this keypoint is from them in other
+    pictures.
+
+    Parameters
+    ----------
+    labels : Labels
+        N pictures of K keypoints.
+    xy_px : (N, K, 2)
+        The network's points in pixels of the clip, NaN in pictures that it has not learned from.
+    length_px : float
+        The length of the animal.
+
+    Returns
+    -------
+    list of dict
+        Image and keypoint, `x_px` and `y_px`; the distances in body lengths that speak against the label, by the
+        network and by the other labels (NaN where unknown); its rank, the sum of those that exceed their limits; the
+        reasons in words.
+    """
     clues = {
         "network": np.linalg.norm(xy_px - labels.xy_px, axis=2) / length_px,
         "others": _excess_distance_px(labels.xy_px) / length_px,
     }
-    known = np.array([median(of_one) for of_one in clues["network"].T])
-    limits = {"network": np.fmax(FAR, LEARNED * known), "others": np.full(len(known), APART)}
-    found = []
+    median_distances = np.array([median(of_one) for of_one in clues["network"].T])
+    limits = {"network": np.fmax(FAR, LEARNED * median_distances), "others": np.full(len(median_distances), APART)}
+    rows = []
     for i, k in np.argwhere(labels.labelled):
         (x, y), against = labels.xy_px[i, k].tolist(), {name: float(of_all[i, k]) for name, of_all in clues.items()}
         beyond = {name: value for name, value in against.items() if value > limits[name][k]}
         reasons = tuple(f"{value:.2f} {REASONS[name]}" for name, value in beyond.items())
         row = {"image": labels.images[i], "keypoint": labels.names[k], "x_px": x, "y_px": y, **against}
-        found += [row | {"rank": sum(beyond.values()), "reasons": reasons}] if beyond else []
-    return sorted(found, key=lambda row: -row["rank"])[:MOST]
+        rows += [row | {"rank": sum(beyond.values()), "reasons": reasons}] if beyond else []
+    return sorted(rows, key=lambda row: -row["rank"])[:MOST]
 
 
 def _excess_distance_px(xy_px: Array) -> Array:
-    """(N, K): by how much a label is farther than usual from that of the others to which this is least so; px."""
+    """Return how much farther than usual (N, K) each label is from the others, by the mildest of them, px."""
     n, k = xy_px.shape[:2]
     distance = np.linalg.norm(xy_px[:, :, None] - xy_px[:, None], axis=3)
     distance[:, range(k), range(k)] = np.nan
@@ -492,9 +517,9 @@ def train_command(settings: _TrainRunSettings, progress: Progress) -> Answer:
 
     Example: recon train run.mp4 --labels CollectedData_me.csv --out models/run
     """
-    out, how = settings.out, picked(settings, "device", "threads", "resume", "overwrite")
+    out, options = settings.out, picked(settings, "device", "threads", "resume", "overwrite")
     try:
-        report = run_training(settings, settings, out, **how, progress=progress)
+        report = run_training(settings, settings, out, **options, progress=progress)
     except KeyboardInterrupt:
         message = "the same command with --resume goes on from the last checkpoint"
         if not (out / CHECKPOINT_FILE).is_file():
@@ -506,13 +531,13 @@ def train_command(settings: _TrainRunSettings, progress: Progress) -> Answer:
 def run_training(
     source: data.LabelSource, settings: TrainSettings, out: Path, *, progress: Progress = silent, **options: Any
 ) -> dict[str, Any]:
-    """`recon train`: `out` gets the network, a checkpoint and the training report, which is returned. options: device,
-    threads, resume and overwrite, as of the command.
+    """Carry out `recon train`, and return the training report.
 
-    Raises InputError, with every problem, before anything is written.
+    `out` gets the network, a checkpoint and the report. `options` are device, threads, resume and overwrite, as of the
+    command. Raise InputError, with every problem, before anything is written.
     """
-    given = picked(source, *data.LabelSource.infos()) | picked(settings, *TrainSettings.infos())
-    s = _TrainRunSettings(out=out, **given, **options)
+    training_settings = picked(source, *data.LabelSource.infos()) | picked(settings, *TrainSettings.infos())
+    s = _TrainRunSettings(out=out, **training_settings, **options)
     net.require_torch()
     chosen, labels, _ = collect_problems(
         lambda: net.choose_device(s.device),
