@@ -610,7 +610,7 @@ class _CalibrationCheck:
 LIMITS = (
     # three determine the matrix, two more the lens; with six an error of one can still be seen in the others
     ("images", "pictures used", "", 10, 6, True, "take more pictures"),
-    # one in four is no exception any more: the median itself is in doubt
+    # one in four is no exception any more: the median itself is uncertain
     ("dropped", "pictures left out as outliers", "%", 10, 25, False, "look for a board that bends, or moves"),
     # corners are found to 0.05-0.3 px; more is a wrong lens model or board. Relative to the width above 1920
     ("rms", "reprojection error", "px of 1920", 0.5, 1.0, False, "check the board's numbers, flatness, and --model"),
@@ -619,7 +619,7 @@ LIMITS = (
     # the distortion is largest there
     ("border", "widest strip along a border without a corner", "% of the side", 12, math.nan, False,
      "hold the board at the borders, partly outside if it is a ChArUco board"),
-    # parallel boards say nothing new: a longer focal length and a longer distance look alike
+    # parallel boards say nothing new: a longer focal length and a longer distance look the same
     ("tilt", "largest angle between two boards", "degrees", 40, 20, True, "tilt the board by 30 to 45 degrees"),
     # about one axis, only one of fx and fy is determined by perspective
     ("tilt axes", "spread of the tilt in its least varied direction", "degrees", 6, 2, True,

@@ -226,11 +226,11 @@ class ClipAnalysis(Brief):
 
         if self.why_no_speed is not None:
             raise InputError(Problem(self.motion.file, "speed", self.why_no_speed, "a path whose speed is known"))
-        moved = self.reference_motion
-        speed, low, high = interval_of(moved.speed_m_s, moved.speed_sigma_m_s)
-        values = {"speed_m_s": speed, "sigma_m_s": moved.speed_sigma_m_s, "low_m_s": np.maximum(low, 0.0)}
+        reference_motion = self.reference_motion
+        speed, low, high = interval_of(reference_motion.speed_m_s, reference_motion.speed_sigma_m_s)
+        values = {"speed_m_s": speed, "sigma_m_s": reference_motion.speed_sigma_m_s, "low_m_s": np.maximum(low, 0.0)}
         values["high_m_s"] = high
-        return pd.DataFrame(values, index=pd.Index(moved.series.time_s, name="time_s"))
+        return pd.DataFrame(values, index=pd.Index(reference_motion.series.time_s, name="time_s"))
 
     @cached_property
     def not_measured(self) -> tuple[str, ...]:

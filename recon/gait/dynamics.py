@@ -268,15 +268,19 @@ def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
     period = np.maximum(stride_s + stride_sigma_s * normal(1), 0.2 * stride_s)
     foot_rows = np.array([feet.index(s.foot) for s in stances], dtype=int)
     # How long a stance lasts is known by its ends, and by the others of its strides.
-    is_whole, drawn, noise = np.array([s.begins and s.ends for s in stances], dtype=bool), ends - starts, normal(count)
+    is_whole, drawn_s, noise = (
+        np.array([s.begins and s.ends for s in stances], dtype=bool),
+        ends - starts,
+        normal(count),
+    )
     variance = start_sigma**2 + end_sigma**2
     for i in np.flatnonzero(is_whole & np.isfinite(stride_s)):
         is_near = is_whole & (start < end[i] + stride_s[i]) & (end > start[i] - stride_s[i])
-        typical = np.median(drawn[:, is_near], axis=1)
+        typical = np.median(drawn_s[:, is_near], axis=1)
         spread = STANCES_ALIKE * typical[0]
         # A part of a stance is further off than its ends seem to be.
-        inflation = max(1.0, (typical[0] - drawn[0, i]) ** 2 / (variance[i] + spread**2))
-        change = inflation * (typical + spread * noise[:, i] - drawn[:, i]) / (inflation * variance[i] + spread**2)
+        inflation = max(1.0, (typical[0] - drawn_s[0, i]) ** 2 / (variance[i] + spread**2))
+        change = inflation * (typical + spread * noise[:, i] - drawn_s[:, i]) / (inflation * variance[i] + spread**2)
         starts[:, i] -= start_sigma[i] ** 2 * change
         ends[:, i] += end_sigma[i] ** 2 * change
     return starts, np.maximum(ends, starts + 0.3 * (end - start)), share[:, foot_rows] * period
@@ -308,8 +312,8 @@ def _forces(gait: Gait) -> tuple[pd.DataFrame, dict[str, Array]]:
             force[stance.foot][nearby] = np.nan
             continue
         node_s = np.linspace(first, last, NODES)
-        drawn = peaks[1:, i, None] * shape((node_s - starts[1:, i, None]) / durations_s[1:, i, None])
-        for k, curve in enumerate((drawn.mean(axis=0), *np.quantile(drawn, _ENDS, axis=0))):
+        curves = peaks[1:, i, None] * shape((node_s - starts[1:, i, None]) / durations_s[1:, i, None])
+        for k, curve in enumerate((curves.mean(axis=0), *np.quantile(curves, _ENDS, axis=0))):
             force[stance.foot][nearby, k] += np.interp(time_s[nearby], node_s, curve)
         if np.isfinite(impulses[0, i]):
             rows.append((stance.foot, stance.start_s, stance.end_s, *peak[:, i].tolist(), *impulse[:, i].tolist()))

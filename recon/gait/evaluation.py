@@ -287,19 +287,26 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
     pose_name, truth_name = str(pose.source or "pose"), str(truth.source or "truth")
     problems = []
     if not names:
-        shown = " and ".join(", ".join(p.names[:5]) for p in (pose, truth))
-        problems.append(Problem(pose_name, "joints", f"none in common ({shown})", f"joints that are in {truth_name}"))
+        examples = " and ".join(", ".join(p.names[:5]) for p in (pose, truth))
+        problems.append(
+            Problem(pose_name, "joints", f"none in common ({examples})", f"joints that are in {truth_name}")
+        )
     if not len(frames):
-        shown = " and ".join(f"{p.frames[0]} to {p.frames[-1]}" if len(p.frames) else "none" for p in (pose, truth))
-        problems.append(Problem(pose_name, "frames", f"none in common ({shown})", f"frames that are in {truth_name}"))
+        examples = " and ".join(f"{p.frames[0]} to {p.frames[-1]}" if len(p.frames) else "none" for p in (pose, truth))
+        problems.append(
+            Problem(pose_name, "frames", f"none in common ({examples})", f"frames that are in {truth_name}")
+        )
     if not problems and not common.any():
         problems.append(Problem(pose_name, "positions", "no joint known on both sides in any frame", "at least one"))
     raise_problems(problems)
-    centred, inside = aligned(pose_m, truth_m), {}
+    centred, share_inside = aligned(pose_m, truth_m), {}
     thresholds_m = _thresholds_m(np.where(common[..., None], truth_m, np.nan)[common.any(axis=1)])
     if sigmas_m is not None:
         position_sigma_m, relative_m = (sigma_m[in_pose][:, joint_rows] for sigma_m in sigmas_m)
-        inside = {"place": _inside(pose_m - truth_m, position_sigma_m), "pose": _inside(centred - truth_m, relative_m)}
+        share_inside = {
+            "place": _inside(pose_m - truth_m, position_sigma_m),
+            "pose": _inside(centred - truth_m, relative_m),
+        }
     centred_m = joint_errors(centred, truth_m)
     similar_m = joint_errors(aligned(pose_m, truth_m, scale=True, turn=True), truth_m)
     return Evaluation(
@@ -316,7 +323,7 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
             (threshold_m, score(np.where(np.isnan(centred_m), np.nan, centred_m <= threshold_m)))
             for threshold_m in thresholds_m
         ),
-        inside=inside,
+        inside=share_inside,
         frames_not_scored=int((~common.any(axis=1)).sum()),
         frames_without_pa=int(np.isnan(similar_m).all(axis=1).sum()),
         joints_only_in_pose=tuple(name for name in pose.names if name not in names),
@@ -364,18 +371,18 @@ def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: 
     no meaning.
     """
     centred, (pose_mean, truth_mean) = _together(pose_m, truth_m)
-    moved, (pose_part, truth_part) = pose_m - pose_mean, np.nan_to_num(centred)
+    aligned_m, (pose_part, truth_part) = pose_m - pose_mean, np.nan_to_num(centred)
     if turn:
         is_enough = np.isfinite(centred[0]).all(axis=2).sum(axis=1)[:, None, None] >= 3
         u, _, vt = np.linalg.svd(np.swapaxes(pose_part, 1, 2) @ truth_part)
         vt[:, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]  # the direction that matters least
-        moved, pose_part = (part @ (u @ vt) for part in (np.where(is_enough, moved, np.nan), pose_part))
+        aligned_m, pose_part = (part @ (u @ vt) for part in (np.where(is_enough, aligned_m, np.nan), pose_part))
     if scale:
         product, square = (np.sum(pose_part * part, axis=(1, 2)) for part in (truth_part, pose_part))
         # where all joints coincide every factor is as good
         factor = np.divide(np.maximum(product, 0), square, out=np.ones_like(square), where=square > 0)
-        moved = factor[:, None, None] * moved
-    return moved + truth_mean
+        aligned_m = factor[:, None, None] * aligned_m
+    return aligned_m + truth_mean
 
 
 def _together(pose_m: Array, truth_m: Array) -> tuple[Array, Array]:

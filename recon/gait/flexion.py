@@ -119,10 +119,10 @@ def joint_flexions(motion: Motion) -> tuple[JointFlexion, ...]:
 def _variance(body: Body, states: Array, size: float, angle_sigma: Array) -> Array:
     """Return the variance (A, T) of the flexions by the fit's angles (T, D - 3), each independent of the others."""
     variance = np.zeros((len(body.anatomy), len(states)))
-    some = states[:: -(-len(states) // 3)]
+    every_few = states[:: -(-len(states) // 3)]
     for column in range(3, states.shape[1]):
         step = _STEP_RAD * (np.arange(states.shape[1]) == column)
-        if np.abs(_change(body, some, size, step)).max() > 1e-6:
+        if np.abs(_change(body, every_few, size, step)).max() > 1e-6:
             variance += (_change(body, states, size, step) * angle_sigma[:, column - 3]) ** 2
     return variance
 
@@ -169,17 +169,17 @@ def _foot_of(flexion: JointFlexion, strides: Mapping[str, Sequence[Stride]], ref
 def _curve_over(flexion: JointFlexion, foot: str, strides: Sequence[Stride], time_s: Array) -> StrideCurve | None:
     angles, variances, duties = [], [], []
     for stride in strides:
-        inside = (time_s >= stride.start_s) & (time_s <= stride.end_s)
-        known = np.isfinite(flexion.angle_rad)
-        if not inside.any() or known[inside].mean() < LEAST_KNOWN:
+        is_inside = (time_s >= stride.start_s) & (time_s <= stride.end_s)
+        is_known = np.isfinite(flexion.angle_rad)
+        if not is_inside.any() or is_known[is_inside].mean() < LEAST_KNOWN:
             continue
         # Strides between lift-offs end with their swing: their touch-down is the duty factor before their end.
         touch_down_s = stride.end_s - stride.duty_factor * stride.duration_s if stride.at == "lift-off" else None
         at_s = stride.start_s + PERCENT / 100 * stride.duration_s
         if touch_down_s is not None:
             at_s = stride.start_s + np.mod(touch_down_s - stride.start_s + at_s - stride.start_s, stride.duration_s)
-        angles.append(np.interp(at_s, time_s[known], flexion.angle_rad[known]))
-        variances.append(np.interp(at_s, time_s[known], flexion.sigma_rad[known] ** 2))
+        angles.append(np.interp(at_s, time_s[is_known], flexion.angle_rad[is_known]))
+        variances.append(np.interp(at_s, time_s[is_known], flexion.sigma_rad[is_known] ** 2))
         duties.append(stride.duty_factor)
     if not angles:
         return None

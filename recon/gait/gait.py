@@ -428,64 +428,64 @@ def ground_plane(foot_m: Array, slow: Bools) -> Plane:
 # -- stances ---------------------------------------------------------------------------------------------------------
 
 
-def stances(moved: Tracks) -> tuple[Stance, ...]:
+def stances(tracks: Tracks) -> tuple[Stance, ...]:
     """Return all feet's stances in the order of their beginnings; none if the ground is unknown."""
-    if why_no_ground(moved):
+    if why_no_ground(tracks):
         return ()
-    result = [s for k in range(len(moved.feet)) for s in _stances_of(moved, k)]
+    result = [s for k in range(len(tracks.feet)) for s in _stances_of(tracks, k)]
     return tuple(sorted(result, key=lambda s: (s.start_s, s.foot)))
 
 
-def why_no_ground(moved: Tracks) -> str | None:
+def why_no_ground(tracks: Tracks) -> str | None:
     """Return why the ground under the feet is unknown, or None if it is known."""
-    planes = [plane for _, plane in moved.grounds if plane.samples]
+    planes = [plane for _, plane in tracks.grounds if plane.samples]
     if not planes:
         return "the ground is not known: no foot is slow enough to stand"
     spread_m = max(plane.spread_m for plane in planes)
-    if not spread_m < LOW[0] * moved.leg_m:
+    if not spread_m < LOW[0] * tracks.leg_m:
         return f"the ground is not known: slow feet are {length_text(spread_m)} off a plane (median)"
     return None
 
 
-def _stances_of(moved: Tracks, k: int) -> list[Stance]:
-    speed_error, height = SPEED_ERROR * moved.foot_speed_sigma_m_s[:, k], moved.height_m[:, k]
-    speed = np.sqrt(np.maximum(moved.foot_speed_m_s[:, k] ** 2 - speed_error**2, 0.0))
-    certain_speed, largest_speed, landing_speed, lifting_speed = moved.slow_m_s[:, k]
+def _stances_of(tracks: Tracks, k: int) -> list[Stance]:
+    speed_error, height = SPEED_ERROR * tracks.foot_speed_sigma_m_s[:, k], tracks.height_m[:, k]
+    speed = np.sqrt(np.maximum(tracks.foot_speed_m_s[:, k] ** 2 - speed_error**2, 0.0))
+    certain_speed, largest_speed, landing_speed, lifting_speed = tracks.slow_m_s[:, k]
     slow_rows = np.flatnonzero(speed < certain_speed)
-    certain_rows = slow_rows[height[slow_rows] < LOW[0] * moved.leg_m]
+    certain_rows = slow_rows[height[slow_rows] < LOW[0] * tracks.leg_m]
     is_known = np.pad(np.isfinite(speed), 1)  # by the index after
     result = []
-    may_stand = np.less(speed, largest_speed) & np.less(height, LOW[1] * moved.leg_m)
+    may_stand = np.less(speed, largest_speed) & np.less(height, LOW[1] * tracks.leg_m)
     for first, end in frame_ranges(np.flatnonzero(may_stand)):
         if np.any((certain_rows >= first) & (certain_rows < end)):
             within = speed[first:end]
             has_landed = within < (landing_speed if within.min() < landing_speed else certain_speed)
             landing, lift_off = first + int(has_landed.argmax()), end - 1 - int((within < lifting_speed)[::-1].argmax())
             is_seen = bool(landing > first or is_known[first]), bool(lift_off < end - 1 or is_known[end + 1])
-            start_s, end_s = (float(moved.time_s[i]) for i in (landing, lift_off))
+            start_s, end_s = (float(tracks.time_s[i]) for i in (landing, lift_off))
             sigmas = [
-                _event_sigma_s(moved, k, i, (end_s - start_s) / 2, threshold_sigma) if event_seen else np.nan
+                _event_sigma_s(tracks, k, i, (end_s - start_s) / 2, threshold_sigma) if event_seen else np.nan
                 for i, event_seen, threshold_sigma in zip((landing, lift_off), is_seen, EVENT_SIGMAS, strict=True)
             ]
             result.append(
                 Stance(
-                    moved.feet[k], start_s, end_s, landing / OVERSAMPLING, lift_off / OVERSAMPLING, *is_seen, *sigmas
+                    tracks.feet[k], start_s, end_s, landing / OVERSAMPLING, lift_off / OVERSAMPLING, *is_seen, *sigmas
                 )
             )
     return [s for s in result if s.duration_s >= MIN_STANCE_S or not (s.begins and s.ends)]
 
 
-def _event_sigma_s(moved: Tracks, k: int, i: int, most_s: float, threshold_sigma: float) -> float:
+def _event_sigma_s(tracks: Tracks, k: int, i: int, most_s: float, threshold_sigma: float) -> float:
     """Return the standard deviation in seconds of an event of the k-th foot at the i-th instant.
 
     most_s: time from the event to the middle of the stance; threshold_sigma: one standard deviation of the threshold,
     relative to the speed in the swing.
     """
     nearby = slice(max(i - OVERSAMPLING // 2, 0), i + OVERSAMPLING // 2 + 1)
-    speed, time = moved.foot_speed_m_s[nearby, k], moved.time_s[nearby]
+    speed, time = tracks.foot_speed_m_s[nearby, k], tracks.time_s[nearby]
     known = np.isfinite(speed)
     acceleration = np.ptp(speed[known]) / np.ptp(time[known])
-    sigma = float(np.hypot(moved.unrest * moved.foot_speed_sigma_m_s[i, k], threshold_sigma * moved.swing_m_s[k]))
+    sigma = float(np.hypot(tracks.unrest * tracks.foot_speed_sigma_m_s[i, k], threshold_sigma * tracks.swing_m_s[k]))
     return min(sigma / max(acceleration, 1e-9), most_s / radius(INTERVAL))
 
 
@@ -504,18 +504,18 @@ def match_stances(first_set: Sequence[Stance], second_set: Sequence[Stance]) -> 
 # -- strides and gait ------------------------------------------------------------------------------------------------
 
 
-def gait(moved: Tracks) -> Gait:
+def gait(tracks: Tracks) -> Gait:
     """Find stances, strides and the gait's name; each foot's strides are compared with those of all feet."""
-    all_stances = stances(moved)
-    counted, doubtful = _counted(strides(moved, all_stances))
+    all_stances = stances(tracks)
+    counted, doubtful = _counted(strides(tracks, all_stances))
     lengths, durations = [s.length_m for s in counted], [s.duration_s for s in counted]
-    lasts_s, sigma_s = _stride_time(moved, counted)
+    lasts_s, sigma_s = _stride_time(tracks, counted)
     touch_downs = sorted((s for s in all_stances if s.begins), key=lambda s: s.start_s)
-    why_unknown = why_no_ground(moved)
-    if why_unknown is None and not {*FEET} <= {*moved.feet}:
-        why_unknown = f"only gaits of four feet have names; here are {', '.join(moved.feet)}"
+    why_unknown = why_no_ground(tracks)
+    if why_unknown is None and not {*FEET} <= {*tracks.feet}:
+        why_unknown = f"only gaits of four feet have names; here are {', '.join(tracks.feet)}"
     return Gait(
-        tracks=moved,
+        tracks=tracks,
         stances=all_stances,
         strides=counted,
         order=tuple(s.foot for s in touch_downs),
@@ -523,8 +523,8 @@ def gait(moved: Tracks) -> Gait:
         stride_frequency_hz=1.0 / mean(durations) if durations else np.nan,
         stride_s=lasts_s,
         stride_sigma_s=sigma_s,
-        duty_factor={foot: median([s.duty_factor for s in counted if s.foot == foot]) for foot in moved.feet},
-        speed_m_s=mean(moved.body_speed_m_s),
+        duty_factor={foot: median([s.duty_factor for s in counted if s.foot == foot]) for foot in tracks.feet},
+        speed_m_s=mean(tracks.body_speed_m_s),
         name=name_gait(all_stances, counted, lasts_s, why_unknown),
         doubtful=doubtful,
     )
@@ -538,22 +538,22 @@ def pose_gait(pose: Pose3D, fps: float, errors: Sequence[Errors] = (), **options
     return gait(pose_tracks(pose, fps, errors, **options))
 
 
-def strides(moved: Tracks, all_stances: tuple[Stance, ...]) -> tuple[Stride, ...]:
+def strides(tracks: Tracks, all_stances: tuple[Stance, ...]) -> tuple[Stride, ...]:
     """Return the complete strides, whose two touch-downs and whose stance are in the clip.
 
     A foot without two touch-downs has its strides between two lift-offs.
     """
-    result, all_stand = [], _all_stand(moved, all_stances)
-    for foot in moved.feet:
+    result, all_stand = [], _all_stand(tracks, all_stances)
+    for foot in tracks.feet:
         foot_stances = [s for s in all_stances if s.foot == foot]
         landings = [(a.start_s, b.start_s, a) for a, b in pairwise(foot_stances) if a.begins and a.ends and b.begins]
         liftings = [(a.end_s, b.end_s, b) for a, b in pairwise(foot_stances) if a.ends and b.begins and b.ends]
         event: Literal["touchdown", "lift-off"] = "touchdown" if landings else "lift-off"
         for start, end, stance in landings or liftings:
-            a, b = np.searchsorted(moved.time_s, [start, end])
+            a, b = np.searchsorted(tracks.time_s, [start, end])
             # A foot or a body that was lost in between may have hidden a stance.
-            step = np.diff(moved.body_m[a : b + 1, :2], axis=0)
-            is_lost = not np.isfinite(step).all() or np.isnan(moved.foot_m[a : b + 1, moved.feet.index(foot)]).any()
+            step = np.diff(tracks.body_m[a : b + 1, :2], axis=0)
+            is_lost = not np.isfinite(step).all() or np.isnan(tracks.foot_m[a : b + 1, tracks.feet.index(foot)]).any()
             if not is_lost and all_stand[a : b + 1].mean() < 0.5:
                 length = float(np.linalg.norm(step, axis=1).sum())
                 sigma_s = float(np.hypot(stance.start_sigma_s, stance.end_sigma_s))
@@ -562,13 +562,13 @@ def strides(moved: Tracks, all_stances: tuple[Stance, ...]) -> tuple[Stride, ...
     return tuple(sorted(result, key=lambda s: (s.start_s, s.foot)))
 
 
-def _all_stand(moved: Tracks, all_stances: Sequence[Stance]) -> Bools:
+def _all_stand(tracks: Tracks, all_stances: Sequence[Stance]) -> Bools:
     """Return when all feet of a four-footed animal stand, shape (N,)."""
-    stands = np.zeros((len(moved.time_s), len(moved.feet)), dtype=bool)
+    stands = np.zeros((len(tracks.time_s), len(tracks.feet)), dtype=bool)
     for stance in all_stances:
-        first, stop = np.searchsorted(moved.time_s, [stance.start_s, stance.end_s])
-        stands[first:stop, moved.feet.index(stance.foot)] = True
-    return np.asarray(stands.all(axis=1) & (len(moved.feet) >= 4))
+        first, stop = np.searchsorted(tracks.time_s, [stance.start_s, stance.end_s])
+        stands[first:stop, tracks.feet.index(stance.foot)] = True
+    return np.asarray(stands.all(axis=1) & (len(tracks.feet) >= 4))
 
 
 def _counted(all_strides: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple[Stride, ...]]:
@@ -596,14 +596,14 @@ def doubtful_text(stride: Stride) -> str:
     return f"{text}: strides of all feet around its time last {stride.others_s:.3f} s"
 
 
-def _stride_time(moved: Tracks, counted: Sequence[Stride]) -> tuple[float, float]:
+def _stride_time(tracks: Tracks, counted: Sequence[Stride]) -> tuple[float, float]:
     """Return the stride's duration in seconds and its standard deviation, from strides or the pose's period.
 
     NaN if neither is known.
     """
     if counted:
         return _mean_time(counted, len(counted))
-    period = pose_period_s(moved)
+    period = pose_period_s(tracks)
     return period, period * PERIOD_SIGMA
 
 
@@ -614,15 +614,15 @@ def _mean_time(counted: Sequence[Stride], count: int) -> tuple[float, float]:
     return float(durations_s.mean()), float(np.hypot(durations_s.std() / count**0.5, np.median(event_sigmas_s)))
 
 
-def pose_period_s(moved: Tracks) -> float:
+def pose_period_s(tracks: Tracks) -> float:
     """Return the stride's duration in a clip that holds no complete stride, s; NaN if unknown.
 
     The period whose first two harmonics best fit the feet's positions relative to the body, with a weak prior against
     both harmonics.
     """
-    values = (moved.foot_m - moved.body_m[:, None])[::OVERSAMPLING].reshape(-1, 3 * len(moved.feet))
+    values = (tracks.foot_m - tracks.body_m[:, None])[::OVERSAMPLING].reshape(-1, 3 * len(tracks.feet))
     is_known = np.isfinite(values).all(axis=1)
-    time, values = moved.time_s[::OVERSAMPLING][is_known], values[is_known]
+    time, values = tracks.time_s[::OVERSAMPLING][is_known], values[is_known]
     if len(time) < MIN_POINTS + 5:
         return np.nan
     periods = np.linspace(*PERIOD_OF_CLIP, 100) * (time[-1] - time[0])

@@ -199,13 +199,13 @@ class Tracker:
         self, number: int, frame: GreyPicture, mask: Bools | None, guess: Orientation, count: int
     ) -> tuple[AgreedOrientation, _Seen] | None:
         keys = self._nearest(guess, count)
-        seen = _Seen.of(self.camera, keys, frame, guess, mask)
+        points_seen = _Seen.of(self.camera, keys, frame, guess, mask)
         for key in keys:
             key.used = number
-        points = seen.rays, seen.pixels, seen.background
+        points = points_seen.rays, points_seen.pixels, points_seen.background
         agreement = turning.agreed_turn(self.camera, *points, guess.zoom, self.solve_zoom, self._limit_px)
         enough = agreement is not None and agreement.spread > MIN_SUPPORT * self.support
-        return (agreement, seen) if agreement is not None and enough else None
+        return (agreement, points_seen) if agreement is not None and enough else None
 
     def _nearest(self, orientation: Orientation, count: int) -> list[_Keyframe]:
         """Return keyframes with a picture that look the same way."""

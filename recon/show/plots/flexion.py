@@ -38,10 +38,10 @@ def joint_flexion(curves: Sequence[StrideCurve], title: str = "") -> Figure:
             return figure
         panels = figure.subplots(rows, COLUMNS, squeeze=False, sharex=True).ravel()
         for axes, joint in zip(panels, names, strict=False):
-            own = [curve for curve in curves if curve.joint == joint]
-            for curve in own:
+            curves_of_joint = [curve for curve in curves if curve.joint == joint]
+            for curve in curves_of_joint:
                 _draw_curve(axes, curve)
-            _draw_stances(axes, own)
+            _draw_stances(axes, curves_of_joint)
             axes.set_title(joint.replace("_", " "), loc="left", pad=3)
             axes.set_xlim(0, 100)
             axes.locator_params(axis="y", nbins=5)
@@ -84,9 +84,9 @@ def _add_legend(figure: Figure, curves: Sequence[StrideCurve]) -> None:
     handles: list[Line2D | Patch] = []
     labels: dict[Side | None, str] = {"left": "left", "right": "right", None: "middle"}
     for side, label in labels.items():
-        own = [curve for curve in curves if curve.side == side]
-        if own:
-            counts = sorted({curve.strides for curve in own})
+        curves_of_side = [curve for curve in curves if curve.side == side]
+        if curves_of_side:
+            counts = sorted({curve.strides for curve in curves_of_side})
             strides = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
             dashes = (0, (4, 1.2)) if side == "left" else "-"
             text = f"{label}, {strides} stride{'s' * (counts[-1] > 1)}"

@@ -1,7 +1,7 @@
 """Set the look of the figures and write them.
 
 Widths are those of a page (180 mm) or a column (85 mm), text is 8 points. Colours are those of Okabe and Ito without
-yellow, which is pale on paper; lines that have to be told apart differ in dashes too. Time is viridis without its
+yellow, which is pale on paper; lines that have to be distinguished differ in dashes too. Time is viridis without its
 palest tenth.
 
 A figure is laid out once, when it is drawn. All files are byte-identical for the same data and version of matplotlib,

@@ -173,11 +173,11 @@ def _trajectory_sentences(motion: Motion) -> Iterator[str]:
         f"{solution.size_prior_sigma:.2g}; {size_text}."
     )
     detector = file_name(body.detector)
-    offsets = f"beside the markers as those of the detector {detector}"
+    offsets = f"next to the markers, as those of the detector {detector}"
     if detector in (None, NONE):
         offsets = "on the markers"
     elif detector == OWN:
-        offsets = "beside the markers as the skeleton's or the subject's file says"
+        offsets = "next to the markers, as the skeleton's or the subject's file says"
     yield f"Keypoints are taken to lie {offsets}."
     source = f"as in the motions that the prior {file_name(solution.prior)} was made from"
     if solution.prior == NO_PRIOR:
