@@ -25,9 +25,10 @@ from recon.base.files import read_manifest, write_manifest
 from recon.check.codes import finding, sentence
 from recon.check.rules import findings_of
 from recon.fit.motion import Motion
+from recon.gait.clip import ClipAnalysis
 from recon.io.video import video_writer
 from recon.show.console import TO_DO
-from recon.show.page.pages import _angles, _solid, _without_unseen, clip_page, doubtful_frames, inline
+from recon.show.page.pages import _angles, _sections, _solid, _without_unseen, clip_page, doubtful_frames, inline
 from recon.show.plots.over_time import angle_over_time
 from recon.show.plots.style import drawing
 from recon.show.report import build_report
@@ -180,7 +181,13 @@ def test_a_page_says_what_the_report_says(page, folder):
     assert "left and right" not in page.text  # no frame has that flag
     assert list(doubtful_frames(results)) == [("13", "no data"), ("15", "data poor, ambiguous depth")]
     headings = re.findall(r"<h2>(.*?)</h2>", page.html)
-    assert headings[:5] == ["In 3D", "From the side, from above and from ahead", "Speed", "Footfalls", "Angles"]
+    assert headings[:5] == [
+        "In 3D",
+        "From the side, from above and from ahead",
+        "Speed",
+        "Footfalls",
+        "Angles over time",
+    ]
     # A picture comes before the words.
     assert page.html.index("<img") < page.html.index("Frames: 8 of 8")
     assert len(page.attributes("img", "src")) == 8
@@ -408,3 +415,8 @@ def test_pages_of_a_batch_are_made_beside_each_other(batch, monkeypatch):
     assert len(pages) == 1
     refused(["report", batch / "summary.csv"], (batch / "summary.csv", "folder", "a file", "recon fit"))
     refused(["report", batch, "--video", "clip.mp4"], ("--video", "file", "clip.mp4", "one clip"))
+
+
+def test_a_clip_with_strides_has_its_joint_angles_over_the_stride(whole_results):
+    headings = [section["heading"] for section in _sections(ClipAnalysis(Motion.load(whole_results)))]
+    assert headings[headings.index("Footfalls") + 1] == "Joint angles over the stride"

@@ -34,6 +34,7 @@ from recon.io.video import Image
 from recon.show.console import TO_DO
 from recon.show.page.own_page import GENERATED, PAGE
 from recon.show.plots.configurations import composites
+from recon.show.plots.flexion import joint_flexion
 from recon.show.plots.over_time import AngleCurve, angle_over_time, footfall, forces, speeds
 from recon.show.plots.style import png_of, svg_of
 from recon.show.report import build_report, warnings
@@ -208,6 +209,12 @@ def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
     if gait is not None:
         text = "Time on the ground of each foot, from its speed over the ground and its height."
         yield _group("Footfalls", text, [footfall({"gait": gait}, motion.fps)])
+        if analysis.flexion_curves:
+            text = (
+                "Mean flexion over the strides, from touch-down (0 %) to touch-down: 0° is straight. Left: blue and "
+                "dashed; right: orange; middle: black. Bars: the foot stands."
+            )
+            yield _group("Joint angles over the stride", text, [joint_flexion(analysis.flexion_curves)])
         dynamics = None if motion.jitters else analysis.dynamics
         if dynamics is not None and len(dynamics.forces):
             text = (
@@ -217,7 +224,7 @@ def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
             yield _group("Vertical forces", text, [forces(dynamics, gait)])
     doubtful = np.array([bool(flags) for flags in motion.flags])
     yield _group(
-        "Angles",
+        "Angles over time",
         "Angles of the model's joints with 90 % bands. Left: blue and dashed; right: orange; middle: black; grey "
         "curves come mostly from the prior. Doubtful frames have a grey background.",
         [angle_over_time(motion.time_s, *panel, doubtful) for panel in _angles(motion).items()],
