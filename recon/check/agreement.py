@@ -34,10 +34,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from recon.animal.body import Body
+from recon.animal.body import MIN_JOINTS, Body
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem, raise_problems
-from recon.check.codes import finding
+from recon.check.codes import EFFECTS, by_effect, finding
 from recon.clip import Source, View, align_cameras, densest_window, views_of
 from recon.fit import constants
 from recon.fit.motion import Motion
@@ -126,7 +126,8 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
         numbers = comparisons[v]
         if numbers["level"] > limit or _gain(numbers) >= CLEAR_GAIN:
             offset_s = motion.sources[v].offset_s + numbers["late_frames"] / fps
-            findings.append(finding(_code(numbers, limit), frames, names[v], **numbers, offset_s=offset_s))
+            numbers = numbers | _effect_m(given_sights, v, [o for o in agreeing if o != v]) | {"offset_s": offset_s}
+            findings.append(by_effect(finding(_code(numbers, limit), frames, names[v], **numbers), _trunk_m(motion)))
     for v in exchanged:  # compared as it came
         others = [sights[o] for o in agreeing or range(len(views)) if o != v]
         comparisons[v] = _agreement(given_sights[v], others, fps, wide=False)
@@ -162,6 +163,56 @@ def _without_exchange(
     limit = MAX_LEVEL * float(np.clip(min(medians, default=np.inf), 1.0, noisiest))
     exchanged = _exchanged_pair(levels, trial_levels, limit)
     return (sights, (), limit) if exchanged is None else (trials[exchanged], exchanged, limit)
+
+
+def swaps_by_effect(
+    findings: Sequence[Finding], motion: Motion, sigma_px: float, keypoint_sigma_m: float
+) -> tuple[Finding, ...]:
+    """Return findings, with the severity of swaps in one of three or more cameras by what that camera does to the fit.
+
+    The robust fit follows the others where they agree. Parameters are as in `agreement_findings`.
+    """
+    names = [view.camera.name for view in motion.solution.views]
+    if len(names) < 3 or not any(item.code.startswith("left_right_swap") for item in findings):
+        return tuple(findings)
+    weighed = []
+    for item in findings:
+        if item.code in ("left_right_swap", "left_right_swap_possible") and item.frames and item.camera:
+            rows = slice(*np.searchsorted(motion.frames, item.frames))
+            views = [view.part(rows) for view in motion.solution.views]
+            v, sights = names.index(item.camera), _sights(views, sigma_px, keypoint_sigma_m)
+            effect = _effect_m(sights, v, [o for o in range(len(names)) if o != v])
+            item = by_effect(replace(item, numbers=item.numbers | effect), _trunk_m(motion))
+        weighed.append(item)
+    return tuple(weighed)
+
+
+def _trunk_m(motion: Motion) -> float:
+    if not motion.solved.any():
+        return 0.0
+    rear, front = (motion.solution.joints_m[:, marker] for marker in motion.forward)
+    return float(np.nanmedian(np.linalg.norm(front - rear, axis=-1)))
+
+
+def _effect_m(sights: Sequence[_Sight], v: int, others: Sequence[int]) -> dict[str, float]:
+    """Return by how much camera v moves the points that the others see: about their middle, and their middle.
+
+    Means over joints and frames; NaN where the others alone see too few points.
+    """
+    effects = dict.fromkeys(EFFECTS, np.nan)
+    if len(others) < 2:
+        return effects
+    without_m, _ = _points([sights[o] for o in others])
+    with_m, _ = _points([sights[o] for o in sorted({*others, v})])
+    shift_m = with_m - without_m
+    is_known = np.isfinite(shift_m[..., 0])
+    is_enough = is_known.sum(axis=1) >= MIN_JOINTS
+    if is_known[is_enough].sum() < MIN_POINTS:
+        return effects
+    shift_m = shift_m[is_enough]
+    middle_m = np.nanmean(shift_m, axis=1, keepdims=True)
+    pose_m = float(np.nanmean(np.linalg.norm(shift_m - middle_m, axis=-1)))
+    return dict(zip(EFFECTS, (pose_m, float(np.linalg.norm(middle_m, axis=-1).mean())), strict=True))
 
 
 def _compared(sights: Sequence[_Sight], fps: float, limit: float) -> tuple[tuple[int, ...], list[Numbers]]:

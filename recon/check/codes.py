@@ -8,10 +8,12 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from recon.base.documents import builtin_file
 from recon.base.numbers import length_text
+from recon.check.constants import EFFECT_OF_NOTE, LIMIT_OF_TRUNK
 from recon.fit.motion import Motion
 from recon.fit.result import Finding, Severity
 
@@ -39,12 +41,28 @@ CODES: Mapping[str, tuple[Severity, str]] = {code: (row["severity"], row["text"]
 """Severity and sentence, by code, from `codes.toml`; causes before their consequences."""
 FOLLOWS = frozenset(code for code, row in _ROWS.items() if row.get("follows"))
 """Codes of findings that may be consequences of another one."""
+EFFECTS: tuple[str, str] = ("pose_effect_m", "position_effect_m")
+"""Numbers of findings: by how much poses (joints about their middle) and positions would differ if they are right."""
 _SERIOUS: tuple[Severity, ...] = ("error", "warning", "note")
 
 
 def finding(code: str, frames: tuple[int, int] | None = None, camera: str | None = None, **numbers: Any) -> Finding:
     """Return a finding of a known code, with its severity."""
     return Finding(code, CODES[code][0], frames, camera, numbers)
+
+
+def by_effect(item: Finding, trunk_m: float) -> Finding:
+    """Return a finding with its effect's severity, if its numbers have the effect: pose_effect_m, position_effect_m.
+
+    It keeps its own severity if an effect is as large as an error that spoils most uses, or is not known (NaN). It is
+    at most a warning below that, and a note if the effect is about what the fit itself is off.
+    """
+    effects_m = [item.numbers.get(name) for name in EFFECTS]
+    known_m = [value for value in effects_m if isinstance(value, float) and math.isfinite(value)]
+    limit_m = LIMIT_OF_TRUNK * trunk_m
+    if len(known_m) < len(EFFECTS) or max(known_m) >= limit_m or item.severity == "note":
+        return item
+    return replace(item, severity="note" if max(known_m) < EFFECT_OF_NOTE * limit_m else "warning")
 
 
 def sort_findings(findings: Sequence[Finding]) -> tuple[Finding, ...]:
@@ -68,8 +86,17 @@ def sentence(item: Finding, named: bool = True) -> str:
     frames = numbers.get("late_frames", 0.0)
     delay = f"{abs(frames):.1f} frames {'late' if frames > 0 else 'early'}"
     camera, where = item.camera if named else "the camera", _where(item.frames)
-    text = words.format(**values, **degrees, **lengths, camera=camera, where=where, late=delay)
+    effect = effect_text(numbers)
+    text = words.format(**values, **degrees, **lengths, camera=camera, where=where, late=delay, effect=effect)
     return f"{item.camera}: {text}" if named and item.camera and "{camera}" not in words else text
+
+
+def effect_text(numbers: Mapping[str, Any]) -> str:
+    """Return what a finding does to the result, as a sentence with a space before it; nothing where it is not known."""
+    pose_m, position_m = (numbers.get(name, math.nan) for name in EFFECTS)
+    if not math.isfinite(pose_m + position_m):
+        return ""
+    return f" Poses change by {1000 * pose_m:.0f} mm and positions by {1000 * position_m:.0f} mm."
 
 
 def sentences(motion: Motion) -> Iterator[tuple[Finding, str]]:

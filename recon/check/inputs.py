@@ -105,13 +105,17 @@ def input_findings(
         slides = [item.numbers.get("slide_m_s") for item in moves]
         is_gliding = any(isinstance(item, float) and item > 0 for item in slides)  # as at a rate that is too high
         if is_gliding or not (is_explained or pictures):
-            findings += _of_rate(clip, solution, stated_hz)
-    if not pictures and not any(item.code.startswith("frame_rate") for item in findings):
+            findings += _of_rate(clip, solution, stated_hz, bool(motion.settings.get("fps_known")))
+    rates = [item for item in findings if item.code.startswith("frame_rate")]
+    if not pictures and not any(item.severity == "error" for item in rates):
         findings += moves
     return tuple(findings)
 
 
-def _of_rate(clip: ClipProblem, solution: TrajectorySolution, stated_hz: float | None) -> Sequence[Finding]:
+def _of_rate(
+    clip: ClipProblem, solution: TrajectorySolution, stated_hz: float | None, is_known: bool
+) -> Sequence[Finding]:
+    """Return the finding on the frame rate, if any; a note where the user knows the rate: it widens the intervals."""
     posed = np.isfinite(solution.states[:, 0])
     segments = [segment.rows for segment in solution.segments if posed[segment.rows].all()]
     if not segments:
@@ -121,7 +125,9 @@ def _of_rate(clip: ClipProblem, solution: TrajectorySolution, stated_hz: float |
     states[:, ROOT] = (states[:, ROOT] - clip.origin_m) / solution.size
     poor_share = np.mean([bool({*flags} & {"no data", "data poor"}) for flags in solution.flags[longest]]) > MOSTLY_POOR
     rate_finding = frame_rate_finding(clip.part(longest), states, stated_hz, by_motion=not poor_share)
-    return () if rate_finding is None else (rate_finding,)
+    if rate_finding is None:
+        return ()
+    return (replace(rate_finding, severity="note") if is_known else rate_finding,)
 
 
 def with_flags(motion: Motion, findings: Sequence[Finding]) -> Motion:
@@ -305,7 +311,9 @@ def movement(motion: Motion) -> Iterator[Finding]:
     if sliding is not None and sliding.code == "treadmill":
         yield sliding
     elif is_staying and np.nanquantile(speed, STILL) < min(STILL_M_S, trunk_m) and np.nanmedian(turns) < STILL_RAD_S:
-        yield finding("animal_still", speed_m_s=float(np.nanmedian(speed)))
+        still = finding("animal_still", speed_m_s=float(np.nanmedian(speed)))
+        # without a prior of motions that move, nothing expects it to move
+        yield replace(still, severity="note") if solution.prior == NONE else still
     elif np.mean(forward[np.isfinite(forward)] < -BACKWARDS_M_S) > BACKWARDS:
         yield finding("time_reversed", speed_m_s=-float(np.nanmedian(forward)))
     elif sliding is not None:
@@ -315,7 +323,9 @@ def movement(motion: Motion) -> Iterator[Finding]:
         costs = {name: float(solution.cost_by_term.get(name, 0.0)) / frames for name in JOLTS}
         worst = max(JOLTS, key=lambda name: costs[name] / JOLTS[name])
         if costs[worst] > JOLTS[worst]:
-            yield finding("path_jolts", of=worst, cost=costs[worst])
+            jolts = finding("path_jolts", of=worst, cost=costs[worst])
+            # the limits are those of running cheetahs: other animals turn on the spot, or sidestep
+            yield replace(jolts, severity="note") if solution.prior == NONE else jolts
 
 
 def _sliding(motion: Motion, forward: Array, feet: Array) -> Finding | None:

@@ -21,7 +21,7 @@ import numpy as np
 
 from recon.animal.prior import ANGLES, NONE, MotionPrior, mean_speed_m_s
 from recon.base.arrays import Array, Bools, mean_along
-from recon.check.codes import finding
+from recon.check.codes import EFFECTS, by_effect, finding
 from recon.clip import View, densest_window, frame_ranges
 from recon.fit.clip_problem import ClipProblem, contacts, sigmas_above_ground
 from recon.fit.least_squares import Estimate, LeastSquares
@@ -427,7 +427,19 @@ def frame_rate_finding(
     is_unknown = misfit_other.unlike and misfit_other.level >= misfit_given.level  # to the prior, at that rate
     if is_unknown or gain < (CLEAR if thin_gain > CLEAR else SURE):
         return None
-    return finding("frame_rate", given_hz=clip.fps, other_hz=clip.fps * factor, log_likelihood_ratio=gain)
+    numbers: dict[str, Any] = {"given_hz": clip.fps, "other_hz": clip.fps * factor, "log_likelihood_ratio": gain}
+    numbers |= _effect_m(clip, given[1].states, other[1].states)
+    rear, front = (clip.markers(states)[:, clip.body.markers.index(marker)] for marker in clip.body.forward)
+    trunk_m = float(np.linalg.norm(front - rear, axis=-1).mean())
+    return by_effect(finding("frame_rate", **numbers), trunk_m)
+
+
+def _effect_m(clip: ClipProblem, states: Array, other_states: Array) -> dict[str, float]:
+    """Return by how much two motions differ, the poses about their middle and the middle, means over the frames."""
+    apart_m = clip.markers(states) - clip.markers(other_states)
+    middle_m = apart_m.mean(axis=1, keepdims=True)
+    lengths_m = (np.linalg.norm(vectors_m, axis=-1).mean() for vectors_m in (apart_m - middle_m, middle_m))
+    return dict(zip(EFFECTS, map(float, lengths_m), strict=True))
 
 
 def _likeliest_rate(clip: ClipProblem, states: Array) -> tuple[float, float]:

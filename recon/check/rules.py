@@ -8,13 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from recon.animal.body import Body
 from recon.animal.prior import mean_speed_m_s
 from recon.animal.skeleton_file import builtin_names, load_skeleton
+from recon.base.errors import InputError
 from recon.check.codes import FLAG_OF, FLAGS, finding, sort_findings
+from recon.check.constants import MANY_FRAMES
 from recon.check.inputs import FASTEST_M_S
 from recon.fit import constants
 from recon.fit.motion import Motion
@@ -39,8 +42,6 @@ KEYPOINT_SHARE, KEYPOINT_LEAST = 1 / 3, 10
 """Share, and number, of one keypoint's detections that are outliers from which it is named."""
 OUT_OF_STEP_SIGMAS = 3.0
 """Difference of two cameras' time offsets, in standard deviations of its expectation, that is an error in time."""
-MOST_REJECTED = 0.5
-"""Share of the points below the least likelihood from which it is named."""
 FARTHEST = 100.0
 """Distance between cameras in animal sizes that can only be another unit."""
 FLAGGED = 0.9
@@ -54,6 +55,8 @@ SIZE_SIGMAS_MOST, LOG_SIZE_MOST = 4.0, math.log(2.0)
 UNITS_PER_M = {"m": 1.0, "inches": 39.37, "cm": 100.0, "mm": 1000.0}
 NEARLY_UNIT = 1.35
 """Factor within which a camera's height is that of a unit: an animal's size is not known better."""
+ROUGH_SIZE_SIGMA = 0.25
+"""Relative standard deviation of the size from which a skeleton is no species': species have up to 0.15."""
 SUBJECT_SIGMAS = 3.0
 """Deviation of an animal's lengths from its kind's, in standard deviations of the sizes there are."""
 
@@ -120,7 +123,7 @@ def likelihoods_low(motion: Motion) -> Iterator[Finding]:
     """Yield a finding on cameras most of whose points have low likelihoods."""
     for source in motion.sources:
         used, rejected = source.cleaning.total("used"), source.cleaning.total("rejected")
-        if rejected > MOST_REJECTED * (used + rejected):
+        if rejected > MANY_FRAMES * (used + rejected):
             share, limit = rejected / (used + rejected), source.cleaning.likelihood_min
             yield finding("likelihoods_low", camera=source.camera.name, share=share, limit=limit)
 
@@ -173,7 +176,9 @@ def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
     if likely_late or apart_frames > OUT_OF_STEP_SIGMAS * math.sqrt(variance):
         apart_frames = max([apart_frames, *(abs(test.late_frames) for test in likely_late)])
         names = tuple(motion.pictures[v].name for v in ends)
-        yield finding("cameras_out_of_step", cameras=names, apart_frames=apart_frames)
+        item = finding("cameras_out_of_step", cameras=names, apart_frames=apart_frames)
+        harmless = {f.camera for f in motion.findings if f.code == "camera_late" and f.severity == "note"}
+        yield replace(item, severity="note") if harmless & {*names} else item
 
 
 def motion_unlike_prior(motion: Motion) -> Iterator[Finding]:
@@ -280,7 +285,19 @@ def pair_disagrees(motion: Motion) -> Iterator[Finding]:
     )
     if largest_gain > 0:
         names = tuple(picture.name for picture in motion.pictures)
-        yield finding("pair_disagrees", cameras=names, log_likelihood_ratio=largest_gain)
+        code = "pair_or_lengths" if _has_rough_lengths(motion) else "pair_disagrees"
+        yield finding(code, cameras=names, log_likelihood_ratio=largest_gain)
+
+
+def _has_rough_lengths(motion: Motion) -> bool:
+    """Return whether the lengths are those of a skeleton that is no species', as `quadruped`: its size says so."""
+    skeleton = motion.settings.get("skeleton") or motion.body.name
+    if motion.body.subject is not None or (motion.settings.get("skeleton") is None and skeleton not in builtin_names()):
+        return False
+    try:
+        return load_skeleton(skeleton).size_sigma > ROUGH_SIZE_SIGMA
+    except InputError:  # a file that is no longer there
+        return False
 
 
 def second_solution(motion: Motion) -> Iterator[Finding]:
@@ -299,8 +316,12 @@ def frames_flagged(motion: Motion) -> Iterator[Finding]:
         for flags, t in zip(motion.flags, motion.solved, strict=True)
         if t
     ]
-    count = sum(map(bool, flags))
-    if count > FLAGGED * len(flags):
+    poor = [frame_flags - {"ambiguous depth"} for frame_flags in flags]  # which the expected error contains
+    if sum(map(bool, poor)) > MANY_FRAMES * len(flags):
+        flags = poor
+    elif sum(map(bool, flags)) <= FLAGGED * len(flags):
+        flags = []
+    if count := sum(map(bool, flags)):
         commonest = max(FLAGS, key=lambda name: sum(name in frame_flags for frame_flags in flags))
         yield finding("frames_flagged", count=count, frames_total=len(flags), flag=commonest, meaning=FLAGS[commonest])
 

@@ -8,6 +8,7 @@ expected error of the position is that of the posterior.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,17 +17,13 @@ import numpy as np
 
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
-from recon.check.codes import sentence
+from recon.check.codes import EFFECTS, sentence
+from recon.check.constants import LIMIT_OF_TRUNK
 from recon.check.rules import findings_of
 from recon.fit.motion import Motion
 from recon.fit.posterior import radius
 from recon.fit.result import ExpectedError, Finding, Level, TrajectorySolution, Verdict
 
-LIMIT_OF_TRUNK = 0.2
-"""Mean error of the joints, relative to the trunk's length, that spoils most uses: 14 cm for a cheetah.
-
-A clip is to be used if its error is below that with 95 %, and not to be used if it is above more likely than not.
-"""
 POWERS = {"posterior": 0.66, "distance": 0.14, "end_on": 0.78, "unseen": 0.80}
 """Powers of `Evidence.factors`."""
 SCALE, SPREAD, SPREAD_UNSEEN = -1.30, 0.23, 0.45
@@ -150,7 +147,9 @@ def _verdict(motion: Motion) -> Verdict:
     if not motion.solved.any():
         return Verdict("do not use", "No frame has a pose.")
     evidence = evidence_of(motion)
-    pose, position = expected_pose_of_trunk(evidence), expected_position(evidence)
+    pose_effect_m, position_effect_m = effects_of(motion.findings)
+    pose = _widened(expected_pose_of_trunk(evidence), pose_effect_m / evidence.trunk_m)
+    position = _widened(expected_position(evidence), position_effect_m)
     if not np.isfinite(pose.expected + position.expected):  # as of the frame method without its priors
         return Verdict("do not use", WHY["posterior"])
     warnings = [one for one in motion.findings if one.severity == "warning"]
@@ -164,6 +163,20 @@ def _verdict(motion: Motion) -> Verdict:
     if warned:
         reason = _said(motion, warnings[0])
     return Verdict(level, reason, pose.times(evidence.trunk_m), pose, position, warned)
+
+
+def effects_of(findings: Sequence[Finding]) -> tuple[float, float]:
+    """Return by how much poses and positions may be off by what findings say, the largest of them, in metres."""
+    largest = []
+    for name in EFFECTS:
+        values = (item.numbers.get(name) for item in findings)
+        largest.append(max((v for v in values if isinstance(v, float) and math.isfinite(v)), default=0.0))
+    return largest[0], largest[1]
+
+
+def _widened(error: ExpectedError, effect: float) -> ExpectedError:
+    """Return an expected error whose interval also holds an effect that may be there or not."""
+    return replace(error, high=math.hypot(error.high, effect))
 
 
 def level_of(pose_of_trunk: ExpectedError, error: bool, warning: bool) -> Level:

@@ -126,9 +126,10 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     motion = replace(motion, sources=sources, solution=replace(solution, stage_s=stage_s))
     agreement: tuple[Finding, ...] = ()
     if len(sources) > 1:
-        from recon.check.agreement import agreement_findings
+        from recon.check.agreement import agreement_findings, swaps_by_effect
 
-        agreement = agreement_findings(motion, options.sigma_px, options.keypoint_noise_m(body))
+        noise = (options.sigma_px, options.keypoint_noise_m(body))
+        agreement, found = agreement_findings(motion, *noise), swaps_by_effect(found, motion, *noise)
     found = (*given.found, *unrefined, *outliers, *found, *agreement)
     if settings.seeks_cameras:
         placed = zip(sources, solution.extrinsic_correction, solution.focal, strict=True)

@@ -113,6 +113,8 @@ class FitSettings(Settings):
     """Exchange left and right back where they look exchanged."""
     offset_s: Annotated[OneOrMore[Number] | None, _RARE_TRAJECTORY] = None
     """How much later than the first each camera began, in seconds, as in 0.025; once for each keypoint file."""
+    fps_known: Annotated[bool, _RARE_TRAJECTORY] = False
+    """The frame rate is right, whatever the animal's motion says: evidence against it widens the intervals only."""
     find_offsets: Annotated[bool, _RARE_TRAJECTORY] = False
     """Find when each camera began from the animal's motion; the search begins at offset-s."""
     refine_cameras: Annotated[bool, _RARE_TRAJECTORY] = False
