@@ -127,7 +127,8 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
         if numbers["level"] > limit or _gain(numbers) >= CLEAR_GAIN:
             offset_s = motion.sources[v].offset_s + numbers["late_frames"] / fps
             numbers = numbers | _effect_m(given_sights, v, [o for o in agreeing if o != v]) | {"offset_s": offset_s}
-            findings.append(by_effect(finding(_code(numbers, limit), frames, names[v], **numbers), _trunk_m(motion)))
+            item = finding(_code(numbers, limit), frames, names[v], **numbers)
+            findings.append(by_effect(item, motion.trunk_m, is_gross=numbers["level"] > MAX_LEVEL * NOISIEST))
     for v in exchanged:  # compared as it came
         others = [sights[o] for o in agreeing or range(len(views)) if o != v]
         comparisons[v] = _agreement(given_sights[v], others, fps, wide=False)
@@ -182,16 +183,9 @@ def swaps_by_effect(
             views = [view.part(rows) for view in motion.solution.views]
             v, sights = names.index(item.camera), _sights(views, sigma_px, keypoint_sigma_m)
             effect = _effect_m(sights, v, [o for o in range(len(names)) if o != v])
-            item = by_effect(replace(item, numbers=item.numbers | effect), _trunk_m(motion))
+            item = by_effect(replace(item, numbers=item.numbers | effect), motion.trunk_m)
         weighed.append(item)
     return tuple(weighed)
-
-
-def _trunk_m(motion: Motion) -> float:
-    if not motion.solved.any():
-        return 0.0
-    rear, front = (motion.solution.joints_m[:, marker] for marker in motion.forward)
-    return float(np.nanmedian(np.linalg.norm(front - rear, axis=-1)))
 
 
 def _effect_m(sights: Sequence[_Sight], v: int, others: Sequence[int]) -> dict[str, float]:

@@ -6,6 +6,7 @@ docs/findings.md says for each code what it means, what it does to the result, a
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -51,18 +52,19 @@ def finding(code: str, frames: tuple[int, int] | None = None, camera: str | None
     return Finding(code, CODES[code][0], frames, camera, numbers)
 
 
-def by_effect(item: Finding, trunk_m: float) -> Finding:
+def by_effect(item: Finding, trunk_m: float, is_gross: bool = False) -> Finding:
     """Return a finding with its effect's severity, if its numbers have the effect: pose_effect_m, position_effect_m.
 
     It keeps its own severity if an effect is as large as an error that spoils most uses, or is not known (NaN). It is
-    at most a warning below that, and a note if the effect is about what the fit itself is off.
+    at most a warning below that, and a note if the effect is about what the fit itself is off, unless it is gross.
     """
     effects_m = [item.numbers.get(name) for name in EFFECTS]
     known_m = [value for value in effects_m if isinstance(value, float) and math.isfinite(value)]
     limit_m = LIMIT_OF_TRUNK * trunk_m
     if len(known_m) < len(EFFECTS) or max(known_m) >= limit_m or item.severity == "note":
         return item
-    return replace(item, severity="note" if max(known_m) < EFFECT_OF_NOTE * limit_m else "warning")
+    is_small = max(known_m) < EFFECT_OF_NOTE * limit_m and not is_gross
+    return replace(item, severity="note" if is_small else "warning")
 
 
 def sort_findings(findings: Sequence[Finding]) -> tuple[Finding, ...]:
@@ -88,6 +90,7 @@ def sentence(item: Finding, named: bool = True) -> str:
     camera, where = item.camera if named else "the camera", _where(item.frames)
     effect = effect_text(numbers)
     text = words.format(**values, **degrees, **lengths, camera=camera, where=where, late=delay, effect=effect)
+    text = re.sub(r"(?<=\d)%", " %", text)
     return f"{item.camera}: {text}" if named and item.camera and "{camera}" not in words else text
 
 

@@ -245,6 +245,12 @@ class Motion:
         rear, front = self.body.forward
         return self.joints.index(rear), self.joints.index(front)
 
+    @cached_property
+    def trunk_m(self) -> float:
+        """Return the length of the trunk, between the joints of `forward`, the median over frames; 0 without a pose."""
+        rear, front = (self.solution.joints_m[self.solved, joint] for joint in self.forward)
+        return float(np.median(np.linalg.norm(front - rear, axis=-1))) if len(rear) else 0.0
+
     @property
     def forward_names(self) -> tuple[str, str]:
         """Return the keypoints of the two joints of `forward`."""

@@ -23,7 +23,7 @@ def judged(views: list[View], offset_s: Sequence[float] = (0.0,) * 5) -> tuple[F
     leads = [view.offset_frames for view in views]
     sources = [SimpleNamespace(offset_frames=lead, offset_s=s) for lead, s in zip(leads, offset_s, strict=False)]
     frames, solution = np.arange(100, 100 + len(views[0].xy_px)), SimpleNamespace(views=[late, *views[1:]])
-    motion = SimpleNamespace(solution=solution, sources=sources, fps=FPS, frames=frames)
+    motion = SimpleNamespace(solution=solution, sources=sources, fps=FPS, frames=frames, trunk_m=0.7)
     return agreement_findings(motion, 2.0, KEYPOINT_M)  # type: ignore[arg-type]
 
 

@@ -1,0 +1,114 @@
+"""A finding's severity follows what it does to the result."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from recon.check.codes import by_effect, finding, sentence
+from recon.check.inputs import _of_rate
+from recon.check.rules import frames_flagged, likelihoods_low, pair_disagrees
+from recon.check.verdict import add_verdict
+from recon.fit.result import SecondCamera
+
+TRUNK_M = 0.7
+AGAINST = {"error_px": 31.4, "level": 5.24, "late_frames": -2.5}
+
+
+def late(pose_m: float, position_m: float):
+    return finding("camera_late", camera="cam1", **AGAINST, pose_effect_m=pose_m, position_effect_m=position_m)
+
+
+@pytest.mark.parametrize(
+    ("pose_m", "position_m", "severity"),
+    [
+        (0.01, 0.02, "note"),
+        (0.01, 0.036, "warning"),
+        (0.036, 0.01, "warning"),
+        (0.141, 0.01, "error"),
+        (0.01, 0.141, "error"),
+        (np.nan, np.nan, "error"),
+    ],
+)
+def test_an_effect_below_the_limit_is_no_error(pose_m, position_m, severity):
+    assert by_effect(late(pose_m, position_m), TRUNK_M).severity == severity
+
+
+def test_a_finding_without_an_effect_keeps_its_severity_and_a_note_stays_one():
+    assert by_effect(finding("camera_late", camera="cam1", **AGAINST), TRUNK_M).severity == "error"
+    assert by_effect(replace(late(1.0, 1.0), severity="note"), TRUNK_M).severity == "note"
+    assert by_effect(finding("left_right_swap", part="all keypoints"), TRUNK_M).severity == "warning"
+
+
+def test_a_sentence_says_the_effect_where_it_is_known():
+    assert "(31 px, 5.2 times the expected error). Poses change by 12 mm and positions by 40 mm." in sentence(
+        late(0.012, 0.04)
+    )
+    assert "error). --set find-offsets=true" in sentence(late(np.nan, np.nan))
+
+
+def test_the_intervals_of_the_verdict_contain_the_effect(small_trajectory):
+    plain = add_verdict(small_trajectory).verdict
+    noted = add_verdict(replace(small_trajectory, findings=(replace(late(0.3, 0.4), severity="note"),))).verdict
+    assert noted.pose_m.expected == pytest.approx(plain.pose_m.expected)
+    assert noted.pose_m.low == pytest.approx(plain.pose_m.low)
+    assert noted.pose_m.high == pytest.approx(np.hypot(plain.pose_m.high, 0.3))
+    assert noted.position_m.high == pytest.approx(np.hypot(plain.position_m.high, 0.4))
+
+
+def test_evidence_against_a_known_frame_rate_is_a_note(small_trajectory, monkeypatch):
+    rate = finding("frame_rate", given_hz=120.0, other_hz=83.0, log_likelihood_ratio=40.0)
+    monkeypatch.setattr("recon.check.inputs.frame_rate_finding", lambda *_, by_motion: rate)
+    from recon.animal.prior import prior_from_body
+    from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
+
+    body, solution = small_trajectory.body, small_trajectory.solution
+    clip = ClipProblem.from_views(solution.views, body, prior_from_body(body), 120.0, TrajectoryOptions())
+    assert [item.severity for item in _of_rate(clip, solution, None, is_known=False)] == ["error"]
+    assert [item.severity for item in _of_rate(clip, solution, None, is_known=True)] == ["note"]
+
+
+def test_a_pair_is_not_blamed_for_the_lengths_of_a_rough_skeleton(small_trajectory):
+    solution = small_trajectory.solution
+    pair = SecondCamera(misplaced=9.0, late=1.0, late_frames=0.1)
+    segments = tuple(replace(segment, second_camera=pair) for segment in solution.segments)
+    motion = replace(small_trajectory, solution=replace(solution, segments=segments))
+
+    def of(skeleton: str):
+        (item,) = pair_disagrees(replace(motion, settings=dict(motion.settings) | {"skeleton": skeleton}))
+        return item.code, item.severity
+
+    assert of("cheetah-24") == ("pair_disagrees", "warning")
+    assert of("quadruped") == ("pair_or_lengths", "note")
+
+
+@pytest.mark.parametrize(
+    ("flag", "share", "is_named"),
+    [
+        ("data poor", 0.25, False),
+        ("data poor", 0.5, True),
+        ("ambiguous depth", 0.8, False),
+        ("ambiguous depth", 1, True),
+    ],
+)
+def test_a_third_of_poor_frames_is_named(small_trajectory, flag, share, is_named):
+    T = len(small_trajectory.flags)
+    flags = tuple((flag,) if t < share * T else () for t in range(T))
+    motion = replace(small_trajectory, solution=replace(small_trajectory.solution, flags=flags))
+    found = [*frames_flagged(motion)]
+    assert [item.numbers["flag"] for item in found] == [flag] * is_named
+    assert [item.severity for item in found] == ["warning"] * is_named
+
+
+@pytest.mark.parametrize(("used", "rejected", "count"), [(70, 30, 0), (60, 40, 1)])
+def test_a_third_of_the_detections_left_out_is_named(small_trajectory, used, rejected, count):
+    (source,) = small_trajectory.sources
+    keypoints = {
+        name: dict.fromkeys(numbers, 0) | {"used": used, "rejected": rejected}
+        for name, numbers in source.cleaning.keypoints.items()
+    }
+    source = replace(source, cleaning=replace(source.cleaning, keypoints=keypoints))
+    found = [*likelihoods_low(replace(small_trajectory, sources=(source,)))]
+    assert [item.severity for item in found] == ["warning"] * count
