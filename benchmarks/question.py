@@ -6,6 +6,7 @@ import argparse
 import datetime
 import json
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -16,6 +17,8 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 PARTS = ROOT / "benchmarks" / "parts"
 RESULTS = ROOT / "benchmarks" / "results"
+TIMES = re.compile(r"(^|[ ,])(s|ms|µs|seconds|wall|time)($|[ ,])")
+"""Headers of columns of times."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,8 @@ def keep(question: str, name: str, part: Part, arguments: Sequence[str], output:
     path = RESULTS / f"{question}.json"
     results = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     tables, sentences = read_markdown(output)
+    if question != "speed":  # elsewhere only what does not depend on the machine
+        tables = [without_times(table) for table in tables]
     results.setdefault("runs", {})[name] = {
         "measured": datetime.date.today().isoformat(),
         "command": " ".join(["python", f"benchmarks/{question}.py", "--only", name]),
@@ -96,6 +101,15 @@ def keep(question: str, name: str, part: Part, arguments: Sequence[str], output:
         "sentences": sentences,
     }
     path.write_text(json.dumps(results, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def without_times(table: dict[str, Any]) -> dict[str, Any]:
+    """Leave out a table's columns of times."""
+    columns = [number for number, name in enumerate(table["header"]) if not TIMES.search(name)]
+    return {
+        "header": [table["header"][number] for number in columns],
+        "rows": [[row[number] for number in columns if number < len(row)] for row in table["rows"]],
+    }
 
 
 def read_markdown(text: str) -> tuple[list[dict[str, Any]], list[str]]:

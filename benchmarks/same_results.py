@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import hashlib
 import json
 import os
 import shutil
@@ -50,6 +51,8 @@ Command = tuple[str, list[str]]
 
 
 def sample_commands(samples: Path) -> Iterator[Command]:
+    """Give the commands on the samples."""
+
     def fit(name: str, keypoints: str, camera: str, *options: str) -> Command:
         return name, ["fit", str(samples / keypoints), "--camera", str(samples / camera), *options, "--out", name]
 
@@ -156,6 +159,7 @@ class Comparison:
 
 
 def compare_files(old: Path, new: Path, name: str) -> Comparison:
+    """Compare a file of two folders of results."""
     if not ((old / name).is_file() and (new / name).is_file()):
         return Comparison(name, 0, f"only in {'OLD' if (old / name).is_file() else 'NEW'}")
     was, now = values_of(old / name), values_of(new / name)
@@ -169,7 +173,7 @@ def compare_files(old: Path, new: Path, name: str) -> Comparison:
 
 
 def values_of(path: Path) -> dict[str, str]:
-    """The values of a result file that do not depend on clock, version or folders, by where they stand in it."""
+    """Return the values of a result file that do not depend on clock, version or folders, by their position in it."""
     if path.suffix == ".csv":
         rows = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
         header = rows[0] if rows else []
@@ -192,8 +196,7 @@ def values_of(path: Path) -> dict[str, str]:
 
 
 def hash_of(array: np.ndarray) -> str:
-    import hashlib
-
+    """Return twelve digits of an array's SHA-256."""
     return hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()[:12]
 
 
@@ -249,6 +252,7 @@ def start(checkout: Path, commands: list[Command], out: Path, keep: Path | None)
 
 
 def keep_results(checkout: Path, out: Path, keep: Path) -> None:
+    """Copy results to where later runs look for those of this commit."""
     commit = commit_of(checkout)
     for folder in out.iterdir():
         if commit and folder.is_dir() and not (keep / commit / folder.name).exists():
@@ -256,6 +260,7 @@ def keep_results(checkout: Path, out: Path, keep: Path) -> None:
 
 
 def main() -> int:
+    """Run both checkouts, print the table, and return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("old", type=Path, nargs="?")
     parser.add_argument("new", type=Path, nargs="?")

@@ -70,6 +70,7 @@ def differences() -> list[str]:
 
 
 def main() -> None:
+    """Write the pages' tables, or check them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="write nothing; exit code 1 if a page does not agree")
     options = parser.parse_args()

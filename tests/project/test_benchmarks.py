@@ -58,6 +58,8 @@ def test_printed_tables_are_read(monkeypatch):
     )
     assert tables == [{"header": ["a", "b"], "rows": [["1", "2"], ["", "3"]]}]
     assert sentences == ["### Title", "So."]
+    timed = {"header": ["frames", "wall, s", "off, mm"], "rows": [["1", "2", "3"]]}
+    assert question["without_times"](timed) == {"header": ["frames", "off, mm"], "rows": [["1", "3"]]}
 
 
 def test_two_results_differ_where_a_bit_does(tmp_path, monkeypatch):
