@@ -171,6 +171,12 @@ class Chain(Skeleton):
         return tuple(f"theta_{e}" for e in ends) + tuple(f"phi_{e}" for e in ends)
 
     @cached_property
+    def unknown_names(self) -> tuple[str, ...]:
+        """(2 A + 7,): published names of a frame's unknowns in their order, 21 for the 8U chain."""
+        angles = (name.replace("theta_", "th").replace("phi_", "ph") for name in self.angle_names)
+        return (*angles, "x0", "y0", "z0", "xi", "psi", "zeta", "base_length")
+
+    @cached_property
     def body(self) -> Body:
         """The chain as a tree of segments in metres, root first: one for each link, named after the joint at its end.
 

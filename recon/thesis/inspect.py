@@ -8,7 +8,6 @@ tables: docs/solver.md. Figures: `recon.thesis.figures`.
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -97,11 +96,6 @@ def read_solver(motion: Motion, folder: Path, frame: int | None = None) -> Solve
     sigma_px = solution.reported("sigma_px")
     terms = {t: solver.problem(t, sigma_px[t]).by_term(solver.states[t]) for t in solved.tolist()}
     return SolverRecord(motion, solution, terms, solver.search(row)[0], other_solution, options)
-
-
-def published_names(unknowns: Sequence[str]) -> list[str]:
-    """Return the published names of the unknowns: th6 for theta_6, x0 for x0_m, base_length for base_length_m."""
-    return [name.replace("theta_", "th").replace("phi_", "ph").removesuffix("_m") for name in unknowns]
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +194,7 @@ class SolverRecord:
     def _variables_table(self) -> dict[str, Any]:
         """Return the unknowns under their published names, and half the squares of f1 to f5."""
         columns: dict[str, Any] = {"frame": self.motion.frames, "time_s": self.motion.time_s}
-        columns |= dict(zip(published_names(self.unknowns), self.solution.chain_states.T, strict=True))
+        columns |= dict(zip(self.solution.chain.unknown_names, self.solution.chain_states.T, strict=True))
         return columns | {name: self.cost.get(term, 0.0) for name, term in PUBLISHED.items()}
 
     def _gradient_table(self) -> dict[str, Any]:

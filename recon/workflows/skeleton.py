@@ -25,6 +25,7 @@ from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial.distance import squareform
 
 from recon.animal.body import MIN_JOINTS, PLACES, Body, other_side, side_of
+from recon.animal.chain import load_chain
 from recon.animal.naming import fitting_maps, fitting_skeleton, load_names, suggestions
 from recon.animal.prior import load_prior
 from recon.animal.skeleton_file import builtin_names, load_skeleton
@@ -116,6 +117,12 @@ def _lines(check: dict[str, Any]) -> Iterator[str | Table]:
     rows = [(m["name"], m["segment"], *(f"{x:.3f}" for x in m["at_m"])) for m in check["markers"]]
     yield table_of("marker", "on segment", numbers=("x m", "y m", "z m"), rows=rows)
     yield "Angles: mean ± 2 standard deviations; - for none."
+    if links := check.get("links"):
+        rows = [(link["name"], link["from"], link["to"], f"{link['length_ratio']:.3f}") for link in links]
+        yield table_of("link", "from", "to", numbers=("length / base length",), rows=rows)
+        yield f"Base length: {check['base_length_m']:.3f} m"
+        names = check["unknown_names"]
+        yield f"The {len(names)} unknowns of a frame (recon frame): {', '.join(names)}"
     yield f"Feet: {', '.join(f'{foot} ({label})' for label, foot in check['feet'].items()) or 'none'}"
     yield from (f"Limb {limb}: {', '.join(markers)}" for limb, markers in check["limbs"].items())
     yield f"Prior of a fit, unless --prior says otherwise: {check['prior']}"
@@ -138,8 +145,21 @@ def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) 
         "feet": body.feet_by_label(),
         "remarks": [*_remarks(body)],
         "parts": [*_segments(body)],
+        **_published(name_or_path, body),
         "markers": [{"name": m.name, "segment": m.segment, "at_m": m.offset_m} for m in body.tree.markers],
     }
+
+
+def _published(name_or_path: str | Path, body: Body) -> dict[str, Any]:
+    """Return a chain's links with their ratios to the base length, and the unknowns of the frame method."""
+    if not body.one_sided:
+        return {}
+    chain = load_chain(name_or_path)
+    links = [
+        {"name": link.name, "from": link.start, "to": link.end, "length_ratio": link.length_ratio}
+        for link in chain.links
+    ]
+    return {"base_length_m": chain.nominal_base_length_m, "links": links, "unknown_names": chain.unknown_names}
 
 
 def _segments(body: Body) -> Iterator[dict[str, Any]]:

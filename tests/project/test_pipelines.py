@@ -24,6 +24,10 @@ ROOT = Path(__file__).resolve().parents[2]
 PIPELINES = ROOT / "pipelines"
 SCRIPTS = sorted(path.stem for path in PIPELINES.glob("*.py"))
 SAMPLES = ROOT / "data" / "samples"
+WINGS = {
+    "published_study": {"recon.ik.clip import IkSettings, run_ik", "recon.thesis.inspect import read_solver"},
+}
+"""What a script takes besides from rooms that can be taken away."""
 MOST_LINES = 50
 """The most lines of a script, without its first text, blank lines and comments."""
 
@@ -60,6 +64,18 @@ def test_one_clip(said, folder):
     (error_mm,) = re.findall(r"joints (\d+) mm off the truth", text)
     assert int(error_mm) < 60
     assert recon.Motion.load(folder / "results" / "one_clip").fps == 60
+
+
+def test_published_study(said, folder):
+    text = said("published_study")
+    assert text.startswith("30 frames converged; f1 has ")
+    (peak, sigma), *_ = re.findall(r"at most ([\d.]+) ± ([\d.]+) m/s", text)
+    assert abs(float(peak) - 16.6) < 1.645 * float(sigma)
+    assert len(re.findall(r"^theta_\d: closes to", text, re.MULTILINE)) == 7
+    assert "extended-energy: joints close to" in text
+    results = folder / "results" / "published_study"
+    assert (results / "variables.csv").read_text().startswith("frame,time_s,th6,th7,th8,th1,")
+    assert (results / "ik" / "parameters.csv").is_file()
 
 
 def test_several_cameras(said, folder):
@@ -172,5 +188,7 @@ def test_is_short_has_its_settings_beside_it_and_calls_only_what_is_public(name)
     code = text.split('"""', 2)[2].splitlines()
     assert sum(bool(line.strip()) and not line.startswith("#") for line in code) <= MOST_LINES
     imported = re.findall(r"^(?:import|from) (recon.*)$", text, re.MULTILINE)
-    assert {*imported} <= {"recon", "recon.show import plots"}
-    assert {*re.findall(r"\brecon\.(\w+)", text)} <= {*recon.__all__, "show"}
+    public = {"recon", "recon.show import plots"}
+    assert {*imported} - public == WINGS.get(name, set())
+    wings = {"ik", "thesis"} if name in WINGS else set()
+    assert {*re.findall(r"\brecon\.(\w+)", text)} <= {*recon.__all__, "show"} | wings
