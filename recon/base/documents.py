@@ -25,6 +25,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from recon.base.errors import InputError, Problem
+from recon.base.file_names import encodable
 
 MAX_BYTES = 1 << 28
 MAX_TOML_BYTES = 1 << 23
@@ -79,6 +80,14 @@ def read_head(path: Path, expected: str = "a file that can be read", length: int
     if not head:
         raise InputError(Problem(path, "file", "an empty file", expected))
     return head
+
+
+def utf8_path(path: Path) -> str:
+    """Return an absolute path for a library that takes no other names than UTF-8; raise InputError for another."""
+    name = str(path.absolute())
+    if encodable(name) != name:
+        raise InputError(Problem(path, "name", "bytes that are not UTF-8", "a name in UTF-8: rename the file"))
+    return name
 
 
 def require_file(path: Path, expected: str = "a file that can be read") -> None:

@@ -425,7 +425,7 @@ def _hint_to_join(reader: Format, path: Path, animals: Sequence[str]) -> str:
         return ""
     frames = {name: frames_seen(reader.read(path, name)) for name in animals}
     chain: list[str] = []
-    for name in sorted((name for name in animals if len(frames[name])), key=lambda name: frames[name][0]):
+    for name in sorted((name for name in animals if len(frames[name])), key=lambda name: frames[name].min()):
         if not any(len(np.intersect1d(frames[name], frames[earlier])) for earlier in chain):
             chain.append(name)
     if len(chain) < 2:

@@ -20,8 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from recon.base.arrays import Array
+from recon.base.documents import utf8_path
 from recon.base.errors import InputError, Problem
-from recon.base.file_names import encodable
 from recon.base.files import staged_file
 from recon.geometry.camera import Camera
 
@@ -251,10 +251,7 @@ def _local(path: Path) -> str:
 
     Raise InputError for a name that OpenCV cannot take: it crashes at bytes that are not UTF-8.
     """
-    name = str(path.absolute())
-    if encodable(name) != name:
-        raise InputError(Problem(path, "name", "bytes that are not UTF-8", "a name in UTF-8: rename the file"))
-    return name
+    return utf8_path(path)
 
 
 @contextmanager

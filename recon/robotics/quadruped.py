@@ -49,7 +49,7 @@ from pydantic import AfterValidator, Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array
-from recon.base.documents import FileTable, builtin_names, named_table, validated
+from recon.base.documents import FileTable, builtin_names, named_table, utf8_path, validated
 from recon.base.errors import InputError, Problem, raise_problems
 from recon.base.package import install_command
 from recon.geometry.kinematics import Marker, Segment, Tree
@@ -537,9 +537,10 @@ def read_model(path: str | Path, free: bool = False) -> Any:
     path, mujoco = Path(path), the_mujoco(path)
     if not path.is_file():
         raise InputError(Problem(path, "file", "no such file", "a URDF or MJCF file"))
+    name = utf8_path(path)
     mujoco.set_mju_user_warning(lambda message: None)  # instead of a file in the working folder
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
+        spec = mujoco.MjSpec.from_file(name)
         spec.compiler.fusestatic = False
         spec.compiler.boundmass, spec.compiler.boundinertia = LEAST_MASS_KG, LEAST_INERTIA_KG_M2
         for geom in [geom for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_MESH]:

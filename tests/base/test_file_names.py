@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from command_line import run
 
+from recon import find_clips
 from recon.base.errors import printable
 from recon.base.file_names import encodable, existing_path, to_encodable
 
@@ -83,6 +84,22 @@ def test_a_video_with_such_a_name_is_refused(tmp_path):
     shutil.copy(SAMPLES / "rendered.mp4", path)
     with pytest.raises(ValueError, match=r"caf\\xe9.mp4: name: found bytes that are not UTF-8, expected a name"):
         probe(path)
+
+
+def test_a_robot_with_such_a_name_is_refused(tmp_path):
+    pytest.importorskip("mujoco")
+    from recon.robotics.quadruped import read_model
+
+    path = tmp_path / f"{LATIN_1}.urdf"
+    path.write_text("<robot/>")
+    with pytest.raises(ValueError, match=r"caf\\xe9.urdf: name: found bytes that are not UTF-8, expected a name"):
+        read_model(path)
+
+
+def test_a_manifest_with_a_null_byte_is_refused(tmp_path):
+    (tmp_path / "batch.csv").write_text("keypoints,fps\na\0b.csv,60\n")
+    with pytest.raises(ValueError, match=r"batch\.csv: line 2, keypoints: found no files"):
+        find_clips([tmp_path / "batch.csv"], {})
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell of POSIX")

@@ -160,6 +160,8 @@ def _draft_of(file: Path) -> _Draft:
 
 def _matching_files(path: Path) -> list[Path]:
     """A file, or those of a pattern."""
+    if "\0" in str(path):  # no file has such a name, and resolving it fails
+        return []
     if os.path.exists(path) or not glob.has_magic(str(path)):
         return [path]
     return [file for match in sorted(glob.glob(str(path), recursive=True)) if (file := Path(match)).is_file()]
