@@ -58,7 +58,7 @@ def main() -> None:
         run_clip(FitSettings(keypoints=samples / "whole.csv", camera=samples / "camera.toml", fps=60), clip)
         result = Motion.load(clip)
         analyse_command(AnalyseSettings(folder=clip))
-        for name in ("speed", "footfalls", "phase_portraits", "observability", "body_fixed"):
+        for name in ("speed", "footfalls", "joint_flexion", "phase_portraits", "observability", "body_fixed"):
             save(clip / "analysis" / f"{name}.png", f"{name}.png", 900)
         plain_video(out / "clip.avi", result.camera.image_size_px, result.fps, len(result.frames))
         overlay(OverlaySettings(folder=clip, video=out / "clip.avi", out=out / "overlay.avi"))
