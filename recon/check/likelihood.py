@@ -31,6 +31,7 @@ from recon.fit.starts import APPROACH_HZ, interpolate_states
 from recon.fit.terms import MOTION
 from recon.fit.trajectory import solve_trajectory
 from recon.geometry.camera import Camera
+from recon.geometry.frames import inverse
 from recon.geometry.kinematics import ROOT
 
 _TOLERANCE, _ITERATIONS = 3e-3, 12
@@ -249,7 +250,17 @@ def other_picture_finding(given: Baseline) -> Finding | None:
     if not ratios[best] > CLEAR:
         return None
     code, numbers, _ = others[best]
+    if view.camera.knows_up and _is_upside_down(others[best]):
+        rivals = [ratio for ratio, other in zip(ratios, others, strict=True) if _is_upside_down(other)]
+        if not exceeds_margin(ratios[best] - sorted(rivals)[-2], surely=True):
+            code, numbers = "upside_down", {}
     return finding(code, camera=view.camera.name, log_likelihood_ratio=ratios[best], **numbers)
+
+
+def _is_upside_down(other: _Other) -> bool:
+    """Return whether a hypothesis explains an animal that runs upside down."""
+    code, numbers, _ = other
+    return code in ("picture_upside_down", "keypoints_y_up", "pose_inverted") or numbers.get("axis") == "-z"
 
 
 def _turned(view: View) -> Iterator[_Other]:
@@ -262,6 +273,10 @@ def _turned(view: View) -> Iterator[_Other]:
     ]
     for code, numbers, xy_px in pictures:
         yield code, numbers, replace(view, xy_px=np.stack(xy_px, axis=-1))
+    if view.camera.knows_up:
+        turned_over = view.T_camera_world @ np.diag([1.0, -1.0, -1.0, 1.0])
+        yield "world_not_z_up", {"axis": "-z"}, replace(view, T_camera_world=turned_over)
+        yield "pose_inverted", {}, replace(view, T_camera_world=inverse(view.T_camera_world))
     for axis, sign in (("y", 1.0), ("-y", -1.0)):
         up = np.array([[1, 0, 0, 0], [0, 0, -sign, 0], [0, sign, 0, 0], [0, 0, 0, 1.0]])
         yield "world_not_z_up", {"axis": axis}, replace(view, T_camera_world=view.T_camera_world @ up.T)

@@ -47,6 +47,7 @@ from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.motion import Motion
 from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.trajectory import solve_trajectory
+from recon.geometry.frames import euler_rotation, inverse, rigid
 from recon.io.deeplabcut import write_csv
 from recon.io.formats import read_keypoints
 from recon.workflows.clip import prepare
@@ -373,6 +374,29 @@ def test_a_picture_turned_over(code, turn):
     assert found is not None
     assert found.code == code
     assert number(found, "log_likelihood_ratio") > 10 * CLEAR
+
+
+LEVEL = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]) @ euler_rotation([0.0, 0.0, 0.7])
+"""The rotation of a level camera in a world with z up."""
+POSE = rigid(LEVEL, -LEVEL @ [2.0, -3.0, 1.0])
+UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("code", "axis", "changed"),
+    [
+        ("world_not_z_up", "-z", lambda v: replace(v, T_camera_world=v.T_camera_world @ UPSIDE_DOWN)),
+        ("pose_inverted", None, lambda v: replace(v, T_camera_world=inverse(v.T_camera_world))),
+        ("upside_down", None, lambda v: replace(v, xy_px=[1919, 1079] - v.xy_px)),
+    ],
+)
+def test_an_animal_that_runs_upside_down(code, axis, changed):
+    """A cause is named where it stands out: a level camera's picture that is turned over is as likely as others."""
+    posed = replace(CAMERA, rotation=POSE[:3, :3], translation_m=POSE[:3, 3])
+    wrong = changed(replace(view(), camera=posed, T_camera_world=POSE))
+    found = other_picture_finding(fitted(wrong.part(slice(10, 26))))
+    assert found is not None
+    assert (found.code, found.numbers.get("axis")) == (code, axis)
 
 
 def test_a_picture_as_it_is():
