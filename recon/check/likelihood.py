@@ -404,6 +404,12 @@ on: animals of one gait swing up to 1.21 times faster or slower than the prior's
 with a standard deviation of a tenth. At its true rate an animal is not faster or slower than all of the prior's by more
 than the third: an animal that stands or turns is no slow motion.
 """
+FAR = 1.6
+"""Factor from which another frame rate is an error whatever poses and positions do, as speeds are wrong by as much.
+
+Below it, it is at most a warning unless they change, too: animals that turn swing 1.45 times slower than those that run
+straight on.
+"""
 RATE_S = 5.0
 """Seconds of a clip that are tested."""
 _RATE_TOLERANCE, _RATE_ITERATIONS = 1e-3, 10
@@ -446,7 +452,10 @@ def frame_rate_finding(
     numbers |= _effect_m(clip, given[1].states, other[1].states)
     rear, front = (clip.markers(states)[:, clip.body.markers.index(marker)] for marker in clip.body.forward)
     trunk_m = float(np.linalg.norm(front - rear, axis=-1).mean())
-    return by_effect(finding("frame_rate", **numbers), trunk_m)
+    item = finding("frame_rate", **numbers)
+    if not 1 / FAR < factor < FAR:  # speeds are wrong by as much, whatever the pose is
+        return item
+    return by_effect(item, trunk_m, is_gross=True)
 
 
 def _effect_m(clip: ClipProblem, states: Array, other_states: Array) -> dict[str, float]:
