@@ -404,7 +404,7 @@ on: animals of one gait swing up to 1.21 times faster or slower than the prior's
 with a standard deviation of a tenth. At its true rate an animal is not faster or slower than all of the prior's by more
 than the third: an animal that stands or turns is no slow motion.
 """
-FAR = 1.6
+FAR = 1.5
 """Factor from which another frame rate is an error whatever poses and positions do, as speeds are wrong by as much.
 
 Below it, it is at most a warning unless they change, too: animals that turn swing 1.45 times slower than those that run

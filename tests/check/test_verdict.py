@@ -68,7 +68,7 @@ def test_a_clip_to_be_used_names_keypoints_that_do_not_fit(whole_results):
     named = finding("keypoints_do_not_fit", keypoints=("l_hip",), share=0.8, used=40)
     verdict = add_verdict(replace(Motion.load(whole_results), findings=(named,))).verdict
     assert verdict is not None
-    assert says(verdict.lines[0], "use: Good", "80% of the 40 detections", "l_hip")
+    assert says(verdict.lines[0], "use: Good", "80 % of the 40 detections", "l_hip")
 
 
 def test_expected_errors(small_trajectory):
@@ -111,7 +111,7 @@ def test_the_summary_says_what_one_camera_cannot_tell(small_trajectory):
     motion = replace(add_verdict(small_trajectory), settings={**small_trajectory.settings, "focal_sigma": 0.1})
     known = replace(Verdict("use", "It is so."), position_m=ExpectedError(0.1, 0.05, 0.2))
     said = dict(input_sections.verdict_lines(replace(motion, verdict=known), None))["assumed"]
-    assert says(said, "focal length to 10%", "one camera")
+    assert says(said, "focal length to 10 %", "one camera")
     assert "assumed" not in dict(
         input_sections.verdict_lines(replace(motion, verdict=known, sources=2 * motion.sources), None)
     )
