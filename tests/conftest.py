@@ -7,7 +7,7 @@ import json
 import os
 import re
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +23,7 @@ from shortcuts import draw_small, draw_two_methods, empty_figure, fit_demo_from,
 
 from recon import FitSettings
 from recon.animal.skeleton_file import load_skeleton
+from recon.base.file_names import encodable
 from recon.clip import Keypoints, Source, View, camera_poses, clean, still_view, views_of
 from recon.fit.motion import Motion
 from recon.fit.result import Ground, MotionSegment, TrajectorySolution
@@ -47,6 +48,15 @@ def shared_data() -> Path:
     if not path.is_dir():
         pytest.skip(f"no real recordings at {path} (set RECON_SHARED_DATA)")
     return path
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_makereport() -> Generator:
+    """A name of bytes that are not UTF-8, in a log or a traceback, would end the processes of pytest-xdist."""
+    report = (yield).get_result()
+    report.sections = [(name, encodable(text)) for name, text in report.sections]
+    if report.failed and encodable(report.longreprtext) != report.longreprtext:
+        report.longrepr = encodable(report.longreprtext)
 
 
 def pytest_collection_finish() -> None:

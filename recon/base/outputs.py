@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from recon.base.errors import InputError, Problem, raise_problems
+from recon.base.file_names import encodable
 from recon.base.files import (
     MANIFEST,
     NEW,
@@ -251,7 +252,7 @@ class Output:
     def write(self, name: str, text: str) -> None:
         """Write a file of text, beside those that are there."""
         with self.staged(adds=True) as folder:
-            (folder / name).write_text(text, encoding="utf-8")
+            (folder / name).write_text(encodable(text), encoding="utf-8")
 
     def remove(self, name: str) -> None:
         """Delete a file of an earlier run of this kind; any other stays."""
