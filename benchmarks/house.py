@@ -104,6 +104,7 @@ UPWARD = {
     "recon.fit.motion_forms": {"recon.thesis.solution"},  # Motion.load, of results of the frame method
     "recon.thesis.solution": {"recon.thesis.report"},  # the method's own sections of the report
     "recon.workflows.clip": {"recon.thesis.clip"},  # fit_clip, by the frame method
+    "recon.workflows.clip_inputs": {"recon.thesis.clip"},  # the chain of the frame method
     "recon.workflows.convert": {"recon.robotics.retarget_clip"},  # results of recon retarget
     "recon.workflows.run": {"recon.keypoint_net.network"},  # keypoints from a video
     "recon.workflows.cli": {"recon"},  # the table of commands

@@ -216,7 +216,7 @@ def numbers_of(value: Any, key: str) -> Iterator[tuple[str, str]]:
 def result_files(folder: Path) -> set[str]:
     """Name the files of a command's results that are compared."""
     paths = [path for path in folder.rglob("*") if path.suffix in (".csv", ".json", ".npz") or path.name == FAILED]
-    return {str(path.relative_to(folder)) for path in paths if path.name != "manifest.json"}
+    return {str(path.relative_to(folder)) for path in paths if path.name not in ("manifest.json", ".recon.json")}
 
 
 # -- both checkouts ---------------------------------------------------------------------------------------------------

@@ -19,7 +19,7 @@ from recon.fit.clip_problem import TrajectoryOptions
 from recon.io.calibration import read_camera, read_cameras
 from recon.thesis.objectives import FrameOptions
 from recon.workflows.cli import app, commands
-from recon.workflows.clip import read_model_and_cameras
+from recon.workflows.clip_inputs import read_model_and_cameras
 from recon.workflows.look import OverlaySettings, PageSettings
 from recon.workflows.settings import SETTINGS
 

@@ -33,7 +33,7 @@ from recon.clip import View, views_of
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.result import Finding
 from recon.geometry.frames import euler_rotation, rigid
-from recon.workflows.clip import prepare
+from recon.workflows.clip_inputs import prepare
 
 SKELETON = "cheetah-24"
 TURN_DEG, LAG = 5.0, 10

@@ -37,7 +37,7 @@ from recon.fit.shape import POSED_OFFSET_SIGMA_M, Shape, fit_shape
 from recon.fit.trajectory import solve_trajectory
 from recon.geometry.kinematics import ROOT
 from recon.testing.coverage import coverage
-from recon.workflows.clip import prepare
+from recon.workflows.clip_inputs import prepare
 
 PRIOR = "running-cheetah"
 HELD = 1e-6

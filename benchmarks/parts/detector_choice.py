@@ -31,7 +31,8 @@ from recon.clip import align_cameras, views_of
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.shape import Shape, fit_shape
 from recon.gait.evaluation import evaluate
-from recon.workflows.clip import fit_clip, prepare
+from recon.workflows.clip import fit_clip
+from recon.workflows.clip_inputs import prepare
 
 WITH_LENGTHS = ("jules", "phantom")
 SHIPPED = "acinoset"

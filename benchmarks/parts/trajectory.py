@@ -48,7 +48,7 @@ from recon.gait.evaluation import aligned, joint_errors, score
 from recon.gait.kinematics import Errors, series_kinematics
 from recon.geometry.frames import inverse, moved, rigid
 from recon.testing.gallop import gallop
-from recon.workflows.clip import arrange
+from recon.workflows.clip_inputs import arrange
 from recon.workflows.models import PriorFitSettings, run_prior_fit
 
 SKELETON, PRIOR = "cheetah-24", "running-cheetah"

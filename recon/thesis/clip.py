@@ -23,7 +23,7 @@ from recon.thesis.inspect import TABLES, read_solver
 from recon.thesis.objectives import FrameOptions
 from recon.thesis.solver import solve_frames
 from recon.workflows.cli import Answer, OptionsOf
-from recon.workflows.clip import prepare
+from recon.workflows.clip_inputs import prepare
 from recon.workflows.fit import FitRunSettings, fit
 from recon.workflows.settings import SETTINGS, FitSettings
 

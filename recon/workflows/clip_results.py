@@ -33,7 +33,8 @@ from recon.fit.result import TrajectorySolution
 from recon.show.plain import write_report
 from recon.show.report import build_report
 from recon.show.tables import CLIP_OUTPUTS, REPROJECTION, camera_files, of_any_camera, write_tables
-from recon.workflows.clip import fit_clip, read_clip_cameras
+from recon.workflows.clip import fit_clip
+from recon.workflows.clip_cameras import read_clip_cameras
 from recon.workflows.settings import SETTINGS, FitSettings, with_paths
 
 FIT = "fit"

@@ -26,7 +26,7 @@ from recon.geometry.frames import level_from_camera, rigid
 from recon.io.camera_files import write_cameras
 from recon.workflows.batch.inputs import AUTO, find_clips
 from recon.workflows.cli import Answer, OptionsOf, say
-from recon.workflows.clip import ClipInputs, prepare
+from recon.workflows.clip_inputs import ClipInputs, prepare
 from recon.workflows.clip_results import input_files, read_settings
 from recon.workflows.settings import FitSettings
 

@@ -38,7 +38,7 @@ from recon.workflows.analyse import SUMMARY as ANALYSIS
 from recon.workflows.batch import read_rows, write_summary_page
 from recon.workflows.batch.inputs import SUMMARY
 from recon.workflows.cli import ANYWAY, FIRST_FRAME, Answer, say, verdict_texts
-from recon.workflows.clip import cameras_in
+from recon.workflows.clip_cameras import cameras_in
 
 SLOW_FPS = 30.0
 """Every frame is shown, and no more than this many in a second, unless a speed is given."""

@@ -37,7 +37,7 @@ from recon.io.positions import read_pose3d, read_pose_segments
 from recon.show.plain import picked
 from recon.workflows.batch.inputs import file_names
 from recon.workflows.cli import ANYWAY, Answer, counted, table_of
-from recon.workflows.clip import prepare
+from recon.workflows.clip_inputs import prepare
 from recon.workflows.clip_results import CONFIG, read_config
 from recon.workflows.settings import FitSettings
 

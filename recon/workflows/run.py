@@ -37,7 +37,7 @@ from recon.workflows.batch import ClipPlan, OnEvent, Summary, results_of, shown_
 from recon.workflows.batch.inputs import SUMMARY, Clip, file_names
 from recon.workflows.camera_motion import motion_files, of_clip, run_camera_motion
 from recon.workflows.cli import FIRST_FRAME, Answer, OptionsOf, answer_of_fit, progress_bar, say
-from recon.workflows.clip import read_model_and_cameras
+from recon.workflows.clip_inputs import read_model_and_cameras
 from recon.workflows.clip_results import (
     FIT,
     Record,

@@ -42,7 +42,8 @@ from recon.io.deeplabcut_project import bodyparts, find_project
 from recon.io.formats import read_keypoints
 from recon.show.plain import by_name, picked
 from recon.workflows.cli import Answer, table_of
-from recon.workflows.clip import arrange, read_clip_cameras, read_clips
+from recon.workflows.clip_cameras import read_clip_cameras
+from recon.workflows.clip_inputs import arrange, read_clips
 from recon.workflows.rigs import FIRST_CAMERA
 from recon.workflows.settings import INDIVIDUAL, UNITS_M, FitSettings, Unit
 

@@ -20,7 +20,7 @@ from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.io import deeplabcut
 from recon.io.hdf5_poses import write_deeplabcut, write_movement, write_nwb
 from recon.show.report import build_report
-from recon.workflows.clip import prepare
+from recon.workflows.clip_inputs import prepare
 
 
 def body(subject: str | None = "phantom") -> Body:

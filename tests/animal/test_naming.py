@@ -33,7 +33,7 @@ from recon.robotics.retarget import reference_of, retarget
 from recon.show.report import build_report
 from recon.testing import detectors
 from recon.testing.detectors import ACINOSET, ANIMAL3D, AP_10K, HORSE_10, MMPOSE_AP_10K, SUPERANIMAL, UNSEEN
-from recon.workflows.clip import prepare
+from recon.workflows.clip_inputs import prepare
 from recon.workflows.clip_results import file_sha256, identity, run_clip
 from recon.workflows.convert import ConvertSettings, read_any
 from recon.workflows.skeleton import check_skeleton, draft_skeleton

@@ -50,7 +50,7 @@ from recon.fit.trajectory import solve_trajectory
 from recon.geometry.frames import euler_rotation, inverse, rigid
 from recon.io.deeplabcut import write_csv
 from recon.io.formats import read_keypoints
-from recon.workflows.clip import prepare
+from recon.workflows.clip_inputs import prepare
 
 T = 40
 NAMED = (None,)

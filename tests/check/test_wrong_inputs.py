@@ -36,7 +36,7 @@ from recon.fit.result import Ground
 from recon.fit.trajectory import solve_trajectory
 from recon.gait.clip import over_belt
 from recon.geometry.frames import rigid
-from recon.workflows.clip import other_camera_in
+from recon.workflows.clip_cameras import other_camera_in
 
 NAMES = BODY.keypoint_names(None)
 

@@ -45,7 +45,7 @@ from recon.testing.coverage import coordinate_coverage
 from recon.testing.detectors import HORSE_10, split_names
 from recon.testing.rigs import write_rig_clip
 from recon.testing.walkers import running_mouse, walking_person
-from recon.workflows.clip import prepare
+from recon.workflows.clip_inputs import prepare
 from recon.workflows.clip_results import run_clip
 from recon.workflows.skeleton import (
     _SkeletonDraftSettings,

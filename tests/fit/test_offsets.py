@@ -16,7 +16,7 @@ from recon.clip import Source, clean
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.result import TrajectorySolution
 from recon.fit.trajectory import solve_trajectory
-from recon.workflows.clip import prepare
+from recon.workflows.clip_inputs import prepare
 from recon.workflows.rigs import at_rate
 
 

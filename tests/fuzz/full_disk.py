@@ -208,7 +208,7 @@ class Child:
             return 0
         if case.beside is not None:
             out.mkdir()
-            for path in case.beside.iterdir():
+            for path in (path for path in case.beside.iterdir() if path.name != ".recon.json"):
                 (out / path.name).symlink_to(path)
         if limit is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))

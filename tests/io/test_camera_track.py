@@ -23,7 +23,8 @@ from recon.io.deeplabcut import write_csv
 from recon.io.positions import read_pose3d
 from recon.testing.cameras import level_pose
 from recon.testing.files import TRACK_HEADER, track_rows, write_track
-from recon.workflows.clip import prepare, read_clip_cameras
+from recon.workflows.clip_cameras import read_clip_cameras
+from recon.workflows.clip_inputs import prepare
 from recon.workflows.clip_results import identity
 from tests.command_line import refusal, says
 from tests.command_line import run as command

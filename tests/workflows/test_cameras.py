@@ -31,7 +31,8 @@ from recon.io.calibration import read_cameras
 from recon.io.camera_files import write_cameras
 from recon.io.deeplabcut import write_csv
 from recon.io.formats import read_keypoints
-from recon.workflows.clip import cameras_in, prepare
+from recon.workflows.clip_cameras import cameras_in
+from recon.workflows.clip_inputs import prepare
 from recon.workflows.extrinsics import clips_of, lines_of, run_extrinsics
 from tests.command_line import refusal, says
 from tests.command_line import run as command

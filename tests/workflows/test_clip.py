@@ -19,7 +19,7 @@ from recon.io.formats import read_keypoints
 from recon.thesis.chain import load_chain
 from recon.thesis.objectives import FrameOptions
 from recon.thesis.solver import solve_frames
-from recon.workflows.clip import prepare
+from recon.workflows.clip_inputs import prepare
 from recon.workflows.clip_results import OUTPUT_FILES, run_clip
 
 EXAMPLE = (Path(__file__).parents[1] / "files" / "trunk-and-leg.toml").read_text()

@@ -45,7 +45,7 @@ from recon.show.report import is_unsolved, warnings
 from recon.workflows.batch.inputs import SUMMARY, Clip
 from recon.workflows.batch.inputs import find_clips as find_clips
 from recon.workflows.cli import Answer, OptionsOf, counted, progress_bar, say, stop, table_of, terminal
-from recon.workflows.clip import Unknown, prepare, read_model_and_cameras
+from recon.workflows.clip_inputs import Unknown, prepare, read_model_and_cameras
 from recon.workflows.clip_results import (
     Record,
     beside,

@@ -27,7 +27,7 @@ from recon.io.deeplabcut_project import find_project, predictions
 from recon.io.formats import individuals, recognised, titles
 from recon.io.json_poses import clip_of_frame
 from recon.show.page.own_page import SUMMARY_PAGE
-from recon.workflows.clip import cameras_in
+from recon.workflows.clip_cameras import cameras_in
 from recon.workflows.clip_results import beside, read_settings
 from recon.workflows.settings import SETTINGS, FitSettings
 
