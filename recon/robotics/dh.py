@@ -67,25 +67,25 @@ class _DHFile(FileTable):
 
 
 def load_dh(path: Path) -> tuple[SerialChain, Convention, list[DHRow]]:
-    """The chain of a table in TOML (docs/robot.md), and the table. Raises InputError."""
+    """Return the chain of a table in TOML (docs/robot.md), its convention and its rows; raise InputError."""
     file = validated(_DHFile, read_toml(path, "a table of Denavit-Hartenberg parameters (TOML)"), path)
     return dh_chain(file.joints, file.convention), file.convention, file.joints
 
 
 def dh_chain(rows: Sequence[DHRow], convention: Convention) -> SerialChain:
-    """The chain of the rows from the base. Raises ValueError."""
+    """Return the chain of the rows from the base; raise ValueError for no rows or an unknown convention."""
     if convention not in ("modified", "standard") or not rows:
         raise ValueError(f"rows and the convention, modified or standard, expected, got {len(rows)}, {convention!r}")
     link = [_along("x", row.a_m, row.alpha_rad) for row in rows]
     joint = [_along("z", row.d_m, row.theta_rad) for row in rows]
     nothing = RigidTransform.identity()
     before, tool = (link, nothing) if convention == "modified" else ([nothing, *link[:-1]], link[-1])
-    placed = [*accumulate((a * b for a, b in zip(before, joint, strict=True)), lambda here, step: here * step)]
-    end = placed[-1] * tool
-    steps = np.diff([np.zeros(3), *(T.translation for T in placed), end.translation], axis=0)
+    frames = [*accumulate((a * b for a, b in zip(before, joint, strict=True)), lambda here, step: here * step)]
+    end = frames[-1] * tool
+    steps = np.diff([np.zeros(3), *(T.translation for T in frames), end.translation], axis=0)
     return joint_chain(
         steps[:-1],
-        [T.rotation.apply([0.0, 0.0, 1.0]) for T in placed],
+        [T.rotation.apply([0.0, 0.0, 1.0]) for T in frames],
         [row.slides for row in rows],
         steps[-1],
         end.rotation,
@@ -94,24 +94,27 @@ def dh_chain(rows: Sequence[DHRow], convention: Convention) -> SerialChain:
 
 
 def dh_table(chain: SerialChain) -> tuple[RigidTransform, tuple[DHRow, ...], RigidTransform]:
-    """Any chain as base * rows * tool, the rows modified (Craig) with a_m and alpha_rad 0 in the first: base and tool
-    are what the parameters leave out. z goes along each joint's axis, x along the common normal to the next; where axes
-    are parallel, through the origin before."""
+    """Return any chain as base * rows * tool.
+
+    The rows are modified (Craig), with a_m and alpha_rad 0 in the first: base and tool are what the parameters leave
+    out. z goes along each joint's axis, x along the common normal to the next; where axes are parallel, through the
+    previous origin.
+    """
     zero = np.zeros(chain.n)
-    axes, places = chain.joint_axes(zero), chain.positions(zero)
-    frames, x, origin = [], _across(axes[0]), places[0]
+    axes, positions = chain.joint_axes(zero), chain.positions(zero)
+    frames, x, origin = [], _across(axes[0]), positions[0]
     for j, z in enumerate(axes):
-        origin = _nearest_on_axis(places[j], z, origin)
+        origin = _nearest_on_axis(positions[j], z, origin)
         normal = np.zeros(3)
         if j + 1 < chain.n:
-            after, z_after = places[j + 1], axes[j + 1]
+            position_after, z_after = positions[j + 1], axes[j + 1]
             normal = np.cross(z, z_after)
             if np.linalg.norm(normal) < _PARALLEL:
-                normal = _nearest_on_axis(after, z_after, origin) - origin
+                normal = _nearest_on_axis(position_after, z_after, origin) - origin
             else:
                 # (after - place) = s z + t normal - u z_after
-                along = np.linalg.solve(np.column_stack([z, normal, -z_after]), after - places[j])
-                origin, normal = places[j] + along[0] * z, normal if along[1] >= -1e-12 else -normal
+                along = np.linalg.solve(np.column_stack([z, normal, -z_after]), position_after - positions[j])
+                origin, normal = positions[j] + along[0] * z, normal if along[1] >= -1e-12 else -normal
         # The same x as before where the normal leaves it open: theta is 0 then.
         x = normal if np.linalg.norm(normal) > _PARALLEL else x
         x = x - (x @ z) * z
@@ -124,7 +127,7 @@ def dh_table(chain: SerialChain) -> tuple[RigidTransform, tuple[DHRow, ...], Rig
 
 
 def _row(step: RigidTransform, slides: bool) -> DHRow:
-    """Rx(alpha) Tx(a) Rz(theta) Tz(d), read off its matrix."""
+    """Return the parameters of a step Rx(alpha) Tx(a) Rz(theta) Tz(d), read off its matrix."""
     T = step.as_matrix()
     alpha = np.arctan2(-T[1, 2], T[2, 2])
     d = -np.sin(alpha) * T[1, 3] + np.cos(alpha) * T[2, 3]
@@ -136,20 +139,20 @@ def _transform(R: Any, p: Array) -> RigidTransform:
     return RigidTransform.from_components(p, Rotation.from_matrix(R))
 
 
-def _nearest_on_axis(place: Array, z: Array, near: Array) -> Array:
-    """The point of the axis through place along z that is nearest."""
-    return place + ((near - place) @ z) * z
+def _nearest_on_axis(origin: Array, z: Array, point: Array) -> Array:
+    """Return the point nearest to `point` on the axis through `origin` along z."""
+    return origin + ((point - origin) @ z) * z
 
 
 def _across(z: Array) -> Array:
-    """A unit vector at right angles to z: x where z is not along it."""
+    """Return a unit vector at right angles to z: x where z is not along it."""
     x = np.eye(3)[0 if abs(z[0]) < 0.9 else 1]
     x = x - (x @ z) * z
     return x / np.linalg.norm(x)
 
 
 def _along(axis: Literal["x", "z"], distance_m: float, angle_rad: float) -> RigidTransform:
-    """A screw: the translation along an axis and the rotation about it, which commute."""
+    """Return a screw: a translation along an axis and a rotation about it, which commute."""
     shift = distance_m * np.eye(3)["xyz".index(axis)]
     return RigidTransform.from_components(shift, Rotation.from_euler(axis, angle_rad))
 
@@ -160,7 +163,7 @@ _THREE = Option(expected="3 numbers with commas, as in 0.1,-20,3", metavar="X,Y,
 
 
 class PoseSettings(Settings):
-    """What `recon robot pose` is told."""
+    """The settings of `recon robot pose`."""
 
     robot: Annotated[str, Option(argument="ROBOT")]
     """a1, go2, aibo, or a file .toml, .urdf or .xml (MJCF)."""
@@ -175,7 +178,7 @@ class PoseSettings(Settings):
 
 
 class TableSettings(Settings):
-    """What `recon robot dh` is told."""
+    """The settings of `recon robot dh`."""
 
     source: Annotated[str, Option(argument="SOURCE")]
     """A table of parameters (.toml), a robot (a1, go2, aibo, or a file), or a .urdf or .xml."""
@@ -196,22 +199,22 @@ def pose(settings: PoseSettings) -> Answer:
     """
     machine, position = load_robot(settings.robot), settings.move or (0.0, 0.0, 0.0)
     turned = {name: float(np.radians(getattr(settings, name))) for name in ("roll", "pitch", "yaw")}
-    placed = body_pose(position, turned["roll"], turned["pitch"], turned["yaw"])
-    feet = leg_targets(placed, np.zeros((4, 3)), [leg.neutral_m for leg in machine.legs.values()])
-    found, why = {}, []
+    body_frame = body_pose(position, turned["roll"], turned["pitch"], turned["yaw"])
+    feet = leg_targets(body_frame, np.zeros((4, 3)), [leg.neutral_m for leg in machine.legs.values()])
+    legs, reasons = {}, []
     table = table_of("leg", "joint", numbers=("angle °", "foot x m", "y m", "z m"), title=machine.title)
     for (label, leg), foot in zip(machine.legs.items(), feet, strict=True):
         q = leg.angles(foot[None])[0]
         reached = bool(np.isfinite(q).all())
         says = "" if reached else "out of reach, or of a joint's limits"
-        why += [f"{label}: {says}"] if says else []
+        reasons += [f"{label}: {says}"] if says else []
         angles, margin = q if reached else None, float(leg.margins(q).min())
-        found[label] = {"joints": leg.joints, "foot_m": foot, "angles_rad": angles, "margin_rad": margin, "why": says}
+        legs[label] = {"joints": leg.joints, "foot_m": foot, "angles_rad": angles, "margin_rad": margin, "why": says}
         angles = _deg(q) if reached else ["-"] * len(q)
         for k, row in enumerate(zip(leg.joints, angles, strict=True)):
             table.add_row("" if k else label, *row, *(f"{x:.4f}" for x in foot if not k))
-    told = {f"{name}_rad": angle for name, angle in turned.items()}
-    return Answer({"robot": machine.title, "position_m": position, **told, "legs": found}, [table, *why])
+    turn_angles = {f"{name}_rad": angle for name, angle in turned.items()}
+    return Answer({"robot": machine.title, "position_m": position, **turn_angles, "legs": legs}, [table, *reasons])
 
 
 def dh(settings: TableSettings) -> Answer:
@@ -237,8 +240,8 @@ def _chain_lines(answer: dict[str, Any], title: str) -> Iterator[str | Table]:
         yield f"end: {_pose_text(answer['forward'])}{beyond}"
     if "inverse" in answer:
         rows = [
-            [str(k), *_typed(one["q"], slides), "yes" if one["within_limits"] else "no"]
-            for k, one in enumerate(answer["inverse"]["solutions"], start=1)
+            [str(k), *_typed(solution["q"], slides), "yes" if solution["within_limits"] else "no"]
+            for k, solution in enumerate(answer["inverse"]["solutions"], start=1)
         ]
         if rows:
             yield table_of("solution", numbers=(*answer["joints"], "within limits"), rows=rows)
@@ -252,7 +255,7 @@ def _pose_text(answer: dict[str, Any]) -> str:
 
 
 def _typed(values: Sequence[float], slides: Sequence[bool]) -> list[str]:
-    """As a user types them: degrees, or metres."""
+    """Return values as a user types them: degrees, or metres of joints that slide."""
     return [f"{x:z.4f}" if slide else _deg([x])[0] for x, slide in zip(values, slides, strict=True)]
 
 
@@ -271,8 +274,11 @@ REACHED = 1e-7
 
 
 def chain_of(settings: TableSettings) -> dict[str, Any]:
-    """A table of parameters (TOML), a leg of a robot, or a chain of a URDF or MJCF file, by default to its only
-    leaf."""
+    """Return what `recon robot dh` answers.
+
+    The chain is that of a table of parameters (TOML), a leg of a robot, or a chain of a URDF or MJCF file, by default
+    to its only leaf.
+    """
     chain, table = _chain(settings.source, settings.tip)
     if table is None:
         base, rows, tool = dh_table(chain)
@@ -297,8 +303,11 @@ def chain_of(settings: TableSettings) -> dict[str, Any]:
 
 
 def _chain(source: str, tip: str | None) -> tuple[SerialChain, dict[str, Any] | None]:
-    """A robot's leg, tip being its label, the chain of a URDF or MJCF file to a link, by default its only leaf, or that
-    of a table, with the table."""
+    """Return a chain, and its table if it was read from one.
+
+    It is a robot's leg, whose label is `tip`; the chain of a URDF or MJCF file to a link, by default its only leaf; or
+    that of a table.
+    """
     if tip in LEGS:
         return load_robot(source).legs[tip].chain, None
     if source in robots.builtin_robots():
@@ -326,7 +335,7 @@ def _pose_answer(transform: RigidTransform) -> dict[str, Any]:
 
 
 def _in_limits(chain: SerialChain, q: Array) -> Array:
-    """Turning joints by whole turns, to nearest the middle of their limits, if they have any."""
+    """Return angles changed by whole turns, to nearest the middle of the joints' limits, if they have any."""
     bounded = np.isfinite(chain.lower_rad) & np.isfinite(chain.upper_rad) & ~chain.sliding
     middle = np.where(bounded, (np.where(bounded, chain.lower_rad, 0) + np.where(bounded, chain.upper_rad, 0)) / 2, q)
     return np.where(bounded, middle + (q - middle + np.pi) % (2 * np.pi) - np.pi, q)
@@ -339,15 +348,32 @@ def _within(chain: SerialChain, q: Array) -> bool:
 def all_solutions(
     chain: SerialChain, place_m: ArrayLike, rotation: ArrayLike | None = None, starts: int = STARTS
 ) -> tuple[Array, bool]:
-    """Configurations (m, n) with the end effector at place_m (3,), turned by rotation (3, 3), None: turned anyhow;
-    turning joints in [-pi, pi), whatever the limits. And whether they are isolated: False where the joints can move on
-    without moving the end effector, and one of endlessly many is given."""
+    """Return all configurations with the end effector at a position.
+
+    Parameters
+    ----------
+    chain : SerialChain
+        A chain of n joints.
+    place_m : (3,)
+        The position of the end effector, m.
+    rotation : (3, 3), optional
+        Its rotation; None: any.
+    starts : int
+        Number of random starts.
+
+    Returns
+    -------
+    solutions : (m, n)
+        Turning joints in [-pi, pi), whatever the limits.
+    isolated : bool
+        False where the joints can move on without moving the end effector: one solution of endlessly many is given.
+    """
     target = np.asarray(place_m, float)
     size = max(float(chain.lengths_m.sum()), float(np.linalg.norm(target)), 1e-9)
     turns = ~np.asarray(chain.sliding, bool)
 
     def equations(q: Array) -> tuple[Array, Array]:
-        """(12 + n,), the last n are 0, so that there are never fewer than joints, and their derivatives."""
+        """Return residuals (12 + n,) and their derivatives; the last n are 0, to be no fewer than joints."""
         R, p = chain.pose(q)
         J = chain.geometric_jacobian(q)
         error, slope = np.zeros(12 + chain.n), np.zeros((12 + chain.n, chain.n))
@@ -359,16 +385,16 @@ def all_solutions(
 
     low = np.where(turns, -np.pi, np.maximum(chain.lower_rad, -size))
     high = np.where(turns, np.pi, np.minimum(chain.upper_rad, size))
-    places = [(low + high) / 2, *np.random.default_rng(0).uniform(low, high, (starts, chain.n))]
-    ends = (root(equations, q, jac=True, method="lm", options={"xtol": 1e-12, "ftol": 1e-14}).x for q in places)
-    found = [
+    start_points = [(low + high) / 2, *np.random.default_rng(0).uniform(low, high, (starts, chain.n))]
+    ends = (root(equations, q, jac=True, method="lm", options={"xtol": 1e-12, "ftol": 1e-14}).x for q in start_points)
+    solutions = [
         np.where(turns, (q + np.pi) % (2 * np.pi) - np.pi, q) for q in ends if np.abs(equations(q)[0]).max() < REACHED
     ]
-    isolated = all(np.linalg.matrix_rank(equations(q)[1], 1e-6) == chain.n for q in found)
+    isolated = all(np.linalg.matrix_rank(equations(q)[1], 1e-6) == chain.n for q in solutions)
     distinct: list[Array] = []
-    for q in found if isolated else found[:1]:
-        apart = [np.where(turns, np.angle(np.exp(1j * (q - other))), q - other) for other in distinct]
-        if all(np.abs(one).max() > SAME for one in apart):
+    for q in solutions if isolated else solutions[:1]:
+        differences = [np.where(turns, np.angle(np.exp(1j * (q - known))), q - known) for known in distinct]
+        if all(np.abs(difference).max() > SAME for difference in differences):
             distinct.append(q)
-    kept = np.array(distinct).reshape(len(distinct), chain.n)
-    return kept[np.lexsort(kept.round(6).T[::-1])], isolated
+    sorted_solutions = np.array(distinct).reshape(len(distinct), chain.n)
+    return sorted_solutions[np.lexsort(sorted_solutions.round(6).T[::-1])], isolated

@@ -102,12 +102,12 @@ class Leg:
 
     @property
     def order(self) -> list[int]:
-        """The angles in the order of the joints from the hip down."""
+        """Return the angles in the order of the joints from the hip down."""
         return [0, 1, 2] if self.first == "swing" else [1, 0, 2]
 
     @cached_property
     def chain(self) -> SerialChain:
-        """The same leg joint by joint, its joints in the order in which they follow each other, not mirrored."""
+        """Return the same leg joint by joint, in the order from the hip down, not mirrored."""
         out, swing, flap = (self.lateral_m, 0.0, 0.0), (1, 0, 0), (0, -1, 0)
         return joint_chain(
             [(0, 0, 0), out, (0.0, self.knee_offset_m, -self.thigh_m)],
@@ -117,40 +117,40 @@ class Leg:
 
     @property
     def stretched_rad(self) -> float:
-        """The knee's angle with the foot farthest from the swing joint."""
+        """Return the knee's angle with the foot farthest from the swing joint."""
         p, q, _ = self._pqr
         return float(np.arctan2(q, p))
 
     @property
     def distances_m(self) -> tuple[float, float]:
-        """Least and largest distance of the foot from the swing joint."""
+        """Return the least and the largest distance of the foot from the swing joint."""
         upper, lower = np.hypot(self.thigh_m, self.knee_offset_m), np.hypot(self.shin_m, self.foot_offset_m)
         return float(abs(upper - lower)), float(upper + lower)
 
     @property
     def _pqr(self) -> tuple[float, float, float]:
-        """p, q, and r + n^2."""
+        """Return p, q, and r + n^2."""
         l1, l2, uo, lo = self.thigh_m, self.shin_m, self.knee_offset_m, self.foot_offset_m
         return 2 * (uo * lo + l1 * l2), 2 * (l2 * uo - l1 * lo), lo * lo + l2 * l2 + uo * uo + l1 * l1
 
     def in_plane(self, knee_rad: Array) -> tuple[Array, Array]:
-        """The coordinates P and Q (...) of the foot in the leg's plane, in metres."""
+        """Return the coordinates P and Q (...) of the foot in the leg's plane, in metres."""
         c, s = np.cos(knee_rad), np.sin(knee_rad)
         P = self.foot_offset_m * c + self.shin_m * s + self.knee_offset_m
         return P, self.thigh_m + self.shin_m * c - self.foot_offset_m * s
 
     def forward(self, angles_rad: ArrayLike) -> Array:
-        """The places of the feet from the hip, for these angles."""
+        """Return the positions of the feet from the hip, for angles (..., 3)."""
         return self.chain.end(np.asarray(angles_rad, float)[..., self.order]) * self.mirror
 
     def inverse(self, feet_m: ArrayLike) -> Array:
-        """Angles, whatever the limits, NaN out of reach."""
+        """Return angles of feet, whatever the limits; NaN out of reach."""
         x, y, z = np.moveaxis(np.asarray(feet_m, float) * self.mirror, -1, 0)
         d, swing_first = self.lateral_m, self.first == "swing"
         z2 = x * x + z * z - d * d
         n2 = x * x + y * y + z * z if swing_first else np.maximum(z2, 0.0) + y * y
-        p, q, rest = self._pqr
-        cosine = (n2 - rest) / np.hypot(p, q)
+        p, q, r_plus_n2 = self._pqr
+        cosine = (n2 - r_plus_n2) / np.hypot(p, q)
         s = np.arctan2(q, p) + np.arccos(np.clip(cosine, -1.0, 1.0))
         P, Q = self.in_plane(s)
         # U^2 = y^2 + z^2 - P^2 and atan2 in place of asin(x / Q), which loses half the digits at 90 degrees.
@@ -168,17 +168,17 @@ class Leg:
         return np.where(reached[..., None], np.stack([a, b, s], axis=-1), np.nan)
 
     def slack_m(self, feet_m: Array) -> Array:
-        """How far feet are within the reach of a leg whose swing joint is the first (...), negative outside."""
+        """Return how far feet are within the reach of a leg with the swing joint first (...), negative outside."""
         distance, (least, most) = np.linalg.norm(feet_m, axis=-1), self.distances_m
-        p, q, rest = self._pqr
-        bend = np.arccos(np.clip((distance**2 - rest) / np.hypot(p, q), -1.0, 1.0))
+        p, q, r_plus_n2 = self._pqr
+        bend = np.arccos(np.clip((distance**2 - r_plus_n2) / np.hypot(p, q), -1.0, 1.0))
         # A bent leg does not come nearer to the axis of its swing joint than P.
         aside = np.hypot(feet_m[..., 1], feet_m[..., 2]) - np.abs(self.in_plane(self.stretched_rad + bend)[0])
         return np.minimum(np.minimum(distance - least, most - distance), aside)
 
 
 def _wrapped(angle: Array) -> Array:
-    """In [-pi, pi)."""
+    """Return an angle in [-pi, pi)."""
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
@@ -187,7 +187,7 @@ def _wrapped(angle: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RobotLeg:
-    """n joints, in their order from the hip down; feet are points in body axes, from the body's origin."""
+    """A leg of n joints, in their order from the hip down; feet are points in body axes."""
 
     chain: SerialChain
     """Joint by joint in body axes, with names and limits, its end effector the foot."""
@@ -202,31 +202,31 @@ class RobotLeg:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """The names of the leg's joints."""
+        """Return the names of the leg's joints."""
         return self.chain.names
 
     @cached_property
     def hip_m(self) -> Array:
-        """(3,): where the first joint is."""
+        """Return the position (3,) of the first joint."""
         return self.chain.positions(np.zeros(self.chain.n))[0]
 
     def margins(self, angles_rad: Array) -> Array:
-        """(..., n): how far each angle is within its limits, negative outside, NaN without an angle."""
+        """Return how far each angle is within its limits (..., n), negative outside, NaN without an angle."""
         return np.minimum(angles_rad - self.chain.lower_rad, self.chain.upper_rad - angles_rad)
 
     def closed_angles(self, feet_m: Array) -> Array:
-        """In closed form, angles (T, n) of feet (T, 3) whatever the limits, NaN out of reach."""
+        """Return angles (T, n) of feet (T, 3) in closed form, whatever the limits; NaN out of reach."""
         assert self.closed is not None
         assert self.signs is not None
         return self.closed.inverse(_to_leg_axes(feet_m - self.hip_m))[..., self.closed.order] * self.signs
 
     def slack_m(self, feet_m: Array) -> Array:
-        """The same, how far feet are within the reach (T,), negative outside."""
+        """Return how far feet (T, 3) are within the reach of the closed form (T,), negative outside."""
         assert self.closed is not None
         return self.closed.slack_m(_to_leg_axes(feet_m - self.hip_m))
 
     def angles(self, feet_m: Array) -> Array:
-        """Angles (T, n) of feet (T, 3) that follow each other, NaN where there are none within the limits."""
+        """Return angles (T, n) of feet (T, 3) that follow each other; NaN where none is within the limits."""
         if self.closed is not None:
             solved = self.closed_angles(feet_m)
             return np.where(np.all(self.margins(solved) >= 0, axis=-1)[..., None], solved, np.nan)
@@ -234,17 +234,17 @@ class RobotLeg:
         if q is None or self.home_rad is None:
             return out
         for k, foot in enumerate(feet_m):
-            found = reach(self.chain, q, foot)
-            if found is None and q is not self.home_rad:
-                found = reach(self.chain, self.home_rad, foot)
-            if found is not None:
-                out[k] = q = found
+            solution = reach(self.chain, q, foot)
+            if solution is None and q is not self.home_rad:
+                solution = reach(self.chain, self.home_rad, foot)
+            if solution is not None:
+                out[k] = q = solution
         return out
 
 
 @dataclass(frozen=True)
 class Masses:
-    """What a robot weighs, and what its motors give: the links and torques of a leg in the order of its joints."""
+    """A robot's masses and its motors' torques; links and torques of a leg in the order of its joints."""
 
     __pydantic_config__ = FileTable.model_config
     body_kg: PositiveLength
@@ -270,11 +270,11 @@ class Quadruped:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """All legs', in the order of `LEGS`."""
+        """Return the names of all legs' joints, in the order of `LEGS`."""
         return tuple(name for leg in self.legs.values() for name in leg.joints)
 
     def limits(self) -> tuple[Array, Array, Array]:
-        """Lower, upper and rate (joints,) of all legs' joints."""
+        """Return the lower and upper limit and the rate (joints,) of all legs' joints."""
         names = ("lower_rad", "upper_rad", "max_rate_rad_s")
         chains = [leg.chain for leg in self.legs.values()]
         lower, upper, rate = (np.concatenate([getattr(chain, name) for chain in chains]) for name in names)
@@ -282,47 +282,50 @@ class Quadruped:
 
     @cached_property
     def tree(self) -> Tree:
-        """The tree of the body, free in the world, and all legs: its state is the body's place, yaw, pitch and roll and
-        then `joints`; its markers are the body's origin and, of each leg, its joints and its foot."""
+        """Return the tree of the body, free in the world, and all legs.
+
+        Its state is the body's position, yaw, pitch and roll and then `joints`. Its markers are the body's origin and,
+        of each leg, its joints and its foot.
+        """
         segments, markers = [Segment("base", None, "free")], [Marker("base", "base")]
         for label, leg in self.legs.items():
-            own = leg.chain.tree
-            called = {segment.name: f"{label} {segment.name}" for segment in own.segments[1:]} | {"base": "base"}
-            for segment in own.segments[1:]:
-                on = called[segment.parent or "base"]
-                segments.append(replace(segment, name=called[segment.name], parent=on))
+            leg_tree = leg.chain.tree
+            called = {segment.name: f"{label} {segment.name}" for segment in leg_tree.segments[1:]} | {"base": "base"}
+            for segment in leg_tree.segments[1:]:
+                parent = called[segment.parent or "base"]
+                segments.append(replace(segment, name=called[segment.name], parent=parent))
                 markers.append(Marker(called[segment.name], called[segment.name]))
-            foot = own.markers[0]
+            foot = leg_tree.markers[0]
             markers.append(replace(foot, name=f"{label} foot", segment=called[foot.segment]))
         return Tree(tuple(segments), tuple(markers))
 
     @cached_property
     def foot_markers(self) -> list[int]:
-        """Where the feet are among the tree's markers, in the order of `LEGS`."""
+        """Return the indices of the feet among the tree's markers, in the order of `LEGS`."""
         names = [marker.name for marker in self.tree.markers]
         return [names.index(f"{label} foot") for label in LEGS]
 
     @cached_property
     def ground_m(self) -> float:
-        """The ground of the standing robot, in body axes: the mean of the feet."""
+        """Return the ground of the standing robot in body axes: the mean of the feet."""
         return float(np.mean([leg.neutral_m[2] for leg in self.legs.values()]))
 
     @cached_property
     def folding_m(self) -> Array:
-        """(4,): how high the legs lift their feet straight up from where they stand, in the order of `LEGS`."""
+        """Return how high (4,) the legs lift their feet straight up from standing, in the order of `LEGS`."""
         heights = []
         for leg in self.legs.values():
-            near, far = 0.0, -float(leg.neutral_m[2])
+            reached_m, unreached = 0.0, -float(leg.neutral_m[2])
             for _ in range(_BISECTIONS):
-                height = (near + far) / 2
+                height = (reached_m + unreached) / 2
                 reached = np.isfinite(leg.angles((leg.neutral_m + np.array([0.0, 0.0, height]))[None])).all()
-                near, far = (height, far) if reached else (near, height)
-            heights.append(near)
+                reached_m, unreached = (height, unreached) if reached else (reached_m, height)
+            heights.append(reached_m)
         return np.array(heights)
 
 
 def reach(chain: SerialChain, q: Array, foot_m: Array) -> Array | None:
-    """Angles (n,) within the limits that put the end effector there, from nearby ones; None if they are not found."""
+    """Return angles (n,) within the limits that put the end effector at a foot, from nearby ones; None if not found."""
     # Rates do not limit a single place: an iteration is given the time that the slowest joint takes for a turn.
     interval = 2 * np.pi / float(chain.max_rate_rad_s.min())
     run = drive_to(chain, q, foot_m, LeastNorm(), IK_TOLERANCE_M, max_iterations=200, interval_s=interval)
@@ -330,11 +333,11 @@ def reach(chain: SerialChain, q: Array, foot_m: Array) -> Array | None:
 
 
 def standing(chain: SerialChain, foot_m: Array) -> Array | None:
-    """Angles (n,) of the standing leg: reached from the middle of the limits, or else from random places in them."""
+    """Return angles (n,) of the standing leg, reached from the middle of the limits, or from random angles in them."""
     turns = _turns(chain)
     starts = [turns.mean(axis=0), *np.random.default_rng(0).uniform(turns[0], turns[1], (30, chain.n))]
-    found = (reach(chain, q, foot_m) for q in starts)
-    return next((q for q in found if q is not None), None)
+    candidates = (reach(chain, q, foot_m) for q in starts)
+    return next((q for q in candidates if q is not None), None)
 
 
 def _to_leg_axes(v: Array) -> Array:
@@ -345,21 +348,23 @@ def _to_leg_axes(v: Array) -> Array:
 
 
 def body_pose(position_m: ArrayLike, roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> RigidTransform:
-    """T_world_body of positions (..., 3) and angles (...)."""
+    """Return T_world_body of positions (..., 3) and angles (...)."""
     angles = np.stack(np.broadcast_arrays(yaw_rad, pitch_rad, roll_rad), axis=-1)
     return RigidTransform.from_components(np.asarray(position_m, float), Rotation.from_euler("ZYX", angles))
 
 
 def leg_targets(pose: RigidTransform, hips_m: ArrayLike, feet_m: ArrayLike) -> Array:
-    """Feet from their hips in body axes (..., L, 3), for T_world_body (...), hips (L, 3) in body axes and feet in the
-    world, (L, 3) or (..., L, 3)."""
+    """Return feet from their hips in body axes (..., L, 3).
+
+    `pose` is T_world_body (...), hips are (L, 3) in body axes, and feet (L, 3) or (..., L, 3) in the world.
+    """
     hips, feet = np.asarray(hips_m, float), np.asarray(feet_m, float)
     position, R = np.asarray(pose.translation), np.asarray(pose.rotation.as_matrix())
     return np.einsum("...lj,...jk->...lk", feet - position[..., None, :], R) - hips
 
 
 def feet_in_world(pose: RigidTransform, hips_m: ArrayLike, targets_m: ArrayLike) -> Array:
-    """The inverse: feet (..., L, 3) in the world of targets (..., L, 3) from the hips."""
+    """Return feet (..., L, 3) in the world of targets (..., L, 3) from the hips, the inverse of `leg_targets`."""
     position, R = np.asarray(pose.translation), np.asarray(pose.rotation.as_matrix())
     return np.einsum("...lk,...jk->...lj", np.asarray(targets_m) + np.asarray(hips_m), R) + position[..., None, :]
 
@@ -414,27 +419,29 @@ class _RobotFile(FileTable):
 
 
 def builtin_robots() -> tuple[str, ...]:
-    """Names of the robots that come with the package."""
+    """Return the names of the robots that come with the package."""
     return builtin_names("robotics/robots", ".toml")
 
 
 def load_robot(robot: str | Path) -> Quadruped:
-    """A built-in robot by name, or one of a file, .toml, .urdf or .xml (MJCF). Raises InputError, also for a robot that
-    cannot stand, and for joints named twice."""
+    """Return a built-in robot by name, or one of a file: .toml, .urdf or .xml (MJCF).
+
+    Raise InputError, also for a robot that cannot stand, and for joints named twice.
+    """
     if (path := Path(robot)).suffix.lower() in SUFFIXES:
-        found = _quadruped_of_model(path)
+        robot_of_file = _quadruped_of_model(path)
     else:
         choice = (*builtin_robots(), "a file .urdf or .xml")
         table, _ = named_table(robot, "robotics/robots", "--robot", "robot", choice)
-        found = _quadruped(str(robot), table)
+        robot_of_file = _quadruped(str(robot), table)
     problems = []
-    if len({*found.joints}) < len(found.joints):
-        problems.append(Problem(found.source, "joints", "one name for several", "a name for each"))
-    for label, leg in found.legs.items():
+    if len({*robot_of_file.joints}) < len(robot_of_file.joints):
+        problems.append(Problem(robot_of_file.source, "joints", "one name for several", "a name for each"))
+    for label, leg in robot_of_file.legs.items():
         if not np.isfinite(leg.angles(leg.neutral_m[None])).all():
-            problems.append(_cannot_stand(found.source, label))
+            problems.append(_cannot_stand(robot_of_file.source, label))
     raise_problems(problems)
-    return found
+    return robot_of_file
 
 
 def _quadruped(source: str, table: dict[str, Any]) -> Quadruped:
@@ -470,30 +477,31 @@ def _quadruped(source: str, table: dict[str, Any]) -> Quadruped:
 
 
 def _cannot_stand(source: str, label: str) -> Problem:
-    found = f"a leg {label} that does not reach the ground within its limits"
-    return Problem(source, "stand_m", found, "a height that it can stand at")
+    detail = f"a leg {label} that does not reach the ground within its limits"
+    return Problem(source, "stand_m", detail, "a height that it can stand at")
 
 
 def _quadruped_of_model(path: Path) -> Quadruped:
-    """The four chains of at least three moving joints that end in a leaf, told apart by where their hips are.
+    """Return a robot of the four chains of at least three moving joints that end in a leaf.
 
-    Of leaves on the same joints the farthest down is the foot. The hips stand at `STAND` of the stretched legs' length,
-    each foot below the leg's second joint. Raises InputError.
+    The legs are told from each other by the positions of their hips. If several leaves hang on the same joints, the
+    farthest down is the foot. The hips stand at `STAND` of the stretched legs' length, each foot below the leg's second
+    joint. Raise InputError for another number of chains.
     """
     model = read_model(path)
-    names, found = body_names(model), {}
+    names, chain_of_leaf = body_names(model), {}
     for leaf in leaves_of(model):
         joints = tuple(moving(model, way_to(model, leaf)))
         if len(joints) >= 3:
             chain = model_chain(model, path, names[leaf - 1], end_m=foot_of(model, leaf))
             low = chain.end(_turns(chain).mean(axis=0))[2]
-            if joints not in found or low < found[joints][0]:
-                found[joints] = (low, names[leaf - 1], chain)
-    if len(found) != 4:
-        ends = ", ".join(leaf for _, leaf, _ in found.values()) or "none"
+            if joints not in chain_of_leaf or low < chain_of_leaf[joints][0]:
+                chain_of_leaf[joints] = (low, names[leaf - 1], chain)
+    if len(chain_of_leaf) != 4:
+        ends = ", ".join(leaf for _, leaf, _ in chain_of_leaf.values()) or "none"
         expected = "four legs of three or more joints, and no arm"
-        raise InputError(Problem(path, "legs", f"{len(found)} chains: {ends}", expected))
-    chains = [chain for _, _, chain in found.values()]
+        raise InputError(Problem(path, "legs", f"{len(chain_of_leaf)} chains: {ends}", expected))
+    chains = [chain for _, _, chain in chain_of_leaf.values()]
     hips = np.array([chain.positions(np.zeros(chain.n))[1] for chain in chains])
     labels = [f"{'L' if y > 0 else 'R'}{'F' if x > 0 else 'H'}" for x, y, _ in hips - hips.mean(axis=0)]
     if sorted(labels) != sorted(LEGS):
@@ -514,7 +522,7 @@ def _quadruped_of_model(path: Path) -> Quadruped:
 
 
 def _turns(chain: SerialChain) -> Array:
-    """(2, n): limits, of joints without any half a turn each way."""
+    """Return limits (2, n); a joint without limits has half a turn each way."""
     return np.array([np.maximum(chain.lower_rad, -np.pi), np.minimum(chain.upper_rad, np.pi)])
 
 
@@ -522,7 +530,7 @@ def _turns(chain: SerialChain) -> Array:
 
 
 def the_mujoco(source: str | Path) -> Any:
-    """The module. Raises InputError where it is not installed; source: what it is needed for."""
+    """Return the module mujoco; raise InputError about `source` if it is not installed."""
     try:
         import mujoco
     except ImportError:
@@ -532,8 +540,10 @@ def the_mujoco(source: str | Path) -> Any:
 
 
 def read_model(path: str | Path, free: bool = False) -> Any:
-    """The file as MuJoCo's model (`MjModel`), fixed joints kept; free: its root moves freely in the world. Raises
-    InputError for a file that is none, and without MuJoCo."""
+    """Return a file as MuJoCo's model (`MjModel`), with its fixed joints.
+
+    `free` lets its root move freely in the world. Raise InputError for a file of another kind, and without MuJoCo.
+    """
     path, mujoco = Path(path), the_mujoco(path)
     if not path.is_file():
         raise InputError(Problem(path, "file", "no such file", "a URDF or MJCF file"))
@@ -553,21 +563,23 @@ def read_model(path: str | Path, free: bool = False) -> Any:
             warnings.simplefilter("ignore")  # masses that nothing moves by: kinematics do not need them
             model = spec.compile()
     except (ValueError, RuntimeError, mujoco.FatalError) as error:  # also where it has no memory
-        found = " ".join(str(error).split())[:160]
-        raise InputError(Problem(path, "content", found, "a URDF or MJCF file")) from None
-    for what, numbers in {"links": model.body_pos, "limits": model.jnt_range}.items():
+        detail = " ".join(str(error).split())[:160]
+        raise InputError(Problem(path, "content", detail, "a URDF or MJCF file")) from None
+    for quantity, numbers in {"links": model.body_pos, "limits": model.jnt_range}.items():
         if not (np.abs(numbers) < LARGEST).all():
-            raise InputError(Problem(path, what, "numbers that are none of a robot", "metres and radians"))
+            raise InputError(Problem(path, quantity, "numbers that are none of a robot", "metres and radians"))
     return model
 
 
 def rates_of(path: Path) -> dict[str, float]:
-    """The joints' fastest rates that a URDF file states, which MuJoCo does not keep; MJCF has none. Raises InputError
-    for limits of joints that it takes for none."""
+    """Return the joints' fastest rates that a URDF file states, which MuJoCo does not keep.
+
+    MJCF has none. Raise InputError for limits that are not numbers.
+    """
     try:
         stated = {j.get("name", ""): j.find("limit") for j in ElementTree.parse(path).getroot().iter("joint")}
         limits = {
-            name: [float(limit.get(what) or 0) for what in ("lower", "upper", "velocity")]
+            name: [float(limit.get(bound) or 0) for bound in ("lower", "upper", "velocity")]
             for name, limit in stated.items()
             if limit is not None
         }
@@ -576,29 +588,32 @@ def rates_of(path: Path) -> dict[str, float]:
     rates = {name: rate for name, (_, _, rate) in limits.items() if rate}
     wrong = [(n, f"limits {low:g}, {up:g}", "the lower one first") for n, (low, up, _) in limits.items() if low > up]
     wrong += [(n, f"velocity {r:g}", "a rate above 0") for n, r in rates.items() if not 1e-6 < r < LARGEST]
-    raise_problems(Problem(path, f"joint {name}", found, expected) for name, found, expected in wrong)
+    raise_problems(Problem(path, f"joint {name}", detail, expected) for name, detail, expected in wrong)
     return rates
 
 
 def body_names(model: Any) -> list[str]:
-    """The names of all bodies but the world; a body without a name is body 3, by its number."""
+    """Return the names of all bodies but the world; a body without a name is called by its number, as body 3."""
     return [model.body(k).name or f"body {k}" for k in range(1, model.nbody)]
 
 
 def root_of(model: Any) -> int:
-    """The body that moves freely in the world, or the first that hangs on it."""
+    """Return the body that moves freely in the world, or the first that hangs on it."""
     free = [int(model.jnt_bodyid[j]) for j in range(model.njnt) if model.jnt_type[j] == 0]
     return free[0] if free else 1
 
 
 def leaves_of(model: Any) -> list[int]:
-    """Bodies on which none hangs."""
+    """Return the bodies on which none hangs."""
     return [k for k in range(1, model.nbody) if k not in model.body_parentid[1:]]
 
 
 def foot_of(model: Any, leaf: int) -> Array:
-    """(3,) in the leaf's axes: its origin, or, of a link that a joint moves, as MJCF files end their legs, the middle
-    of the farthest sphere on it, or else shape."""
+    """Return the position (3,) of a foot in the leaf's axes.
+
+    It is the leaf's origin, or, if a joint moves the leaf, as MJCF files end their legs, the middle of the farthest
+    sphere on it, or else of the farthest shape.
+    """
     shapes = [g for g in range(model.ngeom) if model.geom_bodyid[g] == leaf]
     shapes = [g for g in shapes if model.geom_type[g] == 2] or shapes
     if not model.body_jntnum[leaf] or not shapes:
@@ -607,7 +622,7 @@ def foot_of(model: Any, leaf: int) -> Array:
 
 
 def way_to(model: Any, tip: int) -> list[int]:
-    """The bodies after the root as far as tip; empty where the tip does not hang on the root."""
+    """Return the bodies after the root as far as `tip`; empty where the tip does not hang on the root."""
     bodies, root = [], root_of(model)
     while tip not in (root, 0):
         bodies.append(tip)
@@ -616,16 +631,16 @@ def way_to(model: Any, tip: int) -> list[int]:
 
 
 def moving(model: Any, bodies: list[int]) -> list[int]:
-    """The joints of bodies, in their order."""
+    """Return the joints of bodies, in their order."""
     return [j for k in bodies for j in range(model.body_jntadr[k], model.body_jntadr[k] + model.body_jntnum[k])]
 
 
 def model_chain(model: Any, path: Path, tip: str, end_m: ArrayLike = (0.0, 0.0, 0.0)) -> SerialChain:
-    """The chain from the root to a body, with its limits; fixed joints are part of the links.
+    """Return the chain from the root to a body, with its limits; fixed joints are part of the links.
 
-    It is in the axes of the root, its end effector at end_m (3,) in those of the tip, its joints those that move.
-    Joints without limits of their angle turn freely, without one of the rate as fast as `MAX_RATE_RAD_S`. Raises
-    InputError.
+    It is in the axes of the root, its end effector at `end_m` (3,) in those of the tip, its joints those that move.
+    Joints without limits of their angle turn freely, those without a rate as fast as `MAX_RATE_RAD_S`. Raise InputError
+    for joints of another kind.
     """
     names, start = body_names(model), root_of(model)
     if tip not in names:
@@ -633,10 +648,10 @@ def model_chain(model: Any, path: Path, tip: str, end_m: ArrayLike = (0.0, 0.0, 
     way = way_to(model, last := names.index(tip) + 1)
     joints = moving(model, way)
     if not joints:
-        found = f"none that moves from {names[start - 1]} to {tip}"
-        raise InputError(Problem(path, "chain", found, "a link that joints move"))
-    other = [model.joint(j).name for j in joints if model.jnt_type[j] not in (2, 3)]  # slide, hinge
-    raise_problems(Problem(path, f"joint {name}", "another kind", "joints that turn or slide") for name in other)
+        detail = f"none that moves from {names[start - 1]} to {tip}"
+        raise InputError(Problem(path, "chain", detail, "a link that joints move"))
+    unlike = [model.joint(j).name for j in joints if model.jnt_type[j] not in (2, 3)]  # slide, hinge
+    raise_problems(Problem(path, f"joint {name}", "another kind", "joints that turn or slide") for name in unlike)
     mujoco = the_mujoco(path)
     mujoco.mj_kinematics(model, data := mujoco.MjData(model))  # all joints at 0
     root_axes, tip_axes = (data.xmat[body].reshape(3, 3) for body in (start, last))

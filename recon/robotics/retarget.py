@@ -109,20 +109,23 @@ class Animal:
 
 
 def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) -> Animal:
-    """stride_s: as `analyse`. Raises InputError where the clip shows no feet, or too few frames of all of them."""
+    """Return the reference of an animal's motion; `stride_s` as for `analyse`.
+
+    Raise InputError where the clip shows no feet, or too few frames of all of them.
+    """
     analysis = analyse(motion, stride_s=stride_s)
     if (gait := analysis.gait) is None or not {*LEGS} <= {*motion.foot_names}:
-        found = ", ".join(sorted(motion.foot_names)) or "none"
+        detail = ", ".join(sorted(motion.foot_names)) or "none"
         expected = "all four feet: fit the whole animal, not the chain of one side"
-        raise InputError(Problem(motion.file, "feet", found, expected))
+        raise InputError(Problem(motion.file, "feet", detail, expected))
     tracks, n = gait.tracks, len(gait.tracks.time_s)
     rear, front = (analysis.moved(name).series.value for name in motion.forward_names)
-    known = np.column_stack([tracks.foot_m.reshape(n, -1), tracks.body_m, front - rear])
-    ranges = frame_ranges(np.flatnonzero(np.isfinite(known).all(axis=1)))
+    columns = np.column_stack([tracks.foot_m.reshape(n, -1), tracks.body_m, front - rear])
+    ranges = frame_ranges(np.flatnonzero(np.isfinite(columns).all(axis=1)))
     rows = np.arange(*max(ranges, key=lambda one: one[1] - one[0], default=(0, 0)))
     if len(rows) < MIN_SAMPLES:
-        found = f"{len(rows) // 10} frames in a row with all feet and the trunk"
-        raise InputError(Problem(motion.file, "frames", found, f"at least {MIN_SAMPLES // 10}"))
+        detail = f"{len(rows) // 10} frames in a row with all feet and the trunk"
+        raise InputError(Problem(motion.file, "frames", detail, f"at least {MIN_SAMPLES // 10}"))
     time, body, trunk = tracks.time_s[rows], tracks.body_m[rows], (front - rear)[rows]
     chord = body[-1] - body[0]
     if np.hypot(*chord[:2]) < tracks.leg_m / 2:
@@ -161,8 +164,10 @@ def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) ->
 
 
 def _angles(analysis: ClipAnalysis, rows: Index, to_world: Rotation, trunk: Array) -> Array:
-    """Roll, pitch and yaw (N, 3) of the trunk; the roll is that of the lines between where the legs hang on it: the
-    first joints of the limbs to a left and a right foot that differ."""
+    """Return roll, pitch and yaw (N, 3) of the trunk.
+
+    The roll is that of the lines between the first joints of the limbs to a left and a right foot.
+    """
     motion, ahead = analysis.motion, to_world.apply(trunk)
     yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
     pitch = -np.arctan2(ahead[:, 2], np.hypot(ahead[:, 0], ahead[:, 1]))
@@ -182,42 +187,43 @@ def _angles(analysis: ClipAnalysis, rows: Index, to_world: Rotation, trunk: Arra
 
 
 def stride_window(animal: Animal) -> StrideWindow:
-    """The stride that was given, or a complete one, the first of the foot with the most, or else the nearest return of
-    all feet.
+    """Return the stride that was given, or a complete one, or the nearest return of all feet.
 
-    As no foot has landed twice then, a stride takes at least the time from the first touchdown to the end of the clip.
+    A complete stride is the first one of the foot with the most. If no foot has landed twice, a stride takes at least
+    the time from the first touch-down to the end of the clip.
     """
     feet, time = animal.reference.feet_m, animal.reference.time_s
     within = [s for s in animal.gait.strides if time[0] - 1e-9 <= s.start_s and s.end_s <= time[-1] + 1e-9]
     of_feet = [s.foot for s in within]
-    how, stride = "stride", min(within, key=lambda s: (-of_feet.count(s.foot), s.start_s), default=None)
-    if (given := animal.analysis.given) is not None:
-        how, stride = "given", given
+    source, stride = "stride", min(within, key=lambda s: (-of_feet.count(s.foot), s.start_s), default=None)
+    if (window_given := animal.analysis.given) is not None:
+        source, stride = "given", window_given
     if stride is not None:
         first, last = (int(np.argmin(np.abs(time - t))) for t in (stride.start_s, stride.end_s))
         if time[last] - time[first] < 0.8 * (stride.end_s - stride.start_s):
             expected = f"within {time[0]:.3f}:{time[-1]:.3f}, where all feet are seen"
             raise InputError(Problem("--stride", "times", f"{stride.start_s:g}:{stride.end_s:g}", expected))
     else:
-        how, first, last = "return", 0, len(time) - 1
+        source, first, last = "return", 0, len(time) - 1
         duration = float(time[-1] - time[0])
         landed = min((s.start_s for s in animal.gait.stances if s.begins), default=float(time[0]))
         least = min(duration, max(duration / 2, float(time[-1]) - landed))
         flat, best = feet.reshape(len(time), -1), np.inf
         for start in range(0, len(time), max(1, len(time) // 200)):
             ends = np.flatnonzero(time - time[start] >= least - 1e-9)
-            apart = np.linalg.norm(flat[ends] - flat[start], axis=1)
-            if apart.min(initial=np.inf) < best:
-                best, first, last = float(apart.min()), start, int(ends[np.argmin(apart)])
+            distances = np.linalg.norm(flat[ends] - flat[start], axis=1)
+            if distances.min(initial=np.inf) < best:
+                best, first, last = float(distances.min()), start, int(ends[np.argmin(distances)])
     extent = np.linalg.norm(np.ptp(feet[first : last + 1], axis=0), axis=-1)
     gap = 100 * float(np.mean(np.linalg.norm(feet[last] - feet[first], axis=-1) / extent))
-    return StrideWindow(first, last, how, gap)
+    return StrideWindow(first, last, source, gap)
 
 
 def closed_stride(animal: Animal, window: StrideWindow) -> Reference:
-    """The window as a stride that repeats: gaps are spread evenly over it, and `HARMONICS` kept. It goes straight on.
+    """Return the window as a stride that repeats and goes straight on.
 
-    A foot that does not stand in the window stands when it does so before or after, one stride away.
+    Gaps are spread evenly over it, and `HARMONICS` kept. A foot that does not stand in the window stands when it does
+    so one stride before or after.
     """
     whole = animal.reference
     n = window.last - window.first
@@ -240,8 +246,8 @@ def closed_stride(animal: Animal, window: StrideWindow) -> Reference:
 
     standing = whole.standing[window.first : window.last + 1].copy()
     for k in np.flatnonzero(~standing.any(axis=0)):
-        at = np.flatnonzero(whole.standing[:, k]) - window.first
-        standing[at % n, k] = True
+        indices = np.flatnonzero(whole.standing[:, k]) - window.first
+        standing[indices % n, k] = True
     standing[-1] = standing[0] = standing[0] | standing[-1]
     return replace(
         whole,
@@ -276,8 +282,10 @@ EASE, SOFT = 0.28, 0.1
 
 @dataclass(frozen=True, eq=False)
 class KeptMotion:
-    """A robot's motion at N times as plain arrays, its 4 legs in the order of `LEGS`, its joints in that of
-    robot.joints."""
+    """A robot's motion at N times as plain arrays.
+
+    Its 4 legs are in the order of `LEGS`, its joints in that of robot.joints.
+    """
 
     scale: float
     slower: float
@@ -307,17 +315,17 @@ class RobotMotion(KeptMotion):
 
     @cached_property
     def pose(self) -> RigidTransform:
-        """The base's poses in the world, T_world_body, N of them."""
+        """Return the base's poses in the world, T_world_body, N of them."""
         return RigidTransform.from_components(self.position_m, Rotation.from_quat(self.quaternion_xyzw))
 
     def leg_angles(self, label: str) -> Array:
-        """(N, n) of one leg."""
+        """Return the angles (N, n) of one leg."""
         counts = [len(leg.joints) for leg in self.robot.legs.values()]
         return np.split(self.angles_rad, np.cumsum(counts)[:-1], axis=1)[LEGS.index(label)]
 
     @cached_property
     def _spline(self) -> CubicSpline:
-        """Through the states of `Quadruped.tree`, less the way of a stride that repeats."""
+        """Return a spline through the states of `Quadruped.tree`, less the way of a stride that repeats."""
         turn = np.unwrap(self.pose.rotation.as_euler("ZYX"), axis=0)
         states = np.hstack([self.position_m, turn, self.angles_rad])
         if self.advance_m is None:
@@ -326,38 +334,40 @@ class RobotMotion(KeptMotion):
         return CubicSpline(self.time_s, np.concatenate([states[:-1], states[:1]]), bc_type="periodic")
 
     def states(self, time_s: Array, derivative: int = 0) -> Array:
-        """The states (K, 6 + joints) of `Quadruped.tree` at times (K,), or their derivatives: of cubic splines through
-        the samples, of which there are ten for each of the clip's frames."""
-        found = self._spline(time_s, derivative)
+        """Return the states (K, 6 + joints) of `Quadruped.tree` at times (K,), or their derivatives.
+
+        They are those of cubic splines through the samples, ten for each of the clip's frames.
+        """
+        states = self._spline(time_s, derivative)
         if self.advance_m is not None and derivative < 2:
             share = (time_s - self.time_s[0], np.ones(len(time_s)))[derivative] / (self.time_s[-1] - self.time_s[0])
-            found[:, :2] += share[:, None] * self.advance_m
-        return found
+            states[:, :2] += share[:, None] * self.advance_m
+        return states
 
     def stands_at(self, time_s: Array) -> Bools:
-        """Which feet stand at the samples nearest to times (K,), shape (K, 4)."""
+        """Return which feet stand at the samples nearest to times (K,), shape (K, 4)."""
         return self.standing[np.argmin(np.abs(self.time_s[None] - time_s[:, None]), axis=1)]
 
     @cached_property
     def rate_share(self) -> Array:
-        """(joints,): the fastest rate between two samples, of the limit."""
+        """Return the fastest rate of each joint (joints,) between two samples, relative to its limit."""
         rates = np.diff(self.angles_rad, axis=0) / np.diff(self.time_s)[:, None]
         return np.abs(rates).max(axis=0) / self.robot.limits()[2]
 
     @cached_property
     def margin_rad(self) -> Array:
-        """(joints,): the least distance from a limit, negative beyond it."""
+        """Return the least distance of each joint (joints,) from a limit, negative beyond it."""
         lower, upper, _ = self.robot.limits()
         return np.minimum(self.angles_rad - lower, upper - self.angles_rad).min(axis=0)
 
     def points(self, label: str) -> Array:
-        """A leg's hip, joints and foot in the world (N, ., 3)."""
+        """Return a leg's hip, joints and foot in the world (N, ., 3)."""
         along = self.robot.legs[label].chain.positions(self.leg_angles(label))
         return feet_in_world(self.pose, np.zeros(3), along)
 
     @cached_property
     def apart_m(self) -> float:
-        """The least distance between the fore and the hind leg of a side, by nine points along each link."""
+        """Return the least distance between the fore and the hind leg of a side, by nine points along each link."""
         share, legs = np.linspace(0.0, 1.0, 9)[:, None], {}
         for label in LEGS:
             points = self.points(label)[::_EVERY]
@@ -368,8 +378,10 @@ class RobotMotion(KeptMotion):
 
     @cached_property
     def slip_m(self) -> Array:
-        """(4,): farthest that a foot gets from where it stood first, in any stance, by the joints' angles at the
-        samples and half-way between them. 0 for a foot that never stands."""
+        """Return how far each foot (4,) slips in any stance, by the joints' angles at and between samples.
+
+        It is 0 for a foot that never stands.
+        """
         fine = np.linspace(self.time_s[0], self.time_s[-1], 2 * len(self.time_s) - 1)
         feet = self.robot.tree.pose(self.states(fine)).points_m[:, self.robot.foot_markers]
         stood = [[feet[2 * a : 2 * b + 1, k] for a, b in stances(self.standing[:, k])] for k in range(len(LEGS))]
@@ -377,7 +389,7 @@ class RobotMotion(KeptMotion):
 
     @cached_property
     def closing_percent(self) -> float:
-        """For a stride that repeats: the largest difference of an angle between its ends, of the angle's range."""
+        """Return, for a stride that repeats, the largest difference of an angle between its ends, % of its range."""
         return 100 * float(np.max(np.abs(self.angles_rad[-1] - self.angles_rad[0]) / np.ptp(self.angles_rad, axis=0)))
 
 
@@ -402,8 +414,11 @@ def retarget(
     slower: float | None = None,
     window: StrideWindow | None = None,
 ) -> Retargeting:
-    """scale: of lengths, None: the largest that fits; slower: factor on times, None: as the rates ask for; window: of
-    the stride, by default the one that is found."""
+    """Return an animal's motion on a robot.
+
+    `scale` is the factor of lengths; None: the largest that fits. `slower` is the factor of times; None: as the rates
+    ask for. `window` is the stride; None: one that is found.
+    """
     window = window or stride_window(animal)
     moved, repeats, spread = on_robot(animal.reference, closed_stride(animal, window), robot, scale, slower)
     return Retargeting(animal, window, moved, repeats, spread)
@@ -412,8 +427,7 @@ def retarget(
 def on_robot(
     clip: Reference, stride: Reference, robot: Quadruped, scale: float | None = None, slower: float | None = None
 ) -> tuple[RobotMotion, RobotMotion, float]:
-    """A clip and a closed stride of it, as a robot's motions, and how far its hind feet go outside.
-    scale, slower: as of `retarget`."""
+    """Return a clip and a stride of it as a robot's motions, and how far the hind feet go outside; see `retarget`."""
     tried: list[tuple[float, list[RobotMotion], float]] = []
     enough = LEGS_APART * robot.stand_m
     for share in SPREADS:
@@ -435,12 +449,12 @@ def on_robot(
 
 
 def slowed(motion: RobotMotion, factor: float) -> RobotMotion:
-    """The motion, as much slower as is said."""
+    """Return a motion slowed down by a factor."""
     return replace(motion, slower=factor * motion.slower, time_s=factor * motion.time_s)
 
 
 def largest_scale(references: tuple[Reference, ...], robot: Quadruped, spread_m: float = 0.0) -> float:
-    """The largest at which every foot is in reach; where none of `SCALES` is, half of the largest."""
+    """Return the largest scale at which every foot is in reach; if none of `SCALES` is, half of the largest."""
     most = robot.stand_m / references[0].leg_m
 
     def fits(scale: float, every: int) -> bool:
@@ -458,7 +472,7 @@ def largest_scale(references: tuple[Reference, ...], robot: Quadruped, spread_m:
 def place(
     reference: Reference, robot: Quadruped, scale: float, spread_m: float = 0.0
 ) -> tuple[RigidTransform, Array, Bools]:
-    """T_world_body (N), the feet in the world (N, 4, 3) with their footholds, and which stand (N, 4)."""
+    """Return T_world_body (N), the feet in the world (N, 4, 3) with their footholds, and which stand (N, 4)."""
     roll, pitch, yaw = reference.roll_pitch_yaw_rad.T
     position = scale * reference.base_m
     position[:, 2] = _within(position[:, 2], LIFT * robot.stand_m) - robot.ground_m
@@ -483,8 +497,11 @@ def place(
 
 
 def posed(robot: Quadruped, time_s: Array, pose: RigidTransform, feet_m: Array, standing: Bools) -> RobotMotion:
-    """The motion of a robot from T_world_body (N), feet in the world (N, 4, 3) and which stand (N, 4); feet out of
-    reach are drawn in."""
+    """Return the motion of a robot from poses and feet.
+
+    `pose` is T_world_body (N), the feet are (N, 4, 3) in the world, and `standing` (N, 4). Feet out of reach are drawn
+    in.
+    """
     targets = leg_targets(pose, np.zeros(3), feet_m)
     solved = [drawn_in(leg, targets[:, k]) for k, leg in enumerate(robot.legs.values())]
     angles = np.concatenate([angles for angles, _ in solved], axis=1)
@@ -494,20 +511,22 @@ def posed(robot: Quadruped, time_s: Array, pose: RigidTransform, feet_m: Array, 
 
 
 def drawn_in(leg: RobotLeg, feet_m: Array) -> tuple[Array, Bools]:
-    """Angles (T, n) of feet (T, 3) in body axes, and which of them (T,) are out of reach: these are drawn towards the
-    neutral place as little as needed."""
+    """Return angles (T, n) of feet (T, 3) in body axes, and which of them (T,) are out of reach.
+
+    A foot out of reach is drawn towards its neutral position as little as needed.
+    """
     angles = leg.angles(feet_m)
     short = ~np.asarray(np.isfinite(angles).all(axis=1))
     if not short.any():
         return angles, short
     away = feet_m[short] - leg.neutral_m
-    near, step = np.zeros(len(away)), 0.5
+    shares, step = np.zeros(len(away)), 0.5
     angles[short] = leg.angles(leg.neutral_m[None])
     for _ in range(_BISECTIONS):
-        tried = leg.angles(leg.neutral_m + (near + step)[:, None] * away)
+        tried = leg.angles(leg.neutral_m + (shares + step)[:, None] * away)
         good = np.isfinite(tried).all(axis=1)
         angles[np.flatnonzero(short)[good]] = tried[good]
-        near, step = near + step * good, step / 2
+        shares, step = shares + step * good, step / 2
     return angles, short
 
 
@@ -519,14 +538,14 @@ def _within(values: Array, limit: float | Array) -> Array:
 
 
 def stances(standing: Bools) -> list[tuple[int, int]]:
-    """First and last sample of each."""
+    """Return the first and the last sample of each stance."""
     return [(first, end - 1) for first, end in frame_ranges(np.flatnonzero(standing))]
 
 
 def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | None = None) -> Array:
-    """A path (N, 3), ground at z = 0, standing (N,) -> the same with footholds, nowhere below the ground.
+    """Return a path (N, 3) with footholds where a foot stands (N,), nowhere below the ground, z = 0.
 
-    advance_m (2,): for a stride that repeats, by how far its last sample is ahead of its first.
+    `advance_m` (2,) is, for a stride that repeats, how far its last sample is ahead of its first.
     """
     if advance_m is not None:
         n, period, ahead = len(time_s) - 1, time_s[-1] - time_s[0], np.append(advance_m, 0.0)
@@ -547,47 +566,51 @@ def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | No
     moving[:, 2] = (moving[:, 2] + np.hypot(moving[:, 2], SOFT * np.ptp(path_m[:, 2]))) / 2
     if not ends:
         return moving
-    before, after, since, until, lasts = _swings(time_s, standing)
+    last_standing, next_standing, since, until, lasts = _swings(time_s, standing)
     share = np.minimum(np.minimum(since, until) / (EASE * lasts), 1.0)[:, None]
-    hold = place[np.where(since <= until, before, np.minimum(after, len(time_s) - 1))]
+    hold = place[np.where(since <= until, last_standing, np.minimum(next_standing, len(time_s) - 1))]
     return hold + share**2 * (6 - 8 * share + 3 * share**2) * (moving - hold)
 
 
 def _swings(time_s: Array, standing: Bools) -> tuple[Array, Array, Array, Array, Array]:
-    """For each sample (N,) the last before it and the first after it that stand, the times since and until then, and
-    how long the swing lasts."""
+    """Return the standing samples around each sample (N,), and the times to them.
+
+    These are the last before it and the first after it, the times since and until then, and how long the swing lasts.
+    """
     samples = np.arange(len(time_s))
-    before = np.maximum.accumulate(np.where(standing, samples, -1))
-    after = np.minimum.accumulate(np.where(standing, samples, len(samples))[::-1])[::-1]
-    since, until = time_s - np.append(time_s, -np.inf)[before], np.append(time_s, np.inf)[after] - time_s
+    last_standing = np.maximum.accumulate(np.where(standing, samples, -1))
+    next_standing = np.minimum.accumulate(np.where(standing, samples, len(samples))[::-1])[::-1]
+    since, until = time_s - np.append(time_s, -np.inf)[last_standing], np.append(time_s, np.inf)[next_standing] - time_s
     swing = since + until
     # A swing that the clip cuts is as long as the longest other one.
     longest = swing[np.isfinite(swing)].max() or time_s[-1] - time_s[0]
-    return before, after, since, until, np.where(np.isfinite(swing) & ~standing, swing, longest)
+    return last_standing, next_standing, since, until, np.where(np.isfinite(swing) & ~standing, swing, longest)
 
 
 def swinging(motion: RobotMotion) -> Array:
-    """(N, 4): 0 where a foot stands, 1 in the middle of its swings, and smooth between."""
+    """Return weights (N, 4), 0 where a foot stands, 1 in the middle of its swings, and smooth between."""
     time, standing, n = motion.time_s, motion.standing, len(motion.time_s) - 1
     if motion.advance_m is not None:
         lasts = time[-1] - time[0]
         time = np.concatenate([time[:-1] - lasts, time[:-1], time + lasts])
         standing = np.concatenate([standing[:-1], standing[:-1], standing])
-    found = np.ones(standing.shape)
+    weights = np.ones(standing.shape)
     for foot in np.flatnonzero(standing.any(axis=0)):
         _, _, since, until, lasts = _swings(time, standing[:, foot])
         share = np.minimum(2 * np.minimum(since, until) / lasts, 1.0)
-        found[:, foot] = share**3 * (10 - 15 * share + 6 * share**2)
-    return found if motion.advance_m is None else found[n : 2 * n + 1]
+        weights[:, foot] = share**3 * (10 - 15 * share + 6 * share**2)
+    return weights if motion.advance_m is None else weights[n : 2 * n + 1]
 
 
 def moved_by(motion: RobotMotion, off: Array, robot: Quadruped | None = None) -> RobotMotion:
-    """The motion with its base moved by off (N, 6): its place, yaw, pitch and roll. Feet that stand stay where they
-    are, those that swing go with the base. robot: the same with other limits."""
+    """Return a motion with its base moved by `off` (N, 6): its position, yaw, pitch and roll.
+
+    Standing feet stay where they are, swinging feet go with the base. `robot` is the same robot with other limits.
+    """
     yaw, pitch, roll = motion.pose.rotation.as_euler("ZYX").T + off[:, 3:].T
     pose, loose = body_pose(motion.pose.translation + off[:, :3], roll, pitch, yaw), swinging(motion)[..., None]
     along = feet_in_world(pose, np.zeros(3), leg_targets(motion.pose, np.zeros(3), motion.feet_m))
     feet = motion.feet_m + loose * (along - motion.feet_m)
     feet[..., 2] = (feet[..., 2] + np.hypot(feet[..., 2], CLEAR * motion.robot.stand_m * loose[..., 0])) / 2
-    again = replace(posed(robot or motion.robot, motion.time_s, pose, feet, motion.standing), robot=motion.robot)
-    return replace(again, scale=motion.scale, slower=motion.slower, advance_m=motion.advance_m)
+    moved = replace(posed(robot or motion.robot, motion.time_s, pose, feet, motion.standing), robot=motion.robot)
+    return replace(moved, scale=motion.scale, slower=motion.slower, advance_m=motion.advance_m)
