@@ -239,7 +239,8 @@ def one_animal(
 
 def frames_seen(stored: StoredPoints) -> np.ndarray:
     """Return the numbers of the frames in which any point is known."""
-    return stored.frames[np.isfinite(stored.values).all(axis=2).any(axis=1)]
+    known = np.asarray(np.isfinite(stored.values).all(axis=2))
+    return stored.frames[np.asarray(known.any(axis=-1))]
 
 
 def without_zeros(stored: StoredPoints) -> StoredPoints:
@@ -261,9 +262,8 @@ def without_zeros(stored: StoredPoints) -> StoredPoints:
 def joined_tracks(path: Path, tracks: Sequence[StoredPoints], individual: str) -> StoredPoints:
     """Return the tracks of one animal in one file as one; raise InputError if two have points in the same frame."""
     first = tracks[0]
-    shared = [
-        a for i, track in enumerate(tracks) for b in tracks[:i] for a in np.intersect1d(*map(frames_seen, (track, b)))
-    ]
+    seen = [frames_seen(track) for track in tracks]
+    shared = [frame for i, a in enumerate(seen) for b in seen[:i] for frame in np.intersect1d(a, b).tolist()]
     if shared:
         found = f"points of two of them in frame {min(shared)}" + f" and {len(shared) - 1} more" * (len(shared) > 1)
         expected = "tracks that never overlap in time, of one animal"

@@ -313,7 +313,7 @@ def _of_geometry(settings: _SkeletonDraftSettings) -> SkeletonDraft:
 
 def _require_size(positions_m: Array, settings: _SkeletonDraftSettings) -> None:
     """Raise InputError for an animal so large that the calibration is in another unit."""
-    known = np.isfinite(positions_m).all(axis=2)
+    known = np.asarray(np.isfinite(positions_m).all(axis=2))
     enough = known.sum(axis=1) >= MIN_JOINTS
     if not enough.any():
         return
