@@ -93,7 +93,7 @@ def public_classes(tree: ast.Module) -> list[str]:
 
 _WORDS = """
 again alike also another apart aside away before behind beside both each even far found given held here how its more
-most much now of off once one only other others out own said so some still such than that their then there these they
+most much now of off once one only other others own said so some still such than that their then there these they
 this those thus told too us very what when where which while who whose why with within yet
 """
 FUNCTION_WORDS = frozenset(_WORDS.split())

@@ -30,7 +30,7 @@ class Brief:
 
 
 def _brief(part: Any) -> str:
-    """A part of an object in a few words: a long one by its shape, its number of items, or its class."""
+    """Return a part of an object in a few words: a long one by its shape, its number of items, or its class."""
     if isinstance(part, np.ndarray):
         return f"array {part.shape}" if part.size > SMALL else f"array {part.tolist()}"
     text = f"{part:.6g}" if isinstance(part, float) else " ".join(repr(part).split())
@@ -55,25 +55,25 @@ def to_plain(value: Any, digits: int = 9) -> Any:
 
 
 def finite(values: Array | Sequence[float]) -> Array:
-    """The values of an array that are neither NaN nor infinite, in one row."""
+    """Return the values of an array that are neither NaN nor infinite, in one row."""
     values = np.asarray(values, dtype=float)
     return values[np.isfinite(values)]
 
 
 def mean(values: Array | Sequence[float]) -> float:
-    """The mean of the values that are known, NaN where none is."""
+    """Return the mean of the values that are known, NaN if none is."""
     known = finite(values)
     return float(known.mean()) if len(known) else np.nan
 
 
 def median(values: Array | Sequence[float]) -> float:
-    """The median of the values that are known, NaN where none is."""
+    """Return the median of the values that are known, NaN if none is."""
     known = finite(values)
     return float(np.median(known)) if len(known) else np.nan
 
 
 def mean_along(values: Array, axis: int | tuple[int, ...]) -> Array:
-    """The mean along an axis, or several, of the values that are known, NaN where none is."""
+    """Return the mean of the known values along an axis, or several, NaN where none is."""
     known = ~np.isnan(values)
     count = known.sum(axis=axis)
     total = np.sum(values, axis=axis, where=known)

@@ -1,6 +1,7 @@
-"""Files of unknown origin: JSON, TOML and NumPy's archives of arrays; and the files that come with the package.
+"""Read files of unknown origin: JSON, TOML, NumPy's archives of arrays, and the files of the package.
 
-Whatever is in them, the answer is a table, arrays or an InputError: sizes are limited before anything is unpacked."""
+Whatever is in them, the answer is a table, arrays or an InputError: sizes are limited before anything is unpacked.
+"""
 
 from __future__ import annotations
 
@@ -34,8 +35,10 @@ MAX_TOML_BYTES = 1 << 23
 
 @contextmanager
 def damage_named(source: str | Path, expected: str, field: str = "content") -> Iterator[None]:
-    """Around the reading of a file: what Python and libraries say of a damaged one, which is almost any exception,
-    becomes an InputError. expected: of a whole one."""
+    """Turn what Python and libraries raise on a damaged file, almost any exception, into an InputError.
+
+    expected: what a whole file would be, in the message.
+    """
     try:
         yield
     except (InputError, AssertionError, NameError, ImportError):  # all but the first are no fault of the file
@@ -45,35 +48,43 @@ def damage_named(source: str | Path, expected: str, field: str = "content") -> I
     except RecursionError:
         raise InputError(Problem(source, field, "tables or lists that are nested too deeply", expected)) from None
     except Exception as error:
-        said = " ".join(str(getattr(error, "strerror", None) or error).split())[:200] or type(error).__name__
-        found = f"an entry without {said}" if isinstance(error, KeyError) else f"data that cannot be read ({said})"
-        raise InputError(Problem(source, field, found, expected)) from None
+        message = " ".join(str(getattr(error, "strerror", None) or error).split())[:200] or type(error).__name__
+        damage = (
+            f"an entry without {message}" if isinstance(error, KeyError) else f"data that cannot be read ({message})"
+        )
+        raise InputError(Problem(source, field, damage, expected)) from None
 
 
-def read_text(path: Path, expected: str, most: int = MAX_BYTES) -> str:
-    """A text in UTF-8. expected: what the file should be, in a message. Raises InputError for anything else."""
-    return text_of(read_content(path, expected, most), path, expected)
+def read_text(path: Path, expected: str, most_bytes: int = MAX_BYTES) -> str:
+    """Return a text in UTF-8.
+
+    expected: what the file should be, in a message. Raises InputError for anything else.
+    """
+    return text_of(read_content(path, expected, most_bytes), path, expected)
 
 
 def text_of(content: bytes, source: str | Path, expected: str) -> str:
-    """What bytes in UTF-8 say. Raises InputError for others."""
+    """Return what bytes in UTF-8 say. Raises InputError for others."""
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        found = f"byte {error.start + 1} of the file is not UTF-8"
-        raise InputError(Problem(source, "text", found, f"{expected}, as text in UTF-8")) from None
+        fault = f"byte {error.start + 1} of the file is not UTF-8"
+        raise InputError(Problem(source, "text", fault, f"{expected}, as text in UTF-8")) from None
 
 
-def read_content(path: Path, expected: str, most: int = MAX_BYTES) -> bytes:
-    """The content of a file as bytes, with the same checks as `read_text`."""
-    content = read_head(path, expected, most + 1)
-    if len(content) > most:
-        raise InputError(Problem(path, "file", f"more than {most >> 20} MB", expected))
+def read_content(path: Path, expected: str, most_bytes: int = MAX_BYTES) -> bytes:
+    """Return the content of a file as bytes, with the same checks as `read_text`."""
+    content = read_head(path, expected, most_bytes + 1)
+    if len(content) > most_bytes:
+        raise InputError(Problem(path, "file", f"more than {most_bytes >> 20} MB", expected))
     return content
 
 
 def read_head(path: Path, expected: str = "a file that can be read", length: int = 64) -> bytes:
-    """The first bytes of a file. Raises InputError for anything but a file that can be read, or with nothing in it."""
+    """Return the first bytes of a file.
+
+    Raises InputError for anything but a file that can be read, or with nothing in it.
+    """
     require_file(path, expected)
     with damage_named(path, expected, "file"), path.open("rb") as file:
         head = file.read(min(os.fstat(file.fileno()).st_size, length))
@@ -91,24 +102,25 @@ def utf8_path(path: Path) -> str:
 
 
 def require_file(path: Path, expected: str = "a file that can be read") -> None:
-    """Raises InputError for anything but a file, such as a pipe, which reading would wait for."""
+    """Raise InputError for anything but a file, such as a pipe, which reading would wait for."""
     with damage_named(path, expected, "file"):
         if not path.is_file():
-            found = "a folder" if path.is_dir() else "a pipe or a device" if path.exists() else "no such file"
-            raise InputError(Problem(path, "file", found, expected))
+            kind_of_file = "a folder" if path.is_dir() else "a pipe or a device" if path.exists() else "no such file"
+            raise InputError(Problem(path, "file", kind_of_file, expected))
 
 
 def read_json(path: Path, expected: str) -> Any:
-    """Raises InputError for anything but a file of JSON."""
+    """Return what a file of JSON says. Raises InputError for anything else."""
     return parse_json(read_text(path, expected), path, expected)
 
 
 def read_toml(path: Path, expected: str = "a TOML file") -> dict[str, Any]:
-    """Raises InputError for anything but a file of TOML."""
+    """Return the table of a file of TOML. Raises InputError for anything else."""
     return parse_toml(read_text(path, expected, MAX_TOML_BYTES), path, expected)
 
 
 def parse_json(text: str, source: str | Path, expected: str = "JSON") -> Any:
+    """Return what a text of JSON says. Raises InputError for anything else."""
     with damage_named(source, expected):
         return json.loads(text)
 
@@ -117,6 +129,7 @@ _LONG_KEY = re.compile(r"""(?<![\w"'-])(?:(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)[ \t]
 
 
 def parse_toml(text: str, source: str | Path, expected: str = "TOML") -> dict[str, Any]:
+    """Return the table of a text of TOML. Raises InputError for anything else."""
     with damage_named(source, expected):
         if _LONG_KEY.search(text):
             raise RecursionError  # tomllib takes the square of a key's length in time and memory
@@ -130,7 +143,10 @@ _adapter = cache(TypeAdapter)  # takes longer to make than a table to check
 
 
 def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path) -> _Model:
-    """A table as a model, pydantic's or a dataclass. Raises InputError with everything that is wrong with it."""
+    """Return a table as a model, pydantic's or a dataclass.
+
+    Raises InputError with everything that is wrong with it.
+    """
     adapter = _adapter(model)
     try:
         return adapter.validate_python(table)
@@ -149,20 +165,22 @@ KINDS = "biuf"
 
 
 def arrays_of(content: bytes, kinds: str) -> dict[str, np.ndarray]:
-    """The arrays of a NumPy archive by name. kinds: of their types, as NumPy names them; "O", pickles, is none. Raises
-    whatever NumPy and zipfile do, also for other types and too much memory: sizes are checked before anything is
-    unpacked."""
-    found = {}
+    """Return the arrays of a NumPy archive by name.
+
+    kinds: of their types, as NumPy names them; "O", pickles, is none. Raises whatever NumPy and zipfile do, also for
+    other types and too much memory: sizes are checked before anything is unpacked.
+    """
+    arrays = {}
     with zipfile.ZipFile(BytesIO(content)) as archive:
         check_unpacked_size(archive)
-        for one in archive.infolist():
-            with archive.open(one) as file:  # no more than the size that it states: the whole of it may be larger
-                found[one.filename.removesuffix(".npy")] = _array(file.read(one.file_size), kinds)
-    return found
+        for entry in archive.infolist():
+            with archive.open(entry) as file:  # no more than the size that it states: the whole of it may be larger
+                arrays[entry.filename.removesuffix(".npy")] = _array(file.read(entry.file_size), kinds)
+    return arrays
 
 
 def check_unpacked_size(archive: zipfile.ZipFile) -> None:
-    """Raises ValueError for a zip archive that is unpacked to more than `MAX_UNPACKED`, or to too many files."""
+    """Raise ValueError for a zip archive that is unpacked to more than `MAX_UNPACKED`, or to too many files."""
     infos = archive.infolist()
     size = sum(info.file_size for info in infos)
     if len(infos) > MAX_ARRAYS or size > MAX_UNPACKED:
@@ -172,7 +190,7 @@ def check_unpacked_size(archive: zipfile.ZipFile) -> None:
 
 
 def _array(content: bytes, kinds: str) -> np.ndarray:
-    """The array of an .npy file whose header says what follows. Raises ValueError for any other."""
+    """Return the array of an .npy file whose header says what follows. Raises ValueError for any other."""
     file = BytesIO(content)
     version = np.lib.format.read_magic(file)
     read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
@@ -204,43 +222,46 @@ class FileTable(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-def unknown(source: str, names: Iterable[tuple[str, str]], known: Iterable[str], what: str = "") -> Iterator[Problem]:
-    """The problems of names that are not among the known ones, each with the field that it stands in."""
+def unknown(source: str, names: Iterable[tuple[str, str]], known: Iterable[str], prefix: str = "") -> Iterator[Problem]:
+    """Yield the problems of names that are not among the known ones, each with its field."""
     known = [*known]
     for field, name in names:
         if name not in known:
-            yield Problem(source, field, repr(name), f"{what or 'one of '}{', '.join(known)}")
+            yield Problem(source, field, repr(name), f"{prefix or 'one of '}{', '.join(known)}")
 
 
 # -- files that come with the package --------------------------------------------------------------------------------
 
 
 def named_file(
-    name: str | Path, folder: str, ending: str, option: str, what: str, names: Iterable[str] | None = None
+    name: str | Path, folder: str, ending: str, option: str, kind: str, names: Iterable[str] | None = None
 ) -> tuple[bytes, str]:
-    """The content of the file of that name that comes with the package in a folder of it, or of a user's own file, and
-    what to call it in messages. what: its kind; names: those to choose from, if not all. Raises InputError."""
+    """Return the content of a file by its name, and what to call it in messages.
+
+    The file comes with the package, in a folder of it, or is a user's own. kind: what it is; names: those to choose
+    from, if not all. Raises InputError.
+    """
     known = builtin_names(folder, ending)
     if str(name) in known:
-        return builtin_file(folder, f"{name}{ending}").read_bytes(), f"{what} {name}"
-    path, expected = Path(name), f"a {what} file ({ending})"
+        return builtin_file(folder, f"{name}{ending}").read_bytes(), f"{kind} {name}"
+    path, expected = Path(name), f"a {kind} file ({ending})"
     if not os.path.isfile(path):  # False, not an OSError, of a name that is too long
         choice = ", ".join(known if names is None else names)
-        found = f"{str(name)!r}{', no such file' if path.suffix else ''}"
-        raise InputError(Problem(option, "name or file", found, f"one of {choice}, or {expected}"))
+        content = f"{str(name)!r}{', no such file' if path.suffix else ''}"
+        raise InputError(Problem(option, "name or file", content, f"one of {choice}, or {expected}"))
     return read_content(path, expected, MAX_UNPACKED), str(path)
 
 
 def named_table(
-    name: str | Path, folder: str, option: str, what: str, names: Iterable[str] | None = None
+    name: str | Path, folder: str, option: str, kind: str, names: Iterable[str] | None = None
 ) -> tuple[dict[str, Any], str]:
-    """The same of a TOML file, as its table."""
-    content, source = named_file(name, folder, ".toml", option, what, names)
-    return parse_toml(text_of(content, source, f"a {what} file"), source), source
+    """Return the table of a TOML file by its name, as `named_file` does its content."""
+    content, source = named_file(name, folder, ".toml", option, kind, names)
+    return parse_toml(text_of(content, source, f"a {kind} file"), source), source
 
 
 def builtin_file(folder: str, name: str) -> Traversable:
-    """A file that comes with the package, in a folder of it."""
+    """Return a file that comes with the package, in a folder of it."""
     return resources.files("recon") / folder / name
 
 

@@ -27,13 +27,14 @@ class Problem:
 
     @property
     def lines(self) -> tuple[str, ...]:
+        """Return the problem as lines of a message."""
         return str(self), *map(printable, self.more)
 
     def __str__(self) -> str:
         option = "--" + self.field.replace("_", "-")
         says_it = str(self.file) in (option, option.removesuffix("-px"), f"--set {option[2:]}")
-        where = self.file if says_it else f"{self.file}: {self.field}"
-        return printable(f"{where}: found {self.found}, expected {self.expected}")
+        place = self.file if says_it else f"{self.file}: {self.field}"
+        return printable(f"{place}: found {self.found}, expected {self.expected}")
 
 
 def printable(text: str) -> str:
@@ -54,13 +55,13 @@ class InputError(ValueError):
 
 def raise_problems(problems: Iterable[Problem]) -> None:
     """Raise InputError with the problems, if there are any."""
-    found = tuple(problems)
-    if found:
-        raise InputError(found)
+    problems = tuple(problems)
+    if problems:
+        raise InputError(problems)
 
 
 def problems_of(read: Callable[[], Any]) -> tuple[Problem, ...]:
-    """What is wrong with an input, none where it can be read."""
+    """Return what is wrong with an input, nothing if it can be read."""
     try:
         read()
     except InputError as error:

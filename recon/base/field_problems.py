@@ -32,18 +32,21 @@ _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 
 
 def problems_of(
-    error: ValidationError, source: str | Path, schema: _Table = None, within: int = 0, table: _Table = None
+    error: ValidationError, source: str | Path, schema: _Table = None, skipped: int = 0, table: _Table = None
 ) -> Iterator[Problem]:
-    """Each with its field, as in legs[0].hip_m. schema: the JSON schema of what was to be read, which tells the fields
-    of a table and the types of those that are missing; within: how many steps of the way to a field go without saying;
-    table: what was to be read, a file about something else where it has no field of the schema: one problem."""
+    """Return the problems of a table, each with its field, as in legs[0].hip_m.
+
+    schema: the JSON schema of what was to be read, with the fields of its tables and the types of those that are
+    missing; skipped: how many steps of the way to a field the message leaves out; table: what was to be read. A file
+    about something else, which has no field of the schema, is one problem.
+    """
     fields = (schema or {}).get("properties", {})
     if isinstance(table, Mapping) and fields and not fields.keys() & table.keys():
-        found = f"only {', '.join(map(str, table))[:60]}" if table else "nothing"
-        yield Problem(source, "content", found, f"a file with {', '.join(fields)}")
+        value = f"only {', '.join(map(str, table))[:60]}" if table else "nothing"
+        yield Problem(source, "content", value, f"a file with {', '.join(fields)}")
         return
-    for one in error.errors():
-        way, kind = one["loc"][within:], one["type"]
+    for detail in error.errors():
+        way, kind = detail["loc"][skipped:], detail["type"]
         field = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in way).removeprefix(".")
         field = field or "content"
         if kind in _UNKNOWN:
@@ -51,19 +54,21 @@ def problems_of(
             yield Problem(source, field, "an unknown field", f"one of {', '.join(known)}" if known else "no such field")
         elif kind == "missing":
             wanted = _table_at(schema or {}, way[:-1]).get("properties", {}).get(way[-1], {})
-            of = "object" if "$ref" in wanted else wanted.get("type")
-            yield Problem(source, field, "nothing", _WORDS.get(of, "a value"))
+            title = "object" if "$ref" in wanted else wanted.get("type")
+            yield Problem(source, field, "nothing", _WORDS.get(title, "a value"))
         else:
             expected = _EXPECTED.get(kind, "{message}")
-            message = one["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-            wanted = expected.format(message=message, **one.get("ctx", {}))
-            found = "nothing" if one["input"] is None else repr(one["input"])[:60]
-            yield Problem(source, field, found, wanted)
+            message = detail["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+            wanted = expected.format(message=message, **detail.get("ctx", {}))
+            value = "nothing" if detail["input"] is None else repr(detail["input"])[:60]
+            yield Problem(source, field, value, wanted)
 
 
 def _table_at(schema: Mapping[str, Any], way: Iterable[str | int]) -> Mapping[str, Any]:
-    """The JSON schema of the table that the names of fields lead to; places in a list and keys of a table without
-    names of its own are passed over."""
+    """Return the JSON schema of the table that the names of fields lead to.
+
+    Positions in a list, and keys of a table without names of its own, are passed over.
+    """
     at = _table_in(schema, schema)
     for part in way:
         if part in at.get("properties", {}):
@@ -72,12 +77,12 @@ def _table_at(schema: Mapping[str, Any], way: Iterable[str | int]) -> Mapping[st
 
 
 def _table_in(part: Any, schema: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The first table with fields in a part of a JSON schema, empty where there is none."""
+    """Return the first table with fields in a part of a JSON schema, empty if there is none."""
     if isinstance(part, Mapping):
         if "$ref" in part:
             part = schema["$defs"][part["$ref"].rpartition("/")[2]]
         if "properties" in part:
             return part
         part = [value for name, value in part.items() if name != "$defs"]
-    inner = (_table_in(one, schema) for one in part) if isinstance(part, list) else ()
-    return next((found for found in inner if found), {})
+    inner = (_table_in(option, schema) for option in part) if isinstance(part, list) else ()
+    return next((table for table in inner if table), {})

@@ -48,10 +48,12 @@ class Interrupts:
 
     def install(self) -> None:
         """In the main thread. Where SIGINT is ignored, as in the background jobs of a shell script, it stays so."""
-        taken = [one for one in STOPPING if signal.getsignal(one) in (signal.default_int_handler, signal.SIG_DFL)]
-        for one in taken:
-            signal.signal(one, self)
-            atexit.register(signal.signal, one, signal.SIG_IGN)  # Python's own end takes 0.3 s, and nothing is lost
+        taken = [
+            number for number in STOPPING if signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL)
+        ]
+        for number in taken:
+            signal.signal(number, self)
+            atexit.register(signal.signal, number, signal.SIG_IGN)  # Python's own end takes 0.3 s, and nothing is lost
         if taken and os.name == "posix":
             self._start_watch()
 
@@ -67,6 +69,7 @@ class Interrupts:
         os._exit(EXIT_INTERRUPTED)
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
+        """Handle a signal, as Python calls a handler."""
         if self._leaving:
             return
         if not self.in_command or self.received or (_is_importing(frame) and not self._watched):
@@ -101,8 +104,11 @@ class Interrupts:
         threading.Thread(target=self._watch, args=(reader, main), name="interrupts", daemon=True).start()
 
     def _watch(self, reader: int, main: int) -> None:
-        """Python runs signal handlers between two steps of the main thread, which may be in a library for long, or
-        begin to wait just after the signal. SIGURG, which does nothing elsewhere, brings it to its next step."""
+        """Bring a signal to the main thread's next step.
+
+        Python runs signal handlers between two steps of the main thread, which may be in a library for long, or begin
+        to wait just after the signal. SIGURG, which does nothing elsewhere, brings it to its next step.
+        """
         while not {*STOPPING} & {*os.read(reader, 64)}:
             pass
         began = time.monotonic()
@@ -114,7 +120,7 @@ class Interrupts:
 
 
 def installed() -> Interrupts | None:
-    """This process's handler, where it is a `recon` of its own."""
+    """Return the handler of this process, if it is a `recon` of its own."""
     return next((h for h in map(signal.getsignal, STOPPING) if isinstance(h, Interrupts)), None)
 
 

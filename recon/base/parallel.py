@@ -167,7 +167,7 @@ class _Process:
             self.channel.send((work, task))
 
     def heard(self) -> tuple[str, float] | dict[str, Any]:
-        """The task's next progress, or its outcome, also where the process died of it."""
+        """Return the task's next progress, or its outcome, also if the process died of it."""
         with suppress(EOFError, OSError):
             return self.channel.recv()
         self._process.join()
@@ -180,7 +180,7 @@ class _Process:
         return _failure(f"crashed: {(log.strip().splitlines() or ['no word'])[-1]}", log)
 
     def stop(self) -> None:
-        """What it does is stopped, and cleans up; one that waits for a task just ends."""
+        """Stop the task, which cleans up; a process that waits for a task just ends."""
         self._process.terminate()
 
     def join(self, until_s: float) -> None:
@@ -189,31 +189,37 @@ class _Process:
         self._process.join()
 
 
-def _failure(what: str, log: str) -> dict[str, Any]:
-    return {"status": "failed", "error": f"the worker {what}", "log": log}
+def _failure(reason: str, log: str) -> dict[str, Any]:
+    return {"status": "failed", "error": f"the worker {reason}", "log": log}
 
 
 @contextmanager
 def _alone() -> Iterator[None]:
-    """A process that starts here does not import the caller's script, which would begin the same work again, and never
-    hears the terminal's Ctrl-C: its parent tells it when to stop."""
+    """Start processes that neither import the caller's script nor hear the terminal's Ctrl-C.
+
+    The script would begin the same work again, and the parent tells a process when to stop.
+    """
     script = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT]) if hasattr(signal, "pthread_sigmask") else None
+    signal_mask = (
+        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT]) if hasattr(signal, "pthread_sigmask") else None
+    )
     try:
         yield
     finally:
         sys.modules["__main__"] = script
-        if before is not None:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if signal_mask is not None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, signal_mask)
 
 
 # -- in the process ---------------------------------------------------------------------------------------------------
 
 
 def _work_off(channel: Connection, log: Path) -> None:
-    """Task after task, until there is nobody to give one. One thread for each library, before any is imported; what is
-    printed goes into the log."""
+    """Carry out task after task, until there is nobody to give one.
+
+    Each library gets one thread, before any is imported; what is printed goes into the log.
+    """
     os.environ.update(ONE_THREAD)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(KILLED))  # tasks clean up behind them
@@ -252,9 +258,11 @@ class _StoppedError(Exception):
 
 
 def carry_out_on_cluster(address: str, work: Work, tasks: Tasks, tell: Tell, retries: int = 0) -> None:
-    """All tasks as futures of the scheduler at an address, told of as they end; a Dask worker that dies costs no task,
-    as others take them. After an exception the tasks under way are stopped. Raises InputError where there is no
-    scheduler, or no Dask here, and where the scheduler goes away."""
+    """Carry out all tasks as futures of the Dask scheduler at an address, and tell of each as it ends.
+
+    A Dask worker that dies costs no task, as others take them. After an exception the tasks under way are stopped.
+    Raises InputError if there is no scheduler, or no Dask here, and if the scheduler goes away.
+    """
     client = _client(address)
     batch = uuid.uuid4().hex
     underway: dict[str, tuple[str, Future]] = {}  # by key
@@ -301,11 +309,11 @@ def _client(address: str) -> Client:
         return Client(address, timeout=CONNECT_S, set_as_default=False)
     except Exception as error:  # of addresses, of the network, of certificates that there are not
         silent = f"no answer within {CONNECT_S:g} s" if isinstance(error, TimeoutError) else type(error).__name__
-        found = " ".join(str(error).split())[:200] or silent
+        message = " ".join(str(error).split())[:200] or silent
         expected = "a running Dask scheduler, as in tcp://host:8786"
         if address.startswith("tls://"):
             expected += ", or tls:// with the certificates of Dask's configuration (distributed.comm.tls)"
-        raise InputError(Problem("--scheduler", address, found, expected)) from None
+        raise InputError(Problem("--scheduler", address, message, expected)) from None
 
 
 def _outcome(future: Future) -> dict[str, Any]:
@@ -317,9 +325,9 @@ def _outcome(future: Future) -> dict[str, Any]:
     raise _lost("tasks that the scheduler has cancelled")
 
 
-def _lost(found: str) -> InputError:
+def _lost(reason: str) -> InputError:
     expected = "workers until the end: the same command again goes on from here"
-    return InputError(Problem("recon batch", "workers", found, expected))
+    return InputError(Problem("recon batch", "workers", reason, expected))
 
 
 def _stop(batch: str) -> None:

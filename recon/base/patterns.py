@@ -40,12 +40,12 @@ def _variable_repeats(part: Any, inside: bool) -> list[int] | None:
     """
     operation = part[0] if isinstance(part, tuple) and len(part) == 2 else None
     if any(operation is repeat for repeat in _REPEATS):
-        least, most, repeated = part[1]
-        is_variable = least != most
+        smallest, largest, repeated = part[1]
+        is_variable = smallest != largest
         if inside and is_variable:
             return None
-        counts = _variable_repeats(repeated, inside or most > 1)
-        return None if counts is None else [*counts, *([int(most)] if is_variable else ())]
+        counts = _variable_repeats(repeated, inside or largest > 1)
+        return None if counts is None else [*counts, *([int(largest)] if is_variable else ())]
     if operation is codes.BRANCH and inside:
         return None
     if isinstance(part, tuple | list | parser.SubPattern):

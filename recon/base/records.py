@@ -36,9 +36,11 @@ _Class = TypeVar("_Class")
 
 
 def save_record(value: Any, path: Path, schema: Mapping[str, Any]) -> None:
-    """Write a dataclass, whole or not at all. schema: the format's name and version, which `load_record` expects.
+    """Write a dataclass, whole or not at all.
 
-    Raises TypeError for values of types that such a file does not hold."""
+    schema: the format's name and version, which `load_record` expects. Raises TypeError for values of types that such a
+    file does not hold.
+    """
     arrays: dict[str, np.ndarray] = {}
     text = json.dumps({"schema": schema, "value": _plain(value, "", arrays, {})})
     entries: dict[str, Any] = {RECORD: np.frombuffer(text.encode(), np.uint8), **arrays}
@@ -54,57 +56,63 @@ def save_record(value: Any, path: Path, schema: Mapping[str, Any]) -> None:
 
 
 def load_record(
-    of: type[_Class],
+    record_class: type[_Class],
     path: Path,
     schema: Mapping[str, Any],
     expected: str,
     classes: Classes | None = None,
     older_versions: tuple[int, ...] = (),
 ) -> _Class:
-    """Read what `save_record` wrote of that class. expected: what the file should be, in a message; classes: the
-    subclasses that may be in it; older_versions: those of the schema that are read, too.
+    """Return what `save_record` wrote of that class.
 
-    Raises InputError for a file that is damaged, is something else, or would take too much memory: the sizes of all
-    that is in it are checked before anything is unpacked."""
+    expected: what the file should be, in a message; classes: the subclasses that may be in it; older_versions: those of
+    the schema that are read, too. Raises InputError for a file that is damaged, is something else, or would take too
+    much memory: the sizes of all that is in it are checked before anything is unpacked.
+    """
     content = read_content(path, expected, MAX_UNPACKED)
     with damage_named(path, expected):
         arrays = arrays_of(content, KINDS)
         record = json.loads(arrays.pop(RECORD).astype(np.uint8, casting="no").tobytes())
-        found = record["schema"]
-        if found not in (schema, *({**schema, "version": version} for version in older_versions)):
+        schema_found = record["schema"]
+        if schema_found not in (schema, *({**schema, "version": version} for version in older_versions)):
             wanted = f"{schema['name']}, version {schema['version']}: {expected}"
-            raise InputError(Problem(path, "schema", f"{found['name']}, version {found['version']}"[:100], wanted))
+            raise InputError(
+                Problem(path, "schema", f"{schema_found['name']}, version {schema_found['version']}"[:100], wanted)
+            )
         try:
-            return _validated(of, _restored(record["value"], arrays, classes or {}))
+            return _validated(record_class, _restored(record["value"], arrays, classes or {}))
         except ValidationError as error:
-            found = problems_of(error, path, within=1)
-            raise InputError(dataclasses.replace(p, expected=f"{p.expected}: {expected}") for p in found) from None
+            problems = problems_of(error, path, skipped=1)
+            raise InputError(dataclasses.replace(p, expected=f"{p.expected}: {expected}") for p in problems) from None
 
 
-def _plain(value: Any, where: str, arrays: dict[str, np.ndarray], name_of: dict[int, str]) -> Any:
-    """As JSON has it, larger arrays by their names. where: the fields that lead to it; name_of: by an array's identity,
-    so that one that stands in several places is written once."""
+def _plain(value: Any, field: str, arrays: dict[str, np.ndarray], name_of: dict[int, str]) -> Any:
+    """Return a value as JSON has it, larger arrays by their names.
 
-    def inside(name: Any, one: Any) -> Any:
-        return _plain(one, f"{where}.{name}".removeprefix("."), arrays, name_of)
+    field: the fields that lead to it; name_of: by an array's identity, so that an array with several names is written
+    once.
+    """
+
+    def inside(name: Any, item: Any) -> Any:
+        return _plain(item, f"{field}.{name}".removeprefix("."), arrays, name_of)
 
     if isinstance(value, np.ndarray):
         if value.dtype.kind not in KINDS:
-            raise TypeError(f"{where}: an array of {value.dtype} cannot be saved")
+            raise TypeError(f"{field}: an array of {value.dtype} cannot be saved")
         if value.size <= SMALL:
             return {"dtype": value.dtype.str, "shape": value.shape, "values": value.ravel().tolist()}
-        name = name_of.setdefault(id(value), where)
+        name = name_of.setdefault(id(value), field)
         arrays[name] = value
         return {"array": name}
     if isinstance(value, slice):
         return {"slice": [value.start, value.stop, value.step]}
     if isinstance(value, tuple | list):
-        return [inside(i, one) for i, one in enumerate(value)]
+        return [inside(i, item) for i, item in enumerate(value)]
     if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
-        return {key: inside(key, one) for key, one in value.items()}
+        return {key: inside(key, item) for key, item in value.items()}
     if dataclasses.is_dataclass(value):
-        own = type(value)
-        named = {CLASS: _tag(own, where)} if dataclasses.is_dataclass(own.__base__) else {}
+        value_class = type(value)
+        named = {CLASS: _tag(value_class, field)} if dataclasses.is_dataclass(value_class.__base__) else {}
         return named | {f.name: inside(f.name, getattr(value, f.name)) for f in dataclasses.fields(value) if f.init}
     if isinstance(value, BaseModel):
         return value.model_dump(mode="json", by_alias=True)
@@ -114,21 +122,23 @@ def _plain(value: Any, where: str, arrays: dict[str, np.ndarray], name_of: dict[
         return str(value)
     if value is None or isinstance(value, bool | int | float | str):
         return value
-    raise TypeError(f"{where}: a {type(value).__name__} cannot be saved")
+    raise TypeError(f"{field}: a {type(value).__name__} cannot be saved")
 
 
-def _tag(subclass: Any, where: str) -> str:
+def _tag(subclass: Any, field: str) -> str:
     """Return what a file calls a subclass."""
     if not hasattr(subclass, "record_tag"):
-        raise TypeError(f"{where}: a {subclass.__name__} cannot be saved, as it has no record_tag")
+        raise TypeError(f"{field}: a {subclass.__name__} cannot be saved, as it has no record_tag")
     return subclass.record_tag
 
 
 def _restored(value: Any, arrays: Mapping[str, np.ndarray], classes: Classes) -> Any:
-    """What `_plain` made plain, with arrays, slices and the dataclasses that say what they are; others are still
-    mappings."""
+    """Return what `_plain` made plain, with its arrays, slices and the dataclasses that have a tag.
+
+    Other dataclasses are still mappings.
+    """
     if isinstance(value, list):
-        return [_restored(one, arrays, classes) for one in value]
+        return [_restored(item, arrays, classes) for item in value]
     if not isinstance(value, dict):
         return value
     if value.keys() == {"array"}:
@@ -139,21 +149,21 @@ def _restored(value: Any, arrays: Mapping[str, np.ndarray], classes: Classes) ->
         if (dtype := np.dtype(value["dtype"])).kind not in KINDS or len(value["values"]) > SMALL:
             raise ValueError(f"an array of {dtype}")
         return np.array(value["values"], dtype).reshape(value["shape"])
-    found = {name: _restored(one, arrays, classes) for name, one in value.items()}
-    if CLASS not in found:
-        return found
-    tag = found.pop(CLASS)
+    restored = {name: _restored(item, arrays, classes) for name, item in value.items()}
+    if CLASS not in restored:
+        return restored
+    tag = restored.pop(CLASS)
     if tag not in classes:
         raise ValueError(f"{str(tag)[:60]!r}, which is no class that such a file holds")
-    return _validated(classes[tag](), found)
+    return _validated(classes[tag](), restored)
 
 
-def _validated(of: type[_Class], fields: Any) -> _Class:
-    return _adapter(of).validate_python([fields])[0]
+def _validated(record_class: type[_Class], fields: Any) -> _Class:
+    return _adapter(record_class).validate_python([fields])[0]
 
 
 @cache
-def _adapter(of: type) -> TypeAdapter[Any]:
-    """What checks a list of one such dataclass: one by itself takes no configuration."""
-    many: Any = GenericAlias(list, (of,))
+def _adapter(record_class: type) -> TypeAdapter[Any]:
+    """Return what checks a list of one such dataclass: pydantic takes no configuration for a single one."""
+    many: Any = GenericAlias(list, (record_class,))
     return TypeAdapter(many, config=ConfigDict(extra="forbid", arbitrary_types_allowed=True))

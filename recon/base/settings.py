@@ -1,13 +1,13 @@
-"""Settings: one class for each command, from which its options, its help and what Python takes follow.
+"""Describe settings: one class for each command, from which its options, its help and what Python takes follow.
 
 A setting is one field: its type says which values it may have, the text below it is its help, and an `Option` in its
 `Annotated` says what else the command line has to know.
 
     class ViewSettings(Settings):
         folder: Annotated[Path, Option(argument="DIR")]
-        \"""Folder of results, as in results/clip.\"""
+        '''Folder of results, as in results/clip.'''
         speed: Positive = 1.0
-        \"""Speed of the playback, 1 is real time.\"""
+        '''Speed of the playback, 1 is real time.'''
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ FILE_SUFFIXES = (".toml", ".npz", ".csv")
 # -- types of values, beside bool, str, Path and Literal ---------------------------------------------------------
 
 
-def _no_bool(given: Any) -> Any:
-    if isinstance(given, bool):
+def _no_bool(value: Any) -> Any:
+    if isinstance(value, bool):
         raise ValueError("a truth value")
-    return given
+    return value
 
 
-def _as_tuple(given: Any) -> Any:
-    return tuple(given) if isinstance(given, list | tuple) else (given,)
+def _as_tuple(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list | tuple) else (value,)
 
 
-def _name_or_file(given: Any) -> Any:
-    text = str(given) if isinstance(given, Path) else given
+def _name_or_file(value: Any) -> Any:
+    text = str(value) if isinstance(value, Path) else value
     return str(Path(text).absolute()) if isinstance(text, str) and text.endswith(FILE_SUFFIXES) else text
 
 
@@ -103,10 +103,12 @@ class SettingInfo:
 
     @property
     def is_flag(self) -> bool:
+        """Return whether the option takes no value."""
         return bool in self.parts
 
     @property
     def is_number(self) -> bool:
+        """Return whether the setting is a number."""
         return float in self.parts or (int in self.parts and tuple not in self.parts)
 
     @property
@@ -132,24 +134,24 @@ class SettingInfo:
         return name if self.option.common else f"--set {name[2:]}"
 
     def expected(self, message: str = "") -> str:
-        """What is expected of a value, in the user's words; message: what pydantic says of a wrong one."""
+        """Return what is expected of a value, in the user's words; message: what pydantic says of a wrong one."""
         if self.option.expected:
             return self.option.expected
         if self.choices:
             *first, last = self.choices
             return f"{', '.join(first)} or {last}" if first else last
         if message == "Field required" and self.option.help:
-            said = self.option.help.split(". ")[0].rstrip(".")
-            return said if said.startswith("DeepLabCut") else said[0].lower() + said[1:]
+            words = self.option.help.split(". ")[0].rstrip(".")
+            return words if words.startswith("DeepLabCut") else words[0].lower() + words[1:]
         kinds = {bool: "true or false", float: "a number", int: "a whole number", Path: "a file or a folder"}
         kind = next((words for part, words in kinds.items() if part in self.parts), "text")
         limit = message.removeprefix("Input should be ")
         return f"{kind} {limit}" if limit.startswith(("greater", "less")) else kind
 
     def plain(self, value: Any) -> Any:
-        """The value as TOML and JSON have it; a single one of many by itself."""
+        """Return the value as TOML and JSON have it; a single one of many by itself."""
         if isinstance(value, tuple | list):
-            values = [self.plain(one) for one in value]
+            values = [self.plain(item) for item in value]
             return values[0] if self.is_many and len(values) == 1 else values
         return str(value) if isinstance(value, Path) else value
 
@@ -159,8 +161,10 @@ _CONFIG = pydantic.ConfigDict(extra="forbid", use_attribute_docstrings=True)
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)
 class Settings:
-    """The settings of a command: a subclass is a frozen dataclass, with the help of each field below it. Text is taken
-    for numbers, sizes and files; None is not given. Raises InputError with everything that is wrong."""
+    """Hold the settings of a command: a subclass is a frozen dataclass, with the help of each field below it.
+
+    Text is taken for numbers, sizes and files; None is not given. Raises InputError with everything that is wrong.
+    """
 
     if not TYPE_CHECKING:  # type checkers know the fields
 
@@ -183,18 +187,18 @@ class Settings:
             cls.__init__ = __init__
 
     def __repr__(self) -> str:
-        """What is not as by default."""
+        """Return the settings that are not as by default."""
         values = {name: (getattr(self, name), info.default) for name, info in self.infos().items()}
         changed = (f"{name}={value!r}" for name, (value, usual) in values.items() if value != usual)
         return f"{type(self).__name__}({', '.join(changed)})"
 
     @classmethod
     def problems_of_given(cls, given: Mapping[str, Any]) -> Iterable[Problem]:
-        """What does not go together in what was given, whether or not the single values can be used."""
+        """Return what does not go together in what was given, whether or not single values can be used."""
         return ()
 
     def problems(self) -> Iterable[Problem]:
-        """What does not go together, once all values can be used."""
+        """Return what does not go together, once all values can be used."""
         return ()
 
     @classmethod
@@ -202,16 +206,21 @@ class Settings:
     def infos(cls) -> dict[str, SettingInfo]:
         """All settings by name, in their order."""
         types = typing.get_type_hints(cls, include_extras=True)
-        own = (vars(one).get("__pydantic_fields__", {}).items() for one in reversed(cls.__mro__))
-        texts = {name: " ".join(one.description.split()) for of in own for name, one in of if one.description}
-        found = {}
+        field_items = (vars(info).get("__pydantic_fields__", {}).items() for info in reversed(cls.__mro__))
+        texts = {
+            name: " ".join(info.description.split())
+            for items in field_items
+            for name, info in items
+            if info.description
+        }
+        infos = {}
         for field in fields(cls):  # pyright: ignore[reportArgumentType]
-            given = getattr(types[field.name], "__metadata__", ())
-            option = next((one for one in given if isinstance(one, Option)), Option())
+            metadata = getattr(types[field.name], "__metadata__", ())
+            option = next((info for info in metadata if isinstance(info, Option)), Option())
             option = replace(option, help=option.help or texts.get(field.name, ""))
             default = MISSING if isinstance(field.default, FieldInfo) else field.default  # required
-            found[field.name] = SettingInfo(field.name, option, default, tuple(_parts(types[field.name])))
-        return found
+            infos[field.name] = SettingInfo(field.name, option, default, tuple(_parts(types[field.name])))
+        return infos
 
 
 OUTPUTS = ("out", "overlay")
@@ -237,19 +246,19 @@ def _exists(path: Path) -> bool:
 
 def _problems(cls: type[Settings], given: Mapping[str, Any], error: ValidationError) -> list[Problem]:
     """In the user's words, one for each setting."""
-    infos, found = cls.infos(), {}
-    for one in error.errors(include_url=False):
-        name = str(one["loc"][0])
-        if name in infos and name not in found:
+    infos, problems = cls.infos(), {}
+    for detail in error.errors(include_url=False):
+        name = str(detail["loc"][0])
+        if name in infos and name not in problems:
             value = repr(given[name]) if name in given else "nothing"
-            found[name] = Problem("settings", name, value, infos[name].expected(one["msg"]))
-        elif name not in found:
-            found[name] = unknown_setting("settings", name, infos)
-    return [*found.values()]
+            problems[name] = Problem("settings", name, value, infos[name].expected(detail["msg"]))
+        elif name not in problems:
+            problems[name] = unknown_setting("settings", name, infos)
+    return [*problems.values()]
 
 
 def unknown_setting(file: str, name: str, infos: Mapping[str, SettingInfo]) -> Problem:
-    """The problem of a setting that there is not, with the one that was perhaps meant."""
+    """Return the problem of a setting that does not exist, with the one that was perhaps meant."""
     meant = get_close_matches(name, infos, 1)
     return Problem(file, name, "an unknown setting", f"perhaps {meant[0]}" if meant else f"one of {', '.join(infos)}")
 
@@ -263,6 +272,6 @@ def _parts(kind: Any) -> Iterator[Any]:
 
 
 def on_command_line(problem: Problem, infos: Mapping[str, SettingInfo]) -> Problem:
-    """The problem of a setting, with its option in place of the class."""
+    """Return the problem of a setting, with its option in place of the class."""
     known = problem.file == "settings" and problem.field in infos
     return replace(problem, file=infos[problem.field].on_command_line) if known else problem
