@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from recon.geometry.frames import euler_rotation, inverse, level_from_camera, ri
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
 
 CORNER_PX, CONSTANT_SHARE, CONSTANT_KEYPOINTS = 1.0, 0.005, 3
 """A point stands for missing ones this near the corner, if this share of all points and this many keypoints lie exactly
@@ -96,7 +97,7 @@ class Keypoints(Brief):
         return from_dataframe(table, fps, individual)
 
     @classmethod
-    def from_xarray(cls, dataset: Any, fps: float | None = None, individual: str | None = None) -> Keypoints:
+    def from_xarray(cls, dataset: xr.Dataset, fps: float | None = None, individual: str | None = None) -> Keypoints:
         """Return keypoints from movement's dataset of poses, in pixels.
 
         Parameters

@@ -71,7 +71,7 @@ CHAIN_PLACES = {"fore": "F", "hind": "H"}
 def foot_table(allowed: Iterable[str], example: str) -> BeforeValidator:
     """Return a validator of a table of feet, with one message for every fault."""
 
-    def checked(value: Any) -> Any:
+    def checked(value: object) -> Any:
         if isinstance(value, dict) and {*value} <= {*allowed} and all(isinstance(foot, str) for foot in value.values()):
             return value
         raise ValueError(f"a table that says where each foot is, as {example}")

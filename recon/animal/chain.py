@@ -44,7 +44,7 @@ _ROOT_RAD_S2 = 40.0
 """Standard deviation of the acceleration of its pitch and roll."""
 
 
-def _left_and_right(keypoint: Any) -> Any:
+def _left_and_right(keypoint: object) -> object:
     """Return (left, right) of a table of both, or of one name for both sides."""
     if isinstance(keypoint, dict) and {*keypoint} == {"left", "right"}:
         return keypoint["left"], keypoint["right"]

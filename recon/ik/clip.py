@@ -339,7 +339,7 @@ def _write(solved: _IKRun, folder: Path) -> None:
     (folder / SUMMARY).write_text(to_json(summary), encoding="utf-8")
 
 
-def _cell(value: Any) -> Any:
+def _cell(value: object) -> Any:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return " ".join(value) if isinstance(value, list) else value

@@ -263,7 +263,7 @@ def _reshaped(arguments: dict[str, Any]) -> dict[str, Any]:
     return arguments
 
 
-def _image_size(value: Any, given: tuple[int, int] | None) -> tuple[tuple[int, int], tuple[str, str] | None]:
+def _image_size(value: object, given: tuple[int, int] | None) -> tuple[tuple[int, int], tuple[str, str] | None]:
     """Return the image size, and what was found and expected if there is none.
 
     The file's size and the given one must agree.
@@ -280,7 +280,7 @@ def _image_size(value: Any, given: tuple[int, int] | None) -> tuple[tuple[int, i
     return (width, height), None
 
 
-def _numbers(value: Any) -> Array | None:
+def _numbers(value: object) -> Array | None:
     """Return an array of a number, a nested list, or {rows, cols, data}; None for anything else."""
     try:
         if isinstance(value, Mapping):

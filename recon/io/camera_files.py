@@ -68,14 +68,14 @@ def _is(path: Path, suffixes: tuple[str, ...], pattern: str = "") -> bool:
     return path.suffix.lower() in suffixes and re.search(pattern, read_calibration(path)) is not None
 
 
-def _tables(path: Path, value: Any, expected: str) -> dict[str, dict[str, Any]]:
+def _tables(path: Path, value: object, expected: str) -> dict[str, dict[str, Any]]:
     """Return tables by name; raise InputError for anything else, or none."""
     if not isinstance(value, dict) or not value or not all(isinstance(table, dict) for table in value.values()):
         raise InputError(Problem(path, "cameras", "no table of a camera", expected))
     return value
 
 
-def record_of(name: Any, place: str, table: Mapping[str, Any], **more: Any) -> CameraRecord:
+def record_of(name: object, place: str, table: Mapping[str, Any], **more: Any) -> CameraRecord:
     """Return the record of a table with other programs' keys (`ALIASES`), and further values by field.
 
     The lens is the stated one, otherwise radial-tangential.
@@ -325,12 +325,12 @@ def _of_region(path: Path, document: Mapping[str, Any], record: CameraRecord) ->
     return CameraRecord(record.name, record.place, values, record.called, keys=record.keys)
 
 
-def number_or(value: Any, otherwise: float) -> float:
+def number_or(value: object, otherwise: float) -> float:
     """Return a number, or `otherwise` for anything else."""
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else otherwise
 
 
-def _block(value: Any) -> Any:
+def _block(value: object) -> Any:
     return value["data"] if isinstance(value, Mapping) and "data" in value else [] if value is None else value
 
 

@@ -20,7 +20,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -191,7 +191,7 @@ def _rotations(quaternion: Array) -> Array:
     return Rotation.from_quat(unit[:, [1, 2, 3, 0]]).as_matrix()
 
 
-def _some(items: Sequence[Any]) -> str:
+def _some(items: Sequence[object]) -> str:
     rest = f" and {len(items) - 3} more" if len(items) > 3 else ""
     return ", ".join(map(str, items[:3])) + rest
 

@@ -35,6 +35,7 @@ from recon.io.times import seconds, with_times
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
 
 Columns = Mapping[str, Any]
 """A table by column: sequences of text cells, or arrays of numbers."""
@@ -374,7 +375,7 @@ def _of_levels(source: Path, table: pd.DataFrame, individual: str | None) -> Sto
     return points_of_table(source, individual, names, labels, index, table.to_numpy(dtype=float))
 
 
-def from_xarray(dataset: Any, fps: float | None, individual: str | None) -> Keypoints:
+def from_xarray(dataset: xr.Dataset, fps: float | None, individual: str | None) -> Keypoints:
     """Return keypoints from movement's dataset; see `recon.Keypoints.from_xarray`."""
     from recon.io.hdf5_poses import points_of_dataset
 

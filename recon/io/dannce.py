@@ -58,7 +58,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
     return one_animal(path, individual, StoredPoints(names, values, frames.ravel()))
 
 
-def _all_texts(value: Any) -> tuple[str, ...]:
+def _all_texts(value: object) -> tuple[str, ...]:
     """Return a cell of texts; empty for anything else."""
     return tuple(value) if isinstance(value, list) and all(isinstance(text, str) for text in value) else ()
 
@@ -176,7 +176,7 @@ class _File:
             raise ValueError("sizes below 0")
         return name, values.reshape(shape, order="F")
 
-    def structs(self, elements: list[tuple[int, memoryview]], depth: int) -> Any:
+    def structs(self, elements: list[tuple[int, memoryview]], depth: int) -> object:
         length = int(self.numbers(*elements[0])[0])
         text = bytes(elements[1][1])
         if not 0 < length <= 64:

@@ -84,7 +84,7 @@ class Format:
         with damage_named(path, f"a whole file: {self.title}"):
             return _present(self._loaded().read)(path, individual)
 
-    def write(self, data: Any, path: Path) -> None:
+    def write(self, data: object, path: Path) -> None:
         """Write `Keypoints`, `Pose3D`, `Armature` or cameras, as in `writes`, to a new file; raise InputError."""
         _present(self._loaded().write)(data, path)
 

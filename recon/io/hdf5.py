@@ -156,7 +156,7 @@ def groups(file: h5py.File) -> Iterator[h5py.Group]:
                     pending.append((item, depth + 1))
 
 
-def is_scale(item: Any) -> bool:
+def is_scale(item: object) -> bool:
     """Return whether it is a dataset that names a dimension of others."""
     return isinstance(item, h5py.Dataset) and attribute(item, "CLASS") == "DIMENSION_SCALE"
 
@@ -261,11 +261,11 @@ def read_values(dataset: Any) -> np.ndarray:
     return np.asarray(dataset[()])
 
 
-def _text_of(item: Any) -> str:
+def _text_of(item: object) -> str:
     return item.decode("utf-8") if isinstance(item, bytes) else str(item)
 
 
-def _require_readable(dataset: Any) -> None:
+def _require_readable(dataset: h5py.Dataset) -> None:
     """Raise ValueError for a dataset that must not be read.
 
     These are: no dataset, other types, data in other files, and more data than the file has.
@@ -289,7 +289,7 @@ def _require_readable(dataset: Any) -> None:
         raise ValueError(f"{dataset.name} asks for {wanted:.3g} bytes, of which the file has {stored}")
 
 
-def _is_readable(kind: Any, inside: bool = False) -> bool:
+def _is_readable(kind: h5t.TypeID, inside: bool = False) -> bool:
     """Return whether a type is numbers or texts, or records or short rows of them."""
     type_class = kind.get_class()
     if type_class == h5t.COMPOUND:
@@ -302,7 +302,7 @@ def _is_readable(kind: Any, inside: bool = False) -> bool:
     return type_class in (h5t.INTEGER, h5t.FLOAT, h5t.STRING, h5t.ENUM, h5t.BITFIELD)
 
 
-def _of_any_length(kind: Any) -> bool:
+def _of_any_length(kind: h5t.TypeID) -> bool:
     return kind.get_class() == h5t.STRING and bool(kind.is_variable_str())
 
 

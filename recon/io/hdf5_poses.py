@@ -25,7 +25,7 @@ from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from io import BytesIO
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 from uuid import uuid4
 
 import h5py
@@ -41,6 +41,9 @@ from recon.io.hdf5 import attribute, child, member, names, numbers, opened, outl
 from recon.io.pickles import plain_pickle
 from recon.io.positions import UNIT_NAMES
 from recon.io.times import frames_of_numbers, with_times
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 # -- DeepLabCut --------------------------------------------------------------------------------------------------------
 
@@ -125,7 +128,7 @@ def _labels(group: Any, dataset: Any) -> list[str]:
     return [] if _is_empty(dataset) else _texts_of(group, read_values(dataset).ravel())
 
 
-def _texts_of(group: Any, values: np.ndarray) -> list[str]:
+def _texts_of(group: h5py.Group, values: np.ndarray) -> list[str]:
     if values.dtype.kind != "S":
         return [str(value) for value in values.tolist()]
     encoding = "utf-8" if str(attribute(group, "encoding") or "UTF-8").upper() in ("UTF-8", "ASCII") else "latin-1"
@@ -307,7 +310,7 @@ def read_movement(path: Path, individual: str | None = None) -> StoredPoints:
     return _of_variables(path, variables, attributes, individual)
 
 
-def points_of_dataset(source: Path, dataset: Any, fps: float | None, individual: str | None) -> StoredPoints:
+def points_of_dataset(source: Path, dataset: xr.Dataset, fps: float | None, individual: str | None) -> StoredPoints:
     """Return the points of an `xarray.Dataset`, with `fps` if given; raise InputError."""
     stored = {}
     for name in (name for name in VARIABLES if name in dataset.variables):
@@ -463,7 +466,7 @@ def read_nwb(path: Path, individual: str | None = None) -> StoredPoints:
     return common.one_animal(path, None, stored, animal_names)
 
 
-def _last(group: Any) -> str:
+def _last(group: h5py.Group) -> str:
     return str(group.name).rsplit("/", 1)[-1]
 
 

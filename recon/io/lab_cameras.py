@@ -55,7 +55,7 @@ def read_tables(path: Path, individual: str | None = None) -> list[CameraRecord]
     return records
 
 
-def _tables_of(document: Any) -> list[tuple[Any, str, Mapping[str, Any]]]:
+def _tables_of(document: object) -> list[tuple[Any, str, Mapping[str, Any]]]:
     """Return name, location and table of each camera, of tables of which at least one has a camera matrix."""
     within = document.get("cameras", document) if isinstance(document, Mapping) else document
     start = "cameras" if within is not document else ""

@@ -156,7 +156,7 @@ def _content(content: bytes) -> tuple[Parameters, np.ndarray, int]:
     return parameters, xyz, max(first, 1)
 
 
-def _of_words(value: Any, otherwise: int) -> int:
+def _of_words(value: object, otherwise: int) -> int:
     """Return the number that two words make, or `otherwise`."""
     if not isinstance(value, np.ndarray) or value.size != 2 or value.dtype.kind != "i":
         return otherwise

@@ -110,7 +110,9 @@ def write_table(
     write_rows(path, header, rows, guard)
 
 
-def write_rows(path: Path, header: Iterable[Sequence[str]], rows: Iterable[Sequence[Any]], guard: bool = True) -> None:
+def write_rows(
+    path: Path, header: Iterable[Sequence[str]], rows: Iterable[Sequence[object]], guard: bool = True
+) -> None:
     """Write header rows, then rows of text, whole numbers and floats; NaN is an empty cell.
 
     `guard` keeps texts from being run by a spreadsheet; without, they are as other programs read them.
@@ -142,7 +144,7 @@ def _guarded_column(values: np.ndarray) -> np.ndarray:
     return np.array([guarded(str(text)) for text in texts])[numbers]
 
 
-def _cell(value: Any) -> Any:
+def _cell(value: object) -> Any:
     """Return a value that the writer turns into the shortest text that reads back exactly."""
     plain = value.item() if isinstance(value, np.generic) else value
     return "" if plain != plain else plain

@@ -23,7 +23,7 @@ def write_report(report: Mapping[str, Any], path: Path) -> None:
     path.write_text(text + "\n", encoding="utf-8")
 
 
-def to_json(value: Any) -> str:
+def to_json(value: object) -> str:
     """Return the JSON text of a file, which `--json` also prints."""
     return json.dumps(to_plain(value), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
@@ -33,12 +33,12 @@ def file_name(path: str | None) -> str | None:
     return None if path is None else encodable(Path(path).name)
 
 
-def picked(source: Any, *names: str) -> dict[str, Any]:
+def picked(source: object, *names: str) -> dict[str, Any]:
     """Return attributes of an object by their names."""
     return {name: getattr(source, name) for name in names}
 
 
-def by_name(names: Sequence[str], values: Sequence[Any]) -> dict[str, Any]:
+def by_name(names: Sequence[str], values: Sequence[object]) -> dict[str, Any]:
     """Return values by their names."""
     return dict(zip(names, values, strict=True))
 

@@ -70,7 +70,7 @@ def summary(motion: Motion) -> dict[str, Any]:
     }
 
 
-def summary_lines(motion: Motion, data: Any) -> Iterator[Line]:
+def summary_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield the summary's lines on frames, uncertainty and effort."""
     yield (
         "frames",
@@ -100,7 +100,7 @@ def travel(motion: Motion) -> dict[str, Any]:
     }
 
 
-def travel_lines(motion: Motion, data: Any) -> Iterator[Line]:
+def travel_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield the summary's lines on speed, path and heading."""
     run_m_s = data["median_speed_m_s"]
     if (reason := ClipAnalysis(motion).why_no_speed) is None:
@@ -115,7 +115,7 @@ def travel_lines(motion: Motion, data: Any) -> Iterator[Line]:
     yield "heading", heading_text(data["heading_to_picture_rad"])
 
 
-def size_lines(motion: Motion, data: Any) -> Iterator[Line]:
+def size_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield the summary's line on the base length."""
     base = _base_length(motion)
     share = number(base["data_share"], ".0%").lstrip("-")

@@ -60,7 +60,7 @@ def rendered(template: str, **content: Any) -> str:
     return environment.get_template(template).render(common | content)
 
 
-def _without_unseen(value: Any) -> Any:
+def _without_unseen(value: object) -> object:
     """Return text with codes instead of marks that reverse text or control a terminal."""
     if not isinstance(value, str) or not UNSEEN.search(value):
         return value
@@ -142,7 +142,7 @@ def _base(path: str | None) -> str:
     return (path or "clip").replace("\\", "/").rsplit("/", 1)[-1]
 
 
-def _plain(value: Any) -> str:
+def _plain(value: object) -> str:
     """Return a setting with the names of files without their folders, which readers of the page need not know."""
     return ", ".join(map(_plain, value)) if isinstance(value, list) else _base(str(value))
 

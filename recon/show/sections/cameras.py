@@ -63,7 +63,7 @@ def _estimated(motion: Motion, index: int) -> dict[str, Any]:
     }
 
 
-def camera_lines(motion: Motion, data: Any) -> Iterator[Line]:
+def camera_lines(motion: Motion, data: list[dict[str, Any]]) -> Iterator[Line]:
     """Yield a line for each camera, if there are several."""
     for camera in data if len(data) > 1 else ():
         errors, points = camera["reprojection_px"], camera["points"]

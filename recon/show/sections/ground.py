@@ -49,7 +49,7 @@ def stances_data(motion: Motion) -> dict[str, Any]:
     return ranges
 
 
-def ground_lines(motion: Motion, data: Any) -> Iterator[Line]:
+def ground_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield the ground under each segment, and the number of stances of each foot."""
     grounds = []
     for segment in segments_data(motion):

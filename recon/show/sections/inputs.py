@@ -22,7 +22,7 @@ LONGEST_SCORER = 60
 """Characters of a scorer's name that are shown."""
 
 
-def verdict_lines(motion: Motion, data: Any) -> Iterator[Line]:
+def verdict_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield the verdict, the expected errors, and the assumptions that could make both wrong."""
     yield from zip(("verdict", "expected"), lines_of_verdict(motion.verdict), strict=False)
     if len(motion.sources) == 1 and motion.verdict is not None and motion.verdict.position_m is not None:
@@ -47,7 +47,7 @@ def clip_data(motion: Motion) -> dict[str, Any]:
     return files | {"fps": motion.fps, "frames": frames, "camera": motion.camera.to_dict()}
 
 
-def clip_lines(motion: Motion, data: Any) -> Iterator[Line]:
+def clip_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield the clip's files, frames and frame rate."""
     sources = [source.keypoints.source for source in motion.sources]
     files = ", ".join(Path(path).name if path else "keypoints" for path in sources)
@@ -60,7 +60,7 @@ def side_data(motion: Motion) -> dict[str, Any]:
     return {"fitted": motion.side, "reason": motion.side_reason}
 
 
-def side_lines(motion: Motion, data: Any) -> Iterator[Line]:
+def side_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield the fitted side, if only one was."""
     if motion.side:
         yield "side", f"{motion.side}: {motion.side_reason}"
@@ -73,7 +73,7 @@ def cleaning_data(motion: Motion) -> dict[str, Any]:
     return plain | {"total": {count: cleaning.total(count) for count in COUNTS[1:]}, "notes": cleaning.notes}
 
 
-def note_lines(motion: Motion, data: Any) -> Iterator[Line]:
+def note_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield the decisions made when the files were read, each of them once."""
     for note in dict.fromkeys(note for source in motion.sources for note in source.cleaning.notes):
         yield "note", note
@@ -107,7 +107,7 @@ def detector_data(motion: Motion) -> dict[str, str]:
     return {"name": name, "reason": reason}
 
 
-def detector_lines(motion: Motion, data: Any) -> Iterator[Line]:
+def detector_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield the detector, and for an unknown one how its keypoints can be measured."""
     if motion.body.one_sided:
         return

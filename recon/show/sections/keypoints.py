@@ -66,7 +66,7 @@ def keypoints_data(motion: Motion) -> list[dict[str, Any]]:
     return rows
 
 
-def keypoint_lines(motion: Motion, data: Any) -> Iterator[Line]:
+def keypoint_lines(motion: Motion, data: list[dict[str, Any]]) -> Iterator[Line]:
     """Yield the keypoints used, the detections, the reprojection error and the outliers."""
     fitted, totals = [row for row in data if row["joint"] is not None], counts(motion)
     missing_names = [row["name"] for row in fitted if not row["used"]]

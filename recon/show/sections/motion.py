@@ -52,7 +52,7 @@ def root_path_data(motion: Motion) -> dict[str, Any]:
     }
 
 
-def speed_lines(motion: Motion, data: Any) -> Iterator[Line]:
+def speed_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield the mean speed and the distance."""
     path = data["exact"]
     if path["mean_speed_m_s"] is None:
@@ -79,7 +79,7 @@ def heading_data(motion: Motion) -> dict[str, Any]:
     }
 
 
-def heading_lines(motion: Motion, data: Any) -> Iterator[Line]:
+def heading_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield the heading."""
     observer = f", as {camera_name(motion)} sees it" if len(motion.pictures) > 1 else ""
     yield "heading", heading_text(data["heading_to_picture_rad"]) + observer
@@ -112,7 +112,7 @@ def size_data(motion: Motion) -> dict[str, Any]:
     }
 
 
-def size_lines(motion: Motion, data: Any) -> Iterator[Line]:
+def size_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield the animal's size and its source."""
     sources, given = size_sources(trajectory_solution(motion)), given_size(motion)
     animal = data["lengths"].split(",")[0]
@@ -159,7 +159,7 @@ def prior_data(motion: Motion) -> dict[str, Any]:
     }
 
 
-def prior_lines(motion: Motion, data: Any) -> Iterator[Line]:
+def prior_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield how much of the pose rests on the video and on the prior."""
     name, share = data["name"], data["mean_data_share"]
     if name == NO_PRIOR:

@@ -37,7 +37,7 @@ def summary_data(motion: Motion) -> dict[str, Any]:
     }
 
 
-def summary_lines(motion: Motion, data: Any) -> Iterator[Line]:
+def summary_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield the frames with a pose, the doubtful ones, and a distance that is hardly known."""
     reasons = [f"{count} {flag}" for flag, count in data["flags"].items() if count]
     several = "some for several reasons: " if sum(data["flags"].values()) > data["frames_flagged"] else ""
@@ -67,7 +67,7 @@ def alternative_data(motion: Motion) -> dict[str, Any] | None:
     }
 
 
-def alternative_lines(motion: Motion, data: Any) -> Iterator[Line]:
+def alternative_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield whether another pose explains the video as well."""
     if data is None:
         text = "no other pose fits nearly as well"
@@ -79,7 +79,7 @@ def alternative_lines(motion: Motion, data: Any) -> Iterator[Line]:
     yield "alternative", text
 
 
-def convergence_lines(motion: Motion, data: Any) -> Iterator[Line]:
+def convergence_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield a line if the search has not converged."""
     if data["status"] != "converged":
         yield "search", f"not converged after {data['iterations']} iterations: the pose may be far off"
