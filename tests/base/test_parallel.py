@@ -98,7 +98,7 @@ def test_a_script_needs_no_main(tmp_path):
     """What it does is not done again in the processes, as with multiprocessing alone."""
     script = tmp_path / "script.py"
     script.write_text(
-        "from recon.base.parallel import carry_out\nfrom recon.base import silent\n"
+        "from recon.base.parallel import carry_out\nfrom recon.base.progress import silent\n"
         "print('once')\ncarry_out(silent, [('one', 1)], lambda event: print(event.kind), jobs=1)\n"
     )
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False, timeout=60)
