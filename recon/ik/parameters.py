@@ -165,7 +165,10 @@ def _in_range(method: Callable[[float], Method], called: tuple[str, str], frames
     refined = float(minimize_scalar(cost, bounds=around, method="bounded", options={"xatol": 1e-8}).x)
     value = float(np.exp(refined if cost(refined) < cost(grid[i]) else grid[i]))
     (low, high), (name, unit), note = RANGE, called, ""
-    if i in (0, len(grid) - 1):
+    if i == 0 and name == "lambda":
+        # dx is J dq, so that the error is that of least norm plus sum((1 - s^2 / (s^2 + lambda^2))^2 ...): least at 0.
+        note = "lambda is 0: damping only takes from least norm's rates, and those are too small already"
+    elif i in (0, len(grid) - 1):
         note = f"{name} at the edge of {low:g} to {high:g} {unit}"
     elif np.array_equal(rates_of(method(value), frames), rates_of(method(high), frames)):
         note = f"nothing is damped, with this {name} or any from there to {high:g} {unit}"

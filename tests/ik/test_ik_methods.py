@@ -243,7 +243,7 @@ def test_fit_says_where_a_parameter_is_at_its_edge():
     chain = CHAINS["planar"]
     q, dx = np.random.default_rng(7).uniform(0.2, 1.0, (10, 5)), np.ones((10, 2))
     dq = np.stack([LeastNorm().rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)])
-    assert "edge" in fits()["damped"](Frames.of(chain, q, dx, dq)).note
+    assert "is 0" in fits()["damped"](Frames.of(chain, q, dx, dq)).note
     with pytest.raises(ValueError, match="no frame"):
         Frames.of(chain, q * np.nan, dx, dq)
 
@@ -296,3 +296,14 @@ def test_a_scaled_method_is_nearest_or_as_told():
     # What follows the path exactly needs no factor, nor does the null space.
     projected = GradientProjection(joint_differences(chain))
     np.testing.assert_allclose(replace(projected, alpha=None).rates(chain, q, dx).dq, projected.rates(chain, q, dx).dq)
+
+
+def test_no_damping_explains_rates_best_whatever_they_are():
+    """With dx = J dq, least norm gives the rates' part in the row space of J: damping only takes from it."""
+    chain, rng = CHAINS["planar"], np.random.default_rng(11)
+    q, dq = rng.uniform(0.2, 1.0, (20, 5)), rng.normal(0.0, 2.0, (20, 5))
+    dx = np.einsum("tij,tj->ti", chain.jacobian(q), dq)
+    found = fits()["damped"](Frames.of(chain, q, dx, dq))
+    assert found.parameter[0] == pytest.approx(1e-4)
+    assert found.note.startswith("lambda is 0")
+    assert found.explained == pytest.approx(fits()["least-norm"](Frames.of(chain, q, dx, dq)).explained, abs=1e-6)
