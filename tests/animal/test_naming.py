@@ -34,7 +34,7 @@ from recon.show.report import build_report
 from recon.testing import detectors
 from recon.testing.detectors import ACINOSET, ANIMAL3D, AP_10K, HORSE_10, MMPOSE_AP_10K, SUPERANIMAL, UNSEEN
 from recon.workflows.clip_inputs import prepare
-from recon.workflows.clip_results import file_sha256, identity, run_clip
+from recon.workflows.clip_results import identity, run_clip
 from recon.workflows.convert import ConvertSettings, read_any
 from recon.workflows.skeleton import check_skeleton, draft_skeleton
 
@@ -411,7 +411,6 @@ def test_a_batch_knows_a_map_by_its_content(tmp_path):
     assert {*one["inputs"]} == {"keypoints", "camera", "rename"}
     assert "rename" not in one["settings"]
     in_file(tmp_path, "left_eye,r_eye\n")
-    file_sha256.cache_clear()
     assert identity(settings(SAMPLES / "whole.csv", rename=names)) != one
     bundled = identity(settings(SAMPLES / "whole.csv", rename="ap-10k"))
     assert bundled["settings"]["rename"] == "ap-10k"

@@ -165,7 +165,8 @@ def test_poses_of_fmpose3d(of_fmpose3d, suffix):
     truth, path = SAMPLE.with_name("whole_truth.csv"), of_fmpose3d.with_suffix(suffix)
     pose = read_pose3d(path)
     assert {*pose.names} == {*ANIMAL3D}
-    assert ["FMPose3D" in note for note in pose.notes] == [True, True]
+    assert ["FMPose3D" in note for note in pose.notes[:2]] == [True, True]
+    assert [says(note, "right_mouth in 59 frames", "missing") for note in pose.notes[2:]] == [True] * (suffix == ".h5")
     found = evaluate_files(path, truth, rename="animal3d")
     assert (len(found.names), found.frames_not_scored) == (19, 1)
     assert found.pa_mpjpe_m.mean < 1e-6 < 0.1 < found.scale_mpjpe_m.mean
