@@ -19,6 +19,7 @@ from recon.animal.chain import builtin_chains
 from recon.animal.naming import both_sides, builtin_maps, load_names, without_side
 from recon.animal.prior import prior_from_body
 from recon.animal.skeleton_file import builtin_names
+from recon.base.outputs import RECORD
 from recon.clip import still_view
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.trajectory import solve_trajectory
@@ -478,7 +479,7 @@ def test_pictures(tmp_path):
     file, out = in_file(tmp_path, CAT), tmp_path / "pictures"
     skeleton_check(_SkeletonCheckSettings(skeleton=str(file), out=out))
     names = ["angles.png", "angles.svg", "skeleton.png", "skeleton.svg"]
-    assert sorted(path.name for path in out.iterdir()) == names
+    assert sorted(path.name for path in out.iterdir()) == [RECORD, *names]
     picture = (out / "skeleton.svg").read_text(encoding="utf-8")
     assert "left/right_knee" in picture  # in the side view both are one
     assert all(marker in picture for marker in body_of(file).markers)

@@ -196,8 +196,7 @@ def test_a_robots_folder_is_converted_at_any_rate(whole_results, written, tmp_pa
     refused(["convert", whole_results, later, "--to", "amp"], expected)
     refused(  # over none of the files that it would write
         ["convert", robot, tmp_path / "motion.csv"],
-        ("OUT", "file", str(tmp_path / "motion.json"), "--overwrite"),
-        ("OUT", "file", str(tmp_path / "stride_motion.json"), "--overwrite"),
+        (tmp_path / "motion.json", "file", "`recon convert` did not write", "another OUT"),
     )
     assert not (tmp_path / "motion.csv").exists()
 

@@ -11,6 +11,7 @@ import pytest
 from command_line import refusal, refused, run
 from scipy.sparse import load_npz
 
+from recon.base.outputs import RECORD
 from recon.fit.motion import Motion
 from recon.show.report import build_report
 from recon.thesis import figures as solver_plots
@@ -140,7 +141,7 @@ def test_command_writes_all_of_it(frame_results, small_pictures, tmp_path):
     out = tmp_path / "solver"
     ended = run("solver", frame_results, "--out", out)
     assert ended.code == 0, ended.err
-    files = {path.name for path in out.iterdir()}
+    files = {path.name for path in out.iterdir() if path.name != RECORD}
     pictures = {f"{draw.__name__}.{end}" for draw in solver_plots.FIGURES for end in ("png", "svg")}
     assert files == {*TABLES, "jacobian.npz", "solver.json", *pictures}
     assert f"{len(files)} files" in ended.out
