@@ -33,7 +33,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 def spine_front_leg(
     chain: Chain, base_length_m: float | None = None, dim: Literal[2, 3] = 3, limited: bool = True
 ) -> SerialChain:
-    """The chain from the root to the front foot, r5, r1, r2, r3, r4 of the 8U skeleton, in its level base frame.
+    """Return the chain r5, r1, r2, r3, r4 of the 8U skeleton, from the root to the front foot, in its level base frame.
 
     Its joints are called as the chain's own angles, after the joint at the link's end: theta_9, theta_1 to theta_4, and
     so the phis. base_length_m: None for the nominal one. Limits are the skeleton's expected ranges, those of the first
@@ -102,7 +102,7 @@ def _angles_near(directions: Array, theta: Array, phi: Array) -> tuple[Array, Ar
 
 
 def _path(chain: Chain) -> list[int]:
-    """Indices of the links from the root to the fore foot."""
+    """Return the indices of the links from the root to the fore foot."""
     joint = chain.body.feet_by_label().get("F")
     if joint is None:
         raise ValueError(f"{chain.name} has no fore foot")
@@ -121,7 +121,7 @@ def _angle_index(chain: Chain, links: list[int]) -> list[int | None]:
 
 
 def body_chain(body: Body, foot: str, size: float = 1.0, limited: bool = True) -> SerialChain:
-    """The chain from the root segment's origin to a marker, its joints' names those of the state.
+    """Return the chain from the root segment's origin to a marker, with the joint names of the state.
 
     The first joints are the root's yaw against the direction of travel, its pitch and its roll. Limits are the body's
     expectations, `LIMIT_SIGMAS` standard deviations each way, of the yaw half a turn. limited: False leaves them out,
@@ -162,8 +162,10 @@ def body_chain_angles(body: Body, foot: str, states: Array, travel: Array | None
 
 
 def body_travel(states: Array) -> Array:
-    """Direction of travel (3,), level, of states (T, D) of a body: from the first to the last place of the root, or the
-    way the animal faces where that is short."""
+    """Return the level direction of travel (3,) of a body's states (T, D).
+
+    It points from the first to the last position of the root, or where the animal faces if the root hardly moves.
+    """
     known = states[np.isfinite(states).all(axis=1)]
     if not len(known):
         return np.full(3, np.nan)
@@ -175,7 +177,7 @@ def body_travel(states: Array) -> Array:
 
 
 def projected_chain(points_m: Array, travel: ArrayLike) -> tuple[SerialChain, Array, Array]:
-    """A planar chain through consecutive joints of any skeleton: the chain, q (T, K - 1), and its misfit (T,), metres.
+    """Return a planar chain through consecutive joints, its angles q (T, K - 1), and its misfit (T,), metres.
 
     points_m (T, K, 3): joints, world z up, NaN where missing; travel (3,). Everything is projected into the vertical
     plane along the travel. Lengths are the medians of the projected ones, so that the chain's end does not lie quite

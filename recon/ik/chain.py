@@ -37,8 +37,10 @@ MAX_RATE_RAD_S = 50.0
 
 @dataclass(frozen=True, eq=False)
 class SerialChain:
-    """A chain with n joints in dim dimensions, its base at the origin. Joint angles q are (n,) or, for many
-    configurations at once, (..., n): rad, and metres of joints that slide."""
+    """A chain with n joints in dim dimensions, with its base at the origin.
+
+    Joint angles q are (n,) or, for many configurations at once, (..., n): rad, and metres for joints that slide.
+    """
 
     tree: Tree
     """The tree of one branch, with one marker: the end effector."""
@@ -76,29 +78,30 @@ class SerialChain:
     # -- where it is -------------------------------------------------------------------------------------------------
 
     def positions(self, q: Array) -> Array:
-        """The joints' places along the chain and, last, the end effector (..., ., dim), metres."""
+        """Return the positions of the joints along the chain and, last, of the end effector (..., ., dim), metres."""
         states = self._states(q)
         points = np.concatenate([self.tree.origins(states)[:, self._moving], self.tree.pose(states).points_m], axis=1)
         return (points @ self.base.T).reshape(*q.shape[:-1], -1, self.dim)
 
     def end(self, q: Array) -> Array:
-        """The end effector (..., dim), metres."""
+        """Return the position of the end effector (..., dim), metres."""
         return (self.tree.pose(self._states(q)).points_m[:, 0] @ self.base.T).reshape(*q.shape[:-1], self.dim)
 
     def pose(self, q: Array) -> tuple[Array, Array]:
-        """The pose T_base_end of a chain in space: rotation (3, 3) and position (3,) of the end effector, for q
-        (n,)."""
+        """Return the rotation (3, 3) and position (3,) of T_base_end, the end effector's pose in space, for q (n,)."""
         return self.base @ self.tree.orientations(self._states(q))[0, -1] @ self.tool_rotation, self.end(q)
 
     def inside_limits(self, q: Array) -> Array:
-        """The nearest angles to q (..., n) within the limits."""
+        """Return the nearest angles to q (..., n) within the limits."""
         return np.minimum(np.maximum(q, self.lower_rad), self.upper_rad)
 
     # -- how it moves, for q (n,) ------------------------------------------------------------------------------------
 
     def derivatives(self, q: Array) -> tuple[Array, Curvature]:
-        """The end effector's Jacobian (dim, n), and its curvature, a function that makes of mu (dim,) the sum (n, n) of
-        mu_i times the Hessian of coordinate i."""
+        """Return the end effector's Jacobian (dim, n), and its curvature.
+
+        The curvature is a function of mu (dim,): the sum (n, n) of mu_i times the Hessian of coordinate i.
+        """
         jacobian, _, curvature = derivatives(self.tree, self._states(q)[0])
 
         def bent(mu: Array) -> Array:
@@ -112,17 +115,19 @@ class SerialChain:
         return (self.base @ jacobian[..., self.columns]).reshape(*q.shape[:-1], self.dim, self.n)
 
     def joint_axes(self, q: Array) -> Array:
-        """Unit vectors (n, 3) along the joints' axes of a chain of `joint_chain`, in the base frame."""
+        """Return unit vectors (n, 3) along the joint axes of a chain of `joint_chain`, in the base frame."""
         return derivatives(self.tree, self._states(q)[0])[1]
 
     def geometric_jacobian(self, q: Array) -> Array:
-        """The geometric Jacobian (6, n) of a chain of `joint_chain`: velocity (m/s) and angular velocity (rad/s) of the
-        end effector."""
+        """Return the geometric Jacobian (6, n) of a chain of `joint_chain`.
+
+        Its rows are the velocity (m/s) and the angular velocity (rad/s) of the end effector.
+        """
         jacobian, axes, _ = derivatives(self.tree, self._states(q)[0])
         return np.concatenate([jacobian[0, :, self.columns].T, axes.T * ~self.sliding])
 
     def _states(self, q: Array) -> Array:
-        """(N, D)"""
+        """Return the states (N, D) of the tree."""
         states = np.zeros((q.size // self.n, self.tree.n_state))
         states[:, self.columns] = q.reshape(-1, self.n)
         return states
@@ -136,7 +141,7 @@ class SerialChain:
 
     @cached_property
     def _moving(self) -> Index:
-        """The segments with joints."""
+        """Return the segments with joints."""
         return np.array([i for i, segment in enumerate(self.tree.segments) if AXES[segment.joint]])
 
     @cached_property
@@ -146,8 +151,10 @@ class SerialChain:
 
     @cached_property
     def joint_lengths_m(self) -> Array:
-        """(n,): of the link that each joint turns, to the next place along the chain that is not the joint's own; 0
-        where there is none."""
+        """Return the length (n,) of the link that each joint turns.
+
+        The link ends at the next position along the chain that differs from the joint's; 0 if there is none.
+        """
         lengths = self.lengths_m.copy()
         for k in range(len(lengths) - 2, -1, -1):
             if lengths[k] == 0:
@@ -157,8 +164,10 @@ class SerialChain:
 
     @cached_property
     def reach_m(self) -> tuple[float, float]:
-        """Bounds of the end effector's distance from the base, which no angles leave. From the triangle inequality: of
-        a chain in space not every distance between has to be reached. Joints that slide leave none."""
+        """Return bounds of the end effector's distance from the base, by the triangle inequality.
+
+        A chain in space need not reach every distance between them. With joints that slide there are no bounds.
+        """
         if self.sliding.any():
             return 0.0, math.inf
         hops = np.append(np.linalg.norm(self.positions(np.zeros(self.n))[0]), self.lengths_m)
@@ -187,9 +196,11 @@ def summed_chain(
     max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S,
     dim: Literal[2, 3] = 3,
 ) -> SerialChain:
-    """Universal joints in space whose angles add up: q (2 L,) = [theta..., phi...], base frame UVW, of lengths_m (L,).
-    dim 2: only the thetas. Limits: lower and upper, rates: the fastest, each one number or one for each joint. Raises
-    ValueError."""
+    """Return a chain of universal joints in space whose angles add up: q (2 L,) = [theta..., phi...], base frame UVW.
+
+    lengths_m (L,): of the links; dim 2: only the thetas. Limits: lower and upper; rates: the fastest; each one number
+    or one for each joint. Raises ValueError.
+    """
     lengths = np.array(lengths_m, float)
     if lengths.ndim != 1 or not len(lengths) or not np.all(np.isfinite(lengths) & (lengths > 0)):
         raise ValueError(f"positive lengths (L,) expected, got {lengths_m}")
@@ -216,12 +227,12 @@ def joint_chain(
     max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S,
     names: tuple[str, ...] | None = None,
 ) -> SerialChain:
-    """n joints in space: q (n,), rad, or metres of those that slide. It is described as it is with all of them at 0, in
-    the axes of its base.
+    """Return a chain of n joints in space, with q (n,) in rad, or metres for joints that slide.
 
-    offsets_m (n, 3): each joint's place from that of the joint before it; axes (n, 3); sliding: one or (n,), which
-    slide along their axes; tool_m (3,), tool_rotation: the end effector from the last joint; names: None: joint 1 and
-    so on; limits: lower and upper, rates: the fastest, each one number or one for each joint. Raises ValueError.
+    It is described in the axes of its base, with all joints at 0. offsets_m (n, 3): each joint's position relative to
+    the joint before it; axes (n, 3); sliding: one or (n,), joints that slide along their axes; tool_m (3,) and
+    tool_rotation: the end effector relative to the last joint; names: None: joint 1 and so on; limits: lower and upper;
+    rates: the fastest; each one number or one for each joint. Raises ValueError.
     """
     offsets, axes, tool = (np.array(x, float) for x in (offsets_m, axes, tool_m))
     n = len(offsets)
@@ -246,7 +257,7 @@ def joint_chain(
 
 
 def _each(n: int, *numbers: ArrayLike) -> list[Array]:
-    """Numbers, one or (n,) each, of n joints."""
+    """Return numbers for n joints, each given as one number or as (n,)."""
     return [np.array(np.broadcast_to(one, n), float) for one in numbers]
 
 
@@ -256,7 +267,7 @@ def _triple(v: Array) -> tuple[float, float, float]:
 
 
 def _with_z_along(z: Array) -> Array:
-    """A rotation (3, 3) whose z axis is the given unit vector (3,); none for the z axis itself."""
+    """Return a rotation (3, 3) whose z axis is the given unit vector (3,); the identity for the z axis itself."""
     x = np.eye(3)[np.argmin(np.abs(z))]
     x = x - (x @ z) * z
     x /= np.linalg.norm(x)

@@ -213,7 +213,7 @@ SUMMARY = "ik.json"
 
 @dataclass(frozen=True, eq=False)
 class _IKRun:
-    """What was moved, and how."""
+    """A chain, its methods and their runs."""
 
     settings: IkSettings
     motion: Motion
@@ -270,8 +270,10 @@ class _IKRun:
 
 
 def run_ik(settings: IkSettings) -> _IKRun:
-    """`recon ik`: tables and figures into a folder. With parameters fitted to the clip, these are fitted to each frame
-    of the stride, too. Raises InputError."""
+    """Write the tables and figures of `recon ik` into a folder.
+
+    Parameters that are fitted to the clip are also fitted to each frame of the stride. Raises InputError.
+    """
     made_from = ReadResults.of(settings.folder)
     motion = usable(Motion.load(settings.folder), settings.folder, settings.anyway)
     output = Output(settings.out_folder, "ik", settings.overwrite, input_paths(settings), made_from)

@@ -30,25 +30,25 @@ class Cost:
 
 
 def quadratic(matrix: Array, about: Array | float = 0.0) -> Cost:
-    """g = (q - about)' H (q - about) / 2 with a constant symmetric matrix H (n, n); about: (n,), or 0 for all."""
+    """Return g = (q - about)' H (q - about) / 2 with a constant symmetric H (n, n); about: (n,), or 0 for all."""
     return Cost(
         lambda q: float((q - about) @ matrix @ (q - about)) / 2, lambda q: matrix @ (q - about), lambda _: matrix
     )
 
 
 def joint_differences(chain: SerialChain) -> Cost:
-    """sum (q_{k+1} - q_k)^2 over the joints that follow each other, thetas and phis apart: an even bend."""
+    """Return sum (q_{k+1} - q_k)^2 over consecutive joints, thetas and phis separately: an even bend."""
     D = np.concatenate([np.diff(np.eye(chain.n)[[*group]], axis=0) for group in chain.groups])
     return quadratic(2 * D.T @ D)
 
 
 def rotational_energy(chain: SerialChain) -> Cost:
-    """sum (r_k q_k)^2 with each joint's own link length r_k, m^2: least rotation, least in the long links."""
+    """Return sum (r_k q_k)^2 with each joint's own link length r_k, m^2: least rotation, least in the long links."""
     return quadratic(2 * np.diag(chain.joint_lengths_m**2))
 
 
 def pose_distance(pose: Array) -> Cost:
-    """sum (q_k - p_k)^2 from a pose p (n,), of the animal for instance."""
+    """Return sum (q_k - p_k)^2, the distance from a pose p (n,), for instance the animal's."""
     return quadratic(2 * np.eye(len(pose)), pose)
 
 
@@ -62,7 +62,7 @@ def weighted_sum(costs: Sequence[Cost], weights: Sequence[float]) -> Cost:
 
 
 def harmonic_map(a: float = 1.0, b: float = 0.0, joints: Sequence[int] = (2, 3, 4)) -> Cost:
-    """g = q2 (a q1 + b) sqrt(1 + q1^2) with q1 = q[i] - q[j], q2 = q[k] - q[j].
+    """Return g = q2 (a q1 + b) sqrt(1 + q1^2) with q1 = q[i] - q[j], q2 = q[k] - q[j].
 
     joints: (i, j, k), by default theta_2, theta_3, theta_4 of the spine-front-leg chain. Its Hessian has rank 2, and
     its stationary points are saddles: the extended Jacobian can be singular at G = 0.

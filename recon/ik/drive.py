@@ -90,8 +90,11 @@ class Run:
 
     @cached_property
     def control(self) -> tuple[Array, Array]:
-        """Rates and accelerations (K, n) as a controller takes them: those of the parabola through a sample and its
-        neighbours. The way along a closed path comes from where its last step came from, any other starts at rest."""
+        """Return rates and accelerations (K, n) for a controller.
+
+        They are those of the parabola through a sample and its neighbours. A closed path is continued periodically; any
+        other path starts at rest.
+        """
         q, interval_s = self.q, self.interval_s
         before = q[0] - (q[-1] - q[-2]) if self.closed else q[0]
         known = np.vstack([before, q, q[-1] + interval_s * self.dq[-1]])
@@ -112,8 +115,11 @@ class Run:
         return float(np.mean(np.sum(np.diff(self.q, 2, axis=0) ** 2, axis=1))) if len(self.q) > 2 else 0.0
 
     def closures(self) -> dict[str, Array]:
-        """Degrees of closure in percent of each joint (n,), from the first configuration to the last: of its "angle",
-        and of its path in the (angle, rate) "plane". NaN for a joint that does not move."""
+        """Return degrees of closure (n,), in percent, of each joint from the first configuration to the last.
+
+        "angle" is that of the angle, "plane" that of the path in the (angle, rate) plane. NaN for a joint that does
+        not move.
+        """
         planes = [np.column_stack(path) for path in zip(self.q.T, self.dq.T, strict=True)]
         return {
             "angle": np.array([degree_of_closure(plane[:, 0]) for plane in planes]),
@@ -121,7 +127,7 @@ class Run:
         }
 
     def measures(self) -> dict[str, Any]:
-        """The figures of the run for the tables."""
+        """Return the numbers of the run for the tables."""
         if self.driven:
             found = {"reached": self.reached, "reason": self.reason, "iterations": self.iterations}
         else:
@@ -137,7 +143,7 @@ class Run:
 
 
 def control_columns(names: Sequence[str]) -> list[str]:
-    """What the rates and accelerations of joints are called in tables."""
+    """Return the names of the columns of rates and accelerations of joints."""
     return [f"{name}_{what}" for what in ("rate_rad_s", "acceleration_rad_s2") for name in names]
 
 
@@ -227,8 +233,10 @@ def _moved(
     method: Callable[[int], Method],
     interval_s: float,
 ) -> Run:
-    """From q (n,) on, an interval after the other, at the velocity (dim,) that ask(k, end, last rates, joints stopped)
-    wants in step k, until it gives the run's note in its place."""
+    """Move on from q (n,), one interval after the other, until ask returns the run's note.
+
+    ask(k, end, last rates, stopped joints) returns the velocity (dim,) of step k, or the note.
+    """
     path, ends, limits = [q], [chain.end(q)], {}
     steps: list[JointRates] = []
     times: list[float] = []
@@ -274,8 +282,10 @@ def degree_of_closure(path: Array) -> float:
 def _one_interval(
     chain: SerialChain, q: Array, dx: Array, method: Method, interval_s: float
 ) -> tuple[JointRates, Array, list[int]]:
-    """One interval: the step, where it leads, and the joints that a limit stopped. The extended Jacobian has the gain
-    that keeps it at G = 0."""
+    """Return the step of one interval, the configuration after it, and the joints that a limit stopped.
+
+    The extended Jacobian has the gain that keeps it at G = 0.
+    """
     if isinstance(method, ExtendedJacobian) and method.full and not method.gain_per_s:
         method = replace(method, gain_per_s=1 / interval_s)
     free = np.ones(chain.n, bool)

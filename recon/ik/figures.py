@@ -27,11 +27,11 @@ def task_space(
     aim_m: Array | None = None,
     base: Literal["UVW", "xyz"] = "UVW",
 ) -> Figure:
-    """The end effector's paths by method: in the plane, or in space from the side and from above, with the chain as it
-    stood at first and, of every method, at last.
+    """Draw the end effector's path of each method, in the plane, or in space from the side and from above.
 
-    aim_m: the target (dim,), a cross, or the way that was to be followed (K, dim). base: what the coordinates mean,
-    forwards, down and left or forwards, left and up; two are U and V.
+    The chain is drawn at the start and, for each method, at the end. aim_m: the target (dim,), a cross, or the
+    requested path (K, dim). base: the meaning of the coordinates: forwards, down and left, or forwards, left and up;
+    two are U and V.
     """
     labels, first = [f"{name}{_outcome(move)}" for name, move in moves.items()], next(iter(moves.values()))
     aims = () if aim_m is None else ("path to follow",) if aim_m.ndim == 2 else ("target",)
@@ -91,7 +91,7 @@ def joint_space(moves: Mapping[str, Run], names: Sequence[str]) -> Figure:
 
 
 def _outcome(move: Run) -> str:
-    """What did not go as it should, in a few words."""
+    """Return what failed in a run, in a few words."""
     if not move.note:
         return ""
     what = move.note.split(":")[0].split(" (")[0]

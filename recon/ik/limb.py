@@ -69,7 +69,7 @@ COSTS: dict[str, Callable[[Limb], Cost]] = {
 
 
 def limb_of(motion: Motion, foot: str | None = None, dim: Dim = 3, limited: bool = True) -> Limb:
-    """The chain to a foot, by its label (LF) or joint, by default the first fore foot. Raises InputError.
+    """Return the chain to a foot, by its label (LF) or joint, by default the first fore foot. Raises InputError.
 
     Of the 8U chain that is the spine and the front leg. Of a whole animal, in space, all joints from the root to the
     foot, and in the plane the joints' projections onto the vertical plane of travel.
@@ -114,13 +114,12 @@ def methods_of(
     cost: Cost | None = None,
     alpha: float | Literal["step"] | None = None,
 ) -> dict[str, Method]:
-    """The methods by name (`METHODS`, `EXTENDED`), with their standard parameters, or those fitted to the clip
-    (`fit_parameters`). Weights have no standard, and are fitted in any case.
+    """Return the methods by name (`METHODS`, `EXTENDED`), with standard parameters or those of `fit_parameters`.
 
-    cost: of `EXTENDED`, which needs one, and of gradient projection, by default the joint differences. alpha: a factor
-    on all rates, or "step" for the one of each step with which the foot moves nearest to what is asked for.
+    Weights have no standard values, and are always fitted. cost: of `EXTENDED`, which needs one, and of gradient
+    projection, by default the joint differences. alpha: a factor on all rates, or "step" for the one of each step with
+    which the foot's motion is closest to the requested one.
     """
-
     costs = {name: COSTS[name.removeprefix("extended-")](limb) for name in names if name.startswith("extended-")}
     costs |= {} if cost is None else {EXTENDED: cost}
     standard = STANDARD | {name: ExtendedJacobian(of) for name, of in costs.items()}
@@ -134,7 +133,7 @@ def methods_of(
 
 
 def cost_of(limb: Limb, text: str) -> Cost:
-    """A cost of `COSTS`, or a sum of some with weights, as in "energy,differences=0.1". Raises InputError."""
+    """Return a cost of `COSTS`, or a weighted sum, as in "energy,differences=0.1". Raises InputError."""
     costs, weights, problems = [], [], []
     for part in text.split(","):
         name, _, weight = part.strip().partition("=")
@@ -149,8 +148,11 @@ def cost_of(limb: Limb, text: str) -> Cost:
 
 
 def fit_parameters(limb: Limb, cost: Cost | None = None) -> dict[str, ParameterFit]:
-    """By method, by least squares to the joint rates of the clip, from a spline through its angles. cost: of gradient
-    projection; None: any constant vector. Raises InputError for fewer than four frames in a row."""
+    """Fit the parameters of each method by least squares to the joint rates of the clip.
+
+    The rates are those of a spline through the angles. cost: of gradient projection; None: any constant vector. Raises
+    InputError for fewer than four frames in a row.
+    """
     frames, _ = _rates_of(limb)
     return {name: fit(frames) for name, fit in fits(() if cost is None else (cost,)).items()}
 
@@ -158,11 +160,11 @@ def fit_parameters(limb: Limb, cost: Cost | None = None) -> dict[str, ParameterF
 def fit_parameter_series(
     limb: Limb, stride: StridePath, cost: Cost | None = None, last: int = 0
 ) -> tuple[pd.DataFrame, dict[str, list[Method]]]:
-    """The same fitted to each frame of a stride by itself, or to the `last` ones before it: the methods, and a row for
-    each frame: time_s in the clip, and of every method its parameter (`PARAMETERS`; one for each joint where there are
-    as many), <method>_best_alpha, and <method>_explained, of the frame's own rates.
+    """Fit the parameters to each frame of a stride by itself, or to the `last` frames before it.
 
-    cost: of gradient projection; by default, where a frame stands by itself, the joint differences, of which k is
+    Returns the methods, and a table with a row for each frame: time_s in the clip, and for every method its parameter
+    (`PARAMETERS`; one for each joint if there are as many), <method>_best_alpha, and <method>_explained, the share of
+    the frame's own rates. cost: of gradient projection; the default for single frames is the joint differences, with k
     fitted. Raises InputError as `fit_parameters`.
     """
     frames, at_s = _rates_of(limb)
@@ -183,7 +185,7 @@ def fit_parameter_series(
 
 
 def _rates_of(limb: Limb) -> tuple[Frames, Array]:
-    """The frames with a pose, and their times (T,) from the first frame on."""
+    """Return the frames with a pose, and their times (T,) since the first frame."""
     known = np.flatnonzero(np.isfinite(limb.q).all(axis=1))
     if len(known) < MIN_POINTS:
         raise InputError(Problem("results", "frames", f"{len(known)} with a pose", f"at least {MIN_POINTS}"))
@@ -193,9 +195,11 @@ def _rates_of(limb: Limb) -> tuple[Frames, Array]:
 
 
 def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None = None) -> StridePath:
-    """The stride that is given; or the first of the foot that counts (`recon.gait.gait`); or, of a clip without any,
-    where the foot comes back to nearest in the time that a stride takes. Raises InputError for a clip that shows too
-    little."""
+    """Return the given stride, or the foot's first valid one (`recon.gait.gait`).
+
+    In a clip without a valid stride it is the closest return of the foot within the duration of a stride. Raises
+    InputError for a clip that shows too little.
+    """
     found, how, notes, lasts_s = None, "", [], (0.0, np.inf)
     if stride_s is not None:
         found, how = stride_given(motion, stride_s), "given"
@@ -219,9 +223,11 @@ def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None =
 
 
 def stride_lasts_s(gait: Gait) -> tuple[float, float]:
-    """How long a stride of a foot without a complete one lasts, at least and at most: about as long as the clip says.
-    In one that is too short to hold what it says, and in which no foot lands twice, it takes the time from the first
-    touchdown to the end at least, to half a frame."""
+    """Return the shortest and longest duration of a stride of a foot without a complete one.
+
+    It is about the duration that the clip shows. If the clip is shorter than that, and no foot lands twice in it, the
+    stride lasts at least from the first touch-down to the end, to half a frame.
+    """
     time_s = gait.tracks.time_s
     if 0 < gait.stride_s < time_s[-1] - time_s[0]:
         return (1 - AGREE) * gait.stride_s, (1 + AGREE) * gait.stride_s
@@ -235,8 +241,11 @@ def stride_lasts_s(gait: Gait) -> tuple[float, float]:
 def follow_stride(
     chain: SerialChain, stride: StridePath, method: Method, turns: int = 1, each: Sequence[Method] = ()
 ) -> Run:
-    """Along the stride, `SLOWER` than the animal; times and rates are the animal's again. The extended Jacobian starts
-    where its cost is stationary, with the foot in the same place. each: a method for every frame of the stride."""
+    """Follow the stride, `SLOWER` than the animal; times and rates are converted back to the animal's.
+
+    The extended Jacobian starts where its cost is stationary, with the foot at the same position. each: a method for
+    every frame of the stride.
+    """
     q0, steps = stride.q[0], len(stride.path_m) - 1
     if isinstance(method, ExtendedJacobian):
         q0 = to_null_space_optimum(chain, q0, method.cost)[0]

@@ -140,11 +140,13 @@ class GradientProjection(Method):
 
 @dataclass(frozen=True, eq=False)
 class SelectivelyDamped(Method):
-    """Each singular direction i damped by itself: (v_i (u_i . dx) / s_i), no joint of which turns more than
+    """Damp each singular direction i, v_i (u_i . dx) / s_i, separately (Buss and Kim 2005, one end effector).
+
+    In an interval, no joint of a direction turns by more than
 
         gamma_i = min(1, 1 / M_i) gamma_max,   M_i = sum_j |v_ji| |J_j| / s_i
 
-    in an interval, and their sum no more than gamma_max. Buss and Kim 2005, for one end effector.
+    and the sum of the directions turns no joint by more than gamma_max.
     """
 
     gamma_max_rad: float = math.pi / 4
@@ -211,21 +213,26 @@ STANDARD: dict[str, Method] = {
 def reduced_gradient(
     cost: Cost, q: Array, pseudo: Array, curvature: Curvature | None, free: Free = ALL
 ) -> tuple[Array, Array]:
-    """grad g (m,) and M = Hess g - sum_i mu_i Hess f_i (m, m) of the free joints, whose J+ is pseudo (m, dim).
-    curvature: of all joints; None leaves the sum out."""
+    """Return grad g (m,) and M = Hess g - sum_i mu_i Hess f_i (m, m) of the free joints.
+
+    pseudo: their J+ (m, dim); curvature: of all joints; None leaves the sum out.
+    """
     g, M = cost.gradient(q)[free], cost.hessian(q)[free][:, free]
     return g, M if curvature is None else M - curvature(g @ pseudo)[free][:, free]
 
 
 def best_scale(rates: Array, wanted: Array) -> float:
-    """The factor that brings rates nearest to those wanted, <wanted, rates> / |rates|^2; 1 where nothing moves."""
+    """Return the factor that brings rates closest to those wanted, <wanted, rates> / |rates|^2; 1 if nothing moves."""
     square = float(np.vdot(rates, rates))
     return float(np.vdot(wanted, rates)) / square if square > 0 else 1.0
 
 
 def right_inverse(J: Array, along: Array | None = None, damping: float = 0.0) -> tuple[Array, bool]:
-    """A' (J A' + damping I)^-1 (n, dim) with A (dim, n) = along, or J, which gives J+; and whether J A' is singular
-    without the damping. If it is, at least SINGULAR times its trace is added; zero where it is zero or not finite."""
+    """Return A' (J A' + damping I)^-1 (n, dim), and whether J A' is singular without the damping.
+
+    A (dim, n) is `along`, or J, which gives J+. If J A' is singular, at least SINGULAR times its trace is added. The
+    result is zero if J A' is zero or not finite.
+    """
     A = J if along is None else along
     gram = J @ A.T
     if singular := _is_singular(gram):
@@ -251,8 +258,10 @@ def _is_singular(gram: Array) -> bool:
 
 
 def _reduced_inverse(M: Array, N: Array) -> tuple[Array, bool]:
-    """N (N' M N)^-1 N' (n, n), for a symmetric M (n, n) and a basis N (n, m), and whether an eigenvalue of N' M N is
-    lost against the largest; those are damped."""
+    """Return N (N' M N)^-1 N' (n, n), for a symmetric M (n, n) and a basis N (n, m), and whether it is nearly singular.
+
+    Eigenvalues of N' M N that vanish against the largest are damped.
+    """
     A = N.T @ M @ N
     if not np.isfinite(A).all():
         return np.zeros(M.shape), True
@@ -273,8 +282,10 @@ def _clamped(values: Array, limit: float) -> Array:
 
 
 def _within_limits(chain: SerialChain, free: Free, solved: JointRates) -> JointRates:
-    """Rates of all joints from those of the free ones, with as much of the motion along the null space as the limits
-    leave to it; 0 for the others. The note says what was held back, and where."""
+    """Return the rates of all joints from those of the free ones, 0 for the others.
+
+    The motion along the null space is reduced as far as the limits require. The note says what was reduced, and where.
+    """
     dq, singular, note, along = solved
     limit = chain.max_rate_rad_s[free]
     total = dq + along
@@ -294,7 +305,7 @@ def _within_limits(chain: SerialChain, free: Free, solved: JointRates) -> JointR
 
 
 def _share_within(rates: Array, along: Array, limit: Array) -> float:
-    """The largest share of `along`, up to 1, that brings no rate beyond its limit."""
+    """Return the largest share of `along`, up to 1, that brings no rate beyond its limit."""
     with np.errstate(divide="ignore", invalid="ignore"):
         room = (np.copysign(limit, along) - rates) / along
         shares = np.where(along != 0, room, np.abs(rates) <= limit)

@@ -25,12 +25,12 @@ def _listed(chain: SerialChain, joints: Iterable[int]) -> str:
 
 
 def to_null_space_optimum(chain: SerialChain, q0: ArrayLike, cost: Cost) -> tuple[Array, str]:
-    """Moves along the null space of J to G = N' grad g = 0 and keeps the end effector where it is at q0 (n,): q (n,),
-    and what it is of the cost, "minimum", "saddle", "maximum" or "degenerate", or what kept it from there.
+    """Move along the null space of J to G = N' grad g = 0, with the end effector at its position for q0 (n,).
 
-    Newton steps on N' M N (see `ExtendedJacobian`), with the eigenvalues' magnitudes and a line search, down to a
-    minimum; where that finds none, plain ones to the stationary point nearby, which can be a saddle. Limits hold; a
-    joint at one is taken out.
+    Returns q (n,), and the kind of stationary point, "minimum", "saddle", "maximum" or "degenerate", or the reason why
+    it was not reached. Newton steps on N' M N (see `ExtendedJacobian`), with the eigenvalues' magnitudes and a line
+    search, lead down to a minimum. If that finds none, plain Newton steps lead to the stationary point nearby, which
+    can be a saddle. Limits hold; a joint at a limit is taken out.
     """
     q0 = chain.inside_limits(np.asarray(q0, float))
     found = _null_space_newton(chain, q0, cost, descend=True)
@@ -85,7 +85,7 @@ def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool)
 
 
 def _back_home(chain: SerialChain, q: Array, home: Array, free: Bools) -> Array | None:
-    """q with the end effector back at home, by least-norm steps; None if they do not lead there."""
+    """Return q with the end effector back at home, by least-norm steps; None if they do not lead there."""
     for _ in range(12):
         miss = home - chain.end(q)
         if float(np.linalg.norm(miss)) <= 1e-13:

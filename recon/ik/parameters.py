@@ -61,7 +61,7 @@ class Frames:
 
     @classmethod
     def of(cls, chain: SerialChain, q: Array, dx: Array, dq: Array) -> Frames:
-        """The frames without a NaN. Raises ValueError where there is none."""
+        """Return the frames without a NaN. Raises ValueError if there is none."""
         known = np.isfinite(np.concatenate([q, dx, dq], axis=1)).all(axis=1)
         if not known.any():
             raise ValueError("no frame without a missing value")
@@ -119,7 +119,7 @@ def rates_of(method: Method, frames: Frames) -> Array:
 
 
 def explained_by(rates: Array, dq: Array) -> float:
-    """The share of sum dq^2 that rates (T, n) explain, 1 - sum |dq - rates|^2 / sum dq^2."""
+    """Return the share of sum dq^2 that rates (T, n) explain, 1 - sum |dq - rates|^2 / sum dq^2."""
     total = float(np.sum(dq**2))
     return 1 - float(np.sum((dq - rates) ** 2)) / total if total > 0 else float("nan")
 
@@ -146,7 +146,7 @@ def _weights(frames: Frames, pull: float) -> ParameterFit:
 
 
 def _linear(method: Callable[[Array], Method], n: int, frames: Frames) -> ParameterFit:
-    """A fit of n coefficients on which the rates depend linearly."""
+    """Fit n coefficients on which the rates depend linearly."""
     base = rates_of(method(np.zeros(n)), frames)
     columns = np.array([(rates_of(method(one), frames) - base).ravel() for one in np.eye(n)])
     c = np.array(np.linalg.lstsq(columns.T, (frames.dq - base).ravel())[0], float)
@@ -154,7 +154,7 @@ def _linear(method: Callable[[Array], Method], n: int, frames: Frames) -> Parame
 
 
 def _in_range(method: Callable[[float], Method], called: tuple[str, str], frames: Frames) -> ParameterFit:
-    """The parameter within `RANGE` whose rates are nearest to the frames': the best of a logarithmic grid, refined."""
+    """Fit the parameter within `RANGE` to the frames' rates: the best of a logarithmic grid, refined."""
 
     def cost(log_value: float) -> float:
         return float(np.sum((rates_of(method(float(np.exp(log_value))), frames) - frames.dq) ** 2))

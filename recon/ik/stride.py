@@ -61,7 +61,7 @@ def find_stride(
     span_s: tuple[float, float] | None = None,
     lasts_s: tuple[float, float] = (0.0, np.inf),
 ) -> StridePath:
-    """The stride of a chain's joint angles q (T, n) at the frames, NaN where missing; see the module.
+    """Return the stride of a chain's joint angles q (T, n) at the frames, NaN where missing; see the module.
 
     span_s: from when to when, where that is known; lasts_s: how long a return may take, as far as that is known. Only
     the longest stretch of frames without a gap of more than `MAX_GAP_FRAMES` counts. Raises ValueError for times that
@@ -115,8 +115,11 @@ def find_stride(
 
 
 def farthest_reach(chain: SerialChain, q: Array) -> tuple[Array, Array]:
-    """From joint angles (K, n), a stride's for instance, NaN where missing: q0 (n,) where the end effector is rearmost,
-    and the target (dim,) where it is foremost. Forwards is the base frame's first axis. Raises ValueError."""
+    """Return q0 (n,) where the end effector is rearmost, and the target (dim,) where it is foremost.
+
+    q: joint angles (K, n), for instance of a stride, NaN where missing. Forwards is the base frame's first axis. Raises
+    ValueError.
+    """
     known = q[np.isfinite(q).all(axis=1)]
     if not len(known):
         raise ValueError("no frame without a missing value")
@@ -125,8 +128,10 @@ def farthest_reach(chain: SerialChain, q: Array) -> tuple[Array, Array]:
 
 
 def _return(frames: Index, ends: Array, least: float, most: float) -> tuple[int, int] | None:
-    """Rows of the return (see the module) of a path (F, dim), of least to most frames, with the smallest gap; None
-    without any."""
+    """Return the rows of the return (see the module) with the smallest gap; None without any.
+
+    ends: the path (F, dim). A return lasts `least` to `most` frames.
+    """
     velocity = np.gradient(ends, frames, axis=0)
     extent = diameter(ends)
     best, smallest = None, np.inf

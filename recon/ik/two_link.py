@@ -12,8 +12,9 @@ from recon.ik.chain import planar_chain, unreachable
 
 
 def two_link(lengths_m: tuple[float, float], target_m: ArrayLike) -> tuple[Array, str]:
-    """Both branches (2, 2) of a planar arm for a target (2,), metres: (q1, q2) with q2 <= 0, then with q2 >= 0, in
-    (-pi, pi], NaN without a solution; and why there is none or only one, empty for two.
+    """Return both branches (2, 2) of a planar arm for a target (2,), metres, and why there are fewer than two.
+
+    A branch is (q1, q2) in (-pi, pi], first with q2 <= 0, then with q2 >= 0; NaN without a solution.
 
     cos q2 = (x^2 + y^2 - r1^2 - r2^2) / (2 r1 r2),   q1 = atan2(y, x) - atan2(r2 sin q2, r1 + r2 cos q2)
 
