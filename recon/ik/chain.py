@@ -69,10 +69,12 @@ class SerialChain:
 
     @property
     def n(self) -> int:
+        """Return the number of joints."""
         return len(self.columns)
 
     @property
     def dim(self) -> int:
+        """Return the number of dimensions, 2 or 3."""
         return len(self.base)
 
     # -- where it is -------------------------------------------------------------------------------------------------

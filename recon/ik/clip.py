@@ -118,9 +118,11 @@ class IkSettings(Settings):
 
     @property
     def out_folder(self) -> Path:
+        """Return the folder of the outputs."""
         return self.folder / "ik" if self.out is None else self.out
 
     def problems(self) -> Iterator[Problem]:
+        """Yield what does not go together."""
         if self.both and not self.compare:
             yield Problem("options", "job", "none", "--target, --follow stride or --compare")
         if self.method == EXTENDED and self.cost is None:

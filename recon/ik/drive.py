@@ -76,6 +76,7 @@ class Run:
 
     @property
     def reached(self) -> bool:
+        """Return whether the run ended at its target."""
         return not self.note
 
     @property
@@ -102,6 +103,7 @@ class Run:
 
     @property
     def iterations(self) -> int:
+        """Return the number of steps."""
         return len(self.q) - 1
 
     @property
