@@ -229,8 +229,8 @@ def _camera(record: CameraRecord, number: int, path: Path, image_size_px: tuple[
         if field in faults and values.get(field) is None and record.keys:
             faults[field] = f"nothing; the file has {', '.join(record.keys)[:KEYS_SHOWN]}", faults[field][1]
     if "matrix" in faults and _is_transposed(arguments["matrix"]):
-        found, expected = faults["matrix"]
-        faults["matrix"] = f"{found}, which has the principal point in its last row", f"its transpose: {expected}"
+        matrix_text, expected = faults["matrix"]
+        faults["matrix"] = f"{matrix_text}, which has the principal point in its last row", f"its transpose: {expected}"
     if faults or camera is None:
         keys = {field: record.place + record.called.get(field, field) for field in faults}
         raise InputError(Problem(path, keys[field], *fault) for field, fault in faults.items())

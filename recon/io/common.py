@@ -265,9 +265,9 @@ def joined_tracks(path: Path, tracks: Sequence[StoredPoints], individual: str) -
     seen = [frames_seen(track) for track in tracks]
     shared = [frame for i, a in enumerate(seen) for b in seen[:i] for frame in np.intersect1d(a, b).tolist()]
     if shared:
-        found = f"points of two of them in frame {min(shared)}" + f" and {len(shared) - 1} more" * (len(shared) > 1)
+        detail = f"points of two of them in frame {min(shared)}" + f" and {len(shared) - 1} more" * (len(shared) > 1)
         expected = "tracks that never overlap in time, of one animal"
-        raise InputError(Problem(path, f"individual {individual}", found, expected))
+        raise InputError(Problem(path, f"individual {individual}", detail, expected))
     frames = np.unique(np.concatenate([track.frames for track in tracks]))
     values = np.full((len(frames), *first.values.shape[1:]), np.nan)
     likelihood = None if first.likelihood is None else np.zeros(values.shape[:2])
@@ -395,10 +395,10 @@ def text_rows(path: Path, separator: str | None = None) -> Iterator[tuple[int, l
     """
     expected = "a table of text in UTF-8"
     with damage_named(path, expected, "text"), path.open(encoding="utf-8-sig", newline="") as file:
-        found, skipped = table_start(file.readline())
+        header_separator, skipped = table_start(file.readline())
         if not skipped:
             file.seek(0)
-        separator = separator or found
+        separator = separator or header_separator
         rows, line = csv.reader(file, delimiter=separator), 0
         try:
             for row in rows:

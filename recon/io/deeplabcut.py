@@ -110,8 +110,8 @@ def _merged_cells(path: Path, header: dict[str, list[str]]) -> Iterator[Problem]
             and "" in names
             and any(header["coords"][j].strip() for j, n in enumerate(names) if not n)
         ):
-            found = f"empty cells behind '{names[names.index('') - 1]}', as merged cells leave them"
-            yield Problem(path, f"header row {level}", found, "a name above each column: unmerge the cells")
+            detail = f"empty cells behind '{names[names.index('') - 1]}', as merged cells leave them"
+            yield Problem(path, f"header row {level}", detail, "a name above each column: unmerge the cells")
 
 
 def header_problem(path: Path, found: str) -> Problem:
@@ -165,8 +165,8 @@ def points_of_table(
         columns = [(bodypart.partition("_")[0], bodypart.partition("_")[2], coord) for _, bodypart, coord in columns]
     scorers = list(dict.fromkeys(n.get("scorer", "").strip() for n in named))
     if len(scorers) > 1 and len({*columns}) < len(columns):
-        found = f"points of {len(scorers)} scorers: {', '.join(scorers)[:120]}"
-        raise InputError(Problem(path, "scorer", found, "those of one scorer; delete the columns of the others"))
+        detail = f"points of {len(scorers)} scorers: {', '.join(scorers)[:120]}"
+        raise InputError(Problem(path, "scorer", detail, "those of one scorer; delete the columns of the others"))
     everyone = list(dict.fromkeys(animal for animal, _, _ in columns))
     animals = [name for name in everyone if name != UNIQUE_BODYPARTS] or everyone
     of_animal = {name: [j for j, column in enumerate(columns) if column[0] == name] for name in everyone}
@@ -218,8 +218,8 @@ def _uncropped(path: Path, points: np.ndarray, likelihood: np.ndarray) -> tuple[
     if meta is None or meta.stat().st_size > MAX_PICKLE_BYTES:
         return points, ()
     try:
-        about = plain_pickle_with_scalars(meta.read_bytes())["data"]
-        cropping, edges = bool(about["cropping"]), [float(edge) for edge in about["cropping_parameters"]]
+        metadata = plain_pickle_with_scalars(meta.read_bytes())["data"]
+        cropping, edges = bool(metadata["cropping"]), [float(edge) for edge in metadata["cropping_parameters"]]
         left, right, top, bottom = edges
     except (ValueError, KeyError, TypeError, IndexError, OSError):
         return points, ()

@@ -93,8 +93,8 @@ def read_easymocap(path: Path, individual: str | None = None) -> list[CameraReco
     if not any(key.startswith("K_") for key in document):
         expected = "the file of lenses, intri.yml, beside which this one is read"
         raise InputError(Problem(path, "camera", "EasyMocap's file of poses", expected))
-    beside = path.with_name(path.name.replace("intri", "extri"))
-    poses = document_of(beside) if beside != path and beside.is_file() else {}
+    poses_file = path.with_name(path.name.replace("intri", "extri"))
+    poses = document_of(poses_file) if poses_file != path and poses_file.is_file() else {}
     records = []
     for name in document.get("names", ()):
         size = [document.get(f"{side}_{name}") for side in "WH"]

@@ -94,8 +94,8 @@ def nearest_frames(path: Path, times_s: np.ndarray, fps: float) -> np.ndarray:
     nearest = np.rint(position - phase)
     frames = rows + np.maximum.accumulate(nearest - rows) if len(rows) else nearest  # jitter can put two in one frame
     if (np.abs(frames - (position - phase)) > 1).any():
-        found = f"{_steps_text(times_s)} between times, so that some share a frame at {fps:g} frames per second"
-        raise InputError(Problem(path, "time", found, "a frame rate that has a frame for each time, by --fps"))
+        detail = f"{_steps_text(times_s)} between times, so that some share a frame at {fps:g} frames per second"
+        raise InputError(Problem(path, "time", detail, "a frame rate that has a frame for each time, by --fps"))
     return frames.astype(np.int64)
 
 
