@@ -139,7 +139,7 @@ def test_what_a_run_needs_is_checked_before_a_folder_is_made(clip, tmp_path):
 def test_the_video_is_never_written_over(clip, model, tmp_path):
     video = tmp_path / "clip.avi"
     video.write_bytes((clip / "clip.avi").read_bytes())
-    with refusal(("--overlay", "file", ["clip.avi", "the input"])):
+    with refusal((video, "file", "an input of this run", "another --overlay")):
         run_prediction(video, model, tmp_path / "p.csv", overlay=tmp_path / "." / "clip.avi", overwrite=True)
     assert video.read_bytes() == (clip / "clip.avi").read_bytes()
     assert not (tmp_path / "p.csv").exists()
