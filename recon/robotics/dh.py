@@ -193,7 +193,7 @@ class TableSettings(Settings):
 
 
 def pose(settings: PoseSettings) -> Answer:
-    """The legs' angles of a body that is moved and turned, the feet planted.
+    """Print the legs' angles of a body that is moved and turned, the feet planted.
 
     Example: recon robot pose aibo --pitch 10 --move 0,0,-0.01
     """
@@ -218,7 +218,7 @@ def pose(settings: PoseSettings) -> Answer:
 
 
 def dh(settings: TableSettings) -> Answer:
-    """The Denavit-Hartenberg table of a chain or a robot's leg, its end at given angles, and all angles of a given end.
+    """Print a chain's or leg's Denavit-Hartenberg table, its end at given angles, and all angles of a given end.
 
     Example: recon robot dh aibo --tip LF --place 0.09,0.07,-0.1
     """

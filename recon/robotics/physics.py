@@ -64,7 +64,7 @@ WIDER_RAD = 0.4
 
 
 class Rule(NamedTuple):
-    """What is looked at in every frame, and how its margin is shown."""
+    """A rule that is looked at in every frame, and how its margin is shown."""
 
     what: str
     unit: str
@@ -88,14 +88,14 @@ RULES = {
 
 
 def simulated(robot: Quadruped) -> Any:
-    """MuJoCo's model (`MjModel`) of the robot, free in the world. Raises InputError for one without masses."""
+    """Return MuJoCo's model (`MjModel`) of a robot, free in the world; raise InputError for one without masses."""
     if Path(robot.source).suffix.lower() in SUFFIXES:
         return read_model(robot.source, free=True)
     return described(robot).compile()
 
 
 def described(robot: Quadruped) -> Any:
-    """What MuJoCo makes a model from (`MjSpec`), of a robot that is described by its dimensions. Raises InputError."""
+    """Return MuJoCo's description (`MjSpec`) of a robot given by its dimensions; raise InputError."""
     mujoco = the_mujoco(robot.source)
     if robot.masses is None:
         raise InputError(Problem(robot.source, "masses", "none", "masses and max_torque_n_m (docs/robot.md)"))
@@ -108,10 +108,10 @@ def described(robot: Quadruped) -> Any:
     thick = LEGS_APART * robot.stand_m / 2
     for k, (label, leg) in enumerate(robot.legs.items()):
         places, axes = leg.chain.positions(np.zeros(leg.chain.n)), leg.chain.joint_axes(np.zeros(leg.chain.n))
-        body, at, way = base, np.zeros(3), np.zeros(3)
+        body, position, way = base, np.zeros(3), np.zeros(3)
         for j, name in enumerate(leg.joints):
-            body = body.add_body(name=name, pos=places[j] - at)
-            at, way = places[j], places[j + 1] - places[j]
+            body = body.add_body(name=name, pos=places[j] - position)
+            position, way = places[j], places[j + 1] - places[j]
             limit = masses.max_torque_n_m[j]
             within = {"limited": 1, "range": [leg.chain.lower_rad[j], leg.chain.upper_rad[j]]}
             body.add_joint(name=name, axis=axes[j], actfrclimited=1, actfrcrange=[-limit, limit], **within)
@@ -125,8 +125,10 @@ def described(robot: Quadruped) -> Any:
 
 
 class _Asked(NamedTuple):
-    """What N states of a robot, with rates and accelerations, ask for, by the base's place, its turn about its own axes
-    and the J joints."""
+    """Forces that N states of a robot, with rates and accelerations, ask for.
+
+    They go by the base's position, its turn about its own axes and the J joints.
+    """
 
     needed: Array
     """(N, 6 + J): forces, moments and torques, without those of the ground."""
@@ -135,7 +137,7 @@ class _Asked(NamedTuple):
 
 
 def _asked(robot: Quadruped, model: Any, states: Array, rates: Array, bends: Array) -> _Asked:
-    """For states (N, 6 + J) of the robot's tree, their rates and their accelerations."""
+    """Return what states (N, 6 + J) of the robot's tree, their rates and their accelerations ask for."""
     mujoco = the_mujoco(robot.source)
     joints = [model.joint(name) for name in robot.joints]
     order = [*range(6), *(joint.dofadr[0] for joint in joints)]
@@ -164,18 +166,18 @@ def _asked(robot: Quadruped, model: Any, states: Array, rates: Array, bends: Arr
 
 
 def _apart(motion: RobotMotion, model: Any, time_s: Array) -> Array:
-    """(K,): the least distance of parts that run into each other, negative, else 0."""
+    """Return the least distance (K,) of parts that run into each other, negative, else 0."""
     mujoco = the_mujoco(motion.robot.source)
-    data, found = mujoco.MjData(model), np.zeros(len(time_s))
+    data, distances = mujoco.MjData(model), np.zeros(len(time_s))
     for k, place in enumerate(_places(model, motion.robot, motion.states(time_s))):
         data.qpos[:] = place
         mujoco.mj_fwdPosition(model, data)
-        found[k] = min((float(c.dist) for c in data.contact), default=0.0)
-    return found
+        distances[k] = min((float(c.dist) for c in data.contact), default=0.0)
+    return distances
 
 
 def _places(model: Any, robot: Quadruped, states: Array) -> Array:
-    """MuJoCo's (K, nq) of states (K, 6 + J) of the robot's tree."""
+    """Return MuJoCo's coordinates (K, nq) of states (K, 6 + J) of the robot's tree."""
     places = np.zeros((len(states), model.nq))
     places[:, :3] = states[:, :3]
     places[:, 3:7] = Rotation.from_euler("ZYX", states[:, 3:6]).as_quat(scalar_first=True)
@@ -184,8 +186,10 @@ def _places(model: Any, robot: Quadruped, states: Array) -> Array:
 
 
 def _units(motion: RobotMotion, model: Any, torques: float) -> Array:
-    """(6 + J): what forces and moments on the base, as shares of the weight, and torques, as shares of their limits
-    times a factor, are multiplied by."""
+    """Return factors (6 + J) that make shares of forces, moments and torques.
+
+    Forces and moments on the base are shares of the weight, torques shares of their limits times a factor.
+    """
     weight = float(model.body_subtreemass[root_of(model)]) * float(np.linalg.norm(model.opt.gravity))
     limits = model.jnt_actfrcrange[[model.joint(name).id for name in motion.robot.joints], 1]
     of_base = np.array([1, 1, 1, *[1 / motion.robot.stand_m] * 3]) / weight
@@ -193,16 +197,19 @@ def _units(motion: RobotMotion, model: Any, torques: float) -> Array:
 
 
 def balanced(motion: RobotMotion, model: Any, time_s: Array) -> Array:
-    """What is left (K, 6 + J) of a motion's needs at times (K,): what the forces of the feet that stand, in the
-    friction cone, do not give the base, and the joints' torques with these forces."""
-    found, plain = _asked(motion.robot, model, *_states(motion, time_s)), _units(motion, model, 1.0)
-    left = found.needed.copy()
+    """Return what is left (K, 6 + J) of a motion's needs at times (K,).
+
+    It is what the forces of the standing feet, in the friction cone, do not give the base, and the joints' torques with
+    these forces.
+    """
+    asked, plain = _asked(motion.robot, model, *_states(motion, time_s)), _units(motion, model, 1.0)
+    left = asked.needed.copy()
     for k, stands in enumerate(motion.stands_at(time_s)):
-        pushes = (SLOPES @ found.moves[k, stands]).reshape(-1, len(plain)).T
+        pushes = (SLOPES @ asked.moves[k, stands]).reshape(-1, len(plain)).T
         units, over = plain * ([1.0] * 6 + [1e-3] * (len(plain) - 6)), np.zeros(len(plain), bool)
         for _ in range(TRIES if stands.any() else 0):
             units[over] *= 3
-            left[k] = found.needed[k] - pushes @ nnls(units[:, None] * pushes, units * found.needed[k])[0]
+            left[k] = asked.needed[k] - pushes @ nnls(units[:, None] * pushes, units * asked.needed[k])[0]
             over[6:] = np.abs(plain * left[k])[6:] > 1
             if not over.any():
                 break
@@ -210,13 +217,13 @@ def balanced(motion: RobotMotion, model: Any, time_s: Array) -> Array:
 
 
 def _states(motion: RobotMotion, time_s: Array) -> tuple[Array, Array, Array]:
-    """States (K, 6 + J) of the robot's tree at times (K,), their rates and their accelerations."""
+    """Return states (K, 6 + J) of the robot's tree at times (K,), their rates and their accelerations."""
     states, rates, bends = (motion.states(time_s, order) for order in range(3))
     return states, rates, bends
 
 
 def check(motion: RobotMotion, model: Any) -> tuple[Array, dict[str, Array]]:
-    """Times (K,), and by the names of `RULES` the margins (K,) of a motion."""
+    """Return times (K,), and by the names of `RULES` the margins (K,) of a motion."""
     duration = float(motion.time_s[-1] - motion.time_s[0])
     time = motion.time_s[0] + np.linspace(0.0, duration, max(2, round(duration * RATE_HZ) + 1))
     states, rates = motion.states(time), motion.states(time, 1)
@@ -233,12 +240,18 @@ def check(motion: RobotMotion, model: Any) -> tuple[Array, dict[str, Array]]:
 
 
 def followed(motion: RobotMotion, strides: int = 1) -> tuple[Array, Array]:
-    """A simulation of the robot that follows a motion, and what it does: times (K,), and how far the base is from where
-    it should be (K,), in metres. Of a robot that is described by its dimensions.
+    """Simulate a robot, given by its dimensions, that follows a motion.
 
     Each joint is driven by the torque that the motion asks for with the forces of the standing feet, and by a spring
     and a damper (`GAINS`) to its angle and rate in the motion, at every step of the simulation, within its limits. The
     ground is level, with a friction of 1.
+
+    Returns
+    -------
+    time_s : (K,)
+        Times.
+    off_m : (K,)
+        Distance of the base from its position in the motion.
     """
     mujoco, robot = the_mujoco(motion.robot.source), motion.robot
     model = simulated(robot)
@@ -276,10 +289,12 @@ def followed(motion: RobotMotion, strides: int = 1) -> tuple[Array, Array]:
 
 
 def carried(motion: RobotMotion, model: Any, hopeless: float = HOPELESS) -> tuple[RobotMotion, Array]:
-    """The motion with its base moved by as little as lets the robot do it, and by how much (N, 6): its place, yaw,
-    pitch and roll. Where no way is found that keeps every rule, the last; hopeless: as `HOPELESS`.
+    """Return a motion with its base moved by as little as lets the robot do it, and by how much (N, 6).
 
-    The base's way is a cubic spline with a knot a frame. Each stance pushes with forces in the friction cone that grow
+    The move is of the base's position, yaw, pitch and roll. Where no motion is found that keeps every rule, it is the
+    last one tried; `hopeless` is as `HOPELESS`.
+
+    The base's path is a cubic spline with a knot a frame. Each stance pushes with forces in the friction cone that grow
     from nothing and fade to nothing, as Bernstein's polynomials do. Both are found together by least squares (Levenberg
     and Marquardt's steps, with the derivatives of the whole robot's dynamics): of what the forces leave of the base's
     needs, of what torques, rates and angles are beyond their limits, and of the base's deviation.
@@ -315,9 +330,11 @@ def carried(motion: RobotMotion, model: Any, hopeless: float = HOPELESS) -> tupl
 
 
 class _Carrying:
-    """The least squares of `carried`, over K frames: rows for what is left of the base's needs, for torques, rates and
-    angles as shares of their limits, for pushes and for the base's deviation; columns for the base's way and the
-    pushes."""
+    """The least squares of `carried`, over K frames.
+
+    Rows are what is left of the base's needs; torques, rates and angles as shares of their limits; pushes; and the
+    base's deviation. Columns are the base's path and the pushes.
+    """
 
     def __init__(self, motion: RobotMotion, model: Any) -> None:
         self.motion, self.model, robot = motion, model, motion.robot
@@ -350,36 +367,36 @@ class _Carrying:
         self.limited = slice(6 * K, sum(sizes[:4]))
 
     def _spline(self, time_s: Array, order: int = 0) -> Array:
-        """How the base is moved at times (K,) by each of the spline's coefficients (K, n), or its derivative."""
+        """Return how each of the spline's coefficients moves the base at times (K,): (K, n), or its derivative."""
         m, size = self.frames, self.lasts / self.frames
         at = np.clip((time_s - self.start) / size, 0, m)
-        found = BSpline(np.arange(-3.0, m + 4), np.eye(m + 3), 3)(at, nu=order) / size**order
+        columns = BSpline(np.arange(-3.0, m + 4), np.eye(m + 3), 3)(at, nu=order) / size**order
         if not self.loops:
-            return found
-        found[:, :3] += found[:, m:]
-        return found[:, :m]
+            return columns
+        columns[:, :3] += columns[:, m:]
+        return columns[:, :m]
 
     def _forces(self, pushes: Array) -> Array:
-        """(K, 4, 3): on the feet."""
-        found, ends = np.zeros((len(self.time_s), len(LEGS), 3)), 0
+        """Return the forces (K, 4, 3) on the feet."""
+        forces, ends = np.zeros((len(self.time_s), len(LEGS), 3)), 0
         for foot, grown in self.stances:
             begin, ends = ends, ends + len(SLOPES) * grown.shape[1]
-            found[:, foot] += grown @ pushes[begin:ends].reshape(len(SLOPES), -1).T @ SLOPES
-        return found
+            forces[:, foot] += grown @ pushes[begin:ends].reshape(len(SLOPES), -1).T @ SLOPES
+        return forces
 
     def values(self, motion: RobotMotion, found: _Asked, moved: Array, pushes: Array) -> Array:
-        """The rows, of a motion and what it asks for."""
+        """Return the rows, of a motion and what it asks for."""
         states, rates, _ = _states(motion, self.time_s)
         left = self.units * (found.needed - np.einsum("kfi,kfij->kj", self._forces(pushes), found.moves))
         shares = [left[:, :6], left[:, 6:], rates[:, 6:] / self.fastest, (states[:, 6:] - self.middle) / self.half]
         return np.concatenate([*(of.ravel() for of in shares), pushes - MOST / 2, self.near @ moved.ravel()])
 
     def beyond(self, values: Array) -> Array:
-        """What of the rows is beyond what is allowed, by their weights."""
+        """Return how far rows are beyond what is allowed, by their weights."""
         return self.weights * np.maximum(np.abs(values) - self.allowed, 0.0)
 
     def slopes(self, motion: RobotMotion, found: _Asked, pushes: Array) -> Any:
-        """The rows' derivatives, sparse: by the base's way, and by the pushes."""
+        """Return the rows' derivatives, sparse: by the base's path, and by the pushes."""
         states = _states(motion, self.time_s)
         K, J, forces = len(self.time_s), len(self.fastest), self._forces(pushes)
         # How states go with the base's: the joints of a leg whose foot is held turn with it.
@@ -397,7 +414,7 @@ class _Carrying:
         speeds, bends, still = along(self.time_s, 1), along(self.time_s, 2), np.zeros_like(goes)
 
         def needs(*ways: Array) -> Array:
-            """(K, 6 + J, 6): how needs go with states, rates and accelerations that go as is said."""
+            """Return how needs change (K, 6 + J, 6) with states, rates and accelerations that change as given."""
             near = (np.swapaxes(of[:, :, None] + STEP * way, 1, 2) for of, way in zip(states, ways, strict=True))
             there = _asked(motion.robot, self.model, *(of.reshape(-1, 6 + J) for of in near))
             given = np.einsum("nfi,nfij->nj", np.repeat(forces, 6, axis=0), there.moves)
@@ -405,7 +422,7 @@ class _Carrying:
             return ((there.needed - given).reshape(K, 6, -1) - here[:, None]).swapaxes(1, 2) / STEP
 
         def rows(*parts: Array) -> Array:
-            """By the spline's coefficients, of parts by the base's deviation and by its derivatives."""
+            """Return derivatives by the spline's coefficients, from those by the base's deviation."""
             by = (np.einsum("kij,kn->kinj", part, way) for part, way in zip(parts, self.ways, strict=False))
             return np.sum([*by], axis=0).reshape(K, parts[0].shape[1], -1)
 
@@ -427,8 +444,11 @@ class _Carrying:
         )
 
     def step(self, slopes: Any, values: Array, damping: float) -> Array:
-        """The step of all unknowns with the least sum of squares of what is beyond: Newton's steps, each as far as the
-        sum falls, as rows are allowed as much as that or not."""
+        """Return the step of all unknowns with the least sum of squares of what is beyond.
+
+        These are Newton's steps, each as far as the sum falls, since a row counts only while it is beyond what is
+        allowed.
+        """
         size = slopes.shape[1]
         slack = sparse.block_diag([damping * self.near.T @ self.near, 1e-3 * sparse.eye_array(self.n_pushes)])
         step, now, shares = np.zeros(size), values, 0.6 ** np.arange(16)
@@ -455,8 +475,8 @@ class _Carrying:
 
 
 def _pushes(motion: RobotMotion, time_s: Array) -> list[tuple[int, Array]]:
-    """The foot of each stance, and how its forces may grow and fade (K, .) at times (K,)."""
-    lasts, loops, found = float(motion.time_s[-1] - motion.time_s[0]), motion.advance_m is not None, []
+    """Return the foot of each stance, and how its forces may grow and fade (K, .) at times (K,)."""
+    lasts, loops, stance_pushes = float(motion.time_s[-1] - motion.time_s[0]), motion.advance_m is not None, []
     for foot in range(len(LEGS)):
         spans = [(motion.time_s[a], motion.time_s[b]) for a, b in stances(motion.standing[:, foot])]
         if loops and len(spans) > 1 and motion.standing[0, foot]:
@@ -467,12 +487,12 @@ def _pushes(motion: RobotMotion, time_s: Array) -> list[tuple[int, Array]]:
             share = (time_s[:, None] + np.array([-lasts, 0.0, lasts] if loops else [0.0]) - begin) / (end - begin)
             within = np.where((share >= 0) & (share <= 1), share, np.nan)
             values = [np.nan_to_num(comb(DEGREE, n) * within**n * (1 - within) ** (DEGREE - n)) for n in orders]
-            found.append((foot, np.stack(values).sum(axis=2).T))
-    return found
+            stance_pushes.append((foot, np.stack(values).sum(axis=2).T))
+    return stance_pushes
 
 
 def kept(margins: dict[str, Array]) -> dict[str, dict[str, float]]:
-    """For the report: by rule the share of frames that keep it, and the least margin."""
+    """Return, for the report, by rule the share of frames that keep it, and the least margin."""
     return {
         name: {"share": float(np.mean(margins[name] >= rule.least)), "least": float(margins[name].min())}
         for name, rule in RULES.items()
@@ -480,22 +500,22 @@ def kept(margins: dict[str, Array]) -> dict[str, dict[str, float]]:
 
 
 def least_share(motion: RobotMotion, model: Any) -> float:
-    """The least share of frames that keep a rule."""
+    """Return the least share of frames that keep a rule."""
     return min(rule["share"] for rule in kept(check(motion, model)[1]).values())
 
 
 def margins_figure(time_s: Array, margins: Mapping[str, Array], rules: Mapping[str, Rule], title: str) -> Figure:
-    """Margins over time by rule: values (K,), infinite where there are none. A dot is the least."""
+    """Draw margins over time by rule, (K,), infinite where there are none; a dot is the least."""
     with drawing(40.0 * -(-len(margins) // 2), title=title) as figure:
         panels = np.ravel(figure.subplots(-(-len(margins) // 2), 2, sharex=True))
         for axes, (name, values) in zip(panels, margins.items(), strict=True):
-            what, unit, enough, _, per_unit = rules[name]
-            shown = per_unit * np.where(np.isfinite(values), values, np.nan)
-            least = int(np.nanargmin(shown))
+            label, unit, enough, _, per_unit = rules[name]
+            drawn_rules = per_unit * np.where(np.isfinite(values), values, np.nan)
+            least = int(np.nanargmin(drawn_rules))
             axes.axhline(per_unit * enough, color=GREY, lw=0.8)
-            axes.plot(time_s, shown, color="k", lw=0.9)
-            axes.plot(time_s[least], shown[least], "o", ms=3, color="k")
-            axes.set_title(f"{what}: least {shown[least]:.3g} {unit}", fontsize=SMALL, loc="left", pad=2)
+            axes.plot(time_s, drawn_rules, color="k", lw=0.9)
+            axes.plot(time_s[least], drawn_rules[least], "o", ms=3, color="k")
+            axes.set_title(f"{label}: least {drawn_rules[least]:.3g} {unit}", fontsize=SMALL, loc="left", pad=2)
             axes.set_ylabel(unit, fontsize=SMALL)
         for axes in panels[-2:]:
             axes.set_xlabel("time (s)")

@@ -36,9 +36,21 @@ def write_robot(
     more: Sequence[scene.TimePlot] = (),
     title: str = "",
 ) -> None:
-    """The recording; companion: the animal beside the robot, its points (N, J, 3) in the robot's world and of its size,
-    and whose they are; step: of one across the way, along which x is forwards, the place of its edge and its height;
-    more: plots before those of the angles, which share one place then."""
+    """Write the recording of a robot's motion.
+
+    Parameters
+    ----------
+    motion : RobotMotion
+        N samples.
+    path : Path
+        The file.
+    companion : tuple, optional
+        The animal to show next to the robot: its points (N, J, 3) in the robot's world and of its size, and its body.
+    step : tuple, optional
+        A step across the way, along which x is forwards: the position of its edge, and its height.
+    more
+        Plots before those of the angles, which share one panel then.
+    """
     series, size = [_angles(motion, label) for label in LEGS], motion.robot.stand_m
     # The middle of what is to be seen, near the ground, and half its size: of the robot, and of the animal.
     middle, half = motion.pose.translation * (1.0, 1.0, 0.1), 1.2 * size
@@ -58,9 +70,9 @@ def write_robot(
         title += f"; {motion.slower:.3g} times slower than the animal"
     shown: rrb.View | rrb.Container = _scene(title, "world/followed", middle[0], half, ["world/animal"])
     if companion is not None:
-        other = f"{companion[1].title}, at {motion.scale:.2f} of its size"
+        animal_tree = f"{companion[1].title}, at {motion.scale:.2f} of its size"
         of_robot = ["shapes", "world/robot", "world/support", "world/path", "world/step"]
-        shown = rrb.Horizontal(shown, _scene(other, "world/animal/followed", beside[0], half, of_robot))
+        shown = rrb.Horizontal(shown, _scene(animal_tree, "world/animal/followed", beside[0], half, of_robot))
     angles = [time_view(s) for s in series]
     angles = [rrb.Tabs(*angles)] if more else angles
     below = rrb.Horizontal(*(time_view(s) for s in more), *angles, state_rows(LEGS, "Feet that stand"))
@@ -135,7 +147,7 @@ def _angles(motion: RobotMotion, label: str) -> scene.TimePlot:
 
 
 def _scene(name: str, followed: str, middle_m: Array, half_m: float, hidden: Sequence[str]) -> rrb.Spatial3DView:
-    """From the right and ahead, going along."""
+    """Return a view from the right and ahead, going along."""
     eye = rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
         position=middle_m + half_m * np.array([0.5, -2.0, 0.9]),

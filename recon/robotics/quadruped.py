@@ -1,5 +1,7 @@
-"""Four-legged robots: hips, legs with their joints' names, limits and rates; and the files that describe them, TOML
-with dimensions and limits (docs/robot.md), URDF or MJCF. Built-in robots are the files of `robots`.
+"""Four-legged robots: hips, and legs with their joints' names, limits and rates.
+
+Files describe them: TOML with dimensions and limits (docs/robot.md), URDF or MJCF. Built-in robots are the files of
+`robots`.
 
 Body axes: x forwards, y left, z up. Legs are LF, RF, LH, RH (left or right, fore or hind). Joint angles are the robot's
 own: of the bundled robots, and of others described by their dimensions, those of the closed form with signs;

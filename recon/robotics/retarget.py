@@ -1,5 +1,6 @@
-"""An animal's motion as a reference for a legged machine, and the reference on a quadruped: footholds, the body's pose,
-joint angles, and how well they do.
+"""An animal's motion as a reference for a legged machine, and the reference on a quadruped.
+
+The second part finds footholds, the body's pose and joint angles, and says how well they do.
 
 The reference has the animal's own size and time. World: z up, the ground at 0, x along the travel. The base is the
 middle of the trunk. Its height, pitch and roll are deviations from their means, since a machine stands as it stands;

@@ -58,7 +58,7 @@ MOST_SAMPLES, RATE_HZ = 10_000, 50.0
 
 
 class RetargetSettings(Settings):
-    """What `recon retarget` is told."""
+    """The settings of `recon retarget`."""
 
     folder: Annotated[Path, Option(argument="DIR")]
     """Folder of results, as in results/clip."""
@@ -91,7 +91,7 @@ class RetargetSettings(Settings):
 
 
 def retarget_command(settings: RetargetSettings) -> Answer:
-    """The motion of a reconstruction on a four-legged robot, and one stride of it that repeats.
+    """Put the motion of a reconstruction, and one stride that repeats, on a four-legged robot.
 
     Example: recon retarget results/clip --robot a1 --out results/robot
     """
@@ -160,7 +160,7 @@ SLIP_M = 0.002
 
 
 def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any]]:
-    """`recon retarget`: tables, report and playback into a folder; and what report.json says. Raises InputError."""
+    """Carry out `recon retarget`: write tables, report and playback into a folder, and return report.json."""
     out, folder = settings.out, settings.folder
     names = [f"{of}{table}.csv" for of in ("", "stride_") for table in ("joints", "base", "feet")]
     names += [REPORT, KEPT, "motion.rrd", "stride.rrd", files.MANIFEST]
@@ -212,8 +212,10 @@ def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any
 
 
 def within_limits(done: Retargeting, model: Any) -> tuple[Retargeting, dict[str, Any]]:
-    """The first of `physics.CHANGES` with which clip and stride, their bases moved, keep every rule, and what it is;
-    where none does, the one that keeps most."""
+    """Return clip and stride, their bases moved, with the first of `physics.CHANGES` that keeps every rule.
+
+    If none does, it is the change that keeps most. The change is returned, too.
+    """
     tried: list[tuple[float, Retargeting, Retargeting]] = []
     for slower, scale in physics.CHANGES:
         own = done.stride
@@ -239,23 +241,23 @@ def within_limits(done: Retargeting, model: Any) -> tuple[Retargeting, dict[str,
 
 
 def checked(done: Retargeting, model: Any, folder: Path | None = None) -> dict[str, Any]:
-    """What MuJoCo says of clip and stride, for the report; folder: where tables and figures go."""
-    found = {}
+    """Return what MuJoCo says of clip and stride, for the report; `folder` is where tables and figures go."""
+    answers = {}
     for name, motion, prefix in (("clip", done.clip, ""), ("stride", done.stride, "stride_")):
         time, margins = physics.check(motion, model)
-        found[name] = physics.kept(margins)
+        answers[name] = physics.kept(margins)
         if folder is not None:
             _table(folder / f"{prefix}check.csv", ["time_s", *margins], np.column_stack([time, *margins.values()]))
             title = f"{motion.robot.title}, {name}"
             save(physics.margins_figure(time, margins, physics.RULES, title), folder, f"{prefix}check")
-    return found
+    return answers
 
 
 # -- the report ------------------------------------------------------------------------------------------------------
 
 
 def report_of(done: Retargeting) -> dict[str, Any]:
-    """What report.json says of it."""
+    """Return what report.json says of a retargeting."""
     animal, window, robot = done.animal, done.window, done.clip.robot
     fitted, time = animal.analysis.motion, animal.reference.time_s
     limits = zip(robot.joints, *(numbers.tolist() for numbers in robot.limits()), strict=True)
@@ -338,7 +340,7 @@ def _write(done: Retargeting, report: dict[str, Any], folder: Path) -> None:
 
 
 def write_tables(motion: RobotMotion, folder: Path, prefix: str) -> None:
-    """Joints, base and feet, into a folder that there is."""
+    """Write tables of joints, base and feet into an existing folder."""
     time, joints = motion.time_s[:, None], motion.robot.joints
     names = ["time_s", *joints, *control_columns(joints)]
     states = (motion.states(motion.time_s, derivative)[:, 6:] for derivative in (1, 2))
@@ -357,7 +359,7 @@ def _table(path: Path, columns: list[str], *parts: Array) -> None:
 
 
 def companion(done: Retargeting) -> tuple[Array, Motion]:
-    """The animal, of the robot's size, to the left of the robot, at the samples of the clip."""
+    """Return the animal, of the robot's size, to the left of the robot, at the samples of the clip."""
     animal, motion = done.animal, done.clip
     fitted = animal.analysis.motion
     points = np.stack([animal.analysis.moved(name).series.value[animal.rows] for name in fitted.names], axis=1)
@@ -368,7 +370,7 @@ def companion(done: Retargeting) -> tuple[Array, Motion]:
 
 
 def repeated(stride: RobotMotion, times: int) -> RobotMotion:
-    """The stride again and again."""
+    """Return a stride repeated a number of times."""
     assert stride.advance_m is not None
     n = len(stride.time_s) - 1
     step, period = np.append(stride.advance_m, 0.0), stride.time_s[-1]
@@ -392,8 +394,11 @@ def repeated(stride: RobotMotion, times: int) -> RobotMotion:
 
 
 def drawn(own: Retargeting, settings: RetargetSettings, count: int, model: Any = None) -> list[RobotMotion]:
-    """Clips as the animal's may have been, at the same scale and pace. With MuJoCo's model of the robot, stances are
-    those of the clip, and bases are moved as `physics.carried` does. Raises InputError as `problem_of`."""
+    """Return clips as the animal's may have been, at the same scale and pace.
+
+    With MuJoCo's model of the robot, stances are those of the clip, and bases are moved as `physics.carried` does.
+    Raise InputError as `problem_of`.
+    """
     fitted, robot = own.animal.analysis.motion, own.clip.robot
     problem = problem_of(fitted, settings.folder)
     assert isinstance(fitted.solution, TrajectorySolution)
@@ -410,8 +415,11 @@ def drawn(own: Retargeting, settings: RetargetSettings, count: int, model: Any =
 def write_ensemble(
     motions: list[RobotMotion], settings: RetargetSettings, out: Path, said: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """The files, into a folder that there is, and how far the draws lie apart, for the report: standard deviations of
-    the base's place (m, by axis) and of the joints' angles (rad), medians over the clip."""
+    """Write the files of an ensemble into an existing folder, and return how far the draws differ.
+
+    These are standard deviations of the base's position (m, by axis) and of the joints' angles (rad), medians over the
+    clip, for the report.
+    """
     first = motions[0]
     places = np.stack([motion.position_m for motion in motions])
     angles = np.stack([motion.angles_rad for motion in motions])
@@ -450,9 +458,11 @@ STEP_S = 1e-6
 
 
 class RobotSamples:
-    """A motion at the rate nearest to rate_hz of which a whole number of frames fits: K frames, evenly spaced; the
-    robot's joints in its own order; B bodies, the base first. Raises InputError about the option where fewer than two
-    frames fit."""
+    """A motion at the rate nearest to `rate_hz` of which a whole number of frames fits.
+
+    It has K frames, evenly spaced; the robot's joints in its own order; B bodies, the base first. Raise InputError
+    about the option where fewer than two frames fit.
+    """
 
     def __init__(self, motion: RobotMotion, rate_hz: float, option: str = "--rate") -> None:
         duration = float(motion.time_s[-1] - motion.time_s[0])
@@ -481,17 +491,19 @@ class RobotSamples:
 
     @property
     def quaternions(self) -> Array:
-        """(K, B, 4), xyzw, each near to the one before it."""
+        """Return quaternions (K, B, 4), xyzw, each near to the previous one."""
         flat = Rotation.from_matrix(self.turned.reshape(-1, 3, 3)).as_quat(canonical=True)
-        found = flat.reshape(len(self.time_s), len(self.bodies), 4)
-        flips = np.sign(np.sum(found[1:] * found[:-1], axis=2))
-        found[1:] *= np.cumprod(np.where(flips < 0, -1.0, 1.0), axis=0)[..., None]
-        return found
+        quaternions = flat.reshape(len(self.time_s), len(self.bodies), 4)
+        flips = np.sign(np.sum(quaternions[1:] * quaternions[:-1], axis=2))
+        quaternions[1:] *= np.cumprod(np.where(flips < 0, -1.0, 1.0), axis=0)[..., None]
+        return quaternions
 
 
 def _bodies(robot: Quadruped) -> tuple[list[str], list[int]]:
-    """The names of all bodies, and which of them are the feet, in the order of `LEGS`. A foot is FL_foot where the
-    leg's joints are called FL_hip_joint and so on."""
+    """Return the names of all bodies, and which of them are the feet, in the order of `LEGS`.
+
+    A foot is FL_foot where the leg's joints are called FL_hip_joint and so on.
+    """
     names, feet = ["base"], []
     for label, leg in robot.legs.items():
         head = leg.joints[0].split("_")[0]
@@ -568,7 +580,10 @@ def _npz(layout: str, found: RobotSamples, path: Path, said: Mapping[str, Any]) 
 
 
 def _mjlab_csv(found: RobotSamples, path: Path, said: Mapping[str, Any]) -> None:
-    """No header, as its readers expect none: x y z, qx qy qz qw, joints. What it is stands in a file beside it."""
+    """Write a table without a header, as its readers expect: x y z, qx qy qz qw, joints.
+
+    A description stands in a file with the same name.
+    """
     table = np.concatenate([found.position_m[:, 0], found.quaternions[:, 0], found.angles_rad], axis=1)
     np.savetxt(path, table, delimiter=",", fmt="%.17g")
     beside = {"fps": found.rate_hz, "joint_names": found.robot.joints, "source": dict(said)}
@@ -587,11 +602,14 @@ FORMATS: dict[str, tuple[str, Callable[[RobotSamples, Path, Mapping[str, Any]], 
 def write_for_trainer(
     motion: RobotMotion, name: str, rate_hz: float, path: Path, said: Any, option: str = "--rate"
 ) -> float:
-    """Write a file of one of `FORMATS`, and return its rate. said: what the file should say of where it comes from.
-    Raises InputError as `RobotSamples`, and of a robot that the format has no room for."""
-    found = RobotSamples(motion, rate_hz, option)
-    FORMATS[name][1](found, path, said)
-    return found.rate_hz
+    """Write a file of one of `FORMATS`, and return its rate.
+
+    The file says where it comes from. Raise InputError as `RobotSamples`, and for a robot that the format has no room
+    for.
+    """
+    samples = RobotSamples(motion, rate_hz, option)
+    FORMATS[name][1](samples, path, said)
+    return samples.rate_hz
 
 
 # -- motions that are kept, for `recon convert` ------------------------------------------------------------------------
@@ -608,15 +626,14 @@ class _Kept:
 
 def keep(clip: RobotMotion, stride: RobotMotion, robot: str, said: Mapping[str, Any], path: Path) -> None:
     """Write both motions as they are, from which `convert` makes files of any of `FORMATS`, at any rate."""
-
     names = [one.name for one in fields(KeptMotion)]
     save_record(_Kept(robot, said, *(KeptMotion(**picked(of, *names)) for of in (clip, stride))), path, SCHEMA)
 
 
 def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any]]:
-    """The clip, the stride, and what files of them say of where they come from. Raises InputError."""
-    found = load_record(_Kept, path, SCHEMA, "motions of a robot, as `recon retarget` writes them")
-    named = found.robot if found.robot in builtin_robots() else str(path.parent / found.robot)
+    """Return the clip, the stride, and what files of them say of their origin; raise InputError."""
+    arrays = load_record(_Kept, path, SCHEMA, "motions of a robot, as `recon retarget` writes them")
+    named = arrays.robot if arrays.robot in builtin_robots() else str(path.parent / arrays.robot)
     robot = load_robot(named)
 
     joints = len(robot.joints)
@@ -635,12 +652,15 @@ def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any
             raise InputError(Problem(path, "content", "no motion", "times that go on, and rotations"))
         return RobotMotion(**vars(kept), robot=robot)
 
-    return restored(found.clip), restored(found.stride), found.said
+    return restored(arrays.clip), restored(arrays.stride), arrays.said
 
 
 def convert(folder: Path, out: Path, name: str, rate_hz: float | None, output: outputs.Output) -> str:
-    """`recon convert` of a folder of `recon retarget`: the clip into out, the stride that repeats beside it, both or
-    none; and what to say of it. name: of `FORMATS`. Raises InputError."""
+    """Carry out `recon convert` of a folder of `recon retarget`, and return what to say of it.
+
+    The clip goes into `out`, the stride that repeats into a file next to it, both or none. `name` is one of `FORMATS`.
+    Raise InputError.
+    """
     stride = out.with_name(f"stride_{out.name}")
     names = out.name, stride.name
     (*motions, said), _ = collect_problems(lambda: kept_motions(folder / KEPT), lambda: output.require(names))

@@ -6,7 +6,6 @@ import json
 import pickle
 import struct
 import warnings
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -909,8 +908,10 @@ def test_parquet_of_others(tmp_path):
     table.drop(columns="nose_z_mm").to_parquet(tmp_path / "b.parquet")
     long = pd.DataFrame({"frame": [0, 0, 1, 1], "joint": ["nose", "tail"] * 2, "x_m": range(4), "y_m": 1.0, "z_m": 2.0})
     for kind in ("category", "large_string[pyarrow]", "string_view[pyarrow]"):
-        with suppress(pa.ArrowNotImplementedError):  # string_view, in old versions: the file of before stays
+        try:
             long.astype({"joint": kind}).to_parquet(tmp_path / "long.parquet")
+        except pa.ArrowNotImplementedError:  # old versions cannot write string_view
+            continue
         found = read_pose3d(tmp_path / "long.parquet")
         assert found.names == ("nose", "tail")
         np.testing.assert_array_equal(found.xyz_m[:, :, 0], [[0, 1], [2, 3]])

@@ -88,7 +88,7 @@ Gain = Annotated[float, Field(strict=True, gt=0, lt=1e9, allow_inf_nan=False)]
 
 
 def _all_legs(given: Any) -> Any:
-    """One number for all legs, or two: of the front and of the rear legs."""
+    """Return one number for all legs, or two, of the front and of the rear legs, as numbers by leg."""
     front, rear = given if isinstance(given, list) and len(given) == 2 else (given, given)
     return (front, front, rear, rear)
 
@@ -98,7 +98,7 @@ _PositiveLegs = Annotated[tuple[Gain, Gain, Gain, Gain], BeforeValidator(_all_le
 
 
 class _Well(FileTable):
-    """A potential of a coordinate q of each leg, with a wall at either end. Raises ValueError."""
+    """A potential of a coordinate q of each leg, with a wall at either end; raise ValueError."""
 
     gain: _PositiveLegs
     """Slope per unit of q."""
@@ -120,13 +120,13 @@ class _Well(FileTable):
         return self
 
     def slope(self, q: Array) -> Array:
-        """At q (legs,): almost flat between least and most (the dead zone), and steep beyond."""
+        """Return the slope at q (legs,): almost flat between least and most (the dead zone), and steep beyond."""
         off, above, below = (q - np.array(of) for of in (self.natural, self.most, self.least))
         return np.array(self.gain) * off * (np.exp(self.high * above) + np.exp(-np.array(self.low) * below))
 
 
 class _Balance(FileTable):
-    """What pulls the torso over its feet."""
+    """The field that pulls the torso over its feet."""
 
     gain: Gain
     """Force far from the centroid."""
@@ -135,7 +135,7 @@ class _Balance(FileTable):
 
 
 class Fields(FileTable):
-    """The wells of the legs, and what balances the torso."""
+    """The wells of the legs, and the field that balances the torso."""
 
     radial: _Well
     swing: _Well
@@ -144,19 +144,19 @@ class Fields(FileTable):
 
 
 class Step(FileTable):
-    """A step up across the way: the ground is level at 0 as far as edge_m forward (x), and at height_m beyond."""
+    """A step across the way: the ground is level at 0 as far as edge_m forward (x), and at height_m beyond."""
 
     edge_m: Length
     height_m: Length
 
     def distance_m(self, points_m: Array) -> Array:
-        """(...): from points (..., 3) to the ground or the step, whichever is nearer, negative inside."""
+        """Return distances (...) of points (..., 3) to the ground or the step, whichever is nearer, negative inside."""
         x, z = points_m[..., 0] - self.edge_m, points_m[..., 2] - self.height_m
         away = np.hypot(np.maximum(-x, 0), np.maximum(z, 0))
         return np.minimum(points_m[..., 2], np.where((x > 0) & (z < 0), -np.minimum(x, -z), away))
 
     def corner_m(self, points_m: Array) -> Array:
-        """(...): from points (..., 3) to the step's edge, negative inside the step."""
+        """Return distances (...) of points (..., 3) to the step's edge, negative inside the step."""
         x, z = points_m[..., 0] - self.edge_m, points_m[..., 2] - self.height_m
         return np.where((x > 0) & (z < 0), -1.0, 1.0) * np.hypot(x, z)
 
@@ -177,7 +177,7 @@ class _Footfall(FileTable):
 
 
 class _Primitive(FileTable):
-    """Some footfalls in the same fields."""
+    """Footfalls in the same fields."""
 
     name: str
     rise_rad: PositiveLength
@@ -189,7 +189,7 @@ class _Primitive(FileTable):
 
 
 class _Swing(FileTable):
-    """How a foot moves: its path's clearance above the higher end, and its speeds by phase."""
+    """The swing of a foot: its path's clearance above the higher end, and its speeds by phase."""
 
     clearance_m: PositiveLength
     rise_m_s: PositiveLength
@@ -198,14 +198,14 @@ class _Swing(FileTable):
 
 
 class _Pace(FileTable):
-    """How far the torso goes in a frame, at most."""
+    """The largest move of the torso in a frame."""
 
     max_step_m: PositiveLength
     max_turn_rad: PositiveLength
 
 
 class Recipe(FileTable):
-    """What a climb is planned from."""
+    """The recipe that a climb is planned from."""
 
     robot: str
     """Name of its description."""
@@ -223,29 +223,30 @@ class Recipe(FileTable):
 
     @property
     def free(self) -> tuple[int, ...]:
-        """The torso's degrees of freedom."""
+        """Return the torso's degrees of freedom."""
         return PLANAR if self.dofs == 4 else SPATIAL
 
     @property
     def feet_m(self) -> Array:
-        """(4, 3): where they stand at first."""
+        """Return the positions (4, 3) of the feet at the start."""
         right, forward = np.array(self.stance_m)[list(IN_FILES)].T
         return np.column_stack([forward, -right, np.zeros(4)])
 
 
 def bundled() -> list[str]:
+    """Return the names of the recipes that come with the package."""
     return sorted(p.stem for p in RECIPES.glob("*.toml"))
 
 
 def load_recipe(recipe: str | Path) -> Recipe:
-    """A bundled recipe by name, or a file. Raises InputError."""
+    """Return a bundled recipe by name, or that of a file; raise InputError."""
     path = RECIPES / f"{recipe}.toml" if str(recipe) in bundled() else Path(recipe)
     table = read_toml(path, f"a recipe of a climb: a TOML file, or one of {', '.join(bundled())}")
     return validated(Recipe, table, path)
 
 
 def raised(recipe: Recipe, height_m: float) -> Recipe:
-    """For a step of another height: all heights in proportion."""
+    """Return a recipe for a step of another height: all heights in proportion."""
     ratio = height_m / recipe.step.height_m
 
     def higher(primitive: _Primitive) -> _Primitive:
@@ -288,12 +289,12 @@ class Climb:
 
     @property
     def pitch_rad(self) -> Array:
-        """(T,): positive with the nose up."""
+        """Return the pitch (T,), positive with the nose up."""
         return np.arcsin(np.clip(self.motion.pose.rotation.as_matrix()[:, 2, 0], -1, 1))
 
     @cached_property
     def margins(self) -> dict[str, Array]:
-        """The least distance from each rule by frame (T,): negative where it is broken, infinite without one."""
+        """Return the least distance from each rule by frame (T,): negative where it is broken, infinite without one."""
         step, feet, robot = self.recipe.step, self.motion.feet_m, self.motion.robot
         targets, places = leg_targets(self.motion.pose, np.zeros(3), feet), [self.motion.points(x) for x in LEGS]
         hips, knees = (np.stack([of_leg[:, k] for of_leg in places], axis=1) for k in (0, 2))
@@ -303,7 +304,7 @@ class Climb:
         # Where a foot is out of reach, its leg has no angles; that it is out of reach is said already.
         limits = [np.nan_to_num(leg.margins(leg.closed_angles(targets[:, k])), nan=np.inf) for k, leg in legs]
         up = self.lifted[:, None] == np.arange(4)
-        found = {
+        margins = {
             "reach": np.column_stack([leg.slack_m(targets[:, k]) for k, leg in legs]),
             "limits": np.concatenate(limits, axis=1),
             "support": support_m(self.motion.position_m[:, :2], feet[..., :2], self.lifted),
@@ -313,16 +314,16 @@ class Climb:
             "corner": np.where(up, step.corner_m(feet), np.inf),
             "footing": np.where(up, np.inf, edge),
         }
-        return {name: values.min(axis=1) for name, values in found.items()}
+        return {name: values.min(axis=1) for name, values in margins.items()}
 
     @property
     def least(self) -> dict[str, tuple[float, int]]:
-        """The least margin of each rule, in its unit, and the frame."""
+        """Return the least margin of each rule, in its unit, and the frame."""
         frames = {name: int(values.argmin()) for name, values in self.margins.items()}
         return {name: (float(self.margins[name][k]) * RULES[name].per_unit, k) for name, k in frames.items()}
 
     def problems(self) -> list[str]:
-        """What is wrong, in words; nothing of a climb that is valid."""
+        """Return what is wrong, in words; empty for a valid climb."""
         step, feet = self.recipe.step, self.motion.feet_m
         least = ((RULES[name], *of) for name, of in self.least.items())
         found = [f"{rule.what}: {value:.2f} {rule.unit} in frame {k}" for rule, value, k in least if not value >= 0]
@@ -335,27 +336,31 @@ class Climb:
 
 
 def support_m(centre_m: Array, feet_m: Array, lifted: Integers) -> Array:
-    """(..., 8): from the centre of mass (..., 2) to the sides of the polygon of the planted feet, feet (..., 4, 2);
-    infinite for lines between feet that are not its sides."""
+    """Return distances (..., 8) from the centre of mass (..., 2) to the sides of the polygon of the planted feet.
+
+    Feet are (..., 4, 2). A line between feet that is not a side of the polygon has an infinite distance.
+    """
     feet = feet_m[..., AROUND, :]
     up = np.asarray(lifted)[..., None] == np.array(AROUND)
-    found = []
-    for apart in (1, 2):
-        a, b = feet, np.roll(feet, -apart, axis=-2)
+    distances = []
+    for separations in (1, 2):
+        a, b = feet, np.roll(feet, -separations, axis=-2)
         way, there = b - a, centre_m[..., None, :] - a
         # The legs go round counterclockwise: inside is on the left of every side.
         left = (way[..., 0] * there[..., 1] - way[..., 1] * there[..., 0]) / np.linalg.norm(way, axis=-1)
-        applies = ~(up | np.roll(up, -1, axis=-1)) if apart == 1 else np.roll(up, -1, axis=-1)
-        found.append(np.where(applies, left, np.inf))
-    return np.concatenate(found, axis=-1)
+        applies = ~(up | np.roll(up, -1, axis=-1)) if separations == 1 else np.roll(up, -1, axis=-1)
+        distances.append(np.where(applies, left, np.inf))
+    return np.concatenate(distances, axis=-1)
 
 
 # -- planning --------------------------------------------------------------------------------------------------------
 
 
 def plan(robot: Quadruped, recipe: Recipe) -> Climb:
-    """The climb of the recipe. Whether it is a valid one, its `problems` say. Raises InputError for legs of another
-    kind than swing, flap, knee in closed form."""
+    """Return the climb of a recipe; its `problems` say whether it is valid.
+
+    Raise InputError for legs of another kind than swing, flap, knee in closed form.
+    """
     if any(leg.closed is None or leg.closed.first != "swing" for leg in robot.legs.values()):
         expected = "a robot whose legs are given by dimensions, their swing joint first (aibo is one)"
         raise InputError(Problem(robot.name, "legs", "other legs", expected))
@@ -367,7 +372,7 @@ def plan(robot: Quadruped, recipe: Recipe) -> Climb:
     rows: list[tuple] = []
 
     def settle(fields: Fields, without: int, *label: int) -> None:
-        """One frame in the fields without a leg, and more while the caps hold the torso back: the feet wait for it."""
+        """Add a frame in the fields without a leg, and more while the caps hold the torso back and the feet wait."""
         nonlocal torso, goal
         for _ in range(MAX_WAIT):
             goal, count, settled = equilibrium(fields, hips, feet, without, goal, recipe.free)
@@ -390,15 +395,17 @@ def plan(robot: Quadruped, recipe: Recipe) -> Climb:
                 settle(fields, fall.leg, fall.leg, number)
             number += 1
     settle(fields, NONE, NONE, number - 1)
-    poses, places, lifted, *others = (np.array(column) for column in zip(*rows, strict=True))
+    poses, places, lifted, *other_legs = (np.array(column) for column in zip(*rows, strict=True))
     time_s, standing = np.arange(len(rows)) / recipe.fps, lifted[:, None] != np.arange(4)
-    return Climb(recipe, posed(robot, time_s, RigidTransform.from_matrix(poses), places, standing), lifted, *others)
+    return Climb(recipe, posed(robot, time_s, RigidTransform.from_matrix(poses), places, standing), lifted, *other_legs)
 
 
 def wrench(fields: Fields, hips_m: Array, feet_m: Array, without: int, torso: Array) -> Array:
-    """(N, 6): force in world axes and moment about the centre of mass in body axes on torsos T_world_body (N, 4, 4), of
-    all legs; balance pulls to the feet without that of one leg, or `NONE`. hips_m (4, 3): in body axes; feet_m (4, 3):
-    in the world."""
+    """Return force in world axes and moment about the centre of mass in body axes (N, 6) on torsos.
+
+    `torso` is T_world_body (N, 4, 4). Balance pulls to the feet without that of one leg, or `NONE`. `hips_m` (4, 3) are
+    in body axes, `feet_m` (4, 3) in the world.
+    """
     rotation, place_m = torso[:, :3, :3], torso[:, :3, 3]
     arm = (feet_m - place_m[:, None]) @ rotation
     x, y, z = np.moveaxis(arm - hips_m, -1, 0)
@@ -419,18 +426,21 @@ def wrench(fields: Fields, hips_m: Array, feet_m: Array, without: int, torso: Ar
 def equilibrium(
     fields: Fields, hips_m: Array, feet_m: Array, without: int, start: Array, free: tuple[int, ...]
 ) -> tuple[Array, int, bool]:
-    """The torso of the least energy next to the start, how often the fields were evaluated around a place, and whether
-    it was found: by Newton's method on forces and moments, with the magnitudes of the stiffness. free: which of x, y,
-    z, roll, pitch, yaw are; the others as of `wrench`."""
+    """Return the torso of the least energy next to the start.
+
+    It is found by Newton's method on forces and moments, with the magnitudes of the stiffness. The number of
+    evaluations of the fields is returned, too, and whether it converged. `free` says which of x, y, z, roll, pitch, yaw
+    are free; the other parameters are those of `wrench`.
+    """
     picked, n, torso = list(free), len(free), start
     nudges = np.zeros((2 * n + 1, 6))
     nudges[1:, picked] = NUDGE * np.concatenate([np.eye(n), -np.eye(n)])
     for count in range(1, MAX_EVALUATIONS):
-        found = wrench(fields, hips_m, feet_m, without, _moved(torso, nudges))[:, picked]
-        stiffness = (found[n + 1 :] - found[1 : n + 1]) / (2 * NUDGE)
+        solution = wrench(fields, hips_m, feet_m, without, _moved(torso, nudges))[:, picked]
+        stiffness = (solution[n + 1 :] - solution[1 : n + 1]) / (2 * NUDGE)
         values, vectors = np.linalg.eigh((stiffness + stiffness.T) / 2)
         step = np.zeros(6)
-        step[picked] = vectors @ (vectors.T @ found[0] / np.abs(values))
+        step[picked] = vectors @ (vectors.T @ solution[0] / np.abs(values))
         torso = _moved(torso, capped(step, NEWTON_REACH_M, TRUST_RAD))
         if np.linalg.norm(step) < SETTLED:
             return torso, count, True
@@ -438,12 +448,12 @@ def equilibrium(
 
 
 def _moved(torso: Array, step: Array) -> Array:
-    """A torso (4, 4) shifted in world axes and turned (rotation vector) in body axes by the step, (6,) or (N, 6)."""
+    """Return a torso (4, 4) shifted in world axes and turned in body axes by a step, (6,) or (N, 6)."""
     return rigid(torso[:3, :3] @ Rotation.from_rotvec(step[..., 3:]).as_matrix(), torso[:3, 3] + step[..., :3])
 
 
 def swing_path(recipe: Recipe, primitive: _Primitive, start_m: Array, end_m: Array) -> Array:
-    """(n, 3): where a foot is in the frames of its step: up at one angle, across, down at another."""
+    """Return the positions (n, 3) of a foot in the frames of its step: up at one angle, across, down at another."""
     s = recipe.swing
     corners = path_corners(start_m, end_m, s.clearance_m, primitive.rise_rad, primitive.lower_rad)
     points = []
@@ -454,11 +464,12 @@ def swing_path(recipe: Recipe, primitive: _Primitive, start_m: Array, end_m: Arr
 
 
 def path_corners(start_m: Array, end_m: Array, clearance_m: float, rise_rad: float, lower_rad: float) -> Array:
-    """(4, 3): the corners of the path of a foot from start_m (3,) to end_m (3,), like a trapezoid.
+    """Return the corners (4, 3) of a foot's path from start_m (3,) to end_m (3,), like a trapezoid.
 
     The foot rises at rise_rad above the forward direction (more than a right angle: leaning back) and sinks at
-    lower_rad above the backward direction, in the plane of forward (x) and up; between them it crosses, sideways too,
-    clearance_m above the higher end. Where both slopes take up more than the way there is, they are steeper, and meet.
+    lower_rad above the backward direction, in the plane of forward (x) and up. Between them it crosses, sideways too,
+    clearance_m above the higher end. Where both slopes take up more than the length of the path, they are steeper, and
+    meet.
     """
     top = max(start_m[2], end_m[2]) + clearance_m
     ahead, back = (top - start_m[2]) / np.tan(rise_rad), (top - end_m[2]) / np.tan(lower_rad)
@@ -470,13 +481,13 @@ def path_corners(start_m: Array, end_m: Array, clearance_m: float, rise_rad: flo
 
 
 def capped(step: Array, max_step_m: float, max_turn_rad: float) -> Array:
-    """The step (6,), shortened as a whole until its shift and its turn are within the caps."""
+    """Return a step (6,), shortened as a whole until its shift and its turn are within the caps."""
     shift, turn = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
     return step / max(1.0, shift / max_step_m, turn / max_turn_rad)
 
 
 class _ClimbSettings(Settings):
-    """What `recon climb` is told."""
+    """The settings of `recon climb`."""
 
     recipe: Annotated[str, Option(argument="RECIPE")] = "found-50"
     """found-50, published-50, highest-spatial, or a file .toml."""
@@ -491,7 +502,7 @@ class _ClimbSettings(Settings):
 
 
 def climb(settings: _ClimbSettings) -> Answer:
-    """A four-legged robot climbs a step by potential fields.
+    """Climb a step with a four-legged robot, by potential fields.
 
     Example: recon climb published-50 --height 0.045 --out results/climb
 
@@ -562,7 +573,7 @@ def _report(climb: Climb, settings: _ClimbSettings) -> dict[str, Any]:
 
 
 def _lifted(climb: Climb, frame: int) -> str:
-    """The leg that is up, empty where none is."""
+    """Return the leg that is lifted, empty where none is."""
     leg = int(climb.lifted[frame])
     return "" if leg == NONE else LEGS[leg]
 
@@ -596,7 +607,7 @@ def _title(climb: Climb) -> str:
 
 
 def climb_footfalls(climb: Climb) -> Figure:
-    """The robot from the right: at first, in the middle of every footfall, and in the end."""
+    """Draw the robot from the right: at the start, in the middle of every footfall, and at the end."""
     frames = [0]
     for k in np.unique(climb.footfall):
         up = np.flatnonzero((climb.footfall == k) & (climb.lifted != NONE))
