@@ -19,7 +19,7 @@ from recon import ClipAnalysis, analyse
 from recon.fit import constants
 from recon.fit.motion import Motion
 from recon.gait.clip import POSE_LASTS, lasts_s, limb_chains
-from recon.gait.kinematics import at_frames, joint_kinematics
+from recon.gait.kinematics import at_frames
 from recon.io.positions import read_pose3d
 from recon.show.report import build_report
 from recon.show.sentences import result_sentences
@@ -218,19 +218,15 @@ def test_vector_field_of_a_knee(whole, tables):
     assert 1.0 < means.loc["l_back_knee-l_back_ankle", "speed_sigma_m_s"] < 2.5
 
 
-def test_the_frame_method_is_smoothed_by_its_jitter(one_sided):
-    """Against the speed of the true joints; unsmoothed, the error is several times as large."""
+def test_the_frame_methods_path_has_the_true_speed(one_sided):
+    """Against the speed of the true joints: the path that ties the frames, with intervals that hold."""
     truth = read_pose3d(SAMPLES / "noisy_truth.csv")
     true = truth.xyz_m[:, truth.names.index("tail_base")]
     speed = np.linalg.norm(true[2:] - true[:-2], axis=1) * 15
-    pose = one_sided.motion.upright
-    raw = joint_kinematics(pose, "tail_base", 30)
-    errors = [
-        float(np.sqrt(np.mean((moved.speed_m_s[10:-10:10] - speed) ** 2)))
-        for moved in (one_sided.joints["tail_base"], raw)
-    ]
-    assert errors[0] < 0.6
-    assert errors[1] > 3 * errors[0]
+    moved = one_sided.joints["tail_base"]
+    error = moved.speed_m_s[10:-10:10] - speed
+    assert np.sqrt(np.mean(error**2)) < 0.8
+    assert np.mean(np.abs(error) < 1.645 * moved.speed_sigma_m_s[10:-10:10]) >= 0.8
     np.testing.assert_allclose(
         one_sided.pose.xyz_m[:, 0], one_sided.joints[one_sided.pose.names[0]].series.value[::10], atol=1e-12
     )
@@ -240,15 +236,13 @@ def test_a_path_that_jitters_too_much_gives_way_to_the_straight_run(frame_result
     """As in the fit's own summary. The sample's is smooth enough, and right to a tenth."""
     motion = Motion.load(frame_results)
     told = dict(build_report(motion)["lines"])
-    assert told["path"] == "13.3 m, peak 15.8 m/s (world frame, smoothed)"
+    assert says(told["speed"], "at most 15", "12.4 to 18.5", "over a path of 13.4 m")
     assert summarise(one_sided, "clip")["speed"]["doubt"] is None
-    assert told["path"].startswith(f"{summarise(one_sided, 'clip')['speed']['distance_m']:.1f} m")  # the same path
     states, noise = motion.states.copy(), np.random.default_rng(0).normal(size=(30, 3)) * [0, 1.0, 0]
     states[:, :3] += noise
     moved = replace(motion.solution, states=states, joints_m=motion.solution.joints_m + noise[:, None])
     told = dict(build_report(replace(motion, solution=moved))["lines"])
-    assert says(told["path"], "too uncertain", "(world frame)", "speed above")
-    assert says(told["speed"], "14.4 m/s", "straight run")
+    assert says(told["speed"], "about 14 m/s", "straight on", "one camera does not tell more", "its peak is")
 
 
 def test_too_few_poses(frame_results):
