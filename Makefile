@@ -50,7 +50,7 @@ test: lint
 
 # Files in and out, commands, fits and pages: what other versions of the packages can break.
 QUICK := $(foreach name,calibrate calibration camera cli compare convert doctor documents export file_names files io \
-	io_formats motion motion_file overlay package page plots python report settings terms video view,\
+	io_formats motion motion_file overlay package page plots python report settings tables terms video view,\
 	$(wildcard tests/test_$(name).py tests/*/test_$(name).py))
 
 test-quick: $(DEV)
