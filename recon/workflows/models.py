@@ -376,7 +376,7 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
     all of them.
     """
     output = output_file(settings.out, "subject fit", settings.overwrite, input_paths(settings))
-    fits, _, known = collect_problems(
+    fits, _, _, known = collect_problems(
         lambda: collect_problems(*(partial(read_config, p / CONFIG if p.is_dir() else p, {}) for p in settings.clips)),
         lambda: require_suffix(settings.out, (".toml",)),
         lambda: output.require((settings.out.name,)),
