@@ -243,6 +243,9 @@ def _stretches(time_s: Array, values: Array, max_gap_s: float, min_points: int) 
 
 def _curve(t: Array, x: Array, weight: Array, lam: float) -> Curve:
     """Return the curve(time (M,), order of the derivative) -> (M, ...) through x (n, ...); lam 0: exact."""
+    known = np.isfinite(x)
+    if x.ndim == 1 and known.sum() > 4:  # an error is not known in a frame without a pose, which the curve bridges
+        t, x, weight = t[known], x[known], weight[known]
     return make_smoothing_spline(t, x, weight**2, lam) if lam else CubicSpline(t, x)
 
 
