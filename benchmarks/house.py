@@ -125,11 +125,16 @@ def shadowing_names(tree: ast.Module) -> list[tuple[int, str]]:
         if isinstance(node, ast.Import | ast.ImportFrom)
         for alias in node.names
     }
-    definitions = ast.FunctionDef | ast.AsyncFunctionDef
-    top |= {node.name for node in tree.body if isinstance(node, definitions | ast.ClassDef)}
-    functions = [node for node in ast.walk(tree) if isinstance(node, definitions | ast.Lambda)]
+    top |= {node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)}
+    functions = [
+        node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+    ]
     names = {pair for function in functions for pair in bindings(function) if pair[1] in top}
-    names -= {(node.lineno, node.name) for node in ast.walk(tree) if isinstance(node, definitions | ast.ClassDef)}
+    names -= {
+        (node.lineno, node.name)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
+    }
     return sorted(names)
 
 
@@ -140,10 +145,11 @@ def bindings(tree: ast.AST) -> Iterator[tuple[int, str]]:
             yield node.lineno, node.id
         elif isinstance(node, ast.arg):
             yield node.lineno, node.arg
-        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef) or (
-            isinstance(node, ast.ExceptHandler | ast.MatchAs | ast.MatchStar) and node.name is not None
-        ):
+        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             yield node.lineno, node.name
+        elif isinstance(node, ast.ExceptHandler | ast.MatchAs | ast.MatchStar):
+            if node.name is not None:
+                yield node.lineno, node.name
         elif isinstance(node, ast.alias) and node.asname:
             yield node.lineno, node.asname
 

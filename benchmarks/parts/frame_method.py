@@ -121,7 +121,7 @@ def main() -> None:
         table.to_csv(given.csv, index=False)
     cells = [
         [
-            *(row.run[:26], f"{row.camera}{' *' * row.named}", row.verdict, f"{row.true_peak_m_s:.1f}"),
+            *(str(row.run)[:26], f"{row.camera}{' *' if row.named else ''}", row.verdict, f"{row.true_peak_m_s:.1f}"),
             f"{row.peak_m_s:.1f} ± {row.sigma_m_s:.1f}{'' if row.speed_stated else ' (not stated)'}",
             *(f"{row.mpjpe_mm:.0f} ({row.low_mm:.0f} to {row.high_mm:.0f})", f"{row.error_px:.1f}"),
             *(f"{row.iterations:.0f}", f"{row.evaluations:.0f}"),

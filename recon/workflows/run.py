@@ -288,9 +288,10 @@ def _stages(job: _Job) -> dict[str, _Stage]:
     def detect(progress: Progress) -> Answer:
         from recon.keypoint_net.network import run_prediction
 
+        assert run.model is not None  # without a network there is no such stage
         how = {"threads": job.threads, "overwrite": True, "progress": progress, "output": output("predict")}
-        found = run_prediction(run.video, run.model, keypoints, **how)
-        return Answer({}, files=[keypoints], notes=found.notes)
+        prediction = run_prediction(run.video, run.model, keypoints, **how)
+        return Answer({}, files=[keypoints], notes=prediction.notes)
 
     def solve(progress: Progress) -> Answer:
         fit_into(out, job.fit, progress)
