@@ -322,15 +322,21 @@ def test_doubtful_frames_are_marked(played: Recording, world_trajectory: Motion)
     assert len(set(red)) == 1 < len(set(plain))
 
 
-def test_feet_that_stand_are_marked(recording: Recording, world_motion: Motion) -> None:
-    motion = world_motion
-    stands = ClipAnalysis(motion).standing
-    assert stands.any()
-    for row, frame in enumerate(motion.frames):
-        for name, stood in zip((motion.names[foot] for foot in motion.feet), stands[row], strict=True):
-            assert recording.values(f"/{name}", frame) == (["stance"] if stood else [])
-        feet = motion.joints_m[row, motion.feet][stands[row]]
-        np.testing.assert_allclose(np.reshape(recording.values("/world/stance", frame), (-1, 3)), feet, atol=1e-5)
+def test_feet_that_stand_are_marked(recording: Recording, world_motion: Motion, tmp_path: Path) -> None:
+    """In the motion as it is all feet glide with the body, so that none stands; then with stances that are given."""
+    motion, analysis = world_motion, ClipAnalysis(world_motion)
+    given = np.zeros_like(analysis.standing)
+    given[1:3, 0] = given[[2, 4], 1] = True
+    marked = ClipAnalysis(motion)
+    vars(marked)["standing"] = given
+    write(motion, tmp_path / "motion.rrd", marked)
+    assert not analysis.standing.any()
+    for shown, stands in ((recording, analysis.standing), (Recording(tmp_path / "motion.rrd"), given)):
+        for row, frame in enumerate(motion.frames):
+            for name, stood in zip((motion.names[foot] for foot in motion.feet), stands[row], strict=True):
+                assert shown.values(f"/{name}", frame) == (["stance"] if stood else [])
+            feet = motion.joints_m[row, motion.feet][stands[row]]
+            np.testing.assert_allclose(np.reshape(shown.values("/world/stance", frame), (-1, 3)), feet, atol=1e-5)
 
 
 def test_ground_that_was_found_is_drawn(played: Recording, world_trajectory: Motion) -> None:

@@ -388,7 +388,7 @@ def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypa
     done = run("analyse", whole_results, "--out", tmp_path / "a")
     assert done.code == 2
     assert "No space left on device" in done.err
-    written = {*TABLES, "analysis.json"}
+    written = {*TABLES, "analysis.json", ".recon.json"}
     assert {path.name for path in (tmp_path / "a").iterdir()} == written
 
 
