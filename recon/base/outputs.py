@@ -59,7 +59,7 @@ class WrittenFile:
     size: int
     """Bytes."""
     sha256: str
-    """Of the content, in hexadecimal digits."""
+    """Digest of the content, in hexadecimal digits."""
     results: str | None = None
     """The folder of results that it was made from, seen from its own; None: not made from results."""
     manifest: str | None = None

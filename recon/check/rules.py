@@ -336,7 +336,7 @@ OF_TRAJECTORY: tuple[Rule, ...] = (
     second_solution,
 )
 OF_POSES: tuple[Rule, ...] = (too_fast, few_frames, subject_unlike_species, frames_flagged)
-"""Of both methods, where some frame has a pose."""
+"""Rules for both methods, if some frame has a pose."""
 
 
 def _outliers(motion: Motion) -> tuple[int, float]:

@@ -111,7 +111,7 @@ class SolverRecord:
     other_solution: FrameSolution
     """The clip with the camera's rotation fixed, or free where the fit has it fixed."""
     options: FrameOptions
-    """Those of the fit."""
+    """Options of the fit."""
 
     @property
     def frame(self) -> int:

@@ -227,7 +227,6 @@ def test_names_without_their_side():
         "L1",
         "r6",
         "tail1",
-        "FL",
         "offspring",
         "Lip",
         "theta_3",

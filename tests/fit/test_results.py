@@ -15,6 +15,7 @@ from recon.base.files import write_manifest
 from recon.fit.motion import Motion
 from recon.io.positions import read_pose3d
 from recon.show.report import build_report
+from recon.thesis.chain import with_unknowns
 
 
 def copy(folder: Path, to: Path) -> Path:
@@ -75,7 +76,7 @@ def test_the_camera_frame_is_turned_upright(level_results):
 
 def test_a_chain_is_called_by_its_keypoints(frame_results):
     found = Motion.load(frame_results)
-    chain = found.chain
+    chain = with_unknowns(found.chain)
     assert chain is not None
     assert found.body.one_sided
     assert found.method == "frame"

@@ -65,7 +65,7 @@ def test_up_is_found_from_the_ground_that_feet_stand_on(tmp_path, scale, first):
     write_cameras(cameras, tmp_path / "rig.toml")
     files = tuple(tmp_path / f"cam{number}.csv" for number in range(1, 5))
     given = prepare(FitSettings(keypoints=files, camera=(tmp_path / "rig.toml",), skeleton="quadruped", size=scale))
-    (said,) = given.found
+    (said,) = given.findings
     assert said.code == "up_from_feet"
     sigma_rad, up = (
         float(said.numbers["sigma_rad"]),
@@ -79,4 +79,4 @@ def test_up_is_found_from_the_ground_that_feet_stand_on(tmp_path, scale, first):
         assert height_m == pytest.approx(centre[2], abs=0.15 * scale)
     assert not prepare(
         FitSettings(keypoints=files, camera=(tmp_path / "rig.toml",), skeleton="quadruped", up="first-camera")
-    ).found
+    ).findings
