@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from recon.fit.motion import Motion
 from recon.gait.gait import pose_gait
-from recon.ik.clip import METHODS, IkSettings, run_ik
+from recon.ik.clip import CLOSES_PERCENT, METHODS, IkSettings, run_ik
 from recon.ik.drive import drive_to
 from recon.ik.limb import cost_of, fit_parameters, follow_stride, limb_of, methods_of, stride_lasts_s, stride_of
 from recon.ik.methods import LeastNorm, damped_least_squares, weighted_least_norm
@@ -108,8 +108,10 @@ def test_the_limit_that_keeps_a_path_from_closing_is_named(frame_results, tmp_pa
         assert (row["limits_hit"], row["first_limit"]) == ([], "")
         assert "stopped by" not in done.out
         return
-    assert row["least_closure_angle_percent"] < 50
+    assert row["least_closure_angle_percent"] < CLOSES_PERCENT
+    closures = row["closure_angle_percent"]
     joint = row["limits_hit"][0]
+    assert closures[joint] == min(closures.values()) == row["least_closure_angle_percent"]
     chain = limb_of(Motion.load(frame_results), dim=2).chain
     at = chain.names.index(joint)
     side, limit = ("upper", chain.upper_rad[at]) if "upper" in row["first_limit"] else ("lower", chain.lower_rad[at])

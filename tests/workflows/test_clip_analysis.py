@@ -170,7 +170,8 @@ def test_from_the_side_the_transverse_angles_are_not_seen(fit, request):
     phis = [name for name in found.motion.posture_names if name.startswith("phi")]
     assert {*phis} < {*found.not_measured}
     assert not any(name.startswith("theta") for name in found.not_measured)
-    assert max(found.motion.data_shares[name] for name in phis) < 0.02
+    # The path that ties the frames adds to what the pixels tell of nearly all angles: without it at most 0.015 here.
+    assert max(found.motion.data_shares[name] for name in phis) < {"one_sided": 0.03, "chain": 0.02}[fit]
     assert summarise(found, "clip")["angles"]["not_measured"] == [*found.not_measured]
     assert f"grey in figures: {', '.join(found.not_measured)}." in [*notes(found)][fit == "one_sided"]
 
