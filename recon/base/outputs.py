@@ -230,7 +230,12 @@ class Output:
         Raises InputError as `require` does, and where the results that they were made from are no more.
         """
         with staging_in(self.folder) as staging:
-            yield staging / NEW
+            try:
+                yield staging / NEW
+            except OSError as error:
+                if self.exact is not None and error.filename is None and error.errno is not None:
+                    error.filename = str(self.folder / self.exact)
+                raise
             if self.has_manifest:
                 write_manifest(staging / NEW, self.kind)
             with ExitStack() as stack:
@@ -313,11 +318,12 @@ class Output:
         raise_problems(self._refused([name for name in names if self._is_input(name)], "an input of this run"))
         others = [name for name in names if name != self.exact or is_strict]
         if not self.overwrite and self.exact in names:
-            found = f"{self.folder / self.exact}, which is there already"
-            raise InputError(Problem(self.option, "file", found, "a new name, or --overwrite"))
+            raise InputError(self._there_already(self.exact))
         foreign = [name for name in others if not self._is_own(name, written)]
         what = f"a file that `recon {self.kind}` did not write, or that was changed since"
         raise_problems(self._refused(foreign, what))
+        if self.exact is not None and not self.overwrite:
+            raise_problems(self._there_already(name) for name in names)
         if not adds and not self.overwrite:
             names += [name for name in written if name not in names and self._is_own(name, written)]
         if self.exact is None and names and not self.overwrite:
@@ -325,6 +331,10 @@ class Output:
             found = f"{names[0]}{more} in {self.folder}"
             expected = f"a folder without {self.content}, or --overwrite"
             raise InputError(Problem(self.option, "folder", found, expected))
+
+    def _there_already(self, name: str) -> Problem:
+        found = f"{self.folder / name}, which is there already"
+        return Problem(self.option, "file", found, "a new name, or --overwrite")
 
     def _refused(self, names: Sequence[str], found: str) -> Iterator[Problem]:
         """Give one problem for all files that may not be replaced."""

@@ -161,7 +161,7 @@ def test_what_is_wrong_is_said(runs, tmp_path):
     for paths, options, expected in (
         ([one], {}, (one, "cameras", ["one camera", "cam1"], "several cameras")),
         ([config], {"out": tmp_path / "x.txt"}, ("--out", "file", tmp_path / "x.txt", "ends in .toml")),
-        ([config], {"out": config}, ("--out", "file", config, "--overwrite")),
+        ([config], {"out": config}, (config, "file", "an input of this run", "another --out")),
         ([config], {"lengths": False}, ("--no-lengths", "unknowns", "nothing", "--offsets")),
         ([tmp_path / "none"], {}, (tmp_path / "none", "file", "no such file")),
         ([config], {"poses": [other]}, ("--poses", "unknowns", "lengths, or no offsets")),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -146,19 +147,37 @@ def test_the_video_is_never_written_over(clip, model, tmp_path):
 
 
 def test_ctrl_c_says_how_to_go_on(clip, tmp_path, monkeypatch):
+    """The checkpoint that is left is known as this command's: it is gone on from, or replaced."""
+
     def interrupted(*args: object, **options: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("recon.keypoint_net.train.train", interrupted)
+    def interrupted_after_the_first(*args: Any) -> None:
+        save(*args)
+        raise KeyboardInterrupt
+
+    save = train_module._save_checkpoint
+    narrow_networks(monkeypatch)
+    out = tmp_path / "out"
     arguments = ["train", clip / "clip.avi", "--labels", clip / "labels.csv", "--first-frame", "50", "--steps", "3"]
-    ended = run(*arguments, "--out", tmp_path / "out")
+    arguments += ["--out", out]
+    with monkeypatch.context() as patch:
+        patch.setattr(train_module, "train", interrupted)
+        ended = run(*arguments)
     assert ended.code == 130
     assert says(ended.err, "Stopped", "no checkpoint")
     assert list(tmp_path.iterdir()) == []
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "checkpoint.pt").write_bytes(b"")
-    ended = run(*arguments, "--out", tmp_path / "out", "--overwrite")
-    assert "with --resume goes on" in ended.err
+    for more in ([], ["--overwrite"], ["--resume"]):
+        with monkeypatch.context() as patch:
+            patch.setattr(train_module, "_save_checkpoint", interrupted_after_the_first)
+            ended = run(*arguments, *more)
+        assert "with --resume goes on" in ended.err
+        assert {path.name for path in out.iterdir()} == {"checkpoint.pt", ".recon.json"}
+    refused(arguments, ("--out", "folder", "checkpoint.pt", "--resume"))
+    ended = run(*arguments, "--resume")
+    assert (ended.code, ended.err) == (0, "")
+    ended = run(*arguments, "--overwrite")
+    assert (ended.code, ended.err) == (0, "")
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")

@@ -216,6 +216,13 @@ def test_recon_convert(whole_results, tmp_path, extension):
         if there:
             refused(["convert", whole_results, out], *(("OUT", "file", path, "--overwrite") for path in there))
             Path(there[0]).unlink()
+    if beside:
+        foreign, option = tmp_path / "run.mot", ["--overwrite"]
+        foreign.write_text("a user's")
+        for more in ([], option):
+            refused(["convert", whole_results, out, *more], (foreign, "file", "did not write", "moved away"))
+        assert {path.name for path in tmp_path.iterdir()} == {".recon.json", "run.mot"}
+        assert foreign.read_text() == "a user's"
 
 
 def with_solution(motion: Motion, **changes) -> Motion:
