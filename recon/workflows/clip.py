@@ -8,32 +8,22 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from recon.animal.chain import load_chain
+from recon.animal.chain import Chain, load_chain
 from recon.base.progress import Progress, silent
 from recon.check.codes import sentences
 from recon.check.inputs import input_findings, with_flags, without_gross_outliers
 from recon.check.swap_repair import downgrade_swap, swap_improves, without_swaps
 from recon.check.verdict import add_verdict, verdict_lines
-from recon.clip import (
-    Source,
-    views_of,
-)
+from recon.clip import Source, views_of
 from recon.fit.belt import belt_path_m, views_from_belt
+from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.motion import Motion
 from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.trajectory import solve_trajectory
-from recon.workflows.settings import FitSettings
-
-if TYPE_CHECKING:
-    pass
-
-
-from recon.animal.chain import Chain
-from recon.fit.clip_problem import TrajectoryOptions
 from recon.workflows.clip_cameras import cameras_in, other_camera_in, other_cameras
 from recon.workflows.clip_inputs import ClipInputs, prepare
+from recon.workflows.settings import FitSettings
 
 LOGGER = logging.getLogger("recon")
 
@@ -192,15 +182,21 @@ def _judge(fit: _Fit, motion: Motion, settings: FitSettings) -> Motion:
 
 def _log(motion: Motion) -> None:
     """Send notes on the files, findings and the verdict to the logger "recon"."""
-    name, level = Path(motion.keypoints.source or "clip").name, {"note": logging.INFO}
-    said = [(logging.INFO, note) for source in motion.sources for note in source.cleaning.notes]
-    said += [(level.get(one.severity, logging.WARNING), text) for one, text in sentences(motion)]
-    for of, text in (*said, *((logging.INFO, line) for line in verdict_lines(motion.verdict))):
-        LOGGER.log(of, "%s: %s", name, text)
+    name = Path(motion.keypoints.source or "clip").name
+    messages = [(logging.INFO, note) for source in motion.sources for note in source.cleaning.notes]
+    for finding, text in sentences(motion):
+        messages.append((logging.INFO if finding.severity == "note" else logging.WARNING, text))
+    messages += [(logging.INFO, line) for line in verdict_lines(motion.verdict)]
+    for level, text in messages:
+        LOGGER.log(level, "%s: %s", name, text)
 
 
 def _file_facts(inputs: ClipInputs, settings: FitSettings) -> tuple[list[str | None], float | None, bool]:
-    """What the files say of a clip besides its keypoints, as `recon.check.input_findings` takes it."""
+    """Return the facts that `input_findings` takes.
+
+    They are the camera that each file's name says, if another one, the frame rate that a file states against the given
+    one, and whether to look for swaps.
+    """
     named = []
     for source, path in zip(inputs.sources, settings.keypoints, strict=True):
         cameras = () if source.moves else other_cameras(source.camera, settings)
