@@ -96,12 +96,24 @@ def _lines(report: dict[str, Any]) -> Iterator[str | Text | Table]:
 
 
 def run_calibration(settings: CalibrationSettings, progress: Progress = silent) -> dict[str, Any]:
-    """Write `out` (`recon.io.write_camera`) and, beside it, `<stem>_coverage.png`; what was found and checked, as plain
-    types. A calibration that a check refuses is not written unless `force`; the picture is, since it shows what is
-    missing. Raises InputError, with every problem, for inputs that cannot be used."""
+    """Calibrate a camera from pictures of a board, and write `out` and `<stem>_coverage.png`.
+
+    A calibration that a check refuses is not written unless `force`. The picture is, since it shows what is missing.
+
+    Returns
+    -------
+    The camera, its errors and the checks, as plain types.
+
+    Raises
+    ------
+    InputError
+        With every problem, for inputs that cannot be used.
+    """
     picture = settings.out.with_name(f"{settings.out.stem}_coverage.png")
     inputs = input_paths(settings)
-    output = output_file(settings.out, "calibrate", settings.overwrite, inputs)
+    # Without a camera file, our own picture is that of a calibration that was refused: nobody has to say --overwrite.
+    overwrite = settings.overwrite or not settings.out.exists()
+    output = output_file(settings.out, "calibrate", overwrite, inputs)
     known = [name for name, lens in LENS_MODELS.items() if lens.opencv]
     unknown = Problem("--model", "lens model", repr(settings.model), f"one of {', '.join(known)}")
     files, board, *_ = collect_problems(
