@@ -24,6 +24,8 @@ from recordings import recordings
 
 from recon.animal.anatomy import FLEXES_CAUDALLY, GIRDLE, joint_and_side
 from recon.animal.body import Body
+from recon.api.clip import fit_clip
+from recon.api.settings import FitSettings
 from recon.fit.motion import Motion
 from recon.fit.posterior import radius
 from recon.gait.flexion import joint_flexions
@@ -31,8 +33,6 @@ from recon.gait.gait import INTERVAL
 from recon.io.camera_files import write_camera
 from recon.testing.files import write_keypoints
 from recon.testing.gallop import project_clip, whole_gallop
-from recon.workflows.clip import fit_clip
-from recon.workflows.settings import FitSettings
 
 JITTER_PX = 3.0
 DOG_CLIPS = (("walk00", 250), ("walk01", 800), ("walk02", 660), ("walk03", 300), ("walk04", 300), ("run00", 340))

@@ -14,11 +14,11 @@ import numpy as np
 from PIL import Image
 
 from recon import FitSettings, Motion, samples_folder
+from recon.api.analyse import AnalyseSettings, analyse_command
+from recon.api.clip_results import run_clip
+from recon.cli.app import app
+from recon.cli.look import OverlaySettings, overlay
 from recon.io.video import read_frames, video_writer
-from recon.workflows.analyse import AnalyseSettings, analyse_command
-from recon.workflows.cli import app
-from recon.workflows.clip_results import run_clip
-from recon.workflows.look import OverlaySettings, overlay
 
 HERE = Path(__file__).resolve().parent
 COLOURS = 255

@@ -40,7 +40,7 @@ FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(  # not rerun, which has threads from the start
     [
         *("ipykernel.kernelapp", "matplotlib.pyplot", "matplotlib_inline.backend_inline", "pandas", "scipy.optimize"),
-        *("recon.show.plots", "recon.workflows.clip_results", "recon.ik.clip"),
+        *("recon.show.plots", "recon.api.clip_results", "recon.ik.clip"),
     ]
 )
 

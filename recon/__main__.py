@@ -17,7 +17,7 @@ def main() -> None:
     interrupts = Interrupts()
     interrupts.install()
     try:
-        from recon.workflows.cli import main as run
+        from recon.cli.app import main as run
 
         run()
     finally:

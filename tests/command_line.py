@@ -14,13 +14,13 @@ from typing import Any, NamedTuple
 
 import pytest
 
-import recon.workflows.cli as cli
+import recon.cli.app as cli
 from recon import InputError, read_settings
 from recon.base.errors import Problem
 from recon.base.files import write_manifest
 from recon.base.parallel import STARTING, Event, Work, outcome_of
 from recon.base.progress import silent
-from recon.workflows.cli import main
+from recon.cli.app import main
 
 
 class Ended(NamedTuple):
@@ -105,7 +105,7 @@ def run_process(*args: object, before: str = "") -> Ended:
         "-W",
         "error",
         "-c",
-        f"{before}\nfrom recon.workflows.cli import main\nmain()",
+        f"{before}\nfrom recon.cli.app import main\nmain()",
         *map(str, args),
     ]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)

@@ -23,6 +23,8 @@ from shortcuts import draw_small, draw_two_methods, empty_figure, fit_demo_from,
 
 from recon import FitSettings
 from recon.animal.skeleton_file import load_skeleton
+from recon.api import analyse
+from recon.api.clip_results import run_clip
 from recon.base.file_names import encodable
 from recon.clip import Keypoints, Source, View, camera_poses, clean, still_view, views_of
 from recon.fit.motion import Motion
@@ -33,8 +35,6 @@ from recon.io.deeplabcut import write_csv
 from recon.thesis.chain import load_chain, mean_pose
 from recon.thesis.objectives import FrameOptions
 from recon.thesis.solver import solve_frames
-from recon.workflows import analyse
-from recon.workflows.clip_results import run_clip
 
 # Modules are no garbage, nor is most of what a test makes: it is looked for less often than Python does by itself.
 gc.set_threshold(20_000)

@@ -13,9 +13,9 @@ import pytest
 from command_line import copy_results
 
 from recon import FitSettings
+from recon.cli.answers import Answer
 from recon.ik import clip as ik_clip
 from recon.show.plots import style
-from recon.workflows.cli import Answer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,9 +29,9 @@ def fit_demo_from(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def copied(settings: FitSettings, out: Path, *more: object) -> dict[str, Any]:
         return json.loads((copy_results(whole_results, out) / "report.json").read_text(encoding="utf-8"))
 
-    monkeypatch.setattr("recon.workflows.demo.run_clip", copied)
+    monkeypatch.setattr("recon.cli.demo.run_clip", copied)
     monkeypatch.setattr(
-        "recon.workflows.demo.report", lambda settings, *more: Answer({"page": settings.folder / "report.html"})
+        "recon.cli.demo.report", lambda settings, *more: Answer({"page": settings.folder / "report.html"})
     )
 
 

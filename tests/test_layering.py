@@ -35,7 +35,8 @@ LAYERS = (
     "gait",
     "calibrate",
     "show",
-    "workflows",
+    "api",
+    "cli",
     "ik",
 )
 WINGS = ("robotics", "keypoint_net", "thesis")
@@ -275,7 +276,7 @@ def test_catches_an_optional_import_at_the_top(module, source):
 @pytest.mark.parametrize(
     ("module", "source"),
     [
-        ("recon.__init__", "from recon.workflows.cli import main\nfrom .fit.points import solve_points"),
+        ("recon.__init__", "from recon.cli.app import main\nfrom .fit.points import solve_points"),
         (
             "recon.fit.starts",
             "from recon.geometry.camera import Camera\nfrom recon import geometry\nfrom .points import solve_points",
@@ -288,7 +289,7 @@ def test_catches_an_optional_import_at_the_top(module, source):
             "recon.io.formats",
             "from recon.io.common import Pose3D\nfrom .deeplabcut import read_csv\nfrom ..base.errors import Problem",
         ),
-        ("recon.workflows.cli", "from recon.base.version import __version__"),
+        ("recon.cli.app", "from recon.base.version import __version__"),
         ("recon.show.view", "def f():\n    import torch"),
         ("recon.show.view", "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import torch"),
         ("recon.show.view", "import json\nimport numpy as np\nimport rerun.blueprint as rrb\nimport cv2"),

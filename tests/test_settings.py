@@ -15,13 +15,13 @@ from rich.text import Text
 
 from recon import FitSettings, InputError, read_settings
 from recon.animal.skeleton_file import load_skeleton
+from recon.api.clip_inputs import read_model_and_cameras
+from recon.api.settings import SETTINGS
+from recon.cli.app import app, commands
+from recon.cli.look import OverlaySettings, PageSettings
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.io.calibration import read_camera, read_cameras
 from recon.thesis.objectives import FrameOptions
-from recon.workflows.cli import app, commands
-from recon.workflows.clip_inputs import read_model_and_cameras
-from recon.workflows.look import OverlaySettings, PageSettings
-from recon.workflows.settings import SETTINGS
 
 GIVEN = {"keypoints": Path("/data/clip.csv"), "camera": Path("/data/camera.toml"), "fps": 30.0}
 
@@ -395,7 +395,7 @@ def test_a_setting_that_is_no_option_is_checked():
 
 def test_a_setting_of_several_values_is_set_several_times(monkeypatch):
     seen = []
-    monkeypatch.setattr("recon.workflows.clip_results.read_settings", lambda config, given: seen.append(given))
+    monkeypatch.setattr("recon.api.clip_results.read_settings", lambda config, given: seen.append(given))
     with pytest.raises(InputError):
         app(["fit", "a.csv", "--set", "offset-s=0", "--set", "offset_s=0.5", "--set", "fast=true", "--no-fix-swaps"])
     assert seen[0]["offset_s"] == ["0", "0.5"]

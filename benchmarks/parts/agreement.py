@@ -28,12 +28,12 @@ import numpy as np
 from markdown_table import print_table
 
 from recon import FitSettings, load_skeleton
+from recon.api.clip_inputs import prepare
 from recon.check.agreement import agreement_findings
 from recon.clip import View, views_of
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.result import Finding
 from recon.geometry.frames import euler_rotation, rigid
-from recon.workflows.clip_inputs import prepare
 
 SKELETON = "cheetah-24"
 TURN_DEG, LAG = 5.0, 10

@@ -24,13 +24,13 @@ from typing import Any
 import numpy as np
 from markdown_table import print_table
 
+from recon.api.batch import RECORD
+from recon.api.clip_results import Record
+from recon.api.samples import samples_folder
 from recon.base.package import install_command
 from recon.clip import Keypoints
 from recon.io.formats import read_keypoints
 from recon.testing.gallop import add_noise
-from recon.workflows.batch import RECORD
-from recon.workflows.clip_results import Record
-from recon.workflows.demo import samples_folder
 
 SAMPLE = samples_folder() / "whole.csv"
 CAMERA = samples_folder() / "camera.toml"
@@ -118,7 +118,7 @@ BREAK: tuple[Callable[[Path], object], ...] = (
 
 
 def command(patterns: list[Path], out: Path, *more: object) -> list[str]:
-    code = "from recon.workflows.cli import main; main()"
+    code = "from recon.cli.app import main; main()"
     given = [*patterns, "--camera", CAMERA, "--fps", 60, "--out", out, "--json", "--quiet", *more]
     return [sys.executable, "-c", code, "batch", *map(str, given)]
 

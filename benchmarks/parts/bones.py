@@ -18,9 +18,9 @@ from recon.testing.bones import FPS, READERS, largest_error_m
 
 def main() -> None:
     from recon import FitSettings
+    from recon.api.clip_results import run_clip
+    from recon.api.convert import ConvertSettings, convert
     from recon.fit.motion import Motion
-    from recon.workflows.clip_results import run_clip
-    from recon.workflows.convert import ConvertSettings, convert
 
     samples = Path(__file__).resolve().parents[2] / "data" / "samples"
     print_header(["file", "read by", "whole animal, mm", "chain, mm"])

@@ -29,6 +29,7 @@ from trajectory import SKELETON, body_of, meta_of, prior_of, truth_of
 
 from recon import Body, FitSettings
 from recon.animal.measured import detector_toml
+from recon.api.clip_inputs import prepare
 from recon.clip import Source, View, views_of
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.points import solve_points
@@ -37,7 +38,6 @@ from recon.fit.shape import POSED_OFFSET_SIGMA_M, Shape, fit_shape
 from recon.fit.trajectory import solve_trajectory
 from recon.geometry.kinematics import ROOT
 from recon.testing.coverage import coverage
-from recon.workflows.clip_inputs import prepare
 
 PRIOR = "running-cheetah"
 HELD = 1e-6

@@ -27,12 +27,12 @@ from trajectory import body_of, meta_of, prior_of, truth_of
 
 from recon import Body, FitSettings, Pose3D, read_pose3d
 from recon.animal.measured import detector_toml
+from recon.api.clip import fit_clip
+from recon.api.clip_inputs import prepare
 from recon.clip import align_cameras, views_of
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.shape import Shape, fit_shape
 from recon.gait.evaluation import evaluate
-from recon.workflows.clip import fit_clip
-from recon.workflows.clip_inputs import prepare
 
 WITH_LENGTHS = ("jules", "phantom")
 SHIPPED = "acinoset"

@@ -34,11 +34,11 @@ from trajectory import print_table
 from recon import Body, Camera, FitSettings, fit_clip, load_skeleton, write_camera
 from recon.animal.measured import save_prior
 from recon.animal.prior import prior_from_body
+from recon.api.models import PriorFitSettings, run_prior_fit
 from recon.fit import constants
 from recon.fit.points import solve_points
 from recon.fit.result import TrajectorySolution
 from recon.gait.evaluation import aligned, joint_errors, score
-from recon.workflows.models import PriorFitSettings, run_prior_fit
 
 SKELETON = "dog-27"
 WIDEN = 1.5

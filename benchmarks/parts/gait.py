@@ -30,6 +30,7 @@ from recordings import recordings
 
 import recon.gait.gait as method
 from recon import FitSettings, Pose3D, fit_clip, load_skeleton, read_pose3d
+from recon.api.clip_results import run_clip
 from recon.fit.motion import Motion
 from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis, analyse
@@ -37,7 +38,6 @@ from recon.gait.gait import FEET, INTERVAL, Gait, Stance, gait, match_stances, p
 from recon.gait.kinematics import joint_kinematics, spine_flexion
 from recon.gait.phase import field_means, pose_vector_field
 from recon.testing.gallop import gallop
-from recon.workflows.clip_results import run_clip
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 REFERENCE = "spine"

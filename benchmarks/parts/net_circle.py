@@ -9,6 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from recon.api.camera_motion import camera_motion, of_clip
+from recon.api.clip_results import run_clip
+from recon.api.samples import samples_folder
+from recon.api.settings import FitSettings
 from recon.clip import Keypoints
 from recon.gait.evaluation import Evaluation, evaluate_files
 from recon.io.deeplabcut import write_csv
@@ -16,10 +20,6 @@ from recon.io.formats import read_keypoints
 from recon.keypoint_net.labels import LabelSource, body_length_px, evaluate_2d, read_label_file
 from recon.keypoint_net.network import run_prediction
 from recon.keypoint_net.train import TrainSettings, run_training
-from recon.workflows.camera_motion import camera_motion, of_clip
-from recon.workflows.clip_results import run_clip
-from recon.workflows.demo import samples_folder
-from recon.workflows.settings import FitSettings
 
 NOISE_PX = 2.0
 """The noise of the points that the fit of predicted ones is compared with."""

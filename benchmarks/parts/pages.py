@@ -26,10 +26,10 @@ import numpy as np
 from markdown_table import print_header, print_row
 from startup import SAMPLES, seconds
 
+from recon.api.batch import COLUMNS, results_of, write_summary_page
+from recon.api.clip_results import run_clip
+from recon.api.settings import FitSettings
 from recon.base.documents import read_json
-from recon.workflows.batch import COLUMNS, results_of, write_summary_page
-from recon.workflows.clip_results import run_clip
-from recon.workflows.settings import FitSettings
 
 FILM = SAMPLES / "rendered.mp4"
 FILM_FIT = ("--camera", str(SAMPLES / "rendered_camera.toml"), "--set", "detector=none")

@@ -23,12 +23,12 @@ from pathlib import Path
 import numpy as np
 
 from recon import FitSettings
+from recon.api.clip_results import run_clip
 from recon.fit.motion import Motion
 from recon.robotics.playback import write_robot
 from recon.robotics.quadruped import LEGS, builtin_robots, load_robot
 from recon.robotics.retarget import Retargeting, reference_of, retarget
 from recon.robotics.retarget_clip import companion
-from recon.workflows.clip_results import run_clip
 
 ROOT = Path(__file__).resolve().parents[2]
 COLUMNS = (

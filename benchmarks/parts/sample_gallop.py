@@ -83,7 +83,7 @@ def main() -> None:
                     + " |"
                 )
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-c", "from recon.workflows.cli import main; main()", "demo", "--quiet", "--out"]
+        command = [sys.executable, "-c", "from recon.cli.app import main; main()", "demo", "--quiet", "--out"]
         walls = []
         for i in range(5):
             start = time.perf_counter()

@@ -36,6 +36,8 @@ from recon.animal.body import other_side
 from recon.animal.chain import load_chain
 from recon.animal.prior import MotionPrior, load_prior
 from recon.animal.prior_fit import as_one_gaussian
+from recon.api.clip_inputs import arrange
+from recon.api.models import PriorFitSettings, run_prior_fit
 from recon.clip import View, clean, still_view
 from recon.fit import constants
 from recon.fit.clip_problem import TrajectoryOptions
@@ -48,8 +50,6 @@ from recon.gait.evaluation import aligned, joint_errors, score
 from recon.gait.kinematics import Errors, series_kinematics
 from recon.geometry.frames import inverse, moved, rigid
 from recon.testing.gallop import gallop
-from recon.workflows.clip_inputs import arrange
-from recon.workflows.models import PriorFitSettings, run_prior_fit
 
 SKELETON, PRIOR = "cheetah-24", "running-cheetah"
 ONE_GAUSSIAN = "one Gaussian"

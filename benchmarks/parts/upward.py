@@ -25,11 +25,11 @@ from recordings import recordings
 from trajectory import meta_of
 
 from recon import FitSettings, load_skeleton
+from recon.api.clip_inputs import prepare
 from recon.check import agreement
 from recon.check.agreement import up_from_feet
 from recon.clip import View, views_of
 from recon.fit.clip_problem import TrajectoryOptions
-from recon.workflows.clip_inputs import prepare
 
 BODY, SIGMA_PX = load_skeleton("cheetah-24"), TrajectoryOptions().sigma_px
 

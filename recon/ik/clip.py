@@ -22,6 +22,7 @@ from recon.base.outputs import Output, ReadResults
 from recon.base.settings import Integer, Number, Option, Settings, input_paths
 from recon.base.tables import write_frame
 from recon.check.verdict import usable, verdict_fields
+from recon.cli.answers import ANYWAY, STRIDE, Answer, StrideTimes, table_of, verdict_texts
 from recon.fit.motion import Motion
 from recon.gait.phase import Closure, Portrait
 from recon.ik.drive import Run, control_columns, drive_to
@@ -43,7 +44,6 @@ from recon.ik.stride import OVERSAMPLING, StridePath, farthest_reach
 from recon.show.plain import by_name, picked, to_json
 from recon.show.plots import style
 from recon.show.plots.over_time import phase_portraits
-from recon.workflows.cli import ANYWAY, STRIDE, Answer, StrideTimes, table_of, verdict_texts
 
 Extended = Literal["extended-differences", "extended-energy", "extended-harmonic"]
 MethodName = Literal[

@@ -20,10 +20,12 @@ from rich.text import Text
 
 from recon.animal.body import other_side
 from recon.animal.naming import load_names, map_to_write, new_names, renamed
+from recon.api.settings import RENAME, FrameRange
 from recon.base.arrays import Array, Bools, Integers, median
 from recon.base.documents import read_head
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.settings import Integer, Number, Option, Positive, Settings
+from recon.cli.answers import Answer, table_of
 from recon.clip import Keypoints, mark_missing, parse_frame_range, select_frames
 from recon.io.common import first_problems
 from recon.io.deeplabcut_project import Project, find_project, label_files
@@ -31,8 +33,6 @@ from recon.io.formats import as_keypoints, read_keypoints, recognised
 from recon.io.video import Image, probe, read_frames, read_picture
 from recon.io.writing import frames_text
 from recon.show.plain import picked
-from recon.workflows.cli import Answer, table_of
-from recon.workflows.settings import RENAME, FrameRange
 
 SPLIT = "Which pictures"
 OUTSIDE = 0.1

@@ -51,6 +51,7 @@ from recon.base.package import install_command
 from recon.base.parallel import available_cores
 from recon.base.progress import Progress, silent
 from recon.base.settings import Count, Option, Settings, input_paths
+from recon.cli.answers import Answer
 from recon.clip import Keypoints
 from recon.io.formats import FORMATS
 from recon.io.video import Image, VideoInfo, missing_note, probe, require_codec, timed_frames, video_writer
@@ -58,7 +59,6 @@ from recon.keypoint_net.labels import resize, scale_points
 from recon.keypoint_net.pictures import background_of_video, prefetched
 from recon.show.overlay import Colour, draw_circle
 from recon.show.plain import picked
-from recon.workflows.cli import Answer
 
 if TYPE_CHECKING:
     import torch  # pyright: ignore[reportMissingImports]

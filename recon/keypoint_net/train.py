@@ -38,13 +38,13 @@ from recon.base.progress import Progress, silent
 from recon.base.settings import Count, Integer, Number, Option, Settings, input_paths
 from recon.base.tables import write_frame
 from recon.base.version import __version__
+from recon.cli.answers import Answer, stop
 from recon.io.video import Image
 from recon.keypoint_net import labels as data
 from recon.keypoint_net import network as net
 from recon.keypoint_net import pictures
 from recon.show.overlay import draw_circle, draw_line, draw_text
 from recon.show.plain import picked, to_json
-from recon.workflows.cli import Answer, stop
 
 if TYPE_CHECKING:
     import torch  # pyright: ignore[reportMissingImports]

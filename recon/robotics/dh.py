@@ -32,10 +32,10 @@ from recon.base.arrays import Array
 from recon.base.documents import FileTable, read_toml, validated
 from recon.base.errors import InputError, Problem
 from recon.base.settings import Number, Option, Settings
+from recon.cli.answers import Answer, numbers, table_of
 from recon.ik.chain import SerialChain, joint_chain
 from recon.robotics import quadruped as robots
 from recon.robotics.quadruped import LEGS, Length, Limits, body_pose, leg_targets, load_robot
-from recon.workflows.cli import Answer, numbers, table_of
 
 Convention = Literal["modified", "standard"]
 _PARALLEL = 1e-9

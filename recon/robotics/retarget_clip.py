@@ -33,6 +33,7 @@ from pydantic import Field
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
+from recon.api.clip_results import problem_of
 from recon.base import files, outputs
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, collect_problems
@@ -40,6 +41,7 @@ from recon.base.locks import sole_writer
 from recon.base.records import load_record, save_record
 from recon.base.settings import Integer, Option, Positive, Settings, input_paths
 from recon.check.verdict import usable, verdict_fields
+from recon.cli.answers import ANYWAY, STRIDE, Answer, StrideTimes, table_of, verdict_texts
 from recon.fit.motion import Motion
 from recon.fit.result import TrajectorySolution
 from recon.fit.sampling import draws
@@ -51,8 +53,6 @@ from recon.robotics.quadruped import LEGS, Quadruped, builtin_robots, load_robot
 from recon.robotics.retarget import LEGS_APART, KeptMotion, Retargeting, RobotMotion, reference_of, retarget
 from recon.show.plain import picked, to_json
 from recon.show.plots.style import save
-from recon.workflows.cli import ANYWAY, STRIDE, Answer, StrideTimes, table_of, verdict_texts
-from recon.workflows.clip_results import problem_of
 
 MOST_SAMPLES, RATE_HZ = 10_000, 50.0
 

@@ -9,12 +9,17 @@ from rich.console import Console
 from threadpoolctl import threadpool_limits
 
 from recon.animal.body import Body
+from recon.api.clip_inputs import prepare
+from recon.api.settings import SETTINGS, FitSettings
 from recon.base.locks import sole_writer
 from recon.base.outputs import Output, ReadResults
 from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Option, Settings, input_paths
 from recon.base.tables import write_frame
 from recon.check.verdict import add_verdict
+from recon.cli.answers import Answer
+from recon.cli.commands import OptionsOf
+from recon.cli.fit import FitRunSettings, fit
 from recon.clip import views_of
 from recon.fit.motion import Motion
 from recon.show.plain import to_json
@@ -22,10 +27,6 @@ from recon.thesis.chain import load_chain
 from recon.thesis.inspect import TABLES, read_solver
 from recon.thesis.objectives import FrameOptions
 from recon.thesis.solver import solve_frames
-from recon.workflows.cli import Answer, OptionsOf
-from recon.workflows.clip_inputs import prepare
-from recon.workflows.fit import FitRunSettings, fit
-from recon.workflows.settings import SETTINGS, FitSettings
 
 _OPTIONS = tuple(name for name, info in SETTINGS.items() if name != "method" and info.option.method in (None, "frame"))
 

@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 from scipy.sparse import block_diag
 
+from recon.api.clip_results import CONFIG, read_config
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.files import read_manifest, write_bytes
@@ -24,7 +25,6 @@ from recon.fit.motion import Motion
 from recon.thesis.objectives import FrameOptions
 from recon.thesis.solution import FrameSolution
 from recon.thesis.solver import FrameSearch, FrameSolver, solve_frames, with_tolerance
-from recon.workflows.clip_results import CONFIG, read_config
 
 TABLES = (
     "solver_frames.csv",

@@ -15,12 +15,12 @@ from recon import Body, Camera, FitSettings, load_skeleton, read_keypoints
 from recon.animal.measured import detector_toml
 from recon.animal.prior import prior_from_body
 from recon.animal.skeleton_file import with_detector_offsets
+from recon.api.clip_inputs import prepare
 from recon.clip import still_view
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.io import deeplabcut
 from recon.io.hdf5_poses import write_deeplabcut, write_movement, write_nwb
 from recon.show.report import build_report
-from recon.workflows.clip_inputs import prepare
 
 
 def body(subject: str | None = "phantom") -> Body:

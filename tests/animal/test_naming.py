@@ -24,6 +24,10 @@ from recon.animal.naming import (
     skeleton_of,
     suggestions,
 )
+from recon.api.clip_inputs import prepare
+from recon.api.clip_results import identity, run_clip
+from recon.api.convert import ConvertSettings, read_any
+from recon.api.skeleton import check_skeleton, draft_skeleton
 from recon.fit.motion import Motion
 from recon.io.deeplabcut import write_csv
 from recon.io.formats import read_keypoints
@@ -33,10 +37,6 @@ from recon.robotics.retarget import reference_of, retarget
 from recon.show.report import build_report
 from recon.testing import detectors
 from recon.testing.detectors import ACINOSET, ANIMAL3D, AP_10K, HORSE_10, MMPOSE_AP_10K, SUPERANIMAL, UNSEEN
-from recon.workflows.clip_inputs import prepare
-from recon.workflows.clip_results import identity, run_clip
-from recon.workflows.convert import ConvertSettings, read_any
-from recon.workflows.skeleton import check_skeleton, draft_skeleton
 
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"
 

@@ -30,10 +30,10 @@ from recon.animal.prior_fit import (
     log_likelihood,
 )
 from recon.animal.skeleton_file import load_skeleton
+from recon.api.models import _lines, _sound_states
+from recon.cli.app import app
 from recon.fit.motion import Motion
 from recon.io.positions import read_pose_segments
-from recon.workflows.cli import app
-from recon.workflows.models import _lines, _sound_states
 
 OMEGA_RAD_S = 12.0
 SPREAD_RAD = 0.3

@@ -19,14 +19,14 @@ from recon.animal.chain import builtin_chains
 from recon.animal.naming import both_sides, builtin_maps, load_names, without_side
 from recon.animal.prior import prior_from_body
 from recon.animal.skeleton_file import builtin_names
+from recon.api.skeleton import _SkeletonCheckSettings, check_skeleton, skeleton_check
 from recon.base.outputs import RECORD
+from recon.cli.app import app
 from recon.clip import still_view
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.trajectory import solve_trajectory
 from recon.gait.evaluation import aligned, joint_errors, score
 from recon.io.formats import read_keypoints
-from recon.workflows.cli import app
-from recon.workflows.skeleton import _SkeletonCheckSettings, check_skeleton, skeleton_check
 
 CAT = (Path(__file__).parents[2] / "docs" / "my-cat.toml").read_text(encoding="utf-8")
 

@@ -32,7 +32,7 @@ def fit():
     finally:
         print("cleaned up", flush=True)
 
-results = sys.modules["recon.workflows.fit"] = types.ModuleType("recon.workflows.fit")
+results = sys.modules["recon.cli.fit"] = types.ModuleType("recon.cli.fit")
 results.fit = fit
 sys.modules["pandas"] = types.ModuleType("pandas")
 """
@@ -86,7 +86,7 @@ def test_a_command_called_from_python_ends_with_one_line(monkeypatch):
     def interrupted(*args: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("recon.workflows.clip_results.run_clip", interrupted)
+    monkeypatch.setattr("recon.api.clip_results.run_clip", interrupted)
     assert run(*FIT) == Ended(130, "", f"{MESSAGE}\n")
 
 
@@ -98,7 +98,7 @@ def test_the_command_cleans_up(moment):
 
 
 @posix
-@pytest.mark.parametrize("module", ["typer", "rich.markup", "recon.workflows.cli"])
+@pytest.mark.parametrize("module", ["typer", "rich.markup", "recon.cli.app"])
 def test_within_an_import(module):
     """There, libraries print exceptions that are not theirs."""
     code = f"""

@@ -31,10 +31,10 @@ from recon.calibrate.boards import (
     find_views,
     parse_board,
 )
+from recon.cli.app import app
 from recon.io.video import video_writer
 from recon.show import plots
 from recon.testing.boards import BOARD_CAMERAS, SIZE_PX, board_poses, draw_board
-from recon.workflows.cli import app
 
 CHESS, CHARUCO = "chessboard:9x6:25mm", "charuco:9x6:30mm:22mm:DICT_4X4_50"
 

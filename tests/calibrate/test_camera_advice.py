@@ -12,9 +12,9 @@ from command_line import refused, run, says
 from recon.animal.prior import prior_from_body
 from recon.animal.skeleton_file import load_skeleton
 from recon.calibrate.camera_advice import ELEVATIONS_RAD, advise, known, length_m, mean_stride, placed
+from recon.cli.camera_advice import where
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.geometry.camera import Camera
-from recon.workflows.camera_advice import where
 
 BODY = load_skeleton("cheetah-8u")
 PRIOR = prior_from_body(BODY)

@@ -15,6 +15,7 @@ from example_run import BODY, CAMERA, FPS, PRIOR, plain, run, seen
 from recon import FitSettings, fit_clip, samples_folder
 from recon.animal.body import opposites, other_side
 from recon.animal.prior import prior_from_body
+from recon.api.clip_inputs import prepare
 from recon.check.codes import finding
 from recon.check.inputs import input_findings, outlier_ratios, with_flags, without_gross_outliers
 from recon.check.likelihood import (
@@ -50,7 +51,6 @@ from recon.fit.trajectory import solve_trajectory
 from recon.geometry.frames import euler_rotation, inverse, rigid
 from recon.io.deeplabcut import write_csv
 from recon.io.formats import read_keypoints
-from recon.workflows.clip_inputs import prepare
 
 T = 40
 NAMED = (None,)

@@ -25,6 +25,7 @@ from example_run import (
 )
 from scipy.spatial.transform import Rotation
 
+from recon.api.clip_cameras import other_camera_in
 from recon.base.errors import InputError
 from recon.check.inputs import copies, movement
 from recon.check.likelihood import baseline_of, lens_findings
@@ -36,7 +37,6 @@ from recon.fit.result import Ground
 from recon.fit.trajectory import solve_trajectory
 from recon.gait.clip import over_belt
 from recon.geometry.frames import rigid
-from recon.workflows.clip_cameras import other_camera_in
 
 NAMES = BODY.keypoint_names(None)
 

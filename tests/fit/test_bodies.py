@@ -29,6 +29,15 @@ from recon import (
 )
 from recon.animal.naming import fitting_maps, load_names, new_names
 from recon.animal.prior import prior_from_body
+from recon.api.clip_inputs import prepare
+from recon.api.clip_results import run_clip
+from recon.api.skeleton import (
+    _SkeletonDraftSettings,
+    check_skeleton,
+    draft_skeleton,
+    drafted,
+    skeleton_from_keypoints,
+)
 from recon.clip import View, camera_poses, still_view
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.posterior import with_noise_about_bias
@@ -45,15 +54,6 @@ from recon.testing.coverage import coordinate_coverage
 from recon.testing.detectors import HORSE_10, split_names
 from recon.testing.rigs import write_rig_clip
 from recon.testing.walkers import running_mouse, walking_person
-from recon.workflows.clip_inputs import prepare
-from recon.workflows.clip_results import run_clip
-from recon.workflows.skeleton import (
-    _SkeletonDraftSettings,
-    check_skeleton,
-    draft_skeleton,
-    drafted,
-    skeleton_from_keypoints,
-)
 
 pytestmark = pytest.mark.usefixtures("no_playback")
 OBLIQUE_M = [[1.0, -5.5, 1.5], [4.5, -4.0, 1.7], [-4.5, 4.0, 1.8], [5.0, 4.0, 2.0]]

@@ -8,13 +8,13 @@ import numpy as np
 from command_line import refusal
 from example_run import AHEAD, ASIDE, BODY, FPS, PRIOR, truth_m, view_of
 
+from recon.api.extrinsics import DISAGREEMENT
 from recon.base.progress import silent
 from recon.clip import View, still_view
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.extrinsics import _initial_poses, _level_prior, _sigma_to_first, solve_extrinsics
 from recon.geometry.frames import euler_rotation, inverse, moved, rigid
 from recon.testing.cameras import level_pose
-from recon.workflows.extrinsics import DISAGREEMENT
 
 BEHIND = level_pose([3.0, 17.0, 0.2], -np.pi / 2)
 

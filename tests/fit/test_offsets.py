@@ -11,13 +11,13 @@ from command_line import refusal
 from example_run import BODY, CAMERA, FPS, KEYPOINT_M, PRIOR, keypoints_of, late, run_views, settings
 
 from recon import fit_clip
+from recon.api.clip_inputs import prepare
+from recon.api.rigs import at_rate
 from recon.check.agreement import search_offsets, solve_time_offsets
 from recon.clip import Source, clean
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.result import TrajectorySolution
 from recon.fit.trajectory import solve_trajectory
-from recon.workflows.clip_inputs import prepare
-from recon.workflows.rigs import at_rate
 
 
 def test_the_search_finds_whole_frames():

@@ -13,17 +13,17 @@ from shortcuts import leave_out_layout
 from recon import Camera, FitSettings, Keypoints, Motion, analyse, evaluate_files, read_keypoints
 from recon.animal.body import Body
 from recon.animal.skeleton_file import builtin_names, load_skeleton
+from recon.api import analyse as analysis
+from recon.api.clip_results import run_clip
+from recon.api.convert import ConvertSettings, convert
+from recon.api.skeleton import draft_skeleton
+from recon.cli.look import PageSettings, report
 from recon.clip import camera_poses
 from recon.io.camera_files import write_camera, write_cameras
 from recon.io.deeplabcut import write_csv
 from recon.io.formats import CONVERTED, read_points
 from recon.testing.cameras import level_pose
 from recon.testing.files import write_track
-from recon.workflows import analyse as analysis
-from recon.workflows.clip_results import run_clip
-from recon.workflows.convert import ConvertSettings, convert
-from recon.workflows.look import PageSettings, report
-from recon.workflows.skeleton import draft_skeleton
 
 FPS, FRAMES = 60.0, 12
 LENS = Camera.from_hfov(60.0, (1920, 1080), name="cam1")

@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from recon import FitSettings, load_skeleton, write_cameras
+from recon.api.clip_inputs import prepare
 from recon.clip import Keypoints
 from recon.geometry.camera import Camera
 from recon.io.deeplabcut import write_csv
-from recon.workflows.clip_inputs import prepare
 
 BODY, FPS, T = load_skeleton("quadruped"), 60.0, 180
 WORLD = Rotation.from_rotvec([1.3, -0.7, 0.4]).as_matrix()

@@ -21,6 +21,7 @@ from recon import FitSettings, InputError, find_clips, read_settings
 from recon.animal.naming import load_names
 from recon.animal.prior import load_prior
 from recon.animal.skeleton_file import builtin_subjects, load_skeleton, with_detector_offsets
+from recon.api.clip_results import Record, run_clip
 from recon.base.errors import Problem, printable
 from recon.base.files import MANIFEST, write_manifest
 from recon.base.tables import guarded
@@ -45,7 +46,6 @@ from recon.robotics.retarget import Reference, place, posed
 from recon.robotics.retarget_clip import KEPT, RobotSamples, keep, kept_motions
 from recon.show.plain import to_json
 from recon.show.rig import make_rig
-from recon.workflows.clip_results import Record, run_clip
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 LABELS = """scorer,me,me,me,me
@@ -329,7 +329,7 @@ def _by_map(path: Path) -> object:
 
 
 def _rates(path: Path) -> object:
-    from recon.workflows.models import _rates as read
+    from recon.api.models import _rates as read
 
     return read(str(path), [path])
 

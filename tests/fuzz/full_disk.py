@@ -54,7 +54,7 @@ def read_results(out: Path) -> object:
 
 
 def read_data(out: Path) -> object:
-    from recon.workflows.convert import ConvertSettings, read_any
+    from recon.api.convert import ConvertSettings, read_any
 
     if out.suffix in (".osim", ".glb"):  # by others
         sizes = [path.stat().st_size for path in out.parent.glob(f"{out.stem}.*")]
@@ -197,7 +197,7 @@ class Child:
                 os._exit(code)
 
     def _run(self, case: Case, out: Path, limit: int | None, then_read: bool) -> int:
-        from recon.workflows.cli import main
+        from recon.cli.app import main
 
         nothing = os.open(os.devnull, os.O_RDWR)
         for stream, target in ((0, nothing), (1, nothing), (2, self.err.fileno())):

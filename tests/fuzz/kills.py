@@ -24,9 +24,9 @@ from pathlib import Path
 from typing import Any
 
 from recon import FitSettings, InputError
+from recon.api.clip_results import run_clip
 from recon.base.outputs import RECORD, Output
 from recon.fit.motion import Motion
-from recon.workflows.clip_results import run_clip
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 STEPS = ("mkdir", "replace", "link", "unlink")

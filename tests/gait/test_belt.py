@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from recon.api.clip import fit_clip
+from recon.api.settings import FitSettings
 from recon.base.errors import InputError
 from recon.check.inputs import movement
 from recon.fit.belt import belt_path_m, relative_to_belt
@@ -16,8 +18,6 @@ from recon.io.camera_files import write_camera
 from recon.testing.files import write_keypoints
 from recon.testing.gallop import project_clip, whole_gallop
 from recon.testing.steady_gait import GALLOP, TROT, SteadyGait, with_exact_states
-from recon.workflows.clip import fit_clip
-from recon.workflows.settings import FitSettings
 
 SLOW = replace(TROT, speed_m_s=0.5, stride_s=1.2)
 

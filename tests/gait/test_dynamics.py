@@ -12,6 +12,7 @@ from command_line import says
 
 from recon import ClipAnalysis, InputError, Motion, analyse, load_skeleton
 from recon.animal.capsules import capsules, inertias_m2, middles_m
+from recon.api.analyse import summarise
 from recon.gait.dynamics import (
     G_M_S2,
     MEAN_OF_PEAK,
@@ -30,7 +31,6 @@ from recon.show import plots
 from recon.show.page.pages import clip_page
 from recon.show.tables import forces, strides
 from recon.testing.steady_gait import GALLOP, TROT, SteadyGait, compare_forces, with_exact_states
-from recon.workflows.analyse import summarise
 
 SKELETON = Path(__file__).parents[2] / "recon" / "animal" / "skeletons" / "cheetah-24.toml"
 
@@ -210,7 +210,7 @@ def test_the_shape_begins_and_ends_at_nothing_and_leans_forwards():
 
 
 def test_without_masses_nothing_is_said(motion: Motion):
-    from recon.workflows.analyse import notes
+    from recon.api.analyse import notes
 
     plain = replace(motion, solution=replace(motion.solution, body=replace(motion.body, mass={}, mass_source=None)))
     found = analyse(plain)

@@ -14,6 +14,9 @@ from example_run import AHEAD, ASIDE, BODY, FISHEYE, FPS, settings
 from scipy.spatial.transform import Rotation
 
 from recon import FitSettings, Motion, find_clips, fit_clip, read_keypoints
+from recon.api.clip_cameras import read_clip_cameras
+from recon.api.clip_inputs import prepare
+from recon.api.clip_results import identity
 from recon.clip import Keypoints, View, fill_from_nearest, views_of
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, rigid
@@ -23,9 +26,6 @@ from recon.io.deeplabcut import write_csv
 from recon.io.positions import read_pose3d
 from recon.testing.cameras import level_pose
 from recon.testing.files import TRACK_HEADER, track_rows, write_track
-from recon.workflows.clip_cameras import read_clip_cameras
-from recon.workflows.clip_inputs import prepare
-from recon.workflows.clip_results import identity
 from tests.command_line import refusal, says
 from tests.command_line import run as command
 

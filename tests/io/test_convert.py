@@ -16,13 +16,13 @@ from command_line import refusal, says
 from exact_tables import read_csv
 from typer.testing import CliRunner
 
+from recon.api.convert import ConvertSettings, choose_format, convert
+from recon.cli.app import app, main
 from recon.clip import Keypoints
 from recon.io.common import Pose3D
 from recon.io.formats import CONVERTED, FORMATS, Format, read_keypoints
 from recon.io.positions import read_pose3d
 from recon.robotics.retarget_clip import FORMATS as ROBOT_FORMATS
-from recon.workflows.cli import app, main
-from recon.workflows.convert import ConvertSettings, choose_format, convert
 
 NAN = float("nan")
 FRAMES = np.array([7, 8, 9, 10, 14])

@@ -15,12 +15,12 @@ from networks import NAMES, grey, write_labels
 
 from recon import evaluate_files, find_clips
 from recon.animal.naming import load_names
+from recon.api.skeleton import _SkeletonDraftSettings, skeleton_from_keypoints
 from recon.io.deeplabcut_project import find_project, predictions
 from recon.io.formats import read_keypoints
 from recon.io.positions import read_pose3d
 from recon.keypoint_net.labels import read_labels
 from recon.testing.detectors import ANIMAL3D, split_names
-from recon.workflows.skeleton import _SkeletonDraftSettings, skeleton_from_keypoints
 
 SAMPLE = Path(__file__).parents[2] / "data" / "samples" / "whole.csv"
 CAMERA = {"hfov_deg": 60.0, "image_size_px": (1920, 1080), "fps": 60.0}

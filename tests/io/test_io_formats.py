@@ -19,6 +19,7 @@ from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 from recon import FitSettings, InputError
+from recon.api.convert import ConvertSettings, convert
 from recon.clip import Keypoints
 from recon.io.calibration import read_cameras
 from recon.io.columns import parse_map
@@ -27,7 +28,6 @@ from recon.io.formats import FORMATS, read_keypoints
 from recon.io.positions import read_pose3d
 from recon.io.times import frames_of_times, nearest_frames
 from recon.io.writing import frames_of_text, frames_text
-from recon.workflows.convert import ConvertSettings, convert
 
 NAN = float("nan")
 

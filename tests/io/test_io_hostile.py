@@ -30,13 +30,13 @@ from recon.animal.naming import load_names
 from recon.animal.prior import load_prior
 from recon.animal.skeleton_file import load_skeleton
 from recon.calibrate.camera_motion.rotation import read_marks
+from recon.cli.app import app, main
 from recon.clip import Keypoints
 from recon.io.camera_track import read_camera_track
 from recon.io.formats import read_keypoints
 from recon.io.hdf5_poses import plain_pickle, write_deeplabcut, write_movement, write_nwb
 from recon.io.positions import read_pose3d
 from recon.keypoint_net.labels import read_label_file
-from recon.workflows.cli import app, main
 
 CLIP = Keypoints(("nose", "tail"), np.arange(12.0).reshape(3, 2, 2), np.ones((3, 2)), np.arange(3), fps=50.0)
 
@@ -313,7 +313,7 @@ def test_out_of_memory_is_one_line(error, monkeypatch, capsys):
     def starved() -> None:
         raise error
 
-    monkeypatch.setattr("recon.workflows.cli.app", starved)
+    monkeypatch.setattr("recon.cli.app.app", starved)
     monkeypatch.setattr("os._exit", sys.exit)
     with pytest.raises(SystemExit) as stopped:
         main()

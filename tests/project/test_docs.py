@@ -31,9 +31,9 @@ from docs_files import DOCS, FENCE, FILES, OF_PAGE, Block, blocks, commands
 from shortcuts import draw_small, fit_demo_from, leave_out_playback
 
 from recon import find_clips
+from recon.cli.app import app
+from recon.cli.app import commands as commands_of_recon
 from recon.thesis import figures
-from recon.workflows.cli import app
-from recon.workflows.cli import commands as commands_of_recon
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
@@ -183,7 +183,7 @@ def folder_after(made_once, whole_results, of_results) -> Callable[[Path, int], 
             with pytest.MonkeyPatch.context() as patch:
                 patch.chdir(folder)
                 draw_small(patch)
-                patch.setattr("recon.workflows.batch.carry_out", carry_out_here)
+                patch.setattr("recon.api.batch.carry_out", carry_out_here)
                 leave_out_playback(patch)
                 fit_demo_from(whole_results, patch)
                 patch.setattr(figures, "FIGURES", figures.FIGURES[:1])  # test_solver_analysis.py draws all

@@ -89,7 +89,7 @@ def test_several_cameras(said, folder):
 
 
 def test_batch(said, folder, monkeypatch):
-    monkeypatch.setattr("recon.workflows.batch.carry_out", carry_out_here)
+    monkeypatch.setattr("recon.api.batch.carry_out", carry_out_here)
     text = said("batch")
     assert text.startswith("across: new\ngoing-away: new\n2 done\n")
     assert re.search(r"across: 13.\d m/s, \d+ outliers, transverse gallop\n", text)

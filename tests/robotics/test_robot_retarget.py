@@ -377,7 +377,7 @@ def test_every_problem_at_once(tmp_path):
 def test_a_real_run(shared_data, tmp_path):
     """A clip without a complete stride: nearest return, said so."""
     from recon import FitSettings
-    from recon.workflows.clip_results import run_clip
+    from recon.api.clip_results import run_clip
 
     run_folder = shared_data / "cheetah-runs" / "2017_09_02-top-phantom-run1_2"
     meta = json.loads((run_folder / "meta.json").read_text())

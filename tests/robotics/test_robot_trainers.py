@@ -10,13 +10,13 @@ import pytest
 from command_line import refusal, refused, run
 from scipy.spatial.transform import Rotation
 
+from recon.api.clip_results import problem_of
 from recon.fit.motion import Motion
 from recon.fit.sampling import draws
 from recon.robotics.physics import check, kept, simulated
 from recon.robotics.quadruped import load_robot
 from recon.robotics.retarget import Retargeting, reference_of, retarget
 from recon.robotics.retarget_clip import FORMATS, RetargetSettings, RobotSamples, drawn, write_for_trainer
-from recon.workflows.clip_results import problem_of
 
 LATERAL, THIGH, SHIN = 0.0838, 0.2, 0.2
 """The lengths of the Unitree A1's legs, metres."""

@@ -14,6 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from recon.animal.skeleton_file import load_skeleton
+from recon.api.analyse import figures_of
+from recon.api.compare import QUANTITIES, _figure
 from recon.calibrate.camera_advice import AZIMUTHS_RAD, ELEVATIONS_RAD, Advice
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, analyse
@@ -21,8 +23,6 @@ from recon.show.plots import style
 from recon.show.plots.configurations import angle_ranges, camera_advice, views
 from recon.show.plots.flexion import joint_flexion
 from recon.show.plots.over_time import angle_over_time, footfall, speeds
-from recon.workflows.analyse import figures_of
-from recon.workflows.compare import QUANTITIES, _figure
 
 ROOT = Path(__file__).parents[2]
 

@@ -16,6 +16,18 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from recon import FitSettings, InputError, write_clip
+from recon.cli.app import app
+from recon.cli.look import (
+    OverlaySettings,
+    PageSettings,
+    camera_number,
+    first_frame_note,
+    overlay_of,
+    rate_note,
+    result_and_video,
+    stills,
+)
+from recon.cli.look import overlay as draw
 from recon.fit.motion import Motion
 from recon.fit.result import Finding
 from recon.io.video import missing_note, probe, read_frames, timed_frames, video_writer
@@ -35,18 +47,6 @@ from recon.show.overlay import (
     shade,
     smoothed_headings,
 )
-from recon.workflows.cli import app
-from recon.workflows.look import (
-    OverlaySettings,
-    PageSettings,
-    camera_number,
-    first_frame_note,
-    overlay_of,
-    rate_note,
-    result_and_video,
-    stills,
-)
-from recon.workflows.look import overlay as draw
 
 SIZE = (1920, 1080)
 GREY = np.full((1080, 1920, 3), 128, np.uint8)

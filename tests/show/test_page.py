@@ -21,9 +21,11 @@ from markupsafe import Markup
 from motions import with_first
 
 from recon import FitSettings, write_clip
+from recon.api.batch import COLUMNS, write_summary_page
 from recon.base.files import read_manifest, write_manifest
 from recon.check.codes import finding, sentence
 from recon.check.rules import findings_of
+from recon.cli.look import PageSettings, report
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.io.video import video_writer
@@ -32,8 +34,6 @@ from recon.show.page.pages import _angles, _sections, _solid, _without_unseen, c
 from recon.show.plots.over_time import angle_over_time
 from recon.show.plots.style import drawing
 from recon.show.report import build_report
-from recon.workflows.batch import COLUMNS, write_summary_page
-from recon.workflows.look import PageSettings, report
 
 EVIL = '<img src=x onerror="alert(1)">&\'.csv'
 MOST_BYTES = 3_000_000
@@ -228,7 +228,7 @@ def test_a_page_has_the_video_behind_its_pictures(folder, tmp_path, monkeypatch)
         shown[behind] = [source for source, _ in stills]
         return GENERATED
 
-    monkeypatch.setattr("recon.workflows.look.clip_page", clip_page)
+    monkeypatch.setattr("recon.cli.look.clip_page", clip_page)
     copy = tmp_path / "copy"
     shutil.copytree(folder, copy)
     report(PageSettings(folder=copy))
@@ -399,8 +399,8 @@ def test_pages_of_a_batch_are_made_beside_each_other(batch, monkeypatch):
     """What is not a result any more is said, and the others are made."""
     pages = []
 
-    monkeypatch.setattr("recon.workflows.look.carry_out", carry_out_here)
-    monkeypatch.setattr("recon.workflows.look.clip_page", lambda motion, *_: pages.append(motion) or GENERATED)
+    monkeypatch.setattr("recon.cli.look.carry_out", carry_out_here)
+    monkeypatch.setattr("recon.cli.look.clip_page", lambda motion, *_: pages.append(motion) or GENERATED)
     with (batch / "good" / "motion.npz").open("ab") as file:
         file.write(b"more")
     ended = run("report", batch)

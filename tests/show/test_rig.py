@@ -13,13 +13,13 @@ import pytest
 from command_line import refusal, refused, run, says
 
 from recon.animal.skeleton_file import builtin_names, load_skeleton
+from recon.api.convert import ConvertSettings, convert
 from recon.fit.motion import Motion
 from recon.io.bones import Armature, write_bvh, write_gltf, write_opensim
 from recon.io.positions import read_pose3d
 from recon.io.writing import y_up_from_z_up
 from recon.show.rig import make_rig, rig_of
 from recon.testing import bones
-from recon.workflows.convert import ConvertSettings, convert
 
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"
 FRAMES = np.array([10, 11, 13, 14])

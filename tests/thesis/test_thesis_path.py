@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from recon import FitSettings, fit_clip
+from recon.api.samples import samples_folder
 from recon.gait.clip import ClipAnalysis
 from recon.thesis.chain import load_chain, mean_pose
 from recon.thesis.path import LEAST_SIGMA_M, PathTie, _motion_model, path_of
-from recon.workflows.demo import samples_folder
 
 CHAIN = load_chain("cheetah-8u")
 

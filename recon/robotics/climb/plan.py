@@ -47,6 +47,7 @@ from recon.base.files import MANIFEST, name_seen_from
 from recon.base.locks import sole_writer
 from recon.base.outputs import Output
 from recon.base.settings import Number, Option, Settings, input_paths
+from recon.cli.answers import EXIT_UNSOLVED, Answer, table_of
 from recon.geometry.frames import rigid
 from recon.io.writing import write_rows
 from recon.robotics.physics import Rule, margins_figure
@@ -57,7 +58,6 @@ from recon.robotics.retarget_clip import write_tables
 from recon.show.plain import picked, to_json
 from recon.show.plots.style import COLOURS, GREY, PALE, SMALL, add_legend, drawing, save
 from recon.show.view.scene import LIMB_COLOURS, TimePlot
-from recon.workflows.cli import EXIT_UNSOLVED, Answer, table_of
 
 NONE = -1
 """The lifted leg where all are planted."""

@@ -1,0 +1,1 @@
+"""What Python users and several commands call; nothing here prints."""

@@ -1,0 +1,295 @@
+"""`recon analyse`: what a fitted clip says of the animal's movement, in tables, figures, and plots in the playback."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from rich.table import Table
+from rich.text import Text
+from threadpoolctl import threadpool_limits
+
+from recon.base.arrays import mean, median
+from recon.base.locks import sole_writer
+from recon.base.outputs import Output, ReadResults
+from recon.base.progress import Progress, silent
+from recon.base.settings import Option, Positive, Settings, input_paths
+from recon.check.codes import sentence
+from recon.check.verdict import usable, verdict_fields
+from recon.cli.answers import ANYWAY, STRIDE, Answer, StrideTimes, table_of, verdict_texts
+from recon.fit.motion import MEASURED_SHARE, Motion
+from recon.gait.clip import ClipAnalysis, analyse, over_belt
+from recon.gait.dynamics import OVER_STRIDE, Dynamics, findings_of_dynamics, over_stride
+from recon.gait.gait import Gait, Stride, doubtful_text, interval_of, interval_text
+from recon.show.plain import picked, to_json
+from recon.show.sentences import result_sentences
+from recon.show.tables import TABLES, write_analysis
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SUMMARY = "analysis.json"
+FOLDER = "analysis"
+"""In the results' own, by default."""
+PLAYBACK = "motion.rrd"
+"""What the fit wrote, and what goes with it."""
+FIGURES_BEGIN = 0.5
+"""The share of the progress at which the figures begin."""
+SHOWN = 3
+"""How many strides that do not count are said one by one, by method."""
+
+
+class AnalyseSettings(Settings):
+    """The settings of `recon analyse`."""
+
+    folder: Annotated[Path, Option(argument="DIR")]
+    """Folder of results, as in results/clip."""
+    out: Path | None = None
+    """Folder for tables and figures. (default: analysis in DIR)"""
+    stride: Annotated[StrideTimes | None, STRIDE] = None
+    body_mass_kg: Positive | None = None
+    """What the animal weighs, for forces in newtons too."""
+    belt_speed_m_s: Annotated[Positive | None, Option(name="--belt-speed")] = None
+    """Speed of a treadmill's belt in m/s, as in 1.4, if the fit did not have it."""
+    figures: bool = True
+    """PNG and SVG beside the tables."""
+    anyway: Annotated[bool, ANYWAY] = False
+    overwrite: bool = False
+    """Replace an earlier analysis."""
+
+
+MOST_STANCES = 100
+"""How many stances are printed at most, of all feet."""
+
+
+def analyse_command(settings: AnalyseSettings, progress: Progress = silent) -> Answer:
+    """Kinematics, gait, vector fields and phase portraits of a reconstruction.
+
+    Writes tables (CSV) and figures (PNG, SVG); recon view shows the plots beside the playback from then on.
+
+    Example: recon analyse results/clip
+    """
+    out = settings.folder / FOLDER if settings.out is None else settings.out
+    progress("reading", 0.0)
+    made_from = ReadResults.of(settings.folder)
+    motion = Motion.load(settings.folder)
+    if settings.belt_speed_m_s is not None:
+        motion = over_belt(motion, settings.belt_speed_m_s)
+    motion = usable(motion, settings.folder, settings.anyway)
+    output = Output(out, "analyse", settings.overwrite, input_paths(settings), made_from, content="an analysis")
+    with sole_writer(out):
+        output.require((SUMMARY, *TABLES))
+        progress("analysis", 0.1)
+        with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
+            found = analyse(motion, settings.stride)
+        found = replace(found, body_mass_kg=settings.body_mass_kg)
+        summary = summarise(found, settings.folder.absolute().name)
+        progress("tables", FIGURES_BEGIN - 0.1)
+        with output.staged() as staging:
+            write_analysis(found, staging)
+            (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
+            files = [path.name for path in staging.iterdir()]
+        if settings.figures:  # whatever befalls them, the tables are there
+            with output.staged(adds=True) as staging:
+                write_figures(found, staging, progress)
+                files += [path.name for path in staging.iterdir()]
+    lines = [*_lines(found, summary), f"{len(files)} files are in {out}."]
+    if out == settings.folder / FOLDER and (settings.folder / PLAYBACK).is_file():
+        lines.append(f"See them beside the playback with: recon view {settings.folder}")
+    return Answer(summary, lines, files=[out / name for name in sorted(files)])
+
+
+ACCELERATION_KNOWN_M_S2 = 10.0
+"""Standard deviation of an acceleration above which no number is given: animals hardly have more."""
+
+
+def _lines(found: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str | Text | Table]:
+    motion = found.motion
+    yield from verdict_texts(motion.verdict)
+    yield from result_sentences(motion, found.reference_motion, found.gait, found.why_no_speed)
+    net, sigma = found.net_acceleration_m_s2
+    if math.isfinite(net) and sigma > ACCELERATION_KNOWN_M_S2:
+        yield "Acceleration along the way: this camera does not tell it."
+    elif math.isfinite(net):
+        yield f"Acceleration along the way, over the whole clip: {interval_text(net, sigma, 'm/s²', '+')}."
+    if "spine_flexion" in found.angles:
+        low, high = (math.degrees(angle) for angle in found.angles["spine_flexion"].range_rad)
+        yield f"Flexion of the spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)."
+    if (d := found.dynamics) is not None and len(d.forces):
+        peak, low, high = d.forces[["peak_bw", "peak_low_bw", "peak_high_bw"]].mean()
+        said = f"{peak:.1f} body weights (90 %: {low:.1f} to {high:.1f}), mean over the stances in forces.csv"
+        yield f"Peak vertical force of a foot: {said}."
+    if (stride := found.stride) is not None:
+        which = "as given" if found.given is not None else f"of {stride.foot}"
+        yield f"Phase portraits: the stride from {stride.start_s:.3f} to {stride.end_s:.3f} s, {which}."
+    if found.gait is not None and len(found.gait.stances) <= MOST_STANCES:
+        spans: dict[str, list[str]] = {foot: [] for foot in motion.foot_names}
+        for s in found.gait.stances:
+            spans[s.foot].append(f"{'' if s.begins else '≤'}{s.start_s:.3f}-{s.end_s:.3f}{'' if s.ends else '+'}")
+        rows = ((f"{foot} {motion.foot_names[foot]}", ", ".join(of) or "none") for foot, of in spans.items())
+        yield table_of("foot", f"stances, s (frame number / {motion.fps:g})", rows=rows)
+    yield from (f"note: {note}" for note in summary["notes"])
+
+
+# -- summary ---------------------------------------------------------------------------------------------------------
+
+
+def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
+    """The figures of a clip in short; what they are is in docs/gait.md. results: what its folder is called."""
+    moved = found.reference_motion
+    net, net_sigma = found.net_acceleration_m_s2
+    run, by = found.motion.solution.constant_velocity_m_s, "gait" if found.given is None else "given"
+    return {
+        "schema": {"name": "recon.analysis", "version": 1},
+        "results": results,
+        "verdict": verdict_fields(found.motion),
+        "fps": found.motion.fps,
+        "frames": len(found.pose.frames),
+        "smoothed": found.motion.jitters,
+        "reference_joint": found.reference,
+        "speed": {
+            "distance_m": moved.distance_m,
+            "mean_m_s": moved.mean_speed_m_s,
+            "peak_m_s": moved.peak_speed_m_s,
+            "peak_sigma_m_s": None if np.isnan(moved.peak_speed_sigma_m_s) else moved.peak_speed_sigma_m_s,
+            "peak_time_s": moved.peak_speed_time_s,
+            "peak_acceleration_m_s2": moved.peak_acceleration_m_s2,
+            "doubt": found.why_no_speed,
+            **_with_interval("net_acceleration", "_m_s2", interval_of(net, net_sigma)),
+            "straight_run_m_s": None if run is None else median(run[run > 0]),
+        },
+        "spine_flexion_rad": found.angles["spine_flexion"].range_rad if "spine_flexion" in found.angles else None,
+        "angles": {"data_share": found.motion.data_shares, "not_measured": list(found.not_measured)},
+        "gait": None if found.gait is None else _gait_summary(found.gait),
+        "dynamics": _dynamics_summary(found),
+        "stride": None if found.stride is None else picked(found.stride, "foot", "start_s", "end_s") | {"by": by},
+        "notes": [*notes(found)],
+    }
+
+
+def notes(found: ClipAnalysis) -> Iterator[str]:
+    """What a reader should know before using the numbers."""
+    motion, gait = found.motion, found.gait
+    if motion.jitters:
+        yield "Paths and angles are smoothed by their jitter from frame to frame."
+    if count := len(found.not_measured):
+        yield (
+            f"{count} of {len(found.skeleton_angles)} angles are mostly expected, not seen (less than "
+            f"{MEASURED_SHARE:.0%} of their precision from the pixels), and grey in figures: "
+            f"{', '.join(found.not_measured)}."
+        )
+    if gait is not None and len(motion.foot_names) < 4:
+        yield f"Only the feet {', '.join(motion.foot_names)} were fitted: the gait has no name."
+    doubtful = [] if gait is None else [doubtful_text(doubt) for doubt in gait.doubtful]
+    yield from doubtful[:SHOWN]
+    if (more := len(doubtful) - SHOWN) > 0:
+        yield f"{more} more strides do not count, for reasons of the same kind"
+    if found.dynamics is not None:
+        masses = f"Forces and energies rest on the masses of {motion.body.mass_source}"
+        yield f"{masses}; forces are validated on galloping cheetahs, on level ground."
+        yield from (sentence(one, named=False) for one in findings_of_dynamics(motion, found.dynamics))
+    elif motion.side is None and gait is not None:
+        yield "The skeleton has no masses ([mass]): no centre of mass, energy or forces."
+    if gait is not None and found.stride is None:
+        yield "No complete stride in the clip: no stride figures, and phase portraits are of the whole clip."
+
+
+def _dynamics_summary(found: ClipAnalysis) -> dict[str, Any] | None:
+    if (d := found.dynamics) is None or found.gait is None:
+        return None
+    # Errors of energies last: those of a mean over the clip may be as large as those at its instants.
+    sigma = {name: mean(of) for name, of in d.energy_sigma_j_kg.items()}
+    means = {name: interval_of(mean(of), sigma[name]) for name, of in d.energy_j_kg.items()}
+    return {
+        "masses": found.motion.body.mass_source,
+        "body_mass_kg": found.body_mass_kg,
+        "stride_s": found.gait.stride_s,
+        "stride_sigma_s": found.gait.stride_sigma_s,
+        "mean_peak_bw": float(d.forces["peak_bw"].mean()) if len(d.forces) else None,
+        "mean_peak_interval_bw": d.forces[["peak_low_bw", "peak_high_bw"]].mean().tolist() if len(d.forces) else None,
+        "flights": d.flights[["start_s", "end_s", "up_m_s2", "sigma_m_s2"]].to_dict("records"),
+        **_with_interval("net_acceleration", "_m_s2", interval_of(*d.net_acceleration_m_s2)),
+        "strides": [_stride_energy(d, stride) for stride in found.gait.strides],
+        "findings": [one.code for one in findings_of_dynamics(found.motion, d)],
+        "energy_mean_j_kg": {name: mean for name, (mean, *_) in means.items()},
+        "energy_mean_interval_j_kg": {name: interval for name, (_, *interval) in means.items()},
+    }
+
+
+def _stride_energy(d: Dynamics, stride: Stride) -> dict[str, Any]:
+    """What the animal's energy gains over a stride, per kilogram, and in the mean per second; its net acceleration, and
+    the exchange of its energies."""
+    row = picked(stride, "foot", "start_s", "end_s")
+    for name, known in over_stride(d, stride.start_s, stride.end_s).items():
+        row |= _with_interval(name, OVER_STRIDE[name], known)
+    return row
+
+
+def _with_interval(name: str, unit: str, known: tuple[float, float, float]) -> dict[str, Any]:
+    """net_work_j_kg and net_work_interval_j_kg, and the like."""
+    value, *interval = known
+    return {f"{name}{unit}": value, f"{name}_interval{unit}": interval}
+
+
+def _gait_summary(gait: Gait) -> dict[str, Any]:
+    counts = {"footfalls": list(gait.order), "stances": len(gait.stances), "strides": len(gait.strides)}
+    duty = {"duty_factor_interval": gait.name.duty_interval, "duty_factor_by_foot": dict(gait.duty_factor)}
+    named = picked(gait.name, "name", "criterion", "duty_factor")
+    return named | counts | picked(gait, "stride_length_m", "stride_frequency_hz") | duty
+
+
+# -- figures ---------------------------------------------------------------------------------------------------------
+
+
+def write_figures(found: ClipAnalysis, folder: Path, progress: Progress) -> None:
+    """PNG and SVG of composites, speed, footfalls, vector fields by limb, phase portraits, what the pixels say of the
+    angles, and the stride's configurations in the animal's own frame."""
+    from recon.show.plots.style import save
+
+    drawn = figures_of(found)
+    for done, (name, draw) in enumerate(drawn.items()):
+        progress(f"figures: {name}", FIGURES_BEGIN + (1.0 - FIGURES_BEGIN) * done / len(drawn))
+        save(draw(), folder, name)
+
+
+def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
+    """By file name, what draws it."""
+    from recon.show.plots.configurations import body_fixed, composites, in_body, observability
+    from recon.show.plots.flexion import joint_flexion
+    from recon.show.plots.over_time import footfall, forces, phase_portraits, speeds, vector_fields
+
+    motion, time_s, during, gait = found.motion, found.motion.time_s, found.during_stride, found.gait
+    joints_m = in_body(motion.body, motion.states[during], motion.size, motion.reference_joint)
+    title = f"one stride of {found.stride.foot}" if found.stride else "whole clip: no complete stride"
+    title = "the stride that was given" if found.given is not None else title
+    limbs, sides = motion.limbs, motion.limb_sides
+    own = {"time_s": time_s[during], "sides": sides, "title": title}
+    shares, ground = motion.posture_data_share, None if gait is None else gait.tracks.grounds
+    moved, unknown = {found.reference: found.reference_motion}, found.why_no_speed is not None
+    why_not = found.reference_motion.why_no_acceleration
+    drawn: dict[str, Callable[[], Figure]] = {
+        "composites": partial(composites, found.pose.xyz_m, limbs, time_s, ground, sides=sides),
+        "speed": partial(speeds, moved, why_not, unknown=unknown, acceleration=not why_not),
+        "phase_portraits": lambda: phase_portraits(found.portraits, found.closures, title, motion.data_shares),
+        "observability": partial(observability, motion.body, shares[during], time_s[during], title, shares),
+        "body_fixed": partial(body_fixed, joints_m, limbs, **own),
+    }
+    parts: dict[str, dict[str, Sequence[int]]] = {}
+    for limb, along in limbs.items():
+        parts.setdefault("spine" if sides[limb] is None else limb, {})[limb] = along
+    for name, of_part in parts.items() if len(parts) > 1 else ():
+        drawn[f"body_fixed_{name.replace(' ', '_')}"] = partial(body_fixed, joints_m, of_part, **own)
+    for limb, fields in found.fields.items():
+        drawn[f"vector_field_{limb.replace(' ', '_')}"] = partial(vector_fields, fields, time_s, limb)
+    if gait is not None:
+        drawn["footfalls"] = partial(footfall, {"gait": gait}, motion.fps)
+        if found.flexion_curves:
+            drawn["joint_flexion"] = partial(joint_flexion, found.flexion_curves)
+        if found.dynamics is not None:
+            drawn["forces"] = partial(forces, found.dynamics, gait)
+    return drawn

@@ -1,0 +1,529 @@
+"""Many clips: `find_clips`, `plan_batch`, `run_batch`, each with what the one before gives.
+
+In the batch's folder `batch.jsonl` keeps what each clip's results were made from, summary.csv has one row a clip, the
+whole file written again while clips finish, and summary.html is made of it.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import os
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, create_model
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+from threadpoolctl import threadpool_limits
+
+from recon.api.batch.inputs import SUMMARY, Clip
+from recon.api.batch.inputs import find_clips as find_clips
+from recon.api.clip_inputs import Unknown, prepare, read_model_and_cameras
+from recon.api.clip_results import (
+    Record,
+    beside,
+    digests,
+    fit_into,
+    identity,
+    output_files,
+    output_of,
+    require_same_inputs,
+)
+from recon.api.settings import OF_ANY_CLIP, FitSettings
+from recon.base.arrays import Brief
+from recon.base.documents import validated
+from recon.base.errors import InputError, Problem, collect_problems, problems_of, raise_problems
+from recon.base.files import MANIFEST, seen_from
+from recon.base.locks import sole_writer
+from recon.base.outputs import Output
+from recon.base.package import version
+from recon.base.parallel import STARTING, Event, Tell, carry_out, carry_out_on_cluster
+from recon.base.progress import Progress
+from recon.base.settings import Count, Integer, OneOrMore, Option, Settings
+from recon.base.tables import guarded, unguarded
+from recon.check.verdict import NOTHING_AGAINST
+from recon.cli.answers import Answer, counted, progress_bar, say, stop, table_of, terminal
+from recon.cli.commands import OptionsOf
+from recon.fit.result import LEVELS
+from recon.io.common import text_rows
+from recon.show.console import STYLES
+from recon.show.page.own_page import SUMMARY_PAGE
+from recon.show.report import is_unsolved, warnings
+
+BATCH = "batch"
+"""The kind of a batch's own files."""
+RECORD, CRASH_LOG = "batch.jsonl", "crash.log"
+Problems = tuple[Problem, ...]
+RESULTS = (
+    *("verdict", "reason"),
+    *(f"{error}{end}" for error in ("pose_mm", "position_m") for end in ("", "_low", "_high")),
+    *("frames", "frames_with_pose", "warnings", "outliers", "mean_reprojection_px"),
+    *("mean_speed_m_s", "peak_speed_m_s", "size"),
+)
+COLUMNS = (
+    *("clip", "keypoints", "cameras", "out", "status", "error"),
+    *RESULTS,
+    *("seconds", "attempts", "settings_hash", "inputs_hash"),
+)
+_TEXTS = ("keypoints", "out", "error", "verdict", "reason", "settings_hash", "inputs_hash")
+_CELLS: dict[str, Any] = {name: (str | None if name in _TEXTS else float | None, None) for name in COLUMNS}
+_CELLS |= {"clip": (str, ...), "status": (str, ...)}
+_Row = create_model("_Row", **_CELLS)
+"""What the cells of a row of the summary may be."""
+STATUSES = ("done", "done earlier", "unsolved", "failed", "pending")
+"""unsolved: fitted, but no frame has a pose. pending: not tried, because the batch was interrupted."""
+WRITE_EVERY_S = 0.5
+DYING_S = 5.0
+"""So long a process may hold a clip's folder after the batch that it belonged to was killed."""
+
+
+OnEvent = Callable[[Event, "Summary"], None]
+"""What is told of each event of a clip, with what became of all so far."""
+
+
+@dataclass(frozen=True, repr=False)
+class ClipPlan(Brief):
+    """A clip with what is to be done with it, and why."""
+
+    clip: Clip
+    out: Path
+    action: Literal["new", "refit", "done"]
+    reason: str
+    identity: Mapping[str, Any]
+    """What its results follow from."""
+    row: Mapping[str, Any] | None = None
+    """The row of the summary, if the clip is done."""
+
+
+def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> list[ClipPlan]:
+    """What is to be done with each clip, whose results belong into `out / clip.name`.
+
+    Results of the same input files, settings and version are done. Those that a batch made of the same keypoints, or of
+    some of the clip's cameras, with other settings are made again. Raises InputError for folders with any other
+    results, unless they may be overwritten; and, in any case, for files that no fit wrote or that were changed since.
+    """
+    summary_output(out).require((SUMMARY, SUMMARY_PAGE))
+    record = Record(out / RECORD)
+    return collect_problems(*(partial(_planned, clip, out / clip.name, record, overwrite) for clip in clips))
+
+
+def _planned(clip: Clip, out: Path, record: Record, overwrite: bool) -> ClipPlan:
+    mine, row = identity(clip.settings), record.rows.get(clip.name)
+    names, output = output_files(clip.settings, out), output_of(clip.settings, out, overwrite=True)
+    if not any(os.path.lexists(out / name) for name in names):
+        return ClipPlan(clip, out, "new", "", mine)
+    if overwrite:
+        output.require(names)
+        return ClipPlan(clip, out, "refit", "--overwrite", mine)
+    expected = "a folder without results, or of an earlier batch of this clip; or --overwrite"
+    why, changed = record.look(clip.name, mine, out)
+    if row is None or (out / MANIFEST in changed and (out / MANIFEST).exists()):
+        raise InputError(Problem(out, "folder", "results that no batch has made", expected))
+    before = beside(out.parent, "keypoints", row.get("keypoints", ()))
+    if not {*before} & {*map(str, clip.settings.keypoints)} and not _keypoints(row["identity"]) & _keypoints(mine):
+        raise InputError(Problem(out, "folder", f"results of {', '.join(before)}", expected))
+    if why or "row" not in row:
+        output.require(names)
+        return ClipPlan(clip, out, "refit", why, mine)
+    validated(_Row, {"clip": clip.name, **row["row"]}, f"{record.path}, row of {clip.name}")
+    return ClipPlan(clip, out, "done", "", mine, row["row"])
+
+
+def _keypoints(known: Mapping[str, Any]) -> set[str]:
+    """Hashes of the keypoint files that could be read."""
+    return {sha256 for role, sha256 in known["inputs"].items() if role.split()[0] == "keypoints" and sha256}
+
+
+# -- what inputs lack -------------------------------------------------------------------------------------------------
+
+
+def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Problems]:
+    """The problems of each clip: everything that its fit would raise before solving; shared_only: only those with
+    cameras, skeletons, subjects and priors."""
+    read = cache(read_model_and_cameras)
+
+    def read_once(settings: FitSettings) -> Unknown:
+        """What clips share is read once."""
+        # Names of keypoint files choose cameras.
+        files = [str(i) for i, _ in enumerate(settings.keypoints)] if settings.camera_name else settings.keypoints
+        return read(replace(settings, keypoints=files, individual=None, frames=None))
+
+    check = read_once if shared_only else partial(prepare, read_shared=read_once)
+    return [problems_of(partial(check, clip.settings)) for clip in clips]
+
+
+def repeated(each: Sequence[Problems]) -> list[tuple[Problem, tuple[int, ...]]]:
+    """What several clips have in common is said once, whatever the files are called: each problem, and the places among
+    all clips of those that have the same."""
+    found: dict[tuple[str, str, str], list[tuple[int, Problem]]] = {}
+    for place, problems in enumerate(each):
+        for one in problems:
+            found.setdefault((one.field, one.found, one.expected), []).append((place, one))
+    said = []
+    for same in found.values():
+        file, *others = dict.fromkeys(str(one.file) for _, one in same)
+        named = f"{file} and {counted(len(others), 'more file')}" if others else file
+        said.append((replace(same[0][1], file=named), tuple(dict.fromkeys(place for place, _ in same))))
+    return said
+
+
+# -- the work ---------------------------------------------------------------------------------------------------------
+
+
+def run_batch(
+    plan: Sequence[ClipPlan],
+    out: Path,
+    jobs: int | None = None,
+    retries: int = 1,
+    scheduler: str | None = None,
+    on_event: OnEvent = lambda *_: None,
+) -> Summary:
+    """`recon batch`: fit what is not done, each clip in a folder of its own, and keep `out / summary.csv` up to date;
+    summary.html comes last.
+
+    jobs: processes on this machine, by default one for each core; scheduler: the address of a Dask cluster instead.
+    retries: how often a clip at which a process died is tried again. A clip that fails stops nothing. KeyboardInterrupt
+    stops the fits under way, writes the summary and is raised again. Raises InputError where the cluster is not there,
+    or goes away, and where another batch is writing to `out`.
+    """
+    todo = {planned.clip.name: planned for planned in plan if planned.action != "done"}
+
+    def note(event: Event, summary: Summary) -> None:
+        planned, outcome = todo[event.name], event.outcome
+        keypoints = planned.clip.settings.keypoints_from(out)
+        log = Output(planned.out, BATCH, overwrite=True)
+        if event.stage == STARTING:
+            record.note(event.name, planned.identity, keypoints=keypoints)
+        elif event.kind == "ended" and outcome["status"] != "failed":
+            with suppress(OSError, InputError):
+                log.remove(CRASH_LOG)
+            row = {name: outcome[name] for name in COLUMNS if name in outcome and name != "attempts"}
+            record.note(event.name, outcome["identity"], keypoints=keypoints, files=outcome["files"], row=row)
+        elif "log" in outcome:
+            with suppress(OSError, InputError):
+                log.write(CRASH_LOG, f"{outcome['error']}\n\n{outcome['log']}")
+        on_event(event, summary)
+
+    with sole_writer(out):
+        summary_output(out).require((SUMMARY, SUMMARY_PAGE))
+        record = Record(out / RECORD)
+        record.tidy()
+        tasks = [(name, replace(planned, out=planned.out.absolute())) for name, planned in todo.items()]
+        run = partial(carry_out_on_cluster, scheduler) if scheduler else partial(carry_out, jobs=jobs)
+        return work_off(plan, out, partial(run, fit_planned, tasks, retries=retries), note)
+
+
+def work_off(plan: Sequence[ClipPlan], out: Path, run: Callable[[Tell], None], on_event: OnEvent) -> Summary:
+    """The clips of a plan by `carry_out` with its tasks given, and the summary of it all, written again and again."""
+    summary = Summary(plan, out)
+
+    def tell(event: Event) -> None:
+        if event.kind == "ended":
+            summary.end(event.name, event.outcome)
+        on_event(event, summary)
+        if event.kind == "ended":  # and all else has been told
+            summary.write_now_and_then()
+
+    summary.write()
+    try:
+        run(tell)
+    finally:
+        summary.write()
+        write_summary_page(out)
+    return summary
+
+
+def fit_planned(planned: ClipPlan, progress: Progress) -> dict[str, Any]:
+    """Fit and write one clip, in a process that does nothing else meanwhile.
+
+    Returns columns of its summary, the digest of its manifest, and what its results follow from: its files may be
+    others than when the batch was planned.
+    """
+    here, there = version(), planned.identity["version"]
+    if here != there:
+        return {"status": "failed", "error": f"recon {here} on the worker, {there} where the batch runs"}
+    with sole_writer(planned.out, DYING_S), threadpool_limits(1):
+        known = identity(planned.clip.settings)
+        report = fit_into(planned.out, planned.clip.settings, progress)
+        require_same_inputs(planned.clip.settings, known["inputs"])
+        files = digests([planned.out / MANIFEST], planned.out)
+    status = "unsolved" if is_unsolved(report) else "done"
+    made_from = {"identity": known, "inputs_hash": _hash(known["inputs"])}
+    return {"status": status, **results_of(report), "files": files, **made_from}
+
+
+# -- what became of the clips -----------------------------------------------------------------------------------------
+
+
+def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
+    """The columns `RESULTS`. Speeds are the root's, without the jitter from frame to frame where that can be told;
+    warnings is how many the report has; size is the factor on the skeleton's lengths, which only the trajectory method
+    has."""
+    summary, path, verdict = report["summary"], report["root_path"], report["verdict"] or {}
+    speeds = path["smoothed"] or path["exact"]
+    expected = {}
+    for name, of, unit in (("pose_mm", "pose_m", 1000.0), ("position_m", "position_m", 1.0)):
+        error = verdict.get(of)
+        for end, key in (("", "expected"), ("_low", "low"), ("_high", "high")):
+            expected[name + end] = None if error is None else float(f"{unit * error[key]:.4g}")
+    return {
+        "verdict": verdict.get("level"),
+        "reason": verdict.get("reason"),
+        **expected,
+        **{name: summary[name] for name in ("frames", "frames_with_pose", "outliers")},
+        "warnings": len(warnings(report)),
+        "mean_reprojection_px": summary["reprojection_px"]["mean"],
+        **{name: speeds[name] for name in ("mean_speed_m_s", "peak_speed_m_s")},
+        "size": report["size"]["factor"] if report["method"] == "trajectory" else None,
+    }
+
+
+def summary_output(out: Path) -> Output:
+    """Return what a batch may write into its own folder: summary.csv and its page, made anew as clips finish."""
+    return Output(out, BATCH, overwrite=True)
+
+
+class Summary:
+    """The rows of a batch, by clip, and their file. What was done earlier has its row already."""
+
+    def __init__(self, plan: Sequence[ClipPlan], out: Path) -> None:
+        self.path = out / SUMMARY
+        self._output = summary_output(out)
+        self.rows: dict[str, dict[str, Any]] = {planned.clip.name: _row(planned, out) for planned in plan}
+        self._written_s = -WRITE_EVERY_S
+
+    def end(self, clip: str, outcome: Mapping[str, Any]) -> None:
+        """outcome: some of the columns."""
+        self.rows[clip] |= {column: outcome[column] for column in COLUMNS if column in outcome}
+
+    def write_now_and_then(self) -> None:
+        """Not all the time; a file that is open elsewhere can wait."""
+        if time.monotonic() - self._written_s >= WRITE_EVERY_S:
+            with suppress(PermissionError):
+                self.write()
+
+    def counts(self) -> dict[str, int]:
+        """By status, in the order of `STATUSES`, without those that no clip has."""
+        count = Counter(row["status"] for row in self.rows.values())
+        return {status: count[status] for status in STATUSES if count[status]}
+
+    def verdicts(self) -> dict[str, int]:
+        """How many clips have each verdict, in the order of `LEVELS`, without those that none has."""
+        count = Counter(row["verdict"] for row in self.rows.values() if row["status"].startswith("done"))
+        return {level: count[level] for level in LEVELS if count[level]}
+
+    def write(self) -> None:
+        with self._output.staged(adds=True) as folder, (folder / SUMMARY).open("w", encoding="utf-8", newline="") as f:
+            writer = csv.DictWriter(f, COLUMNS, lineterminator="\n")
+            writer.writeheader()
+            rank = {level: number for number, level in enumerate(LEVELS)}
+            for row in sorted(self.rows.values(), key=lambda row: rank.get(row["verdict"], -1)):
+                writer.writerow({name: guarded(cell) for name, cell in row.items()})
+        self._written_s = time.monotonic()
+
+
+def write_summary_page(out: Path) -> Path:
+    """summary.html, of what summary.csv in the folder says. Raises InputError for another file in its place."""
+    from recon.show.page.pages import batch_page  # needs matplotlib, which the processes that fit do not
+
+    summary_output(out).write(SUMMARY_PAGE, batch_page(out, read_rows(out / SUMMARY)))
+    return out / SUMMARY_PAGE
+
+
+def read_rows(path: Path) -> list[dict[str, str]]:
+    """The rows of a summary.csv as they were before `Summary.write` made texts of formulas. Raises InputError."""
+    (_, header), *rows = [*text_rows(path)] or [(1, [])]
+    texts = ([*map(unguarded, cells)] for _, cells in rows)
+    found = [{name: x for name, x in zip(header, row, strict=False) if x} for row in texts]
+    wheres = (f"{path}, line {line}" for line, _ in rows)
+    collect_problems(*(partial(validated, _Row, *at) for at in zip(found, wheres, strict=True)))
+    return [dict.fromkeys(COLUMNS, "") | row for row in found]
+
+
+def _row(planned: ClipPlan, out: Path) -> dict[str, Any]:
+    settings, known = planned.clip.settings, planned.identity
+    row = dict.fromkeys(COLUMNS) | {
+        "clip": planned.clip.name,
+        "keypoints": ", ".join(settings.keypoints_from(out)),
+        "cameras": len(settings.keypoints),
+        "out": seen_from(out, planned.out),
+        "status": "pending",
+        "attempts": 0,
+    }
+    for name, part in (("settings", [known["settings"], known["version"]]), ("inputs", known["inputs"])):
+        row[f"{name}_hash"] = _hash(part)
+    earlier = dict(planned.row or {})
+    return row | earlier | ({"status": "done earlier"} if earlier.get("status") == "done" else {})
+
+
+def _hash(content: Any) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+
+# -- the command ------------------------------------------------------------------------------------------------------
+
+CANNOT = "cannot be fitted"
+NAMED = 3
+"""Clips with the same problem are named up to this number."""
+_STYLES = {"unsolved": "red", "failed": "red", "pending": "yellow"}
+"""Styles of the statuses; what is done has a verdict."""
+_COMMON, _WORK = "Settings of every clip", "How the work is done"
+_OfFits = Annotated[dict[str, Any], OptionsOf(FitSettings, OF_ANY_CLIP, _COMMON)]
+
+
+class _BatchSettings(Settings):
+    """The settings of `recon batch` beside those of every clip's fit."""
+
+    inputs: Annotated[OneOrMore[str], Option(argument="INPUT")]
+    """Keypoint files, quoted patterns as in 'clips/*.csv', folders, also projects of DeepLabCut and Anipose, or
+    manifests: CSV tables with a column keypoints, and one for each setting that differs."""
+    out: Path
+    """Folder for the results: one folder a clip, and summary.csv."""
+    config: Annotated[Path | None, Option(panel=_COMMON)] = None
+    """config.toml of a fit; options here overrule it."""
+    cameras_by: Annotated[str, Option(metavar="auto|none|PATTERN", panel=_COMMON)] = "auto"
+    """Which files are one clip. auto: names that differ by a camera's only; none: each; or a regular expression for the
+    camera's name in a file's, as in '-cam([A-Z])'."""
+    recursive: Annotated[bool, Option(panel=_COMMON)] = False
+    """Read the folders within a folder, too."""
+    jobs: Annotated[Count | None, Option(panel=_WORK)] = None
+    """Clips at a time. (default: one for each core)"""
+    scheduler: Annotated[str | None, Option(panel=_WORK)] = None
+    """A Dask cluster instead, as in tcp://host:8786."""
+    retries: Annotated[Annotated[Integer, Field(ge=0)], Option(panel=_WORK)] = 1
+    """Tries more where a worker died."""
+    overwrite: Annotated[bool, Option(panel=_WORK)] = False
+    """Fit everything again, and replace results of other fits that nobody changed."""
+    dry_run: Annotated[bool, Option(panel=_WORK)] = False
+    """Only look: what would be done, and what inputs lack."""
+    strict: Annotated[bool, Option(panel=_WORK)] = False
+    """Exit code 1 if any clip failed or is unsolved."""
+
+
+def batch(settings: _BatchSettings, given: _OfFits, console: Console) -> Answer:
+    """Reconstruct many clips in parallel. The same command again goes on where it was stopped.
+
+    A clip is done when its folder holds results of the same keypoints, camera and other files (by their content), the
+    same settings and the same version of recon. Where one of these has changed it is fitted again and its results are
+    replaced. Folders with results that are not of a batch, or of another clip, are never touched without --overwrite.
+
+    Example: recon batch 'clips/*.csv' --camera camera.toml --fps 120 --out results
+
+    Exit code 0: done, whatever became of single clips (see --strict). 2: the input as a whole cannot be used; nothing
+    was done. 130: stopped with Ctrl-C; what is done is kept.
+    """
+    clips, notes = find_clips(
+        settings.inputs, given, settings.config, settings.cameras_by, recursive=settings.recursive
+    )
+    for note in notes:
+        say(console, note, "yellow")
+    plan = plan_batch(clips, settings.out, settings.overwrite)
+    if settings.dry_run:
+        return _only_looked(plan, input_problems(clips), settings.strict)
+    shared = repeated(input_problems(clips, shared_only=True))  # be it each with a file of its own
+    raise_problems(problem for problem, places in shared if len(places) == len(clips))
+    left = sum(planned.action != "done" for planned in plan)
+    if left < len(plan):
+        are = "clip is" if len(plan) == 1 else "clips are"
+        console.print(f"{len(plan) - left} of {len(plan)} {are} done already.")
+    how = settings.jobs, settings.retries, settings.scheduler
+    answer = shown_batch(console, left, lambda tell: run_batch(plan, settings.out, *how, tell), PAGE_OF_A_CLIP)
+    failed = any(row["status"] in ("failed", "unsolved") for row in answer.data["clips"])
+    return replace(answer, code=int(settings.strict and failed))
+
+
+PAGE_OF_A_CLIP = "recon report {out}/CLIP, a page of one clip; "
+
+
+def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary], of_a_clip: str = "") -> Answer:
+    """Do what tells of its events, and say how it goes, a line a clip and a bar on a terminal; how it went. left: how
+    many clips there are to do. of_a_clip: the command that is next for one of them, with {out} for the folder."""
+    summaries: list[Summary] = []
+    began, ended = time.monotonic(), 0
+    # Trouble is said even where nothing else is.
+    errors = terminal(stderr=True, soft_wrap=True) if console.quiet or not console.is_terminal else console
+    try:
+        with progress_bar(console) as progress:
+
+            def tell(event: Event, so_far: Summary) -> None:
+                nonlocal ended
+                summaries[:] = [so_far]
+                if event.kind == "progress":
+                    progress(f"{ended}/{left} {event.name}: {event.stage}", ended / max(left, 1))
+                    return
+                ended, row = ended + 1, so_far.rows[event.name]
+                where = errors if row["status"] == "failed" else console
+                say(where, Text(f"[{ended}/{left}] ").append_text(_row_text(row)))
+
+            summary = work(tell)
+    except KeyboardInterrupt:
+        counts = summaries[0].counts() if summaries else {}
+        said = ", ".join(f"{n} {status}" for status, n in counts.items()) or "nothing was done"
+        stop(f"Stopped: {said}. What is done is kept: the same command again goes on from here.")
+    counts = summary.counts()
+    parts = [Text(f"{n} {level}", STYLES[level]) for level, n in reversed(summary.verdicts().items())]
+    parts += [Text(f"{n} {status}", style) for status, n in counts.items() if (style := _STYLES.get(status))]
+    seconds = time.monotonic() - began
+    said = Text.assemble(Text(", ").join(parts), f" in {seconds:.0f} s. Summary: {summary.path}")
+    out, lines = summary.path.parent, [said, f"Open {summary.path.with_name(SUMMARY_PAGE)} in a browser."]
+    if summary.verdicts():
+        lines.append(f"Next: {of_a_clip.format(out=out)}recon compare {out} --out FOLDER, all of them.")
+    return Answer({"summary": summary.path, "counts": counts, "clips": [*summary.rows.values()]}, lines)
+
+
+def _only_looked(plan: Sequence[ClipPlan], problems: Sequence[Problems], strict: bool) -> Answer:
+    """What would be done with each clip, and what inputs lack."""
+    rows: list[dict[str, Any]] = [
+        {
+            "clip": planned.clip.name,
+            "keypoints": planned.clip.settings.keypoints_text,
+            "cameras": list(planned.clip.settings.camera_name or ()),
+            "camera": planned.clip.settings.camera_text,
+            "fps": planned.clip.settings.fps,
+            "out": str(planned.out),
+            "action": planned.action if planned.action == "done" or not found else CANNOT,
+            "reason": planned.reason,
+            "problems": [str(problem) for problem in found],
+        }
+        for planned, found in zip(plan, problems, strict=True)
+    ]
+    cells = []
+    for row in rows:
+        what = row["action"] + f" ({row['reason']})" * bool(row["reason"])
+        camera = ", ".join(row["cameras"] or [Path(row["camera"]).name or "--hfov-deg"])
+        fps = "the file's" if row["fps"] is None else f"{row['fps']:g}"
+        cells.append((row["clip"], camera, fps, row["out"], what))
+    lines: list[str | Text | Table] = [table_of("clip", "camera", "fps", "out", "what", rows=cells)]
+    if len(rows) > 1 and len({(row["camera"], row["fps"]) for row in rows}) == 1:
+        other = "Where they differ, give a CSV table with columns keypoints, camera and fps instead."
+        lines.append(f"All clips have the same --camera and --fps. {other}")
+    for problem, places in repeated(problems):
+        names = ", ".join(rows[place]["clip"] for place in places[:NAMED])
+        more = "" if len(places) <= NAMED else f" and {len(places) - NAMED} more clips"
+        lines.append(Text.assemble((f"{names}{more}: ", "bold red"), str(problem)))
+    of = Counter(row["action"] for row in rows)
+    bad = f", {of[CANNOT]} that {CANNOT}" if of[CANNOT] else ""
+    said = f"{of['new']} new, {of['refit']} to fit again, {of['done']} done{bad}"
+    lines.append(f"{counted(len(rows), 'clip')}: {said}")
+    return Answer({"clips": rows}, lines, code=int(strict and any(problems)))
+
+
+def _row_text(row: Mapping[str, Any]) -> Text:
+    """One clip's end in a line."""
+    level = row["verdict"] or ""
+    text = Text.assemble((row["status"], _STYLES.get(row["status"], "")), f"  {row['clip']}")
+    if row["error"]:
+        return text.append(f": {row['error']}")
+    pose = "" if row["pose_mm"] is None else f", pose off by {row['pose_mm']:.0f} mm"
+    why = "" if row["reason"] in (None, NOTHING_AGAINST) else f": {row['reason']}"
+    text.append("  ").append(level, STYLES.get(level, ""))
+    return text.append(f"{pose}, {row['frames']} frames, {row['seconds']:.1f} s{why}")

@@ -1,0 +1,159 @@
+"""`recon calibrate`: pictures or a video of a board in, a camera file and a picture of the evidence out."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+from rich.table import Table
+from rich.text import Text
+
+from recon.base.errors import Problem, collect_problems, raise_problems
+from recon.base.files import write_bytes
+from recon.base.outputs import output_file, require_suffix
+from recon.base.progress import Progress, silent
+from recon.base.settings import OneOrMore, Option, Settings, input_paths
+from recon.calibrate.boards import calibrate as solved
+from recon.calibrate.boards import check as checked
+from recon.calibrate.boards import collect, find_views, parse_board
+from recon.check.codes import names_text
+from recon.cli.answers import Answer, table_of
+from recon.geometry.lens import LENS_MODELS
+from recon.io.camera_files import write_camera
+from recon.show.plain import picked
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN, and no infinity."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+class CalibrationSettings(Settings):
+    """The settings of `recon calibrate`."""
+
+    inputs: Annotated[OneOrMore[Path], Option(argument="IMAGES|FOLDER|VIDEO")]
+    """Pictures or folders of pictures of a board, or one video."""
+    board: str
+    """chessboard:9x6:25mm (inner corners, square's side) or charuco:5x7:40mm:30mm:DICT_4X4_50 (squares, sides of square
+    and marker, dictionary; :legacy for OpenCV's layout before 4.6)."""
+    model: str
+    """radtan for most lenses, fisheye for those wider than 100 degrees, pinhole for undistorted pictures."""
+    out: Path
+    """The camera file, as in camera.toml."""
+    force: bool = False
+    """Write a calibration that is refused."""
+    overwrite: bool = False
+    """Replace the camera file."""
+
+
+def calibrate(settings: CalibrationSettings, progress: Progress) -> Answer:
+    """Calibrate a camera: pictures or a video of a board in, a camera file and a picture of the coverage out.
+
+    Example: recon calibrate board/ --board chessboard:9x6:25mm --model radtan --out camera.toml
+
+    Exit code 0: written. 1: refused, because a check failed. 2: the input cannot be used.
+    """
+    report = run_calibration(settings, progress)
+    errors = []
+    if report["written"] is None:
+        errors = [f"refused: {check['text']}" for check in report["checks"] if check["verdict"] == "refused"]
+        what = f"mend that, or say --force. What there is: {report['picture']}"
+        errors.append(f"{settings.out} was not written: {what}")
+    return Answer(json.dumps(report, indent=1) + "\n", _lines(report), errors)  # the camera to the last digit
+
+
+def _lines(report: dict[str, Any]) -> Iterator[str | Text | Table]:
+    pictures, written = report["pictures"], report["written"]
+    rows = (
+        (
+            *(view["name"], str(view["corners"]), f"{view['rms_px']:.2f}", f"{view['max_px']:.2f}"),
+            *(f"{math.degrees(view['tilt_rad']):.0f}°", f"{view['distance_m']:.2f}"),
+            "" if view["used"] else Text("left out", style="red"),
+        )
+        for view in pictures
+    )
+    yield table_of("picture", numbers=("corners", "error px", "worst px", "tilt", "distance m", ""), rows=rows)
+    looked = f"{report['board']}: found in {report['found']} of {report['examined']} pictures"
+    if report["found"] > len(pictures):
+        looked += f", the {len(pictures)} sharpest and most different were taken"
+    yield looked
+    if report["without_board"]:
+        yield f"Not found in: {names_text(report['without_board'])}"
+    yield ""
+    for row in report["parameters"]:
+        digits, unit = (1, " px") if row["name"] in ("fx", "fy", "cx", "cy") else (4, "")
+        sigma = math.inf if row["sigma"] is None else row["sigma"]
+        yield f"{row['name']}  {row['value']:.{digits}f} ± {sigma:.{digits}f}{unit}"
+    yield f"reprojection error {report['rms_px']:.3f} px (root mean square)"
+    for check in report["checks"]:
+        if check["verdict"] == "warning" or (check["verdict"] == "refused" and written is not None):
+            yield Text.assemble(("warning: ", "yellow"), check["text"])
+    if written is not None:
+        yield f"Written: {written}, and what it rests on: {report['picture']}"
+
+
+def run_calibration(settings: CalibrationSettings, progress: Progress = silent) -> dict[str, Any]:
+    """Calibrate a camera from pictures of a board, and write `out` and `<stem>_coverage.png`.
+
+    A calibration that a check refuses is not written unless `force`. The picture is, since it shows what is missing.
+
+    Returns
+    -------
+    The camera, its errors and the checks, as plain types.
+
+    Raises
+    ------
+    InputError
+        With every problem, for inputs that cannot be used.
+    """
+    picture = settings.out.with_name(f"{settings.out.stem}_coverage.png")
+    inputs = input_paths(settings)
+    # Without a camera file, our own picture is that of a calibration that was refused: nobody has to say --overwrite.
+    overwrite = settings.overwrite or not settings.out.exists()
+    output = output_file(settings.out, "calibrate", overwrite, inputs)
+    known = [name for name, lens in LENS_MODELS.items() if lens.opencv]
+    unknown = Problem("--model", "lens model", repr(settings.model), f"one of {', '.join(known)}")
+    files, board, *_ = collect_problems(
+        lambda: collect(settings.inputs),
+        lambda: parse_board(settings.board),
+        lambda: raise_problems([unknown] if settings.model not in known else []),
+        lambda: require_suffix(settings.out, (".toml",)),
+        lambda: output.require((settings.out.name, picture.name)),
+    )
+    views = find_views(files, board, progress)
+    progress("solving", 1.0)
+    calibration = solved(views, settings.model, settings.out.stem)
+    checks = checked(calibration)
+    refused = any(c.verdict == "refused" for c in checks)
+    from recon.show.plots.configurations import calibration as drawn  # matplotlib
+    from recon.show.plots.style import png_of
+
+    with output.staged(adds=True) as folder:
+        write_bytes(folder / picture.name, png_of(drawn(calibration)))
+        if settings.force or not refused:
+            write_camera(calibration.camera, folder / settings.out.name)
+    parameters = zip(calibration.parameters.items(), calibration.sigma, strict=True)
+    return {
+        "board": str(views.board),
+        "camera": calibration.camera.to_dict(),
+        "rms_px": calibration.rms_px,
+        "parameters": [{"name": name, "value": value, "sigma": _finite(sigma)} for (name, value), sigma in parameters],
+        "pictures": [
+            picked(view, "name", "used", "rms_px", "max_px", "tilt_rad")
+            | {"corners": len(view.ids), "distance_m": math.hypot(*view.translation_m)}
+            for view in calibration.views
+        ],
+        "examined": views.examined,
+        "found": views.found,
+        "without_board": list(views.without_board),
+        "checks": [
+            {name: _finite(value) for name, value in vars(c).items() if name != "advice"}
+            | {"verdict": c.verdict, "text": str(c)}
+            for c in checks
+        ],
+        "picture": str(picture),
+        "written": str(settings.out) if settings.force or not refused else None,
+    }

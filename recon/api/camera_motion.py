@@ -1,0 +1,271 @@
+"""`recon camera-motion`: the video of a camera that turns in, a camera track, a report and a panorama out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+from pydantic import Field
+from scipy.spatial.transform import Rotation
+
+from recon.api.settings import FitSettings
+from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem, collect_problems, raise_problems
+from recon.base.files import write_bytes
+from recon.base.outputs import Output, output_file, require_suffix
+from recon.base.progress import Progress, silent
+from recon.base.settings import Integer, Number, Option, Settings, input_paths
+from recon.calibrate.camera_motion.rotation import LevelMark, as_level, read_marks, tilted, up_by_marks
+from recon.calibrate.camera_motion.track import CLEARLY, Tracker, TurningMotion, panorama, thumbnail
+from recon.cli.answers import FIRST_FRAME, Answer, counted
+from recon.clip import Keypoints
+from recon.geometry.camera import Camera
+from recon.io.calibration import read_camera
+from recon.io.camera_track import INTRINSICS, POSE, SIGMA
+from recon.io.formats import read_keypoints
+from recon.io.video import Image, missing_frames, missing_note, probe, size_problems, timed_frames
+from recon.io.writing import write_table
+from recon.show.plain import picked, to_json
+
+MIN_LIKELIHOOD = 0.3
+"""Keypoints that are less sure do not hide anything."""
+MAX_LOST = 0.5
+MAX_FOCAL_OFF = 0.1
+"""A focal length that is further off makes turns wrong by as much."""
+NOTES = (
+    "the camera is taken to turn about its centre: its place is the world's origin in every frame",
+    "a rolling shutter is not modelled: in a fast turn the rows of a picture were seen at different times",
+    "standard deviations are against the first frame, per axis, and hold where the lens is as the camera file says",
+)
+
+
+class _MotionSettings(Settings):
+    """The settings of `recon camera-motion`."""
+
+    video: Annotated[Path, Option(argument="VIDEO")]
+    """The video of a camera that turns, as in clip.mp4."""
+    camera: Path
+    """The camera's calibration, as in camera.toml; its pose is not read."""
+    out: Path
+    """The track for --camera-track, as in track.csv."""
+    camera_name: str | None = None
+    """Which camera of a file with several."""
+    keypoints: Path | None = None
+    """Keypoints of the animal, which is then no background."""
+    individual: str | None = None
+    """Which animal of a keypoint file with several."""
+    first_frame: Annotated[Integer, FIRST_FRAME] = 0
+    tilt_deg: Annotated[Number, Field(ge=-90, le=90)] | None = None
+    """Degrees that the camera looks down in the first frame. (default: level in the mean of all frames)"""
+    level_marks: Path | None = None
+    """Instead: a table (kind,frame,x1,y1,x2,y2) of horizons and verticals, as in level.csv."""
+    zoom: bool = False
+    """The focal length changes; the first frame has the file's."""
+    overwrite: bool = False
+    """Replace the track."""
+
+    def problems(self) -> Iterator[Problem]:
+        if self.tilt_deg is not None and self.level_marks is not None:
+            yield Problem("--tilt-deg", "level", f"{self.tilt_deg:g} beside {self.level_marks}", "one of the two")
+
+
+def of_clip(settings: FitSettings, video: Path, out: Path, **more: Any) -> _MotionSettings:
+    """For the one camera of a clip, which has a calibration. more: other fields."""
+    assert settings.camera is not None
+    of_first = {"camera": settings.camera[0], "keypoints": settings.keypoints[0]}
+    more |= of_first | {"camera_name": next(iter(settings.camera_name or ()), None)}
+    return _MotionSettings(video=video, out=out, **picked(settings, "individual", "tilt_deg"), **more)
+
+
+def camera_motion(settings: _MotionSettings, progress: Progress = silent) -> Answer:
+    """Find how a camera turned (and zoomed) from the background of its video: a camera track.
+
+    Example: recon camera-motion clip.mp4 --camera camera.toml --keypoints clip.csv --out track.csv
+    """
+    output = output_file(settings.out, "camera-motion", settings.overwrite, input_paths(settings))
+    return run_camera_motion(settings, output, progress)
+
+
+def motion_files(track: Path) -> tuple[str, str, str]:
+    """Return the names of the track, the report and the panorama that go together."""
+    return track.name, f"{track.stem}_report.json", f"{track.stem}_panorama.png"
+
+
+def run_camera_motion(settings: _MotionSettings, output: Output, progress: Progress = silent) -> Answer:
+    """Find how a camera turned, as `recon camera-motion` does, and write its files to an output."""
+    files = motion_files(settings.out)
+    info, lens, animal, marks, *_ = collect_problems(
+        lambda: probe(settings.video),
+        lambda: read_camera(settings.camera, settings.camera_name),
+        lambda: None if settings.keypoints is None else read_keypoints(settings.keypoints, settings.individual),
+        lambda: () if settings.level_marks is None else read_marks(settings.level_marks),
+        lambda: require_suffix(settings.out, (".csv",)),
+        lambda: output.require(files),
+    )
+    raise_problems(size_problems(settings.video, info, lens))
+    points = {} if animal is None else _points(animal, settings.first_frame)
+    stamps_s: list[float] = []
+    pictures: list[Image] = []
+    tracker = Tracker(lens, settings.zoom, points.get)
+    for number, stamp_s, picture in timed_frames(settings.video):
+        stamps_s.append(stamp_s)
+        tracker.add(number, picture)
+        if len(tracker.keys) > len(pictures):
+            pictures.append(thumbnail(picture))
+        if tracker.cut is not None:
+            break
+        progress("following the background", min(1.0, number / (info.stated_frames or number + 1)))
+    times_s = np.array(stamps_s)
+    motion = tracker.finish()
+    _require_turning(settings, motion, lens)
+    if animal is not None:
+        _require_same_frames(settings, points, times_s)
+    up, level = _up(settings, motion, lens, marks)
+    motion = replace(motion, orientations=as_level(motion.orientations, up))
+    report = _report(settings, motion, lens, level, times_s)
+    drawn = panorama(lens, motion, pictures, points)
+    with output.staged(adds=True) as folder:
+        track_file, report_file, picture_file = (folder / name for name in files)
+        _write_track(track_file, settings, motion, lens)
+        report_file.write_text(to_json(report), encoding="utf-8")
+        write_bytes(picture_file, cv2.imencode(".png", drawn)[1].tobytes())
+    paths = [settings.out.with_name(name) for name in files]
+    lost, keyframes = len(report["frames_without_background"]), counted(len(report["keyframes"]), "keyframe")
+    lines = [f"{report['frames'] - lost} of {report['frames']} frames placed, {keyframes}."]
+    lines += [f"Too little background in {counted(lost, 'frame')}: no pose there."] if lost else []
+    fit, known = f"{report['residual_px']:.2f} px", f"{report['sigma_deg']:.3f}°"
+    lines.append(f"The background fits to {fit}; the camera's direction is known to ±{known}.")
+    notes = report["notes"][len(NOTES) :]
+    lines += [f"Note: {note}." for note in notes]
+    lines.append(f"Level: {report['level']}. A rolling shutter is not modelled.")
+    return Answer(report, [*lines, "Written: " + ", ".join(map(str, paths))], files=paths, notes=notes)
+
+
+# -- what cannot be used ----------------------------------------------------------------------------------------------
+
+
+def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:
+    """Where the turns close with another focal length than the camera file's."""
+    if motion.focal is None or abs(motion.focal[0]) <= CLEARLY * motion.focal[1]:
+        return None
+    px = _focal_px(motion.focal, lens)
+    wide = 2 * np.degrees(np.arctan(lens.image_size_px[0] / 2 / px["found"]))
+    return (
+        f"the background turns as with a focal length of {px['found']:.0f} px (standard deviation {px['sigma']:.1f}; "
+        f"{wide:.1f} degrees across the picture, without distortion), and the camera file has {px['file']:.0f} px"
+    )
+
+
+def _require_turning(s: _MotionSettings, motion: TurningMotion, lens: Camera) -> None:
+    """Raises InputError for a cut, for too little background, and for a camera that did more than turn."""
+    if motion.cut is not None:
+        found = f"a cut, or a jump of the whole view, at frame {motion.cut + s.first_frame}"
+        raise InputError(Problem(s.video, "video", found, "one take: cut the video there"))
+    note = _focal_note(motion, lens)
+    if not motion.turned_only:
+        grows, zoom = ("", "") if s.zoom else (", or it grows", " (--zoom if its focal length changes)")
+        found = f"a background that no turn explains: parts of it move against each other{grows}"
+        found += f"; {note}" if note else ""
+        expected = f"a calibrated camera that turns about a fixed point{zoom}; of one that is carried or driven, "
+        expected += "make the track with COLMAP, and give that to --camera-track"
+        raise InputError(Problem(s.video, "motion", found, expected))
+    if motion.focal is not None and abs(motion.focal[0]) > MAX_FOCAL_OFF and note:
+        expected = "the lens that the video was filmed with, as it was set"
+        raise InputError(Problem(s.camera, "focal length", note, expected))
+    number = len(motion.frames) + len(motion.lost)
+    if not len(motion.frames) or len(motion.lost) > MAX_LOST * number:
+        found = f"too little background that can be followed in {len(motion.lost)} of {number} frames: blurred, "
+        found += "without structure, or hidden"
+        raise InputError(Problem(s.video, "background", found, f"no more than {MAX_LOST:.0%} of such frames"))
+
+
+def _require_same_frames(s: _MotionSettings, points: dict[int, Array], times_s: Array) -> None:
+    """Raises InputError where the keypoint file counts otherwise than the video."""
+    outside = [number for number in points if not 0 <= number < len(times_s)]
+    if outside:
+        found = f"{len(outside)} of {len(points)} frames that {s.video} does not have ({len(times_s)} frames)"
+        if note := missing_note(s.video, times_s, s.first_frame):
+            found += f"; {note}"
+        raise InputError(Problem(s.keypoints or "--keypoints", "frames", found, "the video's frames, or --first-frame"))
+
+
+def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
+    """By the frame's number in the video, of those with points: pixels (K, 2), NaN where unsure."""
+    pixels = np.where((keypoints.confidence < MIN_LIKELIHOOD)[..., None], np.nan, keypoints.xy_px)
+    shown = np.asarray(np.isfinite(pixels).all(axis=2)).any(axis=1)
+    return dict(zip((keypoints.frames[shown] - first_frame).tolist(), pixels[shown], strict=True))
+
+
+# -- which way is up --------------------------------------------------------------------------------------------------
+
+
+def _up(
+    s: _MotionSettings, motion: TurningMotion, lens: Camera, marks: Sequence[LevelMark]
+) -> tuple[Array | None, str]:
+    """Up (3,) in the first frame's camera, None if the mean frame is to be level, and how that is known."""
+    if s.tilt_deg is not None:
+        level = f"the first frame looks {s.tilt_deg:g} degrees down, as given, and its roll is taken as 0"
+        return tilted(np.radians(s.tilt_deg)), level
+    if s.level_marks is None:
+        return None, "the mean of all frames is taken as level: its tilt and roll are 0"
+    by_frame = dict(zip((motion.frames + s.first_frame).tolist(), motion.orientations, strict=True))
+    up, sigma = up_by_marks(s.level_marks, marks, lens, by_frame)
+    return up, f"by {len(marks)} marks in {s.level_marks}, to {np.degrees(sigma):.1g} degrees if they are 2 px off"
+
+
+# -- what comes out ---------------------------------------------------------------------------------------------------
+
+
+def _write_track(path: Path, s: _MotionSettings, motion: TurningMotion, camera: Camera) -> None:
+    turns = Rotation.from_matrix(np.stack([one.rotation for one in motion.orientations]))
+    q = turns.as_quat(canonical=True, scalar_first=True)
+    poses = np.round(np.concatenate([q, np.zeros((len(q), 3))], axis=1), 9)
+    if s.zoom:
+        K, zooms = camera.matrix, np.array([one.zoom for one in motion.orientations])[:, None]
+        lens = [zooms * [K[0, 0], K[1, 1]], np.tile(K[:2, 2], (len(q), 1))]
+        poses = np.concatenate([poses, np.round(np.concatenate(lens, axis=1), 4)], axis=1)
+    poses = np.concatenate([poses, np.round(np.degrees(motion.sigma_rad)[:, None], 5)], axis=1)
+    write_table(path, [["frame", *POSE, *(INTRINSICS if s.zoom else ()), SIGMA]], motion.frames + s.first_frame, poses)
+
+
+def _report(s: _MotionSettings, motion: TurningMotion, lens: Camera, level: str, times_s: Array) -> dict[str, Any]:
+    axes = np.stack([orientation.rotation[2] for orientation in motion.orientations])
+    pan = np.degrees(np.unwrap(np.arctan2(axes[:, 0], axes[:, 1])))
+    tilt = np.degrees(-np.arcsin(np.clip(axes[:, 2], -1, 1)))
+    down = np.stack([orientation.rotation[:, 2] for orientation in motion.orientations])
+    roll = np.degrees(np.arctan2(down[:, 0], -down[:, 1]))
+    rounded = {"pan_deg": pan, "tilt_deg": tilt, "roll_deg": roll, "sigma_deg": np.degrees(motion.sigma_rad)}
+    if s.zoom:
+        rounded |= {"zoom": np.array([one.zoom for one in motion.orientations]), "sigma_zoom": motion.sigma_zoom}
+    rounded["residual_px"] = motion.residual_px
+    more = filter(None, [missing_note(s.video, times_s, s.first_frame), _focal_note(motion, lens)])
+    return {
+        "video": s.video.name,
+        "camera": {"file": s.camera.name, "name": lens.name},
+        "level": level,
+        "notes": [*NOTES, *(["the first frame has the camera file's focal length"] if s.zoom else []), *more],
+        "focal_px": None if motion.focal is None else _focal_px(motion.focal, lens),
+        "frames": len(motion.frames) + len(motion.lost),
+        "frames_missing": sum((missing_frames(times_s) or {}).values()),
+        "frames_without_background": (motion.lost + s.first_frame).tolist(),
+        "keyframes": (motion.frames[motion.keys] + s.first_frame).tolist(),
+        "residual_px": float(np.median(motion.residual_px)),
+        "inliers": float(np.median(motion.inliers)),
+        "sigma_deg": float(np.degrees(np.median(motion.sigma_rad))),
+        "by_frame": {
+            "frame": (motion.frames + s.first_frame).tolist(),
+            **{name: np.round(values, 5).tolist() for name, values in rounded.items()},
+            "inliers": motion.inliers.tolist(),
+        },
+    }
+
+
+def _focal_px(focal: tuple[float, float], lens: Camera) -> dict[str, float]:
+    """The camera file's, and what the turns say."""
+    own = float(lens.matrix[0, 0])
+    found = own * float(np.exp(focal[0]))
+    return {"file": own, "found": found, "sigma": found * focal[1]}

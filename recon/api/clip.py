@@ -1,0 +1,207 @@
+"""Fit one clip: a keypoint file and a camera in, its 3D motion out, which `recon.api.clip_results` writes."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from recon.animal.chain import Chain, load_chain
+from recon.api.clip_cameras import cameras_in, other_camera_in, other_cameras
+from recon.api.clip_inputs import ClipInputs, prepare
+from recon.api.settings import FitSettings
+from recon.base.progress import Progress, silent
+from recon.check.codes import sentences
+from recon.check.inputs import input_findings, with_flags, without_gross_outliers
+from recon.check.swap_repair import downgrade_swap, swap_improves, without_swaps
+from recon.check.verdict import add_verdict, verdict_lines
+from recon.clip import Source, views_of
+from recon.fit.belt import belt_path_m, views_from_belt
+from recon.fit.clip_problem import TrajectoryOptions
+from recon.fit.motion import Motion
+from recon.fit.result import Finding, TrajectorySolution
+from recon.fit.trajectory import solve_trajectory
+
+LOGGER = logging.getLogger("recon")
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """The fit of a clip after one of its stages."""
+
+    sources: tuple[Source, ...]
+    """Keypoints by camera, as far as they count by now."""
+    options: TrajectoryOptions
+    """Whether cameras are refined is decided on the way."""
+    solution: TrajectorySolution
+    findings: tuple[Finding, ...]
+
+
+Solve = Callable[[tuple[Source, ...], TrajectoryOptions], TrajectorySolution]
+
+
+def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
+    """Reconstruct one clip over all frames at once, or one frame after the other (method "frame").
+
+    Raises InputError for files and settings that cannot be used, with the problems of all of them. Frames that cannot
+    be solved are part of the result.
+    """
+    if settings.method == "frame":
+        from recon.thesis.clip import fit_clip as fit_frames
+
+        return fit_frames(settings, progress)
+    inputs = prepare(settings)
+    solve = partial(_solve, inputs, settings.belt_speed_m_s, progress)
+    chain = load_chain(settings.skeleton_name) if inputs.body.one_sided else None
+    as_motion = partial(_as_motion, inputs, settings, chain)
+
+    fit = _solve_first(inputs, settings.trajectory_options(), solve)
+    fit = _solve_again_with_fixed_cameras(fit, solve)
+    began = time.perf_counter()
+    fit = _solve_again_without_gross_outliers(fit, solve)
+    fit = _check_inputs(fit, as_motion(fit), inputs, settings)
+    fit = _solve_again_without_swaps(fit, inputs, settings, solve)
+    fit = _with_stage_time(fit, "input_findings", time.perf_counter() - began)
+    fit = _check_agreement(fit, as_motion(fit), inputs)
+    motion = _judge(fit, as_motion(fit), settings)
+    _log(motion)
+    return motion
+
+
+def _solve(
+    inputs: ClipInputs,
+    belt_speed_m_s: float | None,
+    progress: Progress,
+    sources: tuple[Source, ...],
+    options: TrajectoryOptions,
+) -> TrajectorySolution:
+    """Solve for the motion that the sources show; over a belt twice, the second time with the belt's path known."""
+    views = views_of(sources)
+    solution = solve_trajectory(views, inputs.body, inputs.prior, inputs.fps, options, progress)
+    if belt_speed_m_s is None:
+        return solution
+    path_m = belt_path_m(solution, sources[0].keypoints.frames / inputs.fps, belt_speed_m_s)
+    views = views_from_belt(views, path_m)
+    return solve_trajectory(views, inputs.body, inputs.prior, inputs.fps, options, progress)
+
+
+def _solve_first(inputs: ClipInputs, options: TrajectoryOptions, solve: Solve) -> _Fit:
+    """Solve for the motion, and for the cameras' time offsets where these are to be found."""
+    if not options.find_offsets:
+        return _Fit(inputs.sources, options, solve(inputs.sources, options), inputs.findings)
+    from recon.check.agreement import solve_time_offsets
+
+    noise = (options.sigma_px, options.keypoint_noise_m(inputs.body))
+    solve_with = partial(_solve_with, solve, options)
+    sources, solution = solve_time_offsets(inputs.apart, inputs.later_frames, solve_with, *noise)
+    return _Fit(sources, options, solution, inputs.findings)
+
+
+def _solve_with(solve: Solve, options: TrajectoryOptions, sources: tuple[Source, ...]) -> TrajectorySolution:
+    return solve(sources, options)
+
+
+def _solve_again_with_fixed_cameras(fit: _Fit, solve: Solve) -> _Fit:
+    """Take back cameras that were refined, where the poses of the camera file explain the keypoints as well."""
+    if not fit.options.refine_cameras:
+        return fit
+    from recon.check.agreement import why_not_refined
+
+    options = replace(fit.options, refine_cameras=False)
+    fixed = solve(fit.sources, options)
+    unrefined = why_not_refined(fit.solution, fixed)
+    if not unrefined:
+        return fit
+    return replace(fit, options=options, solution=fixed, findings=(*fit.findings, *unrefined))
+
+
+def _solve_again_without_gross_outliers(fit: _Fit, solve: Solve) -> _Fit:
+    """Leave out detections that are far from any pose, unless nothing can be solved without them."""
+    cleaned, outliers = without_gross_outliers(fit.sources, fit.solution)
+    solution = solve(cleaned, fit.options) if outliers else fit.solution
+    if not solution.posed.any() and fit.solution.posed.any():  # the fit was wrong about them
+        return fit
+    return replace(fit, sources=cleaned, solution=solution, findings=(*fit.findings, *outliers))
+
+
+def _check_inputs(fit: _Fit, motion: Motion, inputs: ClipInputs, settings: FitSettings) -> _Fit:
+    """Add the findings on the input files that the solution shows."""
+    findings = input_findings(motion, inputs.prior, fit.options, *_file_facts(inputs, settings))
+    return replace(fit, findings=(*fit.findings, *findings))
+
+
+def _solve_again_without_swaps(fit: _Fit, inputs: ClipInputs, settings: FitSettings, solve: Solve) -> _Fit:
+    """Exchange left and right where the findings name a swap, and keep that if the settings say so and it helps.
+
+    A swap whose exchange does not improve the fit becomes a possible one.
+    """
+    if not any(finding.code == "left_right_swap" for finding in fit.findings):
+        return fit
+    mended, marked = without_swaps(fit.sources, fit.findings, inputs.body)
+    solution = solve(mended, fit.options)
+    if not swap_improves(solution, fit.solution):
+        return replace(fit, findings=tuple(downgrade_swap(finding) for finding in fit.findings))
+    return replace(fit, sources=mended, solution=solution, findings=marked) if settings.fix_swaps else fit
+
+
+def _with_stage_time(fit: _Fit, stage: str, seconds: float) -> _Fit:
+    return replace(fit, solution=replace(fit.solution, stage_s=fit.solution.stage_s | {stage: seconds}))
+
+
+def _check_agreement(fit: _Fit, motion: Motion, inputs: ClipInputs) -> _Fit:
+    """Add the findings on cameras that contradict each other, and let swaps weigh what they do to the positions."""
+    if len(fit.sources) == 1:
+        return fit
+    from recon.check.agreement import agreement_findings, swaps_by_effect
+
+    noise = (fit.options.sigma_px, fit.options.keypoint_noise_m(inputs.body))
+    agreement = agreement_findings(motion, *noise)
+    return replace(fit, findings=(*swaps_by_effect(fit.findings, motion, *noise), *agreement))
+
+
+def _as_motion(inputs: ClipInputs, settings: FitSettings, chain: Chain | None, fit: _Fit) -> Motion:
+    """Return the motion as it is after a stage, without flags, findings and verdict."""
+    plain = settings.plain()
+    return Motion(fit.sources, inputs.side, inputs.side_reason, fit.solution, chain=chain, settings=plain)
+
+
+def _judge(fit: _Fit, motion: Motion, settings: FitSettings) -> Motion:
+    """Return the motion with flags, findings, the cameras that were found, and its verdict."""
+    sources, solution = fit.sources, fit.solution
+    if settings.seeks_cameras:
+        corrections = zip(sources, solution.extrinsic_correction, solution.focal, strict=True)
+        sources = tuple(
+            replace(source, camera=source.camera.corrected(correction).with_focal_scale(scale))
+            for source, correction, scale in corrections
+        )
+    return add_verdict(replace(with_flags(motion, fit.findings), sources=sources, findings=fit.findings))
+
+
+def _log(motion: Motion) -> None:
+    """Send notes on the files, findings and the verdict to the logger "recon"."""
+    name = Path(motion.keypoints.source or "clip").name
+    messages = [(logging.INFO, note) for source in motion.sources for note in source.cleaning.notes]
+    for finding, text in sentences(motion):
+        messages.append((logging.INFO if finding.severity == "note" else logging.WARNING, text))
+    messages += [(logging.INFO, line) for line in verdict_lines(motion.verdict)]
+    for level, text in messages:
+        LOGGER.log(level, "%s: %s", name, text)
+
+
+def _file_facts(inputs: ClipInputs, settings: FitSettings) -> tuple[list[str | None], float | None, bool]:
+    """Return the facts that `input_findings` takes.
+
+    They are the camera that each file's name says, if another one, the frame rate that a file states against the given
+    one, and whether to look for swaps.
+    """
+    named = []
+    for source, path in zip(inputs.sources, settings.keypoints, strict=True):
+        cameras = () if source.moves else other_cameras(source.camera, settings)
+        names = cameras_in(path.stem, [source.camera.name, *(camera.name for camera in cameras)])
+        other = next(iter(names), None) or other_camera_in(path.stem, source.camera.name)
+        named.append(None if source.camera.name in names else other)
+    stated_hz = next((s.keypoints.stated_fps for s in inputs.sources if s.keypoints.stated_fps is not None), None)
+    return named, stated_hz, not settings.fast or bool(settings.fix_swaps)

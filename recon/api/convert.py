@@ -1,0 +1,183 @@
+"""`recon convert`: 2D keypoints, 3D positions, or the bones of results, in another file format."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+from recon.animal.naming import load_names, renamed
+from recon.api.settings import INDIVIDUAL, RENAME
+from recon.base.errors import InputError, Problem, collect_problems, raise_problems
+from recon.base.outputs import ReadResults, output_file
+from recon.base.settings import Option, Positive, Settings, input_paths
+from recon.check.verdict import usable, verdict_fields, verdict_lines
+from recon.cli.answers import ANYWAY, Answer, table_of
+from recon.clip import Keypoints, mark_missing
+from recon.fit.motion import Motion
+from recon.io.columns import parse_map
+from recon.io.common import Pose3D
+from recon.io.formats import CONVERTED, Format, as_keypoints, read_points
+from recon.io.positions import in_metres
+from recon.show.plain import by_name
+from recon.show.rig import rig_of
+
+ROBOT_FILE = "robot.npz"
+"""In a folder of `recon retarget`."""
+
+
+class ConvertSettings(Settings):
+    """The settings of `recon convert`."""
+
+    source: Annotated[Path | None, Option(argument="IN")] = None
+    """File, or folder of results, as in results/clip."""
+    out: Annotated[Path | None, Option(argument="OUT")] = None
+    """File to write, as in clip.trc."""
+    to: str | None = None
+    """Format, where the extension has several, as in long. (default: see --list)"""
+    fps: Positive | None = None
+    """Frames a second, as in 120, where IN does not say it. For a robot's motion: those that OUT gets. (default: 50)"""
+    individual: Annotated[str | None, Option(INDIVIDUAL)] = None
+    columns: str | None = None
+    """Columns of a plain CSV, as in 'frame=Frame,bodypart=Node,x=X,y=Y,likelihood=Score', or for one row per frame
+    'frame=Frame,x={bodypart} X,y={bodypart} Y'. (default: by their names)"""
+    unit: str | None = None
+    """Unit of 3D positions, if the file does not say it: m, cm or mm."""
+    up: str | None = None
+    """Axis of 3D positions that points up, if unsaid: y or z."""
+    rename: Annotated[str | None, RENAME] = None
+    body_mass_kg: Positive = 1.0
+    """Mass of the animal in an OpenSim model; 1: forces per kilogram."""
+    anyway: Annotated[bool, ANYWAY] = False
+    overwrite: bool = False
+    """Replace the file."""
+    show_list: Annotated[bool, Option(name="--list")] = False
+    """Print the formats."""
+
+
+def convert(settings: ConvertSettings) -> Answer:
+    """Convert 2D keypoints, 3D positions or results from one file format to another, by the extension of OUT.
+
+    Example: recon convert results/clip model.osim
+
+    3D positions are metres, z up, in all formats but those that have another custom; see recon convert --list.
+    """
+    if settings.show_list:
+        every = (*CONVERTED, *_robot_formats())
+        rows = [(f.name, " ".join(f.suffixes), ", ".join(f.writes), f.fps, f.frames, f.axes) for f in every]
+        names = ("--to", "extension", "holds", "frame rate", "frame numbers", "3D axes")
+        first = "Where an extension has several formats, the first is meant unless --to names another."
+        return Answer([by_name(names, row) for row in rows], [table_of(*names, rows=rows), first])
+    source, out = settings.source, settings.out
+    if source is None or out is None:
+        found = "nothing" if source is None else "one file"
+        raise InputError(Problem("recon convert", "files", found, "IN and OUT, as in recon convert clip.csv clip.nc"))
+    made_from = ReadResults.of(source) if source.is_dir() else None
+    output = output_file(out, "convert", settings.overwrite, input_paths(settings), made_from, "OUT")
+    if (source / ROBOT_FILE).is_file():
+        name = choose_format(out, settings.to, _robot_formats()).name
+        from recon.robotics.retarget_clip import convert as convert_robot
+
+        said = convert_robot(source, out, name, settings.fps, output)
+        return Answer({"out": out, "format": name}, [said])
+    (data, motion), target, _ = collect_problems(
+        lambda: read_any(source, settings),
+        lambda: choose_format(out, settings.to),
+        lambda: output.require((out.name,)),
+    )
+    notes, content, wanted = data.notes, "2D keypoints" if isinstance(data, Keypoints) else "3D positions", ""
+    written: Any = data
+    if "bones" in target.writes and motion is not None:
+        beside = [out.with_suffix(extension) for extension in target.beside]
+        output.require([path.name for path in beside])
+        written = rig_of(motion, data.fps, settings.body_mass_kg)
+        data, notes = written.pose, notes + written.notes
+        notes += (f"Beside it: {', '.join(map(str, beside))}.",) if beside else ()
+    elif "bones" in target.writes:
+        wanted = f"a folder of results of recon fit: {target.title} has bones, which turn"
+    elif isinstance(data, Keypoints):
+        if "2D" not in target.writes:
+            wanted = f"3D positions for {target.title}: fit the clip first (recon fit)"
+        data, missing = mark_missing(data)
+        written = data
+        for name, stored in (("missing_zero_zero", "(0, 0)"), ("missing_constant", "one constant")):
+            if count := missing[name].sum():
+                notes += (f"{count} points that were stored as {stored} are missing ones.",)
+    elif "3D" not in target.writes:
+        wanted = f"2D keypoints for {target.title}"
+    if wanted or target.write is None:
+        raise InputError(Problem(source, "content", content, wanted))
+    with output.staged_file() as staged:
+        target.write(written, staged)
+    what = f"{len(data.names)} keypoints, 2D" if isinstance(data, Keypoints) else f"{len(data.names)} joints, 3D"
+    frames = f"frames {data.frames[0]} to {data.frames[-1]} ({len(data.frames)})"
+    fps = "frame rate not known" if data.fps is None else f"{data.fps:g} frames per second"
+    lines = [*notes, f"{out}: {target.title}, {what}, {frames}, {fps}"]
+    verdict = {} if motion is None else {"verdict": verdict_fields(motion)}
+    return Answer({"out": out, "format": target.name, "notes": notes} | verdict, lines)
+
+
+def read_any(source: Path, settings: ConvertSettings) -> tuple[Keypoints | Pose3D, Motion | None]:
+    """2D keypoints or 3D positions, whichever the source holds, and the motion of results. Raises InputError."""
+    motion = None
+    if source.is_dir() and ((source / "report.json").is_file() or not any(source.glob("*.json"))):
+        motion = usable(Motion.load(source), source, settings.anyway)
+        data = _pose_of(motion)
+        _require_none(settings, ("individual", "columns", "unit", "up"), source, "results of recon fit")
+    else:
+        by = None if settings.columns is None else parse_map(settings.columns)
+        found, stored = read_points(source, settings.individual, by=by, fps=settings.fps)
+        if stored.in_space:
+            data = in_metres(source, found, stored, settings.unit, settings.up)
+        else:
+            data = as_keypoints(source, stored)
+            _require_none(settings, ("unit", "up"), source, "2D keypoints")
+    if settings.rename is not None:
+        if not isinstance(data, Keypoints):
+            raise InputError(Problem("--rename", "names", f"3D positions in {source}", "2D keypoints"))
+        data = renamed(data, load_names(settings.rename))
+    if settings.fps is None or settings.fps == data.fps:
+        return data, motion
+    notes = data.notes
+    if data.fps is not None:
+        notes += (f"{data.fps:g} frames per second in the source, {settings.fps:g} as given.",)
+    return replace(data, fps=settings.fps, notes=notes), motion
+
+
+def _require_none(settings: ConvertSettings, names: Sequence[str], source: Path, content: str) -> None:
+    """Raises InputError for options that say nothing about such content."""
+    given = [f"--{name}" for name in names if getattr(settings, name) is not None]
+    raise_problems([Problem(option, "IN", f"{content}, {source}", "to be left out") for option in given])
+
+
+def _pose_of(motion: Motion) -> Pose3D:
+    """The joints of a fit, upright, with their frame rate and limbs."""
+    notes = verdict_lines(motion.verdict)
+    if not motion.knows_up:
+        notes += ("Positions are in the level frame, z up: the camera file does not say where the camera is.",)
+    flags = tuple(", ".join(some) for some in motion.flags)
+    return replace(motion.upright, notes=notes, sigma_m=motion.upright_sigma_m, flags=flags)
+
+
+def _robot_formats() -> tuple[Format, ...]:
+    from recon.robotics.retarget_clip import FORMATS
+
+    own = {"writes": ("robot",), "fps": "kept", "frames": "from 0", "axes": "m, z up"}
+    return tuple(Format(name, name, (Path(file).suffix,), **own) for name, (file, _) in FORMATS.items())
+
+
+def choose_format(out: Path, name: str | None, formats: Sequence[Format] = CONVERTED) -> Format:
+    """What to write, by the name of a format, if given, and the file's extension. Raises InputError for names and
+    extensions that are not there."""
+    names = tuple(dict.fromkeys(f.name for f in formats))
+    if name is not None and name not in names:
+        of_robots = name in [f.name for f in _robot_formats()]
+        wanted = "IN to be a folder that `recon retarget` wrote" if of_robots else f"one of: {', '.join(names)}"
+        raise InputError(Problem("--to", "format", f"'{name}'", wanted))
+    named = [f for f in formats if name in (None, f.name)]
+    found = next((f for f in named if out.suffix.lower() in f.suffixes), None)
+    if found is None:
+        expected = ", ".join(dict.fromkeys(s for f in named for s in f.suffixes))
+        raise InputError(Problem(out, "extension", f"'{out.suffix}'", f"one of: {expected}"))
+    return found

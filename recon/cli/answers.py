@@ -1,0 +1,194 @@
+"""What a command answers, and how it is printed; options that several commands have."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+from pydantic import BeforeValidator
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.segment import Segment
+from rich.table import Column, Table
+from rich.text import Text
+
+from recon.base.errors import InputError, Problem, printable
+from recon.base.interrupts import EXIT_INTERRUPTED, MESSAGE, installed
+from recon.base.progress import silent
+from recon.base.settings import Number, Option
+
+if TYPE_CHECKING:
+    from recon.fit.result import Verdict  # numpy is slow to import
+
+# -- options that several commands have -------------------------------------------------------------------------------
+
+
+StrideTimes = Annotated[
+    tuple[Number, Number], BeforeValidator(lambda given: given.split(":") if isinstance(given, str) else given)
+]
+"""(start, end) in seconds since frame 0, or the text "0.31:0.62"."""
+FIRST_FRAME = Option("Number that the video's first frame has in the keypoint file, if it was cut.")
+ANYWAY = Option('Also of a clip whose verdict is "do not use".')
+STRIDE = Option(
+    "A stride, in seconds since frame 0, as in 0.31:0.62. (default: one that is found)",
+    "START:END in seconds, as in 0.31:0.62",
+    metavar="START:END",
+)
+
+# -- what a command prints --------------------------------------------------------------------------------------------
+
+EXIT_UNSOLVED = 1
+EXIT_BAD_INPUT = 2
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command has found, for people and for other programs."""
+
+    data: Any
+    """What --json prints; a text as it is."""
+    lines: Iterable[str | Text | Table] = ()
+    """What is printed without --json."""
+    errors: Sequence[str] = ()
+    """What has failed: printed in any case, as errors are, and the exit code is 1."""
+    code: int = 0
+    """The exit code, where there are no errors."""
+    files: Sequence[Path] = ()
+    """What was written, where a stage of `recon run` has to know it."""
+    notes: Sequence[str] = ()
+    """What a reader should know before using it: printed behind the lines, and by `recon run` once for all stages."""
+
+    def show(self, console: Console, as_json: bool) -> None:
+        """Print it, and end with its exit code."""
+        if as_json:
+            typer.echo(_shown_json(self.data if isinstance(self.data, str) else _json(self.data)), nl=False)
+        for line in () if as_json else self.lines:
+            console.print(line) if isinstance(line, Table) else say(console, line)
+        for note in () if as_json else self.notes:
+            say(console, f"note: {note}")
+        for error in self.errors:
+            terminal(stderr=True, soft_wrap=True).print(error_text(error))
+        if self.errors or self.code:
+            raise typer.Exit(EXIT_UNSOLVED if self.errors else self.code)
+
+
+def _json(data: Any) -> str:
+    from recon.show.plain import to_json  # numpy is slow to import, and recon doctor says where it cannot be
+
+    return to_json(data)
+
+
+def _shown_json(text: str) -> str:
+    """Return JSON as standard output can have it: where that is ASCII, with JSON's own codes."""
+    try:
+        text.encode(sys.stdout.encoding or "utf-8")
+    except UnicodeEncodeError:
+        return "".join(c if c.isascii() else json.dumps(c)[1:-1] for c in text)
+    return text
+
+
+def terminal(**given: Any) -> Console:
+    """Where a command prints. Brackets and colons in names are no markup, and a terminal's commands are shown."""
+    return _Terminal(markup=False, emoji=False, **given)
+
+
+class _Terminal(Console):
+    def render(self, renderable: Any, options: Any = None) -> Iterator[Segment]:
+        for segment in super().render(renderable, options):
+            if segment.control or segment.text.isprintable():
+                yield segment
+            else:
+                text = "\n".join(map(printable, segment.text.split("\n")))
+                yield Segment(text, segment.style)
+
+
+def say(console: Console, text: str | Text, style: str = "") -> None:
+    """One line, however long: no markup, and no breaks that a terminal would not make."""
+    console.print(Text(printable(text), style) if isinstance(text, str) else text, soft_wrap=True)
+
+
+def verdict_texts(verdict: Verdict | None) -> Iterator[Text]:
+    """The first lines of what is made of a clip; nothing of a motion that was not judged."""
+    from recon.show.console import STYLES
+
+    for line in verdict.lines if verdict else ():
+        level = next((level for level in STYLES if line.startswith(f"{level}:")), "")
+        yield Text.assemble((level, STYLES.get(level, "")), line[len(level) :])
+
+
+def counted(count: int, what: str) -> str:
+    """As in 1 clip, 2 clips."""
+    return f"{count} {what}{'s' * (count != 1)}"
+
+
+def table_of(*texts: str, numbers: Iterable[str] = (), rows: Iterable[Iterable[str | Text]] = (), **more: Any) -> Table:
+    """A table: columns of texts, the first of which names the row, then of numbers. No word of a header is cut."""
+    first, *others = texts
+    columns = Column(first, no_wrap=True), *map(Column, others), *(Column(name, justify="right") for name in numbers)
+    for column in columns:
+        column.min_width = max(map(len, str(column.header).split()), default=None)
+    table = Table(*columns, box=SIMPLE_HEAD, title_justify="left", **more)
+    for row in rows:
+        table.add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in row))
+    return table
+
+
+def error_text(message: str) -> Text:
+    return Text.assemble(("error:", "bold red"), " ", printable(message))
+
+
+def stop(message: str = MESSAGE) -> NoReturn:
+    """End a command at Ctrl-C: one line, and exit code 130."""
+    interrupts = installed()
+    if interrupts is not None:
+        interrupts.said = True
+    terminal(stderr=True, soft_wrap=True).print(Text(message, "bold"))
+    raise typer.Exit(EXIT_INTERRUPTED)
+
+
+def numbers(option: str, given: str, count: int | None = None) -> list[float]:
+    """The numbers of a text such as "1,2.5,-3"; count: how many, None: any. Raises InputError."""
+    try:
+        found = [float(part) for part in given.split(",")]
+    except ValueError:
+        found = []
+    if not found or not all(map(isfinite, found)) or count not in (None, len(found)):
+        expected = f"{'' if count is None else f'{count} '}numbers with commas, as in 0.1,-20,3"
+        raise InputError(Problem(option, "numbers", repr(given), expected))
+    return found
+
+
+@contextmanager
+def progress_bar(console: Console) -> Iterator[Any]:
+    """Give a function of a stage and of the part of the work that is done (0 to 1), which draws a bar on a terminal."""
+    if console.quiet or not console.is_terminal:  # some versions of rich end a bar that is disabled with an empty line
+        yield silent
+        return
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("reading", total=1.0)
+        yield lambda stage, share: bar.update(task, description=stage, completed=share)
+
+
+def answer_of_fit(report: dict[str, Any], out: Path, page: Path | None = None, **more: Any) -> Answer:
+    """What there is to say of a fit. page: if there is one; more: fields for --json."""
+    from recon.show.console import console_summary
+    from recon.show.report import is_unsolved
+
+    own = {name: report[name] for name in ("method", "summary", "findings")}
+    data = {"out": out, **own, "seconds": report["timing_s"]["solve_s"], **more}
+    if is_unsolved(report):
+        return Answer(data, [console_summary(report)], [f"no frame could be solved: see {out / 'report.json'}"])
+    folder, what = shlex.quote(str(out)), "pictures, figures and all numbers"
+    playback = f"Results are in {out}. Watch them with: recon view {folder}"
+    more_to_see = f"Open {page} in a browser: {what}." if page else f"A page with {what}: recon report {folder}"
+    return Answer(data, [console_summary(report), playback, more_to_see])

@@ -1,0 +1,426 @@
+"""The command line: which commands there are, how one is called, and how errors end."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import sys
+from collections.abc import Callable
+from dataclasses import MISSING
+from typing import Annotated, Any
+
+import typer
+from rich.text import Text
+from typer.core import TyperCommand, TyperGroup
+
+from recon.base.errors import InputError, Problem
+from recon.base.file_names import encodable
+from recon.base.interrupts import Interrupts, installed
+from recon.base.settings import Option, Settings
+from recon.cli.answers import EXIT_BAD_INPUT, EXIT_UNSOLVED, Answer, error_text, stop, table_of, terminal
+from recon.cli.commands import HELP, SettingsCommand, make_command
+
+CommandFunction = Callable[..., Any]
+
+
+def _fit() -> CommandFunction:
+    from recon.cli.fit import fit
+
+    return fit
+
+
+def _batch() -> CommandFunction:
+    from recon.api.batch import batch
+
+    return batch
+
+
+def _run() -> CommandFunction:
+    from recon.cli.run import run
+
+    return run
+
+
+def _demo() -> CommandFunction:
+    from recon.cli.demo import demo
+
+    return demo
+
+
+def _settings() -> CommandFunction:
+    return settings
+
+
+def _view() -> CommandFunction:
+    from recon.cli.look import view
+
+    return view
+
+
+def _report() -> CommandFunction:
+    from recon.cli.look import report
+
+    return report
+
+
+def _analyse() -> CommandFunction:
+    from recon.api.analyse import analyse_command
+
+    return analyse_command
+
+
+def _compare() -> CommandFunction:
+    from recon.api.compare import compare
+
+    return compare
+
+
+def _evaluate() -> CommandFunction:
+    from recon.cli.evaluate import evaluate
+
+    return evaluate
+
+
+def _convert() -> CommandFunction:
+    from recon.api.convert import convert
+
+    return convert
+
+
+def _overlay() -> CommandFunction:
+    from recon.cli.look import overlay
+
+    return overlay
+
+
+def _calibrate() -> CommandFunction:
+    from recon.api.calibrate import calibrate
+
+    return calibrate
+
+
+def _calibrate_extrinsics() -> CommandFunction:
+    from recon.api.extrinsics import extrinsics
+
+    return extrinsics
+
+
+def _camera_motion() -> CommandFunction:
+    from recon.api.camera_motion import camera_motion
+
+    return camera_motion
+
+
+def _camera_advice() -> CommandFunction:
+    from recon.cli.camera_advice import camera_advice
+
+    return camera_advice
+
+
+def _train() -> CommandFunction:
+    from recon.keypoint_net.train import train_command
+
+    return train_command
+
+
+def _predict() -> CommandFunction:
+    from recon.keypoint_net.network import predict_command
+
+    return predict_command
+
+
+def _evaluate_2d() -> CommandFunction:
+    from recon.keypoint_net.labels import evaluate_2d_command
+
+    return evaluate_2d_command
+
+
+def _skeleton_list() -> CommandFunction:
+    from recon.api.skeleton import skeleton_list
+
+    return skeleton_list
+
+
+def _skeleton_check() -> CommandFunction:
+    from recon.api.skeleton import skeleton_check
+
+    return skeleton_check
+
+
+def _skeleton_from_keypoints() -> CommandFunction:
+    from recon.api.skeleton import skeleton_from_keypoints
+
+    return skeleton_from_keypoints
+
+
+def _subject_fit() -> CommandFunction:
+    from recon.api.models import subject_fit
+
+    return subject_fit
+
+
+def _prior_fit() -> CommandFunction:
+    from recon.api.models import prior_fit
+
+    return prior_fit
+
+
+def _ik() -> CommandFunction:
+    from recon.ik.clip import ik
+
+    return ik
+
+
+def _retarget() -> CommandFunction:
+    from recon.robotics.retarget_clip import retarget_command
+
+    return retarget_command
+
+
+def _robot_pose() -> CommandFunction:
+    from recon.robotics.dh import pose
+
+    return pose
+
+
+def _robot_dh() -> CommandFunction:
+    from recon.robotics.dh import dh
+
+    return dh
+
+
+def _climb() -> CommandFunction:
+    from recon.robotics.climb.plan import climb
+
+    return climb
+
+
+def _frame() -> CommandFunction:
+    from recon.thesis.clip import frame
+
+    return frame
+
+
+def _solver() -> CommandFunction:
+    from recon.thesis.clip import solver
+
+    return solver
+
+
+def _doctor() -> CommandFunction:
+    from recon.cli.doctor import doctor
+
+    return doctor
+
+
+COMMANDS = {
+    "From a clip to its motion": {
+        "fit": (_fit, "One clip: keypoints and a camera in, a folder of results out."),
+        "batch": (_batch, "Many clips in parallel, from where it was stopped."),
+        "run": (_run, "From a video to a page: keypoints, fit, analysis, overlay, report.html."),
+        "demo": (_demo, "Fit the bundled sample and compare it with its truth."),
+        "settings": (_settings, "All settings of a command, also those that are no options."),
+    },
+    "Look at it and use it": {
+        "view": (_view, "The playback in the rerun viewer, with the plots of its analysis."),
+        "report": (_report, "A page of a result, or of a batch, to look at and to pass on."),
+        "analyse": (_analyse, "Speeds, angles, gait, vector fields and phase portraits."),
+        "compare": (_compare, "Strides and speeds of several clips, by group."),
+        "evaluate": (_evaluate, "Compare a result with a reference."),
+        "convert": (_convert, "Keypoints, 3D positions or results in another file format."),
+        "overlay": (_overlay, "Draw a result on its video."),
+    },
+    "Cameras": {
+        "calibrate": (_calibrate, "A camera, from pictures of a board."),
+        "calibrate extrinsics": (_calibrate_extrinsics, "Where cameras stand, from clips of the animal."),
+        "camera-motion": (_camera_motion, "How a camera turned, from its video."),
+        "camera-advice": (_camera_advice, "Where to put a camera, to see an angle or a joint."),
+    },
+    "Keypoints from video": {
+        "train": (_train, "Train a small keypoint network on a few labels."),
+        "predict": (_predict, "Find the keypoints in every frame of a video."),
+        "evaluate-2d": (_evaluate_2d, "Compare keypoints with labels."),
+    },
+    "Models and priors": {
+        "skeleton list": (_skeleton_list, "List the skeletons that come with the package."),
+        "skeleton check": (_skeleton_check, "Check a skeleton file, list it, and draw it."),
+        "skeleton from-keypoints": (_skeleton_from_keypoints, "Draft one for a file's points."),
+        "subject fit": (_subject_fit, "Measure one animal in clips of several cameras."),
+        "prior fit": (_prior_fit, "Fit a motion prior to results or 3D poses."),
+    },
+    "Robots and the thesis": {
+        "ik": (_ik, "Inverse kinematics from the trunk to a foot."),
+        "retarget": (_retarget, "The motion on a four-legged robot."),
+        "robot pose": (_robot_pose, "The legs' angles of a body that moves over planted feet."),
+        "robot dh": (_robot_dh, "A leg or chain by its Denavit-Hartenberg table, forward and inverse."),
+        "climb": (_climb, "A four-legged robot climbs a step by potential fields."),
+        "frame": (_frame, "Fit one side of the animal, one frame after the other."),
+        "solver": (_solver, "What the optimiser of recon frame did: costs, Jacobian, limits."),
+    },
+    "This installation": {
+        "doctor": (_doctor, "Check versions, optional parts, the viewer, and a fit of the sample."),
+    },
+}
+"""By heading and name: what imports the command's function, and what `recon --help` says of it. Only the command that
+is called is imported."""
+GROUPS = {
+    "skeleton": "Skeletons: those that come with the package, and your own.",
+    "subject": "Measured animals: lengths of one animal, and how a detector sees it.",
+    "prior": "Motion priors: which poses occur, and how they change.",
+    "robot": "A robot's kinematics: its body's pose, legs, tables of parameters; all solutions.",
+}
+
+
+class _Group(TyperGroup):
+    """Commands by name, of which only the one that is called is imported. functions: what imports each function."""
+
+    def __init__(self, **more: Any) -> None:
+        super().__init__(**more)
+        self.functions: dict[str, Callable[[], CommandFunction]] = {}
+
+    def load(self, name: str) -> SettingsCommand:
+        """A command by its name, of one word or two."""
+        return make_command(name, self.functions[name]())
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        both = " ".join(args[:2])
+        name, command, rest = super().resolve_command(ctx, [both, *args[2:]] if both in self.commands else args)
+        is_leaf = command is not None and not isinstance(command, _Group)
+        return name, self.load(str(name)) if is_leaf else command, rest
+
+
+class _Commands(_Group):
+    """All commands of `COMMANDS`. Any of them ends at Ctrl-C with one line and exit code 130."""
+
+    def __init__(self, **more: Any) -> None:
+        super().__init__(**more)
+        entries = ((*entry, panel) for panel, of in COMMANDS.items() for entry in of.items())
+        for name, (function, help), panel in entries:
+            self.functions[name] = function
+            first, _, rest = name.partition(" ")
+            if first not in GROUPS:
+                self.add_command(TyperCommand(name, help=help, rich_help_panel=panel))
+                continue
+            more = {"help": GROUPS[first], "rich_help_panel": panel, "no_args_is_help": True}
+            group = self.commands.setdefault(first, _Group(name=first, **more))
+            assert isinstance(group, _Group)
+            group.functions[rest] = function
+            group.add_command(TyperCommand(rest, help=help))
+
+    def invoke(self, ctx: Any) -> Any:
+        interrupts = installed() or Interrupts()
+        try:
+            interrupts.in_command = True
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            stop()
+        finally:
+            interrupts.in_command = False
+            if interrupts.received and not interrupts.said:  # a library has made another exception of it, or none
+                stop()
+
+
+app = typer.Typer(
+    cls=_Commands,
+    help="Metric 3D motion of a running animal from the keypoints of one camera or several, still or panning.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings=HELP,
+)
+
+
+def commands() -> dict[str, SettingsCommand]:
+    """All commands by name, each made."""
+    group = _Commands()
+    return {name: group.load(name) for name in group.functions}
+
+
+class _ListedSettings(Settings):
+    """The settings of `recon settings`."""
+
+    command: Annotated[str, Option(argument="COMMAND")] = "fit"
+    """The command, as in fit."""
+    schema: bool = False
+    """Print the JSON schema of config.toml in place of the list: editors complete and check by it."""
+
+
+def settings(settings: _ListedSettings) -> Answer:
+    """List all settings of a command: those that are options, and those that only --set and config.toml have.
+
+    Example: recon settings fit
+    """
+    if settings.schema:
+        from recon.api.clip_results import config_schema
+
+        schema = config_schema()
+        return Answer(schema, [Text(json.dumps(schema, indent=1, ensure_ascii=False))])
+    command = commands().get(settings.command)
+    if command is None:
+        raise InputError(Problem("COMMAND", "command", repr(settings.command), f"one of {', '.join(commands())}"))
+    rows = [
+        {
+            "name": info.field,
+            "written": info.on_command_line,
+            "default": None if info.default is MISSING else info.plain(info.default),
+            "meaning": info.option.help,
+        }
+        for info in command.infos.values()
+    ]
+    cells = (
+        (r["written"], json.dumps(r["default"] if r["default"] is not None else "").strip('"'), r["meaning"])
+        for r in rows
+    )
+    return Answer(rows, [table_of("setting", "default", "meaning", rows=cells)])
+
+
+_NO_MEMORY = re.compile(
+    r"(?i)(cannot|can't|could not) allocate|insufficient memory|out of memory|bad_alloc|failed to map segment"
+    r"|can't start new thread|failed to spawn|error return without exception"
+)
+"""What libraries say where memory is short, in exceptions of many types: as they are loaded, too, and of threads."""
+
+
+def main() -> None:
+    """Run the command line; a user's mistake ends with one message and exit code 2."""
+    console = terminal(stderr=True, soft_wrap=True)
+    try:
+        app()
+    except InputError as error:
+        for problem in error.problems:
+            first, *more = problem.lines
+            console.print(error_text(first), *more, sep="\n")
+        sys.exit(EXIT_BAD_INPUT)
+    except Exception as error:
+        said = " ".join(str(error).split())
+        if isinstance(error, MemoryError) or _NO_MEMORY.search(said):
+            said = f" ({said[:200]})" if said else ""
+            console.print(error_text(f"not enough memory{said}: try fewer frames at once (--frames)"))
+            sys.stdout.flush()
+            os._exit(EXIT_UNSOLVED)  # what libraries have made by half crashes when it is taken down
+        if isinstance(error, UnicodeEncodeError) and encodable(error.object) != error.object:
+            found = Problem(error.object[:200], "name", "bytes that are not UTF-8", "a name in UTF-8: rename the file")
+            console.print(error_text(str(found)))
+            sys.exit(EXIT_BAD_INPUT)
+        if not isinstance(error, OSError):
+            raise
+        where = f"{error.filename}: " if error.filename else ""
+        console.print(error_text(f"{where}{error.strerror or error}"))
+        sys.exit(EXIT_BAD_INPUT)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from recon.base.version import __version__
+
+        typer.echo(f"recon {__version__}")
+        raise typer.Exit()
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass

@@ -1,0 +1,136 @@
+"""`recon camera-advice`: where to put a camera, or a second one, to see an angle or a joint."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+from pydantic import Field
+
+from recon.animal.prior import load_prior
+from recon.animal.skeleton_file import load_skeleton
+from recon.base.errors import Problem, raise_problems
+from recon.base.outputs import Output
+from recon.base.progress import Progress
+from recon.base.settings import Integer, Number, Settings, input_paths
+from recon.calibrate.camera_advice import AZIMUTHS_RAD, ELEVATIONS_RAD, PICTURE_PX, Advice, advise
+from recon.cli.answers import Answer
+from recon.fit.motion import MEASURED_SHARE
+from recon.io.writing import write_rows
+from recon.show.plain import picked, to_json
+from recon.show.plots.configurations import camera_advice as advice_figure
+from recon.show.plots.configurations import in_words
+from recon.show.plots.style import save
+
+REPORT, TABLE, FIGURE = "camera_advice.json", "camera_advice.csv", "camera_advice"
+DIRECTIONS = (
+    *("ahead of it", "ahead to its left", "on its left side", "behind to its left"),
+    *("behind it", "behind to its right", "on its right side", "ahead to its right"),
+)
+HIGH_RAD = ((np.radians(15), "level with its middle"), (np.radians(45), "raised"), (np.radians(70), "high up"))
+ABOVE = "almost above it"
+
+
+def in_sentences(found: Sequence[Advice]) -> Iterator[str]:
+    """What to do: of one camera, or of the best first one and a second beside it."""
+    for number, advice in enumerate(found, start=1):
+        camera = "the camera" if len(found) == 1 else f"camera {number}"
+        share, sigma = (float(values[advice.best]) for values in (advice.share, advice.sigma))
+        yield (
+            f"Put {camera} {where(*advice.place)}, {advice.distance_m * np.sin(advice.place[1]):.2g} m above its "
+            f"middle and {advice.distance_m:.3g} m away: {share:.0%} of the precision of {advice.of} comes from "
+            f"the pixels, ±{in_words(sigma, advice.unit)}."
+        )
+    worst = np.unravel_index(int(np.argmax(found[0].sigma)), found[0].sigma.shape)
+    place = AZIMUTHS_RAD[worst[1]], ELEVATIONS_RAD[worst[0]]
+    sigma = float(found[0].sigma[worst])
+    said = f"±{in_words(sigma, found[0].unit)}" if np.isfinite(sigma) else "it is not in the picture"
+    yield f"The worst place for one camera is {where(*map(float, place))}: {said}."
+    if found[-1].share.max() < MEASURED_SHARE:
+        yield "No place shows it well: what is expected of it says more than the pixels everywhere."
+
+
+def where(azimuth_rad: float, elevation_rad: float) -> str:
+    direction = DIRECTIONS[round(azimuth_rad / (np.pi / 4)) % 8]
+    height = next((text for limit, text in HIGH_RAD if elevation_rad < limit), ABOVE)
+    return f"{direction}, {height} ({np.degrees(azimuth_rad):.0f}°)" if height != ABOVE else f"{ABOVE}, {direction}"
+
+
+class _CameraAdviceSettings(Settings):
+    """The settings of `recon camera-advice`."""
+
+    skeleton: str
+    """A built-in skeleton or a TOML file, as in cheetah-24."""
+    out: Path
+    """Folder for the figure, the table and the report."""
+    prior: str | None = None
+    """What motions are like: a built-in name, a file, or none. (default: as for a fit)"""
+    angle: str | None = None
+    """The angle to be seen, as in front_trunk_yaw."""
+    joint: str | None = None
+    """The joint to be seen. (default: all)"""
+    cameras: Annotated[Integer, Field(ge=1, le=2)] = 1
+    """1, or 2: the best second one beside the best first one."""
+    hfov_deg: Annotated[Number, Field(gt=0, lt=180)] = 60.0
+    """Horizontal field of view, degrees, as in 60."""
+    distance_m: Annotated[Number, Field(gt=0, lt=1e4)] | None = None
+    """From the animal's middle, metres, as in 8. (default: 4 of its lengths)"""
+    subject: str | None = None
+    """A measured animal: built-in name or TOML file."""
+    overwrite: bool = False
+    """Replace earlier advice."""
+
+    def problems(self) -> Iterator[Problem]:
+        if self.angle is not None and self.joint is not None:
+            yield Problem("--angle", "value", "--joint as well", "one of the two, or neither for all joints")
+
+
+def camera_advice(settings: _CameraAdviceSettings, progress: Progress) -> Answer:
+    """Where to put a camera, or two, so that an angle or a joint is seen and not guessed.
+
+    Example: recon camera-advice --skeleton cheetah-24 --angle front_trunk_yaw --out advice
+    """
+    body = load_skeleton(settings.skeleton, settings.subject)
+    given = {"angle": (settings.angle, body.state_names[4:]), "joint": (settings.joint, body.markers)}
+    raise_problems(
+        Problem(f"--{what}", "value", repr(name), f"one of {', '.join(names)}")
+        for what, (name, names) in given.items()
+        if name is not None and name not in names
+    )
+    motions = load_prior(settings.prior, body)
+    output = Output(settings.out, "camera-advice", settings.overwrite, input_paths(settings), content="advice")
+    output.require((REPORT, TABLE, f"{FIGURE}.png", f"{FIGURE}.svg"))
+    setup = picked(settings, "hfov_deg", "distance_m", "cameras")
+    wanted = settings.angle or settings.joint
+    found = advise(body, motions, wanted, **setup, progress=lambda share: progress("cameras", share))
+    places = [_places(number, advice) for number, advice in enumerate(found, start=1)]
+    table = pd.concat(places)
+    best = [advice.best[0] * len(AZIMUTHS_RAD) + advice.best[1] for advice in found]
+    report = {
+        "schema": {"name": "recon.camera_advice", "version": 1},
+        "skeleton": body.name,
+        "prior": motions.name,
+        "of": found[0].of,
+        "hfov_deg": settings.hfov_deg,
+        "image_size_px": PICTURE_PX,
+        "distance_m": found[0].distance_m,
+        "cameras": [of.drop(columns="camera").iloc[at].to_dict() for of, at in zip(places, best, strict=True)],
+        "words": [*in_sentences(found)],
+    }
+    with output.staged() as staging:
+        (staging / REPORT).write_text(to_json(report), encoding="utf-8")
+        write_rows(staging / TABLE, [[*table.columns]], table.itertuples(index=False))
+        save(advice_figure(found), staging, FIGURE)
+    return Answer(report, [*report["words"], f"The figure and the table are in {settings.out}."])
+
+
+def _places(number: int, advice: Advice) -> pd.DataFrame:
+    """A row for each place of a camera; without a sigma where the animal is not in the picture."""
+    elevation, azimuth = (at.ravel() for at in np.meshgrid(ELEVATIONS_RAD, AZIMUTHS_RAD, indexing="ij"))
+    places = {"azimuth_rad": azimuth, "elevation_rad": elevation, "height_m": advice.distance_m * np.sin(elevation)}
+    sigma = np.where(np.isfinite(advice.sigma), advice.sigma, np.nan).ravel()
+    known = {f"sigma_{advice.unit}": sigma, "data_share": advice.share.ravel()}
+    return pd.DataFrame({"camera": number} | places | known)

@@ -1,0 +1,46 @@
+"""`recon demo`: the bundled sample, reconstructed and compared with its truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from recon.api.clip_results import run_clip
+from recon.api.samples import samples_folder
+from recon.api.settings import FitSettings
+from recon.base.outputs import Output
+from recon.base.progress import Progress
+from recon.base.settings import Settings
+from recon.cli.answers import Answer, answer_of_fit
+from recon.cli.look import PageSettings, report
+from recon.fit.motion import Motion
+from recon.gait.clip import ClipAnalysis
+from recon.gait.evaluation import evaluate_files
+from recon.show.page.own_page import PAGE
+from recon.show.sentences import result_sentences
+
+
+class _DemoSettings(Settings):
+    """The settings of `recon demo`."""
+
+    out: Path = Path("demo-output")
+    """Folder for the results."""
+    overwrite: bool = False
+    """Replace results in the folder."""
+
+
+def demo(settings: _DemoSettings, progress: Progress) -> Answer:
+    """Reconstruct the bundled sample, a noisy synthetic gallop, and compare it with its truth.
+
+    Example: recon demo --out demo-output
+    """
+    samples, out = samples_folder(), settings.out
+    of_sample = FitSettings(keypoints=(samples / "whole.csv",), camera=(samples / "camera.toml",), fps=60)
+    Output(out, "report", True).require((PAGE,))
+    of_fit = run_clip(of_sample, out, settings.overwrite, progress)
+    page = report(PageSettings(folder=out), progress).data["page"]
+    mpjpe_mm = 1000 * evaluate_files(out / "pose3d.csv", samples / "whole_truth.csv").mpjpe_m.mean
+    answer, found = answer_of_fit(of_fit, out, page, mpjpe_mm=mpjpe_mm), ClipAnalysis(Motion.load(out))
+    error = f"Error against the sample's truth: {mpjpe_mm:.0f} mm (MPJPE); what is expected is fitted to real clips"
+    said = result_sentences(found.motion, found.reference_motion, found.gait, found.why_no_speed)
+    return replace(answer, lines=[*answer.lines, error, *said])

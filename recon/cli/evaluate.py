@@ -1,0 +1,87 @@
+"""The command `recon evaluate`: what it prints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+from rich.table import Table
+from rich.text import Text
+
+from recon.base.settings import Option, Settings
+from recon.cli.answers import ANYWAY, Answer, table_of, verdict_texts
+from recon.gait.evaluation import LEVELS, Evaluation, evaluate_files
+
+
+class _EvaluateSettings(Settings):
+    """The settings of `recon evaluate`."""
+
+    pose3d: Annotated[Path, Option(argument="POSE3D")]
+    """Results of recon fit, or a file of 3D positions, as pose3d.csv (m)."""
+    truth: Annotated[Path, Option(argument="TRUTH")]
+    """The reference, with the same frame numbers: likewise, as truth.csv."""
+    unit: str | None = None
+    """Unit of the reference, if its file does not say it: m, cm or mm."""
+    up: str | None = None
+    """Axis of the reference that points up, if unsaid: y or z."""
+    rename: str | None = None
+    """New names of POSE3D's joints, or TRUTH's where POSE3D is a folder: a CSV file, or a built-in map."""
+    anyway: Annotated[bool, ANYWAY] = False
+
+
+def evaluate(settings: _EvaluateSettings) -> Answer:
+    """Compare a reconstruction with a reference, over the joints and frames that both have.
+
+    Example: recon evaluate results/clip truth.csv
+    """
+    given = settings.anyway, settings.unit, settings.up, settings.rename
+    result = evaluate_files(settings.pose3d, settings.truth, *given)
+    against = f"{result.pose} against the reference {result.truth}"
+    notes = [*_table_notes(result), *(f"Look at this: {note}" for note in result.notes)]
+    return Answer(result.to_dict(), [*verdict_texts(result.verdict), against, _table(result), *notes])
+
+
+def _table(result: Evaluation) -> Table:
+    """Errors in millimetres and shares of good points, over all and by joint."""
+    scores, shares = (result.mpjpe_m, result.mpe_m, result.scale_mpjpe_m, result.pa_mpjpe_m), dict(result.pck)
+
+    def row(name: str, of: Callable[[Any], float]) -> list[str]:
+        cells = [f"{1000 * of(one):.1f}" for one in scores] + [f"{of(one):.0%}" for one in shares.values()]
+        return [name, *(cell.replace("nan%", "-").replace("nan", "-") for cell in cells)]
+
+    numbers = ("MPJPE", "MPE", "scaled", "PA", *(f"PCK {1000 * t:g}" for t in shares))
+    table = table_of("errors in mm", numbers=numbers, rows=[row("all", lambda one: one.mean)])
+    table.add_section()
+    for j, name in enumerate(result.names):
+        table.add_row(*map(Text, row(name, lambda one, j=j: one.per_joint[j])))
+    return table
+
+
+def _table_notes(result: Evaluation) -> Iterator[str]:
+    thresholds = ", ".join(f"{1000 * t:g}" for t, _ in result.pck)
+    yield "MPJPE   mean distance of the joints from the reference, each frame centred"
+    yield "MPE     without centring"
+    yield "scaled  centred, and scaled to the size of the reference"
+    yield "PA      centred, scaled and turned onto the reference"
+    off = f"the mean of the joints is off by {1000 * result.position_m:.1f} mm"
+    yield f"Position: {off}. A verdict's position is an estimate of this, its pose one of MPJPE."
+    yield f"PCK     share of the joints within {thresholds} mm, centred"
+    for what, shares in result.inside.items():
+        stated, held = (" and ".join(f"{100 * p:.0f}".replace("nan", "-") for p in of) for of in (LEVELS, shares))
+        of = {"place": "position"}.get(what, what)
+        yield f"Uncertainty of the {of}: intervals of {stated} % hold {held} % of the reference's coordinates"
+    yield f"Compared: {len(result.frames) - result.frames_not_scored} frames, {len(result.names)} joints."
+    for what, reconstruction, reference in (
+        ("Joints", result.joints_only_in_pose, result.joints_only_in_truth),
+        ("Frames", _ranges(result.frames_only_in_pose), _ranges(result.frames_only_in_truth)),
+    ):
+        for where, names in (("reconstruction", reconstruction), ("reference", reference)):
+            if names:
+                yield f"{what} only in the {where}: {', '.join(names)}"
+    if result.frames_not_scored:
+        yield f"Frames of both without a joint known on both sides: {result.frames_not_scored}"
+
+
+def _ranges(ranges: Iterable[tuple[int, int]]) -> list[str]:
+    return [f"{first}" if stop == first + 1 else f"{first} to {stop - 1}" for first, stop in ranges]

@@ -1,0 +1,56 @@
+"""The command `recon fit`: its options, and what it prints."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+from rich.console import Console
+
+from recon.api.settings import FitSettings
+from recon.base.errors import InputError, Problem, collect_problems, problems_of
+from recon.base.progress import Progress
+from recon.base.settings import Settings
+from recon.cli.answers import Answer, answer_of_fit, say
+from recon.cli.commands import OptionsOf
+
+
+class FitRunSettings(Settings):
+    """The settings of `recon fit`, and of `recon frame`, beside those of the fit itself."""
+
+    out: Path | None = None
+    """Folder for the results, as in results/clip1."""
+    config: Path | None = None
+    """config.toml of an earlier run; options given here overrule it."""
+    overwrite: bool = False
+    """Replace results in the folder."""
+
+
+_OfFit = Annotated[dict[str, Any], OptionsOf(FitSettings)]
+
+
+def fit(settings: FitRunSettings, given: _OfFit, console: Console, progress: Progress) -> Answer:
+    """Reconstruct one clip: keypoints and a camera in, 3D poses, angles, report and playback out.
+
+    Example: recon fit clip.csv --camera scene.json --camera-name cam2 --fps 90 --out results/clip
+
+    Exit code 0: done, whatever the verdict. 1: no frame could be solved. 2: the input cannot be used.
+    """
+    from recon.api.clip_results import read_config, read_settings, replaced_files, run_clip
+    from recon.io.formats import read_keypoints
+
+    out, config = settings.out, settings.config
+    no_out = [Problem("--out", "folder", "nothing", "a folder for the results, as in results/clip1")]
+    try:
+        fitted = read_settings(None, given) if config is None else read_config(config, given)
+    except InputError as error:
+        read = (partial(read_keypoints, path, given.get("individual")) for path in given.get("keypoints") or ())
+        raise InputError(
+            (*problems_of(lambda: collect_problems(*read)), *error.problems, *([] if out else no_out))
+        ) from None
+    if out is None:
+        raise InputError(no_out)
+    for path in [] if config is None else replaced_files(config, given, fitted):
+        say(console, f"note: {path} is not the file that {config} was written for: its content is another")
+    return answer_of_fit(run_clip(fitted, out, settings.overwrite, progress), out)

@@ -1,0 +1,359 @@
+"""A result to look at: `recon overlay` draws it on its video, `recon report` makes a page of it or of a batch, and
+`recon view` opens its playback."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated
+
+import cv2
+import numpy as np
+from pydantic import Field
+from rich.console import Console
+
+from recon.api.analyse import FOLDER, PLAYBACK
+from recon.api.analyse import SUMMARY as ANALYSIS
+from recon.api.batch import read_rows, write_summary_page
+from recon.api.batch.inputs import SUMMARY
+from recon.api.clip_cameras import cameras_in
+from recon.base.arrays import Array, Index
+from recon.base.errors import InputError, Problem, collect_problems, raise_problems
+from recon.base.files import MANIFEST, read_manifest, staged_file
+from recon.base.locks import sole_writer
+from recon.base.outputs import Output, ReadResults, is_current, output_file
+from recon.base.parallel import Event, carry_out
+from recon.base.progress import Progress, silent
+from recon.base.settings import Integer, Number, Option, Settings, input_paths
+from recon.check.codes import FLAG_OF
+from recon.check.verdict import usable
+from recon.cli.answers import ANYWAY, FIRST_FRAME, Answer, say, verdict_texts
+from recon.fit.motion import Motion
+from recon.gait.clip import analyse
+from recon.io.video import Image, missing_note, probe, require_codec, size_problems, video_writer
+from recon.show import view as viewer
+from recon.show.overlay import SIDE_COLOURS, Overlay, canvas_size, clip_frames, draw_frame, draw_tiles
+from recon.show.page.own_page import PAGE
+from recon.show.page.pages import clip_page, jpeg
+from recon.show.report import REPORT
+
+SLOW_FPS = 30.0
+"""Every frame is shown, and no more than this many in a second, unless a speed is given."""
+RATE_SAME = 0.01
+"""Rates within this, relative, are the same, as 29.97 and 30."""
+MIN_WIDTH_PX = 640
+"""Smaller videos are enlarged, by a whole number: the text would not be read."""
+STILLS = 9
+BESIDE = ("overlay.mp4", "analysis/analysis.json")
+"""Files that a page has links to, besides the fit's own, where they are there when it is made."""
+
+
+class _ResultSettings(Settings):
+    """A folder of results, and the video of one of its cameras."""
+
+    folder: Annotated[Path, Option(argument="DIR")]
+    """Folder of results, as in results/clip."""
+    video: Path | None = None
+    """The video that the keypoints came from, as in clip.mp4."""
+    camera_name: str | None = None
+    """Whose video it is, of several cameras, as in cam2. (default: whose name the video's has, or the first)"""
+    first_frame: Annotated[Integer, FIRST_FRAME] = 0
+
+
+def result_and_video(settings: _ResultSettings, *checks: Callable[[], object]) -> tuple[Motion, int]:
+    """A result, and which of its cameras is meant; the video, if there is one, has to be of that camera. checks: of
+    what else was given. Raises InputError."""
+    video = settings.video
+
+    def opened() -> tuple[Motion, int]:
+        motion, info = collect_problems(
+            lambda: Motion.load(settings.folder), lambda: None if video is None else probe(video)
+        )
+        number, first = camera_number(motion, settings.camera_name, video), int(motion.frames.min())
+        if video is not None and info is not None:
+            last = max(first, first + settings.first_frame - first_in_clip(motion, number, settings), 0)
+            expected = f"{last} or less: the result begins with frame {last}"
+            late = Problem("--first-frame", "number", str(settings.first_frame), expected)
+            wrong = size_problems(video, info, motion.cameras[number])
+            raise_problems([*wrong, *([late] if settings.first_frame > last else ())])
+        return motion, number
+
+    return collect_problems(opened, *checks)[0]
+
+
+def first_in_clip(motion: Motion, number: int, settings: _ResultSettings) -> int:
+    """The number that the video's first frame has in the clip: a camera that began later or earlier than the first has
+    its own in its keypoint file."""
+    return settings.first_frame + math.floor(motion.sources[number].offset_s * (motion.fps or 0.0) + 1e-6)
+
+
+def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int:
+    """By name, or by the video's, which may contain it; without either the first. Raises InputError."""
+    names = [one.name for one in motion.cameras]
+    if camera is None and video is not None and len(names) > 1:
+        named = [*cameras_in(video.stem, names)]
+        camera = named[0] if len(named) == 1 else None
+    if camera in names:
+        return names.index(camera)
+    if camera is None and (len(names) == 1 or video is None):
+        return 0
+    found = "nothing" if camera is None else camera
+    raise InputError(Problem("--camera-name", "camera", found, f"one of {', '.join(names)}, whose video it is"))
+
+
+# -- drawn on its video -----------------------------------------------------------------------------------------------
+
+
+class OverlaySettings(_ResultSettings):
+    """The settings of `recon overlay`."""
+
+    video: Path = Field()
+    """The video that the keypoints came from, as in clip.mp4."""
+    out: Path
+    """The new video, .mp4 (MPEG-4) or .avi (Motion JPEG), as in overlay.mp4."""
+    anyway: Annotated[bool, ANYWAY] = False
+    speed: Annotated[Number, Field(gt=0, le=10)] | None = None
+    """Speed of the playback, 1 is real time. (default: so that 30 frames are shown in a second)"""
+    overwrite: bool = False
+    """Replace the new files."""
+
+
+def overlay(settings: OverlaySettings, progress: Progress = silent) -> Answer:
+    """Draw a reconstruction on its video: detections, skeleton, doubtful frames, and the pose from three sides.
+
+    Example: recon overlay results/clip --video clip.mp4 --out overlay.mp4
+    """
+    video, out = settings.video, settings.out
+    made_from = ReadResults.of(settings.folder)
+    output = output_file(out, "overlay", settings.overwrite, input_paths(settings), made_from)
+    checks = lambda: require_codec(out), lambda: output.require((out.name,))
+    motion, number = result_and_video(settings, *checks)
+    wide, high = usable(motion, settings.folder, settings.anyway).cameras[number].image_size_px
+    speed = min(1.0, SLOW_FPS / motion.fps) if settings.speed is None else settings.speed
+    zoom = -(-MIN_WIDTH_PX // wide)
+    drawn = overlay_of(motion, speed, zoom, number)
+    start = first_in_clip(motion, number, settings)
+    first = max(int(motion.frames.min()), start)
+    fps, count, stamps_s = motion.fps * speed, int(motion.frames.max()) + 1 - first, []
+    size_px = canvas_size((zoom * wide, zoom * high))
+    with output.staged_file() as staged, video_writer(staged, size_px, fps) as write:
+        for frame, row, stamp_s, picture in clip_frames(motion.frames, video, start):
+            stamps_s.append(stamp_s)
+            if len(stamps_s) > count:
+                break
+            enlarged = np.asarray(cv2.resize(picture, None, fx=zoom, fy=zoom), dtype=np.uint8)
+            write(draw_frame(drawn, row, frame, enlarged))
+            progress("drawing", len(stamps_s) / count)
+    before = first - start if len(stamps_s) == count else None
+    of_times = missing_note(video, np.array(stamps_s), first, before)
+    notes = [note for note in (first_frame_note(motion, settings), rate_note(video, motion.fps), of_times) if note]
+    said = f"{count} frames at {speed:.3g} times their speed ({fps:.4g} a second) are in {out}."
+    data = {"out": out, "frames": count, "fps": fps, "speed": speed, "notes": notes}
+    return Answer(data, [*verdict_texts(motion.verdict), said], files=[out], notes=notes)
+
+
+def stills(
+    motion: Motion, number: int, settings: _ResultSettings, count: int
+) -> tuple[Overlay, Index, list[Image] | None]:
+    """What there is to draw of up to `count` frames with a pose, evenly spaced: all of it, their rows, and the video's
+    pictures of them, if there is one. Raises InputError for a frame that the video lacks."""
+    drawn, start = overlay_of(motion, number=number), first_in_clip(motion, number, settings)
+    filmed = motion.frames >= start if settings.video else True
+    posed = np.flatnonzero(np.isfinite(drawn.reprojected_px).any(axis=(1, 2)) & filmed)
+    rows = posed[np.unique(np.round(np.linspace(0, len(posed) - 1, count)).astype(int))] if len(posed) else posed
+    if settings.video is None or not len(rows):
+        return drawn, rows, None
+    frames = clip_frames(motion.frames[rows], settings.video, start)
+    return drawn, rows, [picture for _, row, _, picture in frames if row is not None]
+
+
+def overlay_of(motion: Motion, speed: float = 1.0, zoom: int = 1, number: int = 0) -> Overlay:
+    """What there is to draw of a result in a camera's picture, by its number, enlarged by zoom."""
+    picture, view = motion.pictures[number], motion.solution.views[number]
+    ahead = np.broadcast_to(view.T_camera_world[..., 2, :3], (len(motion.frames), 3))
+    return Overlay(
+        frames=motion.frames,
+        fps=motion.fps,
+        limbs=list(motion.limbs.values()),
+        colours=[SIDE_COLOURS[motion.limb_sides[limb]] for limb in motion.limbs],
+        detected_px=_enlarged(picture.reprojected_px - picture.image_error_px, zoom),
+        reprojected_px=_enlarged(picture.reprojected_px, zoom),
+        outliers=picture.outliers,
+        depth_m=np.einsum("tjk,tk->tj", motion.upright.xyz_m, ahead),
+        upright_m=motion.upright.xyz_m,
+        trunk=motion.forward,
+        flags=[*_flags(motion, number)],
+        speed=speed,
+    )
+
+
+def _flags(motion: Motion, number: int) -> Iterator[list[str]]:
+    """By frame: what is doubtful about it in a camera's picture, without what is wrong with others' detections."""
+    own = [
+        (FLAG_OF[one.code], *(one.frames or (motion.frames[0], motion.frames[-1] + 1)))
+        for one in motion.findings
+        if one.code in FLAG_OF and one.camera in (None, motion.cameras[number].name)
+    ]
+    for frame, flags in zip(motion.frames.tolist(), motion.flags, strict=True):
+        here = {flag for flag, first, stop in own if first <= frame < stop}
+        yield [flag for flag in flags if flag in here or flag not in FLAG_OF.values()]
+
+
+def _enlarged(xy_px: Array, zoom: int) -> Array:
+    """Pixels' centres are whole numbers, before and after."""
+    return zoom * xy_px + 0.5 * (zoom - 1)
+
+
+def first_frame_note(motion: Motion, settings: _ResultSettings) -> str | None:
+    """What to say where a video goes on after the clip's last frame, and nobody says which frame it begins with."""
+    told = settings.first_frame or motion.settings.get("frames") is not None
+    if settings.video is None or told or any(one.offset_s for one in motion.sources):
+        return None
+    count, first, last = probe(settings.video).stated_frames or 0, int(motion.frames[0]), int(motion.frames[-1])
+    if count <= last + 1:
+        return None
+    return (
+        f"{settings.video.name} has {count} frames, the clip ends with frame {last}: if the video's first frame is not "
+        "the keypoints' frame 0, the pose is drawn on the wrong pictures; give the number that it has there, as in "
+        f"--first-frame {first or last + 1 - count}"
+    )
+
+
+def rate_note(video: Path, fps: float | None) -> str | None:
+    """What to say where a video states another frame rate than the clip has; it may well have been filmed faster than
+    it is played."""
+    stated = probe(video).fps
+    if fps is None or stated is None or abs(stated / fps - 1) < RATE_SAME:
+        return None
+    return (
+        f"{video.name} says {stated:.4g} frames a second, the clip has {fps:.4g}: right if it was filmed so and is "
+        "played back otherwise; if not, times and speeds are wrong by that factor"
+    )
+
+
+# -- a page -----------------------------------------------------------------------------------------------------------
+
+
+class PageSettings(_ResultSettings):
+    """The settings of `recon report`."""
+
+    folder: Annotated[Path, Option(argument="DIR")]
+    """Folder of results, as in results/clip, or of a batch."""
+
+
+def report(settings: PageSettings, progress: Progress = silent) -> Answer:
+    """Make a page of a result to look at and to pass on: report.html in its folder, one file that opens in any browser.
+
+    In the folder of a batch, those of all clips, and summary.html with links to them. A page that was made before is
+    replaced.
+
+    Example: recon report results/clip --video clip.mp4
+
+    Exit code 1: a page of a batch could not be made; the others are there.
+    """
+    folder, page, video = settings.folder, settings.folder / PAGE, settings.video
+    if (folder / SUMMARY).is_file() and not (folder / REPORT).is_file():
+        return _pages_of_batch(folder, video, progress)
+    output = Output(folder, "report", True, made_from=ReadResults.of(folder))
+    motion, number = result_and_video(settings, lambda: output.require((PAGE,)) if folder.is_dir() else None)
+    progress("pictures", 0.1)
+    drawn, rows, pictures = stills(motion, number, settings, STILLS)
+    tiles = draw_tiles(drawn, rows, pictures) if len(rows) else []
+    shown = [(jpeg(tile), f"frame {drawn.frames[t]}") for tile, t in zip(tiles, rows, strict=True)]
+    progress("figures", 0.3)
+    written = read_manifest(folder) if (folder / MANIFEST).is_file() else None
+    changed = [Path(problem.file).name for problem in written.changed()] if written else []
+    beside = [name for name in BESIDE if (folder / name).is_file()]
+    stale = [name for name in beside if not is_current(folder / name, folder)]
+    names = [*beside, *sorted(written.files if written else ())]
+    files = [name for name in names if name not in [*changed, *stale] and (folder / name).is_file()]
+    html = clip_page(motion, shown, None if video is None else video.name, files, number)
+    output.write(PAGE, html)
+    of_changed = f"missing, or not as the fit wrote it, so that the page has no link to it: {', '.join(changed)}"
+    of_stale = f"not known to be of these results, so that the page has no link to it: {', '.join(stale)}"
+    said = [first_frame_note(motion, settings), of_changed if changed else None, of_stale if stale else None]
+    notes = [*filter(None, said)]
+    data = {"page": page, "failed": {}, "notes": notes}
+    return Answer(data, [f"Open {page} in a browser."], files=[page], notes=notes)
+
+
+def _pages_of_batch(out: Path, video: Path | None, progress: Progress) -> Answer:
+    """The page of every result in the folder of a batch, in parallel, and the summary's page."""
+    if video is not None:
+        raise InputError(Problem("--video", "file", f"{video} for many clips", "the folder of one clip's results"))
+    failed: dict[str, str] = {}
+    with sole_writer(out):
+        read_rows(out / SUMMARY)  # raises InputError before any work
+        clips = [path.parent for path in sorted(out.glob(f"*/{REPORT}"))]
+        done = 0
+
+        def tell(event: Event) -> None:
+            nonlocal done
+            if event.kind == "ended":
+                done += 1
+                if event.outcome["status"] == "failed":
+                    failed[event.name] = event.outcome["error"]
+                progress(f"{done} of {len(clips)} pages", done / len(clips))
+
+        carry_out(_page_of, [(clip.name, clip.absolute()) for clip in clips], tell)
+        page = write_summary_page(out)
+    errors = [f"{clip}: {error}" for clip, error in failed.items()]
+    return Answer({"page": page, "failed": failed}, [f"Open {page} in a browser."], errors)
+
+
+def _page_of(folder: Path, progress: Progress) -> dict[str, str]:
+    report(PageSettings(folder=folder), progress)
+    return {"status": "done"}
+
+
+# -- in the viewer ----------------------------------------------------------------------------------------------------
+
+
+class _ViewSettings(_ResultSettings):
+    """The settings of `recon view`."""
+
+    video: Path | None = None
+    """Show the frames of this video with it, as in clip.mp4."""
+    out: Path | None = None
+    """Write one recording of it, as in clip.rrd, and open nothing."""
+    overwrite: bool = False
+    """Replace the recording of --out."""
+
+    def problems(self) -> Iterator[Problem]:
+        for name in ("first_frame", "camera_name"):
+            if getattr(self, name) and self.video is None:
+                yield Problem("settings", name, "no --video", "one beside the other")
+
+
+def view(settings: _ViewSettings, console: Console) -> Answer:
+    """Open the playback of a reconstruction in the rerun viewer, with the plots of its analysis.
+
+    Example: recon view results/clip --video clip.mp4
+    """
+    folder, out = settings.folder, settings.out
+    playback = folder / PLAYBACK
+    if not playback.is_file():
+        raise InputError(Problem(playback, "file", "no such file", "a recording (.rrd) that `recon fit` has written"))
+    read_manifest(folder).require(PLAYBACK)
+    output = None
+    if out is not None:
+        made_from = ReadResults.of(folder)
+        output = output_file(out, "view", settings.overwrite, input_paths(settings), made_from)
+        output.require((out.name,))
+    analysed = (folder / FOLDER / ANALYSIS).is_file()
+    with TemporaryDirectory() as temporary:
+        if out is not None or settings.video is not None or analysed:
+            motion, number = result_and_video(settings)
+            if note := first_frame_note(motion, settings):
+                say(console, f"note: {note}")
+            found = analyse(motion) if analysed else None
+            playback = Path(temporary) / PLAYBACK
+            with staged_file(playback) if output is None else output.staged_file() as staged:
+                viewer.write(motion, staged, found, settings.video, first_in_clip(motion, number, settings), number)
+        if out is None:
+            viewer.open_viewer(playback)
+    said = [] if out is None else [f"The recording is in {out}. Watch it with: rerun {shlex.quote(str(out))}"]
+    return Answer({"recording": folder / PLAYBACK if out is None else out}, said)

@@ -1,1 +1,0 @@
-"""Workflows: each file is a readable list of calls."""

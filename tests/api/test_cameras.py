@@ -1,0 +1,414 @@
+"""Clips that several cameras filmed: which file is whose, on which frames, and what becomes of what is wrong."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from example_run import (
+    AHEAD,
+    ASIDE,
+    BODY,
+    CAMERA,
+    FISHEYE,
+    FPS,
+    keypoints_of,
+    settings,
+    truth_m,
+)
+from scipy.spatial.transform import Rotation
+
+from recon import Camera, FitSettings, Motion, clean, fit_clip, samples_folder
+from recon.api.clip_cameras import cameras_in
+from recon.api.clip_inputs import prepare
+from recon.api.extrinsics import clips_of, lines_of, run_extrinsics
+from recon.base.numbers import plus_minus
+from recon.clip import Source, View, align_cameras
+from recon.fit.extrinsics import solve_extrinsics
+from recon.fit.result import TrajectorySolution
+from recon.fit.trajectory import solve_trajectory
+from recon.io.calibration import read_cameras
+from recon.io.camera_files import write_cameras
+from recon.io.deeplabcut import write_csv
+from recon.io.formats import read_keypoints
+from tests.command_line import refusal, says
+from tests.command_line import run as command
+
+SAMPLES = samples_folder()
+
+
+def test_a_file_is_that_of_the_camera_that_its_name_contains(runs):
+    given = prepare(settings(runs, 2, 1))
+    assert [source.camera.name for source in given.sources] == ["cam2", "cam1"]
+    assert [source.camera.name for source in prepare(settings(runs, 1)).sources] == ["cam1"]
+
+
+@pytest.mark.parametrize(
+    ("name", "found"),
+    [
+        ("run_top1DLC_resnet50", ["top1"]),
+        ("run_top10", []),
+        ("A-walk", ["A"]),
+        ("Alex-walk", []),
+        ("a1-walk-camB", ["B"]),
+        ("run1_1-cam-2", ["2"]),
+        ("run_1-B", ["B", "1"]),
+        ("run_cam_02_DLC", ["cam02"]),
+        ("run_cam-2_DLC", ["2"]),
+        ("cam4_json", ["int_cam4_img"]),
+        ("run_cam04", ["int_cam4_img"]),
+        ("run_Camera03", ["hires_cam3_params"]),
+    ],
+)
+def test_names_of_cameras_in_names_of_files(name, found):
+    assert [*cameras_in(name, ["top1", "A", "B", "1", "2", "cam02", "hires_cam3_params", "int_cam4_img"])] == found
+
+
+def test_the_camera_whose_name_a_file_has_as_it_is_written_is_meant():
+    for name in ("cam1", "cam01", "Cam1"):
+        assert [*cameras_in(f"run_{name}", ["cam1", "cam01", "Cam1"])] == [name]
+    assert [*cameras_in("run_cam001", ["cam1", "cam01"])] == ["cam1", "cam01"]
+
+
+def test_cameras_in_millimetres(runs):
+    def places_m(given: FitSettings) -> np.ndarray:
+        return np.array([source.camera.translation_m for source in prepare(given).sources], dtype=float)
+
+    scene = json.loads((runs / "scene.json").read_text())
+    for camera in scene["cameras"]:
+        camera["t"] = (1000 * np.array(camera["t"])).tolist()
+    (runs / "in_mm.json").write_text(json.dumps(scene))
+    in_mm = settings(runs, 1, 2, camera=runs / "in_mm.json", camera_unit="mm")
+    np.testing.assert_allclose(places_m(in_mm), places_m(settings(runs, 1, 2)), rtol=1e-12)
+    with refusal(("settings", "camera_unit", "'mm'", "--camera")):
+        FitSettings(keypoints=(Path("a.csv"),), hfov_deg=60, image_size_px=(9, 9), camera_unit="mm")
+
+
+def test_or_as_given(runs):
+    given = prepare(settings(runs, 1, 2, camera_name=["cam2", "cam1"]))
+    assert [source.camera.name for source in given.sources] == ["cam2", "cam1"]
+
+
+def test_views_have_the_same_frames(runs):
+    """The second camera's file begins at frame 10: before it, it has seen nothing."""
+    first, second = prepare(settings(runs, 1, 2)).sources
+    np.testing.assert_array_equal(first.keypoints.frames, np.arange(40))
+    np.testing.assert_array_equal(second.keypoints.frames, np.arange(40))
+    assert not second.keypoints.present[:10].any()
+    assert second.keypoints.present[10:].all()
+
+
+def test_a_range_of_frames_is_the_first_cameras(runs):
+    first, second = prepare(settings(runs, 1, 2, frames="5:20")).sources
+    assert (first.keypoints.frames[0], first.keypoints.frames[-1]) == (5, 19)
+    assert not second.keypoints.present[:5].any()
+    assert second.keypoints.present[5:].all()
+
+
+def test_cameras_that_began_later():
+    """By two frames and a quarter: its frame 0 belongs between the clip's frames 2 and 3."""
+    xy_px = np.arange(5.0)[:, None, None] + np.zeros((5, len(BODY.markers), 2))
+    sources = [Source(CAMERA, *clean(keypoints_of(values), 0.5), BODY.markers) for values in (xy_px + 100, xy_px + 200)]
+    first, late = align_cameras(sources, [0.0, 2.25])
+    np.testing.assert_array_equal(first.keypoints.frames, np.arange(7))
+    assert (first.offset_frames, late.offset_frames) == (0.0, 0.25)
+    assert np.isnan(first.keypoints.xy_px[5:]).all()
+    np.testing.assert_array_equal(late.keypoints.xy_px[:, 0, 0], [np.nan, np.nan, 200, 201, 202, 203, 204])
+    _, early = align_cameras(sources, [0.0, -0.25])
+    assert early.offset_frames == 0.75
+    assert early.keypoints.frames[0] == -1
+
+
+def test_a_clip_of_two_cameras(runs):
+    motion = fit_clip(settings(runs, 1, 2))
+    assert isinstance(motion, Motion)
+    assert np.linalg.norm(motion.joints_m - truth_m(), axis=-1).mean() < 0.025
+    assert [source.camera.name for source in motion.sources] == ["cam1", "cam2"]
+    assert motion.solution.weight.shape == (2, 40, len(BODY.markers))
+
+
+@pytest.mark.parametrize(("up", "turned"), [("z", False), ("-y", True), ("0,-2,0", True), ("first-camera", None)])
+def test_up_as_it_is_said(runs, tmp_path, up, turned):
+    """Cameras in a world of which -y is up, as OpenCV's boards have it, or z."""
+    R = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]) if turned else np.eye(3)  # from z up to the file's axes
+    given = read_cameras(runs / "scene.json")
+    cameras = [replace(one, rotation=np.asarray(one.rotation) @ R.T, world_z_up=False) for one in given]
+    write_cameras(cameras, tmp_path / "rig.toml")
+    found = prepare(settings(runs, 1, 2, camera=tmp_path / "rig.toml", up=up)).sources
+    assert [source.camera.knows_up for source in found] == [turned is not None] * 2
+    for source, pose in zip(found if turned is not None else (), (AHEAD, ASIDE), strict=False):
+        assert source.camera.rotation is not None
+        np.testing.assert_allclose(source.camera.rotation[:, 2], pose[:3, 2], atol=1e-9)
+        assert np.linalg.det(source.camera.rotation) == pytest.approx(1)
+
+
+def test_up_is_not_said_twice_or_in_other_words(runs):
+    with refusal(("--set up", "direction", "'upwards'", "first-camera")):
+        prepare(settings(runs, 1, 2, up="upwards"))
+    with refusal(("--set up", "camera cam1", "no pose")):
+        prepare(settings(runs, 1, camera=None, hfov_deg=60.0, image_size_px=(1920, 1080), up="z"))
+
+
+def test_an_entry_of_a_camera_that_was_copied_is_named(runs, tmp_path):
+    one, other, *_ = read_cameras(runs / "scene.json")
+    write_cameras([one, replace(one, name=other.name)], tmp_path / "copied.toml")
+    with refusal((tmp_path / "copied.toml", "cameras cam1 and cam2", "same pose")):
+        prepare(settings(runs, 1, 2, camera=tmp_path / "copied.toml"))
+
+
+def test_an_animal_of_a_tenth_of_the_skeleton_before_a_rig_of_a_tenth(runs, tmp_path):
+    """The pictures are the same, and so is the motion, in metres a tenth."""
+    cameras = [
+        replace(one, translation_m=0.1 * np.asarray(one.translation_m)) for one in read_cameras(runs / "scene.json")
+    ]
+    write_cameras(cameras, tmp_path / "small.toml")
+    more = {"frames": "10:30", "prior": "none", "ground": "none"}
+    large = fit_clip(settings(runs, 1, 2, **more))
+    small = fit_clip(settings(runs, 1, 2, camera=tmp_path / "small.toml", size=0.1, **more))
+    assert small.size == pytest.approx(large.size, abs=0.02)
+    assert small.body.keypoint_sigma_m == pytest.approx(0.1 * large.body.keypoint_sigma_m)
+    off_m = np.linalg.norm(10 * small.joints_m - large.joints_m, axis=-1)
+    assert np.nanmedian(off_m) < 0.02
+
+
+def test_what_is_wrong_is_said(runs, tmp_path):
+    with refusal(("settings", "camera_name", "1: cam1", 2), ("settings", "offset_s", "3: 0.0, 0.1, 0.2", 2)):
+        settings(runs, 1, 2, camera_name=["cam1"], offset_s=[0.0, 0.1, 0.2])
+    with refusal(("settings", "keypoints", f"{runs / 'run_cam1.csv'}, {runs / 'run_cam1.csv'}", "different file")):
+        settings(runs, 1, 1)
+    with refusal(("settings", "keypoints", ["2 files", "frame method"], "--set method=trajectory")):
+        settings(runs, 1, 2, method="frame", subject=None, fast=None)
+    with refusal(("scene.json", "camera", ["cam1", "two keypoint files"], "--camera-name")):
+        prepare(settings(runs, 1, 2, camera_name=["cam1", "cam1"]))
+    (tmp_path / "clip.csv").write_bytes((runs / "run_cam1.csv").read_bytes())
+    given = replace(settings(runs, 1, 2), keypoints=(tmp_path / "clip.csv", runs / "run_cam2.csv"))
+    with refusal(("scene.json", "camera", ["2 cameras", "clip.csv"], ["cam1, cam2", "--camera-name"])):
+        prepare(given)
+    gone = tmp_path / "gone.csv"
+    with refusal((gone, "file", "no such file")):  # and not also for having no camera in its name
+        prepare(replace(given, keypoints=(gone, runs / "run_cam2.csv")))
+    with refusal((gone, "file", "no such file")):
+        prepare(replace(given, keypoints=(gone,)))
+    with refusal((gone, "file", "no such file"), ("scene.json", "camera", "no choice for clip.csv", "--camera-name")):
+        prepare(replace(given, keypoints=(gone, tmp_path / "clip.csv")))
+    write_cameras([CAMERA], tmp_path / "one.toml")
+    with refusal(("one.toml", "camera", "1 of the 2 cameras", "--camera once for each")):
+        prepare(replace(given, camera=tmp_path / "one.toml"))
+
+
+def test_command(runs, tmp_path):
+    files = [runs / "run_cam1.csv", runs / "run_cam2.csv"]
+    out = tmp_path / "out"
+    ended = command("fit", *files, "--camera", runs / "scene.json", "--fps", 90, "--set", "fast=true", "--out", out)
+    assert ended.code == 0, ended.err
+    assert "run_cam1.csv, run_cam2.csv, frames 0 to 39 at 90 fps" in ended.out
+    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    assert [camera["frames_seen"] for camera in report["cameras"]] == [40, 30]
+    assert report["cameras"][1]["points"]["missing"] == 10 * len(BODY.markers)
+    assert {path.name for path in out.glob("reprojection*")} == {"reprojection_cam1.csv", "reprojection_cam2.csv"}
+    again = command("fit", "--config", out / "config.toml", "--out", tmp_path / "again")
+    assert again.code == 0, again.err
+    assert (out / "pose3d.csv").read_bytes() == (tmp_path / "again" / "pose3d.csv").read_bytes()
+
+
+def test_refined_cameras_are_those_of_the_result(runs, tmp_path):
+    """Taken where they fit better: of a camera that is turned by 2 degrees, not of one in its place."""
+    as_it_is = fit_clip(settings(runs, 1, 2, refine_cameras=True))
+    assert [one.code for one in as_it_is.findings if one.code.startswith("cameras_")] == ["cameras_as_calibrated"]
+    scene = json.loads((runs / "scene.json").read_text())
+    beside = View(FISHEYE, ASIDE, np.zeros((1, 1, 2)), np.ones((1, 1)))
+    turned = beside.corrected(np.radians([2, 0, 0, 0, 0, 0])).T_camera_world
+    scene["cameras"][1] |= {"r": turned[:3, :3].tolist(), "t": turned[:3, 3, None].tolist()}
+    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    known = {"camera": tmp_path / "scene.json"}
+    motion = fit_clip(settings(runs, 1, 2, refine_cameras=True, **known))
+    given, cameras = prepare(settings(runs, 1, 2, **known)).sources, [source.camera for source in motion.sources]
+    for camera, view in zip(cameras, motion.solution.views, strict=True):
+        in_camera = camera.world_to_camera(motion.solution.joints_m)
+        np.testing.assert_allclose(in_camera, view.to_camera(motion.solution.joints_m), atol=1e-9)
+    assert cameras[0].to_dict() == given[0].camera.to_dict()
+    off_rad = [
+        Rotation.from_matrix(np.asarray(camera.rotation) @ ASIDE[:3, :3].T).magnitude()
+        for camera in (given[1].camera, cameras[1])
+    ]
+    assert off_rad[1] < 0.5 * off_rad[0]
+    write_cameras(cameras, tmp_path / "cameras.toml")
+    assert [c.to_dict() for c in read_cameras(tmp_path / "cameras.toml")] == [c.to_dict() for c in cameras]
+    (tmp_path / "cameras.toml").write_text('[[cameras]]\nformat = "recon-camera"\nversion = 99\n')
+    with refusal(("cameras.toml", "cameras[0].format", "version 99", "version 1")):
+        read_cameras(tmp_path / "cameras.toml")
+
+
+def test_refined_cameras_are_taken_only_where_every_camera_fits(runs, monkeypatch):
+    """A refinement that throws one camera away, as the robust cost of a small rig allows, is not taken."""
+
+    def solve(views, body, prior, fps, options, progress):
+        found = solve_trajectory(views, body, prior, fps, replace(options, refine_cameras=False), progress)
+        if not options.refine_cameras:
+            return found
+        thrown = np.array([0.0, 0.3, 0.0, 0.0, 0.0, 0.0])
+        turned = replace(found.views[1], T_camera_world=found.views[1].corrected(thrown).T_camera_world)
+        return replace(found, views=(found.views[0], turned), extrinsic_correction=np.stack([0 * thrown, thrown]))
+
+    monkeypatch.setattr("recon.api.clip.solve_trajectory", solve)
+    motion = fit_clip(settings(runs, 1, 2, frames="10:36", refine_cameras=True))
+    (one,) = [one for one in motion.findings if one.code == "cameras_not_refined"]
+    assert one.camera == "cam2"
+    assert float(one.numbers["after_px"]) > 10 * float(one.numbers["before_px"])  # pyright: ignore[reportArgumentType]
+    assert isinstance(motion.solution, TrajectorySolution)
+    assert not motion.solution.extrinsic_correction.any()
+    given = prepare(settings(runs, 1, 2, frames="10:36")).sources
+    assert [s.camera.to_dict() for s in motion.sources] == [s.camera.to_dict() for s in given]
+
+
+def test_only_several_cameras_that_stand_still_are_refined(runs):
+    with refusal(("settings", "refine_cameras", "one keypoint file", "several cameras")):
+        settings(runs, 1, refine_cameras=True)
+    with refusal(("settings", "refine_cameras", "camera track", "stand still")):
+        settings(runs, 1, 2, refine_cameras=True, camera_track=["cam1.csv"])
+
+
+def test_where_cameras_stand_from_the_animal_alone(runs, tmp_path):
+    """Two views of one run: the poses of their file are not read. Coarse, in half a second of running."""
+    cameras, report = run_extrinsics([settings(runs, 1, 2, frames="10:36")], tmp_path / "found.toml")
+    true, found = (read_cameras(path) for path in (runs / "scene.json", tmp_path / "found.toml"))
+    assert [camera.to_dict() for camera in cameras] == [camera.to_dict() for camera in found]
+
+    def beside(a: Camera, b: Camera) -> np.ndarray:
+        return np.stack([b.world_to_camera(a.camera_to_world(corner)) for corner in np.eye(4, 3, k=-1)])
+
+    (first, *axes), (own, *own_axes) = beside(*found), beside(*true)
+    assert np.linalg.norm(first - own) < 0.15 * np.linalg.norm(own)
+    cosines = np.sum((np.array(axes) - first) * (np.array(own_axes) - own), axis=1)
+    assert np.degrees(np.arccos(cosines.min())) < 6
+    height_m = found[0].camera_to_world(np.zeros(3))[2]
+    assert found[0].knows_up
+    assert 0.2 < height_m < 3
+    assert [line.split(":")[0] for line in lines_of(cameras, report)] == ["cam1", "cam2"]
+    assert 0 < np.linalg.norm(report["cameras"][1]["turn_sigma_rad"]) < 0.1
+
+
+def test_heights_have_deviations(tmp_path):
+    """The sample's cameras are 1.5 and 1.6 m high."""
+    files, given = [SAMPLES / f"whole_cam{n}.csv" for n in (1, 2)], {"camera": SAMPLES / "whole_scene.json", "fps": 60}
+    cameras, report = run_extrinsics(clips_of(files, given | {"fast": True})[0], tmp_path / "found.toml")
+    heights_m = np.array([camera.centre_world[2] for camera in cameras])
+    sigma_m = np.array([camera["height_sigma_m"] for camera in report["cameras"]])
+    assert (np.abs(heights_m - [1.5, 1.6]) < 2 * sigma_m).all()
+    assert ((sigma_m > 0.1) & (sigma_m < 1.0)).all()
+    assert [line.split(" high")[0] for line in lines_of(cameras, report)] == [
+        f"{camera.name}: {plus_minus(height, sigma, 'm')}"
+        for camera, height, sigma in zip(cameras, heights_m, sigma_m, strict=True)
+    ]
+
+
+def test_clips_of_one_rig(runs, tmp_path):
+    """By their names; the files' poses, refined, stay where they are: in their world, the first camera as it was."""
+    for number in (1, 2):
+        for clip in ("a", "b"):
+            (tmp_path / f"{clip}_cam{number}.csv").write_bytes((runs / f"run_cam{number}.csv").read_bytes())
+    given = {"camera": runs / "scene.json", "fps": FPS, "subject": "phantom", "frames": "10:36"}
+    clips, notes = clips_of([str(tmp_path / "*.csv")], given)
+    assert [[path.name for path in clip.keypoints] for clip in clips] == [
+        ["a_cam1.csv", "a_cam2.csv"],
+        ["b_cam1.csv", "b_cam2.csv"],
+    ]
+    assert says(notes[0], "4 files", "2 clips")
+    out = tmp_path / "refined.toml"
+    _, report = run_extrinsics([replace(clip, refine_cameras=True) for clip in clips], out)
+    (first, second), (own, other) = read_cameras(out), read_cameras(runs / "scene.json")
+    assert first.knows_up
+    np.testing.assert_allclose(first.centre_world, own.centre_world, atol=1e-5)
+    np.testing.assert_allclose(second.centre_world, other.centre_world, atol=0.15)
+    assert len(report["clips"]) == 2
+    assert report["cameras"][0]["height_sigma_m"] is None  # the file says where the ground is
+    (only,), _ = clips_of(clips[0].keypoints, given | {"camera_name": ["cam1", "cam2"]})
+    assert only.keypoints == clips[0].keypoints
+
+
+def test_cameras_that_the_clips_do_not_tell_are_refused(runs, tmp_path, monkeypatch):
+    def solve(*given):
+        rig = solve_extrinsics(*given)
+        return replace(rig, sigma=np.where(np.arange(2)[:, None] == 1, np.radians(15.0), rig.sigma))
+
+    monkeypatch.setattr("recon.api.extrinsics.solve_extrinsics", solve)
+    clip = settings(runs, 1, 2, frames="10:36", refine_cameras=True)
+    with refusal(("KEYPOINTS", "camera cam2", ["turn", "26 degrees"])):
+        run_extrinsics([clip], tmp_path / "out.toml")
+    assert not (tmp_path / "out.toml").exists()
+
+
+def test_cameras_out_of_step_without_poses(runs, tmp_path):
+    """The second camera of the run began four frames later: its file's numbers say so, and then do not."""
+    table = (runs / "run_cam2.csv").read_text().splitlines()
+    late = [line.split(",", 1) for line in table[3:]]
+    rows = [f"{int(frame) - 4},{rest}" for frame, rest in late]
+    (tmp_path / "run_cam2.csv").write_text("\n".join([*table[:3], *rows]) + "\n")
+    given = replace(
+        settings(runs, 1, 2, find_offsets=True), keypoints=(runs / "run_cam1.csv", tmp_path / "run_cam2.csv")
+    )
+    cameras, report = run_extrinsics([given], tmp_path / "out.toml")
+    assert report["clips"][0]["offset_s"] == pytest.approx([0.0, 4 / FPS], abs=0.5 / FPS)
+    assert [line for line in lines_of(cameras, report) if "run_cam2.csv +0.0" in line]
+    alone = replace(given, keypoints=(runs / "run_cam1.csv", tmp_path / "blind_cam2.csv"))
+    (tmp_path / "blind_cam2.csv").write_text("\n".join([*table[:3], *rows[:3]]) + "\n")
+    with refusal(("--set find-offsets", "camera cam2", ["no offset", "cam1"], "--set offset-s")):
+        run_extrinsics([alone], tmp_path / "other.toml")
+
+
+def test_refined_extrinsics_need_poses(runs, tmp_path):
+    lenses = [replace(camera, rotation=None, translation_m=None) for camera in read_cameras(runs / "scene.json")]
+    write_cameras(lenses, tmp_path / "lenses.toml")
+    with refusal(("--set refine-cameras", "poses", "none of cam1, cam2", "camera file")):
+        run_extrinsics(
+            [settings(runs, 1, 2, camera=tmp_path / "lenses.toml", refine_cameras=True)], tmp_path / "out.toml"
+        )
+
+
+def test_which_way_is_up_is_said_once(runs, tmp_path):
+    """By the file, where its poses are read."""
+    clip, out = settings(runs, 1, 2, tilt_deg=3.0), tmp_path / "out.toml"
+    beside = ("up", "--set refine-cameras=true", "one of the two")
+    with refusal(("--tilt-deg", *beside), ("--level-deg", *beside)):
+        run_extrinsics([replace(clip, refine_cameras=True)], out, level_rad=np.radians(1.0))
+
+
+def test_a_tilt_beside_poses_that_are_not_read(runs, tmp_path):
+    cameras, _ = run_extrinsics(
+        [settings(runs, 1, 2, frames="10:36", tilt_deg=10.0)], tmp_path / "out.toml", level_rad=np.radians(0.5)
+    )
+    for camera in cameras:
+        ahead = camera.camera_to_world(np.array([0.0, 0.0, 1.0])) - camera.centre_world
+        assert np.degrees(np.arcsin(-ahead[2])) == pytest.approx(10, abs=3)
+
+
+def test_a_camera_has_one_lens(runs, tmp_path):
+    scene = json.loads((runs / "scene.json").read_text())
+    scene["cameras"][1]["k"][0][0] *= 1.1
+    (tmp_path / "other.json").write_text(json.dumps(scene))
+    with refusal(("KEYPOINTS", "camera cam2", "two lenses or poses")):
+        run_extrinsics(
+            [settings(runs, 1, 2), settings(runs, 1, 2, camera=tmp_path / "other.json")], tmp_path / "out.toml"
+        )
+
+
+def test_one_camera_has_no_place_beside_others(runs, tmp_path):
+    with refusal(
+        ("run_cam1.csv", "cameras", "cam1", "two or more"),
+        ("--out", "file", f"'{tmp_path / 'found.csv'}'", "ends in .toml"),
+    ):
+        run_extrinsics([settings(runs, 1)], tmp_path / "found.csv")
+
+
+def test_an_animal_that_stays_does_not_tell_where_cameras_stand(runs, tmp_path):
+    for number in (1, 2):
+        moving = read_keypoints(runs / f"run_cam{number}.csv")
+        stays = moving.xy_px - np.nanmean(moving.xy_px, axis=1, keepdims=True) + (960.0, 540.0)
+        write_csv(replace(moving, xy_px=stays), tmp_path / f"run_cam{number}.csv")
+    clip = settings(tmp_path, 1, 2, camera=runs / "scene.json")
+    with refusal(("KEYPOINTS", "motion", 0.2, "its own length")):
+        run_extrinsics([clip], tmp_path / "found.toml")
+    assert not (tmp_path / "found.toml").exists()

@@ -1,0 +1,236 @@
+"""The clip pipeline on every skeleton: fitted, written and played back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import compare, refusal, says
+
+from recon import FitSettings, InputError, fit_clip, samples_folder, write_clip
+from recon.api.clip_inputs import prepare
+from recon.api.clip_results import OUTPUT_FILES, run_clip
+from recon.base.files import read_manifest
+from recon.base.outputs import RECORD
+from recon.clip import still_view
+from recon.io.calibration import read_camera
+from recon.io.deeplabcut import write_csv
+from recon.io.formats import read_keypoints
+from recon.thesis.chain import load_chain
+from recon.thesis.objectives import FrameOptions
+from recon.thesis.solver import solve_frames
+
+EXAMPLE = (Path(__file__).parents[1] / "files" / "trunk-and-leg.toml").read_text()
+# The same chain, hung from its front end: the root is the joint that the animal's front is known by.
+FRONT_ROOT = EXAMPLE
+for old, new in (
+    ('root = "hip"\nroot_keypoint = "tail_base"', 'root = "shoulder"\nroot_keypoint = "neck_base"'),
+    ('from = "hip"\nto = "mid-spine"', 'from = "shoulder"\nto = "mid-spine"'),
+    ('from = "mid-spine"\nto = "shoulder"', 'from = "mid-spine"\nto = "hip"'),
+    ('keypoint = "neck_base"\ntheta', 'keypoint = "tail_base"\ntheta'),
+):
+    assert old in FRONT_ROOT
+    FRONT_ROOT = FRONT_ROOT.replace(old, new)
+
+
+def sample(**options) -> FitSettings:
+    folder = samples_folder()
+    files = {"keypoints": folder / "noisy.csv", "camera": folder / "camera.toml", "fps": 30, "frames": "0:6"}
+    return FitSettings(**(files | options))
+
+
+@pytest.mark.parametrize("fps", [0.5, 0.999, 10_001.0, 1e5])
+def test_a_frame_rate_at_which_nothing_can_be_told_is_refused(fps: float, tmp_path):
+    with refusal(("--fps", "fps", f"{fps:g}", "1 to 10000")):
+        prepare(sample(fps=fps))
+    write_csv(replace(read_keypoints(samples_folder() / "noisy.csv"), fps=fps), tmp_path / "stated.csv")
+    with refusal((tmp_path / "stated.csv", "fps", f"{fps:g}", "1 to 10000")):
+        prepare(sample(keypoints=tmp_path / "stated.csv", fps=None))
+
+
+def test_a_frame_far_outside_the_picture_is_left_out_and_named(tmp_path):
+    file = read_keypoints(samples_folder() / "noisy.csv")
+    xy_px = file.xy_px.copy()
+    xy_px[2] += 1e300
+    write_csv(replace(file, xy_px=xy_px), tmp_path / "off.csv")
+    (source,) = prepare(sample(keypoints=tmp_path / "off.csv", frames="0:20")).sources
+    assert not source.keypoints.present[2].any()
+    assert source.keypoints.present[[1, 3]].any(axis=1).all()
+    (note,) = source.cleaning.notes
+    assert says(note, "outside the picture", "left out", "in frame 2, ...")
+    assert source.cleaning.total("rejected") == np.isfinite(file.xy_px[2, :, 0]).sum()
+
+
+def test_keypoints_a_little_outside_the_picture_are_no_error(tmp_path):
+    file = read_keypoints(samples_folder() / "noisy.csv")
+    xy_px = file.xy_px.copy()
+    _, height = read_camera(samples_folder() / "camera.toml").image_size_px
+    xy_px[..., 1] += height + 4 - np.nanquantile(xy_px[..., 1], 0.75)  # a quarter lies 4 px or more below the edge
+    xy_px[..., 1] = np.minimum(xy_px[..., 1], height + 4)
+    write_csv(replace(file, xy_px=xy_px), tmp_path / "low.csv")
+    (source,) = prepare(sample(keypoints=tmp_path / "low.csv", frames=None)).sources
+    below = source.keypoints.xy_px[..., 1] > height
+    assert below.sum() > 0.2 * source.keypoints.present.sum()
+    assert source.cleaning.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "perhaps"),
+    [
+        (lambda xy: xy[..., ::-1] * (0.55, 1.0), "perhaps x and y"),
+        (lambda xy: xy * 2.0, "2 times as large"),
+        (lambda xy: xy - 3000.0, "camera"),
+    ],
+)
+def test_points_of_another_picture_are_refused_with_what_it_may_be(tmp_path, change, perhaps):
+    file = read_keypoints(samples_folder() / "noisy.csv")
+    xy_px = 0.5 * file.xy_px / np.nanmax(file.xy_px, axis=(0, 1)) * (1920, 1080) + (960, 540)
+    write_csv(replace(file, xy_px=change(xy_px)), tmp_path / "other.csv")
+    with pytest.raises(InputError) as caught:
+        prepare(sample(keypoints=tmp_path / "other.csv", frames=None))
+    compare(caught.value.problems, [("camera.toml", "image size", "1920x1080", perhaps)])
+    assert says(caught.value.problems[0].expected, "perhaps") == (perhaps != "camera")
+
+
+def test_the_camera_of_the_file_that_shows_the_points_is_named(tmp_path):
+    lens = "matrix = [[900, 0, 150], [0, 900, 100], [0, 0, 1]]\ndistortions = [0, 0, 0, 0, 0]"
+    pose = "rotation = [0, 0, 0]\ntranslation = [0, 0, 0]"
+    sizes = {"small": (300, 200), "large": (1920, 1080)}
+    cameras = (f'[{n}]\nname = "{n}"\nsize = [{w}, {h}]\n{lens}\n{pose}\n' for n, (w, h) in sizes.items())
+    (tmp_path / "both.toml").write_text("\n".join(cameras))
+    with refusal(("both.toml", "image size", "300x200", "large")):
+        prepare(sample(camera=tmp_path / "both.toml", camera_name="small"))
+
+
+@pytest.mark.parametrize("method", ["frame", "trajectory"])
+@pytest.mark.parametrize("skeleton", ["cheetah-8u", "example", "front root"])
+def test_a_chain_is_fitted_and_written(tmp_path, skeleton: str, method: str):
+    texts = {"example": EXAMPLE, "front root": FRONT_ROOT}
+    if skeleton in texts:
+        (tmp_path / "chain.toml").write_text(texts[skeleton])
+        skeleton = str(tmp_path / "chain.toml")
+    settings = sample(skeleton=skeleton, method=method)
+    motion = fit_clip(settings)
+    report = write_clip(motion, settings, tmp_path / "out")
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted([*OUTPUT_FILES, RECORD])
+    assert report["summary"]["frames"] == 6
+    assert report["method"] == method
+    assert motion.solved.sum() >= 3
+    assert (motion.solution.method, motion.side) == (method, "right")
+    assert motion.body.one_sided
+    assert motion.angle_names[0].endswith("_yaw")
+    assert "neck_base" in motion.names
+
+
+@pytest.mark.parametrize("subject", [None, "jules"])
+def test_a_whole_animal_is_fitted_and_written(tmp_path, subject):
+    settings = sample(skeleton="cheetah-24", subject=subject)
+    motion = fit_clip(settings)
+    report = write_clip(motion, settings, tmp_path / "out")
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted([*OUTPUT_FILES, RECORD])
+    assert (motion.side, motion.body.one_sided) == (None, False)
+    said = "not measured: all metres and m/s assume average size" if subject is None else "as given (jules)"
+    assert says(dict(report["lines"])["size"], said)
+    assert report["size"]["measured"] == (subject is not None)
+    assert ("Jules" in report["size"]["lengths"]) == (subject is not None)
+    assert motion.solved.all()
+
+
+def test_default_prior_is_the_one_for_the_skeleton():
+    assert fit_clip(sample()).solution.prior == "running-cheetah"
+    assert fit_clip(sample(prior="none")).solution.prior == "none"
+    assert fit_clip(sample(skeleton="cheetah-8u")).solution.prior == "none"
+    with refusal(("prior running-cheetah", "angles", ["24 angles", "16 missing"], "cheetah-8u")):
+        fit_clip(sample(skeleton="cheetah-8u", prior="running-cheetah"))
+
+
+def test_the_other_methods_results_are_replaced_as_a_whole(tmp_path):
+    for method in ("trajectory", "frame"):
+        settings = sample(method=method, frames="0:4")
+        write_clip(fit_clip(settings), settings, tmp_path)
+        assert sorted(p.name for p in tmp_path.iterdir()) == sorted([*OUTPUT_FILES, RECORD])
+
+
+def test_a_whole_animal_is_nothing_for_the_frame_method_and_has_no_side():
+    with refusal(("--skeleton", "name or file", "'cheetah-24'", "cheetah-8u")):
+        fit_clip(sample(method="frame", skeleton="cheetah-24"))
+    with refusal(("--set side", "side", "'left'", "cheetah-24")):
+        fit_clip(sample(side="left"))
+    with pytest.raises(InputError) as caught:
+        fit_clip(sample(side="left", prior="no.npz", camera="no.toml", keypoints="no.csv"))
+    assert [problem.file for problem in caught.value.problems][1:3] == ["--prior", "--set side"]
+    assert len(caught.value.problems) == 4
+
+
+def test_tilt_of_a_camera_that_does_not_know_which_way_is_up():
+    rough = {"camera": None, "hfov_deg": 60.0, "image_size_px": (1920, 1080)}
+    motion = fit_clip(sample(method="frame", tilt_deg=4.0, frames="0:2", **rough))
+    np.testing.assert_allclose(motion.camera.up, [0, -np.cos(np.deg2rad(4)), -np.sin(np.deg2rad(4))])
+    with refusal(("--tilt-deg", "tilt_deg", [4, "camera.toml"], "one of the two")):
+        fit_clip(sample(tilt_deg=4.0))
+
+
+def test_progress_goes_from_nothing_to_all():
+    for method in ("trajectory", "frame"):
+        seen = []
+        fit_clip(sample(method=method), lambda stage, share, seen=seen: seen.append((stage, share)))
+        shares = [share for _, share in seen]
+        assert all(stage for stage, _ in seen)
+        assert shares == sorted(shares)
+        assert 0 <= shares[0] < shares[-1] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("method", ["trajectory", "frame"])
+def test_points_outside_the_picture_are_another_cameras(method):
+    camera = {"camera": None, "hfov_deg": 64.0, "image_size_px": (320, 240)}
+    with refusal(("--image-size", "image size", "320x240", "3 times as large")):
+        fit_clip(sample(method=method, **camera))
+
+
+@pytest.mark.parametrize("method", ["trajectory", "frame"])
+def test_the_side_with_points_is_fitted_when_the_facing_one_has_none(tmp_path, method):
+    """The sample faces right; a file with its left legs only is fitted by those."""
+    lines = (samples_folder() / "noisy.csv").read_text().splitlines()
+    keep = [i for i, name in enumerate(lines[1].split(",")) if not name.startswith("r_")]
+    left = "\n".join(",".join(line.split(",")[i] for i in keep) for line in lines)
+    (tmp_path / "left.csv").write_text(left + "\n")
+    motion = fit_clip(sample(keypoints=tmp_path / "left.csv", skeleton="cheetah-8u", method=method))
+    assert motion.side == "left"
+    assert says(motion.side_reason, "that side has")
+    assert motion.solved.all()
+
+
+def test_a_pose_out_of_sight_is_not_converged():
+    """Detections that no animal of that size can have made: all in one pixel."""
+    camera = read_camera(samples_folder() / "camera.toml")
+    point = np.full((2, 9, 2), 700.0) + np.linspace(0, 0.5, 9)[:, None]
+    solution = solve_frames(still_view(camera, point, np.ones((2, 9))), load_chain("cheetah-8u"), 30.0, FrameOptions())
+    assert all(r is not None and r.status == "not_converged" and not r.in_view for r in solution.reports)
+
+
+# -- several cameras ------------------------------------------------------------------------------------------------
+
+
+def test_a_run_with_fewer_cameras_leaves_no_tables_of_others(two_cameras, world_trajectory, tmp_path):
+    """Not even where no manifest names them, as after a run that was killed."""
+    settings, out = sample(), tmp_path / "out"
+    write_clip(two_cameras, settings, out)
+    of_cameras = {"reprojection_cam1.csv", "reprojection_cam2.csv"}
+    assert {p.name for p in out.iterdir()} == {*OUTPUT_FILES, RECORD} - {"reprojection.csv"} | of_cameras
+    assert of_cameras < read_manifest(out).files.keys()
+    (out / "manifest.json").unlink()
+    write_clip(world_trajectory, settings, out)
+    assert {p.name for p in out.iterdir()} == {*OUTPUT_FILES, RECORD}
+    write_clip(two_cameras, settings, out)
+    assert not (out / "reprojection.csv").exists()
+
+
+def test_tables_of_cameras_are_results(two_cameras, tmp_path):
+    write_clip(two_cameras, sample(), tmp_path)
+    for path in tmp_path.iterdir():
+        if not path.name.startswith(("reprojection_", RECORD)):
+            path.unlink()
+    with refusal(("--out", "folder", ["reprojection_cam1.csv", "1 more", tmp_path], "--overwrite")):
+        run_clip(sample(), tmp_path)

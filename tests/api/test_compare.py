@@ -1,0 +1,148 @@
+"""Clips beside each other: means with their uncertainty, groups, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from command_line import Refusal, refused, run, says
+
+from recon.api.compare import QUANTITIES, _figure, _group_rows, _lines, _mean_of
+from recon.base.files import write_manifest
+from recon.fit.motion import Motion
+
+
+@pytest.fixture(scope="module")
+def whole_motion(whole_results: Path) -> Motion:
+    return Motion.load(whole_results)
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory: pytest.TempPathFactory, whole_motion: Motion) -> Path:
+    folder = tmp_path_factory.mktemp("batch")
+    for name in ("a", "b", "c"):
+        whole_motion.save(folder / name)
+    (folder / "animals.csv").write_text("clip,sex\na,f\nb,m\nc,f\n")
+    return folder
+
+
+def test_groups_have_a_row_each_and_strides_one_each(clips: Path, tmp_path: Path):
+    out = tmp_path / "out"
+    # as a shell writes out all/*
+    ended = run("compare", *clips.iterdir(), "--table", clips / "animals.csv", "--by", "sex", "--out", out)
+    assert (ended.code, ended.err) == (0, "")
+    assert says(ended.out, "one standard deviation of the mean", "spread: one standard deviation between")
+    groups, by_clip, strides = (pd.read_csv(out / f"{name}.csv") for name in ("groups", "clips", "strides"))
+    assert (out / "clips.parquet").is_file()
+    pd.testing.assert_frame_equal(pd.read_parquet(out / "strides.parquet"), strides)
+    assert list(groups["group"]) == ["f", "m"]
+    assert list(groups["clips"]) == [2, 1]
+    assert groups["strides"].sum() == len(strides) == by_clip["strides"].sum() > 6
+    assert (out / "comparison.png").stat().st_size > 5000
+    for name in QUANTITIES:
+        # The same clip thrice: the same means, no spread, and two clips know what is no clip's own as well as one.
+        np.testing.assert_allclose(groups[name], by_clip[name].iloc[0], rtol=1e-9)
+        assert groups[f"{name}_spread"].fillna(-groups["clips"]).tolist() == [0, -1]  # not known of a single clip
+        f, m = groups[f"{name}_sigma"]
+        if QUANTITIES[name][1]:
+            shared = by_clip["size_sigma"].iloc[0] * by_clip[name].iloc[0]
+            assert f**2 - shared**2 == pytest.approx((m**2 - shared**2) / 2, rel=1e-6)
+        else:
+            assert f == pytest.approx(m / 2**0.5, rel=1e-6)
+
+
+def test_results_of_one_run_are_named(tmp_path: Path, whole_motion: Motion):
+    (source,) = whole_motion.sources
+    later = replace(source, keypoints=replace(source.keypoints, frames=source.keypoints.frames + 1000))
+    other = {**whole_motion.settings, "keypoints": "other.csv"}  # of the same camera
+    second = replace(source, camera=replace(source.camera, name="second"))
+    motions = {
+        "a": whole_motion,
+        "b": replace(whole_motion, sources=(second,), settings=other),
+        "later": replace(whole_motion, sources=(later,)),
+        "other": replace(whole_motion, settings=other),
+    }
+    folders = [motion.save(tmp_path / name).parent for name, motion in motions.items()]
+    ended = run("compare", *folders, "--out", tmp_path / "out")
+    assert says(ended.out, "Probably of one run", ": a and b, b and other. Give one")
+
+
+def test_results_of_the_same_keypoints_and_cameras_count_once(tmp_path: Path, whole_motion: Motion):
+    """By the digests of their files, whatever the results are called; other frames of a clip are a clip."""
+    (source,) = whole_motion.sources
+    later = replace(source, keypoints=replace(source.keypoints, frames=source.keypoints.frames + 1000))
+    motions = dict.fromkeys("abc", whole_motion) | {"=later": replace(whole_motion, sources=(later,))}
+    folders = [motion.save(tmp_path / name).parent for name, motion in motions.items()]
+    for folder, keypoints in zip(folders, "1121", strict=True):
+        (folder / "config.toml").write_text(f'[recon.sha256]\nkeypoints = "{keypoints}"\ncamera = "3"\n')
+        write_manifest(folder)
+    ended = run("compare", *folders, "--out", tmp_path / "out", "--json")
+    assert ended.code == 0, ended
+    data = json.loads(ended.out)
+    assert data["left_out"] == ["b"]
+    assert [row["clips"] for row in data["groups"]] == [3]
+    assert says(data["notes"][0], "same keypoints and cameras", "b (of a)")
+    table = pd.read_csv(tmp_path / "out" / "clips.csv")
+    assert [*table["clip"]] == ["a", "c", "'=later"]  # no spreadsheet runs it
+
+
+def test_only_what_some_clip_has_is_drawn():
+    row = {"clip": "a", "group": "all", "verdict": "use", "strides": 0, "size_sigma": 0.1}
+    clips = pd.DataFrame([row | {name: np.nan for q in QUANTITIES for name in (q, f"{q}_sigma")}])
+    assert [axes.get_title() for axes in _figure(clips, _group_rows(clips)).axes] == [""]
+    clips[["speed_m_s", "speed_m_s_sigma"]] = 5.0, 0.5
+    groups = _group_rows(clips)
+    assert [axes.get_title() for axes in _figure(clips, groups).axes] == ["speed (m/s)"]
+    said = [line for line in _lines(clips, groups, Path("out")) if isinstance(line, str)]
+    assert said[-2] == "No clip has a complete stride: no stride length (m), stride frequency (Hz), duty factor."
+
+
+def test_the_mean_of_clips_knows_their_spread():
+    rng = np.random.default_rng(0)
+    inside, spreads = [], []
+    for _ in range(300):
+        sigma = rng.uniform(0.1, 0.4, 8)
+        values = 5 + rng.normal(0, 0.5, 8) + rng.normal(0, sigma)
+        mean, its_sigma, spread = _mean_of(values, sigma, 0.0)
+        inside.append(abs(mean - 5) < 1.64 * its_sigma)
+        spreads.append(spread)
+    assert 0.8 < np.mean(inside) < 0.97
+    assert np.median(spreads) == pytest.approx(0.5, rel=0.15)
+
+
+def test_what_cannot_be_compared_is_refused(clips: Path, tmp_path: Path, whole_motion: Motion):
+    out = tmp_path / "out"
+    lacking = tmp_path / "lacking.csv"
+    lacking.write_text("clip,sex\na,f\n")
+
+    def refuses(args: list[object], *expected: Refusal) -> None:
+        refused(["compare", *args, "--out", out], *expected)
+
+    refuses([clips, "--table", lacking, "--by", "sex"], *((lacking, "clip", f"for {name}") for name in "bc"))
+    refuses([clips, "--table", lacking, "--by", "age"], (lacking, "column", ["'age'", "(clip, sex)"]))
+    refuses([clips, "--by", "age"], ("--by", "table", "--table"))
+    for folder in (tmp_path, clips / "animals.csv"):
+        refuses([folder], (folder, "folder", "no results"))
+    assert whole_motion.verdict is not None
+    wreck = replace(whole_motion, verdict=replace(whole_motion.verdict, level="do not use"))
+    wreck.save(tmp_path / "wreck")
+    refuses([tmp_path / "wreck"], (tmp_path / "wreck", "verdict", "do not use", "--anyway"))
+    assert not out.exists()
+    ended = run("compare", tmp_path / "wreck", clips / "a", "--out", out)
+    assert (ended.code, list(pd.read_csv(out / "clips.csv")["clip"])) == (0, ["a"])
+    assert says(ended.out, "Left out", "wreck", "--anyway")
+    again = "compare", tmp_path / "wreck", clips / "a", "--out", out, "--overwrite", "--json"
+    said = json.loads(run(*again).out)
+    assert (said["left_out"], [group["clips"] for group in said["groups"]]) == (["wreck"], [1])
+    assert says(said["notes"][0], "Left out", "wreck")
+    assert json.loads(run(*again, "--anyway").out)["left_out"] == []
+    assert list(pd.read_csv(out / "clips.csv")["clip"]) == ["wreck", "a"]
+    refuses([clips], ("--out", "folder", ["groups.csv", out], "--overwrite"))
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "clips.parquet").write_text("of somebody else")
+    foreign = (tmp_path / "mine" / "clips.parquet", "file", "`recon compare` did not write", "moved away")
+    refused(["compare", clips, "--out", tmp_path / "mine"], foreign)

@@ -1,0 +1,84 @@
+"""What is imported, and when: a command that does not need a library does not wait for it."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import recon
+
+ROOT = Path(__file__).resolve().parents[2]
+SLOW = {"numpy", "pandas", "scipy", "cv2", "rerun", "pyarrow", "torch", "matplotlib", "h5py", "tables"}
+
+
+def imported_by(*args: object, what: tuple[str, ...] = ("-m", "recon")) -> set[str]:
+    """The modules that `recon ARGS`, or `python WHAT ARGS`, imports."""
+    command = [sys.executable, "-X", "importtime", *what, *map(str, args)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr[-2000:]
+    return set(re.findall(r"^import time:.*\| +(\S+)$", done.stderr, re.MULTILINE))
+
+
+@pytest.mark.parametrize("option", ["--help", "--version"])
+def test_the_start_imports_nothing_slow(option):
+    modules = imported_by(option)
+    assert "typer" in modules
+    assert modules & SLOW == set()
+
+
+def test_a_fit_imports_what_it_uses(tmp_path):
+    samples = ROOT / "data" / "samples"
+    fit = (
+        "fit",
+        samples / "whole.csv",
+        "--camera",
+        samples / "camera.toml",
+        "--fps",
+        60,
+        "--frames",
+        "0:8",
+        "--set",
+        "fast=true",
+    )
+    modules = imported_by(*fit, "--out", tmp_path)
+    assert (tmp_path / "motion.rrd").is_file()
+    assert {"numpy", "rerun"} <= modules
+    of_other_clips = {"recon.io.hdf5_poses", "recon.io.camera_track", "recon.check.agreement"}
+    unused = {
+        *of_other_clips,
+        "recon.gait.evaluation",
+        "recon.api.batch",
+        "h5py",
+        "cv2",
+        "torch",
+        "matplotlib",
+        "tables",
+    }
+    assert modules & unused == set()
+
+
+def test_the_process_that_fits_many_clips_imports_what_it_uses():
+    modules = imported_by(what=("-c", "import recon.api.batch"))
+    assert "recon.api.clip" in modules
+    unused = {"recon.show.plots", "recon.keypoint_net", "cv2", "torch", "matplotlib"}
+    assert modules & unused == set()
+
+
+def test_public_names_come_from_where_editors_look_for_them():
+    """The imports that type checkers see run on first use, and are what `from recon import *` gives."""
+    tree = ast.parse((ROOT / "recon" / "__init__.pyi").read_text(encoding="utf-8"))
+    seen = {alias.name: node.module for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    assert sorted(seen) == recon.__all__
+    for name, module in seen.items():
+        assert getattr(recon, name) is getattr(sys.modules[f"recon.{module}"], name)
+    assert {*recon.__all__} <= {*dir(recon)}
+    star: dict[str, object] = {}
+    exec("from recon import *", star)
+    assert {*seen} <= {*star}
+    with pytest.raises(AttributeError, match="No recon attribute nothing"):
+        _ = recon.nothing  # pyright: ignore[reportAttributeAccessIssue]
