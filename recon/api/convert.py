@@ -121,7 +121,7 @@ def convert(settings: ConvertSettings) -> Answer:
 def read_any(source: Path, settings: ConvertSettings) -> tuple[Keypoints | Pose3D, Motion | None]:
     """2D keypoints or 3D positions, whichever the source holds, and the motion of results. Raises InputError."""
     motion = None
-    if source.is_dir() and ((source / "report.json").is_file() or not any(source.glob("*.json"))):
+    if source.is_dir() and ((source / "report.json").is_file() or not any(source.glob("[!.]*.json"))):
         motion = usable(Motion.load(source), source, settings.anyway)
         data = _pose_of(motion)
         _require_none(settings, ("individual", "columns", "unit", "up"), source, "results of recon fit")

@@ -4,9 +4,7 @@ A command replaces or deletes only what an earlier run of the same kind wrote, a
 is known by size and SHA-256: from `RECORD`, a hidden file in every folder that recon writes to, and from the folder's
 manifest, if it has one. Anything else stays: an input of the run that is starting, a link, a folder, a file of a user's
 or of another command. A command that would have to write such a name ends with a message before it touches anything.
-
-One exception: with --overwrite, the single file that a user names, as in --out camera.toml, may be any file but an
-input, a link, or a part of the results that the command reads.
+That holds for a folder and for the single file that a user names, as in --out camera.toml.
 
 `RECORD` has the new digests before the first file moves, and loses the old ones after the last. Whatever a killed run
 leaves is recognised again.
@@ -298,28 +296,17 @@ class Output:
             return any(path.samefile(given) for given in self.inputs if given.is_file())
         return False
 
-    @property
-    def _is_in_input(self) -> bool:
-        """Whether the folder is one that the run reads, or is in one."""
-        folder = Path(os.path.realpath(self.folder))
-        given = [Path(os.path.realpath(path)) for path in self.inputs if path.is_dir()]
-        return any(folder.is_relative_to(path) for path in given)
-
     def _require_replaceable(self, names: Iterable[str], written: _Written, adds: bool) -> None:
         """Raise InputError unless each name is free, or its file may be replaced.
 
         Without --overwrite, there may be no earlier results of the same command either, unless it adds to them.
         """
         names = [name for name in names if os.path.lexists(self.folder / name)]
-        is_strict = self.exact is not None and self._is_in_input
         links = [name for name in names if (self.folder / name).is_symlink()]
         raise_problems(self._refused(links, "a link, which is not followed"))
         require_no_folders(self.folder, names)
         raise_problems(self._refused([name for name in names if self._is_input(name)], "an input of this run"))
-        others = [name for name in names if name != self.exact or is_strict]
-        if not self.overwrite and self.exact in names:
-            raise InputError(self._there_already(self.exact))
-        foreign = [name for name in others if not self._is_own(name, written)]
+        foreign = [name for name in names if not self._is_own(name, written)]
         what = f"a file that `recon {self.kind}` did not write, or that was changed since"
         raise_problems(self._refused(foreign, what))
         if self.exact is not None and not self.overwrite:
@@ -355,22 +342,18 @@ class Output:
         if not adds:
             leaving += [name for name in written if name not in names and self._may_go(name, written)]
         states = {name: FileState.of(folder / name) for name in leaving}
-        new = {name: self._entry(staging / NEW / name) for name in names if self._is_recorded(name, before)}
-        is_recorded = bool(new) or any(name in before for name in leaving)
-        if is_recorded:
-            known = {name: (*before.get(name, ()), *written.get(name, ()), entry) for name, entry in new.items()}
-            _write_record(folder, before | known)
+        new = {name: self._entry(staging / NEW / name) for name in names}
+        known = {name: (*before.get(name, ()), *written.get(name, ()), entry) for name, entry in new.items()}
+        _write_record(folder, before | known)
         try:
             exchange(staging, folder, states)
         except BaseException:
-            if is_recorded:
-                with suppress(OSError):
-                    _write_record(folder, before)
+            with suppress(OSError):
+                _write_record(folder, before)
             raise
-        if is_recorded:
-            kept = {name: entries for name, entries in before.items() if name not in leaving}
-            with suppress(OSError):  # then the record knows more than it needs to
-                _write_record(folder, kept | {name: (entry,) for name, entry in new.items()})
+        kept = {name: entries for name, entries in before.items() if os.path.lexists(folder / name)}
+        with suppress(OSError):  # then the record knows more than it needs to
+            _write_record(folder, kept | {name: (entry,) for name, entry in new.items()})
         if self.has_manifest:
             _remove_made_from(folder)
 
@@ -381,10 +364,6 @@ class Output:
             return False
         own = [e for e in entries if e.kind == self.kind or (self.has_manifest and _goes(e, self.folder, self.folder))]
         return _is_as_written(self.folder / name, own)
-
-    def _is_recorded(self, name: str, before: _Written) -> bool:
-        """Whether the record has an entry for a new file: not for a single one that stands by itself."""
-        return name != self.exact or name in before or self._is_in_input
 
     def _entry(self, path: Path) -> WrittenFile:
         source = self.made_from

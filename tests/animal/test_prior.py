@@ -437,7 +437,7 @@ def test_every_problem_of_a_command(body, tmp_path):
         ("--skeleton", "name or file", "cheetah-8u"),
         (tmp_path / "no.csv", "file", "no such file"),
         ("--fps", "frame rate", "'fast'"),
-        ("--out", "file", tmp_path / "there.npz", "--overwrite"),
+        (tmp_path / "there.npz", "file", "did not write", "moved away"),
         poses=[tmp_path / "no.csv", few],
         out=tmp_path / "there.npz",
         skeleton="cheetah-8u",

@@ -209,17 +209,30 @@ def test_a_file_that_appears_or_changes_meanwhile_stays(tmp_path):
 # -- one file that the user names -------------------------------------------------------------------------------------
 
 
-def test_one_named_file_is_replaced_if_asked_for_but_no_input(tmp_path):
+def test_one_named_file_is_replaced_if_it_is_own(tmp_path):
     path = tmp_path / "camera.toml"
-    path.write_text("mine")
+    for text in ("1", "2"):
+        with output_file(path, "calibrate", overwrite=True).staged_file() as staged:
+            staged.write_text(text)
+    assert contents(tmp_path) == {"camera.toml": "2"}
     with refusal(("--out", "file", f"{path}, which is there already", "a new name, or --overwrite")):
         output_file(path, "calibrate", overwrite=False).require((path.name,))
     with refusal((path, "file", "an input of this run", "another --out")):
         output_file(path, "calibrate", overwrite=True, inputs=[tmp_path / "." / "camera.toml"]).require((path.name,))
-    with output_file(path, "calibrate", overwrite=True).staged_file() as staged:
-        staged.write_text("new")
-    assert contents(tmp_path) == {"camera.toml": "new"}
-    assert not (tmp_path / RECORD).exists()
+    path.write_text("mine")
+    for overwrite in (False, True):
+        with refusal((path, "file", "`recon calibrate` did not write, or that was changed", "moved away")):
+            output_file(path, "calibrate", overwrite).require((path.name,))
+
+
+def test_the_record_forgets_files_that_are_no_more(tmp_path):
+    for name in ("a.trc", "b.trc"):
+        with output_file(tmp_path / name, "convert", overwrite=False).staged_file() as staged:
+            staged.write_text("1")
+    (tmp_path / "a.trc").unlink()
+    with output_file(tmp_path / "c.trc", "convert", overwrite=False).staged_file() as staged:
+        staged.write_text("1")
+    assert {*read_record(tmp_path)} == {"b.trc", "c.trc"}
 
 
 def test_files_beside_the_named_one_have_to_be_own(tmp_path):

@@ -859,10 +859,10 @@ def test_view_shows_what_goes_with_the_recording(fitted, tmp_path, monkeypatch):
     monkeypatch.setattr("recon.show.view.open_viewer", look)
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     assert run("view", out) == Ended(0, "", "")
-    (tmp_path / "all.rrd").write_text("old")
+    said = f"The recording is in {tmp_path / 'all.rrd'}. Watch it with: rerun {tmp_path / 'all.rrd'}\n"
+    assert run("view", out, "--out", tmp_path / "all.rrd") == Ended(0, said, "")
     there = ("--out", "file", tmp_path / "all.rrd", "--overwrite")
     refused(["view", out, "--out", tmp_path / "all.rrd"], there)
-    said = f"The recording is in {tmp_path / 'all.rrd'}. Watch it with: rerun {tmp_path / 'all.rrd'}\n"
     assert run("view", out, "--out", tmp_path / "all.rrd", "--overwrite") == Ended(0, said, "")
     look(tmp_path / "all.rrd")
     assert seen == [{"/analysis/speed", "/speed"}] * 2

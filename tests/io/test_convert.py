@@ -17,6 +17,7 @@ from exact_tables import read_csv
 from typer.testing import CliRunner
 
 from recon.api.convert import ConvertSettings, choose_format, convert
+from recon.base.outputs import RECORD
 from recon.cli.app import app, main
 from recon.clip import Keypoints
 from recon.io.common import Pose3D
@@ -408,7 +409,7 @@ def test_whole_or_not_at_all(files_2d, tmp_path):
     found = read_keypoints(out)
     assert found.fps == 50
     assert found.frames.tolist() == FRAMES.tolist()
-    assert [p.name for p in out.parent.iterdir()] == ["a.nwb"]
+    assert {p.name for p in out.parent.iterdir()} == {"a.nwb", RECORD}
     with refusal(("OUT", "file", out, "--overwrite")):
         convert(ConvertSettings(source=files_2d["movement.nc"], out=out))
     convert(ConvertSettings(source=files_2d["movement.nc"], out=out, overwrite=True))

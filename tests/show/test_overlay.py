@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from recon import FitSettings, InputError, write_clip
+from recon.base.outputs import RECORD
 from recon.cli.app import app
 from recon.cli.look import (
     OverlaySettings,
@@ -206,7 +207,7 @@ def test_every_frame_of_the_clip_is_drawn_on_its_own_picture(folder, video, tmp_
     assert (info.size_px, info.fps) == (canvas_size(SIZE), 15.0)
     levels = [float(image[1000, 1800].mean()) for _, image in read_frames(out)]
     np.testing.assert_allclose(levels, 10.0 * np.arange(3, 11), atol=4)
-    assert {path.name for path in tmp_path.iterdir()} == {"o.avi"}
+    assert {path.name for path in tmp_path.iterdir()} == {"o.avi", RECORD}
 
 
 def test_a_video_of_a_varying_rate_is_said_to_be_one(folder, tmp_path):
@@ -243,7 +244,7 @@ def test_what_does_not_fit_is_named_at_once(folder, tmp_path):
         draw(OverlaySettings(folder=folder, video=small, out=tmp_path / "o.mp4", first_frame=11))
     with refusal(("settings", "speed", "-1", "greater than 0")):
         OverlaySettings(folder=folder, video=small, out=tmp_path / "o.mp4", speed=-1)
-    there = ("--out", "file", small, "--overwrite")
+    there = (small, "file", "did not write", "moved away")
     with refusal((tmp_path, "folder", "no motion.npz"), (tmp_path / "none.mp4", "video", "no such file"), there):
         draw(OverlaySettings(folder=tmp_path, video=tmp_path / "none.mp4", out=small))
 
