@@ -187,7 +187,7 @@ def small_motion() -> Motion:
     chain = load_chain("cheetah-8u")
     camera = Camera.from_hfov(64.0, (1920, 1080))
     states = np.tile(mean_pose(chain), (6, 1))
-    states[:, chain.place_slice] = [-1.5, 0.0, 9.0] + 0.3 * np.arange(6)[:, None] * [1.0, 0.0, 0.0]
+    states[:, chain.position_slice] = [-1.5, 0.0, 9.0] + 0.3 * np.arange(6)[:, None] * [1.0, 0.0, 0.0]
     xy_px, _ = camera.project(chain.pose(states).joints_m)
     names = chain.body.keypoint_names("right")
     xy_px[4, names.index("neck_base"), 1] -= 300.0

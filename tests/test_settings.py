@@ -51,7 +51,7 @@ def test_what_is_not_given_has_its_default():
     settings = read_settings(None, {**GIVEN, "side": None, "likelihood_min": None})
     assert settings.side == "auto"
     assert settings.likelihood_min == 0.5
-    assert FrameOptions.of(FitSettings(**GIVEN, method="frame").plain()) == FrameOptions()
+    assert FrameOptions.from_settings(FitSettings(**GIVEN, method="frame").plain()) == FrameOptions()
     assert settings.trajectory_options() == TrajectoryOptions()
     assert (settings.method, settings.skeleton_name) == ("trajectory", "cheetah-24")
 
@@ -80,7 +80,9 @@ def test_every_solver_option_is_a_setting():
     }
     assert set(changed) == {*FrameOptions.__dataclass_fields__} & {*SETTINGS}
     assert {*of_method("frame")} < {*changed}
-    assert FrameOptions.of(FitSettings(**GIVEN, **changed, method="frame").plain()) == FrameOptions(**changed)
+    assert FrameOptions.from_settings(FitSettings(**GIVEN, **changed, method="frame").plain()) == FrameOptions(
+        **changed
+    )
 
 
 @pytest.mark.parametrize(

@@ -316,7 +316,7 @@ def real_legs(folder: Path) -> dict[str, list[Leg]]:
 
 
 def stride_cell(stride: StridePath) -> str:
-    whole = " (whole clip)" if stride.how == "whole clip" else ""
+    whole = " (whole clip)" if stride.origin == "whole clip" else ""
     return f"{1000 * (stride.end_s - stride.start_s):.0f} ms, {stride.gap_percent:.0f} %{whole}"
 
 
@@ -374,7 +374,9 @@ def frames_of(leg: Leg, span_s: tuple[float, float] = (-np.inf, np.inf)) -> Fram
     dq = CubicSpline(time_s, q).derivative()(time_s)
     within = (time_s >= span_s[0] - 1e-6) & (time_s <= span_s[1] + 1e-6)
     q, dq = q[within], dq[within]
-    return Frames.of(leg.chain, q, np.array([leg.chain.jacobian(x) @ v for x, v in zip(q, dq, strict=True)]), dq)
+    return Frames.without_gaps(
+        leg.chain, q, np.array([leg.chain.jacobian(x) @ v for x, v in zip(q, dq, strict=True)]), dq
+    )
 
 
 def print_fits(folder: Path) -> None:

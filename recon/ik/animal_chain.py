@@ -19,7 +19,7 @@ from recon.animal.body import Body
 from recon.animal.chain import UVW_BODY, Chain, upright_rotation
 from recon.base.arrays import Array
 from recon.geometry.kinematics import PITCH, ROOT, YAW, Tree
-from recon.ik.chain import FREE, MAX_RATE_RAD_S, SerialChain, _each, planar_chain, summed_chain
+from recon.ik.chain import FREE, MAX_RATE_RAD_S, SerialChain, _by_joint, planar_chain, summed_chain
 
 BASE_THETA_RAD = 0.9
 """Limit of the first link's pitch: three standard deviations of a running animal's."""
@@ -59,11 +59,11 @@ def spine_front_leg(
 
 
 def chain_angles(chain: Chain, states: Array, travel: Array | None = None, dim: Literal[2, 3] = 3) -> Array:
-    """Joint angles (T, n) of `spine_front_leg` in its level base frame, for states (T, D) of the chain's body.
+    """Return the joint angles (T, n) of `spine_front_leg` in its level base frame, for states (T, D) of its body.
 
     travel: direction of travel, (3,) or (T, 3), of which the level part counts; None: as `body_travel`. All links keep
-    their directions in space exactly (dim 3); of the two angle pairs for a direction, and of their turns, it is the one
-    nearer to that of the chain without roll. dim 2: the thetas, the chain turned into the sagittal plane.
+    their directions in space exactly (dim 3). Two pairs of angles give the same direction: the pair nearer to that of
+    the chain without roll is taken. dim 2: the thetas, the chain turned into the sagittal plane.
     """
     R = chain.body.tree.orientations(states)[:, 0] @ UVW_BODY.T
     heading = (body_travel(states) if travel is None else np.asarray(travel, float)) * (1.0, 1.0, 0.0)
@@ -88,7 +88,7 @@ def chain_angles(chain: Chain, states: Array, travel: Array | None = None, dim: 
 
 
 def _angles_near(directions: Array, theta: Array, phi: Array) -> tuple[Array, Array]:
-    """T, P (T, L) of unit vectors (T, L, 3), nearest to theta, phi (T, L)."""
+    """Return T, P (T, L) of unit vectors (T, L, 3), nearest to theta, phi (T, L)."""
     T = np.arcsin(np.clip(directions[..., 1], -1, 1))
     P = np.arctan2(directions[..., 2], directions[..., 0])
     pairs = [
@@ -96,8 +96,8 @@ def _angles_near(directions: Array, theta: Array, phi: Array) -> tuple[Array, Ar
         for t, p in ((T, P), (np.pi - T, P + np.pi))
     ]
     # Phi counts as far as it turns the link.
-    far = [(t - theta) ** 2 + (np.cos(t) * (p - phi)) ** 2 for t, p in pairs]
-    first = far[0] <= far[1]
+    distances = [(t - theta) ** 2 + (np.cos(t) * (p - phi)) ** 2 for t, p in pairs]
+    first = distances[0] <= distances[1]
     return np.where(first, pairs[0][0], pairs[1][0]), np.where(first, pairs[0][1], pairs[1][1])
 
 
@@ -115,7 +115,7 @@ def _path(chain: Chain) -> list[int]:
 
 
 def _angle_index(chain: Chain, links: list[int]) -> list[int | None]:
-    """Where links have their theta among the thetas, None for a link without."""
+    """Return the index of every link's theta among the thetas, None for a link without one."""
     free = [i for i, link in enumerate(chain.links) if link.free]
     return [free.index(i) if i in free else None for i in links]
 
@@ -131,28 +131,28 @@ def body_chain(body: Body, foot: str, size: float = 1.0, limited: bool = True) -
     if marker is None:
         raise ValueError(f"{body.name} has no marker {foot}, only {', '.join(body.markers)}")
     by_name = {segment.name: segment for segment in body.tree.segments}
-    way = [by_name[marker.segment]]
-    while way[0].parent is not None:
-        way.insert(0, by_name[way[0].parent])
-    if summed := [segment.name for segment in way if segment.joint == "summed"]:
+    branch = [by_name[marker.segment]]
+    while branch[0].parent is not None:
+        branch.insert(0, by_name[branch[0].parent])
+    if summed := [segment.name for segment in branch if segment.joint == "summed"]:
         raise ValueError(f"{body.name}: the angles of {summed[0]} add up, which is `summed_chain`")
-    tree = Tree(tuple(way), (marker,)).scaled(size)
+    tree = Tree(tuple(branch), (marker,)).scaled(size)
     names = tree.state_names[3:]
-    where = np.array([body.state_names.index(name) for name in names])
+    columns_of_body = np.array([body.state_names.index(name) for name in names])
     mean, sigma = np.concatenate([[0.0], body.mean_rad]), np.concatenate([[np.inf], body.sigma_rad])
-    low, high = ((mean + sign * LIMIT_SIGMAS * sigma)[where - YAW] for sign in (-1, 1))
+    low, high = ((mean + sign * LIMIT_SIGMAS * sigma)[columns_of_body - YAW] for sign in (-1, 1))
     low[0], high[0] = -np.pi, np.pi
     groups = (tuple(i for i, about in enumerate(tree.axes) if about == axis) for axis in "zyx")
-    limits = _each(len(names), *((low, high) if limited else FREE), MAX_RATE_RAD_S)
+    limits = _by_joint(len(names), *((low, high) if limited else FREE), MAX_RATE_RAD_S)
     columns = 3 + np.arange(len(names))
     return SerialChain(tree, columns, names, tuple(group for group in groups if group), *limits)
 
 
 def body_chain_angles(body: Body, foot: str, states: Array, travel: Array | None = None) -> Array:
-    """Joint angles (T, n) of `body_chain` for states (T, D) of the body, in a world with z up.
+    """Return the joint angles (T, n) of `body_chain` for states (T, D) of the body, in a world with z up.
 
-    travel: direction of travel, (3,) or (T, 3), of which the level part counts; None: from the first to the last place
-    of the root, or the way the animal faces where that is short.
+    travel: direction of travel, (3,) or (T, 3), of which the level part counts; None: from the first to the last
+    position of the root, or where the animal faces if that is short.
     """
     q = states[:, [body.state_names.index(name) for name in body_chain(body, foot).names]]
     ahead = body_travel(states) if travel is None else np.asarray(travel, float)
@@ -196,7 +196,7 @@ def projected_chain(points_m: Array, travel: ArrayLike) -> tuple[SerialChain, Ar
 
 
 def _unwrapped(angle: Array) -> Array:
-    """(T,) without jumps of whole turns between known frames."""
+    """Return angles (T,) without jumps of whole turns between known frames."""
     out, known = angle.copy(), np.isfinite(angle)
     out[known] = np.unwrap(angle[known])
     return out

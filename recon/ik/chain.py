@@ -32,7 +32,7 @@ Limits = tuple[ArrayLike, ArrayLike]
 """The lower and the upper limit."""
 FREE: Limits = (-np.inf, np.inf)
 MAX_RATE_RAD_S = 50.0
-"""Where a chain has no rate limit of its own."""
+"""Rate limit of a chain that has none of its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ class SerialChain:
         """Return the number of dimensions, 2 or 3."""
         return len(self.base)
 
-    # -- where it is -------------------------------------------------------------------------------------------------
+    # -- positions -------------------------------------------------------------------------------------------------
 
     def positions(self, q: Array) -> Array:
         """Return the positions of the joints along the chain and, last, of the end effector (..., ., dim), metres."""
@@ -97,7 +97,7 @@ class SerialChain:
         """Return the nearest angles to q (..., n) within the limits."""
         return np.minimum(np.maximum(q, self.lower_rad), self.upper_rad)
 
-    # -- how it moves, for q (n,) ------------------------------------------------------------------------------------
+    # -- velocities, for q (n,) ------------------------------------------------------------------------------------
 
     def derivatives(self, q: Array) -> tuple[Array, Curvature]:
         """Return the end effector's Jacobian (dim, n), and its curvature.
@@ -106,13 +106,13 @@ class SerialChain:
         """
         jacobian, _, curvature = derivatives(self.tree, self._states(q)[0])
 
-        def bent(mu: Array) -> Array:
+        def weighted_curvature(mu: Array) -> Array:
             return curvature(mu[None] @ self.base)[np.ix_(self.columns - 3, self.columns - 3)]
 
-        return self.base @ jacobian[0][:, self.columns], bent
+        return self.base @ jacobian[0][:, self.columns], weighted_curvature
 
     def jacobian(self, q: Array) -> Array:
-        """(..., dim, n) of the end effector, for q (..., n)."""
+        """Return the end effector's Jacobian (..., dim, n), for q (..., n)."""
         jacobian = self.tree.pose_with_jacobian(self._states(q)).jacobian[:, 0]
         return (self.base @ jacobian[..., self.columns]).reshape(*q.shape[:-1], self.dim, self.n)
 
@@ -134,7 +134,7 @@ class SerialChain:
         states[:, self.columns] = q.reshape(-1, self.n)
         return states
 
-    # -- how long it is ----------------------------------------------------------------------------------------------
+    # -- lengths ----------------------------------------------------------------------------------------------
 
     @cached_property
     def sliding(self) -> Bools:
@@ -148,7 +148,7 @@ class SerialChain:
 
     @cached_property
     def lengths_m(self) -> Array:
-        """(L,): from each place with joints to the next, the last to the end effector, with nothing slid out."""
+        """(L,): from each position with joints to the next, the last to the end effector, with nothing slid out."""
         return np.linalg.norm(np.diff(self.positions(np.zeros(self.n)), axis=0), axis=1)
 
     @cached_property
@@ -177,10 +177,10 @@ class SerialChain:
 
 
 def mobility(bodies: int, freedoms: Sequence[int], of_a_body: Literal[3, 6] = 6) -> int:
-    """Grübler's count of what a mechanism is free to do: b (bodies - 1 - joints) + the joints' freedoms.
+    """Return the degrees of freedom of a mechanism by Grübler's formula, b (bodies - 1 - joints) + those of the joints.
 
-    bodies: with the ground; freedoms: of every joint, of a hinge 1, of a universal joint 2, of a free body 6;
-    of_a_body: b, 6 in space, 3 in a plane. It takes constraints for independent of each other.
+    bodies: number, the ground included; freedoms: of each joint, 1 for a hinge, 2 for a universal joint, 6 for a free
+    body; of_a_body: b, 6 in space, 3 in a plane. Constraints count as independent of each other.
     """
     return of_a_body * (bodies - 1 - len(freedoms)) + sum(freedoms)
 
@@ -188,7 +188,7 @@ def mobility(bodies: int, freedoms: Sequence[int], of_a_body: Literal[3, 6] = 6)
 def planar_chain(
     lengths_m: ArrayLike, limits_rad: Limits = FREE, max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S
 ) -> SerialChain:
-    """Links in a plane: q (L,), angle 0 along +x, positive towards +y. Otherwise as `summed_chain`."""
+    """Return a chain of links in a plane, with q (L,): angle 0 along +x, positive towards +y. See `summed_chain`."""
     return summed_chain(lengths_m, limits_rad, max_rate_rad_s, dim=2)
 
 
@@ -210,12 +210,12 @@ def summed_chain(
     ends = ["base", *(f"link_{k}" for k in range(1, L + 1))]
     links = [Segment(ends[k + 1], ends[k], "summed", along[k]) for k in range(L)]
     tree = Tree((Segment("base", None, "fixed"), *links), (Marker("end", ends[-1], along[-1]),))
-    # Of every link the tree has phi, then theta.
+    # The tree has phi, then theta, of every link.
     phi = 3 + 2 * np.arange(L)
     columns = np.concatenate([phi + 1, phi])[: L * (dim - 1)]
     groups = tuple(tuple(range(k * L, (k + 1) * L)) for k in range(dim - 1))
     names = tuple(tree.state_names[column] for column in columns)
-    limits = _each(len(columns), *limits_rad, max_rate_rad_s)
+    limits = _by_joint(len(columns), *limits_rad, max_rate_rad_s)
     return SerialChain(tree, columns, names, groups, *limits, base=UVW_BODY[:dim])
 
 
@@ -254,13 +254,13 @@ def joint_chain(
     tree = Tree(tuple(segments), (Marker("end", segments[-1].name, _triple(back[n] @ tool)),))
     end = back[n] if tool_rotation is None else back[n] @ tool_rotation.as_matrix()
     names = tuple(f"joint {j + 1}" for j in range(n)) if names is None else names
-    columns, groups, limits = 3 + np.arange(n), (tuple(range(n)),), _each(n, *limits_rad, max_rate_rad_s)
+    columns, groups, limits = 3 + np.arange(n), (tuple(range(n)),), _by_joint(n, *limits_rad, max_rate_rad_s)
     return SerialChain(tree, columns, names, groups, *limits, tool_rotation=end)
 
 
-def _each(n: int, *numbers: ArrayLike) -> list[Array]:
+def _by_joint(n: int, *numbers: ArrayLike) -> list[Array]:
     """Return numbers for n joints, each given as one number or as (n,)."""
-    return [np.array(np.broadcast_to(one, n), float) for one in numbers]
+    return [np.array(np.broadcast_to(number, n), float) for number in numbers]
 
 
 def _triple(v: Array) -> tuple[float, float, float]:
@@ -277,20 +277,20 @@ def _with_z_along(z: Array) -> Array:
 
 
 def unreachable(chain: SerialChain, target_m: Array, tolerance_m: float = 0.0) -> str:
-    """Why no angles put the end effector within the tolerance of a target (dim,); empty where some may."""
+    """Return why no angles put the end effector within the tolerance of a target (dim,); empty if some may."""
     if not np.isfinite(target_m).all():
         return "unreachable: the target is not finite"
-    distance, (least, most) = float(np.linalg.norm(target_m)), chain.reach_m
-    if least - tolerance_m <= distance <= most + tolerance_m:
+    distance, (nearest, farthest) = float(np.linalg.norm(target_m)), chain.reach_m
+    if nearest - tolerance_m <= distance <= farthest + tolerance_m:
         return ""
-    return f"unreachable: {distance:.3f} m from the base, the chain reaches {least:.3f} to {most:.3f} m"
+    return f"unreachable: {distance:.3f} m from the base, the chain reaches {nearest:.3f} to {farthest:.3f} m"
 
 
 def manipulability(J: Array) -> Array:
-    """sqrt(det J J') of J (..., dim, n) (Yoshikawa 1985): 0 where a direction is lost."""
+    """Return sqrt(det J J') of J (..., dim, n) (Yoshikawa 1985): 0 where a direction is lost."""
     return np.sqrt(np.maximum(0.0, np.linalg.det(J @ J.swapaxes(-1, -2))))
 
 
 def null_basis(J: Array) -> Array:
-    """Orthonormal basis N (n, n - dim) of the null space of J (dim, n), J N = 0."""
+    """Return an orthonormal basis N (n, n - dim) of the null space of J (dim, n), J N = 0."""
     return np.asarray(np.linalg.qr(J.T, mode="complete")[0][:, len(J) :], float)

@@ -252,7 +252,7 @@ class _IKRun:
             "joints": list(limb.chain.names),
             "base_frame": "U forwards, V down, W left" if limb.base == "UVW" else "x forwards, y left, z up",
             "misfit_m": limb.misfit_m,
-            "stride": stride_s | picked(stride, "how", "notes", "gap_m", "gap_percent"),
+            "stride": stride_s | {"how": stride.origin} | picked(stride, "notes", "gap_m", "gap_percent"),
             "parameters": {"used": settings.parameters, "fitted": fitted, "alpha": settings.alpha},
             "target_m": self.target_m,
             "to_target": {name: run.measures() for name, run in self.runs["target"].items()},

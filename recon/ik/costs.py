@@ -9,8 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -53,12 +51,19 @@ def pose_distance(pose: Array) -> Cost:
 
 
 def weighted_sum(costs: Sequence[Cost], weights: Sequence[float]) -> Cost:
-    """sum_i w_i g_i of other costs."""
+    """Return the weighted sum of costs, sum_i w_i g_i."""
+    weighted = list(zip(weights, costs, strict=True))
 
-    def added(part: str, q: Array) -> Any:
-        return sum(w * getattr(cost, part)(q) for w, cost in zip(weights, costs, strict=True))
+    def value(q: Array) -> float:
+        return sum(weight * cost.value(q) for weight, cost in weighted)
 
-    return Cost(partial(added, "value"), partial(added, "gradient"), partial(added, "hessian"))
+    def gradient(q: Array) -> Array:
+        return np.sum([weight * cost.gradient(q) for weight, cost in weighted], axis=0)
+
+    def hessian(q: Array) -> Array:
+        return np.sum([weight * cost.hessian(q) for weight, cost in weighted], axis=0)
+
+    return Cost(value, gradient, hessian)
 
 
 def harmonic_map(a: float = 1.0, b: float = 0.0, joints: Sequence[int] = (2, 3, 4)) -> Cost:
@@ -70,7 +75,7 @@ def harmonic_map(a: float = 1.0, b: float = 0.0, joints: Sequence[int] = (2, 3, 
     i, j, k = joints
 
     def parts(q: Array) -> tuple[float, float, float, float]:
-        """q2, f, f' and f'' of f = (a q1 + b) sqrt(1 + q1^2)."""
+        """Return q2, f, f' and f'' of f = (a q1 + b) sqrt(1 + q1^2)."""
         q1, q2 = float(q[i] - q[j]), float(q[k] - q[j])
         root, line = math.sqrt(1 + q1 * q1), a * q1 + b
         first = a * root + line * q1 / root
@@ -78,7 +83,7 @@ def harmonic_map(a: float = 1.0, b: float = 0.0, joints: Sequence[int] = (2, 3, 
         return q2, line * root, first, second
 
     def differences(q: Array) -> Array:
-        """(2, n): q1 and q2 by q."""
+        """Return the derivatives (2, n) of q1 and q2 by q."""
         out = np.zeros((2, len(q)))
         out[[0, 1], [i, k]], out[:, j] = 1.0, -1.0
         return out
@@ -95,11 +100,11 @@ def harmonic_map(a: float = 1.0, b: float = 0.0, joints: Sequence[int] = (2, 3, 
 
 
 def user_cost(function: Callable[[Array], float], step_rad: float = 1e-4) -> Cost:
-    """Any smooth function of q (n,), with derivatives from central differences over step_rad."""
+    """Return a cost from any smooth function of q (n,), with derivatives from central differences over step_rad."""
 
-    def slopes(of: Callable[[Array], Array | float], q: Array) -> Array:
+    def slopes(f: Callable[[Array], Array | float], q: Array) -> Array:
         with np.errstate(invalid="ignore"):  # a cost that is infinite has no slope
-            return np.array([np.subtract(of(q + e), of(q - e)) for e in step_rad * np.eye(len(q))]) / (2 * step_rad)
+            return np.array([np.subtract(f(q + e), f(q - e)) for e in step_rad * np.eye(len(q))]) / (2 * step_rad)
 
     def hessian(q: Array) -> Array:
         bent = slopes(lambda x: slopes(function, x), q)

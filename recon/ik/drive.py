@@ -32,12 +32,12 @@ PATIENCE = 100
 """Iterations in which the distance has to shrink by `PROGRESS`."""
 PROGRESS = 0.01
 STILL_RAD = 1e-10
-"""Rounding, no motion."""
+"""A smaller motion is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What a chain did on its way to a target or along a path: K configurations, K - 1 steps."""
+    """Hold what a chain did on its way to a target or along a path: K configurations, K - 1 steps."""
 
     q: Array
     """(K, n), rad."""
@@ -71,7 +71,7 @@ class Run:
 
     @property
     def distance_m(self) -> Array:
-        """How far the end effector is from the target, or from the path, shape (K,)."""
+        """Distance of the end effector from the target, or from the path, shape (K,)."""
         return np.linalg.norm(self.aim_m - self.end_m, axis=1)
 
     @property
@@ -81,7 +81,7 @@ class Run:
 
     @property
     def reason(self) -> str:
-        """Why a way to a target ended."""
+        """Why the motion to a target ended."""
         return self.note or "reached"
 
     @property
@@ -97,8 +97,8 @@ class Run:
         other path starts at rest.
         """
         q, interval_s = self.q, self.interval_s
-        before = q[0] - (q[-1] - q[-2]) if self.closed else q[0]
-        known = np.vstack([before, q, q[-1] + interval_s * self.dq[-1]])
+        previous = q[0] - (q[-1] - q[-2]) if self.closed else q[0]
+        known = np.vstack([previous, q, q[-1] + interval_s * self.dq[-1]])
         return (known[2:] - known[:-2]) / (2 * interval_s), (known[2:] - 2 * q + known[:-2]) / interval_s**2
 
     @property
@@ -131,10 +131,10 @@ class Run:
     def measures(self) -> dict[str, Any]:
         """Return the numbers of the run for the tables."""
         if self.driven:
-            found = {"reached": self.reached, "reason": self.reason, "iterations": self.iterations}
+            outcome = {"reached": self.reached, "reason": self.reason, "iterations": self.iterations}
         else:
-            found = {"worst_error_m": float(self.distance_m.max()), "note": self.note}
-        return found | {
+            outcome = {"worst_error_m": float(self.distance_m.max()), "note": self.note}
+        return outcome | {
             "us_per_step": 1e6 * float(np.median(self.solve_s)) if len(self.solve_s) else None,
             "length_m": self.length_m,
             "roughness_rad2": self.roughness_rad2,
@@ -146,7 +146,7 @@ class Run:
 
 def control_columns(names: Sequence[str]) -> list[str]:
     """Return the names of the columns of rates and accelerations of joints."""
-    return [f"{name}_{what}" for what in ("rate_rad_s", "acceleration_rad_s2") for name in names]
+    return [f"{name}_{quantity}" for quantity in ("rate_rad_s", "acceleration_rad_s2") for name in names]
 
 
 def drive_to(
@@ -158,7 +158,7 @@ def drive_to(
     max_iterations: int = 2000,
     interval_s: float = INTERVAL_S,
 ) -> Run:
-    """Drives the end effector from q0 (n,) to a target (dim,). What goes wrong is the run's note.
+    """Drive the end effector from q0 (n,) to a target (dim,). What goes wrong is the run's note.
 
     The extended Jacobian goes to G = 0 first; those configurations are not part of the path.
     """
@@ -197,11 +197,11 @@ def follow(
     turns: int = 1,
     interval_s: float = INTERVAL_S,
 ) -> Run:
-    """Follows a path (K, dim), whose points are an interval apart, from q0 (n,), whose end effector is at its start.
+    """Follow a path (K, dim), whose points are an interval apart, from q0 (n,), whose end effector is at its start.
 
-    Each step goes from where the end effector is to the next point, and the extended Jacobian (full) keeps G. method:
-    one for all steps, or a function of the step's number. turns: a closed path (last point = first) again and again.
-    Raises ValueError for a path that is not one.
+    Each step goes from the end effector's position to the next point, and the extended Jacobian (full) keeps G. method:
+    one for all steps, or a function of the step's number. turns: number of times round a closed path (last point =
+    first). Raises ValueError for an array that is no path.
     """
     path = np.asarray(path_m, float)
     if path.ndim != 2 or len(path) < 2 or path.shape[1] != chain.dim or not np.isfinite(path).all():
@@ -222,8 +222,8 @@ def follow(
         return note if k == len(points) - 1 else (points[k + 1] - end) / interval_s
 
     run = _moved(chain, chain.inside_limits(np.asarray(q0, float)), points, ask, of_step, interval_s)
-    again = path[1] - path[0] if closed else path[-1] - path[-2]
-    last = _one_interval(chain, run.q[-1], again / interval_s, of_step(run.iterations), interval_s)[0].dq
+    onwards = path[1] - path[0] if closed else path[-1] - path[-2]
+    last = _one_interval(chain, run.q[-1], onwards / interval_s, of_step(run.iterations), interval_s)[0].dq
     return replace(run, dq=np.vstack([run.dq[:-1], last]), closed=closed)
 
 
@@ -271,7 +271,7 @@ def _moved(
 
 
 def degree_of_closure(path: Array) -> float:
-    """D = 100 (1 - d / d_max) in percent: d from start to end, d_max the path's diameter; NaN if it does not move.
+    """Return D = 100 (1 - d / d_max) in percent: d from start to end, d_max the path's diameter; NaN without motion.
 
     path: an angle (K,), or (angle, rate) (K, 2), whose axes are divided by their ranges. An angle that stays within
     `STILL_RAD` does not move.

@@ -35,13 +35,13 @@ def task_space(
     """
     labels, first = [f"{name}{_outcome(move)}" for name, move in moves.items()], next(iter(moves.values()))
     aims = () if aim_m is None else ("path to follow",) if aim_m.ndim == 2 else ("target",)
-    said, start, stood_there, aim = ("start", "chain at the start", *aims), [], [], []
-    with style.drawing(92 + style.legend_shape([*labels, *said])[1]) as figure:
+    marks, start, first_chain, aim = ("start", "chain at the start", *aims), [], [], []
+    with style.drawing(92 + style.legend_shape([*labels, *marks])[1]) as figure:
         views = VIEWS[base][: chain.dim - 1]
         panels = np.ravel(figure.subplots(1, len(views), squeeze=False))
         for axes, (view, i, j, across, upwards) in zip(panels, views, strict=True):
-            stood = {"color": style.GREY, "lw": 2.2, "alpha": 0.5, "marker": "o", "ms": 2, "zorder": 1}
-            stood_there = axes.plot(*chain.positions(first.q[0])[:, [i, j]].T, **stood)
+            first_look = {"color": style.GREY, "lw": 2.2, "alpha": 0.5, "marker": "o", "ms": 2, "zorder": 1}
+            first_chain = axes.plot(*chain.positions(first.q[0])[:, [i, j]].T, **first_look)
             if aim_m is not None and aim_m.ndim == 2:
                 aim = axes.plot(*aim_m[:, [i, j]].T, color=style.PALE, lw=3.5, zorder=1, gid="path")
             elif aim_m is not None:
@@ -61,13 +61,13 @@ def task_space(
                 axes.invert_yaxis()
             if chain.dim == 3:
                 axes.set_title(view, loc="left", fontsize=style.SMALL, color=style.GREY)
-        ways, _ = panels[0].get_legend_handles_labels()
-        style.add_legend(figure, [*ways, *start, *stood_there, *aim], [*labels, *said])
+        paths, _ = panels[0].get_legend_handles_labels()
+        style.add_legend(figure, [*paths, *start, *first_chain, *aim], [*labels, *marks])
     return figure
 
 
 def joint_space(moves: Mapping[str, Run], names: Sequence[str]) -> Figure:
-    """Each joint's angle (deg) by method, over the iterations to a target or the time along a path. names (n,)."""
+    """Draw each joint's angle (deg) by method, over the iterations to a target or the time along a path. names (n,)."""
     n, driven = len(names), any(move.driven for move in moves.values())
     least, aspect = (3, 0.62) if n <= 6 else (5, 0.9)
     rows, columns = style.grid_shape(n, style.WIDTH_MM, aspect, least)
@@ -94,5 +94,5 @@ def _outcome(move: Run) -> str:
     """Return what failed in a run, in a few words."""
     if not move.note:
         return ""
-    what = move.note.split(":")[0].split(" (")[0]
-    return f" (not reached, {what})" if move.driven else f" ({what})"
+    failure = move.note.split(":")[0].split(" (")[0]
+    return f" (not reached, {failure})" if move.driven else f" ({failure})"

@@ -37,15 +37,17 @@ EXTENDED = "extended"
 """The extended Jacobian with the cost that is asked for."""
 Dim = Literal[2, 3]
 SLOWER = 10
-"""How many times slower than the animal a stride is followed: rate limits are what is expected of its joints, and would
-hold back a method that moves others than the animal does. Closures do not depend on it."""
+"""Factor by which a stride is followed more slowly than the animal ran it.
+
+Rate limits are those expected of its joints, and would hold back a method that moves other joints than the animal does.
+Closures do not depend on the factor."""
 LAST = 3
 """Frames before each that parameters are refitted to on the way."""
 
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """A chain of the animal, and its joint angles in the clip."""
+    """Hold a chain of the animal, and its joint angles in the clip."""
 
     foot: str
     chain: SerialChain
@@ -55,7 +57,7 @@ class Limb:
     first_s: float
     """Time of the clip's first frame."""
     base: Literal["UVW", "xyz"]
-    """What the base frame's axes mean, U forwards, V down and W left, or x forwards, y left and z up."""
+    """Meaning of the base frame's axes: U forwards, V down and W left, or x forwards, y left and z up."""
     misfit_m: float
     """Distance of the chain's end from the foot, median."""
 
@@ -71,7 +73,7 @@ COSTS: dict[str, Callable[[Limb], Cost]] = {
 def limb_of(motion: Motion, foot: str | None = None, dim: Dim = 3, limited: bool = True) -> Limb:
     """Return the chain to a foot, by its label (LF) or joint, by default the first fore foot. Raises InputError.
 
-    Of the 8U chain that is the spine and the front leg. Of a whole animal, in space, all joints from the root to the
+    The 8U chain's has the spine and the front leg. A whole animal's has, in space, all joints from the root to the
     foot, and in the plane the joints' projections onto the vertical plane of travel.
     """
     label = _foot_label(motion, foot)
@@ -94,16 +96,16 @@ def limb_of(motion: Motion, foot: str | None = None, dim: Dim = 3, limited: bool
 
 
 def _foot_label(motion: Motion, foot: str | None) -> str:
-    """LH, RH, LF or RF."""
-    chain = motion.body.one_sided
-    there = [label for label in motion.foot_names if label.endswith("F")] if chain else list(motion.foot_names)
-    if foot is None and there:
-        return next((label for label in there if label.endswith("F")), there[0])
-    found = next((label for label in there if foot in (label, motion.foot_names[label])), None)
-    if found is None:
-        expected = ", ".join(f"{label} ({motion.foot_names[label]})" for label in there) or "a skeleton with feet"
+    """Return LH, RH, LF or RF."""
+    fore = [label for label in motion.foot_names if label.endswith("F")]
+    labels = fore if motion.body.one_sided else list(motion.foot_names)
+    if foot is None and labels:
+        return fore[0] if fore else labels[0]
+    chosen = next((label for label in labels if foot in (label, motion.foot_names[label])), None)
+    if chosen is None:
+        expected = ", ".join(f"{label} ({motion.foot_names[label]})" for label in labels) or "a skeleton with feet"
         raise InputError(Problem("--foot", "foot", repr(foot or "none"), expected))
-    return found
+    return chosen
 
 
 def methods_of(
@@ -122,14 +124,14 @@ def methods_of(
     """
     costs = {name: COSTS[name.removeprefix("extended-")](limb) for name in names if name.startswith("extended-")}
     costs |= {} if cost is None else {EXTENDED: cost}
-    standard = STANDARD | {name: ExtendedJacobian(of) for name, of in costs.items()}
+    standard = STANDARD | {name: ExtendedJacobian(stationary) for name, stationary in costs.items()}
     standard["gradient-projection"] = GradientProjection(cost or joint_differences(limb.chain))
-    own = {name: of.method for name, of in parameters.items()}
-    every = standard | own if fitted else own | standard
+    best = {name: fit.method for name, fit in parameters.items()}
+    every = standard | best if fitted else best | standard
     chosen = {name: every[name] for name in names}
     if alpha is None:
         return chosen
-    return {name: replace(one, alpha=None if alpha == "step" else alpha) for name, one in chosen.items()}
+    return {name: replace(method, alpha=None if alpha == "step" else alpha) for name, method in chosen.items()}
 
 
 def cost_of(limb: Limb, text: str) -> Cost:
@@ -173,14 +175,16 @@ def fit_parameter_series(
     columns, methods = {"time_s": limb.first_s + at_s[first:stop]}, {}
     for name, fit in fits(costs, PULL).items():
         rows = [slice(max(t - last, 0), max(t, 1)) if last else slice(t, t + 1) for t in range(first, stop)]
-        found = [fit(frames[window]) for window in rows]
-        methods[name] = [one.method for one in found]
-        values = np.array([one.parameter for one in found])
+        fitted = [fit(frames[window]) for window in rows]
+        methods[name] = [result.method for result in fitted]
+        values = np.array([result.parameter for result in fitted])
         called = limb.chain.names if values.shape[1] == limb.chain.n else PARAMETERS.get(name, ())
         columns |= {f"{name}_{part}": of_part for part, of_part in zip(called, values.T, strict=True)}
-        columns[f"{name}_best_alpha"] = np.array([one.alpha for one in found])
-        own = zip(methods[name], (frames[t : t + 1] for t in range(first, stop)), strict=True)
-        columns[f"{name}_explained"] = np.array([explained_by(rates_of(one, of), of.dq) for one, of in own])
+        columns[f"{name}_best_alpha"] = np.array([result.alpha for result in fitted])
+        by_frame = zip(methods[name], (frames[t : t + 1] for t in range(first, stop)), strict=True)
+        columns[f"{name}_explained"] = np.array(
+            [explained_by(rates_of(method, frame), frame.dq) for method, frame in by_frame]
+        )
     return pd.DataFrame(columns), methods
 
 
@@ -191,7 +195,7 @@ def _rates_of(limb: Limb) -> tuple[Frames, Array]:
         raise InputError(Problem("results", "frames", f"{len(known)} with a pose", f"at least {MIN_POINTS}"))
     q, at_s = limb.q[known], known / limb.fps
     dq = CubicSpline(at_s, q)(at_s, 1)
-    return Frames.of(limb.chain, q, (limb.chain.jacobian(q) @ dq[..., None])[..., 0], dq), at_s
+    return Frames.without_gaps(limb.chain, q, (limb.chain.jacobian(q) @ dq[..., None])[..., 0], dq), at_s
 
 
 def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None = None) -> StridePath:
@@ -200,26 +204,28 @@ def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None =
     In a clip without a valid stride it is the closest return of the foot within the duration of a stride. Raises
     InputError for a clip that shows too little.
     """
-    found, how, notes, lasts_s = None, "", [], (0.0, np.inf)
+    stride_in_gait, origin, notes, lasts_s = None, "", [], (0.0, np.inf)
     if stride_s is not None:
-        found, how = stride_given(motion, stride_s), "given"
+        stride_in_gait, origin = stride_given(motion, stride_s), "given"
     else:
         gait = ClipAnalysis(motion).gait
         assert gait is not None  # the limb has a foot
         label = next(label for label, joint in motion.foot_names.items() if joint == limb.foot)
         notes = [doubtful_text(doubt) for doubt in gait.doubtful if doubt.foot == label]
         if not motion.jitters:  # of poses that jitter, touch-downs are told worse than the pose's return is
-            found = next((s for s in gait.strides if s.foot == label), None)
-        if found is None:
+            stride_in_gait = next((s for s in gait.strides if s.foot == label), None)
+        if stride_in_gait is None:
             lasts_s = stride_lasts_s(gait)
         else:
-            how = "gait"
-    span_s = None if found is None else (found.start_s - limb.first_s, found.end_s - limb.first_s)
+            origin = "gait"
+    span_s = None
+    if stride_in_gait is not None:
+        span_s = stride_in_gait.start_s - limb.first_s, stride_in_gait.end_s - limb.first_s
     try:
         stride = find_stride(limb.chain, limb.q, limb.fps, span_s, lasts_s)
     except ValueError as error:
         raise InputError(Problem(motion.file, "stride", str(error), "a clip that shows more of one")) from None
-    return replace(stride, how=how or stride.how, notes=tuple(notes))
+    return replace(stride, origin=origin or stride.origin, notes=tuple(notes))
 
 
 def stride_lasts_s(gait: Gait) -> tuple[float, float]:
@@ -239,19 +245,19 @@ def stride_lasts_s(gait: Gait) -> tuple[float, float]:
 
 
 def follow_stride(
-    chain: SerialChain, stride: StridePath, method: Method, turns: int = 1, each: Sequence[Method] = ()
+    chain: SerialChain, stride: StridePath, method: Method, turns: int = 1, by_frame: Sequence[Method] = ()
 ) -> Run:
     """Follow the stride, `SLOWER` than the animal; times and rates are converted back to the animal's.
 
-    The extended Jacobian starts where its cost is stationary, with the foot at the same position. each: a method for
-    every frame of the stride.
+    The extended Jacobian starts where its cost is stationary, with the foot at the same position. by_frame: a
+    method for every frame of the stride.
     """
     q0, steps = stride.q[0], len(stride.path_m) - 1
     if isinstance(method, ExtendedJacobian):
         q0 = to_null_space_optimum(chain, q0, method.cost)[0]
 
     def of_step(k: int) -> Method:
-        return each[min(k % steps // OVERSAMPLING, len(each) - 1)]
+        return by_frame[min(k % steps // OVERSAMPLING, len(by_frame) - 1)]
 
-    run = follow(chain, q0, stride.path_m, of_step if each else method, turns, SLOWER * stride.interval_s)
+    run = follow(chain, q0, stride.path_m, of_step if by_frame else method, turns, SLOWER * stride.interval_s)
     return replace(run, dq=SLOWER * run.dq, interval_s=stride.interval_s)

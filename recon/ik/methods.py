@@ -28,7 +28,7 @@ from recon.ik.chain import Curvature, SerialChain, null_basis
 from recon.ik.costs import Cost
 
 INTERVAL_S = 1 / 90
-"""What one iteration of `drive_to` and `follow` takes."""
+"""Duration of one iteration of `drive_to` and `follow`."""
 SINGULAR = 1e-6
 """The least over the largest eigenvalue of J J', below which it is singular: a ratio of singular values of a
 thousandth."""
@@ -37,7 +37,7 @@ LOST = 1e-12
 EXTENDED_SINGULAR = 1e-3
 """The least over the largest eigenvalue of N' M N, by magnitude, below which it is singular."""
 MAX_CORRECTION_RAD = 0.05
-"""What the gain takes away at once, at most: a longer step along the null space would move the end effector, to second
+"""Most that the gain takes away at once: a longer step along the null space would move the end effector, to second
 order, by more than millimetres."""
 ALL = slice(None)
 """Every joint may move."""
@@ -45,7 +45,7 @@ Free = Bools | slice
 
 
 class JointRates(NamedTuple):
-    """How fast the joints are to move."""
+    """Hold the rates with which the joints are to move."""
 
     dq: Array
     """The joints' rates, rad/s, shape (n,)."""
@@ -54,18 +54,18 @@ class JointRates(NamedTuple):
     note: str = ""
     """What is held back or damped, in words, or empty."""
     along: Array | float = 0.0
-    """A motion along the null space that comes on top, before limits."""
+    """A motion along the null space in addition, before limits."""
 
 
 @dataclass(frozen=True, eq=False)
 class Method(ABC):
-    """A way to joint rates, with a factor on all of them."""
+    """Find joint rates, with a factor on all of them."""
 
     alpha: float | None = field(default=1.0, kw_only=True)
     """None: <dx, J dq> / |J dq|^2 at every step, with which J dq is nearest to dx."""
 
     def rates(self, chain: SerialChain, q: Array, dx: Array, free: Free = ALL) -> JointRates:
-        """Rates for q (n,) and dx (dim,)."""
+        """Return the rates for q (n,) and dx (dim,)."""
         J, curvature = chain.derivatives(q)
         step = _within_limits(chain, free, self._solve(J[:, free], dx, q, free, curvature))
         if self.alpha == 1.0:
@@ -74,19 +74,19 @@ class Method(ABC):
         return _within_limits(chain, free, step._replace(dq=alpha * step.dq[free]))
 
     def formula(self, J: Array, dx: Array, q: Array) -> Array:
-        """Rates (n,) without limits, for J (dim, n), dx (dim,) and q (n,); of the extended Jacobian with N constant."""
+        """Return rates (n,) without limits for J (dim, n), dx (dim,), q (n,); the extended Jacobian's N is constant."""
         solved = self._solve(J, dx, q, ALL, None)
         total = solved.dq + solved.along
         return total * (best_scale(J @ total, dx) if self.alpha is None else self.alpha)
 
     @abstractmethod
     def _solve(self, J: Array, dx: Array, q: Array, free: Free, curvature: Curvature | None) -> JointRates:
-        """Rates of the m free joints, of which J (dim, m) is; q, curvature: of all."""
+        """Return the rates of the m free joints, with their Jacobian J (dim, m), and q and curvature of all joints."""
 
 
 @dataclass(frozen=True, eq=False)
 class LeastNorm(Method):
-    """W^-1 J' (J W^-1 J' + lambda^2 I)^-1 dx, which minimises dq' W dq + |J dq - dx|^2 / lambda^2: the smallest rates.
+    """Take the smallest rates: W^-1 J' (J W^-1 J' + lambda^2 I)^-1 dx minimises dq' W dq + |J dq - dx|^2 / lambda^2.
 
     With neither weights nor damping that is J+ dx.
     """
@@ -103,18 +103,21 @@ class LeastNorm(Method):
 
 
 def weighted_least_norm(weights: Array) -> LeastNorm:
-    """W^-1 J' (J W^-1 J')^-1 dx, which minimises dq' W dq. weights: diag W (n,), positive."""
+    """Return the method W^-1 J' (J W^-1 J')^-1 dx, which minimises dq' W dq. weights: diag W (n,), positive."""
     return LeastNorm(weights)
 
 
 def damped_least_squares(damping_m: float = 0.05) -> LeastNorm:
-    """J' (J J' + lambda^2 I)^-1 dx, which minimises |J dq - dx|^2 + lambda^2 |dq|^2. damping_m: lambda, metres."""
+    """Return the method J' (J J' + lambda^2 I)^-1 dx, which minimises |J dq - dx|^2 + lambda^2 |dq|^2.
+
+    damping_m: lambda, metres.
+    """
     return LeastNorm(damping_m=damping_m)
 
 
 @dataclass(frozen=True, eq=False)
 class JacobianTranspose(Method):
-    """alpha J' dx, by default with the alpha of every step."""
+    """Take alpha J' dx, by default with the alpha of every step."""
 
     alpha: float | None = None
 
@@ -124,7 +127,7 @@ class JacobianTranspose(Method):
 
 @dataclass(frozen=True, eq=False)
 class GradientProjection(Method):
-    """J+ dx + k (I - J+ J) g."""
+    """Take J+ dx + k (I - J+ J) g."""
 
     gradient: Cost | Callable[[Array], Array]
     """g (n,) as a function of q, or a cost, whose gradient it is."""
@@ -167,7 +170,7 @@ class SelectivelyDamped(Method):
 
 @dataclass(frozen=True, eq=False)
 class ExtendedJacobian(Method):
-    """Keeps G = N' grad g = 0, N an orthonormal basis of the null space of J: [J; dG/dq] dq = [dx; -gain G].
+    """Keep G = N' grad g = 0, N an orthonormal basis of the null space of J: [J; dG/dq] dq = [dx; -gain G].
 
     full: dG/dq = N' (Hess g - sum_i mu_i Hess f_i) with J' mu = grad g, f the forward kinematics; otherwise N is held
     constant, N' Hess g. gain_per_s: 0 keeps G as it is; 1 / interval takes away what an integration step has left.
@@ -251,10 +254,10 @@ def _is_singular(gram: Array) -> bool:
     The ratio of the eigenvalues is estimated from below, by the determinant: all but the least multiply to their mean's
     power at most.
     """
-    trace, others = float(gram.trace()), max(len(gram) - 1, 1)
+    trace, rest = float(gram.trace()), max(len(gram) - 1, 1)
     if not 0.0 < trace < math.inf:
         return True
-    return bool(np.linalg.det(gram) <= SINGULAR * trace * (trace / others) ** others)
+    return bool(np.linalg.det(gram) <= SINGULAR * trace * (trace / rest) ** rest)
 
 
 def _reduced_inverse(M: Array, N: Array) -> tuple[Array, bool]:
@@ -276,7 +279,7 @@ def _reduced_inverse(M: Array, N: Array) -> tuple[Array, bool]:
 
 
 def _clamped(values: Array, limit: float) -> Array:
-    """Scaled down to a largest magnitude of `limit`."""
+    """Return values scaled down to a largest magnitude of `limit`."""
     largest = float(np.abs(values).max())
     return values * (limit / largest) if largest > limit else values
 
@@ -293,10 +296,10 @@ def _within_limits(chain: SerialChain, free: Free, solved: JointRates) -> JointR
         if isinstance(along, np.ndarray):
             total = dq + _share_within(dq, along, limit) * along
             note = note or "rate limit: part of the motion along the null space"
-        most = float((np.abs(total) / limit).max())
-        if not math.isfinite(most):
+        excess = float((np.abs(total) / limit).max())
+        if not math.isfinite(excess):
             return JointRates(np.zeros(chain.n), True, "singular: rates that are not finite")
-        total = total / max(most, 1.0)
+        total = total / max(excess, 1.0)
     if singular and not note.startswith("singular"):
         note = "singular: the Jacobian"
     rates = np.zeros(chain.n)

@@ -33,11 +33,11 @@ def to_null_space_optimum(chain: SerialChain, q0: ArrayLike, cost: Cost) -> tupl
     can be a saddle. Limits hold; a joint at a limit is taken out.
     """
     q0 = chain.inside_limits(np.asarray(q0, float))
-    found = _null_space_newton(chain, q0, cost, descend=True)
-    if found[1] in KINDS:
-        return found
-    other = _null_space_newton(chain, q0, cost, descend=False)
-    return other if other[1] in KINDS else found
+    minimum = _null_space_newton(chain, q0, cost, descend=True)
+    if minimum[1] in KINDS:
+        return minimum
+    stationary = _null_space_newton(chain, q0, cost, descend=False)
+    return stationary if stationary[1] in KINDS else minimum
 
 
 def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool) -> tuple[Array, str]:
@@ -65,10 +65,10 @@ def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool)
         step = np.zeros(chain.n)
         step[free] = -N @ (vectors @ parts)
         step *= min(1.0, _NULL_STEP_RAD / max(float(np.linalg.norm(step)), 1e-300))
-        moved, here, share = q, cost.value(q), 1.0
+        moved, height, share = q, cost.value(q), 1.0
         for _ in range(30):
             moved = _back_home(chain, q + share * step, home, free)
-            if moved is not None and (not descend or cost.value(moved) <= here + 1e-14 * (1 + abs(here))):
+            if moved is not None and (not descend or cost.value(moved) <= height + 1e-14 * (1 + abs(height))):
                 break
             share /= 2
         else:

@@ -41,12 +41,12 @@ PARAMETERS = {
     "damped": ("lambda_m",),
     "selectively-damped": ("gamma_max_rad",),
 }
-"""What the only parameter of some methods is called in tables."""
+"""Names in tables of the only parameter of some methods."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """T frames of a chain, or, one after the other, of several of one kind."""
+    """Hold T frames of a chain, or, one after the other, of several of one kind."""
 
     q: Array
     """(T, n), rad."""
@@ -60,7 +60,7 @@ class Frames:
     """(n,): of the joints."""
 
     @classmethod
-    def of(cls, chain: SerialChain, q: Array, dx: Array, dq: Array) -> Frames:
+    def without_gaps(cls, chain: SerialChain, q: Array, dx: Array, dq: Array) -> Frames:
         """Return the frames without a NaN. Raises ValueError if there is none."""
         known = np.isfinite(np.concatenate([q, dx, dq], axis=1)).all(axis=1)
         if not known.any():
@@ -73,7 +73,7 @@ class Frames:
 
 @dataclass(frozen=True, eq=False)
 class ParameterFit:
-    """A method with its parameter, and how well it fits."""
+    """Hold a method with its parameter, and how well it fits."""
 
     method: Method
     parameter: Array
@@ -85,18 +85,18 @@ class ParameterFit:
     alpha: float
     """The factor on the rates with which they would explain the most of those."""
     note: str
-    """Where a parameter lies at the edge of its range."""
+    """Says that a parameter lies at the edge of its range, or is empty."""
 
 
 Fit = Callable[[Frames], ParameterFit]
 
 
 def fits(costs: Sequence[Cost] = (), pull: float = 0.0) -> dict[str, Fit]:
-    """By method with a parameter that can be fitted, and least norm for comparison.
+    """Return the fits of the methods with parameters, and least norm for comparison.
 
-    Of the transpose its alpha, 1/m^2; of gradient projection, with k = 1, coefficients of the costs, or without costs a
-    constant g (n,), of several solutions the smallest; diag W, positive with mean 1, for pull see `PULL`; lambda,
-    metres; gamma_max, rad, for `INTERVAL_S`.
+    transpose: alpha, 1/m^2. gradient-projection, with k = 1: coefficients of the costs, or without costs a constant g
+    (n,), the smallest of several solutions. weighted: diag W, positive with mean 1; pull: see `PULL`. damped: lambda,
+    metres. selectively-damped: gamma_max, rad, for `INTERVAL_S`.
     """
 
     def projection(c: Array) -> Method:
@@ -113,9 +113,9 @@ def fits(costs: Sequence[Cost] = (), pull: float = 0.0) -> dict[str, Fit]:
 
 
 def rates_of(method: Method, frames: Frames) -> Array:
-    """(T, n): what the method's formula gives."""
-    given = zip(frames.jacobian, frames.dx, frames.q, strict=True)
-    return np.array([method.formula(J, dx, q) for J, dx, q in given])
+    """Return the rates (T, n) that the method's formula gives."""
+    rows = zip(frames.jacobian, frames.dx, frames.q, strict=True)
+    return np.array([method.formula(J, dx, q) for J, dx, q in rows])
 
 
 def explained_by(rates: Array, dq: Array) -> float:
@@ -127,16 +127,16 @@ def explained_by(rates: Array, dq: Array) -> float:
 def _weights(frames: Frames, pull: float) -> ParameterFit:
     dq = frames.dq
     n, bound = dq.shape[1], np.log(WEIGHT_RANGE)
-    held = pull * float(np.sqrt(np.sum(dq**2))) * np.eye(n)
+    pulls = pull * float(np.sqrt(np.sum(dq**2))) * np.eye(n)
 
     def residuals(p: Array) -> Array:
-        return np.concatenate([(rates_of(weighted_least_norm(np.exp(p)), frames) - dq).ravel(), held @ p])
+        return np.concatenate([(rates_of(weighted_least_norm(np.exp(p)), frames) - dq).ravel(), pulls @ p])
 
     def derivatives(p: Array) -> Array:
         rates = rates_of(weighted_least_norm(np.exp(p)), frames)
         inverse = np.array([right_inverse(J, J / np.exp(p))[0] for J in frames.jacobian])
         change = (inverse @ frames.jacobian - np.eye(n)) * rates[:, None, :]
-        return np.concatenate([change.reshape(-1, n), held])
+        return np.concatenate([change.reshape(-1, n), pulls])
 
     p = least_squares(residuals, np.zeros(n), derivatives, bounds=(-bound, bound), x_scale=1.0).x
     w = np.exp(p) / np.exp(p).mean()
@@ -148,7 +148,7 @@ def _weights(frames: Frames, pull: float) -> ParameterFit:
 def _linear(method: Callable[[Array], Method], n: int, frames: Frames) -> ParameterFit:
     """Fit n coefficients on which the rates depend linearly."""
     base = rates_of(method(np.zeros(n)), frames)
-    columns = np.array([(rates_of(method(one), frames) - base).ravel() for one in np.eye(n)])
+    columns = np.array([(rates_of(method(unit), frames) - base).ravel() for unit in np.eye(n)])
     c = np.array(np.linalg.lstsq(columns.T, (frames.dq - base).ravel())[0], float)
     return _fitted(method(c), c, frames)
 

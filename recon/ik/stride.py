@@ -35,14 +35,14 @@ AWAY, BACK, SPAN = 0.5, 0.25, 0.8
 
 @dataclass(frozen=True, eq=False)
 class StridePath:
-    """A stride of F frames in a clip whose frame 0 is at 0 s, as a task; its end may lie between two."""
+    """Hold a stride of F frames as a task, in a clip whose frame 0 is at 0 s; its end may lie between two frames."""
 
     start_s: float
     end_s: float
-    how: str
-    """How it was found: "given", "gait" where it is a complete one, "return" or "whole clip"."""
+    origin: str
+    """What it comes from: "given", "gait" where it is a complete one, "return" or "whole clip"."""
     q: Array
-    """(F, n): the animal's joint angles, NaN where missing, of which the first is where to start from."""
+    """(F, n): the animal's joint angles, NaN where missing, of which the first is to start from."""
     path_m: Array
     """(K, dim): the end effector's path, closed, its points `interval_s` apart."""
     interval_s: float
@@ -51,7 +51,7 @@ class StridePath:
     gap_percent: float
     """The same, of the path's diameter."""
     notes: tuple[str, ...] = ()
-    """Strides that do not count, and what else is to be known of it."""
+    """Strides that do not count, and why."""
 
 
 def find_stride(
@@ -73,7 +73,7 @@ def find_stride(
         raise ValueError(f"a stride needs {MIN_FRAMES} known frames in a row or more, got {len(known)}")
     ends = chain.end(q[known])
     curve = CubicSpline(known, ends)
-    how = "given"
+    origin = "given"
     if span_s is not None:
         (start_s, end_s), half = span_s, 0.5 / fps
         first, last = known[0] / fps, known[-1] / fps
@@ -87,11 +87,11 @@ def find_stride(
         start = int(begins[np.argmin(np.abs(begins - start_s * fps))])
         end = min(start + frames, float(known[-1]))
     else:
-        found = _return(known, ends, lasts_s[0] * fps, lasts_s[1] * fps)
-        how = "return" if found else "whole clip"
-        i, j = found or (0, len(known) - 1)
+        rows = _return(known, ends, lasts_s[0] * fps, lasts_s[1] * fps)
+        origin = "return" if rows else "whole clip"
+        i, j = rows or (0, len(known) - 1)
         start, end = int(known[i]), float(known[j])
-        if found:
+        if rows:
             near = np.linspace(max(end - 1, start), min(end + 1, known[-1]), 20 * OVERSAMPLING + 1)
             end = float(near[np.argmin(np.linalg.norm(curve(near) - ends[i], axis=1))])
     if end <= start + 1 - 1e-6:
@@ -105,7 +105,7 @@ def find_stride(
     return StridePath(
         start_s=start / fps,
         end_s=end / fps,
-        how=how,
+        origin=origin,
         q=q[start : int(end + 1e-6) + 1],
         path_m=closed,
         interval_s=(end - start) / fps / (points - 1),
@@ -115,7 +115,7 @@ def find_stride(
 
 
 def farthest_reach(chain: SerialChain, q: Array) -> tuple[Array, Array]:
-    """Return q0 (n,) where the end effector is rearmost, and the target (dim,) where it is foremost.
+    """Return the angles q0 (n,) with the end effector rearmost, and its foremost position, the target (dim,).
 
     q: joint angles (K, n), for instance of a stride, NaN where missing. Forwards is the base frame's first axis. Raises
     ValueError.
@@ -127,10 +127,10 @@ def farthest_reach(chain: SerialChain, q: Array) -> tuple[Array, Array]:
     return known[np.argmin(ends[:, 0])], ends[np.argmax(ends[:, 0])]
 
 
-def _return(frames: Index, ends: Array, least: float, most: float) -> tuple[int, int] | None:
+def _return(frames: Index, ends: Array, shortest: float, longest: float) -> tuple[int, int] | None:
     """Return the rows of the return (see the module) with the smallest gap; None without any.
 
-    ends: the path (F, dim). A return lasts `least` to `most` frames.
+    ends: the path (F, dim). A return lasts `shortest` to `longest` frames.
     """
     velocity = np.gradient(ends, frames, axis=0)
     extent = diameter(ends)
@@ -142,12 +142,12 @@ def _return(frames: Index, ends: Array, least: float, most: float) -> tuple[int,
             continue
         back = np.flatnonzero((distance < BACK * extent) & (velocity[i:] @ velocity[i] > 0))
         lag = frames[i + back] - frames[i]
-        back = back[(back > left[0]) & (lag >= least) & (lag <= most)]
+        back = back[(back > left[0]) & (lag >= shortest) & (lag <= longest)]
         if not len(back):
             continue
         # Up to where it leaves again.
-        once = back[: np.argmax(np.append(np.diff(back), 2) > 1) + 1]
-        j = int(once[np.argmin(distance[once])])
+        visit = back[: np.argmax(np.append(np.diff(back), 2) > 1) + 1]
+        j = int(visit[np.argmin(distance[visit])])
         if distance[j] < smallest and diameter(ends[i : i + j + 1]) >= SPAN * extent:
             best, smallest = (i, i + j), float(distance[j])
     return best

@@ -143,7 +143,7 @@ def gallop(
     r, t = camera.rotation, camera.translation_m
     in_camera = r @ rotation
     root = near[:, 0] @ r.T + t
-    state[:, chain.place_slice] = np.einsum("tji,tj->ti", in_camera, root)
+    state[:, chain.position_slice] = np.einsum("tji,tj->ti", in_camera, root)
     state[:, chain.euler_slice] = np.unwrap(euler_angles(in_camera), axis=0)
 
     far_side: Side = "left" if side == "right" else "right"

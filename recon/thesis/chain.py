@@ -14,7 +14,7 @@ import warnings
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
@@ -69,7 +69,7 @@ class UnknownsChain(Chain):
         return slice(self.n_angles, 2 * self.n_angles)
 
     @cached_property
-    def place_slice(self) -> slice:
+    def position_slice(self) -> slice:
         """x0, y0, z0: the root in the local frame, metres."""
         return slice(2 * self.n_angles, 2 * self.n_angles + 3)
 
@@ -105,7 +105,7 @@ class UnknownsChain(Chain):
         R_world_local = T_world_camera[..., :3, :3] @ euler_rotation(state[:, self.euler_slice])
         R = R_world_local @ UVW_BODY
         body_state = np.empty((len(state), self.body.n_state))
-        root_local = state[:, self.place_slice, None]
+        root_local = state[:, self.position_slice, None]
         body_state[:, ROOT] = (R_world_local @ root_local)[..., 0] + T_world_camera[..., :3, 3]
         body_state[:, YAW] = np.arctan2(R[:, 1, 0], R[:, 0, 0])
         body_state[:, PITCH] = np.arctan2(-R[:, 2, 0], np.hypot(R[:, 0, 0], R[:, 1, 0]))
@@ -127,7 +127,7 @@ class UnknownsChain(Chain):
     def pose(self, state: Array) -> ChainPose:
         """Return the joints in the camera frame for states (N, D), without Jacobians."""
         R = euler_rotation(state[:, self.euler_slice])
-        p = self.local_joints(state) + state[:, None, self.place_slice]
+        p = self.local_joints(state) + state[:, None, self.position_slice]
         return ChainPose(state, R, p @ R.transpose(0, 2, 1))
 
     def pose_with_jacobian(self, state: Array) -> ChainPose:
@@ -136,7 +136,7 @@ class UnknownsChain(Chain):
         tree = self.body.tree.pose_with_jacobian(self._local_state(state))
         size = state[:, self.base_index, None, None] / self.nominal_base_length_m
         c_per_size = UVW_BODY @ tree.points_m.transpose(0, 2, 1)  # (N, 3, J)
-        p = c_per_size * size + state[:, self.place_slice, None]
+        p = c_per_size * size + state[:, self.position_slice, None]
         # The frame method's inner loop has one frame, and a single rotation is several times quicker than a stack.
         angles = state[:, self.euler_slice]
         R, dR = euler_rotation_with_jacobian(angles[0] if N == 1 else angles)
@@ -145,13 +145,13 @@ class UnknownsChain(Chain):
         jacobian = np.empty((N, 3, J, self.n_state))
         by_angle = tree.jacobian.take(self.body_angles, axis=-1).transpose(0, 2, 1, 3).reshape(N, 3, J * 2 * A)
         jacobian[..., : 2 * A] = (size * (R @ UVW_BODY) @ by_angle).reshape(N, 3, J, 2 * A)
-        jacobian[..., self.place_slice] = R[:, :, None]
+        jacobian[..., self.position_slice] = R[:, :, None]
         jacobian[..., self.euler_slice] = (dR @ p[:, None]).transpose(0, 2, 3, 1)
         jacobian[..., self.base_index] = R @ (c_per_size / self.nominal_base_length_m)
         return ChainPose(state, R, (R @ p).transpose(0, 2, 1), jacobian.transpose(0, 2, 1, 3), dR)
 
 
-def with_unknowns(chain: Any) -> Any:
+def with_unknowns(chain: object) -> object:
     """Return a chain as `UnknownsChain`; anything that is no chain stays as it is."""
     if isinstance(chain, UnknownsChain) or not isinstance(chain, Chain):
         return chain
@@ -170,7 +170,9 @@ def load_chain(name_or_path: str | Path) -> UnknownsChain:
     InputError
         For a file that cannot be used, and for a skeleton of a whole animal.
     """
-    return with_unknowns(load_plain_chain(name_or_path))
+    chain = with_unknowns(load_plain_chain(name_or_path))
+    assert isinstance(chain, UnknownsChain)
+    return chain
 
 
 def mean_pose(chain: UnknownsChain) -> Array:

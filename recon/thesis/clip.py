@@ -43,7 +43,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     """
     clip, chain, plain = prepare(settings), load_chain(settings.skeleton_name), settings.plain()
     (view,), T = views_of(clip.sources), len(clip.sources[0].keypoints.frames)
-    options = FrameOptions.of(plain)
+    options = FrameOptions.from_settings(plain)
     solution = solve_frames(view, chain, clip.fps, options, lambda count: progress("frames", count / T))
     return add_verdict(Motion(clip.sources, clip.side, clip.side_reason, solution, chain=chain, settings=plain))
 

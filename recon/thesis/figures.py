@@ -60,8 +60,8 @@ def image_errors(record: SolverRecord) -> Figure:
     names, frames, values = record.motion.names, record.motion.frames, record.image_error_px.T
     with style.drawing(min(4.0 * len(names) + 8, style.PAGE_MM - 20) + 14) as figure:
         axes = figure.subplots()
-        most = max(float(np.nanmax(values, initial=0.0)), 10.0)
-        image = _logarithmic_image(figure, axes, values, 0.5, most, "error in the picture (px)")
+        largest = max(float(np.nanmax(values, initial=0.0)), 10.0)
+        image = _logarithmic_image(figure, axes, values, 0.5, largest, "error in the picture (px)")
         image.set_extent((frames[0] - 0.5, frames[-1] + 0.5, len(names) - 0.5, -0.5))
         axes.set_yticks(range(len(names)), names)
         axes.tick_params(axis="y", length=0)
@@ -120,8 +120,8 @@ def solver_matrices(record: SolverRecord) -> Figure:
         panels = figure.subplots(1, 2)
         for axes, (matrix, label) in zip(panels, ((J, "|J|"), (J.T @ J, "|J'J|")), strict=True):
             size = np.where(matrix == 0, np.nan, np.abs(matrix))
-            most = float(np.nanmax(size, initial=1.0))
-            _logarithmic_image(figure, axes, size, _DECADES * most, most, label)
+            largest = float(np.nanmax(size, initial=1.0))
+            _logarithmic_image(figure, axes, size, _DECADES * largest, largest, label)
             axes.set_xticks(range(len(names)), names, rotation=90, fontsize=style.SMALL)
             axes.tick_params(length=0)
         panels[0].set_yticks(np.cumsum(counts) - counts / 2 - 0.5, [*parts], fontsize=style.SMALL)
@@ -161,8 +161,8 @@ def solver_gradient(record: SolverRecord) -> Figure:
         shown = (np.abs(record.gradient), "|gradient|"), (record.column_norm, "norm of the Jacobian's column")
         for axes, (values, label) in zip(panels, shown, strict=True):
             size = np.where(values == 0, np.nan, values).T
-            most = float(np.nanmax(size, initial=_LEAST))
-            image = _logarithmic_image(figure, axes, size, _DECADES * most, most, label)
+            largest = float(np.nanmax(size, initial=_LEAST))
+            image = _logarithmic_image(figure, axes, size, _DECADES * largest, largest, label)
             image.set_extent((frames[0] - 0.5, frames[-1] + 0.5, len(names) - 0.5, -0.5))
             axes.set_yticks(range(len(names)), names, fontsize=style.SMALL)
             axes.tick_params(axis="y", length=0)
@@ -205,9 +205,9 @@ def _over_time(figure: Figure, rows: Sequence[Axes], labels: Sequence[str], acro
     figure.align_ylabels()
 
 
-def _logarithmic_image(figure: Figure, axes: Axes, values: Array, least: float, most: float, label: str) -> AxesImage:
+def _logarithmic_image(figure: Figure, axes: Axes, values: Array, low: float, high: float, label: str) -> AxesImage:
     """Draw rows of values as colours; white: no value."""
-    image = axes.imshow(values, aspect="auto", norm=LogNorm(least, most), interpolation="none")
+    image = axes.imshow(values, aspect="auto", norm=LogNorm(low, high), interpolation="none")
     bar = figure.colorbar(image, ax=axes, label=label, extend="min", aspect=40, pad=0.02)
     style.plain_logarithm(bar.ax.yaxis)
     return image

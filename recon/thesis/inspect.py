@@ -72,7 +72,7 @@ def read_solver(motion: Motion, folder: Path, frame: int | None = None) -> Solve
         raise InputError(Problem(folder, "results", "a fit of all frames at once", "results of recon frame"))
     solution = motion.solution
     read_manifest(folder).require(CONFIG)
-    options = FrameOptions.of(read_config(folder / CONFIG, {}).plain())
+    options = FrameOptions.from_settings(read_config(folder / CONFIG, {}).plain())
     solved = np.flatnonzero(motion.solved)
     if not len(solved):
         raise InputError(Problem(folder, "frames", "none with a pose", "one at least"))

@@ -63,7 +63,7 @@ class FrameOptions:
     """Residual evaluations in one search."""
 
     @classmethod
-    def of(cls, settings: Mapping[str, Any]) -> FrameOptions:
+    def from_settings(cls, settings: Mapping[str, Any]) -> FrameOptions:
         """Return the options among the settings of a fit, as a motion keeps them."""
         values = {field.name: settings.get(field.name) for field in fields(cls)}
         return cls(**{name: value for name, value in values.items() if value is not None})

@@ -46,7 +46,7 @@ def assumptions(motion: Motion) -> dict[str, Any]:
 
 def _base_length(motion: Motion) -> dict[str, Any]:
     solution = frame_solution(motion)
-    nominal, sigma = base_length(solution.chain, FrameOptions.of(motion.settings))
+    nominal, sigma = base_length(solution.chain, FrameOptions.from_settings(motion.settings))
     share = median([r.data_share[solution.chain.base_index] for r in solution.reports if r is not None])
     return {"nominal_m": nominal, "sigma_m": sigma, "data_share": share, "measured": bool(share >= MEASURED_SHARE)}
 
@@ -91,8 +91,8 @@ def summary_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 def travel(motion: Motion) -> dict[str, Any]:
     """Return the heading and the speed of the straight run that the search started from."""
     run = frame_solution(motion).travel
-    _, away = level_axes(motion.camera.up)
-    to_picture = np.arcsin(np.clip(run.heading @ away, -1.0, 1.0))
+    _, into_picture = level_axes(motion.camera.up)
+    to_picture = np.arcsin(np.clip(run.heading @ into_picture, -1.0, 1.0))
     moving = run.speed_m_s > 0
     return {
         "heading_to_picture_rad": median(to_picture[moving] if moving.any() else to_picture),

@@ -190,16 +190,16 @@ def frame_solution(motion: Motion) -> FrameSolution:
     return motion.solution
 
 
-def in_world(view: View, chain: UnknownsChain, states: Array, covariance: Array, **more: Any) -> FrameSolution:
+def in_world(view: View, chain: UnknownsChain, states: Array, covariance: Array, **fields: Any) -> FrameSolution:
     """Return the solution in the world.
 
     Parameters
     ----------
     states : (T, D), the chain's
     covariance : (T, D, D), of the states
-    more : reports, travel, objectives and fps of the solution, and its path and first states if there is a path
+    fields : reports, travel, objectives and fps of the solution, and its path and first states if there is a path
     """
-    (T, J), reports = view.present.shape, more["reports"]
+    (T, J), reports = view.present.shape, fields["reports"]
     T_world_camera = inverse(view.T_camera_world)
     pose = chain.pose_with_jacobian(states)
     assert pose.joints_jacobian is not None
@@ -208,7 +208,7 @@ def in_world(view: View, chain: UnknownsChain, states: Array, covariance: Array,
         np.einsum("tjad,tde,tjbe->tjab", jacobian, covariance, jacobian, optimize=True)
         for jacobian in (by_state, by_state - by_state.mean(axis=1, keepdims=True))
     )
-    path: Path | None = more.get("path")
+    path: Path | None = fields.get("path")
     if path is not None:  # all joints share the error of the path; the frames' covariances are given the path
         R = T_world_camera[:3, :3]
         absolute = absolute + (R @ path.covariance[:, :3, :3] @ R.T)[:, None]
@@ -241,7 +241,7 @@ def in_world(view: View, chain: UnknownsChain, states: Array, covariance: Array,
         chain=chain,
         chain_states=states,
         size_sigma=median(base_sigma) if np.isfinite(base_sigma).any() else None,
-        **more,
+        **fields,
     )
     return replace(solution, flags=_flags(solution))
 

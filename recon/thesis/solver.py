@@ -68,15 +68,15 @@ def solve_frames(
     first_options, options = with_tolerance(options, _FIRST_TOLERANCE), with_tolerance(options)
     solver = FrameSolver(view, chain, fps, first_options)
     covariance, reports = _solve_all(solver, lambda count: progress(max(count // passes, 1)))
-    more: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     if passes == 2 and (path := path_of(solver.chain, solver.states, covariance, fps)) is not None:
         T, first_states, first_reports = len(reports), solver.states, reports
         solver = FrameSolver(view, chain, fps, options, path=path, starts=first_states)
         covariance, reports = _solve_all(solver, lambda count: progress((T + count) // passes), first_reports)
-        more = {"path": path, "start_states": first_states}
+        fields = {"path": path, "start_states": first_states}
     names = tuple(term.name for term in solver.objectives)
-    more |= {"reports": tuple(reports), "travel": solver.travel, "objectives": names, "fps": fps}
-    return in_world(view, chain, solver.states, covariance, **more)
+    fields |= {"reports": tuple(reports), "travel": solver.travel, "objectives": names, "fps": fps}
+    return in_world(view, chain, solver.states, covariance, **fields)
 
 
 def with_tolerance(options: FrameOptions, least: float = _SECOND_TOLERANCE) -> FrameOptions:
@@ -274,14 +274,14 @@ class FrameSolver:
         if path is not None:
             self.objectives += (PathTie(path.position_m, nominal, self.chain.base_index),)
 
-    def before(self, frame: int) -> list[int]:
+    def solved_before(self, frame: int) -> list[int]:
         """Return the last two solved frames before this one, newest last."""
         return np.flatnonzero(np.isfinite(self.states[:frame, 0]))[-2:].tolist()
 
     def problem(self, frame: int, sigma_px: float) -> FrameProblem:
         """Return a frame's problem with its noise; without a frame before, the terms that tie frames are left out."""
-        if before := self.before(frame):
-            previous, dt_s = self.chain.pose(self.states[before[-1]][None]), (frame - before[-1]) / self.fps
+        if earlier := self.solved_before(frame):
+            previous, dt_s = self.chain.pose(self.states[earlier[-1]][None]), (frame - earlier[-1]) / self.fps
         else:
             previous, dt_s = None, 1.0 / self.fps
         terms = tuple(term for term in self.objectives if previous is not None or not term.ties)
@@ -317,17 +317,17 @@ class FrameSolver:
 
     def search(self, frame: int) -> tuple[FrameSearch, int]:
         """Return the best of the minima, and the number of starts."""
-        rays, heading, before = self.rays[frame], self.travel.heading[frame], self.before(frame)
+        rays, heading, earlier = self.rays[frame], self.travel.heading[frame], self.solved_before(frame)
         if self.path is not None and self.starts is not None and np.isfinite(self.starts[frame, 0]):
             starts = [self._on_path(frame)]
         else:
-            starts = [self._carried_on(frame, before)] if before else self._first_starts(rays, heading)
+            starts = [self._carried_on(frame, earlier)] if earlier else self._first_starts(rays, heading)
         problem = self.problem(frame, self._noise_px(starts[0]))
         searches = [self._solve_from(start, problem) for start in starts]
         # Converged, and no detection further off than c sigma: no point is left unexplained.
         is_explained = problem.sigmas_off(searches[0].x) < self.options.robust_c
-        if before and not (searches[0].status in CONVERGED and is_explained.all()):
-            more_starts = self._more_starts(rays, heading, self.states[before[-1]])
+        if earlier and not (searches[0].status in CONVERGED and is_explained.all()):
+            more_starts = self._more_starts(rays, heading, self.states[earlier[-1]])
             searches += [self._solve_from(start, problem) for start in more_starts]
         # The lowest cost among the poses that the camera can see, or among all if it can see none.
         best = min(searches, key=lambda search: (not search.problem.in_view(search.x), search.cost))
@@ -349,19 +349,19 @@ class FrameSolver:
         assert self.path is not None
         state = self.starts[frame]
         size = state[self.chain.base_index] / self.chain.nominal_base_length_m
-        return self._placed(state, size * self.path.position_m[frame])
+        return self._moved_to(state, size * self.path.position_m[frame])
 
-    def _carried_on(self, frame: int, before: Sequence[int]) -> Array:
+    def _carried_on(self, frame: int, earlier: Sequence[int]) -> Array:
         """Return the state before, its root moved on along its path.
 
         The point R p0 is moved, never p0: R turns p0 with a long lever arm.
         """
-        poses = self.chain.pose(self.states[before])
+        poses = self.chain.pose(self.states[earlier])
         position = poses.joints_m[-1, 0]
-        if len(before) == 2:
+        if len(earlier) == 2:
             step = position - poses.joints_m[0, 0]
-            position = position + step * (frame - before[1]) / (before[1] - before[0])
-        return self._placed(self.states[before[-1]], position if position[2] > 0 else poses.joints_m[-1, 0])
+            position = position + step * (frame - earlier[1]) / (earlier[1] - earlier[0])
+        return self._moved_to(self.states[earlier[-1]], position if position[2] > 0 else poses.joints_m[-1, 0])
 
     def _more_starts(self, rays: Array, heading: Array, last: Array) -> list[Array]:
         """Return the mean pose along the direction of travel, and the last pose where the rays put the mean pose."""
@@ -369,13 +369,13 @@ class FrameSolver:
         if self.options.camera_rotation == "fixed":
             mean[self.chain.euler_slice] = last[self.chain.euler_slice]
         position = self.chain.pose(mean[None]).joints_m[0, 0]
-        return [mean, self._placed(last, position)]
+        return [mean, self._moved_to(last, position)]
 
-    def _placed(self, state: Array, position_m: Array) -> Array:
+    def _moved_to(self, state: Array, position_m: Array) -> Array:
         """Return the state with its root at a position (3,) in the camera frame."""
-        placed = state.copy()
-        placed[self.chain.place_slice] = self.chain.pose(state[None]).rotation[0].T @ position_m
-        return placed
+        moved = state.copy()
+        moved[self.chain.position_slice] = self.chain.pose(state[None]).rotation[0].T @ position_m
+        return moved
 
     def _noise_px(self, start: Array) -> float:
         """Return the standard deviation of a detection.

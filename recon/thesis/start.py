@@ -48,9 +48,9 @@ def estimate_travel(camera: Camera, chain: UnknownsChain, xy_px: Array, fps: flo
     T = len(xy_px)
     rays, _ = camera.rays(xy_px)
     usable = np.isfinite(rays[..., 0]).sum(axis=1) >= MIN_JOINTS
-    right, away = level_axes(camera.up)
+    right, forward = level_axes(camera.up)
     angle = 2 * np.pi * np.arange(_HEADINGS) / _HEADINGS
-    headings = np.cos(angle)[:, None] * right + np.sin(angle)[:, None] * away
+    headings = np.cos(angle)[:, None] * right + np.sin(angle)[:, None] * forward
     shapes = chain.local_joints(mean_pose(chain)[None])[0] @ upright_rotation(headings, camera.up).transpose(0, 2, 1)
 
     stretches = np.array_split(np.arange(T), max(1, round(T / fps / _STRETCH_S)))
@@ -94,6 +94,6 @@ def geometric_start(camera: Camera, chain: UnknownsChain, rays: Array, heading: 
     position = position_on_rays(chain.local_joints(state[None])[0] @ rotation.T, rays[None])
     # Contradictory rays can meet behind the camera; the solver needs a start that is in view.
     in_front = position[0] if position[0, 2] > 0 else -position[0]
-    state[chain.place_slice] = rotation.T @ in_front
+    state[chain.position_slice] = rotation.T @ in_front
     state[chain.euler_slice] = euler_angles(rotation)
     return state

@@ -285,7 +285,7 @@ def test_a_chain_is_posed_as_its_body_is(chain: UnknownsChain):
     assert body.markers == chain.joints
     rng = np.random.default_rng(3)
     states = rng.uniform(-1.5, 1.5, (20, chain.n_state))
-    states[:, chain.place_slice] *= 5.0
+    states[:, chain.position_slice] *= 5.0
     states[:, chain.base_index] = chain.nominal_base_length_m * rng.uniform(0.8, 1.2, 20)
     in_camera = chain.pose(states).joints_m
     for several in ((), (20,)):

@@ -226,7 +226,7 @@ def test_parameters_refitted_on_the_way(folder):
     first, known = round(stride.start_s * limb.fps), np.arange(len(limb.q)) / limb.fps
     dq = CubicSpline(known, limb.q)(known, 1)
     dx = np.array([limb.chain.jacobian(q) @ rate for q, rate in zip(limb.q, dq, strict=True)])
-    frames = Frames.of(limb.chain, limb.q, dx, dq)
+    frames = Frames.without_gaps(limb.chain, limb.q, dx, dq)
     for t in (5, len(stride.q) - 1):
         fit = fits(pull=PULL)["weighted"](frames[first + t - 3 : first + t])
         np.testing.assert_allclose(series[[f"weighted_{joint}" for joint in limb.chain.names]].iloc[t], fit.parameter)
@@ -275,7 +275,7 @@ def test_the_stride_takes_as_long_as_it_does_and_can_be_followed(fit, dim, reque
     for foot in feet:
         limb = limb_of(results, foot, dim)
         stride = stride_of(results, limb)
-        assert stride.how == ("return" if results.jitters else "gait")
+        assert stride.origin == ("return" if results.jitters else "gait")
         assert stride.end_s - stride.start_s == pytest.approx(
             true_stride_s(stride.start_s), rel=0.08 if results.jitters else 0.05
         )

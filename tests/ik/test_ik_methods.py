@@ -209,7 +209,7 @@ def test_fits_find_the_parameters_again(chain):
     ):
         dq = np.stack([true.rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)])
         dq[3] = np.nan
-        found = fit(Frames.of(chain, q, dx, dq))
+        found = fit(Frames.without_gaps(chain, q, dx, dq))
         np.testing.assert_allclose(found.parameter, parameter, rtol=1e-4)
         assert found.explained > 1 - 1e-8
         assert found.rms_rad_s < 1e-3
@@ -227,14 +227,14 @@ def test_fit_finds_gamma_max_again(chain):
         np.stack([method.rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)]) for method in (true, LeastNorm())
     )
     assert np.abs(dq - least).max() > 0.5
-    found = fits()["selectively-damped"](Frames.of(chain, q, dx, dq))
+    found = fits()["selectively-damped"](Frames.without_gaps(chain, q, dx, dq))
     np.testing.assert_allclose(found.parameter, [0.02], rtol=1e-5)
     assert found.explained > 1 - 1e-9
     assert found.note == ""
     again = [found.method.rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)]
     np.testing.assert_allclose(again, dq, atol=1e-3)
     # Without damping the rates are those of least norm, whatever gamma_max.
-    found = fits()["selectively-damped"](Frames.of(chain, q, dx, least))
+    found = fits()["selectively-damped"](Frames.without_gaps(chain, q, dx, least))
     assert found.explained > 1 - 1e-12
     assert found.note.startswith("nothing is damped")
 
@@ -243,9 +243,9 @@ def test_fit_says_where_a_parameter_is_at_its_edge():
     chain = CHAINS["planar"]
     q, dx = np.random.default_rng(7).uniform(0.2, 1.0, (10, 5)), np.ones((10, 2))
     dq = np.stack([LeastNorm().rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)])
-    assert "is 0" in fits()["damped"](Frames.of(chain, q, dx, dq)).note
+    assert "is 0" in fits()["damped"](Frames.without_gaps(chain, q, dx, dq)).note
     with pytest.raises(ValueError, match="no frame"):
-        Frames.of(chain, q * np.nan, dx, dq)
+        Frames.without_gaps(chain, q * np.nan, dx, dq)
 
 
 @EACH
@@ -254,7 +254,7 @@ def test_what_is_fitted_to_some_frames_is_held_against_others(chain):
     q, dx = rng.uniform(0.2, 1.0, (30, chain.n)), rng.normal(size=(30, chain.dim))
     true = weighted_least_norm(np.linspace(0.5, 1.5, chain.n))
     dq = np.stack([true.rates(chain, x, v).dq for x, v in zip(q, dx, strict=True)])
-    every = Frames.of(chain, q, dx, dq)
+    every = Frames.without_gaps(chain, q, dx, dq)
     some, others = every[:20], every[20:]
     found = fits()["weighted"](some)
     assert explained_by(rates_of(found.method, others), others.dq) > 1 - 1e-8
@@ -270,7 +270,7 @@ def test_parameters_of_each_configuration(chain):
     q, dx = rng.uniform(0.2, 1.0, (6, chain.n)), rng.normal(size=(6, chain.dim))
     damping = np.linspace(0.05, 0.4, 6)
     dq = np.stack([damped_least_squares(d).rates(chain, x, v).dq for d, x, v in zip(damping, q, dx, strict=True)])
-    frames = Frames.of(chain, q, dx, dq)
+    frames = Frames.without_gaps(chain, q, dx, dq)
     each = [frames[t : t + 1] for t in range(6)]
     for one, value in zip(map(fits()["damped"], each), damping, strict=True):
         assert one.parameter == pytest.approx([value], rel=1e-4)
@@ -303,7 +303,9 @@ def test_no_damping_explains_rates_best_whatever_they_are():
     chain, rng = CHAINS["planar"], np.random.default_rng(11)
     q, dq = rng.uniform(0.2, 1.0, (20, 5)), rng.normal(0.0, 2.0, (20, 5))
     dx = np.einsum("tij,tj->ti", chain.jacobian(q), dq)
-    found = fits()["damped"](Frames.of(chain, q, dx, dq))
+    found = fits()["damped"](Frames.without_gaps(chain, q, dx, dq))
     assert found.parameter[0] == pytest.approx(1e-4)
     assert found.note.startswith("lambda is 0")
-    assert found.explained == pytest.approx(fits()["least-norm"](Frames.of(chain, q, dx, dq)).explained, abs=1e-6)
+    assert found.explained == pytest.approx(
+        fits()["least-norm"](Frames.without_gaps(chain, q, dx, dq)).explained, abs=1e-6
+    )

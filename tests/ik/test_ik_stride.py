@@ -22,7 +22,7 @@ def swings(frames, period=20.0, drift=0.0):
 
 def test_the_stride_of_a_periodic_motion_is_one_period():
     found = find_stride(CHAIN, swings(55), fps=100)
-    assert found.how == "return"
+    assert found.origin == "return"
     assert found.end_s - found.start_s == pytest.approx(0.2)
     assert found.gap_m < 1e-4
     np.testing.assert_array_equal(found.path_m[0], found.path_m[-1])
@@ -38,7 +38,7 @@ def test_the_gap_is_spread_over_the_path():
     q = swings(25, drift=0.004)
     # From the nearest frame, 2.
     found = find_stride(CHAIN, q, fps=100, span_s=(0.018, 0.218))
-    assert (found.how, found.start_s, found.end_s) == ("given", 0.02, 0.22)
+    assert (found.origin, found.start_s, found.end_s) == ("given", 0.02, 0.22)
     np.testing.assert_array_equal(found.q, q[2:23])
     ends = np.array([CHAIN.end(x) for x in found.q])
     gap = ends[-1] - ends[0]
@@ -78,7 +78,7 @@ def test_a_return_takes_as_long_as_a_stride_may():
 
 def test_a_clip_without_a_return_is_taken_whole():
     found = find_stride(CHAIN, swings(9), fps=100)
-    assert found.how == "whole clip"
+    assert found.origin == "whole clip"
     assert (found.start_s, found.end_s) == (0.0, 0.08)
     assert found.gap_percent > 50
 

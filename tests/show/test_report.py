@@ -203,7 +203,7 @@ def test_smoothed_root_path(small_motion):
     states = np.tile(small_motion.solution.chain_states[0], (6, 1))
     rotation = chain.pose(states[:1]).rotation[0]
     jitter = 0.01 * np.array([1, -1, 1, -1, 1, -1])
-    states[:, chain.place_slice] += np.stack([0.3 * np.arange(6), 0 * jitter, jitter], axis=1) @ rotation
+    states[:, chain.position_slice] += np.stack([0.3 * np.arange(6), 0 * jitter, jitter], axis=1) @ rotation
     path = build_report(with_states(small_motion, states), {})["root_path"]
     assert path["smoothed"]["smoothing_m"] == path["jitter_m"]
     np.testing.assert_allclose(path["jitter_m"][:2], 0, atol=1e-6)

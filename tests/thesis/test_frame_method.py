@@ -34,7 +34,7 @@ def level_states(n: int) -> np.ndarray:
     states = np.tile(mean_pose(SK), (n, 1))
     states[:, SK.theta_slice] += rng.uniform(-0.5, 0.5, (n, 7))
     states[:, SK.phi_slice] = rng.uniform(-0.25, 0.25, (n, 7))
-    states[:, SK.place_slice] = rng.normal([0, 0, 9], 0.5, (n, 3))
+    states[:, SK.position_slice] = rng.normal([0, 0, 9], 0.5, (n, 3))
     states[:, SK.euler_slice.start + 1] = rng.uniform(-0.6, 0.6, n)
     states[:, SK.euler_slice.start + 2] = rng.uniform(-0.2, 0.2, n)
     states[:, SK.base_index] = rng.uniform(0.15, 0.23, n)
@@ -233,9 +233,9 @@ def test_covariance_of_the_joints_done_by_hand():
     """An uncertain place moves all joints alike; an uncertain size moves them in proportion. In the world's axes."""
     camera = gallop(n_frames=2).camera
     state = np.tile(mean_pose(SK), (2, 1))
-    state[:, SK.place_slice] = [0.0, 0.0, 9.0]
+    state[:, SK.position_slice] = [0.0, 0.0, 9.0]
     C = np.zeros((2, SK.n_state, SK.n_state))
-    C[0, SK.place_slice, SK.place_slice] = np.diag([0.1, 0.2, 0.3]) ** 2
+    C[0, SK.position_slice, SK.position_slice] = np.diag([0.1, 0.2, 0.3]) ** 2
     C[1, SK.base_index, SK.base_index] = 0.01**2
     view = still_view(camera, np.zeros((2, 9, 2)), np.ones((2, 9)))
     told = {"reports": (None, None), "travel": Travel(np.zeros((2, 3)), np.zeros(2)), "objectives": (), "fps": 30.0}

@@ -36,7 +36,7 @@ def states(seed: int) -> np.ndarray:
     x[:, SK.theta_slice] = SK.theta.mean_rad + rng.normal(0, 1.2, (N, 7))
     x[:, SK.phi_slice] = rng.normal(0, 0.6, (N, 7))
     x[:, SK.euler_slice] = rng.normal(0, 0.3, (N, 3))
-    x[:, SK.place_slice] = rng.normal([0, 0, 6], 0.3, (N, 3))
+    x[:, SK.position_slice] = rng.normal([0, 0, 6], 0.3, (N, 3))
     x[:, SK.base_index] = 0.2
     return x
 
@@ -129,7 +129,7 @@ def test_reprojection_rows_of_missing_points_are_zero_and_of_hidden_joints_at_th
     assert np.all(residual[2, 6:8] == 0)
     assert np.all(jacobian[2, 6:8] == 0)
     behind = NOW.copy()
-    behind[:, SK.place_slice] *= -1
+    behind[:, SK.position_slice] *= -1
     residual, jacobian = evaluate(term, behind)
     np.testing.assert_allclose(np.linalg.norm(residual[0].reshape(9, 2), axis=1), 4.5 - 0.5)
     assert np.all(jacobian == 0)

@@ -17,9 +17,9 @@ CHAIN = load_chain("cheetah-8u")
 def straight_states(depth_noise_m: float, T: int = 60, fps: float = 90.0) -> np.ndarray:
     """Return states (T, D) of a chain that runs along x at 10 m/s, 8 m away, with noise in depth."""
     states = np.tile(mean_pose(CHAIN), (T, 1))
-    states[:, CHAIN.place_slice] = [0.0, 0.0, 8.0]
-    states[:, CHAIN.place_slice.start] = 10.0 * np.arange(T) / fps
-    states[:, CHAIN.place_slice.stop - 1] += np.random.default_rng(3).normal(0.0, depth_noise_m, T)
+    states[:, CHAIN.position_slice] = [0.0, 0.0, 8.0]
+    states[:, CHAIN.position_slice.start] = 10.0 * np.arange(T) / fps
+    states[:, CHAIN.position_slice.stop - 1] += np.random.default_rng(3).normal(0.0, depth_noise_m, T)
     return states
 
 
@@ -27,7 +27,7 @@ def covariances(sigma_depth_m: float, T: int = 60) -> np.ndarray:
     """Return covariances (T, D, D): 1 cm across, more in depth, 10 % of size that all share with the distance."""
     sigma = np.full(CHAIN.n_state, 0.1)
     sigma[CHAIN.euler_slice] = 1e-4
-    sigma[CHAIN.place_slice] = 0.01, 0.01, sigma_depth_m
+    sigma[CHAIN.position_slice] = 0.01, 0.01, sigma_depth_m
     sigma[CHAIN.base_index] = 1e-9
     return np.tile(np.diag(sigma**2), (T, 1, 1))
 
@@ -40,7 +40,7 @@ def test_a_straight_run_keeps_its_speed_whatever_jitters_in_depth():
     assert np.abs(path.velocity_m_s[10:-10, 2]).max() < 3 * sigma[10:-10].min()
     assert speed.max() < 11.0
     assert np.diff(path.position_m[:, 2]).std() < 0.02
-    exact = np.gradient(straight_states(0.5)[:, CHAIN.place_slice], 1 / 90, axis=0)
+    exact = np.gradient(straight_states(0.5)[:, CHAIN.position_slice], 1 / 90, axis=0)
     assert np.linalg.norm(exact, axis=1).max() > 40.0
 
 
@@ -48,7 +48,7 @@ def test_size_and_distance_are_left_open():
     """The path is that at the nominal size: a scene that is larger as a whole has the same."""
     states, base = straight_states(0.0), CHAIN.base_index
     larger = states.copy()
-    larger[:, CHAIN.place_slice] *= 1.2
+    larger[:, CHAIN.position_slice] *= 1.2
     larger[:, base] *= 1.2
     paths = [path_of(CHAIN, s, covariances(0.3), 90.0).position_m for s in (states, larger)]
     np.testing.assert_allclose(*paths, atol=2e-3)
