@@ -25,6 +25,7 @@ import tokenize
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parent / "parts"))
 
@@ -120,79 +121,103 @@ UPWARD = {
 """Modules that import, inside a function, what is built on them, and which modules that is."""
 
 
-def function_word_names(tree: ast.Module) -> list[tuple[int, str]]:
+class Syntax(NamedTuple):
+    """The nodes of a file's syntax tree, and which of them stand inside a function."""
+
+    nodes: list[ast.AST]
+    local: list[ast.AST]
+    """Those inside functions, without the functions and classes themselves."""
+    top: list[ast.stmt]
+    """The statements of the module."""
+
+    @classmethod
+    def read(cls, path: Path) -> Syntax:
+        """Return the syntax of a file, by one walk."""
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        nodes, local, waiting = list[ast.AST](), list[ast.AST](), [(node, False) for node in tree.body]
+        while waiting:
+            node, is_local = waiting.pop()
+            nodes.append(node)
+            if is_local and not isinstance(node, FUNCTIONS | ast.ClassDef):
+                local.append(node)
+            is_local = is_local or isinstance(node, FUNCTIONS | ast.Lambda)
+            waiting += [(child, is_local) for child in ast.iter_child_nodes(node)]
+        return cls(nodes, local, tree.body)
+
+
+FUNCTIONS = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def function_word_names(syntax: Syntax) -> list[tuple[int, str]]:
     """Return the lines and names of what is called by a function word."""
-    return [(line, name) for line, name in bindings(tree) if name in FUNCTION_WORDS]
+    return [(line, name) for node in syntax.nodes for line, name in bound(node) if name in FUNCTION_WORDS]
 
 
-def shadowing_names(tree: ast.Module) -> list[tuple[int, str]]:
-    """Return the lines and names of local variables that hide an import, a function or a class of the module."""
-    top = {
-        (alias.asname or alias.name).split(".")[0]
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Import | ast.ImportFrom)
-        for alias in node.names
-    }
-    top |= {node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)}
-    functions = [
-        node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
-    ]
-    names = {pair for function in functions for pair in bindings(function) if pair[1] in top}
-    names -= {
-        (node.lineno, node.name)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef)
-    }
-    return sorted(names)
+def shadowing_names(syntax: Syntax) -> list[tuple[int, str]]:
+    """Return the lines and names of local variables that hide an import, a function or a class of the module.
+
+    A module that is imported for types only hides nothing where a function that needs it imports it, or gets it from
+    the function that asks for its package (`torch = require_torch()`).
+    """
+    imports = [node for node in syntax.nodes if isinstance(node, ast.Import | ast.ImportFrom)]
+    aliases = [alias for node in imports for alias in node.names]
+    modules = {alias.asname or alias.name for node in imports if isinstance(node, ast.Import) for alias in node.names}
+    top = {(alias.asname or alias.name).split(".")[0] for alias in aliases}
+    top |= {node.name for node in syntax.top if isinstance(node, FUNCTIONS | ast.ClassDef)}
+    names = {pair for node in syntax.local if not isinstance(node, ast.alias) for pair in bound(node) if pair[1] in top}
+    for node in syntax.local:
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call):
+            bindings = [pair for target in node.targets for part in ast.walk(target) for pair in bound(part)]
+            names -= {pair for pair in bindings if pair[1] in modules and _requires(node.value, pair[1])}
+    return [*names]
 
 
-def bindings(tree: ast.AST) -> Iterator[tuple[int, str]]:
-    """Yield the line and name of every variable, parameter, field, function, class and alias of an import."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+def _requires(call: ast.Call, module: str) -> bool:
+    return _called(call.func) == f"require_{module}"
+
+
+def bound(node: ast.AST) -> Iterator[tuple[int, str]]:
+    """Yield the line and name that one node of a syntax tree binds: a variable, parameter, function, class, alias."""
+    if isinstance(node, ast.Name):
+        if isinstance(node.ctx, ast.Store):
             yield node.lineno, node.id
-        elif isinstance(node, ast.arg):
-            yield node.lineno, node.arg
-        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+    elif isinstance(node, ast.arg):
+        yield node.lineno, node.arg
+    elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+        yield node.lineno, node.name
+    elif isinstance(node, ast.ExceptHandler | ast.MatchAs | ast.MatchStar):
+        if node.name is not None:
             yield node.lineno, node.name
-        elif isinstance(node, ast.ExceptHandler | ast.MatchAs | ast.MatchStar):
-            if node.name is not None:
-                yield node.lineno, node.name
-        elif isinstance(node, ast.alias) and node.asname:
-            yield node.lineno, node.asname
+    elif isinstance(node, ast.alias) and node.asname:
+        yield node.lineno, node.asname
 
 
-def string_imports(tree: ast.Module) -> list[tuple[int, str]]:
+def string_imports(syntax: Syntax) -> list[tuple[int, str]]:
     """Return the lines and names of calls that import, or take an attribute, by a name that the code builds."""
-    found = []
-    for node in ast.walk(tree):
+    calls = []
+    for node in syntax.nodes:
         if not isinstance(node, ast.Call):
             continue
         called = _called(node.func)
         built = called == "getattr" and isinstance(node.args[1], ast.JoinedStr | ast.BinOp)
         if called in ("import_module", "__import__") or built:
-            found.append((node.lineno, called))
-    return found
+            calls.append((node.lineno, called))
+    return calls
 
 
-def any_in_signatures(tree: ast.Module) -> list[tuple[int, str]]:
+def any_in_signatures(syntax: Syntax) -> list[tuple[int, str]]:
     """Return the lines and functions of parameters and returned values of which nothing is said but `Any`.
 
     That is `Any` itself, in a union, or as the element of a sequence; tables of plain types, `dict[str, Any]`, and
     keywords that are passed on, `**keywords: Any`, do not count.
     """
-    found = []
-    for node in ast.walk(tree):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-            parameters = [
-                *node.args.posonlyargs,
-                *node.args.args,
-                *node.args.kwonlyargs,
-                node.args.vararg,
-            ]
-            annotations = [*(one.annotation for one in parameters if one is not None), node.returns]
-            found += [(note.lineno, node.name) for note in annotations if note is not None and _has_any(note)]
-    return found
+    signatures = []
+    for node in syntax.nodes:
+        if isinstance(node, FUNCTIONS):
+            parameters = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs, node.args.vararg]
+            annotations = [*(item.annotation for item in parameters if item is not None), node.returns]
+            signatures += [(note.lineno, node.name) for note in annotations if note is not None and _has_any(note)]
+    return signatures
 
 
 def _has_any(annotation: ast.expr) -> bool:
@@ -218,9 +243,9 @@ def check(where: bool) -> bool:
     """Print how many of each of `RULES` every room has, and return whether there are few enough."""
     counts: Counter[tuple[str, str]] = Counter()
     for path in sorted(PACKAGE.rglob("*.py")):
-        parts, tree = path.relative_to(PACKAGE).parts, ast.parse(path.read_text(encoding="utf-8"))
+        parts, syntax = path.relative_to(PACKAGE).parts, Syntax.read(path)
         for title, occurrences, _ in RULES:
-            lines = occurrences(tree)
+            lines = sorted(occurrences(syntax))
             counts[parts[0].removesuffix(".py"), title] += len(lines)
             for line, name in lines if where else ():
                 print(f"{path.relative_to(ROOT)}:{line}: {title}: {name}")

@@ -17,9 +17,9 @@ def main() -> None:
     interrupts = Interrupts()
     interrupts.install()
     try:
-        from recon.cli.app import main as run
+        from recon.cli.app import main as run_command_line
 
-        run()
+        run_command_line()
     finally:
         if interrupts.received and not interrupts.said:
             interrupts.leave()

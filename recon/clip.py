@@ -373,7 +373,7 @@ class View(Brief):
     """(T,): standard deviation of each pose's rotation about any axis, for a camera whose track has it."""
 
     @property
-    def still(self) -> bool:
+    def is_still(self) -> bool:
         """Whether the camera stands still."""
         return self.T_camera_world.ndim == 2
 
@@ -385,7 +385,7 @@ class View(Brief):
     @property
     def rotation(self) -> Array:
         """R_camera_world (3, 3), or (T, 1, 3, 3) for a moving camera, to multiply arrays with a joint axis."""
-        return self.T_camera_world[:3, :3] if self.still else self.T_camera_world[:, None, :3, :3]
+        return self.T_camera_world[:3, :3] if self.is_still else self.T_camera_world[:, None, :3, :3]
 
     @cached_property
     def centre_m(self) -> Array:
@@ -409,7 +409,7 @@ class View(Brief):
     def part(self, frames: slice | Index) -> View:
         """Return the view cut to these frames."""
         names = ["xy_px", "confidence", "intrinsics_px", "rotation_sigma_rad"]
-        names += [] if self.still else ["T_camera_world"]
+        names += [] if self.is_still else ["T_camera_world"]
         arrays = {name: getattr(self, name) for name in names}
         return replace(self, **{name: values[frames] for name, values in arrays.items() if values is not None})
 
@@ -453,7 +453,7 @@ class View(Brief):
 
     def to_camera(self, points_m: Array) -> Array:
         """Return points (T, J, 3) of the world frame in the camera frame."""
-        if self.still:
+        if self.is_still:
             return points_m @ self.T_camera_world[:3, :3].T + self.T_camera_world[:3, 3]
         R, t = self.T_camera_world[:, :3, :3], self.T_camera_world[:, :3, 3]
         return points_m @ R.swapaxes(1, 2) + t[:, None]
@@ -473,7 +473,7 @@ class View(Brief):
     def rays(self) -> Array:
         """Return unit vectors (T, J, 3) in the world frame towards the keypoints, NaN where missing."""
         rays, _ = self.camera.rays(self._unzoomed_px)
-        return rays @ self.rotation if self.still else (rays[..., None, :] @ self.rotation)[..., 0, :]
+        return rays @ self.rotation if self.is_still else (rays[..., None, :] @ self.rotation)[..., 0, :]
 
     @cached_property
     def _zoom(self) -> Array:

@@ -69,7 +69,7 @@ def main() -> None:
                 off = [100 * (k[i] / truth[i] - 1) for i in ((0, 0), (1, 1), (0, 2), (1, 2))]
                 refused = ", ".join(c.name for c in check(found) if c.verdict == "refused") or "-"
                 print(
-                    f"| {camera.model} | {text.split(':')[0]} | {seed} | {views.found} of {views.examined} "
+                    f"| {camera.model} | {text.split(':')[0]} | {seed} | {views.with_board} of {views.examined} "
                     f"| {found.rms_px:.3f} | {truth[0, 0]:.1f} | {k[0, 0]:.2f} | "
                     + " | ".join(f"{value:+.3f}" for value in off)
                     + f" | {worst_px(found, camera):.2f} | {refused} | {seconds:.2f} |",

@@ -266,10 +266,10 @@ def without_side(name: str) -> str:
     word = SIDE_WORD.search(name)
     if word is None:
         return name
-    before, after = name[: word.start()], name[word.end() :]
-    if not before or before[-1] in _SEPARATORS:
-        after = after.lstrip(_SEPARATORS)
-    return (before + after if after else before.rstrip(_SEPARATORS)) or name
+    start, rest = name[: word.start()], name[word.end() :]
+    if not start or start[-1] in _SEPARATORS:
+        rest = rest.lstrip(_SEPARATORS)
+    return (start + rest if rest else start.rstrip(_SEPARATORS)) or name
 
 
 def both_sides(name: str) -> str:

@@ -78,7 +78,7 @@ class MotionPrior:
     def __post_init__(self) -> None:
         wrong = misfits({name: getattr(self, name) for name in SHAPES}, len(self.angles))
         if wrong:
-            raise ValueError("; ".join(f"{field}: {found}, expected {expected}" for field, found, expected in wrong))
+            raise ValueError("; ".join(f"{field}: {value}, expected {expected}" for field, value, expected in wrong))
 
 
 def misfits(arrays: dict[str, Array], n_angles: int) -> list[tuple[str, str, str]]:

@@ -76,7 +76,7 @@ def analyse_command(settings: AnalyseSettings, progress: Progress = silent) -> A
     """
     out = settings.folder / FOLDER if settings.out is None else settings.out
     progress("reading", 0.0)
-    made_from = ReadResults.of(settings.folder)
+    made_from = ReadResults.read(settings.folder)
     motion = Motion.load(settings.folder)
     if settings.belt_speed_m_s is not None:
         motion = over_belt(motion, settings.belt_speed_m_s)

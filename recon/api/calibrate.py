@@ -147,7 +147,7 @@ def run_calibration(settings: CalibrationSettings, progress: Progress = silent) 
             for view in calibration.views
         ],
         "examined": views.examined,
-        "found": views.found,
+        "found": views.with_board,
         "without_board": list(views.without_board),
         "checks": [
             {name: _finite(value) for name, value in vars(c).items() if name != "advice"}

@@ -73,7 +73,7 @@ def convert(settings: ConvertSettings) -> Answer:
     if source is None or out is None:
         found = "nothing" if source is None else "one file"
         raise InputError(Problem("recon convert", "files", found, "IN and OUT, as in recon convert clip.csv clip.nc"))
-    made_from = ReadResults.of(source) if source.is_dir() else None
+    made_from = ReadResults.read(source) if source.is_dir() else None
     output = output_file(out, "convert", settings.overwrite, input_paths(settings), made_from, "OUT")
     if (source / ROBOT_FILE).is_file():
         name = choose_format(out, settings.to, _robot_formats()).name
@@ -89,7 +89,7 @@ def convert(settings: ConvertSettings) -> Answer:
     notes, content, wanted = data.notes, "2D keypoints" if isinstance(data, Keypoints) else "3D positions", ""
     written: Any = data
     if "bones" in target.writes and motion is not None:
-        beside = [out.with_suffix(extension) for extension in target.beside]
+        beside = [out.with_suffix(extension) for extension in target.companions]
         output.require([path.name for path in beside])
         written = rig_of(motion, data.fps, settings.body_mass_kg)
         data, notes = written.pose, notes + written.notes

@@ -175,10 +175,10 @@ class FitSettings(Settings):
         return given
 
     @classmethod
-    def problems_of_given(cls, given: Mapping[str, Any]) -> Iterator[Problem]:
+    def problems_of_given(cls, values: Mapping[str, Any]) -> Iterator[Problem]:
         """A camera given in one way only, and nothing that the method does not read."""
-        yield from _camera_problems(given)
-        yield from _of_the_other_method(given)
+        yield from _camera_problems(values)
+        yield from _of_the_other_method(values)
 
     def problems(self) -> Iterator[Problem]:
         """Where a clip has several cameras, everything of one camera is there once for each."""

@@ -22,13 +22,13 @@ class Problem:
     """In the user's words, with units where they matter."""
     expected: str
     """In the user's words, with units where they matter."""
-    more: tuple[str, ...] = ()
+    details: tuple[str, ...] = ()
     """Lines to follow it, such as a file to write."""
 
     @property
     def lines(self) -> tuple[str, ...]:
         """Return the problem as lines of a message."""
-        return str(self), *map(printable, self.more)
+        return str(self), *map(printable, self.details)
 
     def __str__(self) -> str:
         option = "--" + self.field.replace("_", "-")

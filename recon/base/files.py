@@ -175,7 +175,7 @@ class FileState(NamedTuple):
     inode: int
 
     @classmethod
-    def of(cls, path: Path) -> FileState:
+    def read(cls, path: Path) -> FileState:
         """Return the state of a file; of a link, its own."""
         state = os.lstat(path)
         return cls(state.st_size, state.st_mtime_ns, state.st_ino)
@@ -207,7 +207,7 @@ def exchange(staging: Path, folder: Path, leaving: Mapping[str, FileState]) -> N
     try:
         for name in sorted(leaving, key=lambda name: (name != MANIFEST, name)):
             os.replace(folder / name, old / name)
-            if FileState.of(old / name) != leaving[name]:
+            if FileState.read(old / name) != leaving[name]:
                 expected = "a file that nobody changes meanwhile: run the command again"
                 raise InputError(Problem(folder / name, "file", "one that was changed just now", expected))
         for name in names:
@@ -324,8 +324,8 @@ def read_manifest(folder: Path) -> Manifest:
         if not isinstance(kind, str | None):
             raise ValueError
     except FileNotFoundError:
-        found = f"no {MANIFEST}: of an interrupted run, or of an earlier version"
-        raise InputError(Problem(folder, "folder", found, AGAIN)) from None
+        actual = f"no {MANIFEST}: of an interrupted run, or of an earlier version"
+        raise InputError(Problem(folder, "folder", actual, AGAIN)) from None
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
         raise InputError(Problem(path, "content", "something else", AGAIN)) from None
     if outside := [name for name in files if not is_plain_name(name)]:

@@ -126,9 +126,9 @@ def _locked_file(path: Path, until_s: float) -> int:
             raise
         os.close(lock)
         if is_free is False and time.monotonic() >= until_s:
-            found = f"another process{f' ({owner})' if owner else ''}, which is writing to it"
+            owner_text = f"another process{f' ({owner})' if owner else ''}, which is writing to it"
             expected = "one at a time: wait until it has ended, or choose another folder"
-            raise InputError(Problem(path.parent, "folder", found, expected))
+            raise InputError(Problem(path.parent, "folder", owner_text, expected))
         time.sleep(_POLL_S if is_free is False else 0.0)
 
 
@@ -178,14 +178,14 @@ def _not_usable(path: Path) -> InputError:
     try:
         state = os.lstat(path)
     except OSError:
-        found = "a lock file that cannot be opened"
+        fault = "a lock file that cannot be opened"
     else:
         if stat.S_ISREG(state.st_mode) and state.st_nlink == 1 and state.st_uid != _user():
-            found = f"a lock file of another user ({_name_of(state.st_uid)}), whose run was perhaps killed"
+            fault = f"a lock file of another user ({_name_of(state.st_uid)}), whose run was perhaps killed"
         else:
-            found = "a file or link that is no lock file of recon"
+            fault = "a file or link that is no lock file of recon"
     expected = "this file to be removed, if no run is still writing to the folder; or another folder"
-    return InputError(Problem(path, "lock", found, expected))
+    return InputError(Problem(path, "lock", fault, expected))
 
 
 def _user() -> int:

@@ -136,7 +136,7 @@ class ReadResults:
     """The SHA-256 of its manifest; None where it has none."""
 
     @classmethod
-    def of(cls, folder: Path) -> ReadResults:
+    def read(cls, folder: Path) -> ReadResults:
         """Return the results that are in the folder now."""
         return cls(folder, _manifest_sha256(folder))
 
@@ -152,8 +152,8 @@ class ReadResults:
     def require_unchanged(self) -> None:
         """Raise InputError where other results are in the folder by now."""
         if _manifest_sha256(self.folder) != self.manifest:
-            found = "other results than were read: another run has replaced them meanwhile"
-            raise InputError(Problem(self.folder, "results", found, "the command to be run again"))
+            change = "other results than were read: another run has replaced them meanwhile"
+            raise InputError(Problem(self.folder, "results", change, "the command to be run again"))
 
 
 def _manifest_sha256(folder: Path) -> str | None:
@@ -169,8 +169,8 @@ def is_current(path: Path, results: Path) -> bool:
         entries = read_record(path.parent).get(path.name, ())
     except InputError:
         return False
-    now = _manifest_sha256(results)
-    return any(_is_of(entry, path.parent, results) and entry.manifest == now for entry in entries)
+    current_sha256 = _manifest_sha256(results)
+    return any(_is_of(entry, path.parent, results) and entry.manifest == current_sha256 for entry in entries)
 
 
 def _is_of(entry: WrittenFile, folder: Path, results: Path) -> bool:
@@ -293,7 +293,7 @@ class Output:
     def _is_input(self, name: str) -> bool:
         path = self.folder / name
         with suppress(OSError):
-            return any(path.samefile(given) for given in self.inputs if given.is_file())
+            return any(path.samefile(input_path) for input_path in self.inputs if input_path.is_file())
         return False
 
     def _require_replaceable(self, names: Iterable[str], written: _Written, adds: bool) -> None:
@@ -307,51 +307,53 @@ class Output:
         require_no_folders(self.folder, names)
         raise_problems(self._refused([name for name in names if self._is_input(name)], "an input of this run"))
         foreign = [name for name in names if not self._is_own(name, written)]
-        what = f"a file that `recon {self.kind}` did not write, or that was changed since"
-        raise_problems(self._refused(foreign, what))
+        description = f"a file that `recon {self.kind}` did not write, or that was changed since"
+        raise_problems(self._refused(foreign, description))
         if self.exact is not None and not self.overwrite:
             raise_problems(self._there_already(name) for name in names)
         if not adds and not self.overwrite:
             names += [name for name in written if name not in names and self._is_own(name, written)]
         if self.exact is None and names and not self.overwrite:
-            more = f" and {len(names) - 1} more" if len(names) > 1 else ""
-            found = f"{names[0]}{more} in {self.folder}"
+            rest = f" and {len(names) - 1} more" if len(names) > 1 else ""
+            contents = f"{names[0]}{rest} in {self.folder}"
             expected = f"a folder without {self.content}, or --overwrite"
-            raise InputError(Problem(self.option, "folder", found, expected))
+            raise InputError(Problem(self.option, "folder", contents, expected))
 
     def _there_already(self, name: str) -> Problem:
-        found = f"{self.folder / name}, which is there already"
-        return Problem(self.option, "file", found, "a new name, or --overwrite")
+        existing = f"{self.folder / name}, which is there already"
+        return Problem(self.option, "file", existing, "a new name, or --overwrite")
 
-    def _refused(self, names: Sequence[str], found: str) -> Iterator[Problem]:
+    def _refused(self, names: Sequence[str], description: str) -> Iterator[Problem]:
         """Give one problem for all files that may not be replaced."""
         if names:
-            some, count = names[1 : 1 + NAMED], len(names) - 1
-            more = f"; the same of {', '.join(some)}{f' and {count - NAMED} more' * (count > NAMED)}" if some else ""
+            listed, count = names[1 : 1 + NAMED], len(names) - 1
+            rest = (
+                f"; the same of {', '.join(listed)}{f' and {count - NAMED} more' * (count > NAMED)}" if listed else ""
+            )
             expected = f"another {self.option}, or the file moved away: recon would have to replace it"
-            yield Problem(self.folder / names[0], "file", found + more, expected)
+            yield Problem(self.folder / names[0], "file", description + rest, expected)
 
     # -- putting files there
 
     def _commit(self, staging: Path, adds: bool) -> None:
         """Move the new files in, and what they replace out."""
         folder, names = self.folder, names_in(staging / NEW)
-        before, written = read_record(folder), self._written()
+        record, written = read_record(folder), self._written()
         self._require_replaceable(names, written, adds)
         leaving = [name for name in names if os.path.lexists(folder / name)]
         if not adds:
             leaving += [name for name in written if name not in names and self._may_go(name, written)]
-        states = {name: FileState.of(folder / name) for name in leaving}
+        states = {name: FileState.read(folder / name) for name in leaving}
         new = {name: self._entry(staging / NEW / name) for name in names}
-        known = {name: (*before.get(name, ()), *written.get(name, ()), entry) for name, entry in new.items()}
-        _write_record(folder, before | known)
+        known = {name: (*record.get(name, ()), *written.get(name, ()), entry) for name, entry in new.items()}
+        _write_record(folder, record | known)
         try:
             exchange(staging, folder, states)
         except BaseException:
             with suppress(OSError):
-                _write_record(folder, before)
+                _write_record(folder, record)
             raise
-        kept = {name: entries for name, entries in before.items() if os.path.lexists(folder / name)}
+        kept = {name: entries for name, entries in record.items() if os.path.lexists(folder / name)}
         with suppress(OSError):  # then the record knows more than it needs to
             _write_record(folder, kept | {name: (entry,) for name, entry in new.items()})
         if self.has_manifest:
@@ -362,8 +364,10 @@ class Output:
         entries = written[name]
         if self._is_input(name) or not os.path.lexists(self.folder / name):
             return False
-        own = [e for e in entries if e.kind == self.kind or (self.has_manifest and _goes(e, self.folder, self.folder))]
-        return _is_as_written(self.folder / name, own)
+        own_entries = [
+            e for e in entries if e.kind == self.kind or (self.has_manifest and _goes(e, self.folder, self.folder))
+        ]
+        return _is_as_written(self.folder / name, own_entries)
 
     def _entry(self, path: Path) -> WrittenFile:
         source = self.made_from

@@ -172,14 +172,14 @@ class Settings:
             pydantic.dataclasses.dataclass(frozen=True, kw_only=True, repr=False, config=_CONFIG)(cls)
             check = cls.__init__
 
-            def __init__(self: Settings, **given: Any) -> None:  # noqa: N807  it is given to the class
-                given = {name: value for name, value in given.items() if value is not None}
+            def __init__(self: Settings, **values: Any) -> None:  # noqa: N807  the class gets it
+                values = {name: value for name, value in values.items() if value is not None}
                 problems = []
                 try:
-                    check(self, **given)
+                    check(self, **values)
                 except ValidationError as error:
-                    problems = _problems(type(self), given, error)
-                problems += self.problems_of_given(given)
+                    problems = _problems(type(self), values, error)
+                problems += self.problems_of_given(values)
                 if not problems:
                     problems += self.problems()
                 raise_problems(problems)
@@ -193,7 +193,7 @@ class Settings:
         return f"{type(self).__name__}({', '.join(changed)})"
 
     @classmethod
-    def problems_of_given(cls, given: Mapping[str, Any]) -> Iterable[Problem]:
+    def problems_of_given(cls, values: Mapping[str, Any]) -> Iterable[Problem]:
         """Return what does not go together in what was given, whether or not single values can be used."""
         return ()
 
@@ -233,7 +233,7 @@ def input_paths(settings: Settings) -> tuple[Path, ...]:
     for name in settings.infos():
         value = getattr(settings, name)
         values = value if isinstance(value, tuple) else (value,)
-        paths += [Path(one) for one in values if name not in OUTPUTS and isinstance(one, str | Path)]
+        paths += [Path(text) for text in values if name not in OUTPUTS and isinstance(text, str | Path)]
     return tuple(path for path in paths if _exists(path))
 
 
@@ -244,13 +244,13 @@ def _exists(path: Path) -> bool:
         return False
 
 
-def _problems(cls: type[Settings], given: Mapping[str, Any], error: ValidationError) -> list[Problem]:
+def _problems(cls: type[Settings], values: Mapping[str, Any], error: ValidationError) -> list[Problem]:
     """In the user's words, one for each setting."""
     infos, problems = cls.infos(), {}
     for detail in error.errors(include_url=False):
         name = str(detail["loc"][0])
         if name in infos and name not in problems:
-            value = repr(given[name]) if name in given else "nothing"
+            value = repr(values[name]) if name in values else "nothing"
             problems[name] = Problem("settings", name, value, infos[name].expected(detail["msg"]))
         elif name not in problems:
             problems[name] = unknown_setting("settings", name, infos)

@@ -224,13 +224,13 @@ class BoardViews:
     """Views of the board from which the calibration is made."""
     without_board: tuple[str, ...]
     """Names of the pictures without the board."""
-    found: int
+    with_board: int
     """Number of pictures with the board."""
 
     @property
     def examined(self) -> int:
         """Return the number of pictures that were examined."""
-        return self.found + len(self.without_board)
+        return self.with_board + len(self.without_board)
 
 
 def collect(paths: Iterable[Path]) -> list[Path]:
@@ -333,18 +333,18 @@ def _mixed_sizes(sizes: dict[str, tuple[int, int]]) -> Problem:
     return Problem("pictures", "size", found_sizes, expected)
 
 
-def choose(sharpness: Array, outlines: Array, most: int = MAX_VIEWS) -> list[int]:
+def choose(sharpness: Array, outlines: Array, count: int = MAX_VIEWS) -> list[int]:
     """Return frames that are sharp and as different as possible, in order.
 
     sharpness: (N,). outlines: (N, 4, 2), the board's corners relative to the picture's diagonal. The first is the
     sharpest; every next one is, among the sharp ones, the farthest from all chosen (root mean square over the outline),
-    until `most` are chosen or the farthest is a repetition.
+    until `count` are chosen or the farthest is a repetition.
     """
     sharp_rows = np.flatnonzero(sharpness >= SHARPNESS_KEPT * np.percentile(sharpness, 75))
     first = int(np.argmax(sharpness))
     chosen = [first]
     distance = np.full(len(sharp_rows), np.inf)
-    while len(chosen) < most:
+    while len(chosen) < count:
         change = outlines[sharp_rows] - outlines[chosen[-1]]
         distance = np.minimum(distance, np.sqrt((change**2).sum(axis=2).mean(axis=1)))
         farthest = int(np.argmax(distance))
@@ -573,7 +573,7 @@ class _CalibrationCheck:
     """A measured value and its limits."""
 
     name: str
-    what: str
+    quantity: str
     unit: str
     warn: float
     """Limit of a warning: a largest value, or a least one if `at_least`."""
@@ -599,10 +599,10 @@ class _CalibrationCheck:
         bound = self.refuse if self.verdict == "refused" else self.warn
         unit = f" {self.unit}" if self.unit else ""
         if self.verdict == "ok":
-            return f"{self.name}: {self.what} {self.value:.3g}{unit}"
+            return f"{self.name}: {self.quantity} {self.value:.3g}{unit}"
         side = "at least" if self.at_least else "at most"
         return (
-            f"{self.name}: {self.what} {self.value:.3g}{unit}, {side} {bound:g} wanted "
+            f"{self.name}: {self.quantity} {self.value:.3g}{unit}, {side} {bound:g} wanted "
             f"({abs(self.value - bound):.2g} {'short' if self.at_least else 'over'}): {self.advice}"
         )
 

@@ -43,7 +43,7 @@ SAME = 1e-6
 class Advice:
     """One camera on a sphere about the animal, at every position of the grid of `AZIMUTHS_RAD` and `ELEVATIONS_RAD`."""
 
-    of: str
+    target: str
     """Angle or joint to be seen."""
     unit: str
     """"rad" of an angle, "m" of joints."""
@@ -52,7 +52,7 @@ class Advice:
     """Median standard deviation over the frames, shape (E, A); infinite if the animal is not in the picture."""
     share: Array
     """Share of the precision that comes from the pixels of all cameras, shape (E, A)."""
-    beside: tuple[float, float] | None = None
+    first_place: tuple[float, float] | None = None
     """Azimuth and elevation of another camera that is present already."""
 
     @property
@@ -74,7 +74,7 @@ class Advice:
 def advise(
     body: Body,
     prior: MotionPrior,
-    of: str | None = None,
+    target: str | None = None,
     hfov_deg: float = 60.0,
     distance_m: float | None = None,
     cameras: int = 1,
@@ -86,7 +86,7 @@ def advise(
     ----------
     body, prior : Body, MotionPrior
         The animal and its motion.
-    of : str, optional
+    target : str, optional
         An angle of the body's states, without its position and heading, or a marker; None: all markers.
     hfov_deg : float
         Horizontal field of view.
@@ -105,22 +105,22 @@ def advise(
     distance = AWAY_LENGTHS * length_m(body) if distance_m is None else distance_m
     advices, shape = list[Advice](), (len(ELEVATIONS_RAD), len(AZIMUTHS_RAD))
     for number in range(cameras):
-        beside = advices[0].place if advices else None
-        fixed_cameras = [placed(replace(lens, name="beside"), middle, *beside, distance)] if beside else []
+        first_place = advices[0].place if advices else None
+        fixed_cameras = [placed(replace(lens, name="first"), middle, *first_place, distance)] if first_place else []
         grid = np.empty((*shape, 2))
         for done, (row, column) in enumerate(np.ndindex(shape)):
             position = float(AZIMUTHS_RAD[column]), float(ELEVATIONS_RAD[row])
-            candidate = placed(replace(lens, name="there"), middle, *position, distance)
+            candidate = placed(replace(lens, name="candidate"), middle, *position, distance)
             with threadpool_limits(1, user_api="blas"):
-                grid[row, column] = known(body, prior, states, [*fixed_cameras, candidate], of)
+                grid[row, column] = known(body, prior, states, [*fixed_cameras, candidate], target)
             progress((number + (done + 1) / math.prod(shape)) / cameras)
-        unit = "rad" if of in body.state_names[4:] else "m"
-        advices.append(Advice(of or "all joints", unit, distance, grid[..., 0], grid[..., 1], beside))
+        unit = "rad" if target in body.state_names[4:] else "m"
+        advices.append(Advice(target or "all joints", unit, distance, grid[..., 0], grid[..., 1], first_place))
     return advices
 
 
 def known(
-    body: Body, prior: MotionPrior, states: Array, cameras: Sequence[Camera], of: str | None = None
+    body: Body, prior: MotionPrior, states: Array, cameras: Sequence[Camera], target: str | None = None
 ) -> tuple[float, float]:
     """Return the standard deviation and the pixels' share of the precision, medians over frames.
 
@@ -138,11 +138,11 @@ def known(
     problem = clip.problem(noise_px, temperature=1.0, around_m=around_m)
     estimate = Estimate(at_origin, 0.0, 0, True, problem.expected())
     result = posterior(problem, body, estimate, max(constants.ERROR_TIME_S * FPS, 1.0))
-    if of in body.state_names[4:]:
-        column = body.state_names[3:].index(of)
+    if target in body.state_names[4:]:
+        column = body.state_names[3:].index(target)
         sigma, share = np.sqrt(result.angle_variance[0][:, column]), result.angle_data_share[:, column]
         return float(np.median(sigma)), float(np.median(share))
-    markers = slice(None) if of is None else [body.markers.index(of)]
+    markers = slice(None) if target is None else [body.markers.index(target)]
     variance = np.trace(result.relative_covariance_m2[:, markers], axis1=2, axis2=3).mean(axis=1)
     return float(np.median(np.sqrt(variance))), float(np.nanmean(result.data_share[markers]))
 

@@ -108,8 +108,8 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
     keypoint_sigma_m
         Standard deviation of a keypoint's position on the body.
     """
-    both = zip(motion.solution.views, motion.sources, strict=True)
-    views = [replace(view, offset_frames=source.offset_frames) for view, source in both]
+    views_and_sources = zip(motion.solution.views, motion.sources, strict=True)
+    views = [replace(view, offset_frames=source.offset_frames) for view, source in views_and_sources]
     if len(views) < 2:
         return ()
     seen_together = (np.sum([view.present for view in views], axis=0) > 1).sum(axis=1)
@@ -130,8 +130,8 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
             item = finding(_code(numbers, limit), frames, names[v], **numbers)
             findings.append(by_effect(item, motion.trunk_m, is_gross=numbers["level"] > MAX_LEVEL * NOISIEST))
     for v in exchanged:  # compared as it came
-        others = [sights[o] for o in agreeing or range(len(views)) if o != v]
-        comparisons[v] = _agreement(given_sights[v], others, fps, wide=False)
+        partners = [sights[o] for o in agreeing or range(len(views)) if o != v]
+        comparisons[v] = _agreement(given_sights[v], partners, fps, wide=False)
     disagreeing = () if agreeing else tuple(range(len(views)))
     for code, members in (("cameras_exchanged", exchanged), ("cameras_disagree", disagreeing)):
         if members:
@@ -188,16 +188,16 @@ def swaps_by_effect(
     return tuple(weighed)
 
 
-def _effect_m(sights: Sequence[_Sight], v: int, others: Sequence[int]) -> dict[str, float]:
+def _effect_m(sights: Sequence[_Sight], v: int, partners: Sequence[int]) -> dict[str, float]:
     """Return by how much camera v moves the points that the others see: about their middle, and their middle.
 
     Means over joints and frames; NaN where the others alone see too few points.
     """
     effects = dict.fromkeys(EFFECTS, np.nan)
-    if len(others) < 2:
+    if len(partners) < 2:
         return effects
-    without_m, _ = _points([sights[o] for o in others])
-    with_m, _ = _points([sights[o] for o in sorted({*others, v})])
+    without_m, _ = _points([sights[o] for o in partners])
+    with_m, _ = _points([sights[o] for o in sorted({*partners, v})])
     shift_m = with_m - without_m
     is_known = np.isfinite(shift_m[..., 0])
     is_enough = is_known.sum(axis=1) >= MIN_JOINTS
@@ -234,8 +234,8 @@ def _agree(levels: Array, limit: float) -> bool:
     return not (levels > limit).any()
 
 
-def _is_explained(level: float, before: float, limit: float) -> bool:
-    return level <= max(limit, EXPLAINED * before)
+def _is_explained(level: float, previous: float, limit: float) -> bool:
+    return level <= max(limit, EXPLAINED * previous)
 
 
 def _exchanged_pair(levels: Array, trials: Mapping[tuple[int, int], Array], limit: float) -> tuple[int, int] | None:
@@ -423,18 +423,18 @@ def _levels(sights: Sequence[_Sight], agreeing: Sequence[int]) -> Array:
     """Return the level of each of some cameras against the others of them, (V,); NaN for the rest."""
     levels = np.full(len(sights), np.nan)
     for v in agreeing:
-        others = [sights[o] for o in agreeing if o != v]
-        levels[v] = _pair_level(sights[v], *others)[0] if len(agreeing) == 2 else _level(sights[v], _points(others))
+        partners = [sights[o] for o in agreeing if o != v]
+        levels[v] = _pair_level(sights[v], *partners)[0] if len(agreeing) == 2 else _level(sights[v], _points(partners))
     return levels
 
 
-def _agreement(sight: _Sight, others: Sequence[_Sight], fps: float, wide: bool) -> Numbers:
+def _agreement(sight: _Sight, partners: Sequence[_Sight], fps: float, wide: bool) -> Numbers:
     """Compare a camera with others. wide: the time offset is searched over a long range."""
     numbers = dict.fromkeys(("turn_rad", "level_turned", "late_frames", "level_late"), np.nan)
-    if len(others) == 1:
-        level, error_rad, n = _pair_level(sight, others[0])
+    if len(partners) == 1:
+        level, error_rad, n = _pair_level(sight, partners[0])
         return {"points": n, "error_px": error_rad * sight.focal_px, "level": level} | numbers
-    points = _points(others)
+    points = _points(partners)
     towards, squared = _errors(sight, points)
     off_rad = np.linalg.norm(towards - sight.rays, axis=-1)
     known = np.isfinite(squared)
@@ -475,8 +475,8 @@ def _errors(sight: _Sight, points: _Points) -> tuple[Array, Array]:
     a, b, c = (covariance[..., i, j] for i, j in ((0, 0), (0, 1), (1, 1)))
     a, c = a + sight.noise_rad**2, c + sight.noise_rad**2
     squared = (c * error[..., 0] ** 2 - 2 * b * error[..., 0] * error[..., 1] + a * error[..., 1] ** 2) / (a * c - b**2)
-    is_ahead, behind = np.sum(offset_m * sight.rays, axis=-1) > 0, np.where(np.isnan(squared), np.nan, np.inf)
-    return towards, np.where(is_ahead, squared, behind)
+    is_ahead, squared_behind = np.sum(offset_m * sight.rays, axis=-1) > 0, np.where(np.isnan(squared), np.nan, np.inf)
+    return towards, np.where(is_ahead, squared, squared_behind)
 
 
 def _across(rays: Array) -> tuple[Array, Array]:
@@ -545,18 +545,18 @@ def search_offsets(views: Sequence[View], fps: float, sigma_px: float, keypoint_
     for round_number in range(_ROUNDS):
         previous = offsets.copy()
         for v in range(1, len(views)):
-            others = [o for o in range(len(views)) if o != v and np.isfinite(offsets[o])]
-            offsets[v] = _best_offset(sights[v], [sights[o].later(offsets[o]) for o in others], reach, rows)
+            partners = [o for o in range(len(views)) if o != v and np.isfinite(offsets[o])]
+            offsets[v] = _best_offset(sights[v], [sights[o].later(offsets[o]) for o in partners], reach, rows)
         if round_number and np.array_equal(previous, offsets, equal_nan=True):
             break
     return offsets
 
 
-def _best_offset(sight: _Sight, others: Sequence[_Sight], reach: int, rows: Index) -> float:
+def _best_offset(sight: _Sight, partner_sights: Sequence[_Sight], reach: int, rows: Index) -> float:
     offsets = np.arange(-reach, reach + 1)
-    partners = [other.part(rows) for other in others]
+    partners = [partner.part(rows) for partner in partner_sights]
     shifted_sights = [sight.later(by).part(rows) for by in offsets.tolist()]
-    pairs = np.array([[_pair_level(own, other) for other in partners] for own in shifted_sights])
+    pairs = np.array([[_pair_level(shifted, partner) for partner in partners] for shifted in shifted_sights])
     levels, points = pairs[..., 0], pairs[..., 2]
     compared = np.isfinite(levels) & (points >= _COMPARED * points.max(axis=0))
     if not compared.any():
@@ -635,28 +635,28 @@ def solve_time_offsets(
 def _problems(names: Sequence[str], offsets: Array, rest_frames: Array, sigmas: Array) -> Iterator[Problem]:
     for name, frames, lag, sigma in zip(names, offsets, rest_frames, sigmas, strict=True):
         if sigma > MAX_SIGMA_FRAMES or abs(lag) > MAX_SIGMA_FRAMES:
-            found = f"{frames + lag:.1f} ± {max(sigma, abs(lag)):.1f} frames later, from a motion that hardly tells"
+            lag_text = f"{frames + lag:.1f} ± {max(sigma, abs(lag)):.1f} frames later, from a motion that hardly tells"
             expected = f"a clip that tells it to {MAX_SIGMA_FRAMES:g}, or --set offset-s as measured otherwise"
-            yield Problem("--set find-offsets", f"camera {name}", found, expected)
+            yield Problem("--set find-offsets", f"camera {name}", lag_text, expected)
 
 
-def why_not_refined(refined: TrajectorySolution, held: TrajectorySolution) -> tuple[Finding, ...]:
+def why_not_refined(refined: TrajectorySolution, fixed: TrajectorySolution) -> tuple[Finding, ...]:
     """Return why cameras stay as calibrated; nothing where the refined poses are to be used.
 
     A camera that leaves its pose becomes an outlier as a whole, which a robust cost rewards. If no camera fits better,
     the refined poses are only less certain.
     """
-    before, after = _medians_px(held), _medians_px(refined)
-    names, turns_rad = [v.camera.name for v in held.views], np.linalg.norm(refined.extrinsic_correction[:, :3], axis=1)
-    lost = (after > WORSE * before) | (after > LOST * np.median(after))
-    worst_lost, most_turned = int(np.argmax(lost * after / before)), int(np.argmax(turns_rad))
+    fixed_px, refined_px = _medians_px(fixed), _medians_px(refined)
+    names, turns_rad = [v.camera.name for v in fixed.views], np.linalg.norm(refined.extrinsic_correction[:, :3], axis=1)
+    lost = (refined_px > WORSE * fixed_px) | (refined_px > LOST * np.median(refined_px))
+    worst_lost, most_turned = int(np.argmax(lost * refined_px / fixed_px)), int(np.argmax(turns_rad))
     if lost[worst_lost]:
         return (
             finding(
                 "cameras_not_refined",
                 camera=names[worst_lost],
-                before_px=before[worst_lost],
-                after_px=after[worst_lost],
+                before_px=fixed_px[worst_lost],
+                after_px=refined_px[worst_lost],
             ),
         )
     if turns_rad[most_turned] > FAR * constants.CAMERA_ROTATION_RAD:
@@ -665,7 +665,7 @@ def why_not_refined(refined: TrajectorySolution, held: TrajectorySolution) -> tu
                 "camera_left_its_pose", camera=names[most_turned], turn_deg=float(np.degrees(turns_rad[most_turned]))
             ),
         )
-    if not (before > BETTER * after).any():
+    if not (fixed_px > BETTER * refined_px).any():
         return (finding("cameras_as_calibrated"),)
     return ()
 
@@ -756,14 +756,14 @@ def _feet_to_body(positions_m: Array, feet: Index) -> Array | None:
 
 
 def _fit_tilted_plane(
-    points_m: Array, slow: Array, tall_m: float, correlation_frames: float
+    feet_m: Array, slow: Array, tall_m: float, correlation_frames: float
 ) -> tuple[Array, Array, float]:
     """Fit a plane to feet (N, 3), height first, with weights (N,) of how slow they are.
 
     The width within which feet count narrows from the body's height tall_m to `FOOT_SHARE` of it. Returns the plane
     (3,): height and slopes; its curvature (3, 3); and how many feet stand on it.
     """
-    height, *across = points_m.T
+    height, *across = feet_m.T
     rows = np.stack([np.ones_like(height), *across], axis=-1)
     posture_precision = np.diag([0.0, *np.full(2, np.tan(POSTURE_RAD) ** -2.0)])
     plane, normal, weight = np.array([np.quantile(height, 0.25), 0.0, 0.0]), np.eye(3), slow

@@ -87,9 +87,9 @@ def sentence(item: Finding, named: bool = True) -> str:
     lengths = {f"{name}_length": length_text(numbers[f"{name}_m"], sigma_m) for name in lengths_given}
     frames = numbers.get("late_frames", 0.0)
     delay = f"{abs(frames):.1f} frames {'late' if frames > 0 else 'early'}"
-    camera, where = item.camera if named else "the camera", _where(item.frames)
+    camera, frames_text = item.camera if named else "the camera", _where(item.frames)
     effect = effect_text(numbers)
-    text = words.format(**values, **degrees, **lengths, camera=camera, where=where, late=delay, effect=effect)
+    text = words.format(**values, **degrees, **lengths, camera=camera, where=frames_text, late=delay, effect=effect)
     text = re.sub(r"(?<=\d)%", " %", text)
     return f"{item.camera}: {text}" if named and item.camera and "{camera}" not in words else text
 
@@ -110,8 +110,8 @@ def sentences(motion: Motion) -> Iterator[tuple[Finding, str]]:
 
 def names_text(names: Sequence[str]) -> str:
     """Return the first of the names, as a sentence lists them."""
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return ", ".join(names[:NAMED]) + more
+    rest = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return ", ".join(names[:NAMED]) + rest
 
 
 def _where(frames: tuple[int, int] | None) -> str:

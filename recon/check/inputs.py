@@ -194,8 +194,8 @@ def _identical(a: np.ndarray, b: np.ndarray) -> tuple[Bools, Bools]:
     return in_both & np.asarray((a == b).all(axis=-1)), in_both
 
 
-def _many(identical: Bools, of: Bools) -> bool:
-    return bool(identical.sum() > SHARE * of.sum() and identical.sum() >= FEWEST)
+def _many(identical: Bools, is_seen: Bools) -> bool:
+    return bool(identical.sum() > SHARE * is_seen.sum() and identical.sum() >= FEWEST)
 
 
 def _repeated(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
@@ -311,9 +311,9 @@ def movement(motion: Motion) -> Iterator[Finding]:
     if sliding is not None and sliding.code == "treadmill":
         yield sliding
     elif is_staying and np.nanquantile(speed, STILL) < min(STILL_M_S, trunk_m) and np.nanmedian(turns) < STILL_RAD_S:
-        still = finding("animal_still", speed_m_s=float(np.nanmedian(speed)))
+        standing = finding("animal_still", speed_m_s=float(np.nanmedian(speed)))
         # without a prior of motions that move, nothing expects it to move
-        yield replace(still, severity="note") if solution.prior == NONE else still
+        yield replace(standing, severity="note") if solution.prior == NONE else standing
     elif np.mean(forward[np.isfinite(forward)] < -BACKWARDS_M_S) > BACKWARDS:
         yield finding("time_reversed", speed_m_s=-float(np.nanmedian(forward)))
     elif sliding is not None:

@@ -73,7 +73,7 @@ class Refit:
     states: Array
     correlated: float
     """Negative log-likelihood if errors of neighbouring frames are correlated."""
-    own: float
+    independent: float
     """Negative log-likelihood if errors of neighbouring frames are independent."""
 
     @classmethod
@@ -88,11 +88,11 @@ class Refit:
             ground_cost = 0.5 * sigmas_above_ground(clip, clip.markers(states)) ** 2
         return cls(states, _view_log_density(clip, states) + ground_cost + independent - reprojection, independent)
 
-    def gain_over(self, other: Refit) -> float:
-        """Return the log-likelihood gain over `other` under the worse of two noise models."""
-        if not np.isfinite(self.own):
+    def gain_over(self, reference: Refit) -> float:
+        """Return the log-likelihood gain over `reference` under the worse of two noise models."""
+        if not np.isfinite(self.independent):
             return -np.inf
-        return min(other.correlated - self.correlated, other.own - self.own)
+        return min(reference.correlated - self.correlated, reference.independent - self.independent)
 
 
 def refit_view(clip: ClipProblem) -> Refit:
@@ -134,9 +134,9 @@ def negative_log_density(view: View, projected: Array, sigma_px: Array, correlat
     return OWN_SHARE * float(np.sum(log_tail(innovations) * weight)) + spread
 
 
-def log_tail(off: Array) -> Array:
+def log_tail(residual: Array) -> Array:
     """Return the negative log-density of errors (T, J, 2) in sigmas, (T, J); 0 where a point is missing."""
-    return (TAILS + 2) / 2 * np.log1p(np.nan_to_num(np.sum(off**2, axis=-1)) / TAILS)
+    return (TAILS + 2) / 2 * np.log1p(np.nan_to_num(np.sum(residual**2, axis=-1)) / TAILS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +145,7 @@ class Baseline:
 
     clip: ClipProblem
     states: Array
-    own: bool = True
+    is_alone: bool = True
     """Whether only this view led to the states."""
 
     @property
@@ -153,7 +153,7 @@ class Baseline:
         """Return the view."""
         return self.clip.views[0]
 
-    def other(self, view: View) -> ClipProblem:
+    def with_view(self, view: View) -> ClipProblem:
         """Return the problem with another view in its place."""
         return single_view(self.clip, view)
 
@@ -162,29 +162,29 @@ class Baseline:
 
         For the whole clip it is the states found, unless other cameras contributed to them.
         """
-        if self.own and part.stop - part.start == len(self.states):
+        if self.is_alone and part.stop - part.start == len(self.states):
             return Refit.of_states(self.clip, self.states)
         return refit_view(self.clip.part(part))
 
 
-def project_either_side(given: Baseline, other: View, is_exchanged: Bools) -> tuple[Array, Array]:
+def project_either_side(baseline: Baseline, mirrored: View, is_exchanged: Bools) -> tuple[Array, Array]:
     """Fit half of each of two views, and project its markers into the picture, (T, J, 2), with their noise (T, J).
 
     NaN in frames without states. is_exchanged (J,): markers that the views have on different sides.
     """
-    clip, posed = given.clip, np.flatnonzero(np.isfinite(given.states[:, 0]))
+    clip, posed = baseline.clip, np.flatnonzero(np.isfinite(baseline.states[:, 0]))
     shares = (np.where(is_exchanged, 0.5, 1.0), np.where(is_exchanged, 0.5, 0.0))
     views = [
         replace(half_view, confidence=half_view.confidence * share)
-        for half_view, share in zip((given.view, other), shares, strict=True)
+        for half_view, share in zip((baseline.view, mirrored), shares, strict=True)
     ]
-    projected, sigma_px = np.full(other.xy_px.shape, np.nan), np.full(other.confidence.shape, np.nan)
+    projected, sigma_px = np.full(mirrored.xy_px.shape, np.nan), np.full(mirrored.confidence.shape, np.nan)
     for rows in (slice(first, stop) for first, stop in frame_ranges(posed)):
         part = replace(clip, views=tuple(view.part(rows) for view in views))
         step = max(1, round(clip.fps / APPROACH_HZ))
         kept_frames, no_factor = np.arange(0, len(part), step), np.ones((2, len(is_exchanged)))
         thin = part.thinned(step)
-        states = given.states[rows][kept_frames]  # of the mean pose, where the animal was found
+        states = baseline.states[rows][kept_frames]  # of the mean pose, where the animal was found
         states[:, ANGLES] = clip.prior.mean
         problem = thin.problem(LOOSE * thin.noise_px(thin.markers(states), no_factor))
         states = problem.minimise(states, _TOLERANCE, _ITERATIONS).states
@@ -222,48 +222,52 @@ It is 0.83 or more in 32 real views.
 NEARLY_ALL = 99.0
 """Percentile of the points that have to lie in a part of the picture."""
 
-_Other = tuple[str, dict[str, Any], View]
+_Alternative = tuple[str, dict[str, Any], View]
 """Hypothesis on a view: the finding's code and numbers, and the view that the camera has then."""
 
 
-def unit_square_finding(given: Baseline) -> Finding | None:
+def unit_square_finding(baseline: Baseline) -> Finding | None:
     """Return a finding if the keypoints are parts of the picture's width and height."""
-    view = given.view
+    view = baseline.view
     points = view.xy_px[view.present]
     if not len(points) or np.percentile(np.abs(points - 0.5), NEARLY_ALL) > 1.0:
         return None
     width, height = view.camera.image_size_px
     frames = float(view.present.any(axis=1).sum())
-    ratio = float(np.log(width * height / 4.0)) * max(frames / given.clip.correlation_frames, 1.0)
+    ratio = float(np.log(width * height / 4.0)) * max(frames / baseline.clip.correlation_frames, 1.0)
     return finding("keypoints_normalised", camera=view.camera.name, log_likelihood_ratio=ratio)
 
 
-def other_picture_finding(given: Baseline) -> Finding | None:
+def other_picture_finding(baseline: Baseline) -> Finding | None:
     """Return the finding on a picture other than the camera's that makes the keypoints clearly likelier."""
-    view, part = given.view, best_seen(given.view, given.clip.fps)
-    others = [*_turned(view), *_smaller(view)] if _feet_below(given.clip, view) < UPRIGHT else [*_smaller(view)]
-    if not others:
+    view, part = baseline.view, best_seen(baseline.view, baseline.clip.fps)
+    alternatives = (
+        [*_turned(view), *_smaller(view)] if _feet_below(baseline.clip, view) < UPRIGHT else [*_smaller(view)]
+    )
+    if not alternatives:
         return None
-    as_given = given.refit(part)
-    ratios = [refit_view(given.other(other).part(part)).gain_over(as_given) for _, _, other in others]
+    as_given = baseline.refit(part)
+    ratios = [
+        refit_view(baseline.with_view(candidate).part(part)).gain_over(as_given) for _, _, candidate in alternatives
+    ]
     best = int(np.argmax(ratios))
     if not ratios[best] > CLEAR:
         return None
-    code, numbers, _ = others[best]
-    if view.camera.knows_up and _is_upside_down(others[best]):
-        rivals = [ratio for ratio, other in zip(ratios, others, strict=True) if _is_upside_down(other)]
+    code, numbers, _ = alternatives[best]
+    if view.camera.knows_up and _is_upside_down(alternatives[best]):
+        rivals = [ratio for ratio, rival in zip(ratios, alternatives, strict=True) if _is_upside_down(rival)]
         if not exceeds_margin(ratios[best] - sorted(rivals)[-2], surely=True):
             code, numbers = "upside_down", {}
     return finding(code, camera=view.camera.name, log_likelihood_ratio=ratios[best], **numbers)
 
 
-def _is_upside_down(other: _Other) -> bool:
+def _is_upside_down(alternative: _Alternative) -> bool:
     """Return whether a hypothesis explains an animal that runs upside down."""
-    code, numbers, _ = other
+    code, numbers, _ = alternative
     return code in ("picture_upside_down", "keypoints_y_up", "pose_inverted") or numbers.get("axis") == "-z"
 
 
-def _turned(view: View) -> Iterator[_Other]:
+def _turned(view: View) -> Iterator[_Alternative]:
     (width, height), (x, y) = view.camera.image_size_px, np.moveaxis(view.xy_px, -1, 0)
     pictures: list[tuple[str, dict[str, Any], tuple[Array, Array]]] = [
         ("picture_upside_down", {}, (width - 1 - x, height - 1 - y)),
@@ -282,7 +286,7 @@ def _turned(view: View) -> Iterator[_Other]:
         yield "world_not_z_up", {"axis": axis}, replace(view, T_camera_world=view.T_camera_world @ up.T)
 
 
-def _smaller(view: View) -> Iterator[_Other]:
+def _smaller(view: View) -> Iterator[_Alternative]:
     """Yield the factors by which the video may be smaller."""
     points, size = view.xy_px[view.present], np.array(view.camera.image_size_px)
     for times in SMALLER:
@@ -331,12 +335,14 @@ _Minimum = Callable[[View, Array], Estimate]
 """Function that minimises another view of a second of a clip, from states."""
 
 
-def whole_fit_gain(other: TrajectorySolution, given: TrajectorySolution) -> float:
+def whole_fit_gain(alternative: TrajectorySolution, original: TrajectorySolution) -> float:
     """Return the log-likelihood gain of a whole fit over another of the same detections, each with its own noise."""
-    given_cost, other_cost = (sum(solution.cost_by_term.values()) for solution in (given, other))
-    weight = np.array([np.where(view.present, view.confidence, 0.0) for view in given.views])
-    log_noise = 2.0 * np.nansum(weight * np.log(given.noise_px / other.noise_px))  # both coordinates of a detection
-    return given_cost - other_cost + float(log_noise)
+    original_cost, alternative_cost = (sum(solution.cost_by_term.values()) for solution in (original, alternative))
+    weight = np.array([np.where(view.present, view.confidence, 0.0) for view in original.views])
+    log_noise = 2.0 * np.nansum(
+        weight * np.log(original.noise_px / alternative.noise_px)
+    )  # both coordinates of a detection
+    return original_cost - alternative_cost + float(log_noise)
 
 
 def lens_findings(baseline: Baseline, noise_px: Array) -> Iterator[Finding]:
@@ -385,8 +391,8 @@ def _zooms(view: View, states: Array, minimum: _Minimum) -> Iterator[Finding]:
         return minimum(replace(view, xy_px=centre + (view.xy_px - centre) * np.exp(-zoom * time)), states)
 
     as_given = at(0.0, states)
-    nearer, away = (as_given.cost - at(zoom, as_given.states).cost for zoom in (ZOOM, -ZOOM))
-    slope, bend = 0.5 * (nearer - away), nearer + away  # of the parabola through both, in zooms
+    nearer, farther = (as_given.cost - at(zoom, as_given.states).cost for zoom in (ZOOM, -ZOOM))
+    slope, bend = 0.5 * (nearer - farther), nearer + farther  # of the parabola through both, in zooms
     best = float(np.clip(-slope / bend if bend < 0 else np.sign(slope), -LARGEST, LARGEST))
     if abs(best) >= 1.0 and exceeds_margin(ratio := as_given.cost - at(ZOOM * best, as_given.states).cost):
         yield finding("picture_zooms", way="in" if best > 0 else "out", log_likelihood_ratio=ratio)
@@ -442,14 +448,14 @@ def frame_rate_finding(
     factor, thin_gain = _likeliest_rate(clip, states)
     if 1 / ANOTHER < factor < ANOTHER or not _has_usual_speed(clip.prior, mean_speed_m_s(states, clip.fps * factor)):
         return None
-    given, other = (_at_rate(clip, states, by) for by in (1.0, factor))
-    misfit_given, misfit_other = (prior_misfit_of(*solved) for solved in (given, other))
-    gain = _rate_cost(*given, clip.correlation_frames) - _rate_cost(*other, clip.correlation_frames)
+    as_stated, rescaled = (_at_rate(clip, states, by) for by in (1.0, factor))
+    misfit_given, misfit_other = (prior_misfit_of(*solved) for solved in (as_stated, rescaled))
+    gain = _rate_cost(*as_stated, clip.correlation_frames) - _rate_cost(*rescaled, clip.correlation_frames)
     is_unknown = misfit_other.unlike and misfit_other.level >= misfit_given.level  # to the prior, at that rate
     if is_unknown or gain < (CLEAR if thin_gain > CLEAR else SURE):
         return None
     numbers: dict[str, Any] = {"given_hz": clip.fps, "other_hz": clip.fps * factor, "log_likelihood_ratio": gain}
-    numbers |= _effect_m(clip, given[1].states, other[1].states)
+    numbers |= _effect_m(clip, as_stated[1].states, rescaled[1].states)
     rear, front = (clip.markers(states)[:, clip.body.markers.index(marker)] for marker in clip.body.forward)
     trunk_m = float(np.linalg.norm(front - rear, axis=-1).mean())
     item = finding("frame_rate", **numbers)

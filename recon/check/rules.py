@@ -142,7 +142,7 @@ COMMON: tuple[Rule, ...] = (
 
 def no_pose(motion: Motion) -> Iterator[Finding]:
     """Yield the reason why no frame has a pose."""
-    centres = np.array([view.centre_m[0] for view in motion.solution.views if view.still])
+    centres = np.array([view.centre_m[0] for view in motion.solution.views if view.is_still])
     distance_m = max((float(np.linalg.norm(a - b)) for a in centres for b in centres), default=0.0)
     times = distance_m / _span(motion.body)
     diverged = any("diverged" in flags for flags in motion.flags)
@@ -256,8 +256,8 @@ def solution_unusual(motion: Motion) -> Iterator[Finding]:
     if solution.status != "converged":
         yield finding("not_converged")
     if abs(solution.size - 1) > SIZE_SIGMAS * solution.size_prior_sigma:
-        most = min(SIZE_SIGMAS_MOST * solution.size_prior_sigma, LOG_SIZE_MOST)
-        code = "size_impossible" if abs(math.log(solution.size)) > most else "size_unexpected"
+        limit = min(SIZE_SIGMAS_MOST * solution.size_prior_sigma, LOG_SIZE_MOST)
+        code = "size_impossible" if abs(math.log(solution.size)) > limit else "size_unexpected"
         yield finding(code, size=solution.size, expected_sigma=solution.size_prior_sigma)
 
 

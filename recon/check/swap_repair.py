@@ -15,9 +15,9 @@ from recon.clip import Source
 from recon.fit.result import Finding, TrajectorySolution
 
 
-def swap_improves(mended: TrajectorySolution, given: TrajectorySolution) -> bool:
+def swap_improves(mended: TrajectorySolution, original: TrajectorySolution) -> bool:
     """Return whether the fit with the swaps undone is clearly likelier as a whole than that of the clip."""
-    return likelihood.exceeds_margin(likelihood.whole_fit_gain(mended, given), surely=True)
+    return likelihood.exceeds_margin(likelihood.whole_fit_gain(mended, original), surely=True)
 
 
 def downgrade_swap(swap: Finding) -> Finding:

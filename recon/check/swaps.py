@@ -88,32 +88,32 @@ def pairs_of(body: Body) -> dict[str, Index]:
     return {name: places for name, places in kinds.items() if (places != none).any()}
 
 
-def swaps(given: Baseline, is_unlike: bool = False) -> list[_SwapTrial]:
+def swaps(baseline: Baseline, is_unlike: bool = False) -> list[_SwapTrial]:
     """Return the left-right swaps in one view of a clip, under a prior learned from motions.
 
     Nothing follows a swap that is not clear. is_unlike: the prior does not know this motion, and a whole clip is not
     tried, since nothing else shows it.
     """
-    kinds, found_swaps = pairs_of(given.clip.body), list[_SwapTrial]()
+    kinds, found_swaps = pairs_of(baseline.clip.body), list[_SwapTrial]()
     while len(found_swaps) < STRETCHES and "all" in kinds:
         trials = sorted(
-            (try_undone(given, trial) for trial in propose_stretches(given, kinds, is_unlike)),
+            (try_undone(baseline, trial) for trial in propose_stretches(baseline, kinds, is_unlike)),
             key=lambda trial: -trial.ratio,
         )
         if not trials or not likelihood.exceeds_margin(trials[0].ratio):
-            T = len(given.states)
+            T = len(baseline.states)
             for trial in (trial for trial in trials if trial.stretch.rows == slice(0, T) and not found_swaps):
-                if trial.ratio > 0 or _evidence(given, kinds)["all"].sum() > LIKELY:
+                if trial.ratio > 0 or _evidence(baseline, kinds)["all"].sum() > LIKELY:
                     found_swaps.append(replace(trial, clear=False))
             break
         best, *other_trials = trials
-        undone_baseline = with_undone(given, best)
+        undone_baseline = with_undone(baseline, best)
         rival = next((trial for trial in other_trials if contradicts(undone_baseline, best, trial)), None)
         clear = rival is None or likelihood.exceeds_margin(best.ratio - rival.ratio, surely=True)
         found_swaps.append(replace(best, clear=clear))
         if not clear:
             break
-        given = undone_baseline
+        baseline = undone_baseline
     return found_swaps
 
 
@@ -128,48 +128,48 @@ class _SwapTrial:
     """Whether no other stretch is about as likely in its place."""
 
 
-def contradicts(undone_baseline: Baseline, best: _SwapTrial, other: _SwapTrial) -> bool:
+def contradicts(undone_baseline: Baseline, best: _SwapTrial, rival: _SwapTrial) -> bool:
     """Return whether another stretch that makes the clip likelier may be exchanged in place of the best one.
 
     It is one next to it, or one that gains nothing once the best is undone, but not one that is nearly the same.
     """
-    (a, best_mask), (b, other_mask) = (
-        (trial.stretch.rows, trial.stretch.mask(len(undone_baseline.states))) for trial in (best, other)
+    (a, best_mask), (b, rival_mask) = (
+        (trial.stretch.rows, trial.stretch.mask(len(undone_baseline.states))) for trial in (best, rival)
     )
-    overlap = best_mask & other_mask
-    if not (other_mask & ~best_mask).any() or 2 * overlap.sum() >= (best_mask | other_mask).sum() or other.ratio <= 0:
+    overlap = best_mask & rival_mask
+    if not (rival_mask & ~best_mask).any() or 2 * overlap.sum() >= (best_mask | rival_mask).sum() or rival.ratio <= 0:
         return False
-    is_adjacent = a.start <= b.stop and b.start <= a.stop and {*best.stretch.markers} & {*other.stretch.markers}
-    return bool(is_adjacent) or not likelihood.exceeds_margin(try_undone(undone_baseline, other.stretch).ratio)
+    is_adjacent = a.start <= b.stop and b.start <= a.stop and {*best.stretch.markers} & {*rival.stretch.markers}
+    return bool(is_adjacent) or not likelihood.exceeds_margin(try_undone(undone_baseline, rival.stretch).ratio)
 
 
-def try_undone(given: Baseline, stretch: _Stretch) -> _SwapTrial:
+def try_undone(baseline: Baseline, stretch: _Stretch) -> _SwapTrial:
     """Exchange a stretch, and solve its part of the clip again."""
-    part = _part(given.view, stretch.rows, given.clip.fps)
-    refit = likelihood.refit_view(given.other(with_exchanged(given.view, stretch)).part(part))
-    return _SwapTrial(stretch, refit, refit.gain_over(given.refit(part)))
+    part = _part(baseline.view, stretch.rows, baseline.clip.fps)
+    refit = likelihood.refit_view(baseline.with_view(with_exchanged(baseline.view, stretch)).part(part))
+    return _SwapTrial(stretch, refit, refit.gain_over(baseline.refit(part)))
 
 
-def with_undone(given: Baseline, trial: _SwapTrial) -> Baseline:
+def with_undone(baseline: Baseline, trial: _SwapTrial) -> Baseline:
     """Return the baseline with a stretch exchanged, and the motion that was found then."""
-    states = given.states.copy()
-    states[_part(given.view, trial.stretch.rows, given.clip.fps)] = trial.refit.states
-    return Baseline(given.other(with_exchanged(given.view, trial.stretch)), states)
+    states = baseline.states.copy()
+    states[_part(baseline.view, trial.stretch.rows, baseline.clip.fps)] = trial.refit.states
+    return Baseline(baseline.with_view(with_exchanged(baseline.view, trial.stretch)), states)
 
 
-def propose_stretches(given: Baseline, kinds: dict[str, Index], is_unlike: bool) -> list[_Stretch]:
+def propose_stretches(baseline: Baseline, kinds: dict[str, Index], is_unlike: bool) -> list[_Stretch]:
     """Return the stretches for which tracks and looks give most evidence."""
-    if not np.isfinite(given.states).any():
+    if not np.isfinite(baseline.states).any():
         return []
-    T, evidence = len(given.states), _evidence(given, kinds)
+    T, evidence = len(baseline.states), _evidence(baseline, kinds)
     suspects = [
         suspect
         for name, places in kinds.items()
-        for suspect in _suspects(jumps(given.view, places), evidence[name], name)
+        for suspect in _suspects(jumps(baseline.view, places), evidence[name], name)
     ]
     whole = float(evidence["all"].sum())
     suspects = sorted(suspects, reverse=True)[:REFITTED]
-    can_tell_whole = T / given.clip.fps > LEAST_S and evidence["all"].any() and not is_unlike
+    can_tell_whole = T / baseline.clip.fps > LEAST_S and evidence["all"].any() and not is_unlike
     if can_tell_whole and whole > LOOKS:
         suspects.append((whole, "all", (0, T)))
     chosen = [(name, rows) for _, name, ends in suspects for rows in _parts(*ends, T)]
@@ -206,27 +206,27 @@ def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str,
     ends, low, high = ends[is_candidate], low[is_candidate], high[is_candidate]
     first, stop = ends[:, None], ends[None]
     score = np.where((stop > first) & (stop - first < T), high[None] - low[:, None], -np.inf)
-    found: list[tuple[float, str, tuple[int, int]]] = []
-    while len(found) < REFITTED and score.max(initial=-np.inf) > LIKELY:
+    suspects: list[tuple[float, str, tuple[int, int]]] = []
+    while len(suspects) < REFITTED and score.max(initial=-np.inf) > LIKELY:
         a, b = np.unravel_index(np.argmax(score), score.shape)
-        found.append((float(score[a, b]), name, (int(ends[a]), int(ends[b]))))
-        both = np.minimum(stop, ends[b]) - np.maximum(first, ends[a])
-        score[2 * both >= np.maximum(stop, ends[b]) - np.minimum(first, ends[a])] = -np.inf
-    return found
+        suspects.append((float(score[a, b]), name, (int(ends[a]), int(ends[b]))))
+        overlap = np.minimum(stop, ends[b]) - np.maximum(first, ends[a])
+        score[2 * overlap >= np.maximum(stop, ends[b]) - np.minimum(first, ends[a])] = -np.inf
+    return suspects
 
 
-def _evidence(given: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
+def _evidence(baseline: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
     """Return the log-likelihood gain of each frame if its keypoints are exchanged, (T,), by kind; "all" is all legs."""
     legs = {name: places != np.arange(len(places)) for name, places in kinds.items() if name != "all"}
     in_legs = np.any([np.zeros(len(kinds["all"]), dtype=bool), *legs.values()], axis=0)
-    places, seen = np.where(in_legs, kinds["all"], np.arange(len(in_legs))), given.view.xy_px
+    places, seen = np.where(in_legs, kinds["all"], np.arange(len(in_legs))), baseline.view.xy_px
     projected, sigma_px = likelihood.project_either_side(
-        given, with_exchanged(given.view, _Stretch(slice(None), places)), in_legs
+        baseline, with_exchanged(baseline.view, _Stretch(slice(None), places)), in_legs
     )
     given_cost, exchanged_cost = (
         likelihood.log_tail((points - seen) / sigma_px[..., None]) for points in (projected, projected[:, places])
     )
-    gains = np.where(np.isfinite(given.states[:, :1]), given_cost - exchanged_cost, 0.0)
+    gains = np.where(np.isfinite(baseline.states[:, :1]), given_cost - exchanged_cost, 0.0)
     return {name: gains[:, markers].sum(axis=1) for name, markers in (legs | {"all": in_legs}).items()}
 
 

@@ -141,7 +141,7 @@ def add_verdict(with_findings: Motion) -> Motion:
 
 
 def _verdict(motion: Motion) -> Verdict:
-    if errors := [one for one in motion.findings if one.severity == "error"]:
+    if errors := [finding for finding in motion.findings if finding.severity == "error"]:
         # what is expected of errors does not hold for data that are none of this animal, camera or time
         return Verdict("do not use", _said(motion, errors[0]))
     if not motion.solved.any():
@@ -152,12 +152,12 @@ def _verdict(motion: Motion) -> Verdict:
     position = _widened(expected_position(evidence), position_effect_m)
     if not np.isfinite(pose.expected + position.expected):  # as of the frame method without its priors
         return Verdict("do not use", WHY["posterior"])
-    warnings = [one for one in motion.findings if one.severity == "warning"]
+    warnings = [finding for finding in motion.findings if finding.severity == "warning"]
     level = level_of(pose, error=False, warning=bool(warnings))
     # the factor that is furthest above what it is in a good view
-    why = WHY[max(WHY, key=lambda name: POWERS[name] * (evidence.factors[name] - USUAL[name]))]
-    reason = why if pose.high > LIMIT_OF_TRUNK else NOTHING_AGAINST
-    if level == "use" and (notes := [one for one in motion.findings if one.code == "keypoints_do_not_fit"]):
+    strongest = WHY[max(WHY, key=lambda name: POWERS[name] * (evidence.factors[name] - USUAL[name]))]
+    reason = strongest if pose.high > LIMIT_OF_TRUNK else NOTHING_AGAINST
+    if level == "use" and (notes := [finding for finding in motion.findings if finding.code == "keypoints_do_not_fit"]):
         reason = f"Good but for this: {_said(motion, notes[0])}"
     warned = bool(warnings) and level != "do not use"
     if warned:

@@ -41,7 +41,7 @@ def in_sentences(found: Sequence[Advice]) -> Iterator[str]:
         share, sigma = (float(values[advice.best]) for values in (advice.share, advice.sigma))
         yield (
             f"Put {camera} {where(*advice.place)}, {advice.distance_m * np.sin(advice.place[1]):.2g} m above its "
-            f"middle and {advice.distance_m:.3g} m away: {share:.0%} of the precision of {advice.of} comes from "
+            f"middle and {advice.distance_m:.3g} m away: {share:.0%} of the precision of {advice.target} comes from "
             f"the pixels, ±{in_words(sigma, advice.unit)}."
         )
     worst = np.unravel_index(int(np.argmax(found[0].sigma)), found[0].sigma.shape)
@@ -113,7 +113,7 @@ def camera_advice(settings: _CameraAdviceSettings, progress: Progress) -> Answer
         "schema": {"name": "recon.camera_advice", "version": 1},
         "skeleton": body.name,
         "prior": motions.name,
-        "of": found[0].of,
+        "of": found[0].target,
         "hfov_deg": settings.hfov_deg,
         "image_size_px": PICTURE_PX,
         "distance_m": found[0].distance_m,

@@ -127,7 +127,7 @@ def overlay(settings: OverlaySettings, progress: Progress = silent) -> Answer:
     Example: recon overlay results/clip --video clip.mp4 --out overlay.mp4
     """
     video, out = settings.video, settings.out
-    made_from = ReadResults.of(settings.folder)
+    made_from = ReadResults.read(settings.folder)
     output = output_file(out, "overlay", settings.overwrite, input_paths(settings), made_from)
     checks = lambda: require_codec(out), lambda: output.require((out.name,))
     motion, number = result_and_video(settings, *checks)
@@ -257,7 +257,7 @@ def report(settings: PageSettings, progress: Progress = silent) -> Answer:
     folder, page, video = settings.folder, settings.folder / PAGE, settings.video
     if (folder / SUMMARY).is_file() and not (folder / REPORT).is_file():
         return _pages_of_batch(folder, video, progress)
-    output = Output(folder, "report", True, made_from=ReadResults.of(folder))
+    output = Output(folder, "report", True, made_from=ReadResults.read(folder))
     motion, number = result_and_video(settings, lambda: output.require((PAGE,)) if folder.is_dir() else None)
     progress("pictures", 0.1)
     drawn, rows, pictures = stills(motion, number, settings, STILLS)
@@ -340,7 +340,7 @@ def view(settings: _ViewSettings, console: Console) -> Answer:
     read_manifest(folder).require(PLAYBACK)
     output = None
     if out is not None:
-        made_from = ReadResults.of(folder)
+        made_from = ReadResults.read(folder)
         output = output_file(out, "view", settings.overwrite, input_paths(settings), made_from)
         output.require((out.name,))
     analysed = (folder / FOLDER / ANALYSIS).is_file()

@@ -102,7 +102,7 @@ def step(pieces: Iterable[Normal], damping: float) -> tuple[Array, Array]:
         As `factored` does.
     """
     windows = [(window.solved(), window.reduced()) for window in eliminated(pieces, damping)]
-    solved, reduced = np.concatenate([one for one, _ in windows]), np.sum([one for _, one in windows], axis=0)
+    solved, reduced = np.concatenate([part for part, _ in windows]), np.sum([part for _, part in windows], axis=0)
     corner, gradient = reduced[:, :-1], reduced[:, -1]
     shared = -np.asarray(np.linalg.solve(corner + damping * np.eye(len(corner)), gradient), dtype=float)
     return -solved[..., 0] - solved[..., 1:] @ shared, shared

@@ -101,7 +101,7 @@ def solve_extrinsics(
     sigma[: 6 if posed else 0] = sigma[3:6] = _FIXED
     with threadpool_limits(1, user_api="blas"):
         if not posed:
-            clips = _initial_poses(clips, lambda what, done: progress(what, 0.5 * done))
+            clips = _initial_poses(clips, lambda stage, done: progress(stage, 0.5 * done))
         segments = [
             (i, segment) for i, reduced_problem in enumerate(clips) for segment in solve_segments(reduced_problem)
         ]
@@ -149,20 +149,20 @@ def search_offsets(clip: ClipProblem) -> Array:
     return np.array([_best_offset(joints[0], camera_joints, round(_SEARCHED_S * clip.fps)) for camera_joints in joints])
 
 
-def _best_offset(first: Array, other: Array, most: int) -> float:
+def _best_offset(reference: Array, shifted: Array, max_frames: int) -> float:
     """Return the offset in frames between joints (T, J, 3) in two cameras' frames.
 
     Among offsets that match equally well, the one with more frames in common wins: a stride later the same pose comes
     again.
     """
-    T, offset = len(first), np.nan
-    seen = min(np.isfinite(joints[:, 0, 0]).sum() for joints in (first, other))
-    size_m = np.nanmedian(np.linalg.norm(first - first.mean(axis=1, keepdims=True), axis=-1)) if seen else 0.0
+    T, offset = len(reference), np.nan
+    seen = min(np.isfinite(joints[:, 0, 0]).sum() for joints in (reference, shifted))
+    size_m = np.nanmedian(np.linalg.norm(reference - reference.mean(axis=1, keepdims=True), axis=-1)) if seen else 0.0
     least_m = _MATCHING * size_m / np.sqrt(max(seen, 1))
-    for offset_frames in range(-min(most, T - 1), min(most, T - 1) + 1):
+    for offset_frames in range(-min(max_frames, T - 1), min(max_frames, T - 1) + 1):
         a, b = (
-            first[max(offset_frames, 0) : T + min(offset_frames, 0)],
-            other[max(-offset_frames, 0) : T - max(offset_frames, 0)],
+            reference[max(offset_frames, 0) : T + min(offset_frames, 0)],
+            shifted[max(-offset_frames, 0) : T - max(offset_frames, 0)],
         )
         common = np.isfinite(a[:, 0, 0]) & np.isfinite(b[:, 0, 0])
         if common.sum() < max(_MIN_FRAMES, seen / 2):
@@ -245,8 +245,8 @@ def _rigid_motion(a: Array, b: Array, rounds: int = 30) -> Array:
         share = weight / weight.sum()
         R = Rotation.align_vectors(b - share @ b, a - share @ a, share)[0].as_matrix()
         t = share @ b - R @ (share @ a)
-        off = np.linalg.norm(a @ R.T + t - b, axis=1)
-        weight = 1.0 / (1.0 + (off / max(float(np.median(off)), 1e-6)) ** 2)
+        distance_m = np.linalg.norm(a @ R.T + t - b, axis=1)
+        weight = 1.0 / (1.0 + (distance_m / max(float(np.median(distance_m)), 1e-6)) ** 2)
     return rigid(R, t)
 
 
@@ -259,13 +259,13 @@ class _ReducedProblem:
     solved: SegmentFit
     states: Array
     """(T, D, 6V + 1): how the states follow the poses, and their own step."""
-    own: Array
+    shared_step: Array
     """(P, 6V + 1): how the clip's own shared unknowns follow the poses, and their own step."""
 
     def follow(self, step: Array) -> SegmentFit:
         """Return the segment as it is expected to be after a step of the poses (6V,)."""
         estimate, columns, step_and_one = self.solved.estimate, self.solved.problem.columns, np.append(step, 1.0)
-        shared_step = -self.own @ step_and_one
+        shared_step = -self.shared_step @ step_and_one
         shared = {name: value + shared_step[columns[name]] for name, value in estimate.shared.items()}
         followed = replace(estimate, states=estimate.states - self.states @ step_and_one, shared=shared)
         return replace(self.solved, estimate=followed)

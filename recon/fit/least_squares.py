@@ -101,7 +101,7 @@ class LeastSquares:
                 costs[term.name] = costs.get(term.name, 0.0) + float(term.evaluate(span, jacobian=False).cost.sum())
         return costs
 
-    def only(self, names: Sequence[str]) -> LeastSquares:
+    def subset(self, names: Sequence[str]) -> LeastSquares:
         """Return the problem of the terms with these names, without shared unknowns."""
         linear = [term for term in self.linear if term.name in names]
         terms = [term for term in self.terms if term.name in names]
@@ -276,7 +276,7 @@ def _add_shared(
         for slot, offset in enumerate(stencil):
             frames = slice(first + offset, first + offset + len(by_unknown))
             border[frames, :, columns[name]] += rows.jacobian[:, :, slot].swapaxes(1, 2) @ by_unknown
-    own = np.concatenate([np.r_[columns[name]] for name in by_shared])
-    flat = np.concatenate([*by_shared.values()], axis=2).reshape(-1, len(own))
-    corner[np.ix_(own, own)] += flat.T @ flat
-    shared_gradient[own] += flat.T @ rows.residual.ravel()
+    shared_columns = np.concatenate([np.r_[columns[name]] for name in by_shared])
+    flat = np.concatenate([*by_shared.values()], axis=2).reshape(-1, len(shared_columns))
+    corner[np.ix_(shared_columns, shared_columns)] += flat.T @ flat
+    shared_gradient[shared_columns] += flat.T @ rows.residual.ravel()

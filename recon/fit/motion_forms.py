@@ -76,7 +76,7 @@ def load(motion_class: type[Any], folder: Path) -> Any:
     except (KeyError, ValueError, IndexError) as error:
         raise InputError(Problem(path, "solution.body", f"a joint {error}", EXPECTED)) from None
     if faults:
-        raise InputError(Problem(path, name, found, expected) for name, found, expected in faults)
+        raise InputError(Problem(path, name, value, expected) for name, value, expected in faults)
     return motion
 
 
@@ -108,13 +108,13 @@ def _again(folder: Path) -> str:
 
 def _no_motion(folder: Path) -> Problem:
     """Return the problem of a folder without a motion."""
-    own = "the folder of results that `recon fit` wrote"
+    expected = "the folder of results that `recon fit` wrote"
     if (folder / _REPORT).is_file() and (folder / _CONFIG).is_file():
-        found = f"no {MOTION}: results of an earlier version"
-        return Problem(folder, "folder", found, f"results of this one: make them again by {_again(folder)}")
+        content = f"no {MOTION}: results of an earlier version"
+        return Problem(folder, "folder", content, f"results of this one: make them again by {_again(folder)}")
     clips = sorted(path.parent for path in folder.glob(f"*/{MOTION}")) if folder.is_dir() else []
-    found = f"no {MOTION}" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
-    return Problem(folder, "folder", found, f"that of one clip, as in {clips[0]}" if clips else own)
+    content = f"no {MOTION}" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
+    return Problem(folder, "folder", content, f"that of one clip, as in {clips[0]}" if clips else expected)
 
 
 # -- for other programs and people ------------------------------------------------------------------------------------
@@ -126,13 +126,13 @@ def table_of(motion: Any, wide: bool) -> pd.DataFrame:
 
     T, J = len(motion.frames), len(motion.names)
     values = np.concatenate([motion.upright.xyz_m, motion.upright_sigma_m], axis=2)
-    columns = [f"{axis}{of}_m" for of in ("", "_sigma") for axis in "xyz"]
+    columns = [f"{axis}{kind}_m" for kind in ("", "_sigma") for axis in "xyz"]
     if wide:
         index = pd.MultiIndex.from_product([motion.names, columns], names=["joint", "value"])
         return pd.DataFrame(values.reshape(T, -1), index=pd.Index(motion.frames, name="frame"), columns=index)
     head = {"frame": np.repeat(motion.frames, J), "time_s": np.repeat(motion.time_s, J), "joint": [*motion.names] * T}
     table = pd.DataFrame(head | dict(zip(columns, values.reshape(-1, 6).T, strict=True)))
-    return table.assign(flags=np.repeat([", ".join(some) for some in motion.flags], J))
+    return table.assign(flags=np.repeat([", ".join(names) for names in motion.flags], J))
 
 
 def dataset_of(motion: Any) -> Any:

@@ -99,8 +99,10 @@ def _start(body: Body, targets: Array, weight: Array, size: float) -> Array:
 
 def _nearest_turns(body: Body, states: Array) -> Array:
     """Return the states with each angle within half a turn of its expectation."""
-    off = states[:, PITCH:] - body.mean_rad
-    return np.concatenate([states[:, :PITCH], body.mean_rad + np.remainder(off + np.pi, 2 * np.pi) - np.pi], axis=1)
+    difference = states[:, PITCH:] - body.mean_rad
+    return np.concatenate(
+        [states[:, :PITCH], body.mean_rad + np.remainder(difference + np.pi, 2 * np.pi) - np.pi], axis=1
+    )
 
 
 def _retried(body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array) -> Array:
@@ -148,9 +150,9 @@ def _normal_equations(
 
 def _cost(body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array) -> Array:
     """Return half the squared distances plus the pull towards the expected angles, (N,)."""
-    off = (body.tree.pose(states, size).points_m - targets) * weight[..., None]
+    residual = (body.tree.pose(states, size).points_m - targets) * weight[..., None]
     pulled = pull * (states[:, PITCH:] - body.mean_rad)
-    return 0.5 * ((off**2).sum(axis=(1, 2)) + (pulled**2).sum(axis=1))
+    return 0.5 * ((residual**2).sum(axis=(1, 2)) + (pulled**2).sum(axis=1))
 
 
 def _solve(body: Body, targets: Array, weight: Array, size: float, pull: float, start: Array) -> Array:

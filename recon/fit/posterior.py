@@ -182,7 +182,7 @@ def with_noise_about_bias(problem: LeastSquares, estimate: Estimate, variance_fa
     if COMMON_KEYPOINT_BIAS not in [unknown.name for unknown in problem.nuisance]:
         return problem
     for _ in range(_NOISE_ROUNDS):
-        problem_curvature, detections = curvature(problem, estimate, variance_factor), problem.only(("reprojection",))
+        problem_curvature, detections = curvature(problem, estimate, variance_factor), problem.subset(("reprojection",))
         covariance = np.linalg.inv(problem_curvature.shared_precision)
         bias, expected = covariance @ problem_curvature.pull, problem_curvature.expected_precision
         squares = detections.squares(estimate.states, estimate.shared) - float(
@@ -341,7 +341,7 @@ class PriorMisfit:
 
 def prior_misfit_of(problem: LeastSquares, estimate: Estimate) -> PriorMisfit:
     """Return the misfit of the prior as the problem weighs it, at its minimum."""
-    prior, determined = problem.only(PRIOR_TERMS), 0.0
+    prior, determined = problem.subset(PRIOR_TERMS), 0.0
     windows = eliminated(problem.normals(estimate.states, estimate.shared)(), bounded=True)
     for window, prior_normal in zip(windows, prior.normals(estimate.states)(), strict=True):
         overlap = window.marginal_blocks() * prior_normal.blocks

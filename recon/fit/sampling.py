@@ -68,11 +68,11 @@ def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int
             with_noise_about_bias(problem, estimate, variance_factor), estimate, variance_factor
         )
         white = rng.normal(size=(*states.shape, count))
-        others = problem_curvature.root @ rng.normal(size=(len(problem_curvature.root), count))
+        common_steps = problem_curvature.root @ rng.normal(size=(len(problem_curvature.root), count))
         first = segment.rows.start
         for window, by_others, by_size in problem_curvature.windows():
             rows, factor_rows = window.rows, slice(window.rows.start, window.rows.start + len(window.whitened))
-            steps = window.unwhiten(white[factor_rows]) - by_others @ others
+            steps = window.unwhiten(white[factor_rows]) - by_others @ common_steps
             steps = np.sqrt(clip.correlation_frames) * steps + by_size[..., None] * (sizes - solution.size)
             drawn[:, first + rows.start : first + rows.stop] = states[rows] + np.moveaxis(steps, 2, 0)
     return [

@@ -360,9 +360,9 @@ class Reprojection:
             px_per_bias = np.repeat(weight * self.px_per_m[scene.frames, None], 2, axis=1)
             by_shared[keypoint_bias(self.number)] = px_per_bias[..., None] * np.eye(2 * J)
         if span.rotations is not None:
-            by_common_bias, own = np.zeros((N, J, 2, J, 3)), np.arange(J)
+            by_common_bias, joints = np.zeros((N, J, 2, J, 3)), np.arange(J)
             for part, share in scene.parts:
-                by_common_bias[:, own, :, own] += (by_state * share @ span.rotations[part]).swapaxes(0, 1)
+                by_common_bias[:, joints, :, joints] += (by_state * share @ span.rotations[part]).swapaxes(0, 1)
             by_shared[COMMON_KEYPOINT_BIAS] = by_common_bias.reshape(N, 2 * J, 3 * J)
         return by_shared
 

@@ -253,14 +253,14 @@ def _shared_fields(clip: ClipProblem, solved: Sequence[SegmentFit], posteriors: 
     """
     V = range(len(clip.views))
     several_see = np.sum([view.present.any(axis=1) for view in clip.views], axis=0) > 1
-    frames = np.array([several_see[one.rows].sum() for one in solved])
+    frames = np.array([several_see[fit.rows].sum() for fit in solved])
     shares = (frames / max(frames.sum(), 1))[:, None, None]
 
     def of_views(name: Callable[[int], str], count: int = 1) -> tuple[Array, Array]:
         """Return the values of each of the V views and their standard deviations, (V, count) each."""
-        values = [[one.shared_values(name(i), count) for i in V] for one in solved]
-        sigmas = [[one.shared_sigma.get(name(i), np.zeros(count)) for i in V] for one in posteriors]
-        values, sigmas = (shares * np.reshape(of, (len(solved), len(V), count)) for of in (values, sigmas))
+        values = [[fit.shared_values(name(i), count) for i in V] for fit in solved]
+        sigmas = [[segment.shared_sigma.get(name(i), np.zeros(count)) for i in V] for segment in posteriors]
+        values, sigmas = (shares * np.reshape(parts, (len(solved), len(V), count)) for parts in (values, sigmas))
         return values.sum(axis=0), np.linalg.norm(sigmas, axis=0)
 
     offsets, focals, sideslip = (

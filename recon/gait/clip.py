@@ -295,12 +295,12 @@ def analyse(
         If fewer than four frames have a pose, the stride does not lie in the clip, or the fit had a belt's speed.
     """
     motion = motion if belt_speed_m_s is None else over_belt(motion, belt_speed_m_s)
-    given = None if stride_s is None else stride_given(motion, stride_s)
+    stride = None if stride_s is None else stride_given(motion, stride_s)
     is_known = np.isfinite(motion.upright.xyz_m).all(axis=(1, 2))
     if is_known.sum() < MIN_POINTS:
         pose_count = f"{is_known.sum()} frames with a pose"
         raise InputError(Problem(motion.file, "frames", pose_count, f"at least {MIN_POINTS}"))
-    return ClipAnalysis(motion, given)
+    return ClipAnalysis(motion, stride)
 
 
 def over_belt(motion: Motion, speed_m_s: float) -> Motion:
@@ -413,8 +413,8 @@ def _with_sigma(
         for limb, chain in chains.items():
             rows = [names.index(joint) for joint in chain]
             if is_turned[[*rows, rear, front]].any():
-                before, after = (phase.tips(points[:, rows], points[:, front] - points[:, rear]) for points in joints)
-                per_rad = (after - before) / (2 * step)
+                lower, upper = (phase.tips(points[:, rows], points[:, front] - points[:, rear]) for points in joints)
+                per_rad = (upper - lower) / (2 * step)
                 moved[limb].append(per_rad * rate[:: angle.series.oversampling, :, None])
     return {
         limb: tuple(phase.field_with_sigma(field, np.stack(moved[limb])[:, :, i]) for i, field in enumerate(of_limb))

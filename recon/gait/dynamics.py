@@ -140,9 +140,9 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
     share, sigma = np.array([shares[s.name] for s in motion.body.tree.segments]).T
     share, sigma = share / share.sum(), sigma / share.sum()
     rods_m = _rods(motion)
-    middles_m = rods_m.mean(axis=2)
-    centre_m = np.einsum("tsk,s->tk", middles_m, share)
-    apart_m = middles_m - centre_m[:, None]
+    rod_middles_m = rods_m.mean(axis=2)
+    centre_m = np.einsum("tsk,s->tk", rod_middles_m, share)
+    apart_m = rod_middles_m - centre_m[:, None]
     end_rows = [motion.upright.names.index(name) for name in motion.forward_names]
     by_pose = [Errors(np.mean(e.sigma[:, end_rows], axis=1), e.correlation_s) for e in errors]
     by_mass = Errors(np.maximum(np.sqrt(np.einsum("tsk,s->tk", apart_m**2, sigma**2)), 1e-6), MASS_LASTS_S)
@@ -184,12 +184,12 @@ def _rods(motion: Motion) -> Array:
     Half of the segment's mass turns in each point as its capsules do about an axis across their longest one.
     """
     tree = motion.body.tree
-    shape = capsules(tree, motion.body.markers)
-    inertia = inertias_m2(tree, shape)
+    capsule_shape = capsules(tree, motion.body.markers)
+    inertia = inertias_m2(tree, capsule_shape)
     second_moment = np.trace(inertia, axis1=1, axis2=2)[:, None, None] / 2 * np.eye(3) - inertia
     square, axis = np.linalg.eigh(second_moment)
     gyration = axis[:, :, -1] * np.sqrt(np.maximum(square[:, -1:], 0.0))
-    middles = middles_m(tree, shape)
+    middles = middles_m(tree, capsule_shape)
     ends = np.stack([middles - gyration, middles + gyration], axis=1).tolist()
     markers = tuple(
         Marker(f"{segment.name}_{i}", segment.name, (x, y, z))
@@ -250,8 +250,8 @@ def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
     rng, stances = np.random.default_rng(SEED), gait.stances
     count, feet = len(stances), gait.tracks.feet
 
-    def normal(*shape: int) -> Array:
-        return np.concatenate([np.zeros((1, *shape)), rng.standard_normal((DRAWS, *shape))])
+    def normal(*size: int) -> Array:
+        return np.concatenate([np.zeros((1, *size)), rng.standard_normal((DRAWS, *size))])
 
     stance_rows = np.array([[s.start_s, s.end_s, s.start_sigma_s, s.end_sigma_s] for s in stances]).reshape(count, 4)
     start, end, start_sigma, end_sigma = np.nan_to_num(stance_rows).T

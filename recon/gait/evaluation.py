@@ -113,16 +113,16 @@ class Evaluation(Brief):
             "scale_mpjpe": self.scale_mpjpe_m,
             "pa_mpjpe": self.pa_mpjpe_m,
         }
-        for name, score in scores.items():
-            result |= {f"{name}_mm": 1e3 * score.mean, f"{name}_per_frame_mm": 1e3 * score.per_frame}
-            result[f"{name}_per_joint_mm"] = by_joint(1e3 * score.per_joint)
+        for name, mean_error in scores.items():
+            result |= {f"{name}_mm": 1e3 * mean_error.mean, f"{name}_per_frame_mm": 1e3 * mean_error.per_frame}
+            result[f"{name}_per_joint_mm"] = by_joint(1e3 * mean_error.per_joint)
         result["pck"] = [
             {"threshold_mm": 1e3 * t, "mean": s.mean, "per_joint": by_joint(s.per_joint), "per_frame": s.per_frame}
             for t, s in self.pck
         ]
         result["inside"] = {
-            what: [{"level": level, "share": share} for level, share in zip(LEVELS, shares, strict=True)]
-            for what, shares in self.inside.items()
+            interval: [{"level": level, "share": share} for level, share in zip(LEVELS, shares, strict=True)]
+            for interval, shares in self.inside.items()
         }
         return to_plain(result, digits=17)
 
@@ -185,12 +185,12 @@ def at_frames_of(truth: Pose3D, pose: Pose3D) -> Pose3D:
     if pose.fps is None or truth.fps is None or abs(pose.fps / truth.fps - 1) <= SAME_RATE:
         return truth
     position = pose.frames / pose.fps * truth.fps
-    before = np.where(np.abs(position - np.rint(position)) < WHOLE_FRAME, np.rint(position), np.floor(position))
-    share = np.where(before == np.rint(position), np.maximum(position - before, 0), position - before)
+    whole = np.where(np.abs(position - np.rint(position)) < WHOLE_FRAME, np.rint(position), np.floor(position))
+    share = np.where(whole == np.rint(position), np.maximum(position - whole, 0), position - whole)
     share = np.where(share < WHOLE_FRAME, 0.0, share)
     row_of = {int(frame): row for row, frame in enumerate(truth.frames)}
-    first = np.array([row_of.get(int(frame), -1) for frame in before])
-    second = np.array([row_of.get(int(frame), -1) for frame in before + (share > 0)])
+    first = np.array([row_of.get(int(frame), -1) for frame in whole])
+    second = np.array([row_of.get(int(frame), -1) for frame in whole + (share > 0)])
     inside = (first >= 0) & (second >= 0)
     rates = f"{truth.fps:g} frames per second, and {pose.fps:g} in {pose.source}"
     if not inside.any():

@@ -360,12 +360,12 @@ def pose_tracks(
         return series.value, speed, np.linalg.norm(velocity / np.maximum(speed, 1e-9)[:, None] * deviation, axis=1)
 
     foot, foot_speed, foot_speed_sigma = (
-        np.stack(of, axis=1) for of in zip(*map(foot_path, joint_rows[:foot_count]), strict=True)
+        np.stack(values, axis=1) for values in zip(*map(foot_path, joint_rows[:foot_count]), strict=True)
     )
     body_path = path(pose.xyz_m[:, joint_rows[foot_count:]].mean(axis=1))
     body_speed = np.linalg.norm(body_path.rate[:, :2], axis=1)
-    known_speeds = [of[np.isfinite(of)] if np.isfinite(of).any() else np.zeros(1) for of in foot_speed.T]
-    rest, fast = np.array([np.percentile(of, (10, 95)) for of in known_speeds]).T * [[restless], [1]]
+    known_speeds = [speed[np.isfinite(speed)] if np.isfinite(speed).any() else np.zeros(1) for speed in foot_speed.T]
+    rest, fast = np.array([np.percentile(speed, (10, 95)) for speed in known_speeds]).T * [[restless], [1]]
     swing_m_s = np.maximum(fast, SWING * mean(body_speed)) - rest
     slow_m_s = rest + np.multiply.outer((*SLOW, LANDS, LIFTS), swing_m_s)
     slow = foot_speed < slow_m_s[0]
@@ -458,9 +458,12 @@ def _stances_of(tracks: Tracks, k: int) -> list[Stance]:
     may_stand = np.less(speed, largest_speed) & np.less(height, LOW[1] * tracks.leg_m)
     for first, end in frame_ranges(np.flatnonzero(may_stand)):
         if np.any((certain_rows >= first) & (certain_rows < end)):
-            within = speed[first:end]
-            has_landed = within < (landing_speed if within.min() < landing_speed else certain_speed)
-            landing, lift_off = first + int(has_landed.argmax()), end - 1 - int((within < lifting_speed)[::-1].argmax())
+            stance_speed = speed[first:end]
+            has_landed = stance_speed < (landing_speed if stance_speed.min() < landing_speed else certain_speed)
+            landing, lift_off = (
+                first + int(has_landed.argmax()),
+                end - 1 - int((stance_speed < lifting_speed)[::-1].argmax()),
+            )
             is_seen = bool(landing > first or is_known[first]), bool(lift_off < end - 1 or is_known[end + 1])
             start_s, end_s = (float(tracks.time_s[i]) for i in (landing, lift_off))
             sigmas = [

@@ -262,13 +262,13 @@ def _discrepancy_lam(t: Array, x: Array, weight: Array) -> float:
     scale, h, variance = np.mean(weight**2) * ((t[-1] - t[0]) / len(t)) ** 3, np.diff(t), weight**-2.0
     # Reinsch's equations of the curve's second derivatives g at the inner times: (R + lam Q' W^-1 Q) g = Q' x, whose
     # bands are these, and x - f = lam W^-1 Q g
-    before, after = 1 / h[:-1], 1 / h[1:]
-    middle = -before - after
+    left, right = 1 / h[:-1], 1 / h[1:]
+    middle = -left - right
     R, pull = np.zeros((2, 3, len(middle)))
     R[1, 1:], R[2] = h[1:-1] / 6, (h[:-1] + h[1:]) / 3
-    pull[0, 2:] = after[:-2] * variance[2:-2] * before[2:]
-    pull[1, 1:] = middle[:-1] * variance[1:-2] * before[1:] + after[:-1] * variance[2:-1] * middle[1:]
-    pull[2] = before**2 * variance[:-2] + middle**2 * variance[1:-1] + after**2 * variance[2:]
+    pull[0, 2:] = right[:-2] * variance[2:-2] * left[2:]
+    pull[1, 1:] = middle[:-1] * variance[1:-2] * left[1:] + right[:-1] * variance[2:-1] * middle[1:]
+    pull[2] = left**2 * variance[:-2] + middle**2 * variance[1:-1] + right**2 * variance[2:]
     bends = np.diff(np.diff(x) / h)
 
     def excess(log10_lam: float) -> float:

@@ -38,8 +38,8 @@ def level_axes(up: Array) -> tuple[Array, Array]:
 
 def level_from_camera(up: Array) -> Array:
     """Return the rotation R_level_camera (3, 3)."""
-    right, away = level_axes(up)
-    return np.stack([right, away, up])
+    right, ahead = level_axes(up)
+    return np.stack([right, ahead, up])
 
 
 def rigid(rotation: Array, translation_m: Array) -> Array:

@@ -276,7 +276,7 @@ def run_ik(settings: IkSettings) -> _IKRun:
 
     Parameters that are fitted to the clip are also fitted to each frame of the stride. Raises InputError.
     """
-    made_from = ReadResults.of(settings.folder)
+    made_from = ReadResults.read(settings.folder)
     motion = usable(Motion.load(settings.folder), settings.folder, settings.anyway)
     output = Output(settings.out_folder, "ik", settings.overwrite, input_paths(settings), made_from)
     with sole_writer(settings.out_folder):

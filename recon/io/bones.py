@@ -189,7 +189,7 @@ def _positions(joints: list[_Joint], motion: np.ndarray) -> np.ndarray:
     p = p_parent + R_parent t, with R = R_parent R_1 R_2 R_3 in the order of the channels.
     """
     xyz = np.zeros((len(motion), len(joints), 3))
-    turned: list[Rotation] = []
+    rotations: list[Rotation] = []
     for j, joint in enumerate(joints):
         xyz[:, j] = joint.offset
         turn = Rotation.identity(len(motion))
@@ -199,9 +199,9 @@ def _positions(joints: list[_Joint], motion: np.ndarray) -> np.ndarray:
             else:
                 turn = turn * Rotation.from_euler(channel[0].lower(), motion[:, [c]], degrees=True)
         if joint.parent >= 0:
-            xyz[:, j] = xyz[:, joint.parent] + turned[joint.parent].apply(xyz[:, j])
-            turn = turned[joint.parent] * turn
-        turned.append(turn)
+            xyz[:, j] = xyz[:, joint.parent] + rotations[joint.parent].apply(xyz[:, j])
+            turn = rotations[joint.parent] * turn
+        rotations.append(turn)
     return xyz
 
 
@@ -216,15 +216,15 @@ def write_bvh(rig: Armature, path: Path) -> None:
 
     def add(kind: str, name: str, offset_m: np.ndarray, bone: int | None, depth: int) -> None:
         """Append a bone, or a joint if `bone` is None."""
-        indent = "  " * depth
+        margin = "  " * depth
         turns = () if bone is None else rig.bones[bone].turns
         angles = {turn.kind: sum(AXIS[turn.kind]) * np.degrees(turn.angle_rad) for turn in turns}
         angles |= {kind: np.zeros(len(rig.root_m)) for kind in AXIS if kind not in angles}  # programs expect all three
         columns.extend(angle[:, None] for angle in angles.values())
         channels = ["Xposition", "Yposition", "Zposition"] if depth == 0 else []
         channels += [_CHANNEL[kind] for kind in angles]
-        lines.extend([f"{indent}{kind} {name}", f"{indent}{{", f"{indent}  OFFSET {_numbers(offset_m)}"])
-        lines.append(f"{indent}  CHANNELS {len(channels)} {' '.join(channels)}")
+        lines.extend([f"{margin}{kind} {name}", f"{margin}{{", f"{margin}  OFFSET {_numbers(offset_m)}"])
+        lines.append(f"{margin}  CHANNELS {len(channels)} {' '.join(channels)}")
         children = [i for i, other_bone in enumerate(rig.bones) if bone is not None and other_bone.parent == bone]
         joints = [j for j, carrier in enumerate(rig.joint_bones) if carrier == bone]
         for child in children:
@@ -232,8 +232,8 @@ def write_bvh(rig: Armature, path: Path) -> None:
         for joint in joints:
             add("JOINT", rig.joints[joint], rig.joint_offsets_m[joint], None, depth + 1)
         if not children and not joints:
-            lines.extend(f"{indent}  {line}" for line in ("End Site", "{", "  OFFSET 0 0 0", "}"))
-        lines.append(indent + "}")
+            lines.extend(f"{margin}  {line}" for line in ("End Site", "{", "  OFFSET 0 0 0", "}"))
+        lines.append(margin + "}")
 
     add("ROOT", rig.bones[0].name, np.zeros(3), 0, 0)
     lines += ["MOTION", f"Frames: {len(rig.root_m)}", f"Frame Time: {1 / rig.fps!r}"]

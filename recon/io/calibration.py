@@ -83,9 +83,9 @@ def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None
         expected = f"a calibration file: {', '.join(suffixes)}"
         kind = "a folder" if path.is_dir() else f"suffix {path.suffix!r}{_dlt_text(path)}"
         raise InputError(Problem(path, "format", kind, expected))
-    other = _of_other_program(path)
-    if other is not None:
-        raise InputError(Problem(path, "format", other, f"one of: {titles('cameras')}"))
+    program = _of_other_program(path)
+    if program is not None:
+        raise InputError(Problem(path, "format", program, f"one of: {titles('cameras')}"))
     reader = recognised(path, "cameras")
     if reader is None:
         parse_json(read_calibration(path), path)
@@ -263,20 +263,20 @@ def _reshaped(arguments: dict[str, Any]) -> dict[str, Any]:
     return arguments
 
 
-def _image_size(value: object, given: tuple[int, int] | None) -> tuple[tuple[int, int], tuple[str, str] | None]:
+def _image_size(value: object, stated: tuple[int, int] | None) -> tuple[tuple[int, int], tuple[str, str] | None]:
     """Return the image size, and what was found and expected if there is none.
 
     The file's size and the given one must agree.
     """
     expected = "the image size: width and height in pixels"
     if value is None:
-        return given or (1, 1), None if given else ("nothing", f"{expected}, in the file or by --image-size")
+        return stated or (1, 1), None if stated else ("nothing", f"{expected}, in the file or by --image-size")
     array = _numbers(value)
     if array is None or array.shape != (2,) or not ((array > 0) & (array < MAX_SIZE_PX)).all() or (array % 1).any():
         return (1, 1), (str(value), expected)
     width, height = map(int, array)
-    if given is not None and (width, height) != tuple(given):
-        return (width, height), (f"{width}x{height}", f"{given[0]}x{given[1]}, as was given")
+    if stated is not None and (width, height) != tuple(stated):
+        return (width, height), (f"{width}x{height}", f"{stated[0]}x{stated[1]}, as was given")
     return (width, height), None
 
 

@@ -75,7 +75,7 @@ def _tables(path: Path, value: object, expected: str) -> dict[str, dict[str, Any
     return value
 
 
-def record_of(name: object, place: str, table: Mapping[str, Any], **more: Any) -> CameraRecord:
+def record_of(name: object, place: str, table: Mapping[str, Any], **changes: Any) -> CameraRecord:
     """Return the record of a table with other programs' keys (`ALIASES`), and further values by field.
 
     The lens is the stated one, otherwise radial-tangential.
@@ -84,7 +84,7 @@ def record_of(name: object, place: str, table: Mapping[str, Any], **more: Any) -
     values = {field: table.get(key) for field, key in called.items()}
     key, model = stated_lens(table)
     called["model"] = key
-    values |= {"model": model or "radtan", "world_z_up": False} | more
+    values |= {"model": model or "radtan", "world_z_up": False} | changes
     if called["matrix"] == "intrinsicMatrix":  # JARVIS has MATLAB's matrices, whose rows are points
         values |= {field: transposed(values[field]) for field in ("matrix", "rotation")}
     return CameraRecord(name, place, values, called, keys=tuple(map(str, table)))
@@ -155,8 +155,8 @@ def recognises_acinoset(path: Path) -> bool:
         document = parse_json(read_calibration(path), path)
     except InputError:
         return True
-    within = document.get("cameras", [document]) if isinstance(document, dict) else []
-    entries = within.values() if isinstance(within, dict) else within if isinstance(within, list) else []
+    content = document.get("cameras", [document]) if isinstance(document, dict) else []
+    entries = content.values() if isinstance(content, dict) else content if isinstance(content, list) else []
     foreign = {*LENS_KEYS, *ALIASES["matrix"], *ALIASES["distortion"], "R", "T", "resolution"} - {"k", "d"}
     return not any(isinstance(entry, dict) and foreign & entry.keys() for entry in entries)
 

@@ -344,8 +344,8 @@ def numbers(cells: Iterable[object]) -> tuple[np.ndarray, list[int]]:
 
 def frame_number(text: str, least: int = 0) -> int | None:
     """Return digits, with or without a minus sign, as a number from `least` to `MAX_FRAME`; otherwise None."""
-    number = int(text) if re.fullmatch(r"-?[0-9]{1,15}", text) else None
-    return number if number is not None and least <= number <= MAX_FRAME else None
+    frame = int(text) if re.fullmatch(r"-?[0-9]{1,15}", text) else None
+    return frame if frame is not None and least <= frame <= MAX_FRAME else None
 
 
 def rate(value: object) -> float | None:

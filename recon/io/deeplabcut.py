@@ -114,9 +114,9 @@ def _merged_cells(path: Path, header: dict[str, list[str]]) -> Iterator[Problem]
             yield Problem(path, f"header row {level}", detail, "a name above each column: unmerge the cells")
 
 
-def header_problem(path: Path, found: str) -> Problem:
+def header_problem(path: Path, header: str) -> Problem:
     """Return the problem of a header that is not DeepLabCut's."""
-    return Problem(path, "header", found, "; or ".join(", ".join(h) for h in HEADERS))
+    return Problem(path, "header", header, "; or ".join(", ".join(h) for h in HEADERS))
 
 
 def _without_fps(scorer: str) -> tuple[str, float | None]:

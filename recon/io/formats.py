@@ -65,7 +65,7 @@ class Format:
     """Unit of 3D positions if the file does not state one; None if the user has to give it."""
     up: str = "z"
     """Upward axis if the file does not state one."""
-    beside: tuple[str, ...] = ()
+    companions: tuple[str, ...] = ()
     """Suffixes of further files that are written under the same name."""
 
     def recognises(self, path: Path) -> bool:
@@ -73,8 +73,8 @@ class Format:
 
         Raises InputError if damage hides it.
         """
-        recognises = self._loaded().recognises
-        return recognises is not None and recognises(path)
+        recognise = self._loaded().recognises
+        return recognise is not None and recognise(path)
 
     def read(self, path: Path, individual: str | None = None) -> Any:
         """Return the `StoredPoints` of one animal, or a list of `CameraRecord`, from a recognised file.
@@ -301,7 +301,7 @@ FORMATS: tuple[Format, ...] = (
     Format("dannce", "DANNCE MAT", (".mat",), _dannce, _3D),
     Format("bvh", "BVH", (".bvh",), _bones_bvh, _3D, _BONES, "kept", "from 0", "m, y up", up="y"),
     Format("opensim", "OpenSim model", (".osim",), _bones_opensim, (), _BONES, "as times", "as times", "m, y up",
-           beside=(".mot", ".trc")),
+           companions=(".mot", ".trc")),
     Format("gltf", "glTF", (".glb",), _bones_gltf, (), _BONES, "as times", "from 0", "m, y up"),
     Format("long", "plain CSV", (".csv",), _columns_long, _BOTH, _2D, "as a column", "kept"),
     Format("camera", "camera file of recon", (".toml",), _calibration_own, _CAMERAS),

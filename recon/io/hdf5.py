@@ -45,14 +45,14 @@ def is_hdf5(path: Path) -> bool:
 
 
 @contextmanager
-def opened(path: Path, outline: bool = False) -> Iterator[h5py.File]:
+def opened(path: Path, names_only: bool = False) -> Iterator[h5py.File]:
     """Open a file to read.
 
-    `outline` is for reading names and types only, which is safe without `_require_sound_heaps`. Raises InputError for a
+    names_only: only names and types are read, which is safe without `_require_sound_heaps`. Raises InputError for a
     damaged file, also for h5py's errors inside the block.
     """
     with damage_named(path, "an HDF5 file that is whole and undamaged"):
-        if not outline:
+        if not names_only:
             _require_sound_heaps(path)
         try:
             file = h5py.File(path, "r")
@@ -96,7 +96,7 @@ def outline(path: Path) -> frozenset[str]:
     """
     if not is_hdf5(path):
         return frozenset()
-    with opened(path, outline=True) as file:
+    with opened(path, names_only=True) as file:
         return frozenset((*names(file), *(name for name in file.attrs if isinstance(name, str))))
 
 

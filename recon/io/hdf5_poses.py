@@ -85,7 +85,7 @@ def read_deeplabcut(path: Path, individual: str | None = None) -> StoredPoints:
 
 def _keys(path: Path) -> list[str]:
     """Return where in an HDF5 file pandas stored something; raise InputError if it cannot be opened."""
-    with opened(path, outline=True) as file:
+    with opened(path, names_only=True) as file:
         return [str(group.name) for group in hdf5.groups(file) if h5py.h5a.exists(group.id, b"pandas_type")]
 
 
@@ -114,11 +114,11 @@ def _axis(group: Any, name: str) -> tuple[list[str | None], list[Label]]:
     levels, level_labels = [], []
     for i in range(int(attribute(group, f"{name}_nlevels"))):
         level = member(group, f"{name}_level{i}")
-        texts = np.array([*_labels(group, level), "nan"], object)  # code -1
+        level_names = np.array([*_labels(group, level), "nan"], object)  # code -1
         codes = numbers(member(group, f"{name}_label{i}")).ravel()
         if codes.min(initial=0) < -1:
             raise ValueError(f"{name}_label{i} has codes without a label")
-        level_labels.append(texts[codes].tolist())
+        level_labels.append(level_names[codes].tolist())
         levels.append(_attribute_value(level, "name"))
     return levels, list(zip(*level_labels, strict=True))
 
@@ -157,8 +157,8 @@ def _table_frame(group: Any) -> _Table:
     for name in _attribute_value(group, "values_cols"):
         indices = [columns.index(_label(label)) for label in _attribute_value(dataset, f"{name}_kind")]
         cells[:, indices] = rows[str(name)].reshape(len(rows), -1)
-    names = ((_attribute_value(group, "info") or {}).get(1) or {}).get("names")
-    levels = names if names and len(names) == len(columns[0]) else [None] * len(columns[0])
+    level_names = ((_attribute_value(group, "info") or {}).get(1) or {}).get("names")
+    levels = level_names if level_names and len(level_names) == len(columns[0]) else [None] * len(columns[0])
     return levels, columns, [(text,) for text in _texts_of(group, rows["index"])], cells
 
 

@@ -39,7 +39,7 @@ Table = dict[str, Any]
 class _Seen(NamedTuple):
     """One animal in one picture."""
 
-    where: str
+    location: str
     """Location in the file, for a message."""
     frame: int
     animal: str
@@ -80,10 +80,10 @@ def _points(
     for detection in (detection for detection in seen if detection.animal == chosen):
         if detection.xy_px.shape != xy.shape[1:] or detection.score.shape != score.shape[1:]:
             detail = f"{len(detection.xy_px)} points and {len(detection.score)} scores"
-            problems.append(Problem(path, detection.where, detail, f"one for each of {len(names)} keypoints"))
+            problems.append(Problem(path, detection.location, detail, f"one for each of {len(names)} keypoints"))
         elif detection.frame in filled_frames:
             detail = f"a second animal in frame {detection.frame}"
-            problems.append(Problem(path, detection.where, detail, "one animal, or a track_id for each"))
+            problems.append(Problem(path, detection.location, detail, "one animal, or a track_id for each"))
         else:
             filled_frames.add(detection.frame)
             xy[row[detection.frame]], score[row[detection.frame]] = detection.xy_px, detection.score
@@ -103,10 +103,10 @@ def recognises_coco(path: Path) -> bool:
 def read_coco(path: Path, individual: str | None = None) -> StoredPoints:
     """Return the keypoints of one animal; raise InputError."""
     content = read_json(path, _EXPECTED)
-    annotations = [annotation for annotation in content["annotations"] if "keypoints" in annotation]
+    people = [annotation for annotation in content["annotations"] if "keypoints" in annotation]
     numbers, notes = _frame_numbers(path, content["images"])
     seen = []
-    for annotation in annotations:
+    for annotation in people:
         points = np.asarray(annotation["keypoints"], dtype=float).reshape(-1, 3)
         known = points[:, 2] > 0
         xy = np.where(known[:, None], points[:, :2], np.nan)
@@ -115,16 +115,16 @@ def read_coco(path: Path, individual: str | None = None) -> StoredPoints:
         animal = annotation.get("individual", annotation.get("track_id"))
         location = f"annotation {annotation.get('id', '?')}", numbers[annotation["image_id"]]
         seen.append(_Seen(*location, "" if animal is None else str(animal), xy, score))
-    info, names = content.get("info"), _names(path, content["categories"], annotations)
+    info, names = content.get("info"), _names(path, content["categories"], people)
     extra: dict[str, Any] = {"fps": common.rate(info.get("fps")) if isinstance(info, dict) else None, "notes": notes}
     extra["image_size_px"] = _size(content["images"])
-    named = any("individual" in annotation for annotation in annotations)  # the number of the only track is no name
+    named = any("individual" in annotation for annotation in people)  # the number of the only track is no name
     return _points(path, individual, names, numbers.values(), seen, named, **extra)
 
 
-def _names(path: Path, categories: list[Table], annotations: list[Table]) -> tuple[str, ...]:
+def _names(path: Path, categories: list[Table], people: list[Table]) -> tuple[str, ...]:
     """Return the keypoints of the only category in use."""
-    used = {a.get("category_id") for a in annotations}
+    used = {a.get("category_id") for a in people}
     with_points = [c for c in categories if c.get("keypoints") and (c.get("id") in used or len(categories) == 1)]
     lists = {tuple(str(name) for name in c["keypoints"]) for c in with_points}
     if len(lists) != 1:

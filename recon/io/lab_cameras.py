@@ -57,12 +57,12 @@ def read_tables(path: Path, individual: str | None = None) -> list[CameraRecord]
 
 def _tables_of(document: object) -> list[tuple[Any, str, Mapping[str, Any]]]:
     """Return name, location and table of each camera, of tables of which at least one has a camera matrix."""
-    within = document.get("cameras", document) if isinstance(document, Mapping) else document
-    start = "cameras" if within is not document else ""
-    if isinstance(within, Mapping):
-        named = [(name, f"{start}.{name}.".lstrip("."), table) for name, table in within.items()]
-    elif isinstance(within, list):
-        named = [(None, f"{start}[{i}].", table) for i, table in enumerate(within)]
+    cameras = document.get("cameras", document) if isinstance(document, Mapping) else document
+    start = "cameras" if cameras is not document else ""
+    if isinstance(cameras, Mapping):
+        named = [(name, f"{start}.{name}.".lstrip("."), table) for name, table in cameras.items()]
+    elif isinstance(cameras, list):
+        named = [(None, f"{start}[{i}].", table) for i, table in enumerate(cameras)]
     else:
         return []
     tables = [(n, place, table) for n, place, table in named if isinstance(table, Mapping)]

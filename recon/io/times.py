@@ -145,8 +145,8 @@ def _frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tupl
                 return since_start + round(float(times_s[0]) * fps), fps, ""
     if fps is not None:
         frames = nearest_frames(path, times_s, fps)
-        off = times_s * fps - frames
-        counted = (frames, 1 / fps) if off.std() <= JITTER_RMS else None
+        deviation = times_s * fps - frames
+        counted = (frames, 1 / fps) if deviation.std() <= JITTER_RMS else None
     else:
         counted = _even_count(times_s, rounded) if len(times_s) >= EVEN_MIN else None
     if counted is None:
@@ -174,8 +174,8 @@ def _even_count(times_s: np.ndarray, rounded: bool) -> tuple[np.ndarray, float] 
     rows = np.arange(len(times_s))
     period_s, start_s = np.polyfit(rows, times_s, 1)
     if period_s > 0 and (rounded or np.diff(times_s).max() < EVEN_STEP * period_s):
-        off = np.abs((times_s - start_s) / period_s - rows)
-        if off.max() <= EVEN_OFF:
+        deviation = np.abs((times_s - start_s) / period_s - rows)
+        if deviation.max() <= EVEN_OFF:
             return rows, float(period_s)
     return _count_with_gaps(times_s)
 

@@ -75,17 +75,17 @@ def size_problems(video: Path, info: VideoInfo, camera: Camera) -> Iterator[Prob
         yield Problem(video, "size", video_size, f"{camera_size}, the size that the camera is calibrated for")
 
 
-def read_picture(path: Path, how: int) -> Image | None:
+def read_picture(path: Path, flags: int) -> Image | None:
     """Return a picture, upright by its orientation tag; None if unreadable or too large for OpenCV.
 
-    `how` are OpenCV's flags.
+    `flags` are OpenCV's flags.
     """
     image = None
     if not path.is_file():  # a pipe would be waited for
         return None
     try:
         data = np.fromfile(path, dtype=np.uint8)  # cv2.imread does not take every path on Windows
-        image = cv2.imdecode(data, how) if data.size else None
+        image = cv2.imdecode(data, flags) if data.size else None
     except (OSError, cv2.error) as error:
         if isinstance(error, cv2.error) and error.code == cv2.Error.StsNoMem:
             raise
@@ -114,14 +114,14 @@ def missing_frames(times_s: Array) -> dict[int, int] | None:
     return {int(index) + 1: int(counts[index]) - 1 for index in np.flatnonzero(counts > 1)}
 
 
-def missing_note(path: str | Path, times_s: Array, first_frame: int = 0, before: int | None = 0) -> str | None:
+def missing_note(path: str | Path, times_s: Array, first_frame: int = 0, previous_frames: int | None = 0) -> str | None:
     """Return a note about a video with missing or uneven frames, if any.
 
     Parameters
     ----------
     times_s : (T,)
         Time stamps of the frames that can be decoded, from `first_frame`.
-    before : int or None
+    previous_frames : int or None
         Number of frames before them; None if more follow.
     """
     name, stated = Path(path).name, probe(path).stated_frames
@@ -141,7 +141,7 @@ def missing_note(path: str | Path, times_s: Array, first_frame: int = 0, before:
             f"by its time stamps {name} lacks frames ({', '.join(gaps[:MOST_PLACES])}{rest}): speeds are wrong "
             f"there. {counted}; fit the parts between by themselves, the first with --frames :{gap_frame}"
         )
-    if before is not None and stated is not None and (decoded := before + len(times_s)) < stated:
+    if previous_frames is not None and stated is not None and (decoded := previous_frames + len(times_s)) < stated:
         return (
             f"{name} states {stated} frames, {decoded} can be decoded: it is cut short, or frames are missing "
             f"in it and speeds are wrong there; its time stamps do not say where. {counted}; copy the video again"

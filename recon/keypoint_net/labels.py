@@ -251,8 +251,8 @@ def extents_px(xy_px: Array) -> Array:
     """Return diagonals (N,) of the boxes around labelled points (N, K, 2); NaN with fewer than two."""
     is_known = known_points(xy_px)
     points = np.where(is_known[..., None], xy_px, np.nan)
-    sides = np.fmax.reduce(points, axis=1) - np.fmin.reduce(points, axis=1)
-    return np.where(is_known.sum(axis=1) > 1, np.linalg.norm(sides, axis=1), np.nan)
+    extent_px = np.fmax.reduce(points, axis=1) - np.fmin.reduce(points, axis=1)
+    return np.where(is_known.sum(axis=1) > 1, np.linalg.norm(extent_px, axis=1), np.nan)
 
 
 def body_length_px(xy_px: Array) -> float:
@@ -360,8 +360,8 @@ def _choose(labels: Labels, remaining: Integers, choice: _Choice, seed: int, opt
         return remaining[:0]
     blocks = np.array_split(remaining, min(len(remaining), max(BLOCKS, round(2 / choice))))
     count = min(len(blocks) - 1, max(1, round(choice * len(blocks))))
-    picked = np.random.default_rng(seed).permutation(len(blocks))[:count]
-    return np.sort(np.concatenate([blocks[i] for i in picked]))
+    drawn = np.random.default_rng(seed).permutation(len(blocks))[:count]
+    return np.sort(np.concatenate([blocks[i] for i in drawn]))
 
 
 # -- recon evaluate-2d: predicted keypoints against labels -------------------------------------------------------------
@@ -428,14 +428,14 @@ def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str
     if not len(rows_t):
         first, last = truth.frames[[0, -1]]
         expected = f"some of the labels' frames {first} to {last} that are asked for; --first-frame"
-        found = f"frames {numbers[0]} to {numbers[-1]}, in the labels' numbers"
-        problems.append(Problem(predicted, "frames", found, expected))
+        predicted_px = f"frames {numbers[0]} to {numbers[-1]}, in the labels' numbers"
+        problems.append(Problem(predicted, "frames", predicted_px, expected))
     raise_problems(problems)
     rows_g = pd.Index(numbers).get_indexer(truth.frames[rows_t])
     g, t = [guess.names.index(n) for n in common], [truth.names.index(n) for n in common]
-    found, likelihood, label_px = guess.xy_px[rows_g][:, g], guess.confidence[rows_g][:, g], truth.xy_px[rows_t]
+    predicted_px, likelihood, label_px = guess.xy_px[rows_g][:, g], guess.confidence[rows_g][:, g], truth.xy_px[rows_t]
     limits = picked(o, "likelihood_min", "tolerance_px")
-    return evaluate_2d(tuple(common), found, likelihood, label_px[:, t], body_length_px(label_px), **limits)
+    return evaluate_2d(tuple(common), predicted_px, likelihood, label_px[:, t], body_length_px(label_px), **limits)
 
 
 def evaluate_2d(

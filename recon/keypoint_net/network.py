@@ -348,10 +348,10 @@ def fit_calibration(raw: Array, right: Bools) -> Calibration | None:
     x, y = logit(np.clip(raw, _EDGE, 1 - _EDGE)), right.astype(float)
 
     def cost(p: Array) -> tuple[float, Array]:
-        z, off = p[0] * x + p[1], (p - _PRIOR) / _PRIOR_SIGMA
+        z, deviation = p[0] * x + p[1], (p - _PRIOR) / _PRIOR_SIGMA
         slack = expit(z) - y
-        value = float((np.logaddexp(0, z) - y * z).sum() + 0.5 * (off**2).sum())
-        return value, np.array([(slack * x).sum(), slack.sum()]) + off / _PRIOR_SIGMA
+        value = float((np.logaddexp(0, z) - y * z).sum() + 0.5 * (deviation**2).sum())
+        return value, np.array([(slack * x).sum(), slack.sum()]) + deviation / _PRIOR_SIGMA
 
     minimum = minimize(cost, _PRIOR, jac=True, method="L-BFGS-B", bounds=[(0.05, 5.0), (-10.0, 10.0)])
     return float(minimum.x[0]), float(minimum.x[1])
@@ -442,7 +442,8 @@ class TrainedNetwork:
 
         `near_px` is where the second stage looks.
         """
-        torch, spec = require_torch(), self.spec
+        torch = require_torch()
+        spec = self.spec
         with torch.inference_mode():
             x = as_input(pictures, background, self.device)
             window = None if near_px is None else (to_cells(near_px, self.device), spec.reach_cells)
@@ -510,8 +511,8 @@ def load_model(folder: Path, device: torch.device) -> TrainedNetwork:
     except InputError:
         raise
     except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-        found = f"a network with parts missing or altered ({' '.join(str(error).split())[:100]})"
-        raise InputError(Problem(path, "model", found, "one as `recon train` wrote it")) from None
+        damage = f"a network with parts missing or altered ({' '.join(str(error).split())[:100]})"
+        raise InputError(Problem(path, "model", damage, "one as `recon train` wrote it")) from None
     return TrainedNetwork(spec, on_device(network, device).eval(), device, fast_half(device))
 
 
@@ -529,8 +530,8 @@ def load_torch(path: Path) -> Any:
                 raise ValueError("more than names and sizes")  # torch reads them slowly
         return torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
-        found = "a file that torch cannot read, of another kind or damaged"
-        raise InputError(Problem(path, "model", found, "a file that `recon train` wrote")) from error
+        damage = "a file that torch cannot read, of another kind or damaged"
+        raise InputError(Problem(path, "model", damage, "a file that `recon train` wrote")) from error
 
 
 # -- recon predict: a video in, a keypoint file out --------------------------------------------------------------------
@@ -630,9 +631,9 @@ def predict_video(trained: TrainedNetwork, settings: PredictSettings, progress: 
     with ExitStack() as stack:
         write = None
         if settings.overlay is not None:
-            even = (info.size_px[0] // 2 * 2, info.size_px[1] // 2 * 2)
+            even_size = (info.size_px[0] // 2 * 2, info.size_px[1] // 2 * 2)
             staged = stack.enter_context(_overlay_output(settings, settings.overlay).staged_file())
-            write = stack.enter_context(video_writer(staged, even, info.fps or 30.0))
+            write = stack.enter_context(video_writer(staged, even_size, info.fps or 30.0))
         chunks = _chunks(video, info, spec.scale, keep=write is not None)
         for of_chunk, stamps_s, pictures, originals in stack.enter_context(closing(prefetched(chunks, 1 + WAITING))):
             xy, raw = trained.points(pictures, background)

@@ -256,9 +256,9 @@ def background_of_video(video: Path, scale: float) -> Image | None:
     """Return the background of a video at the network's scale; only few pictures are in memory at a time."""
     info = probe(video)
     width, height = scaled_size(info.size_px, scale)
-    most = int(np.clip(MOST_BYTES // (3 * width * height), LEAST_PICTURES, MOST_PICTURES))
-    step = max(1, (info.stated_frames or MOST_PICTURES) // most)
-    pictures = [resize(picture, scale) for _, picture in read_frames(video, 0, step * most, step)]
+    count = int(np.clip(MOST_BYTES // (3 * width * height), LEAST_PICTURES, MOST_PICTURES))
+    step = max(1, (info.stated_frames or MOST_PICTURES) // count)
+    pictures = [resize(picture, scale) for _, picture in read_frames(video, 0, step * count, step)]
     return background_of(pictures)
 
 
@@ -334,13 +334,13 @@ def crop_size(labels: Labels, scale: float) -> tuple[int, int]:
     return width, height
 
 
-def examples_of(labels: Labels, backgrounds: tuple[Image | None, ...]) -> list[Example]:
+def examples_of(labels: Labels, clip_backgrounds: tuple[Image | None, ...]) -> list[Example]:
     """Return an example for each labelled picture, with the background of its clip."""
     length = body_length_px(labels.xy_px)
     length = length if np.isfinite(length) else NETWORK_LENGTH_PX
     examples = []
     for picture, clip, xy in zip(labels.pictures, labels.clip, labels.xy_px, strict=True):
-        background = backgrounds[clip]
+        background = clip_backgrounds[clip]
         mask = None
         if background is not None and known_points(xy).sum() >= 4:
             mask = moving_mask(picture, background, xy, MARGIN * length)
@@ -356,7 +356,7 @@ def make_batch(
 
     `off_px` is how far from its points a second stage looks; 0 for the first stage.
     """
-    pictures, backgrounds, points, near_points = [], [], [], []
+    pictures, picture_backgrounds, points, near_points = [], [], [], []
     for i in range(size):
         rng = np.random.default_rng((seed, step, i))
         example = examples[int(rng.choice(pool))]
@@ -364,9 +364,14 @@ def make_batch(
             example = replace(example, background=None, mask=None)
         picture, background, xy = augment(example, size_px, options, rng)
         pictures.append(picture)
-        backgrounds.append(picture if background is None else background)
+        picture_backgrounds.append(picture if background is None else background)
         points.append(xy)
         if off_px:
             angle, distance_px = rng.uniform(0, 2 * np.pi, len(xy)), off_px * rng.uniform(0, 1, len(xy)) ** 0.5
             near_points.append(xy + np.stack([distance_px * np.cos(angle), distance_px * np.sin(angle)], axis=1))
-    return np.stack(pictures), np.stack(backgrounds), np.stack(points), np.stack(near_points) if near_points else None
+    return (
+        np.stack(pictures),
+        np.stack(picture_backgrounds),
+        np.stack(points),
+        np.stack(near_points) if near_points else None,
+    )

@@ -107,7 +107,7 @@ class TrainingRun:
     labels: data.Labels
     scaled: data.Labels
     split: dict[str, Integers]
-    still: tuple[Image | None, ...]
+    backgrounds: tuple[Image | None, ...]
     device: torch.device
 
 
@@ -206,7 +206,7 @@ def _sources(run: TrainingRun) -> tuple[Any, ...]:
     """Return for each stage a function that makes the batch of a step from a pool of pictures."""
     settings, spec = run.settings, run.spec
     options = pictures.Augmentation(partner=data.sides(spec.names) if settings.mirror else None)
-    labels, backgrounds = run.scaled, run.still
+    labels, backgrounds = run.scaled, run.backgrounds
     if spec.two_stages:
         labels = labels.scaled(spec.first)
         backgrounds = tuple(None if b is None else data.resize(b, spec.first) for b in backgrounds)
@@ -216,7 +216,9 @@ def _sources(run: TrainingRun) -> tuple[Any, ...]:
         return (first,)
     # What is drawn or blurred on a part is as large in it as on the whole animal in its smaller picture.
     part_settings = {"part": True, "length_px": pictures.NETWORK_LENGTH_PX}
-    parts = [dataclasses.replace(example, **part_settings) for example in pictures.examples_of(run.scaled, run.still)]
+    parts = [
+        dataclasses.replace(example, **part_settings) for example in pictures.examples_of(run.scaled, run.backgrounds)
+    ]
     off_px = pictures.OFF * spec.reach_cells * net.STRIDE
     return first, partial(pictures.make_batch, parts, pictures.PART_PX, *last, off_px=off_px)
 
@@ -291,7 +293,7 @@ def judge(trained: net.TrainedNetwork, run: TrainingRun, indices: Integers) -> t
     for c in np.unique(run.scaled.clip[indices]):
         of_clip = np.flatnonzero(run.scaled.clip[indices] == c)
         for part in np.array_split(of_clip, -(-len(of_clip) // 8)):
-            xy[part], raw[part] = trained.points([run.scaled.pictures[indices[i]] for i in part], run.still[c])
+            xy[part], raw[part] = trained.points([run.scaled.pictures[indices[i]] for i in part], run.backgrounds[c])
     return np.linalg.norm(xy - run.labels.xy_px[indices], axis=2), raw, xy
 
 
@@ -447,10 +449,10 @@ def _write_worst(labels: data.Labels, errors: Array, xy_px: Array, indices: Inte
         radius = max(3.0, drawn.shape[1] / 160)
         for k, colour in enumerate(net.point_colours(len(labels.names))):
             if labels.labelled[i, k]:
-                label, found = (data.scale_points(points[i, k], factor) for points in (labels.xy_px, xy_px))
-                draw_line(drawn, label, found, LINE, 1)
+                label, predicted = (data.scale_points(points[i, k], factor) for points in (labels.xy_px, xy_px))
+                draw_line(drawn, label, predicted, LINE, 1)
                 draw_circle(drawn, label, radius + 1, LABEL, 1)
-                draw_circle(drawn, found, 0.6 * radius, colour, -1)
+                draw_circle(drawn, predicted, 0.6 * radius, colour, -1)
         draw_text(drawn, f"{labels.images[i]}: mean {mean_px[i]:.1f} px", (8, 20), 0.5, LABEL)
         tiles.append(drawn)
     height, width, _ = np.max([tile.shape for tile in tiles], axis=0)
@@ -568,8 +570,8 @@ def _summary(report: dict[str, Any], out: Path) -> Iterator[str]:
     suspects = report["suspicious_labels"]
     if suspects:
         first = suspects[0]
-        most = f"{first['keypoint']} in {first['image']} the most"
-        yield f"{len(suspects)} labels look wrong, {most}: see {out / 'suspicious.csv'}."
+        worst = f"{first['keypoint']} in {first['image']} the most"
+        yield f"{len(suspects)} labels look wrong, {worst}: see {out / 'suspicious.csv'}."
     yield f"The network and its report are in {out}. Use it with: recon predict VIDEO --model {out} --out FILE.csv"
 
 

@@ -169,7 +169,7 @@ def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any
         "retarget",
         settings.overwrite,
         input_paths(settings),
-        outputs.ReadResults.of(folder),
+        outputs.ReadResults.read(folder),
         has_manifest=True,
         mark=KEPT,
     )

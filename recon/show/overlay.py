@@ -222,7 +222,7 @@ def draw_tiles(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence
     tiles = []
     for i, (t, corner) in enumerate(zip(rows, corners, strict=True)):
         cut, background = _Cut(corner, scale), np.full((TILE_PX[1], TILE_PX[0], 3), PAPER, np.uint8)
-        tile = background if pictures is None else cut.of(pictures[i], TILE_PX)
+        tile = background if pictures is None else cut.crop(pictures[i], TILE_PX)
         _draw_pose(tile, overlay, int(t), TILE_UNIT, cut)
         _draw_caption(tile, overlay, int(t), int(overlay.frames[t]), TILE_PX, TILE_UNIT)
         tiles.append(tile)
@@ -240,7 +240,7 @@ class _Cut:
         """Return the points (N, 2) of the picture in the cut."""
         return self.scale * (points_px - self.corner_px)
 
-    def of(self, picture: Image, size_px: tuple[int, int]) -> Image:
+    def crop(self, picture: Image, size_px: tuple[int, int]) -> Image:
         """Return the cut of a picture (height, width, 3)."""
         (x, y), scale = self.corner_px, self.scale
         to_cut = np.array([[scale, 0.0, -scale * x], [0.0, scale, -scale * y]])
@@ -269,7 +269,7 @@ def _draw_close_up(image: Image, overlay: Overlay, t: int, picture: Image, unit:
     tile_width, tile_height = size.tolist()
     cut = _Cut(0.5 * (np.nanmin(xy, axis=0) + np.nanmax(xy, axis=0)) - 0.5 * size / scale, scale)
     tile = image[top : top + tile_height, left : left + tile_width]
-    tile[:] = cut.of(picture, (tile_width, tile_height))
+    tile[:] = cut.crop(picture, (tile_width, tile_height))
     _draw_pose(tile, overlay, t, 0.8 * unit, cut)
     cv2.rectangle(tile, (0, 0), (tile_width - 1, tile_height - 1), INK, max(1, round(2 * unit)))
     draw_text(tile, f"{scale:.1f} times larger", (round(14 * unit), tile_height - round(16 * unit)), 0.7 * unit, INK)

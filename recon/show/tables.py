@@ -48,7 +48,7 @@ def angles(motion: Motion, path: Path) -> None:
 
 def angles_sigma(motion: Motion, path: Path) -> None:
     """Write the standard deviation of every angle of angles.csv, then every angle's information fraction."""
-    columns = [f"{name}_{what}" for what in ("sigma_rad", "data_share") for name in motion.angle_names]
+    columns = [f"{name}_{kind}" for kind in ("sigma_rad", "data_share") for name in motion.angle_names]
     values = np.hstack((motion.solution.angle_sigma_rad, motion.solution.angle_data_share))
     write_table(path, [["frame", *columns]], motion.frames, values)
 
@@ -321,17 +321,19 @@ def centre_of_mass(analysis: ClipAnalysis) -> Columns:
         return {}
     series = dynamics.centre.series
     columns = {"time_s": series.time_s} | _axes("{}_m", series.value)
-    for name, of in (
+    for name, points in (
         ("{}_sigma_m", series.value_sigma),
         ("v{}_m_s", series.rate),
         ("v{}_sigma_m_s", series.rate_sigma),
     ):
-        columns |= _axes(name, of)
+        columns |= _axes(name, points)
     columns |= _axes("angular_momentum_{}_m2_s", dynamics.angular_momentum)
     columns |= _axes("angular_momentum_{}_sigma_m2_s", dynamics.angular_momentum_sigma)
     columns |= {f"{name}_j_kg": values for name, values in dynamics.energy_j_kg.items()}
     columns |= {"energy_sigma_j_kg": dynamics.energy_sigma_j_kg["total"]}
-    return columns | {f"{name}_sigma_j_kg": of for name, of in dynamics.energy_sigma_j_kg.items() if name != "total"}
+    return columns | {
+        f"{name}_sigma_j_kg": points for name, points in dynamics.energy_sigma_j_kg.items() if name != "total"
+    }
 
 
 def forces(analysis: ClipAnalysis) -> Table:
@@ -365,7 +367,7 @@ _MOTION = joints, reference, velocities, vector_field, vector_field_means
 _ANGLES = joint_angles, joint_flexion, joint_flexion_stride, angle_rates, closures
 _GAIT = stances, strides, gait, centre_of_mass, forces, force_over_time
 TABLES: dict[str, Callable[[ClipAnalysis], Table | Columns]] = {
-    f"{of.__name__}.csv": of for of in (*_MOTION, *_ANGLES, *_GAIT)
+    f"{table.__name__}.csv": table for table in (*_MOTION, *_ANGLES, *_GAIT)
 }
 """Tables by file name, which is the function's."""
 

@@ -156,7 +156,7 @@ def read_gltf_with_trimesh(path: Path) -> Joints:
 
 def read_gltf_with_blender(path: Path) -> Joints:
     """Return the heads of the bones, by Blender."""
-    return _read_with_blender(path, lambda bpy: bpy.ops.import_scene.gltf(filepath=str(path)), first_frame=0)
+    return _read_with_blender(path, lambda blender: blender.ops.import_scene.gltf(filepath=str(path)), first_frame=0)
 
 
 # -- BVH -------------------------------------------------------------------------------------------------------------
@@ -180,7 +180,7 @@ def read_bvh_with_bvhio(path: Path) -> Joints:
 def read_bvh_with_blender(path: Path) -> Joints:
     """Return the heads of the bones, by Blender."""
     return _read_with_blender(
-        path, lambda bpy: bpy.ops.import_anim.bvh(filepath=str(path), frame_start=1), first_frame=1
+        path, lambda blender: blender.ops.import_anim.bvh(filepath=str(path), frame_start=1), first_frame=1
     )
 
 

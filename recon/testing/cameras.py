@@ -68,8 +68,8 @@ def camera_ring(count: int, length_m: float, random: np.random.Generator) -> lis
 def level_pose(centre_m: Sequence[float], heading_rad: float) -> Array:
     """Return T_camera_world (4, 4) of a level camera at a point (3,) that looks along a heading about z, 0 along x."""
     right = np.array([np.sin(heading_rad), -np.cos(heading_rad), 0.0])
-    away = np.array([np.cos(heading_rad), np.sin(heading_rad), 0.0])
-    rotation = np.stack([right, [0.0, 0.0, -1.0], away])
+    ahead = np.array([np.cos(heading_rad), np.sin(heading_rad), 0.0])
+    rotation = np.stack([right, [0.0, 0.0, -1.0], ahead])
     return rigid(rotation, -rotation @ np.array(centre_m))
 
 

@@ -129,16 +129,16 @@ def write_ap_10k(path: Path, sample: Keypoints) -> None:
     values = detect(sample, AP_10K, "ap-10k")
     species = [{"id": i, "name": name, "supercategory": "Felidae", "keypoints": AP_10K, "skeleton": [[1, 2], [1, 3]]}
                for i, name in enumerate(("cheetah", "lion"), start=19)]  # fmt: skip
-    images, annotations = [], []
+    images, labels = [], []
     for t, points in enumerate(values):
         number, seen = t + 1, np.isfinite(points[:, 0])
         images.append({"id": number, "file_name": f"{t:012}.jpg", "width": 1920, "height": 1080, "license": 1})
         flat = np.where(seen[:, None], np.column_stack([points[:, :2], np.full(len(points), 2)]), 0).ravel().tolist()
         box = {"bbox": [0, 0, 9, 9], "area": 81, "iscrowd": 0, "num_keypoints": int(seen.sum())}
         if seen.any():
-            annotations.append({"id": number, "image_id": number, "category_id": 19, "keypoints": flat, **box})
+            labels.append({"id": number, "image_id": number, "category_id": 19, "keypoints": flat, **box})
     info = {"description": "AP-10k", "version": "1.0", "year": 2021}
-    content = {"info": info, "licenses": [], "images": images, "annotations": annotations, "categories": species}
+    content = {"info": info, "licenses": [], "images": images, "annotations": labels, "categories": species}
     path.write_text(json.dumps(content), encoding="utf-8")
 
 

@@ -139,16 +139,16 @@ def gallop(
     assert camera.rotation is not None
     assert camera.translation_m is not None
 
-    state, rotation, near, far = joints(np.arange(n_frames) / fps)
+    state, rotation, near_side_m, far_side_m = joints(np.arange(n_frames) / fps)
     r, t = camera.rotation, camera.translation_m
     in_camera = r @ rotation
-    root = near[:, 0] @ r.T + t
+    root = near_side_m[:, 0] @ r.T + t
     state[:, chain.position_slice] = np.einsum("tji,tj->ti", in_camera, root)
     state[:, chain.euler_slice] = np.unwrap(euler_angles(in_camera), axis=0)
 
     far_side: Side = "left" if side == "right" else "right"
-    by_name = dict(zip(chain.body.keypoint_names(far_side), np.moveaxis(far, 1, 0), strict=True))
-    by_name |= dict(zip(chain.body.keypoint_names(side), np.moveaxis(near, 1, 0), strict=True))
+    by_name = dict(zip(chain.body.keypoint_names(far_side), np.moveaxis(far_side_m, 1, 0), strict=True))
+    by_name |= dict(zip(chain.body.keypoint_names(side), np.moveaxis(near_side_m, 1, 0), strict=True))
     truth_m = np.stack([by_name[name] for name in KEYPOINT_NAMES], axis=1)
     xy_px, valid = camera.project(truth_m @ r.T + t)
     visible = valid & camera.in_image(xy_px)
@@ -258,8 +258,8 @@ def _run(
     near_state = state(0.0, 0.0, phi)
     local_near = chain.local_joints(near_state)
     local_far = chain.local_joints(state(_HIND_LAG, _FORE_LAG, far_phi)) + np.array([0.0, 0.0, sign * WIDTH_M])
-    near, far = (root[:, None] + local @ rotation.transpose(0, 2, 1) for local in (local_near, local_far))
-    return near_state, rotation, near, far
+    near_m, far_m = (root[:, None] + local @ rotation.transpose(0, 2, 1) for local in (local_near, local_far))
+    return near_state, rotation, near_m, far_m
 
 
 # -- camera ----------------------------------------------------------------------------------------------------------

@@ -155,9 +155,9 @@ def with_exact_states(motion: Motion, states: Array, fps: float) -> Motion:
         angle_sigma_rad=np.full_like(solution.angle_sigma_rad, 1e-4),
         segments=(),
     )
-    first, *others = motion.sources
+    first, *rest = motion.sources
     first = replace(first, keypoints=replace(first.keypoints, fps=fps))
-    return replace(motion, sources=(first, *others), solution=exact, findings=(), verdict=None)
+    return replace(motion, sources=(first, *rest), solution=exact, findings=(), verdict=None)
 
 
 @dataclass(frozen=True)

@@ -99,7 +99,7 @@ def solver(settings: _SolverSettings, progress: Progress) -> Answer:
     Example: recon solver results/clip
     """
     out = settings.folder / FOLDER if settings.out is None else settings.out
-    made_from = ReadResults.of(settings.folder)
+    made_from = ReadResults.read(settings.folder)
     motion = Motion.load(settings.folder)
     inputs = input_paths(settings)
     output = Output(out, "solver", settings.overwrite, inputs, made_from, content="what the optimiser did")

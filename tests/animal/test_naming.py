@@ -355,8 +355,8 @@ def test_few_names_are_refused_with_the_map_to_write(tmp_path):
     args = ["fit", clip, "--camera", SAMPLES / "camera.toml", "--fps", 60, "--out", tmp_path / "out"]
     expected = ["cheetah-24", "--rename superanimal-quadruped", "--rename with a file"]
     (problem,) = refused(args, (clip, "bodyparts", "nose, neck_base, tail_base", expected))
-    assert problem.more[:2] == ("file,skeleton", "upper_jaw,")
-    written = in_file(tmp_path, "\n".join(problem.more))
+    assert problem.details[:2] == ("file,skeleton", "upper_jaw,")
+    written = in_file(tmp_path, "\n".join(problem.details))
     (source,) = prepare(settings(clip, rename=written)).sources
     assert {"l_eye", "r_front_paw", "l_back_knee"} <= {*source.file_names}
 
@@ -398,7 +398,7 @@ def test_labels_and_predictions_of_other_names(tmp_path):
     write_csv(replace(label_file, names=tuple(f"label {n}" for n in label_file.names)), named)
     with pytest.raises(InputError) as error:
         evaluate_2d_files(SAMPLES / "rendered_points.csv", named)
-    assert error.value.problems[0].more[0] == "file,skeleton"
+    assert error.value.problems[0].details[0] == "file,skeleton"
     by = in_file(tmp_path, "nose,label nose\nspine,label spine\n")
     found = evaluate_2d_files(SAMPLES / "rendered_points.csv", named, rename=str(by))
     same = evaluate_2d_files(SAMPLES / "rendered_points.csv", SAMPLES / "rendered_labels.csv")

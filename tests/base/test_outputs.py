@@ -252,11 +252,11 @@ def test_no_file_of_the_results_that_are_read_is_replaced(tmp_path):
     written(tmp_path, pose3d="1")
     (tmp_path / "mine.csv").write_text("mine")
     for name in ("pose3d.csv", "mine.csv"):
-        output = output_file(tmp_path / name, "convert", True, [tmp_path], ReadResults.of(tmp_path))
+        output = output_file(tmp_path / name, "convert", True, [tmp_path], ReadResults.read(tmp_path))
         with refusal((tmp_path / name, "file", "`recon convert` did not write", "moved")):
             output.require((name,))
     for text in ("1", "2"):
-        output = output_file(tmp_path / "new.csv", "convert", True, [tmp_path], ReadResults.of(tmp_path))
+        output = output_file(tmp_path / "new.csv", "convert", True, [tmp_path], ReadResults.read(tmp_path))
         with output.staged_file() as staged:
             staged.write_text(text)
     assert (tmp_path / "new.csv").read_text() == "2"
@@ -285,7 +285,7 @@ def test_what_was_made_from_results_goes_with_them(tmp_path):
     out = tmp_path / "clip"
 
     def analysed(folder: Path, name: str, exact: bool = False) -> None:
-        output = Output(folder, "analyse", True, made_from=ReadResults.of(out), exact=name if exact else None)
+        output = Output(folder, "analyse", True, made_from=ReadResults.read(out), exact=name if exact else None)
         with output.staged(adds=True) as staging:
             (staging / name).write_text("1")
 
@@ -311,7 +311,7 @@ def test_nothing_is_written_of_results_that_are_replaced_meanwhile(tmp_path):
     for folder in (out, tmp_path / "analysis"):
         with (
             refusal((out, "results", "another run has replaced them meanwhile", "run again")),
-            Output(folder, "analyse", True, made_from=ReadResults.of(out)).staged() as staging,
+            Output(folder, "analyse", True, made_from=ReadResults.read(out)).staged() as staging,
         ):
             (staging / "b.csv").write_text("of the earlier ones")
             written(out, a="2" if folder == out else "3")

@@ -288,7 +288,7 @@ def test_sharp_and_different_frames_are_chosen():
     outlines[..., 0] = places[:, None]
     sharpness = np.array([0.20, 0.21, 0.2, 0.21, 0.2, 0.2, 0.2, 0.1, 0.05])
     assert choose(sharpness, outlines) == [1, 5, 6]
-    assert choose(sharpness, outlines, most=2) == [1, 6]
+    assert choose(sharpness, outlines, count=2) == [1, 6]
 
 
 def test_sharpness_falls_with_blur_and_with_motion_in_one_direction():
@@ -320,7 +320,7 @@ def test_a_video_gives_some_of_its_frames(tmp_path):
     chosen = [int(view.name.removeprefix("frame ")) for view in views.views]
     assert len([n for n in chosen if n >= 11]) == 1
     assert len(chosen) >= 9
-    assert views.found + len(views.without_board) == views.examined
+    assert views.with_board + len(views.without_board) == views.examined
 
 
 # ---- input, picture, command ----

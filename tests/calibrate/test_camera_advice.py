@@ -42,7 +42,7 @@ def test_the_camera_looks_at_the_middle_and_stands_upright():
 
 
 def test_from_the_side_theta_is_seen_and_phi_is_not_and_from_above_the_reverse():
-    sagittal, transverse = {"of": "theta_1"}, {"of": "phi_1"}
+    sagittal, transverse = {"target": "theta_1"}, {"target": "phi_1"}
     theta, phi = ([seen_from(place, **what) for place in (SIDE, ABOVE)] for what in (sagittal, transverse))
     assert theta[0][1] > 0.7
     assert phi[0][1] < 0.02
@@ -54,7 +54,7 @@ def test_from_the_side_theta_is_seen_and_phi_is_not_and_from_above_the_reverse()
 def test_without_noise_the_pixels_say_all(monkeypatch):
     """Keypoints on their joints and a hundredth of a pixel: little is left to the prior, even of phi."""
     exact = TrajectoryOptions(sigma_px=0.01, keypoint_sigma_m=0.0)
-    for least, what in ((0.99, {"of": "theta_6"}), (0.9, {"of": "phi_6"}), (0.99, {"of": "J8"})):
+    for least, what in ((0.99, {"target": "theta_6"}), (0.9, {"target": "phi_6"}), (0.99, {"target": "J8"})):
         usual = seen_from((1.2, 0.5), **what)
         with monkeypatch.context() as without_noise:
             without_noise.setattr("recon.calibrate.camera_advice.TrajectoryOptions", lambda: exact)
@@ -64,7 +64,7 @@ def test_without_noise_the_pixels_say_all(monkeypatch):
 
 
 def test_nearer_is_better_and_out_of_the_picture_is_nothing():
-    near, far = (seen_from(SIDE, of="J4", distance_m=distance)[0] for distance in (4.0, 40.0))
+    near, far = (seen_from(SIDE, target="J4", distance_m=distance)[0] for distance in (4.0, 40.0))
     assert near < 0.9 * far
     assert seen_from(SIDE, distance_m=0.01) == (np.inf, 0.0)
 
@@ -87,7 +87,7 @@ def test_advice_finds_the_least_deviation_and_a_second_camera_adds_to_the_first(
     assert one.share[one.best] == one.share.max()
     monkeypatch.setattr("recon.calibrate.camera_advice.ELEVATIONS_RAD", ELEVATIONS_RAD[:1])
     both = advise(BODY, PRIOR, "theta_1", cameras=2)
-    assert [advice.beside for advice in both] == [None, one.place]
+    assert [advice.first_place for advice in both] == [None, one.place]
     assert both[1].sigma.max() < one.sigma.min()
     assert one.distance_m == pytest.approx(4 * length_m(BODY))
 

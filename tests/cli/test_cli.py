@@ -557,7 +557,7 @@ def test_bad_input_ends_with_a_message_and_no_folder(case, inputs, tmp_path):
         args += ["--camera", str(CAMERA)]
     problems = refused(["fit", *args, "--out", tmp_path / "a" / "b"], *expected)
     assert all(problem.found and problem.expected for problem in problems)
-    head, *rows = problems[0].more or ("",)
+    head, *rows = problems[0].details or ("",)
     if case == "none of the skeleton's keypoints":  # and the map to write
         assert head == "file,skeleton"
         assert [row.split(",")[0] for row in rows] == [f"wing_{name}" for name in read_keypoints(CLIP).names]

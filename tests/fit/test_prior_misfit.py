@@ -61,7 +61,7 @@ def test_pixels_that_say_nothing_make_no_surprise():
     problem = LeastSquares(BODY.tree, [pose_term(NARROW, BODY.n_state, FPS, 1.0), hardly], [])
     found = prior_misfit_of(problem, Estimate(states, 0.0, 1, True))
     assert (found.level, found.freedom, found.prior_weight) == (pytest.approx(0.0, abs=1e-9), 1.0, 1.0)
-    assert [term.name for term in problem.only((POSE,)).linear] == [POSE]
+    assert [term.name for term in problem.subset((POSE,)).linear] == [POSE]
 
 
 def test_few_unknowns_have_to_be_further_off():

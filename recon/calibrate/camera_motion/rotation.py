@@ -49,7 +49,7 @@ class GreyPicture:
     scale: int
 
     @classmethod
-    def of(cls, picture: Image) -> GreyPicture:
+    def from_colour(cls, picture: Image) -> GreyPicture:
         """Return the grey picture of a colour picture."""
         grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
         scale = -(-max(grey.shape) // WORK_PX)
@@ -98,7 +98,7 @@ def corners(frame: GreyPicture, masked: Bools | None = None) -> Array:
     return frame.full_px(np.column_stack([x[chosen], y[chosen]]).astype(float))
 
 
-def followed(before: GreyPicture, after: GreyPicture, points_px: Array, guess_px: Array) -> tuple[Array, Bools]:
+def followed(earlier: GreyPicture, later: GreyPicture, points_px: Array, guess_px: Array) -> tuple[Array, Bools]:
     """Return the positions of points (N, 2) in another picture, and which were found.
 
     guess_px (N, 2): expected positions.
@@ -106,21 +106,21 @@ def followed(before: GreyPicture, after: GreyPicture, points_px: Array, guess_px
     if not len(points_px):
         return np.zeros((0, 2)), np.zeros(0, bool)
     found_px, status, unlike = cv2.calcOpticalFlowPyrLK(
-        before.grey,
-        after.grey,
-        before.work_px(points_px).astype(np.float32),
-        after.work_px(guess_px).astype(np.float32),
-        winSize=(before.window_px, before.window_px),
+        earlier.grey,
+        later.grey,
+        earlier.work_px(points_px).astype(np.float32),
+        later.work_px(guess_px).astype(np.float32),
+        winSize=(earlier.window_px, earlier.window_px),
         maxLevel=LEVELS,
         criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01),
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )
-    height, width = after.grey.shape
+    height, width = later.grey.shape
     is_inside = ((found_px > 2) & (found_px < (width - 3, height - 3))).all(axis=1)
     is_good = (status[:, 0] > 0) & is_inside
     if is_good.any():
         is_good &= unlike[:, 0] < max(LEAST_UNLIKE, MAX_UNLIKE * float(np.median(unlike[is_good])))
-    return after.full_px(found_px.astype(float)), is_good
+    return later.full_px(found_px.astype(float)), is_good
 
 
 def described(frame: GreyPicture) -> tuple[Array, Image]:

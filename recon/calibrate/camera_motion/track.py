@@ -124,10 +124,10 @@ class Tracker:
     supports: list[tuple[int, float]] = field(default_factory=list)
     links: list[_FrameLink] = field(default_factory=list)
     lost: list[int] = field(default_factory=list)
-    apart: int = 0
+    torn_frames: int = 0
     support: float = 0.0
     last: GreyPicture | None = None
-    still: list[float] = field(default_factory=list)
+    still_shares: list[float] = field(default_factory=list)
     cut: int | None = None
     pairs: list[_TurnedPair] = field(default_factory=list)
 
@@ -136,7 +136,7 @@ class Tracker:
 
         Afterwards `cut` says whether it belongs to another take.
         """
-        frame = GreyPicture.of(picture)
+        frame = GreyPicture.from_colour(picture)
         points = self.masked(number)
         mask = None if points is None else turning.hull_mask(frame, points)
         if not self.keys:
@@ -148,7 +148,7 @@ class Tracker:
             self.lost.append(number)
             if len(turning.corners(frame, mask)) >= max(MIN_CORNERS, 0.5 * len(self.keys[-1].points_px)):
                 is_same_scene = turning.same_scene(self.keys[-1].known, turning.described(frame))
-                self.apart += is_same_scene
+                self.torn_frames += is_same_scene
                 if (
                     not is_same_scene
                     and self.frames[-1] == number - 1
@@ -158,7 +158,7 @@ class Tracker:
             return False
         agreement, seen = alignment
         came_apart = self._learn(agreement, seen)
-        self.apart += came_apart
+        self.torn_frames += came_apart
         self.support = max(self.support, agreement.spread)
         is_new_key = max(self._likeness(key, agreement.orientation) for key in seen.keys) < NEW_KEY_LIKENESS
         is_new_key |= agreement.spread < NEW_KEY_SUPPORT * self.support and not came_apart
@@ -199,7 +199,7 @@ class Tracker:
         self, number: int, frame: GreyPicture, mask: Bools | None, guess: Orientation, count: int
     ) -> tuple[AgreedOrientation, _Seen] | None:
         keys = self._nearest(guess, count)
-        points_seen = _Seen.of(self.camera, keys, frame, guess, mask)
+        points_seen = _Seen.follow(self.camera, keys, frame, guess, mask)
         for key in keys:
             key.used = number
         points = points_seen.rays, points_seen.pixels, points_seen.background
@@ -275,7 +275,7 @@ class Tracker:
         is_inside = turning.expected_px(self.camera, key.world_rays, agreement.orientation)[1] & key.settled
         if is_inside.sum() >= MIN_CORNERS:
             point_rows = seen.place[(seen.of_key == k) & agreement.agree]
-            self.still.append(float(is_inside[point_rows].sum() / is_inside.sum()))
+            self.still_shares.append(float(is_inside[point_rows].sum() / is_inside.sum()))
 
     def _keep(self, number: int, agreement: AgreedOrientation, seen: _Seen) -> None:
         self.frames.append(number)
@@ -350,8 +350,8 @@ class Tracker:
         if self.links:
             floor_rad = PICTURE_FLOOR_PX / self.camera.matrix[0, 0]
             orientations, sigma, sigma_zoom = _adjust(orientations, self.links, self.solve_zoom, floor_rad)
-        torn_count = sum(share < MIN_STILL for share in self.still)
-        turned_only = self.apart <= MAX_APART * (len(frames) + len(lost)) and torn_count <= MAX_TORN
+        torn_count = sum(share < MIN_STILL for share in self.still_shares)
+        turned_only = self.torn_frames <= MAX_APART * (len(frames) + len(lost)) and torn_count <= MAX_TORN
         pairs = _furthest_turned(self.pairs)
         focal = _focal_factor(self.camera, pairs, self._limit_px)
         if focal is not None and abs(focal[0]) > CLEARLY * focal[1]:
@@ -377,7 +377,7 @@ class _Seen(NamedTuple):
     background: Array
 
     @classmethod
-    def of(
+    def follow(
         cls, camera: Camera, keys: list[_Keyframe], frame: GreyPicture, guess: Orientation, mask: Bools | None
     ) -> _Seen:
         """Follow the keyframes' points into a frame."""

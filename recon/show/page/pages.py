@@ -98,11 +98,11 @@ SOLID_FRAMES = 600
 
 
 def clip_page(
-    motion: Motion, stills: Sequence[tuple[str, str]], behind: str | None, files: Sequence[str], number: int = 0
+    motion: Motion, stills: Sequence[tuple[str, str]], video: str | None, files: Sequence[str], number: int = 0
 ) -> str:
     """Return the HTML of a motion.
 
-    stills: frames' pictures, and the text if one is not shown; behind: name of the video behind the stills, None: a
+    stills: frames' pictures, and the text if one is not shown; video: name of the video behind the stills, None: a
     plain background; files: names of the files in the page's folder, with forward slashes, for links; number: of the
     camera whose stills they are.
     """
@@ -123,7 +123,7 @@ def clip_page(
             item["text"] for item in report["findings"] if item["severity"] == "note" and item["text"] not in reason
         ],
         stills=stills,
-        behind=behind,
+        behind=video,
         camera=motion.cameras[number].name if len(motion.cameras) > 1 else "the camera",
         solid=_solid(motion, np.asarray(has_pose), analysis and analysis.gait),
         sections=[] if analysis is None else list(_sections(analysis)),
@@ -247,8 +247,8 @@ def _solid(motion: Motion, posed: Bools, gait: Gait | None) -> dict[str, Any] | 
     origin_m = (joints_m.min(axis=(0, 1)) + joints_m.max(axis=(0, 1))) / 2
     unit_m = max(float(np.abs(joints_m - origin_m).max()) / 32_000, 1e-5)
     middle_m, ground_m = joints_m.mean(axis=1), joints_m[..., 2].min(axis=1)
-    for within, plane in () if gait is None else gait.tracks.grounds:
-        in_segment = (rows >= (within.start or 0)) & (rows < (len(posed) if within.stop is None else within.stop))
+    for segment, plane in () if gait is None else gait.tracks.grounds:
+        in_segment = (rows >= (segment.start or 0)) & (rows < (len(posed) if segment.stop is None else segment.stop))
         ground_m[in_segment] = middle_m[in_segment, 2] - plane.above(middle_m[in_segment])
     limbs = zip(motion.limbs.values(), motion.limb_sides.values(), strict=True)
     size_m = float(np.median(np.ptp(joints_m, axis=1).max(axis=1)))

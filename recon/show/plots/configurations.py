@@ -85,10 +85,10 @@ def composites(
     heights = [max(scale * z, 16.0), max(scale * depth_m, 12.0), _FRONT_MM]
     with style.drawing(sum(heights) + _LABELS_MM, title=title) as figure:
         cells = figure.subplot_mosaic([["side", "side"], ["top", "top"], ["front", "key"]], height_ratios=heights)
-        views = (cells["side"], 0, 2), (cells["top"], 0, 1), (cells["front"], 1, 2)
+        panels = (cells["side"], 0, 2), (cells["top"], 0, 1), (cells["front"], 1, 2)
         cells["top"].sharex(cells["side"])
         cmap, norm = style.time_colours(time_s[rows])
-        for axes, horizontal, vertical in views:
+        for axes, horizontal, vertical in panels:
             for pose, instant_s in zip(points, time_s[rows], strict=True):
                 for limb, joints in limbs.items():
                     dashes, line_width, _ = STYLES[sides.get(limb)]
@@ -99,8 +99,8 @@ def composites(
         for part, plane in ground or ():
             inside = np.isin(rows, np.arange(rows.max() + 1)[part])
             if inside.any():
-                own = points[inside].reshape(-1, 3)
-                low_m, high_m = np.nanmin(own, axis=0), np.nanmax(own, axis=0)
+                inside_points = points[inside].reshape(-1, 3)
+                low_m, high_m = np.nanmin(inside_points, axis=0), np.nanmax(inside_points, axis=0)
                 for axes, horizontal in ((cells["side"], 0), (cells["front"], 1)):
                     ends = np.tile([*(low_m + high_m)[:2] / 2, 0.0], (2, 1))
                     ends[:, horizontal] = low_m[horizontal], high_m[horizontal]
@@ -108,7 +108,7 @@ def composites(
                     axes.plot(ends[:, horizontal], height_m, color=style.GREY, lw=0.8, zorder=1, gid="ground")
         cells["side"].tick_params(labelbottom=False)
         for (axes, *_), label, upwards in zip(
-            views, ("", "along the run (m)", "left (m)"), ("height", "left", "height"), strict=True
+            panels, ("", "along the run (m)", "left (m)"), ("height", "left", "height"), strict=True
         ):
             axes.set_xlabel(label)
             axes.set_ylabel(f"{upwards} (m)")
@@ -275,12 +275,12 @@ def angle_ranges(body: Body, reach_sigmas: float, title: str = "") -> Figure:
     return figure
 
 
-def _draw_limbs(axes: Axes, body: Body, points: Array, colour: str | None = None, only: Bools | None = None) -> None:
+def _draw_limbs(axes: Axes, body: Body, points: Array, colour: str | None = None, shown: Bools | None = None) -> None:
     """Draw lines along the limbs; only: those that end in a marker of it."""
     sides = body.limb_sides()
     for limb, along in body.limb_rows.items():
         pieces = [
-            [points[a], points[b], [np.nan, np.nan]] for a, b in pairwise(along) if only is None or only[[a, b]].any()
+            [points[a], points[b], [np.nan, np.nan]] for a, b in pairwise(along) if shown is None or shown[[a, b]].any()
         ]
         line_colour = colour or SIDE_COLOURS[sides[limb]]
         axes.plot(*np.reshape(pieces, (-1, 2)).T, color=line_colour, linewidth=1.2, solid_capstyle="round")
@@ -391,7 +391,7 @@ def camera_advice(advices: Sequence[Advice]) -> Figure:
     with style.drawing(_PANEL_MM * len(advices) + _BESIDE_MM) as figure:
         panels = figure.subplots(len(advices), 1, squeeze=False)[:, 0]
         figure.suptitle(
-            f"Uncertainty of {advices[0].of} by the position of a camera {advices[0].distance_m:.3g} m away"
+            f"Uncertainty of {advices[0].target} by the position of a camera {advices[0].distance_m:.3g} m away"
         )
         for number, (axes, advice) in enumerate(zip(panels, advices, strict=True), start=1):
             _grid(axes, advice)
@@ -414,8 +414,8 @@ def _grid(axes: Axes, advice: Advice) -> None:
         axes.text(column, row, text, ha="center", va="center", fontsize=style.SMALL, color=colour)
     row, column = advice.best
     axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, lw=2.5, clip_on=False))
-    if advice.beside is not None:
-        azimuth, elevation = advice.beside
+    if advice.first_place is not None:
+        azimuth, elevation = advice.first_place
         other_cell = np.argmin(np.abs(AZIMUTHS_RAD - azimuth)), np.argmin(np.abs(ELEVATIONS_RAD - elevation))
         axes.plot(other_cell[0] + 0.38, other_cell[1] + 0.32, "k+", ms=7, mew=1.6)
     axes.set_xticks(range(columns), [f"{d}°\n{ROUND.get(int(d), '')}" for d in degrees], fontsize=style.SMALL)

@@ -91,11 +91,11 @@ def png_of(figure: Figure, dpi: float = PNG_DPI, transparent: bool = False) -> b
     return _content(figure, "png", dpi=dpi, transparent=transparent)
 
 
-def _content(figure: Figure, kind: str, **how: Any) -> bytes:
+def _content(figure: Figure, kind: str, **options: Any) -> bytes:
     """Return the file of a figure without metadata that changes from run to run."""
     content, left_out = io.BytesIO(), {"png": ("Software",), "svg": ("Date", "Creator")}[kind]
     with _settings():
-        figure.savefig(content, format=kind, metadata=dict.fromkeys(left_out), **how)
+        figure.savefig(content, format=kind, metadata=dict.fromkeys(left_out), **options)
     return content.getvalue()
 
 

@@ -139,9 +139,9 @@ def upright_data(motion: Motion) -> dict[str, Any]:
 def assumption_sentences(motion: Motion) -> Iterator[str]:
     """Yield the assumptions of any method in words."""
     camera, hfov_deg = motion.camera, motion.settings.get("hfov_deg")
-    still = "The camera stands still" if len(motion.pictures) == 1 else "The cameras stand still"
+    subject = "The camera stands still" if len(motion.pictures) == 1 else "The cameras stand still"
     if all(picture.T_reference_camera.ndim == 2 for picture in motion.pictures):
-        yield f"{still}: where it pans or moves, its movement is part of the path."
+        yield f"{subject}: where it pans or moves, its movement is part of the path."
     if tracked := [picture.name for picture in motion.pictures if picture.source.moves]:
         yield (
             f"Camera {' and '.join(tracked)}: moves as its track says, whose world is taken to be in metres with z up; "
@@ -164,13 +164,13 @@ def assumption_sentences(motion: Motion) -> Iterator[str]:
 def _trajectory_sentences(motion: Motion) -> Iterator[str]:
     solution, body = trajectory_solution(motion), motion.body
     measured = "not measured on this one" if body.subject is None else "measured on this animal"
-    given, size_text = given_size(motion), "this clip hardly says it"
+    size_source, size_text = given_size(motion), "this clip hardly says it"
     if sources := size_sources(solution):
         size_text = f"by {' and '.join(sources)} it is {plus_minus(solution.size, solution.size_sigma)}"
     yield (
         f"The proportions are those of {body.title!r}, {measured}. How large the animal is, a factor on all its "
-        f"lengths, distances and speeds, is expected to be 1{given and f' ({given})'} with a standard deviation of "
-        f"{solution.size_prior_sigma:.2g}; {size_text}."
+        f"lengths, distances and speeds, is expected to be 1{size_source and f' ({size_source})'} with a standard "
+        f"deviation of {solution.size_prior_sigma:.2g}; {size_text}."
     )
     detector = file_name(body.detector)
     offsets = f"next to the markers, as those of the detector {detector}"

@@ -57,9 +57,9 @@ def keypoints_data(motion: Motion) -> list[dict[str, Any]]:
     outliers, distance_px = (_stacked(motion, field) for field in ("outliers", "distance_px"))
     rows = []
     for name in (*motion.names, *motion.unused_keypoints):
-        own = [keypoints[name] for keypoints in cleaned if name in keypoints]
-        numbers = {count: sum(keypoint[count] for keypoint in own) if own else None for count in COUNTS}
-        rows.append({"name": name, "joint": None, "in_file": bool(own), **numbers} | dict.fromkeys(OF_JOINT))
+        columns = [keypoints[name] for keypoints in cleaned if name in keypoints]
+        numbers = {count: sum(keypoint[count] for keypoint in columns) if columns else None for count in COUNTS}
+        rows.append({"name": name, "joint": None, "in_file": bool(columns), **numbers} | dict.fromkeys(OF_JOINT))
     for j, row in enumerate(rows[: len(motion.names)]):
         means = (mean(values[..., j]) for values in (distance_px, motion.solution.noise_px, motion.solution.weight))
         row |= {"joint": motion.joints[j]} | by_name(OF_JOINT, (int(outliers[..., j].sum()), *means))
@@ -88,8 +88,8 @@ def keypoint_lines(motion: Motion, data: list[dict[str, Any]]) -> Iterator[Line]
     yield "reprojection", "none: no pose" if errors["worst_joint"] is None else px.format(**errors)
     with_outliers = sorted(((row["outliers"], row["name"]) for row in fitted if row["outliers"]), reverse=True)
     names = ", ".join(f"{name} {count}" for count, name in with_outliers[:3])
-    most = names + (", ..." if len(with_outliers) > 3 else "")
-    joints = f": {most}" if with_outliers else ""
+    listed_names = names + (", ..." if len(with_outliers) > 3 else "")
+    joints = f": {listed_names}" if with_outliers else ""
     yield "outliers", f"{totals['outliers']} of the {used} detections used disagree with the pose{joints}"
 
 

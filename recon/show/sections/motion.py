@@ -71,9 +71,9 @@ def heading_data(motion: Motion) -> dict[str, Any]:
     level /= np.linalg.norm(level, axis=1, keepdims=True)
     right = R[..., 0, :] * [1.0, 1.0, 0.0]
     right /= np.linalg.norm(right, axis=-1, keepdims=True)
-    away = np.cross([0.0, 0.0, 1.0], right)
+    ahead = np.cross([0.0, 0.0, 1.0], right)
     return {
-        "heading_to_picture_rad": median(np.arcsin(np.clip(np.sum(level * away, axis=-1), -1.0, 1.0))),
+        "heading_to_picture_rad": median(np.arcsin(np.clip(np.sum(level * ahead, axis=-1), -1.0, 1.0))),
         "sideslip_rad": solution.sideslip_rad if solution.sideslip_sigma_rad else None,
         "sideslip_sigma_rad": solution.sideslip_sigma_rad or None,
     }
@@ -114,14 +114,14 @@ def size_data(motion: Motion) -> dict[str, Any]:
 
 def size_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield the animal's size and its source."""
-    sources, given = size_sources(trajectory_solution(motion)), given_size(motion)
+    sources, size_source = size_sources(trajectory_solution(motion)), given_size(motion)
     animal = data["lengths"].split(",")[0]
     if sources:
         uncertainty = f"±{percent(data['sigma'] / data['factor'])}"
-        factor = f"{data['factor']:.2f} times the skeleton ({given or animal})"
+        factor = f"{data['factor']:.2f} times the skeleton ({size_source or animal})"
         yield "size", f"{factor}, {uncertainty}, by {' and '.join(sources)}"
-    elif given:
-        yield "size", f"as given ({given}), ±{percent(data['sigma'])}"
+    elif size_source:
+        yield "size", f"as given ({size_source}), ±{percent(data['sigma'])}"
     else:
         yield "size", f"not measured: all metres and m/s assume average size ({animal}, ±{percent(data['sigma'])})"
 

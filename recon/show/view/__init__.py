@@ -71,7 +71,7 @@ def write(
     The viewer plays it in a loop, slowly if it is short. analysis: its plots get tabs of their own; video: behind the
     picture of a camera, by its number, with the number of the video's first frame.
     """
-    scene, standing = Scene.of(motion), (analysis or ClipAnalysis(motion)).standing
+    scene, standing = Scene.from_motion(motion), (analysis or ClipAnalysis(motion)).standing
     plots = [*angle_plots(motion), *other_plots(motion), *(() if analysis is None else analysis_plots(analysis))]
     rows = states(motion, standing)
     with recording(path, blueprint(motion, scene, plots, [*rows])) as stream:
@@ -254,9 +254,9 @@ def open_viewer(path: Path) -> None:
     command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(path)]
     code = subprocess.run(command, check=False).returncode
     if code:
-        found = f"one that ended with exit code {code}"
+        ending = f"one that ended with exit code {code}"
         expected = "a display; or, by --out FILE.rrd, a recording of it all for a machine with one (rerun FILE.rrd)"
-        raise InputError(Problem("recon view", "viewer", found, expected))
+        raise InputError(Problem("recon view", "viewer", ending, expected))
 
 
 # -- quantities over time: what the plots show -------------------------------------------------------------------------

@@ -143,7 +143,7 @@ class Scene:
     camera_m: Array
 
     @classmethod
-    def of(cls, motion: Motion) -> Scene:
+    def from_motion(cls, motion: Motion) -> Scene:
         """Return the geometry of a motion."""
         camera = motion.camera
         axes, centre = level_from_camera(camera.up), np.zeros(3)
@@ -213,9 +213,11 @@ def limb_strips(points: Array, limbs: Mapping[str, Sequence[int]], is_shown: Boo
 
 def strips(frames: Sequence[Sequence[Array]]) -> rr.ComponentColumnList:
     """Return columns of line strips: any number a frame, each of shape (points, 3)."""
-    all_strips = [strip for strips in frames for strip in strips]
+    all_strips = [strip for frame_strips in frames for strip in frame_strips]
     points = np.concatenate([np.zeros((0, 3)), *all_strips])
-    return _strips(points, [len(strip) for strip in all_strips]).partition([len(strips) for strips in frames])
+    return _strips(points, [len(strip) for strip in all_strips]).partition(
+        [len(frame_strips) for frame_strips in frames]
+    )
 
 
 def lines(ends: Array, counts: Integers, **columns: Any) -> rr.ComponentColumnList:
@@ -493,13 +495,13 @@ def recording(path: Path, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]
             yield stream
             write_bytes(path, memory.drain_as_bytes())
             return
-        with TemporaryDirectory() as folder, ThreadPoolExecutor(1) as beside:
+        with TemporaryDirectory() as folder, ThreadPoolExecutor(1) as pool:
             pipe = Path(folder) / "pipe"
             os.mkfifo(pipe)
             source = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
             os.set_blocking(source, True)
             stream.save(pipe)
-            written = beside.submit(_copy, source, path)
+            written = pool.submit(_copy, source, path)
             try:
                 stream.send_blueprint(layout, make_active=False, make_default=True)
                 yield stream
