@@ -38,6 +38,7 @@ from recon.show import view as viewer
 from recon.show.overlay import SIDE_COLOURS, Overlay, canvas_size, clip_frames, draw_frame, draw_tiles
 from recon.show.page.own_page import PAGE
 from recon.show.page.pages import clip_page, jpeg
+from recon.show.page.pictures import PictureStrip, cut_of, encode_strip
 from recon.show.report import REPORT
 
 SLOW_FPS = 30.0
@@ -155,19 +156,12 @@ def overlay(settings: OverlaySettings, progress: Progress = silent) -> Answer:
     return Answer(data, [*verdict_texts(motion.verdict), said], files=[out], notes=notes)
 
 
-def stills(
-    motion: Motion, number: int, settings: _ResultSettings, count: int
-) -> tuple[Overlay, Index, list[Image] | None]:
-    """What there is to draw of up to `count` frames with a pose, evenly spaced: all of it, their rows, and the video's
-    pictures of them, if there is one. Raises InputError for a frame that the video lacks."""
-    drawn, start = overlay_of(motion, number=number), first_in_clip(motion, number, settings)
-    filmed = motion.frames >= start if settings.video else True
+def still_rows(motion: Motion, drawn: Overlay, count: int, start: int | None) -> Index:
+    """Return the rows of up to `count` frames with a pose, evenly spaced; with a video, of those from its first frame,
+    `start`."""
+    filmed = True if start is None else motion.frames >= start
     posed = np.flatnonzero(np.isfinite(drawn.reprojected_px).any(axis=(1, 2)) & filmed)
-    rows = posed[np.unique(np.round(np.linspace(0, len(posed) - 1, count)).astype(int))] if len(posed) else posed
-    if settings.video is None or not len(rows):
-        return drawn, rows, None
-    frames = clip_frames(motion.frames[rows], settings.video, start)
-    return drawn, rows, [picture for _, row, _, picture in frames if row is not None]
+    return posed[np.unique(np.round(np.linspace(0, len(posed) - 1, count)).astype(int))] if len(posed) else posed
 
 
 def overlay_of(motion: Motion, speed: float = 1.0, zoom: int = 1, number: int = 0) -> Overlay:
@@ -260,17 +254,17 @@ def report(settings: PageSettings, progress: Progress = silent) -> Answer:
     output = Output(folder, "report", True, made_from=ReadResults.read(folder))
     motion, number = result_and_video(settings, lambda: output.require((PAGE,)) if folder.is_dir() else None)
     progress("pictures", 0.1)
-    drawn, rows, pictures = stills(motion, number, settings, STILLS)
+    drawn, rows, strip, pictures = page_pictures(motion, number, settings, STILLS)
     tiles = draw_tiles(drawn, rows, pictures) if len(rows) else []
     shown = [(jpeg(tile), f"frame {drawn.frames[t]}") for tile, t in zip(tiles, rows, strict=True)]
-    progress("figures", 0.3)
+    progress("figures", 0.4)
     written = read_manifest(folder) if (folder / MANIFEST).is_file() else None
     changed = [Path(problem.file).name for problem in written.changed()] if written else []
     beside = [name for name in BESIDE if (folder / name).is_file()]
     stale = [name for name in beside if not is_current(folder / name, folder)]
     names = [*beside, *sorted(written.files if written else ())]
     files = [name for name in names if name not in [*changed, *stale] and (folder / name).is_file()]
-    html = clip_page(motion, shown, None if video is None else video.name, files, number)
+    html = clip_page(motion, shown, None if video is None else video.name, files, number, strip)
     output.write(PAGE, html)
     of_changed = f"missing, or not as the fit wrote it, so that the page has no link to it: {', '.join(changed)}"
     of_stale = f"not known to be of these results, so that the page has no link to it: {', '.join(stale)}"
@@ -278,6 +272,31 @@ def report(settings: PageSettings, progress: Progress = silent) -> Answer:
     notes = [*filter(None, said)]
     data = {"page": page, "failed": {}, "notes": notes}
     return Answer(data, [f"Open {page} in a browser."], files=[page], notes=notes)
+
+
+def page_pictures(
+    motion: Motion, number: int, settings: _ResultSettings, count: int
+) -> tuple[Overlay, Index, PictureStrip | None, list[Image] | None]:
+    """Return the overlay, the rows of up to `count` stills, and from one pass over the video its pictures for the
+    player and those of the stills. Raises InputError for a frame that the video lacks."""
+    drawn, start = overlay_of(motion, number=number), first_in_clip(motion, number, settings)
+    rows = still_rows(motion, drawn, count, start if settings.video else None)
+    if settings.video is None or not len(rows):
+        return drawn, rows, None, None
+    frames = motion.frames[: rows[-1] + 1]
+    kept = dict[int, Image]()
+
+    def pictures() -> Iterator[tuple[int, Image]]:
+        for _, row, _, picture in clip_frames(frames, Path(settings.video or ""), start):
+            if row is not None:
+                if row in rows:
+                    kept[row] = picture
+                yield row, picture
+
+    cut = cut_of(drawn.reprojected_px, motion.fps, motion.cameras[number].image_size_px)
+    strip = encode_strip(pictures(), int((frames >= start).sum()), cut)
+    strip.video, strip.first_frame = settings.video.name, start
+    return drawn, rows, strip, [kept[row] for row in rows.tolist()]
 
 
 def _pages_of_batch(out: Path, video: Path | None, progress: Progress) -> Answer:

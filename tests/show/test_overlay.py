@@ -24,9 +24,9 @@ from recon.cli.look import (
     camera_number,
     first_frame_note,
     overlay_of,
+    page_pictures,
     rate_note,
     result_and_video,
-    stills,
 )
 from recon.cli.look import overlay as draw
 from recon.fit.motion import Motion
@@ -263,7 +263,7 @@ def test_command(folder, video, tmp_path):
 
 
 def test_every_still_has_its_animal(folder):
-    drawn, rows, _ = stills(Motion.load(folder), 0, PageSettings(folder=folder), 20)
+    drawn, rows, *_ = page_pictures(Motion.load(folder), 0, PageSettings(folder=folder), 20)
     tiles = draw_tiles(drawn, rows)
     assert len(tiles) == 8
     for tile in tiles:
@@ -285,11 +285,11 @@ def test_rings_are_where_the_joints_were_seen(overlay):
 
 def test_the_video_is_behind_each_still(folder, video):
     motion = Motion.load(folder)
-    drawn, rows, pictures = stills(motion, 0, PageSettings(folder=folder, video=video, first_frame=7), 3)
+    drawn, rows, _, pictures = page_pictures(motion, 0, PageSettings(folder=folder, video=video, first_frame=7), 3)
     levels = [float(np.median(tile[-40:-4])) for tile in draw_tiles(drawn, rows, pictures)]
     np.testing.assert_allclose(levels, [30, 70, 100], atol=8)  # frames 10, 14 and 17
     with refusal((video, "video", "12 frames", "13 or more")):
-        stills(motion, 0, PageSettings(folder=folder, video=video, first_frame=5), 2)
+        page_pictures(motion, 0, PageSettings(folder=folder, video=video, first_frame=5), 2)
 
 
 @pytest.mark.parametrize(
@@ -302,7 +302,7 @@ def test_a_camera_that_began_at_another_time_has_its_own_frame_numbers(
     """3 frames earlier than the first camera, or 6 later, without pictures of the clip's first two frames."""
     with_first(Motion.load(folder), offset_s=offset_s).save(tmp_path / "result")
     told = PageSettings(folder=tmp_path / "result", video=video, first_frame=given)
-    drawn, rows, pictures = stills(*result_and_video(told), told, 2)
+    drawn, rows, _, pictures = page_pictures(*result_and_video(told), told, 2)
     assert pictures is not None
     np.testing.assert_allclose([picture.mean() for picture in pictures], levels, atol=8)
     assert drawn.frames[rows].tolist() == [12 if offset_s > 0 else 10, 17]

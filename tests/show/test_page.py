@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import base64
 import csv
 import html
-import json
 import re
 import shutil
-import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import quote, unquote
 
+import cv2
 import numpy as np
 import pytest
 from command_line import carry_out_here, refusal, refused, run, says
@@ -30,14 +28,13 @@ from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.io.video import video_writer
 from recon.show.console import TO_DO
-from recon.show.page.pages import _angles, _sections, _solid, _without_unseen, clip_page, doubtful_frames, inline
+from recon.show.page.pages import _angles, _sections, _without_unseen, clip_page, doubtful_frames, inline
 from recon.show.plots.over_time import angle_over_time
 from recon.show.plots.style import drawing
 from recon.show.report import build_report
 
 EVIL = '<img src=x onerror="alert(1)">&\'.csv'
 MOST_BYTES = 3_000_000
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), "")
 GENERATED = '<meta name="generator" content="recon">'
 
 
@@ -112,50 +109,6 @@ def test_a_page_has_no_link_to_a_file_that_was_changed(folder, tmp_path):
     assert set(links) == set(read_manifest(folder).files) - {"angles.csv"}
 
 
-def test_the_poses_that_can_be_turned_are_the_motions(page, folder):
-    """Read as the page's script does."""
-    motion = Motion.load(folder)
-    solid = json.loads(re.findall(r'<script type="application/json">(.*?)</script>', page.html)[0])
-    units = np.frombuffer(base64.b64decode(solid["positions"]), "<i2").reshape(-1, solid["joints"], 3)
-    shown = np.array(solid["origin_m"]) + solid["unit_m"] * units
-    np.testing.assert_allclose(shown, motion.upright.xyz_m, atol=2e-4)
-    assert (solid["frames"], solid["every"], solid["fps"]) == (motion.frames.tolist(), 1, motion.fps)
-    assert [joints for _, joints in solid["limbs"]] == [[*limb] for limb in motion.limbs.values()]
-
-
-def test_of_a_long_clip_some_poses_can_be_turned(small_trajectory, monkeypatch):
-    monkeypatch.setattr("recon.show.page.pages.SOLID_FRAMES", 3)
-    solid = _solid(small_trajectory, small_trajectory.solved, None)
-    assert solid is not None
-    assert (solid["frames"], solid["every"]) == (small_trajectory.frames[::3].tolist(), 3)
-
-
-@pytest.mark.skipif(not CHROMIUM, reason="without Chromium")
-@pytest.mark.parametrize(("wide", "scheme"), [(390, 0), (1280, 1)])
-def test_a_browser_shows_all_of_a_page(page, tmp_path, wide, scheme):
-    """On a phone by night, on a desk by day: the pose is drawn, nothing cut off, and the browser has nothing to say."""
-    told = """<script>window.addEventListener("load", () => {
-      const canvas = document.querySelector("canvas"), pen = canvas.getContext("2d");
-      const drawn = pen.getImageData(0, 0, canvas.width, canvas.height).data.filter((x) => x).length;
-      document.querySelector("input").value = 3;
-      document.querySelector("input").oninput();
-      const said = document.querySelector("output").textContent;
-      document.title = JSON.stringify([document.documentElement.scrollWidth, drawn > 1000, said]);
-    });</script>"""
-    copy = tmp_path / "page.html"
-    copy.write_text(page.html.replace("</body>", told + "</body>"), encoding="utf-8")
-    command = [CHROMIUM, "--headless=new", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--dump-dom"]
-    command += [f"--window-size={wide},900", f"--blink-settings=preferredColorScheme={scheme}", copy.as_uri()]
-    shown = subprocess.run(command, capture_output=True, text=True, check=True, timeout=120)
-    assert "CONSOLE" not in shown.stderr
-    title = re.search("<title>(.*?)</title>", shown.stdout)
-    assert title is not None
-    found, drawn, said = json.loads(html.unescape(title[1]))
-    assert found <= max(wide, 500)  # a window has at least that in some versions
-    assert drawn
-    assert said.startswith("frame 13")
-
-
 def test_marks_of_direction_are_shown_as_codes():
     assert _without_unseen("a\u202egnp.exe") == r"a\u202egnp.exe"
     assert _without_unseen("a\x1b[2Jb\n\u00e9") == "a\\x1b[2Jb\n\u00e9"
@@ -179,10 +132,9 @@ def test_a_page_says_what_the_report_says(page, folder):
         assert text in page.text
     assert "frames 10 to 17, 0.333 to 0.567 s at 30 frames a second" in page.text
     assert "left and right" not in page.text  # no frame has that flag
-    assert list(doubtful_frames(results)) == [("13", "no data"), ("15", "data poor, ambiguous depth")]
+    assert list(doubtful_frames(results)) == [(3, "13", "no data"), (5, "15", "data poor, ambiguous depth")]
     headings = re.findall(r"<h2>(.*?)</h2>", page.html)
-    assert headings[:5] == [
-        "In 3D",
+    assert headings[:4] == [
         "From the side, from above and from ahead",
         "Speed",
         "Footfalls",
@@ -191,7 +143,7 @@ def test_a_page_says_what_the_report_says(page, folder):
     # A picture comes before the words.
     assert page.html.index("<img") < page.html.index("Frames: 8 of 8")
     assert len(page.attributes("img", "src")) == 8
-    assert set(page.attributes("img", "alt")) == {f"frame {frame}" for frame in range(10, 18)}
+    assert set(page.attributes("img", "alt")) == {f"frame {frame}, with the fitted pose" for frame in range(10, 18)}
     panels = _angles(results)
     assert len(panels) == 18
     assert page.html.count("<svg") == 3 + len(panels)
@@ -222,10 +174,11 @@ def test_a_page_has_the_video_behind_its_pictures(folder, tmp_path, monkeypatch)
     with video_writer(video, (1920, 1080), 30.0) as write:
         for number in range(18):
             write(np.full((1080, 1920, 3), 10 * number, np.uint8))
-    shown = {}
+    shown, strips = {}, {}
 
-    def clip_page(results, stills, behind, files, number) -> str:
+    def clip_page(results, stills, behind, files, number, pictures) -> str:
         shown[behind] = [source for source, _ in stills]
+        strips[behind] = pictures
         return GENERATED
 
     monkeypatch.setattr("recon.cli.look.clip_page", clip_page)
@@ -236,6 +189,11 @@ def test_a_page_has_the_video_behind_its_pictures(folder, tmp_path, monkeypatch)
     assert [*shown] == [None, "run & away.avi"]
     assert len(shown[None]) == len(shown["run & away.avi"]) == 8
     assert not {*shown[None]} & {*shown["run & away.avi"]}
+    strip = strips["run & away.avi"]
+    assert strips[None] is None
+    assert (strip.rows, strip.every, strip.video, strip.first_frame) == ([*range(8)], 1, "run & away.avi", 0)
+    levels = [cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR).mean() for picture in strip.encoded]
+    np.testing.assert_allclose(levels, [10 * frame for frame in range(10, 18)], atol=8)
     with refusal(("--first-frame", "number", 11, "10 or less")):
         report(PageSettings(folder=folder, video=video, first_frame=11))
 

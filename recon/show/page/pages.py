@@ -10,7 +10,6 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import date
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.figure import Figure
 
 from recon.animal.naming import both_sides
-from recon.base.arrays import Array, Bools
+from recon.base.arrays import Array
 from recon.base.errors import InputError, printable
 from recon.base.package import version
 from recon.check.codes import FLAGS
@@ -28,16 +27,19 @@ from recon.check.verdict import NOTHING_AGAINST, verdict_lines
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.result import LEVELS
 from recon.gait.clip import ClipAnalysis
-from recon.gait.gait import Gait
 from recon.gait.kinematics import MIN_POINTS, JointKinematics
 from recon.io.video import Image
 from recon.show.console import TO_DO
 from recon.show.page.own_page import GENERATED, PAGE
+from recon.show.page.pictures import PictureStrip
+from recon.show.page.player_data import flag_runs, player_data
+from recon.show.page.quality import quality_tables
+from recon.show.page.scripts import script, style
 from recon.show.plots.configurations import composites
 from recon.show.plots.flexion import joint_flexion
 from recon.show.plots.over_time import AngleCurve, angle_over_time, footfall, forces, speeds
 from recon.show.plots.style import png_of, svg_of
-from recon.show.report import build_report, warnings
+from recon.show.report import build_report
 from recon.show.sentences import result_sentences
 
 JPEG_QUALITY = 80
@@ -93,23 +95,28 @@ SHOWN = 100
 SPEED_MM = 100.0
 LENGTHS, POSES, STRETCHES = 4.0, 7, 3
 """Body lengths that an animal runs in one figure, poses in it, and largest number of figures."""
-SOLID_FRAMES = 600
-"""Frames that can be turned by hand, evenly chosen in a longer clip: 100 kB of the page."""
 
 
 def clip_page(
-    motion: Motion, stills: Sequence[tuple[str, str]], video: str | None, files: Sequence[str], number: int = 0
+    motion: Motion,
+    stills: Sequence[tuple[str, str]],
+    video: str | None,
+    files: Sequence[str],
+    number: int = 0,
+    pictures: PictureStrip | None = None,
 ) -> str:
     """Return the HTML of a motion.
 
-    stills: frames' pictures, and the text if one is not shown; video: name of the video behind the stills, None: a
-    plain background; files: names of the files in the page's folder, with forward slashes, for links; number: of the
-    camera whose stills they are.
+    stills: frames' pictures, and the text if one is not shown, for paper and for browsers that run no scripts; video:
+    name of the video behind the stills, None: a plain background; files: names of the files in the page's folder, with
+    forward slashes, for links; number: of the camera whose stills they are; pictures: of that video, for the player.
     """
     report = build_report(motion)
     has_pose = np.isfinite(motion.upright.xyz_m).all(axis=(1, 2))
     analysis = ClipAnalysis(motion) if has_pose.sum() >= MIN_POINTS else None
     doubtful, reason = list(doubtful_frames(motion)), "" if motion.verdict is None else motion.verdict.reason
+    findings = list(enumerate(report["findings"]))
+    told = [(number, item) for number, item in findings if item["text"] not in reason]
     return rendered(
         "report.html",
         title=", ".join(dict.fromkeys(_base(camera["keypoints"]) for camera in report["cameras"])),
@@ -118,14 +125,16 @@ def clip_page(
         verdict=motion.verdict,
         expected=verdict_lines(motion.verdict)[1:],
         to_do="" if motion.verdict is None else TO_DO.get(motion.verdict.level, ""),
-        warnings=[text for text in warnings(report) if text not in reason],
-        notes=[
-            item["text"] for item in report["findings"] if item["severity"] == "note" and item["text"] not in reason
-        ],
+        verdict_finding=next((number for number, item in findings if reason and item["text"] in reason), None),
+        warnings=[(number, item["text"]) for number, item in told if item["severity"] != "note"],
+        notes=[(number, item["text"]) for number, item in told if item["severity"] == "note"],
         stills=stills,
         behind=video,
         camera=motion.cameras[number].name if len(motion.cameras) > 1 else "the camera",
-        solid=_solid(motion, np.asarray(has_pose), analysis and analysis.gait),
+        player=player_data(motion, analysis, number, pictures) if has_pose.any() else None,
+        player_style=style("player"),
+        player_script=script("main"),
+        quality=quality_tables(motion),
         sections=[] if analysis is None else list(_sections(analysis)),
         doubtful=doubtful[:SHOWN],
         more_doubtful=max(0, len(doubtful) - SHOWN),
@@ -167,13 +176,11 @@ def _words(report: Mapping[str, Any], analysis: ClipAnalysis | None) -> Iterator
         yield from result_sentences(analysis.motion, analysis.reference_motion, analysis.gait, analysis.why_no_speed)
 
 
-def doubtful_frames(motion: Motion) -> Iterator[tuple[str, str]]:
-    """Yield runs of frames with the same flags: numbers and flags in words."""
-    for flags, frames_of_run in groupby(range(len(motion.flags)), lambda t: motion.flags[t]):
-        if flags:
-            rows = [*frames_of_run]
-            first, last = motion.frames[[rows[0], rows[-1]]]
-            yield (f"{first}" if first == last else f"{first} to {last}"), ", ".join(flags)
+def doubtful_frames(motion: Motion) -> Iterator[tuple[int, str, str]]:
+    """Yield runs of frames with the same flags: the first row, the numbers, and the flags in words."""
+    for row, stop, flags in flag_runs(motion):
+        first, last = motion.frames[[row, stop - 1]]
+        yield row, (f"{first}" if first == last else f"{first} to {last}"), ", ".join(flags)
 
 
 # -- figures ----------------------------------------------------------------------------------------------------------
@@ -230,41 +237,6 @@ def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
         [angle_over_time(motion.time_s, *panel, doubtful) for panel in _angles(motion).items()],
         "small",
     )
-
-
-def _solid(motion: Motion, posed: Bools, gait: Gait | None) -> dict[str, Any] | None:
-    """Return the data that `solid.js` draws.
-
-    Numbers of up to `SOLID_FRAMES` frames with a pose, the joints as whole numbers of `unit_m` from `origin_m`,
-    little-endian and three after the other, the ground below each pose, and the limbs.
-    """
-    rows = np.flatnonzero(posed)
-    if not len(rows):
-        return None
-    every = -(-len(rows) // SOLID_FRAMES)
-    rows = rows[::every]
-    joints_m = motion.upright.xyz_m[rows]
-    origin_m = (joints_m.min(axis=(0, 1)) + joints_m.max(axis=(0, 1))) / 2
-    unit_m = max(float(np.abs(joints_m - origin_m).max()) / 32_000, 1e-5)
-    middle_m, ground_m = joints_m.mean(axis=1), joints_m[..., 2].min(axis=1)
-    for segment, plane in () if gait is None else gait.tracks.grounds:
-        in_segment = (rows >= (segment.start or 0)) & (rows < (len(posed) if segment.stop is None else segment.stop))
-        ground_m[in_segment] = middle_m[in_segment, 2] - plane.above(middle_m[in_segment])
-    limbs = zip(motion.limbs.values(), motion.limb_sides.values(), strict=True)
-    size_m = float(np.median(np.ptp(joints_m, axis=1).max(axis=1)))
-    units = np.round((joints_m - origin_m) / unit_m).astype("<i2")
-    return {
-        "frames": motion.frames[rows].tolist(),
-        "every": every,
-        "fps": motion.fps / every,
-        "joints": units.shape[1],
-        "origin_m": np.round(origin_m, 4).tolist(),
-        "unit_m": unit_m,
-        "positions": base64.b64encode(units.tobytes()).decode(),
-        "grid_m": 1.0 if size_m > 0.3 else 0.1 if size_m > 0.03 else 0.01,
-        "ground_m": np.round(ground_m, 3).tolist(),
-        "limbs": [[side or "middle", [int(j) for j in limb]] for limb, side in limbs],
-    }
 
 
 def _stretches(motion: Motion, path: JointKinematics) -> Iterator[Array]:

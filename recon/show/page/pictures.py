@@ -1,0 +1,156 @@
+"""Choose and encode the pictures of a video that a page carries: all of a short clip's, stills of a long one.
+
+They are WebP pictures and no video file: every browser shows them, each frame is found exactly, and OpenCV encodes
+them quickly. The H.264 encoder is in none of OpenCV's wheels, and its VP8 and VP9 take ten times the time at twice the
+size.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+import pandas as pd
+
+from recon.base.arrays import Array, Integers
+from recon.io.video import Image
+
+STRIP_BYTES = 2_500_000
+"""Largest size of all pictures of a page before base64, which adds a third."""
+LADDER = ((960, 55), (800, 50), (640, 50), (640, 35), (480, 35))
+"""Widths and qualities, the best first; the first that fits into `STRIP_BYTES` is taken."""
+MARGIN = 0.2
+"""Room about the animal's boxes, relative to them."""
+SMALL_PX, WINDOW = 150.0, 2.6
+"""An animal shorter than this in the picture of all its path is followed by a window so many times its box."""
+WINDOW_PX = 640
+SMOOTH_S = 0.2
+MIME = "image/webp"
+
+
+@dataclass(frozen=True, eq=False)
+class Cut:
+    """The part of each frame that is kept: corners (T, 2), and one size (2,), px of the video."""
+
+    corners_px: Integers
+    size_px: tuple[int, int]
+    most_px: int
+    """Largest width of the kept picture."""
+
+
+@dataclass(eq=False)
+class PictureStrip:
+    """Pictures of some frames, as the page has them."""
+
+    cut: Cut
+    rows: list[int] = field(default_factory=list)
+    """Rows of the motion, increasing."""
+    encoded: list[bytes] = field(default_factory=list)
+    every: int = 1
+    """1: every frame that the video has; otherwise every nth."""
+    video: str = ""
+    """Name of the video."""
+    first_frame: int = 0
+    """Number that the video's first frame has in the clip."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what the player reads."""
+        return {
+            "mime": MIME,
+            "every": self.every,
+            "video": self.video,
+            "first_frame": self.first_frame,
+            "rows": self.rows,
+            "corners_px": [[int(x) for x in self.cut.corners_px[row]] for row in self.rows],
+            "size_px": list(self.cut.size_px),
+            "data": [base64.b64encode(picture).decode() for picture in self.encoded],
+        }
+
+
+def cut_of(points_px: Array, fps: float, picture_px: tuple[int, int]) -> Cut:
+    """Return what to keep of each picture.
+
+    Parameters
+    ----------
+    points_px
+        Joints in the picture (T, J, 2), NaN where not known.
+    fps
+        Frames a second.
+    picture_px
+        Width and height.
+    """
+    picture = np.array(picture_px)
+    corners = np.zeros((len(points_px), 2), dtype=int)
+    known = np.isfinite(points_px).all(axis=2).any(axis=1)
+    if not known.any():
+        return Cut(corners, picture_px, LADDER[0][0])
+    low, high = np.nanmin(points_px[known], axis=1), np.nanmax(points_px[known], axis=1)
+    low, high = np.clip(low, 0, picture), np.clip(high, 0, picture)
+    box = np.maximum(np.percentile(high - low, 98, axis=0), 8.0)
+    first, last = low.min(axis=0) - MARGIN * box, high.max(axis=0) + MARGIN * box
+    first, last = np.clip(first, 0, picture), np.clip(last, 0, picture)
+    size = _even(np.maximum(last - first, 0.15 * picture), picture)
+    widest = LADDER[0][0]
+    if box[0] * min(1.0, widest / size[0]) >= SMALL_PX or size[0] <= WINDOW * box[0]:
+        corners[:] = np.clip(np.round((first + last - size) / 2), 0, picture - size)
+        return Cut(corners, (int(size[0]), int(size[1])), widest)
+    size = _even(np.maximum(WINDOW * box, 48), picture)
+    centres = np.full((len(points_px), 2), np.nan)
+    centres[known] = (low + high) / 2
+    filled = pd.DataFrame(centres).interpolate(limit_direction="both").to_numpy()
+    half = min(round(SMOOTH_S * fps / 2), len(filled) - 1)
+    padded = np.pad(filled, ((half, half), (0, 0)), "reflect", reflect_type="odd")  # goes on as it went at the ends
+    smooth = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0).mean(axis=-1)
+    corners = np.clip(np.round(smooth - size / 2), 0, picture - size).astype(int)
+    return Cut(corners, (int(size[0]), int(size[1])), WINDOW_PX)
+
+
+def _even(size: Array, most: Array) -> Array:
+    return np.minimum(2 * np.ceil(size / 2), most)
+
+
+def encode_strip(pictures: Iterable[tuple[int, Image]], count: int, cut: Cut) -> PictureStrip:
+    """Return the strip of pictures, given with their rows in order, in at most about `STRIP_BYTES`.
+
+    count: how many there will be.
+    """
+    strip = PictureStrip(cut)
+    width, quality, budget = 0, 0, 0.0
+    for i, (row, picture) in enumerate(pictures):
+        if width == 0:
+            width, quality, strip.every = _fitting(picture, row, count, cut)
+            budget = STRIP_BYTES / -(-count // strip.every)
+        if i % strip.every:
+            continue
+        spent, due = sum(map(len, strip.encoded)), budget * len(strip.encoded)
+        # Pictures that are richer than the first ones are kept within the size by a lower quality.
+        lower = 0 if spent <= due else min(25, round(60 * (spent / max(due, 1.0) - 1)) + 3)
+        strip.rows.append(row)
+        strip.encoded.append(_encode(picture, row, cut, width, max(10, quality - lower)))
+    return strip
+
+
+def _fitting(picture: Image, row: int, count: int, cut: Cut) -> tuple[int, int, int]:
+    """Return the width and quality with which `count` such pictures fit, and which of them are kept."""
+    allowed = [(width, quality) for width, quality in LADDER if width <= max(cut.most_px, LADDER[-1][0])]
+    size = 1.0
+    for width, quality in allowed:
+        size = 1.1 * len(_encode(picture, row, cut, width, quality))
+        if count * size <= STRIP_BYTES:
+            return width, quality, 1
+    width, quality = next(at for at in allowed if at[0] <= WINDOW_PX)
+    size = 1.1 * len(_encode(picture, row, cut, width, quality))
+    return width, quality, int(np.ceil(count * size / STRIP_BYTES))
+
+
+def _encode(picture: Image, row: int, cut: Cut, width: int, quality: int) -> bytes:
+    x, y = cut.corners_px[row].tolist()
+    part = picture[y : y + cut.size_px[1], x : x + cut.size_px[0]]
+    scale = min(1.0, width / cut.size_px[0])
+    if scale < 1:
+        part = cv2.resize(part, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return cv2.imencode(".webp", part, [cv2.IMWRITE_WEBP_QUALITY, quality])[1].tobytes()

@@ -1,0 +1,120 @@
+// Put the player together: one clip, one cursor, the views and the controls.
+
+import { Controls, linkText } from "./controls.js";
+import { Cursor } from "./cursor.js";
+import { Clip } from "./data.js";
+import { KeypointMap } from "./map.js";
+import { PictureView } from "./picture.js";
+import { SceneView } from "./scene.js";
+import { CurveStrip, ErrorStrip, FlagStrip, FootStrip } from "./strips.js";
+
+const player = document.querySelector(".player");
+
+/** Add a strip under the pictures and return its canvas and the place of its value. */
+function addStrip(name, height) {
+  const strip = document.createElement("div"), head = document.createElement("div");
+  const title = document.createElement("span"), output = document.createElement("output"), canvas = document.createElement("canvas");
+  [strip.className, head.className, title.textContent] = ["strip", "strip-head", name];
+  canvas.style.height = `${height}px`;
+  canvas.setAttribute("role", "img");
+  output.setAttribute("aria-live", "off");
+  head.append(title, output);
+  strip.append(head, canvas);
+  player.querySelector(".strips").append(strip);
+  return { canvas, title, output };
+}
+
+/** Add a strip whose curve is chosen from a list. */
+function addChoice(clip, cursor, panels, chosen) {
+  const { canvas, title, output } = addStrip("", 84), select = document.createElement("select");
+  for (const panel of panels) select.add(new Option(panel.title));
+  select.selectedIndex = chosen;
+  select.setAttribute("aria-label", "angle shown");
+  title.append(select);
+  const strip = new CurveStrip(canvas, clip, cursor, output, panels[chosen]);
+  select.addEventListener("change", () => { strip.setPanel(panels[select.selectedIndex]); strip.draw(); });
+  return strip;
+}
+
+function start() {
+  const clip = new Clip(JSON.parse(document.getElementById("clip").textContent)), cursor = new Cursor(clip);
+  document.documentElement.classList.add("plays");
+  player.hidden = false;
+  const picture = new PictureView(player.querySelector("canvas.picture"), clip, cursor);
+  picture.chooseFollow();
+  const scene = new SceneView(player.querySelector("canvas.scene"), clip, cursor);
+  const strips = [];
+  const speed = clip.curves.find((panel) => panel.group === "speed");
+  if (speed) {
+    const { canvas, output } = addStrip(speed.title, 84);
+    strips.push(new CurveStrip(canvas, clip, cursor, output, speed));
+  }
+  if (clip.stances.length) {
+    const { canvas, output } = addStrip("footfalls", 18 * clip.feet.length + 8);
+    canvas.setAttribute("aria-label", "When each foot stands. A click on a bar goes to its touch-down.");
+    strips.push(new FootStrip(canvas, clip, cursor, output));
+  }
+  const angles = clip.curves.filter((panel) => panel.group !== "speed");
+  angles.slice(0, 2).forEach((_, i) => strips.push(addChoice(clip, cursor, angles, i)));
+  if (clip.flags.length) {
+    const { canvas, output } = addStrip("doubtful frames", 24);
+    canvas.setAttribute("aria-label", "Doubtful frames. A click on a bar goes to its first frame.");
+    strips.push(new FlagStrip(canvas, clip, cursor, output));
+  }
+  const error = addStrip("median keypoint error", 64);
+  strips.push(new ErrorStrip(error.canvas, clip, cursor, error.output));
+  const quality = document.querySelector(".quality"), map = new KeypointMap(quality.querySelector("canvas"), clip, cursor,
+    quality.querySelector(".map-value"), quality.querySelector(".scale"));
+  quality.querySelector(".map").hidden = false;
+  for (const choice of quality.querySelectorAll("input[name=quantity]")) {
+    choice.addEventListener("change", () => map.setQuantity(choice.value));
+  }
+  strips.push(map);
+
+  // All views in one go, at most once for each refresh of the screen.
+  let due = false, all = false;
+  const draw = () => {
+    due = false;
+    const whole = all;
+    all = false;
+    picture.draw();
+    scene.draw();
+    for (const strip of strips) if (whole) strip.refresh(); else strip.draw();
+  };
+  const plan = (whole) => {
+    all = all || whole;
+    if (!due) { due = true; requestAnimationFrame(draw); }
+  };
+  let { camera } = cursor;
+  const followCamera = () => {
+    if (camera === cursor.camera) return false;
+    ({ camera } = cursor);
+    picture.window = null;
+    picture.length = picture.animalLength;
+    return true;
+  };
+  for (const body of document.querySelectorAll("tbody[data-camera]")) body.hidden = Number(body.dataset.camera) !== camera;
+  cursor.on("row", () => { picture.seek(); plan(false); });
+  cursor.on("state", () => {
+    const changed = followCamera();
+    if (changed) for (const body of document.querySelectorAll("tbody[data-camera]")) body.hidden = Number(body.dataset.camera) !== camera;
+    plan(changed);
+  });
+  const controls = new Controls(player, clip, cursor, picture, scene);
+  linkText(clip, cursor, player);
+  new ResizeObserver(() => plan(true)).observe(player);
+  for (const query of ["(prefers-color-scheme: dark)", "print"]) {
+    window.matchMedia(query).addEventListener("change", () => { all = true; draw(); });
+  }
+  window.addEventListener("beforeprint", () => { all = true; draw(); });
+  const posed = clip.frames.findIndex((_, row) => clip.hasPose(row));
+  cursor.row = Math.max(0, posed);
+  scene.preset("side");
+  controls.followAddress();
+  controls.update();
+  all = true;
+  draw();
+  player.reconPlayer = { clip, cursor, picture, scene, strips, map, draw };
+}
+
+if (player) start();

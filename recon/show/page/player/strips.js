@@ -1,0 +1,277 @@
+// Views: strips over time under the pictures. All have one time axis, show the cursor, and move it when clicked.
+// What does not move is drawn once into a picture of its own, so that scrubbing costs a copy and a line.
+import { FONT, colours, penOf } from "./theme.js";
+
+const DASHES = { left: [5, 3], right: [], middle: [] };
+
+export class Strip {
+  constructor(canvas, clip, cursor, output = null) {
+    Object.assign(this, { canvas, clip, cursor, output, still: document.createElement("canvas"), stale: true });
+    const scrub = (event) => {
+      const box = canvas.getBoundingClientRect();
+      this.clicked(event.clientX - box.left, event.clientY - box.top, event.type === "pointerdown");
+    };
+    canvas.addEventListener("pointerdown", (event) => { canvas.setPointerCapture(event.pointerId); scrub(event); });
+    canvas.addEventListener("pointermove", (event) => { if (event.buttons && canvas.hasPointerCapture(event.pointerId)) scrub(event); });
+  }
+
+  get gutter() {
+    return this.canvas.clientWidth < 480 ? 40 : 56;
+  }
+
+  /** Return the place of a row, which may have a fraction, on the canvas. */
+  x(row) {
+    const { frames, count } = this.clip, whole = Math.min(count - 1, Math.max(0, Math.floor(row)));
+    const frame = frames[whole] + (row - whole), span = Math.max(1, frames[count - 1] - frames[0]);
+    return this.gutter + ((frame - frames[0]) / span) * (this.canvas.clientWidth - this.gutter - 10);
+  }
+
+  rowAt(x) {
+    const { frames, count } = this.clip, span = Math.max(1, frames[count - 1] - frames[0]);
+    const share = (x - this.gutter) / (this.canvas.clientWidth - this.gutter - 10);
+    return this.clip.rowOfFrame(frames[0] + share * span);
+  }
+
+  /** A click goes to its frame; subclasses go to the beginning of what was hit. */
+  clicked(x) {
+    this.cursor.go(this.rowAt(x));
+  }
+
+  refresh() {
+    this.stale = true;
+    this.draw();
+  }
+
+  draw() {
+    const { canvas, still } = this;
+    if (!canvas.clientWidth) return;
+    const { pen, wide, high } = penOf(canvas), paint = colours(canvas);
+    if (this.stale || still.width !== canvas.width || still.height !== canvas.height) {
+      [still.width, still.height] = [canvas.width, canvas.height];
+      const layer = still.getContext("2d");
+      layer.setTransform(canvas.width / wide, 0, 0, canvas.height / high, 0, 0);
+      layer.font = FONT;
+      this.drawFlagged(layer, high, paint);
+      this.drawStill(layer, wide, high, paint);
+      this.stale = false;
+    }
+    pen.clearRect(0, 0, wide, high);
+    pen.drawImage(still, 0, 0, wide, high);
+    const x = this.x(this.cursor.row);
+    pen.fillStyle = paint.strong;
+    pen.fillRect(x - 1, 0, 2, high);
+    if (this.output) this.output.textContent = this.value(this.cursor.row);
+  }
+
+  /** Frames that have a flag have a darker ground in every strip. */
+  drawFlagged(pen, high, paint) {
+    pen.fillStyle = paint.card;
+    for (const [first, stop] of this.clip.flags) {
+      const x = this.x(first - 0.5);
+      pen.fillRect(x, 0, Math.max(2, this.x(stop - 0.5) - x), high);
+    }
+  }
+
+  value() {
+    return "";
+  }
+}
+
+const SIDES = ["left", "right", "middle"];
+
+/** Numbers over time, one curve for each side, with 90 % bands. */
+export class CurveStrip extends Strip {
+  constructor(canvas, clip, cursor, output, panel) {
+    super(canvas, clip, cursor, output);
+    this.setPanel(panel);
+  }
+
+  setPanel(panel) {
+    this.panel = panel;
+    const all = [];
+    for (const { values } of panel.curves) for (const value of values) if (!Number.isNaN(value)) all.push(value);
+    const [low, high] = all.length ? all.reduce(([a, b], v) => [Math.min(a, v), Math.max(b, v)], [Infinity, -Infinity]) : [0, 1];
+    const room = Math.max(0.08 * (high - low), panel.unit === "°" ? 1 : 1e-3);
+    this.range = [panel.least === 0 ? 0 : low - room, high + room];
+    this.text = all.length ? `${panel.title}: ${this.format(low)} to ${this.format(high)} ${panel.unit}` : `${panel.title}: not known`;
+    this.canvas.setAttribute("aria-label", `${this.text}. A click shows the frame.`);
+    this.stale = true;
+  }
+
+  format(value) {
+    return this.panel.unit === "°" || Math.abs(value) >= 100 ? value.toFixed(0) : value.toFixed(Math.abs(value) >= 10 ? 1 : 2);
+  }
+
+  y(value, high) {
+    const [low, top] = this.range;
+    return high - 6 - ((value - low) / (top - low)) * (high - 12);
+  }
+
+  drawStill(pen, wide, high, paint) {
+    pen.textBaseline = "middle";
+    pen.textAlign = "right";
+    for (const value of ticks(...this.range)) {
+      const y = this.y(value, high);
+      pen.fillStyle = paint.line;
+      pen.fillRect(this.gutter, Math.round(y), wide - this.gutter - 10, 1);
+      pen.fillStyle = paint.soft;
+      pen.fillText(String(+value.toFixed(6)), this.gutter - 6, y);
+    }
+    for (const curve of this.panel.curves) if (curve.band) this.drawBand(pen, curve, high, paint);
+    for (const curve of this.panel.curves) {
+      pen.strokeStyle = curve.measured ? paint[curve.side] : paint.soft;
+      pen.lineWidth = 1.6;
+      pen.setLineDash(DASHES[curve.side]);
+      pen.beginPath();
+      let on = false;
+      for (let row = 0; row < this.clip.count; row++) {
+        const value = curve.values[row];
+        if (Number.isNaN(value)) { on = false; continue; }
+        pen[on ? "lineTo" : "moveTo"](this.x(row), this.y(value, high));
+        on = true;
+      }
+      pen.stroke();
+      pen.setLineDash([]);
+    }
+  }
+
+  drawBand(pen, curve, high, paint) {
+    const { values, band } = curve;
+    pen.save();
+    pen.globalAlpha = 0.16;
+    pen.fillStyle = curve.measured ? paint[curve.side] : paint.soft;
+    for (let row = 0; row < this.clip.count;) {
+      let stop = row;
+      while (stop < this.clip.count && !Number.isNaN(values[stop]) && !Number.isNaN(band[stop])) stop++;
+      if (stop > row) {
+        pen.beginPath();
+        for (let i = row; i < stop; i++) pen.lineTo(this.x(i), clamp(this.y(values[i] + band[i], high), high));
+        for (let i = stop - 1; i >= row; i--) pen.lineTo(this.x(i), clamp(this.y(values[i] - band[i], high), high));
+        pen.fill();
+      }
+      row = Math.max(stop, row + 1);
+    }
+    pen.restore();
+  }
+
+  value(row) {
+    const texts = SIDES.flatMap((side) => this.panel.curves.filter((curve) => curve.side === side))
+      .filter((curve) => !Number.isNaN(curve.values[row]))
+      .map(({ side, values, band }) => `${side === "middle" ? "" : `${side} `}${
+        withBand(values[row], band ? band[row] : NaN)} ${this.panel.unit}`);
+    return texts.join(", ") || "not known";
+  }
+}
+
+/** Return a value with its band, both with as many digits as the band supports. */
+export function withBand(value, band) {
+  const size = Number.isNaN(band) ? Math.abs(value) / 10 : band, digits = size >= 9.5 ? 0 : size >= 0.95 ? 1 : 2;
+  return Number.isNaN(band) ? value.toFixed(digits) : `${value.toFixed(digits)} ± ${band.toFixed(digits)}`;
+}
+
+function clamp(y, high) {
+  return Math.min(high, Math.max(0, y));
+}
+
+/** Return about three round values within a range. */
+export function ticks(low, high) {
+  const rough = (high - low) / 3, power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].map((x) => x * power).find((x) => x >= rough);
+  const values = [];
+  for (let value = Math.ceil(low / step) * step; value <= high; value += step) values.push(value);
+  return values;
+}
+
+/** The median distance between detections and pose. */
+export class ErrorStrip extends CurveStrip {
+  constructor(canvas, clip, cursor, output) {
+    super(canvas, clip, cursor, output, errorPanel(clip.cameras[cursor.camera], clip));
+  }
+
+  refresh() {
+    this.setPanel(errorPanel(this.clip.cameras[this.cursor.camera], this.clip));
+    super.refresh();
+  }
+}
+
+function errorPanel(camera, clip) {
+  const values = new Float32Array(clip.count).fill(NaN);
+  if (camera.known) for (let row = 0; row < clip.count; row++) values[row] = camera.medianError(row);
+  return { title: "median keypoint error", unit: "px", least: 0, curves: [{ side: "middle", values, band: null, measured: true }] };
+}
+
+/** Bars: when each foot stands. A click goes to the touch-down. */
+export class FootStrip extends Strip {
+  y(foot, high) {
+    return 4 + (this.clip.feet.indexOf(foot) * (high - 8)) / this.clip.feet.length;
+  }
+
+  drawStill(pen, wide, high, paint) {
+    const row = (high - 8) / this.clip.feet.length;
+    pen.textBaseline = "middle";
+    for (const foot of this.clip.feet) {
+      pen.textAlign = "right";
+      pen.fillStyle = paint.soft;
+      pen.fillText(foot, this.gutter - 6, this.y(foot, high) + row / 2);
+      pen.fillStyle = paint.line;
+      pen.fillRect(this.gutter, Math.round(this.y(foot, high) + row / 2), wide - this.gutter - 10, 1);
+    }
+    for (const { foot, rows } of this.clip.stances) {
+      const x = this.x(rows[0]);
+      pen.fillStyle = paint[foot.startsWith("L") ? "left" : foot.startsWith("R") ? "right" : "middle"];
+      pen.fillRect(x, this.y(foot, high) + 2, Math.max(2, this.x(rows[1]) - x), row - 4);
+    }
+  }
+
+  clicked(x, y, down) {
+    const row = (this.canvas.clientHeight - 8) / this.clip.feet.length, foot = this.clip.feet[Math.floor((y - 4) / row)];
+    const hit = down && this.clip.stances.find((stance) => stance.foot === foot
+      && x >= this.x(stance.rows[0]) - 2 && x <= this.x(stance.rows[1]) + 2);
+    this.cursor.go(hit ? Math.ceil(hit.rows[0]) : this.rowAt(x));
+  }
+
+  value(row) {
+    const standing = this.clip.stances.filter(({ rows }) => row >= rows[0] && row <= rows[1]).map(({ foot }) => foot);
+    return standing.length ? `${standing.join(", ")} on the ground` : "no foot on the ground";
+  }
+}
+
+/** Doubtful frames, with a row for each flag. A click goes to the first frame of a run. */
+export class FlagStrip extends Strip {
+  constructor(canvas, clip, cursor, output) {
+    super(canvas, clip, cursor, output);
+    this.kinds = [...new Set(clip.flags.flatMap(([, , text]) => text.split(", ")))];
+    canvas.style.height = `${Math.max(1, this.kinds.length) * 18 + 6}px`;
+  }
+
+  drawStill(pen, wide, high, paint) {
+    pen.textBaseline = "middle";
+    this.kinds.forEach((kind, i) => {
+      const y = 3 + 18 * i, runs = this.clip.flags.filter(([, , text]) => text.split(", ").includes(kind));
+      pen.fillStyle = paint.warn;
+      for (const [first, stop] of runs) {
+        const x = this.x(first - 0.5);
+        pen.fillRect(x, y + 2, Math.max(2, this.x(stop - 0.5) - x), 14);
+      }
+      // The name stands where no bar covers it: left or right.
+      const width = pen.measureText(kind).width, left = this.gutter + 6, right = wide - 14 - width;
+      const covered = (x) => runs.some(([first, stop]) => this.x(stop) > x - 4 && this.x(first - 0.5) < x + width + 4);
+      const x = covered(left) && !covered(right) ? right : left;
+      pen.textAlign = "left";
+      pen.fillStyle = paint.paper;
+      pen.fillRect(x - 3, y + 1, width + 6, 16);
+      pen.fillStyle = paint.ink;
+      pen.fillText(kind, x, y + 9);
+    });
+  }
+
+  clicked(x, y, down) {
+    const row = this.rowAt(x), hit = down && this.clip.flags.find(([first, stop]) => row >= first - 1 && row <= stop);
+    this.cursor.go(hit && (row < hit[0] || row >= hit[1]) ? hit[0] : row);
+  }
+
+  value(row) {
+    return this.clip.flagsAt(row) || "nothing against this frame";
+  }
+}
+

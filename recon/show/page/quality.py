@@ -1,0 +1,75 @@
+"""Say of every keypoint of a camera what the fit made of its detections, for the table of a page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from recon.base.arrays import Array, median
+from recon.fit.motion import Motion, Picture
+
+STUCK_PX, STUCK_LEAST = 3.0, 5
+"""Outliers of a keypoint that lie within so many pixels of one point are stuck there if there are so many frames."""
+SWAPS = ("left_right_swap", "left_right_swap_possible", "left_right_swap_mended", "clip_swapped_back")
+"""Codes of findings on left-right swaps."""
+NEEDS_LOOK = 0.1
+"""Share of a keypoint's frames, of outliers and swaps, from which its row says that it needs a look."""
+
+
+def quality_tables(motion: Motion) -> list[dict[str, Any]]:
+    """Return a table for each camera: its name, its number, and its rows, the worst keypoint first."""
+    return [
+        {"camera": picture.name, "number": v, "rows": sorted(_rows(motion, picture), key=lambda row: row["rank"])}
+        for v, picture in enumerate(motion.pictures)
+    ]
+
+
+def _rows(motion: Motion, picture: Picture) -> Iterator[dict[str, Any]]:
+    swapped = swapped_frames(motion, picture)
+    for j, name in enumerate(motion.names):
+        counts = picture.source.cleaning.keypoints.get(name)
+        used, outliers = int(picture.present[:, j].sum()), int(picture.outliers[:, j].sum())
+        rejected = 0 if counts is None else counts["rejected"]
+        error_px, stuck = median(picture.distance_px[:, j]), stuck_at(picture, j)
+        # The worst first: outliers and swaps as shares of the frames, then the error.
+        share = (outliers + int(swapped[:, j].sum())) / max(1, len(motion.frames))
+        yield {
+            "keypoint": j,
+            "name": name,
+            "used": used,
+            "missing": max(0, len(motion.frames) - used - rejected),
+            "left_out": rejected,
+            "outliers": outliers,
+            "stuck": stuck,
+            "swapped": int(swapped[:, j].sum()),
+            "median_px": error_px if math.isfinite(error_px) else None,
+            "look": share > NEEDS_LOOK or stuck is not None,
+            "rank": (-round(share, 2), -np.nan_to_num(error_px)),
+        }
+
+
+def swapped_frames(motion: Motion, picture: Picture) -> Array:
+    """Return in which frames a finding calls keypoints of a camera swapped, (T, J)."""
+    swapped = np.zeros(picture.present.shape, dtype=bool)
+    for item in motion.findings:
+        if item.code in SWAPS and item.camera in (None, picture.name):
+            first, stop = item.frames or (motion.frames[0], motion.frames[-1] + 1)
+            rows = (motion.frames >= first) & (motion.frames < stop)
+            names = [motion.names.index(name) for name in item.names("keypoints") if name in motion.names]
+            swapped[np.ix_(rows, names)] = True
+    return swapped
+
+
+def stuck_at(picture: Picture, joint: int) -> dict[str, Any] | None:
+    """Return the pixel at which a keypoint is stuck and in how many frames; None if it is not."""
+    points_px = picture.detected_px[picture.outliers[:, joint], joint]
+    if len(points_px) < STUCK_LEAST:
+        return None
+    middle_px = np.median(points_px, axis=0)
+    count = int((np.linalg.norm(points_px - middle_px, axis=1) <= STUCK_PX).sum())
+    if count < STUCK_LEAST:
+        return None
+    return {"x": round(float(middle_px[0])), "y": round(float(middle_px[1])), "frames": count}

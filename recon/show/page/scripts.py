@@ -1,0 +1,39 @@
+"""Inline the scripts and styles of pages.
+
+They are plain JavaScript modules in a folder beside this file. A page is one file that is opened from a disk, where
+browsers load no modules, so that `script` puts the modules into one script in the order of their imports.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from pathlib import Path
+
+FOLDER = Path(__file__).parent
+_IMPORT = re.compile(r'^import \{[^}]*\} from "\./(\w+)\.js";\n', re.MULTILINE)
+_EXPORT = re.compile(r"^export (?=class |function |const )", re.MULTILINE)
+
+
+@cache
+def script(name: str, folder: str = "player") -> str:
+    """Return the script of a module, with all modules that it imports before it."""
+    parts: dict[str, str] = {}
+    _add(name, FOLDER / folder, parts)
+    content = "\n".join(parts.values())
+    return '"use strict";\n(() => {\n' + content + "})();\n"
+
+
+@cache
+def style(name: str, folder: str = "player") -> str:
+    """Return a style sheet."""
+    return (FOLDER / folder / f"{name}.css").read_text(encoding="utf-8")
+
+
+def _add(name: str, folder: Path, parts: dict[str, str]) -> None:
+    if name in parts:
+        return
+    content = (folder / f"{name}.js").read_text(encoding="utf-8")
+    for imported in _IMPORT.findall(content):
+        _add(imported, folder, parts)
+    parts[name] = _EXPORT.sub("", _IMPORT.sub("", content))
