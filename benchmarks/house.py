@@ -113,8 +113,6 @@ UPWARD = {
     "recon.api.clip": {"recon.thesis.clip"},  # fit_clip, by the frame method
     "recon.api.clip_inputs": {"recon.thesis.clip"},  # the chain of the frame method
     "recon.api.convert": {"recon.robotics.retarget_clip", "recon.cli"},  # results of recon retarget
-    "recon.cli.run": {"recon.keypoint_net.network"},  # keypoints from a video
-    "recon.cli.app": {"recon"},  # the table of commands
     "recon.api.analyse": {"recon.cli"},
     "recon.api.batch.__init__": {"recon.cli"},
     "recon.api.calibrate": {"recon.cli"},

@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 from threadpoolctl import threadpool_limits
 
+from recon.api.settings import ANYWAY, STRIDE, StrideTimes
 from recon.base.arrays import mean, median
 from recon.base.locks import sole_writer
 from recon.base.outputs import Output, ReadResults
@@ -21,7 +22,7 @@ from recon.base.progress import Progress, silent
 from recon.base.settings import Option, Positive, Settings, input_paths
 from recon.check.codes import sentence
 from recon.check.verdict import usable, verdict_fields
-from recon.cli.answers import ANYWAY, STRIDE, Answer, StrideTimes, table_of, verdict_texts
+from recon.cli.answers import Answer, table_of, verdict_texts
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import ClipAnalysis, analyse, over_belt
 from recon.gait.dynamics import OVER_STRIDE, Dynamics, findings_of_dynamics, over_stride

@@ -12,16 +12,17 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from recon.api.settings import FitSettings
+from recon.api.settings import FIRST_FRAME, FitSettings
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import write_bytes
+from recon.base.numbers import counted
 from recon.base.outputs import Output, output_file, require_suffix
 from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Option, Settings, input_paths
 from recon.calibrate.camera_motion.rotation import LevelMark, as_level, read_marks, tilted, up_by_marks
 from recon.calibrate.camera_motion.track import CLEARLY, Tracker, TurningMotion, panorama, thumbnail
-from recon.cli.answers import FIRST_FRAME, Answer, counted
+from recon.cli.answers import Answer
 from recon.clip import Keypoints
 from recon.geometry.camera import Camera
 from recon.io.calibration import read_camera

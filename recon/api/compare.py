@@ -20,17 +20,19 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from recon.api.clip_results import CONFIG
+from recon.api.settings import ANYWAY
 from recon.base.arrays import Array
 from recon.base.documents import read_toml
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import write_bytes
+from recon.base.numbers import counted
 from recon.base.outputs import Output
 from recon.base.progress import Progress
 from recon.base.settings import OneOrMore, Option, Settings, input_paths
 from recon.base.tables import write_frame
 from recon.check.codes import names_text
 from recon.check.verdict import usable
-from recon.cli.answers import ANYWAY, Answer, counted, table_of
+from recon.cli.answers import Answer, table_of
 from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
 from recon.fit.result import TrajectorySolution

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from recon.animal.naming import load_names, renamed
-from recon.api.settings import INDIVIDUAL, RENAME
+from recon.api.settings import ANYWAY, INDIVIDUAL, RENAME
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.outputs import ReadResults, output_file
 from recon.base.settings import Option, Positive, Settings, input_paths
 from recon.check.verdict import usable, verdict_fields, verdict_lines
-from recon.cli.answers import ANYWAY, Answer, table_of
+from recon.cli.answers import Answer, table_of
 from recon.clip import Keypoints, mark_missing
 from recon.fit.motion import Motion
 from recon.io.columns import parse_map

@@ -24,14 +24,15 @@ from recon.animal.skeleton_file import NONE, load_skeleton
 from recon.api.batch.inputs import file_names
 from recon.api.clip_inputs import prepare
 from recon.api.clip_results import CONFIG, read_config
-from recon.api.settings import FitSettings
+from recon.api.settings import ANYWAY, FitSettings
 from recon.base.arrays import Array, Integers
 from recon.base.documents import read_json
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
+from recon.base.numbers import counted
 from recon.base.outputs import output_file, require_suffix
 from recon.base.settings import Count, NotNegative, OneOrMore, Option, Settings, input_paths
 from recon.check.verdict import usable
-from recon.cli.answers import ANYWAY, Answer, counted, table_of
+from recon.cli.answers import Answer, table_of
 from recon.clip import views_of
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.motion import Motion

@@ -56,6 +56,21 @@ RENAME = Option(
 )
 
 
+# -- options that several commands have -------------------------------------------------------------------------------
+
+StrideTimes = Annotated[
+    tuple[Number, Number], BeforeValidator(lambda given: given.split(":") if isinstance(given, str) else given)
+]
+"""(start, end) in seconds since frame 0, or the text "0.31:0.62"."""
+FIRST_FRAME = Option("Number that the video's first frame has in the keypoint file, if it was cut.")
+ANYWAY = Option('Also of a clip whose verdict is "do not use".')
+STRIDE = Option(
+    "A stride, in seconds since frame 0, as in 0.31:0.62. (default: one that is found)",
+    "START:END in seconds, as in 0.31:0.62",
+    metavar="START:END",
+)
+
+
 class FitSettings(Settings):
     """The settings of `recon fit`. Raises InputError with everything that is wrong with it.
 

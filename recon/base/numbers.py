@@ -92,5 +92,10 @@ def known_within(sigma_m: float) -> str:
     )
 
 
+def counted(count: int, noun: str) -> str:
+    """Return a count with its noun, such as "1 clip" or "2 clips"."""
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
 def _unit(unit: str) -> str:
     return unit if unit in ("", "°") else f" {unit}"

@@ -1,4 +1,4 @@
-"""What a command answers, and how it is printed; options that several commands have."""
+"""What a command answers, and how it is printed."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
-from pydantic import BeforeValidator
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
@@ -21,28 +19,13 @@ from rich.segment import Segment
 from rich.table import Column, Table
 from rich.text import Text
 
-from recon.base.errors import InputError, Problem, printable
+from recon.base.errors import printable
 from recon.base.interrupts import EXIT_INTERRUPTED, MESSAGE, installed
 from recon.base.progress import silent
-from recon.base.settings import Number, Option
 
 if TYPE_CHECKING:
     from recon.fit.result import Verdict  # numpy is slow to import
 
-# -- options that several commands have -------------------------------------------------------------------------------
-
-
-StrideTimes = Annotated[
-    tuple[Number, Number], BeforeValidator(lambda given: given.split(":") if isinstance(given, str) else given)
-]
-"""(start, end) in seconds since frame 0, or the text "0.31:0.62"."""
-FIRST_FRAME = Option("Number that the video's first frame has in the keypoint file, if it was cut.")
-ANYWAY = Option('Also of a clip whose verdict is "do not use".')
-STRIDE = Option(
-    "A stride, in seconds since frame 0, as in 0.31:0.62. (default: one that is found)",
-    "START:END in seconds, as in 0.31:0.62",
-    metavar="START:END",
-)
 
 # -- what a command prints --------------------------------------------------------------------------------------------
 
@@ -125,11 +108,6 @@ def verdict_texts(verdict: Verdict | None) -> Iterator[Text]:
         yield Text.assemble((level, STYLES.get(level, "")), line[len(level) :])
 
 
-def counted(count: int, what: str) -> str:
-    """As in 1 clip, 2 clips."""
-    return f"{count} {what}{'s' * (count != 1)}"
-
-
 def table_of(*texts: str, numbers: Iterable[str] = (), rows: Iterable[Iterable[str | Text]] = (), **more: Any) -> Table:
     """A table: columns of texts, the first of which names the row, then of numbers. No word of a header is cut."""
     first, *others = texts
@@ -153,18 +131,6 @@ def stop(message: str = MESSAGE) -> NoReturn:
         interrupts.said = True
     terminal(stderr=True, soft_wrap=True).print(Text(message, "bold"))
     raise typer.Exit(EXIT_INTERRUPTED)
-
-
-def numbers(option: str, given: str, count: int | None = None) -> list[float]:
-    """The numbers of a text such as "1,2.5,-3"; count: how many, None: any. Raises InputError."""
-    try:
-        found = [float(part) for part in given.split(",")]
-    except ValueError:
-        found = []
-    if not found or not all(map(isfinite, found)) or count not in (None, len(found)):
-        expected = f"{'' if count is None else f'{count} '}numbers with commas, as in 0.1,-20,3"
-        raise InputError(Problem(option, "numbers", repr(given), expected))
-    return found
 
 
 @contextmanager

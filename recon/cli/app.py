@@ -119,19 +119,19 @@ def _camera_advice() -> CommandFunction:
 
 
 def _train() -> CommandFunction:
-    from recon.keypoint_net.train import train_command
+    from recon.cli.network import train_command
 
     return train_command
 
 
 def _predict() -> CommandFunction:
-    from recon.keypoint_net.network import predict_command
+    from recon.cli.network import predict_command
 
     return predict_command
 
 
 def _evaluate_2d() -> CommandFunction:
-    from recon.keypoint_net.labels import evaluate_2d_command
+    from recon.cli.evaluate_2d import evaluate_2d_command
 
     return evaluate_2d_command
 
@@ -167,43 +167,43 @@ def _prior_fit() -> CommandFunction:
 
 
 def _ik() -> CommandFunction:
-    from recon.ik.clip import ik
+    from recon.cli.ik import ik
 
     return ik
 
 
 def _retarget() -> CommandFunction:
-    from recon.robotics.retarget_clip import retarget_command
+    from recon.cli.robotics import retarget_command
 
     return retarget_command
 
 
 def _robot_pose() -> CommandFunction:
-    from recon.robotics.dh import pose
+    from recon.cli.robot import pose
 
     return pose
 
 
 def _robot_dh() -> CommandFunction:
-    from recon.robotics.dh import dh
+    from recon.cli.robot import dh
 
     return dh
 
 
 def _climb() -> CommandFunction:
-    from recon.robotics.climb.plan import climb
+    from recon.cli.robotics import climb
 
     return climb
 
 
 def _frame() -> CommandFunction:
-    from recon.thesis.clip import frame
+    from recon.cli.thesis import frame
 
     return frame
 
 
 def _solver() -> CommandFunction:
-    from recon.thesis.clip import solver
+    from recon.cli.thesis import solver
 
     return solver
 

@@ -9,8 +9,9 @@ from typing import Annotated, Any
 from rich.table import Table
 from rich.text import Text
 
+from recon.api.settings import ANYWAY
 from recon.base.settings import Option, Settings
-from recon.cli.answers import ANYWAY, Answer, table_of, verdict_texts
+from recon.cli.answers import Answer, table_of, verdict_texts
 from recon.gait.evaluation import LEVELS, Evaluation, evaluate_files
 
 

@@ -20,6 +20,7 @@ from recon.api.analyse import SUMMARY as ANALYSIS
 from recon.api.batch import read_rows, write_summary_page
 from recon.api.batch.inputs import SUMMARY
 from recon.api.clip_cameras import cameras_in
+from recon.api.settings import ANYWAY, FIRST_FRAME
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import MANIFEST, read_manifest, staged_file
@@ -30,7 +31,7 @@ from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Option, Settings, input_paths
 from recon.check.codes import FLAG_OF
 from recon.check.verdict import usable
-from recon.cli.answers import ANYWAY, FIRST_FRAME, Answer, say, verdict_texts
+from recon.cli.answers import Answer, say, verdict_texts
 from recon.fit.motion import Motion
 from recon.gait.clip import analyse
 from recon.io.video import Image, missing_note, probe, require_codec, size_problems, video_writer

@@ -33,7 +33,7 @@ from recon.api.clip_results import (
     output_of,
     read_settings,
 )
-from recon.api.settings import OF_ANY_CLIP, FitSettings
+from recon.api.settings import FIRST_FRAME, OF_ANY_CLIP, FitSettings
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import MANIFEST, read_manifest
 from recon.base.locks import sole_writer
@@ -41,7 +41,7 @@ from recon.base.outputs import Output, adopt
 from recon.base.parallel import carry_out
 from recon.base.progress import Progress, silent
 from recon.base.settings import Count, Integer, Option, Settings, input_paths
-from recon.cli.answers import FIRST_FRAME, Answer, answer_of_fit, progress_bar, say
+from recon.cli.answers import Answer, answer_of_fit, progress_bar, say
 from recon.cli.commands import OptionsOf
 from recon.cli.look import OverlaySettings, PageSettings, overlay, rate_note, report
 from recon.fit.motion import Motion

@@ -15,8 +15,6 @@ from typing import Annotated, Any
 import cv2
 import numpy as np
 import pandas as pd
-from rich.table import Table
-from rich.text import Text
 
 from recon.animal.body import other_side
 from recon.animal.naming import load_names, map_to_write, new_names, renamed
@@ -25,7 +23,6 @@ from recon.base.arrays import Array, Bools, Integers, median
 from recon.base.documents import read_head
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.settings import Integer, Number, Option, Positive, Settings
-from recon.cli.answers import Answer, table_of
 from recon.clip import Keypoints, mark_missing, parse_frame_range, select_frames
 from recon.io.common import first_problems
 from recon.io.deeplabcut_project import Project, find_project, label_files
@@ -392,15 +389,6 @@ class Evaluate2DSettings(Settings):
     """Within this a point is right, for the likelihoods' reliability."""
 
 
-def evaluate_2d_command(settings: Evaluate2DSettings) -> Answer:
-    """Compare 2D keypoints with labels: errors in pixels, shares of good points, reliability of the likelihoods.
-
-    Example: recon evaluate-2d run.csv CollectedData_me.csv
-    """
-    result = evaluate_2d_files(**picked(settings, *settings.infos()))
-    return Answer(result, [_table(result), *_notes(result)])
-
-
 def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str, Any]:
     """Compare a file of predictions with a label file; see `evaluate_2d` for the result.
 
@@ -553,39 +541,3 @@ def reliability(likelihood: Array, right: Bools, bins: int = BINS) -> dict[str, 
     total = len(likelihood)
     error = sum(r["points"] * abs(r["likelihood"] - r["right"]) for r in rows) / total if total else float("nan")
     return {"points": total, "expected_calibration_error": float(error), "bins": rows}
-
-
-def _table(result: dict[str, Any]) -> Table:
-    pck = (*(f"{t:g}px" for t in PCK_PX), *(f"{t:.0%}" for t in PCK_RELATIVE))
-    table = table_of("errors in px", numbers=("n", "found", "RMSE", "median", *pck), padding=(0, 1, 0, 0))
-
-    def add_row(name: str, score: dict[str, Any], last: bool = False) -> None:
-        cells = [str(score["points"]), f"{score['found']:.0%}", f"{score['rmse_px']:.2f}", f"{score['median_px']:.2f}"]
-        cells += [f"{share:.0%}" for share in (*score["pck_px"].values(), *score["pck_relative"].values())]
-        row = (cell.replace("nan%", "-").replace("nan", "-") for cell in cells)
-        table.add_row(Text(name), *row, end_section=last)
-
-    add_row("all", result["all"])
-    add_row("likely", result["likely"], last=result["swaps_forgiven"] is None)
-    if result["swaps_forgiven"] is not None:
-        add_row("swaps forgiven", result["swaps_forgiven"], last=True)
-    for name, score in result["per_keypoint"].items():
-        add_row(name, score)
-        add_row("  likely", result["likely_per_keypoint"][name])
-    return table
-
-
-def _notes(result: dict[str, Any]) -> Iterator[str]:
-    yield "found   share of the labelled points that was predicted; likely: with a likelihood of at least"
-    yield f"        {result['likelihood_min']:g}; swaps forgiven: a pair of left and right may be the wrong way round"
-    yield "RMSE    and median over the points found"
-    yield "px, %   share of all labelled points within this distance, or this share of the body length,"
-    yield f"        {result['body_length_px']:.1f} px (median diagonal of the box around an animal's labels)"
-    yield f"Compared: {result['frames']} frames."
-    table = result["reliability"]
-    if table is not None:
-        yield f"Likelihood against the share of points within {result['tolerance_px']:g} px, {table['points']} points:"
-        for b in table["bins"]:
-            shares = f"likelihood {b['likelihood']:.2f}  right {b['right']:.2f}"
-            yield f"  {b['low']:.1f} to {b['high']:.1f}  {b['points']:6d} points  {shares}"
-        yield f"Expected calibration error: {table['expected_calibration_error']:.3f}"

@@ -25,7 +25,6 @@ each.
 from __future__ import annotations
 
 import dataclasses
-import time
 import zipfile
 from collections.abc import Generator, Sequence
 from colorsys import hsv_to_rgb
@@ -51,14 +50,12 @@ from recon.base.package import install_command
 from recon.base.parallel import available_cores
 from recon.base.progress import Progress, silent
 from recon.base.settings import Count, Option, Settings, input_paths
-from recon.cli.answers import Answer
 from recon.clip import Keypoints
 from recon.io.formats import FORMATS
 from recon.io.video import Image, VideoInfo, missing_note, probe, require_codec, timed_frames, video_writer
 from recon.keypoint_net.labels import resize, scale_points
 from recon.keypoint_net.pictures import background_of_video, prefetched
 from recon.show.overlay import Colour, draw_circle
-from recon.show.plain import picked
 
 if TYPE_CHECKING:
     import torch  # pyright: ignore[reportMissingImports]
@@ -570,23 +567,6 @@ class PredictSettings(Settings):
     """Accept a video of which fewer frames can be decoded than it states."""
     overwrite: bool = False
     """Replace files that are there."""
-
-
-def predict_command(settings: PredictSettings, progress: Progress) -> Answer:
-    """Find the keypoints in every frame of a video, with a network that `recon train` made.
-
-    Example: recon predict run.mp4 --model models/run --out run.csv --overlay run_points.mp4
-    """
-    start = time.monotonic()
-    keypoints = run_prediction(**picked(settings, *settings.infos()), progress=progress)
-    frames, seconds = len(keypoints.frames), time.monotonic() - start
-    sure = float((keypoints.confidence >= LIKELY).mean())
-    drawn = f", drawn on the video in {settings.overlay}" if settings.overlay else ""
-    speed = f"{frames} frames in {seconds:.1f} s ({frames / seconds:.0f} a second)"
-    likely = f"{sure:.0%} of the points have a likelihood of {LIKELY:g} or more"
-    sentence = f"{speed}; {likely}. They are in {settings.out}{drawn}."
-    data = {**picked(settings, "out", "overlay"), "frames": frames, "seconds": seconds, "likely_share": sure}
-    return Answer(data | {"notes": keypoints.notes}, [sentence], notes=keypoints.notes)
 
 
 def run_prediction(

@@ -16,7 +16,6 @@ import copy
 import dataclasses
 import math
 import time
-from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
@@ -38,7 +37,6 @@ from recon.base.progress import Progress, silent
 from recon.base.settings import Count, Integer, Number, Option, Settings, input_paths
 from recon.base.tables import write_frame
 from recon.base.version import __version__
-from recon.cli.answers import Answer, stop
 from recon.io.video import Image
 from recon.keypoint_net import labels as data
 from recon.keypoint_net import network as net
@@ -85,7 +83,7 @@ class TrainSettings(Settings):
         return {name: getattr(self, name) for name in TrainSettings.infos()}
 
 
-class _TrainRunSettings(data.LabelSource, TrainSettings):
+class TrainRunSettings(data.LabelSource, TrainSettings):
     """What `recon train` does: labels, how to learn from them, and where and with what."""
 
     out: Annotated[Path, Option(metavar="DIR")]
@@ -139,7 +137,7 @@ class State:
         return self.share >= FINISH
 
 
-def prepare(labels: data.Labels, s: _TrainRunSettings, device: torch.device) -> TrainingRun:
+def prepare(labels: data.Labels, s: TrainRunSettings, device: torch.device) -> TrainingRun:
     """Return what stays the same during a run: the split, the network's scales, pictures and backgrounds."""
     split = data.split_labels(labels, s.validation, s.test, s.seed)
     learned = np.concatenate([split["train"], split["validation"]])
@@ -297,7 +295,7 @@ def judge(trained: net.TrainedNetwork, run: TrainingRun, indices: Integers) -> t
     return np.linalg.norm(xy - run.labels.xy_px[indices], axis=2), raw, xy
 
 
-# -- checkpoints -----------------------------------------------------------------------------------------------------
+# -- checkpoints -------------------------------------------------------------------------------------------------------
 
 _PLAIN = ("step", "share", "seconds", "calibration", "judged", "history", "threads")
 _TORCH = ("network", "average", "optimizer")
@@ -511,23 +509,7 @@ def _excess_distance_px(xy_px: Array) -> Array:
     return np.fmin.reduce((pairs - usual).to_numpy().reshape(n, k, k), axis=2)
 
 
-# -- the command -------------------------------------------------------------------------------------------------------
-
-
-def train_command(settings: _TrainRunSettings, progress: Progress) -> Answer:
-    """Train a small keypoint network on a few labels in DeepLabCut's layout.
-
-    Example: recon train run.mp4 --labels CollectedData_me.csv --out models/run
-    """
-    out, options = settings.out, picked(settings, "device", "threads", "resume", "overwrite")
-    try:
-        report = run_training(settings, settings, out, **options, progress=progress)
-    except KeyboardInterrupt:
-        message = "the same command with --resume goes on from the last checkpoint"
-        if not (out / CHECKPOINT_FILE).is_file():
-            message = "there is no checkpoint yet"
-        stop(f"Stopped: {message}.")
-    return Answer(report, _summary(report, out))
+# -- a run, written ----------------------------------------------------------------------------------------------------
 
 
 def run_training(
@@ -539,7 +521,7 @@ def run_training(
     command. Raise InputError, with every problem, before anything is written.
     """
     training_settings = picked(source, *data.LabelSource.infos()) | picked(settings, *TrainSettings.infos())
-    s = _TrainRunSettings(out=out, **training_settings, **options)
+    s = TrainRunSettings(out=out, **training_settings, **options)
     net.require_torch()
     chosen, labels, _ = collect_problems(
         lambda: net.choose_device(s.device),
@@ -556,32 +538,13 @@ def run_training(
             return write_training_report(run, state, staging)
 
 
-def _summary(report: dict[str, Any], out: Path) -> Iterator[str]:
-    yield f"{report['steps']} steps in {report['seconds']:.0f} s on {report['device']}."
-    best = report["best_validation"]
-    if best:
-        yield f"Validation pictures, before any was learned from: median error {best['median_px']:.2f} px at best."
-        if best["median_px"] > 2 * (right_px := report["tolerance_px"]):
-            yield f"That is too far off to be of use: a point counts as right within {right_px:.1f} px."
-            yield "Train longer (--minutes), or label more."
-    if "test" in report["errors"]:
-        score = report["errors"]["test"]["all"]
-        yield f"Test pictures: median error {score['median_px']:.2f} px, {score['pck_px']['5.0']:.0%} within 5 px."
-    suspects = report["suspicious_labels"]
-    if suspects:
-        first = suspects[0]
-        worst = f"{first['keypoint']} in {first['image']} the most"
-        yield f"{len(suspects)} labels look wrong, {worst}: see {out / 'suspicious.csv'}."
-    yield f"The network and its report are in {out}. Use it with: recon predict VIDEO --model {out} --out FILE.csv"
-
-
-def _check_folder(s: _TrainRunSettings) -> None:
+def _check_folder(s: TrainRunSettings) -> None:
     checkpoint, expected = s.out / CHECKPOINT_FILE, "one to go on from; without --resume, a new run"
     if s.resume and not checkpoint.is_file():
         raise InputError(Problem(checkpoint, "checkpoint", "no such file", expected))
     _output(s).require((net.MODEL_FILE, CHECKPOINT_FILE, *REPORT_FILES))
 
 
-def _output(s: _TrainRunSettings) -> Output:
+def _output(s: TrainRunSettings) -> Output:
     content = "a network, --resume to go on with it"
     return Output(s.out, "train", s.overwrite or s.resume, input_paths(s), content=content)

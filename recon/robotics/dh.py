@@ -14,17 +14,16 @@ there is no other solution is not proven.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
-from math import degrees, isinf
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field, StrictBool
-from rich.table import Table
 from scipy.optimize import root
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -32,7 +31,6 @@ from recon.base.arrays import Array
 from recon.base.documents import FileTable, read_toml, validated
 from recon.base.errors import InputError, Problem
 from recon.base.settings import Number, Option, Settings
-from recon.cli.answers import Answer, numbers, table_of
 from recon.ik.chain import SerialChain, joint_chain
 from recon.robotics import quadruped as robots
 from recon.robotics.quadruped import LEGS, Length, Limits, body_pose, leg_targets, load_robot
@@ -192,78 +190,7 @@ class TableSettings(Settings):
     """With --place: the end's roll, pitch and yaw, degrees, as in 0,90,0. (default: any)"""
 
 
-def pose(settings: PoseSettings) -> Answer:
-    """Print the legs' angles of a body that is moved and turned, the feet planted.
-
-    Example: recon robot pose aibo --pitch 10 --move 0,0,-0.01
-    """
-    machine, position = load_robot(settings.robot), settings.move or (0.0, 0.0, 0.0)
-    turned = {name: float(np.radians(getattr(settings, name))) for name in ("roll", "pitch", "yaw")}
-    body_frame = body_pose(position, turned["roll"], turned["pitch"], turned["yaw"])
-    feet = leg_targets(body_frame, np.zeros((4, 3)), [leg.neutral_m for leg in machine.legs.values()])
-    legs, reasons = {}, []
-    table = table_of("leg", "joint", numbers=("angle °", "foot x m", "y m", "z m"), title=machine.title)
-    for (label, leg), foot in zip(machine.legs.items(), feet, strict=True):
-        q = leg.angles(foot[None])[0]
-        reached = bool(np.isfinite(q).all())
-        says = "" if reached else "out of reach, or of a joint's limits"
-        reasons += [f"{label}: {says}"] if says else []
-        angles, margin = q if reached else None, float(leg.margins(q).min())
-        legs[label] = {"joints": leg.joints, "foot_m": foot, "angles_rad": angles, "margin_rad": margin, "why": says}
-        angles = _deg(q) if reached else ["-"] * len(q)
-        for k, row in enumerate(zip(leg.joints, angles, strict=True)):
-            table.add_row("" if k else label, *row, *(f"{x:.4f}" for x in foot if not k))
-    turn_angles = {f"{name}_rad": angle for name, angle in turned.items()}
-    return Answer({"robot": machine.title, "position_m": position, **turn_angles, "legs": legs}, [table, *reasons])
-
-
-def dh(settings: TableSettings) -> Answer:
-    """Print a chain's or leg's Denavit-Hartenberg table, its end at given angles, and all angles of a given end.
-
-    Example: recon robot dh aibo --tip LF --place 0.09,0.07,-0.1
-    """
-    answer = chain_of(settings)
-    return Answer(answer, _chain_lines(answer, f"{settings.source} {settings.tip or ''}".strip()))
-
-
-def _chain_lines(answer: dict[str, Any], title: str) -> Iterator[str | Table]:
-    slides, columns = answer["slides"], ("a m", "alpha °", "d m", "theta °", "least", "most")
-    table = table_of("joint", numbers=columns, title=f"{title}: {answer['dh']['convention']}")
-    limits = zip(answer["lower"], answer["upper"], strict=True)
-    for name, row, limit, slide in zip(answer["joints"], answer["dh"]["rows"], limits, slides, strict=True):
-        values = (row[column] for column in ("a_m", "alpha_rad", "d_m", "theta_rad"))
-        table.add_row(name, *_typed([*values, *limit], [True, False, True, False, slide, slide]))
-    yield table
-    yield from (f"{name}: {_pose_text(answer['dh'][name])}" for name in ("base", "tool") if name in answer["dh"])
-    if "forward" in answer:
-        beyond = "" if answer["forward"]["within_limits"] else "; beyond a joint's limits"
-        yield f"end: {_pose_text(answer['forward'])}{beyond}"
-    if "inverse" in answer:
-        rows = [
-            [str(k), *_typed(solution["q"], slides), "yes" if solution["within_limits"] else "no"]
-            for k, solution in enumerate(answer["inverse"]["solutions"], start=1)
-        ]
-        if rows:
-            yield table_of("solution", numbers=(*answer["joints"], "within limits"), rows=rows)
-        if answer["inverse"]["note"]:
-            yield answer["inverse"]["note"]
-
-
-def _pose_text(answer: dict[str, Any]) -> str:
-    place = ", ".join(f"{x:z.4f}" for x in answer["place_m"])
-    return f"at ({place}) m, roll, pitch and yaw ({', '.join(_deg(answer['roll_pitch_yaw_rad']))})°"
-
-
-def _typed(values: Sequence[float], slides: Sequence[bool]) -> list[str]:
-    """Return values as a user types them: degrees, or metres of joints that slide."""
-    return [f"{x:z.4f}" if slide else _deg([x])[0] for x, slide in zip(values, slides, strict=True)]
-
-
-def _deg(angles_rad: Sequence[float]) -> list[str]:
-    return ["any" if isinf(x) else f"{degrees(x):z.2f}" for x in angles_rad]
-
-
-# -- what the commands answer ----------------------------------------------------------------------------------------
+# -- answers ----------------------------------------------------------------------------------------
 
 ENDLESS = "the joints can move on without moving the end: one of endlessly many"
 STARTS = 100
@@ -271,6 +198,27 @@ SAME = 1e-4
 """rad or m: configurations that differ by less are one."""
 REACHED = 1e-7
 """Error of a solution, of the chain's length."""
+
+
+def pose_of(settings: PoseSettings) -> dict[str, Any]:
+    """Return what `recon robot pose` answers: each leg's angles with the body moved and turned, the feet planted."""
+    machine, position = load_robot(settings.robot), settings.move or (0.0, 0.0, 0.0)
+    turned = {name: float(np.radians(getattr(settings, name))) for name in ("roll", "pitch", "yaw")}
+    body_frame = body_pose(position, turned["roll"], turned["pitch"], turned["yaw"])
+    feet = leg_targets(body_frame, np.zeros((4, 3)), [leg.neutral_m for leg in machine.legs.values()])
+    legs = {}
+    for (label, leg), foot in zip(machine.legs.items(), feet, strict=True):
+        q = leg.angles(foot[None])[0]
+        reached = bool(np.isfinite(q).all())
+        legs[label] = {
+            "joints": leg.joints,
+            "foot_m": foot,
+            "angles_rad": q if reached else None,
+            "margin_rad": float(leg.margins(q).min()),
+            "why": "" if reached else "out of reach, or of a joint's limits",
+        }
+    turn_angles = {f"{name}_rad": angle for name, angle in turned.items()}
+    return {"robot": machine.title, "position_m": position, **turn_angles, "legs": legs}
 
 
 def chain_of(settings: TableSettings) -> dict[str, Any]:
@@ -286,7 +234,7 @@ def chain_of(settings: TableSettings) -> dict[str, Any]:
     answer: dict[str, Any] = {"joints": chain.names, "slides": chain.sliding, "lower": chain.lower_rad}
     answer |= {"upper": chain.upper_rad, "dh": table}
     if settings.angles is not None:
-        q = np.array(numbers("--angles", settings.angles))
+        q = np.array(_numbers("--angles", settings.angles))
         if len(q) != chain.n:
             raise InputError(Problem("--angles", "joints", f"{len(q)} numbers", f"{chain.n}, one for each joint"))
         q = np.where(chain.sliding, q, np.radians(q))
@@ -300,6 +248,17 @@ def chain_of(settings: TableSettings) -> dict[str, Any]:
         note = "no solution" if not rows else "" if isolated else ENDLESS
         answer["inverse"] = {"solutions": rows, "note": note, "place_m": settings.place, "roll_pitch_yaw_rad": turned}
     return answer
+
+
+def _numbers(option: str, text: str) -> list[float]:
+    """Return the numbers of a text such as "1,2.5,-3". Raises InputError."""
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if not values or not all(map(isfinite, values)):
+        raise InputError(Problem(option, "numbers", repr(text), "numbers with commas, as in 0.1,-20,3"))
+    return values
 
 
 def _chain(source: str, tip: str | None) -> tuple[SerialChain, dict[str, Any] | None]:

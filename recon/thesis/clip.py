@@ -1,25 +1,21 @@
-"""The commands of the published system: `recon frame` fits a clip, `recon solver` shows what the optimiser did."""
+"""Run the published system: fit a clip frame by frame, and write what its optimiser did."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Annotated, Any
 
-from rich.console import Console
 from threadpoolctl import threadpool_limits
 
 from recon.animal.body import Body
 from recon.api.clip_inputs import prepare
-from recon.api.settings import SETTINGS, FitSettings
+from recon.api.settings import FitSettings
 from recon.base.locks import sole_writer
 from recon.base.outputs import Output, ReadResults
 from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Option, Settings, input_paths
 from recon.base.tables import write_frame
 from recon.check.verdict import add_verdict
-from recon.cli.answers import Answer
-from recon.cli.commands import OptionsOf
-from recon.cli.fit import FitRunSettings, fit
 from recon.clip import views_of
 from recon.fit.motion import Motion
 from recon.show.plain import to_json
@@ -27,8 +23,6 @@ from recon.thesis.chain import load_chain
 from recon.thesis.inspect import TABLES, read_solver
 from recon.thesis.objectives import FrameOptions
 from recon.thesis.solver import solve_frames
-
-_OPTIONS = tuple(name for name, info in SETTINGS.items() if name != "method" and info.option.method in (None, "frame"))
 
 
 def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
@@ -53,22 +47,7 @@ def load_body(settings: FitSettings) -> Body:
     return load_chain(settings.skeleton_name).body
 
 
-def frame(
-    settings: FitRunSettings,
-    given: Annotated[dict[str, Any], OptionsOf(FitSettings, _OPTIONS)],
-    console: Console,
-    progress: Progress,
-) -> Answer:
-    """Fit one side of the animal as a chain, one frame after the other: the thesis' method, to compare with.
-
-    Example: recon frame clip.csv --camera scene.json --camera-name cam2 --fps 90 --out results/clip
-
-    Exit code 0: done. 1: no frame could be solved. 2: the input cannot be used.
-    """
-    return fit(settings, {**given, "method": "frame"}, console, progress)
-
-
-# -- recon solver -----------------------------------------------------------------------------------------------------
+# -- what the optimiser did --------------------------------------------------------------------------------------------
 
 FOLDER, SUMMARY, JACOBIAN = "solver", "solver.json", "jacobian.npz"
 """By default the folder lies in the folder of results."""
@@ -76,7 +55,7 @@ FIGURES_BEGIN = 0.5
 """Share of the progress before the figures."""
 
 
-class _SolverSettings(Settings):
+class SolverSettings(Settings):
     """Settings of `recon solver`."""
 
     folder: Annotated[Path, Option(argument="DIR")]
@@ -90,22 +69,28 @@ class _SolverSettings(Settings):
     overwrite: bool = False
     """Replace earlier tables."""
 
+    @property
+    def out_folder(self) -> Path:
+        """Return the folder of the outputs."""
+        return self.folder / FOLDER if self.out is None else self.out
 
-def solver(settings: _SolverSettings, progress: Progress) -> Answer:
-    """Show what the optimiser of `recon frame` did: cost, gradient, Jacobian, limits.
 
-    Writes tables (CSV), the Jacobian (NPZ) and figures (PNG, SVG).
+def run_solver(settings: SolverSettings, progress: Progress = silent) -> tuple[dict[str, Any], list[Path]]:
+    """Write the tables, the Jacobian and the figures of `recon solver`.
 
-    Example: recon solver results/clip
+    Returns
+    -------
+    tuple
+        solver.json, and the files that were written.
     """
-    out = settings.folder / FOLDER if settings.out is None else settings.out
+    from recon.show.plots import style
+    from recon.thesis.figures import FIGURES
+
+    out = settings.out_folder
     made_from = ReadResults.read(settings.folder)
     motion = Motion.load(settings.folder)
     inputs = input_paths(settings)
     output = Output(out, "solver", settings.overwrite, inputs, made_from, content="what the optimiser did")
-    from recon.show.plots import style
-    from recon.thesis.figures import FIGURES
-
     with sole_writer(out):
         output.require((SUMMARY, *TABLES, JACOBIAN))
         progress("problem", 0.1)
@@ -118,9 +103,11 @@ def solver(settings: _SolverSettings, progress: Progress) -> Answer:
                 write_frame(table, staging / name)
             record.write_jacobian(staging / JACOBIAN)
             (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
+            files = [out / path.name for path in staging.iterdir()]
         if settings.figures:
             with output.staged(adds=True) as staging:
                 for i, draw in enumerate(FIGURES):
                     progress(f"figures: {draw.__name__}", FIGURES_BEGIN + (1.0 - FIGURES_BEGIN) * i / len(FIGURES))
                     style.save(draw(record), staging, draw.__name__)
-    return Answer(summary, [f"{len(TABLES) + 2 + 2 * len(FIGURES) * settings.figures} files are in {out}."])
+                files += [out / path.name for path in staging.iterdir()]
+    return summary, sorted(files)

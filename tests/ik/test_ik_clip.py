@@ -13,9 +13,10 @@ import pytest
 from command_line import refusal, refused, run, says
 from scipy.interpolate import CubicSpline
 
+from recon.cli.ik import CLOSES_PERCENT
 from recon.fit.motion import Motion
 from recon.gait.gait import pose_gait
-from recon.ik.clip import CLOSES_PERCENT, METHODS, IkSettings, run_ik
+from recon.ik.clip import METHODS, IkSettings, run_ik
 from recon.ik.drive import drive_to
 from recon.ik.limb import cost_of, fit_parameters, follow_stride, limb_of, methods_of, stride_lasts_s, stride_of
 from recon.ik.methods import LeastNorm, damped_least_squares, weighted_least_norm

@@ -44,6 +44,7 @@ from recon.base.documents import validated
 from recon.base.errors import InputError, Problem, collect_problems, problems_of, raise_problems
 from recon.base.files import MANIFEST, seen_from
 from recon.base.locks import sole_writer
+from recon.base.numbers import counted
 from recon.base.outputs import Output
 from recon.base.package import version
 from recon.base.parallel import STARTING, Event, Tell, carry_out, carry_out_on_cluster
@@ -51,7 +52,7 @@ from recon.base.progress import Progress
 from recon.base.settings import Count, Integer, OneOrMore, Option, Settings
 from recon.base.tables import guarded, unguarded
 from recon.check.verdict import NOTHING_AGAINST
-from recon.cli.answers import Answer, counted, progress_bar, say, stop, table_of, terminal
+from recon.cli.answers import Answer, progress_bar, say, stop, table_of, terminal
 from recon.cli.commands import OptionsOf
 from recon.fit.result import LEVELS
 from recon.io.common import text_rows

@@ -26,10 +26,8 @@ z up.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from math import degrees
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -37,7 +35,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
-from rich.table import Table
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from recon.base.arrays import Array, Bools, Integers
@@ -47,7 +44,6 @@ from recon.base.files import MANIFEST, name_seen_from
 from recon.base.locks import sole_writer
 from recon.base.outputs import Output
 from recon.base.settings import Number, Option, Settings, input_paths
-from recon.cli.answers import EXIT_UNSOLVED, Answer, table_of
 from recon.geometry.frames import rigid
 from recon.io.writing import write_rows
 from recon.robotics.physics import Rule, margins_figure
@@ -486,7 +482,7 @@ def capped(step: Array, max_step_m: float, max_turn_rad: float) -> Array:
     return step / max(1.0, shift / max_step_m, turn / max_turn_rad)
 
 
-class _ClimbSettings(Settings):
+class ClimbSettings(Settings):
     """The settings of `recon climb`."""
 
     recipe: Annotated[str, Option(argument="RECIPE")] = "found-50"
@@ -501,13 +497,16 @@ class _ClimbSettings(Settings):
     """Replace earlier ones."""
 
 
-def climb(settings: _ClimbSettings) -> Answer:
-    """Climb a step with a four-legged robot, by potential fields.
+# -- a plan, written ---------------------------------------------------------------------------------------------
 
-    Example: recon climb published-50 --height 0.045 --out results/climb
+REPORT, PLAYBACK = "report.json", "climb.rrd"
+FILES = ("joints.csv", "base.csv", "feet.csv", "margins.csv", REPORT, PLAYBACK, MANIFEST)
+"""What every climb gets, besides figures."""
+_COLUMNS = 4
 
-    Exit code 0: valid in every frame. 1: it is not, and all is written. 2: the input cannot be used.
-    """
+
+def run_climb(settings: ClimbSettings) -> dict[str, Any]:
+    """Plan a climb, write its tables, figures and playback, and return report.json. Raises InputError."""
     out = settings.out
     output = Output(out, "climb", settings.overwrite, input_paths(settings), has_manifest=True, mark=PLAYBACK)
     recipe, _ = collect_problems(lambda: load_recipe(settings.recipe), lambda: output.require(FILES))
@@ -520,33 +519,10 @@ def climb(settings: _ClimbSettings) -> Answer:
             if settings.figures:
                 save(climb_footfalls(done), staging, "footfalls")
                 save(margins_figure(done.motion.time_s, done.margins, RULES, _title(done)), staging, "margins")
-    return Answer(report, _climb_lines(report, out), code=0 if report["valid"] else EXIT_UNSOLVED)
+    return report
 
 
-def _climb_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
-    pitch, rate = degrees(report["largest_pitch_rad"]), 100 * report["rate_share"]
-    yield (
-        f"{report['robot']} climbs {1000 * report['step_m']:.0f} mm in {report['duration_s']:.1f} s, "
-        f"{report['frames']} frames; pitch up to {pitch:.0f}°; joints at {rate:.0f} % of the fastest rate at most"
-    )
-    least = report["least_margins"].values()
-    rows = ((row["what"], f"{row['value']:.1f}", row["unit"], f"{row['at_s']:.2f}") for row in least)
-    yield table_of("least margin", numbers=("", "", "at s"), rows=rows)
-    yield "valid in every frame" if report["valid"] else f"not valid: {'; '.join(report['problems'])}"
-    if report["settled_share"] < 1:
-        yield f"note: in equilibrium in {100 * report['settled_share']:.0f} % of the frames only"
-    yield f"The playback is {out / PLAYBACK}."
-
-
-# -- what the command runs ---------------------------------------------------------------------------------------------
-
-REPORT, PLAYBACK = "report.json", "climb.rrd"
-FILES = ("joints.csv", "base.csv", "feet.csv", "margins.csv", REPORT, PLAYBACK, MANIFEST)
-"""What every climb gets, besides figures."""
-_COLUMNS = 4
-
-
-def _report(climb: Climb, settings: _ClimbSettings) -> dict[str, Any]:
+def _report(climb: Climb, settings: ClimbSettings) -> dict[str, Any]:
     recipe, time_s = climb.recipe, climb.motion.time_s
     name = name_seen_from(settings.out, settings.recipe)
     least = {

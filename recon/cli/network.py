@@ -1,0 +1,66 @@
+"""The commands of the keypoint network: `recon train` and `recon predict`, in words."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from recon.base.progress import Progress
+from recon.cli.answers import Answer, stop
+from recon.keypoint_net.network import LIKELY, PredictSettings, run_prediction
+from recon.keypoint_net.train import CHECKPOINT_FILE, TrainRunSettings, run_training
+from recon.show.plain import picked
+
+
+def train_command(settings: TrainRunSettings, progress: Progress) -> Answer:
+    """Train a small keypoint network on a few labels in DeepLabCut's layout.
+
+    Example: recon train run.mp4 --labels CollectedData_me.csv --out models/run
+    """
+    out, options = settings.out, picked(settings, "device", "threads", "resume", "overwrite")
+    try:
+        report = run_training(settings, settings, out, **options, progress=progress)
+    except KeyboardInterrupt:
+        message = "the same command with --resume goes on from the last checkpoint"
+        if not (out / CHECKPOINT_FILE).is_file():
+            message = "there is no checkpoint yet"
+        stop(f"Stopped: {message}.")
+    return Answer(report, _training_lines(report, out))
+
+
+def _training_lines(report: dict[str, Any], out: Path) -> Iterator[str]:
+    yield f"{report['steps']} steps in {report['seconds']:.0f} s on {report['device']}."
+    best = report["best_validation"]
+    if best:
+        yield f"Validation pictures, before any was learned from: median error {best['median_px']:.2f} px at best."
+        if best["median_px"] > 2 * (right_px := report["tolerance_px"]):
+            yield f"That is too far off to be of use: a point counts as right within {right_px:.1f} px."
+            yield "Train longer (--minutes), or label more."
+    if "test" in report["errors"]:
+        score = report["errors"]["test"]["all"]
+        yield f"Test pictures: median error {score['median_px']:.2f} px, {score['pck_px']['5.0']:.0%} within 5 px."
+    suspects = report["suspicious_labels"]
+    if suspects:
+        first = suspects[0]
+        worst = f"{first['keypoint']} in {first['image']} the most"
+        yield f"{len(suspects)} labels look wrong, {worst}: see {out / 'suspicious.csv'}."
+    yield f"The network and its report are in {out}. Use it with: recon predict VIDEO --model {out} --out FILE.csv"
+
+
+def predict_command(settings: PredictSettings, progress: Progress) -> Answer:
+    """Find the keypoints in every frame of a video, with a network that `recon train` made.
+
+    Example: recon predict run.mp4 --model models/run --out run.csv --overlay run_points.mp4
+    """
+    start = time.monotonic()
+    keypoints = run_prediction(**picked(settings, *settings.infos()), progress=progress)
+    frames, seconds = len(keypoints.frames), time.monotonic() - start
+    sure = float((keypoints.confidence >= LIKELY).mean())
+    drawn = f", drawn on the video in {settings.overlay}" if settings.overlay else ""
+    speed = f"{frames} frames in {seconds:.1f} s ({frames / seconds:.0f} a second)"
+    likely = f"{sure:.0%} of the points have a likelihood of {LIKELY:g} or more"
+    sentence = f"{speed}; {likely}. They are in {settings.out}{drawn}."
+    data = {**picked(settings, "out", "overlay"), "frames": frames, "seconds": seconds, "likely_share": sure}
+    return Answer(data | {"notes": keypoints.notes}, [sentence], notes=keypoints.notes)

@@ -1,0 +1,103 @@
+"""The commands that move a robot: `recon retarget` and `recon climb`, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import degrees
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from recon.cli.answers import EXIT_UNSOLVED, Answer, table_of, verdict_texts
+from recon.robotics import physics
+from recon.robotics.climb.plan import PLAYBACK, ClimbSettings, run_climb
+from recon.robotics.retarget_clip import RetargetSettings, run_retarget
+
+
+def retarget_command(settings: RetargetSettings) -> Answer:
+    """Put the motion of a reconstruction, and one stride that repeats, on a four-legged robot.
+
+    Example: recon retarget results/clip --robot a1 --out results/robot
+    """
+    done, report = run_retarget(settings)
+    verdict = done.animal.analysis.motion.verdict
+    return Answer(report, [*verdict_texts(verdict), *_retarget_lines(report, settings.out)])
+
+
+def _retarget_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
+    scale = f"moves {report['scale']:.3f} times as far as the animal, in {report['slower']:.2f} times its time"
+    yield f"{report['robot']['title']}: {scale}"
+    for name in ("clip", "stride"):
+        part = report[name]
+        slip, margin = 1000 * max(part["slip_m"].values()), min(part["least_margin_rad"].values())
+        rate = 100 * max(part["rate_share"].values())
+        text = (
+            f"{name}: {part['duration_s']:.2f} s, {part['speed_m_s']:.2f} m/s; feet slip by {slip:.2f} mm at most in "
+            f"stance; joints stay {margin:.2f} rad within their limits, at {rate:.0f} % of the fastest rate"
+        )
+        if name == "stride":
+            text += f"; its ends meet to {max(part['closing_percent'], 0.1):.1g} %"
+        yield text
+    if "samples" in report:
+        apart = report["samples"]
+        place, angle = (max(apart[name].values()) for name in ("base_sigma_m", "joint_sigma_rad"))
+        text = f"{apart['count']} motions that it may have been, in {out / 'samples.npz'}: the base is known to"
+        yield f"{text} {place:.3f} m, joint angles to {angle:.2f} rad (one standard deviation, the worst)"
+        if "keep_every_rule" in apart:
+            yield f"{apart['keep_every_rule']} of these motions keep every rule below in every frame"
+    if "check" in report:
+        yield from _check_lines(report["check"])
+    yield from (f"note: {note}" for note in report["notes"])
+    yield f"Joint angles: {out / 'joints.csv'}, of one stride stride_joints.csv; the playback is motion.rrd."
+
+
+def _check_lines(check: dict[str, Any]) -> Iterator[str | Table]:
+    before = check.get("before")
+    numbers = [*(["before, %"] if before else []), "clip, %", "stride, %", "least", ""]
+    table, advice = table_of("frames that keep it", numbers=numbers), {}
+    for name, rule in physics.RULES.items():
+        clip, stride = check["clip"][name], check["stride"][name]
+        earlier = [f"{100 * min(before[part][name]['share'] for part in ('clip', 'stride')):.0f}"] if before else []
+        shares = [f"{100 * part['share']:.0f}" for part in (clip, stride)]
+        table.add_row(rule.what, *earlier, *shares, f"{min(clip['least'], stride['least']):.2f}", rule.unit)
+        if min(clip["share"], stride["share"]) < 1:
+            advice[rule.what] = rule.advice
+    yield table
+    if before:
+        made = check["changed"]
+        yield (
+            f"changed: time {made['slower']:.2f} times, stride {made['scale']:.2f} times, standing height "
+            f"{made['height']:.2f} times; the base moved by up to {1000 * made['base_moved_m']:.0f} mm and "
+            f"{degrees(made['base_turned_rad']):.0f}°"
+        )
+        if advice:
+            yield "note: no change that was tried keeps every rule in every frame; this one comes nearest"
+    else:
+        yield from (f"{what}: {change}" for what, change in advice.items())
+
+
+def climb(settings: ClimbSettings) -> Answer:
+    """Climb a step with a four-legged robot, by potential fields.
+
+    Example: recon climb published-50 --height 0.045 --out results/climb
+
+    Exit code 0: valid in every frame. 1: it is not, and all is written. 2: the input cannot be used.
+    """
+    report = run_climb(settings)
+    return Answer(report, _climb_lines(report, settings.out), code=0 if report["valid"] else EXIT_UNSOLVED)
+
+
+def _climb_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
+    pitch, rate = degrees(report["largest_pitch_rad"]), 100 * report["rate_share"]
+    yield (
+        f"{report['robot']} climbs {1000 * report['step_m']:.0f} mm in {report['duration_s']:.1f} s, "
+        f"{report['frames']} frames; pitch up to {pitch:.0f}°; joints at {rate:.0f} % of the fastest rate at most"
+    )
+    least = report["least_margins"].values()
+    rows = ((row["what"], f"{row['value']:.1f}", row["unit"], f"{row['at_s']:.2f}") for row in least)
+    yield table_of("least margin", numbers=("", "", "at s"), rows=rows)
+    yield "valid in every frame" if report["valid"] else f"not valid: {'; '.join(report['problems'])}"
+    if report["settled_share"] < 1:
+        yield f"note: in equilibrium in {100 * report['settled_share']:.0f} % of the frames only"
+    yield f"The playback is {out / PLAYBACK}."
