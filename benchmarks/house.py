@@ -112,15 +112,6 @@ UPWARD = {
     "recon.thesis.solution": {"recon.thesis.report"},  # the method's own sections of the report
     "recon.api.clip": {"recon.thesis.clip"},  # fit_clip, by the frame method
     "recon.api.clip_inputs": {"recon.thesis.clip"},  # the chain of the frame method
-    "recon.api.convert": {"recon.robotics.retarget_clip", "recon.cli"},  # results of recon retarget
-    "recon.api.analyse": {"recon.cli"},
-    "recon.api.batch.__init__": {"recon.cli"},
-    "recon.api.calibrate": {"recon.cli"},
-    "recon.api.camera_motion": {"recon.cli"},
-    "recon.api.compare": {"recon.cli"},
-    "recon.api.extrinsics": {"recon.cli"},
-    "recon.api.models": {"recon.cli"},
-    "recon.api.skeleton": {"recon.cli"},
 }
 """Modules that import, inside a function, what is built on them, and which modules that is."""
 

@@ -14,8 +14,9 @@ import numpy as np
 from PIL import Image
 
 from recon import FitSettings, Motion, samples_folder
-from recon.api.analyse import AnalyseSettings, analyse_command
+from recon.api.analyse import AnalyseSettings
 from recon.api.clip_results import run_clip
+from recon.cli.analyse import analyse_command
 from recon.cli.app import app
 from recon.cli.look import OverlaySettings, overlay
 from recon.io.video import read_frames, video_writer

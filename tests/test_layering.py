@@ -119,7 +119,7 @@ def is_file(module: str) -> bool:
 
 
 def is_folder(module: str) -> bool:
-    return (ROOT / Path(*module.split("."))).is_dir()
+    return (ROOT / Path(*module.split(".")) / "__init__.py").is_file()
 
 
 def defines(origin: str, name: str) -> bool:
@@ -131,7 +131,7 @@ def defines(origin: str, name: str) -> bool:
 def definitions(module: str) -> set[str]:
     """The functions, classes and variables at the top of a module, also below `if`, `try` or `with`."""
     path = ROOT / Path(*module.split("."))
-    path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    path = path / "__init__.py" if is_folder(module) else path.with_suffix(".py")
     names, nodes = set(), list[ast.AST](ast.parse(path.read_text(encoding="utf-8")).body)
     while nodes:
         node = nodes.pop()

@@ -19,7 +19,7 @@ from recon.testing.bones import FPS, READERS, largest_error_m
 def main() -> None:
     from recon import FitSettings
     from recon.api.clip_results import run_clip
-    from recon.api.convert import ConvertSettings, convert
+    from recon.cli.convert import ConvertSettings, convert
     from recon.fit.motion import Motion
 
     samples = Path(__file__).resolve().parents[2] / "data" / "samples"

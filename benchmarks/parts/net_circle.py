@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from recon.api.camera_motion import camera_motion, of_clip
+from recon.api.camera_motion import of_clip
 from recon.api.clip_results import run_clip
 from recon.api.samples import samples_folder
 from recon.api.settings import FitSettings
+from recon.cli.cameras import camera_motion
 from recon.clip import Keypoints
 from recon.gait.evaluation import Evaluation, evaluate_files
 from recon.io.deeplabcut import write_csv

@@ -1,17 +1,14 @@
-"""`recon analyse`: what a fitted clip says of the animal's movement, in tables, figures, and plots in the playback."""
+"""Analyse a fitted clip: the animal's movement in tables, figures, and plots in the playback."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from rich.table import Table
-from rich.text import Text
 from threadpoolctl import threadpool_limits
 
 from recon.api.settings import ANYWAY, STRIDE, StrideTimes
@@ -22,13 +19,11 @@ from recon.base.progress import Progress, silent
 from recon.base.settings import Option, Positive, Settings, input_paths
 from recon.check.codes import sentence
 from recon.check.verdict import usable, verdict_fields
-from recon.cli.answers import Answer, table_of, verdict_texts
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import ClipAnalysis, analyse, over_belt
 from recon.gait.dynamics import OVER_STRIDE, Dynamics, findings_of_dynamics, over_stride
-from recon.gait.gait import Gait, Stride, doubtful_text, interval_of, interval_text
+from recon.gait.gait import Gait, Stride, doubtful_text, interval_of
 from recon.show.plain import picked, to_json
-from recon.show.sentences import result_sentences
 from recon.show.tables import TABLES, write_analysis
 
 if TYPE_CHECKING:
@@ -63,19 +58,31 @@ class AnalyseSettings(Settings):
     overwrite: bool = False
     """Replace an earlier analysis."""
 
+    @property
+    def out_folder(self) -> Path:
+        """Return the folder of the outputs."""
+        return self.folder / FOLDER if self.out is None else self.out
 
-MOST_STANCES = 100
-"""How many stances are printed at most, of all feet."""
+
+@dataclass(frozen=True)
+class WrittenAnalysis:
+    """An analysis, and what was written of it."""
+
+    analysis: ClipAnalysis
+    summary: dict[str, Any]
+    """analysis.json."""
+    files: Sequence[Path]
 
 
-def analyse_command(settings: AnalyseSettings, progress: Progress = silent) -> Answer:
-    """Kinematics, gait, vector fields and phase portraits of a reconstruction.
+def run_analysis(settings: AnalyseSettings, progress: Progress = silent) -> WrittenAnalysis:
+    """Analyse the motion in a folder of results, and write tables and figures.
 
-    Writes tables (CSV) and figures (PNG, SVG); recon view shows the plots beside the playback from then on.
-
-    Example: recon analyse results/clip
+    Raises
+    ------
+    InputError
+        For results that cannot be used, and files that may not be replaced.
     """
-    out = settings.folder / FOLDER if settings.out is None else settings.out
+    out = settings.out_folder
     progress("reading", 0.0)
     made_from = ReadResults.read(settings.folder)
     motion = Motion.load(settings.folder)
@@ -87,54 +94,19 @@ def analyse_command(settings: AnalyseSettings, progress: Progress = silent) -> A
         output.require((SUMMARY, *TABLES))
         progress("analysis", 0.1)
         with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
-            found = analyse(motion, settings.stride)
-        found = replace(found, body_mass_kg=settings.body_mass_kg)
-        summary = summarise(found, settings.folder.absolute().name)
+            analysis = analyse(motion, settings.stride)
+        analysis = replace(analysis, body_mass_kg=settings.body_mass_kg)
+        summary = summarise(analysis, settings.folder.absolute().name)
         progress("tables", FIGURES_BEGIN - 0.1)
         with output.staged() as staging:
-            write_analysis(found, staging)
+            write_analysis(analysis, staging)
             (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
-            files = [path.name for path in staging.iterdir()]
-        if settings.figures:  # whatever befalls them, the tables are there
+            names = [path.name for path in staging.iterdir()]
+        if settings.figures:  # after the tables, which are there whatever befalls the figures
             with output.staged(adds=True) as staging:
-                write_figures(found, staging, progress)
-                files += [path.name for path in staging.iterdir()]
-    lines = [*_lines(found, summary), f"{len(files)} files are in {out}."]
-    if out == settings.folder / FOLDER and (settings.folder / PLAYBACK).is_file():
-        lines.append(f"See them beside the playback with: recon view {settings.folder}")
-    return Answer(summary, lines, files=[out / name for name in sorted(files)])
-
-
-ACCELERATION_KNOWN_M_S2 = 10.0
-"""Standard deviation of an acceleration above which no number is given: animals hardly have more."""
-
-
-def _lines(found: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str | Text | Table]:
-    motion = found.motion
-    yield from verdict_texts(motion.verdict)
-    yield from result_sentences(motion, found.reference_motion, found.gait, found.why_no_speed)
-    net, sigma = found.net_acceleration_m_s2
-    if math.isfinite(net) and sigma > ACCELERATION_KNOWN_M_S2:
-        yield "Acceleration along the way: this camera does not tell it."
-    elif math.isfinite(net):
-        yield f"Acceleration along the way, over the whole clip: {interval_text(net, sigma, 'm/s²', '+')}."
-    if "spine_flexion" in found.angles:
-        low, high = (math.degrees(angle) for angle in found.angles["spine_flexion"].range_rad)
-        yield f"Flexion of the spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)."
-    if (d := found.dynamics) is not None and len(d.forces):
-        peak, low, high = d.forces[["peak_bw", "peak_low_bw", "peak_high_bw"]].mean()
-        said = f"{peak:.1f} body weights (90 %: {low:.1f} to {high:.1f}), mean over the stances in forces.csv"
-        yield f"Peak vertical force of a foot: {said}."
-    if (stride := found.stride) is not None:
-        which = "as given" if found.given is not None else f"of {stride.foot}"
-        yield f"Phase portraits: the stride from {stride.start_s:.3f} to {stride.end_s:.3f} s, {which}."
-    if found.gait is not None and len(found.gait.stances) <= MOST_STANCES:
-        spans: dict[str, list[str]] = {foot: [] for foot in motion.foot_names}
-        for s in found.gait.stances:
-            spans[s.foot].append(f"{'' if s.begins else '≤'}{s.start_s:.3f}-{s.end_s:.3f}{'' if s.ends else '+'}")
-        rows = ((f"{foot} {motion.foot_names[foot]}", ", ".join(of) or "none") for foot, of in spans.items())
-        yield table_of("foot", f"stances, s (frame number / {motion.fps:g})", rows=rows)
-    yield from (f"note: {note}" for note in summary["notes"])
+                write_figures(analysis, staging, progress)
+                names += [path.name for path in staging.iterdir()]
+    return WrittenAnalysis(analysis, summary, [out / name for name in sorted(names)])
 
 
 # -- summary ---------------------------------------------------------------------------------------------------------

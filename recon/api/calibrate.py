@@ -1,15 +1,10 @@
-"""`recon calibrate`: pictures or a video of a board in, a camera file and a picture of the evidence out."""
+"""Calibrate a camera: pictures or a video of a board in, a camera file and a picture of the evidence out."""
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
-
-from rich.table import Table
-from rich.text import Text
 
 from recon.base.errors import Problem, collect_problems, raise_problems
 from recon.base.files import write_bytes
@@ -19,8 +14,6 @@ from recon.base.settings import OneOrMore, Option, Settings, input_paths
 from recon.calibrate.boards import calibrate as solved
 from recon.calibrate.boards import check as checked
 from recon.calibrate.boards import collect, find_views, parse_board
-from recon.check.codes import names_text
-from recon.cli.answers import Answer, table_of
 from recon.geometry.lens import LENS_MODELS
 from recon.io.camera_files import write_camera
 from recon.show.plain import picked
@@ -47,52 +40,6 @@ class CalibrationSettings(Settings):
     """Write a calibration that is refused."""
     overwrite: bool = False
     """Replace the camera file."""
-
-
-def calibrate(settings: CalibrationSettings, progress: Progress) -> Answer:
-    """Calibrate a camera: pictures or a video of a board in, a camera file and a picture of the coverage out.
-
-    Example: recon calibrate board/ --board chessboard:9x6:25mm --model radtan --out camera.toml
-
-    Exit code 0: written. 1: refused, because a check failed. 2: the input cannot be used.
-    """
-    report = run_calibration(settings, progress)
-    errors = []
-    if report["written"] is None:
-        errors = [f"refused: {check['text']}" for check in report["checks"] if check["verdict"] == "refused"]
-        what = f"mend that, or say --force. What there is: {report['picture']}"
-        errors.append(f"{settings.out} was not written: {what}")
-    return Answer(json.dumps(report, indent=1) + "\n", _lines(report), errors)  # the camera to the last digit
-
-
-def _lines(report: dict[str, Any]) -> Iterator[str | Text | Table]:
-    pictures, written = report["pictures"], report["written"]
-    rows = (
-        (
-            *(view["name"], str(view["corners"]), f"{view['rms_px']:.2f}", f"{view['max_px']:.2f}"),
-            *(f"{math.degrees(view['tilt_rad']):.0f}°", f"{view['distance_m']:.2f}"),
-            "" if view["used"] else Text("left out", style="red"),
-        )
-        for view in pictures
-    )
-    yield table_of("picture", numbers=("corners", "error px", "worst px", "tilt", "distance m", ""), rows=rows)
-    looked = f"{report['board']}: found in {report['found']} of {report['examined']} pictures"
-    if report["found"] > len(pictures):
-        looked += f", the {len(pictures)} sharpest and most different were taken"
-    yield looked
-    if report["without_board"]:
-        yield f"Not found in: {names_text(report['without_board'])}"
-    yield ""
-    for row in report["parameters"]:
-        digits, unit = (1, " px") if row["name"] in ("fx", "fy", "cx", "cy") else (4, "")
-        sigma = math.inf if row["sigma"] is None else row["sigma"]
-        yield f"{row['name']}  {row['value']:.{digits}f} ± {sigma:.{digits}f}{unit}"
-    yield f"reprojection error {report['rms_px']:.3f} px (root mean square)"
-    for check in report["checks"]:
-        if check["verdict"] == "warning" or (check["verdict"] == "refused" and written is not None):
-            yield Text.assemble(("warning: ", "yellow"), check["text"])
-    if written is not None:
-        yield f"Written: {written}, and what it rests on: {report['picture']}"
 
 
 def run_calibration(settings: CalibrationSettings, progress: Progress = silent) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""`recon camera-motion`: the video of a camera that turns in, a camera track, a report and a panorama out."""
+"""Find how a camera turned: its video in, a camera track, a report and a panorama out."""
 
 from __future__ import annotations
 
@@ -16,13 +16,11 @@ from recon.api.settings import FIRST_FRAME, FitSettings
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import write_bytes
-from recon.base.numbers import counted
-from recon.base.outputs import Output, output_file, require_suffix
+from recon.base.outputs import Output, require_suffix
 from recon.base.progress import Progress, silent
-from recon.base.settings import Integer, Number, Option, Settings, input_paths
+from recon.base.settings import Integer, Number, Option, Settings
 from recon.calibrate.camera_motion.rotation import LevelMark, as_level, read_marks, tilted, up_by_marks
 from recon.calibrate.camera_motion.track import CLEARLY, Tracker, TurningMotion, panorama, thumbnail
-from recon.cli.answers import Answer
 from recon.clip import Keypoints
 from recon.geometry.camera import Camera
 from recon.io.calibration import read_camera
@@ -44,7 +42,7 @@ NOTES = (
 )
 
 
-class _MotionSettings(Settings):
+class CameraMotionSettings(Settings):
     """The settings of `recon camera-motion`."""
 
     video: Annotated[Path, Option(argument="VIDEO")]
@@ -74,21 +72,12 @@ class _MotionSettings(Settings):
             yield Problem("--tilt-deg", "level", f"{self.tilt_deg:g} beside {self.level_marks}", "one of the two")
 
 
-def of_clip(settings: FitSettings, video: Path, out: Path, **more: Any) -> _MotionSettings:
+def of_clip(settings: FitSettings, video: Path, out: Path, **more: Any) -> CameraMotionSettings:
     """For the one camera of a clip, which has a calibration. more: other fields."""
     assert settings.camera is not None
     of_first = {"camera": settings.camera[0], "keypoints": settings.keypoints[0]}
     more |= of_first | {"camera_name": next(iter(settings.camera_name or ()), None)}
-    return _MotionSettings(video=video, out=out, **picked(settings, "individual", "tilt_deg"), **more)
-
-
-def camera_motion(settings: _MotionSettings, progress: Progress = silent) -> Answer:
-    """Find how a camera turned (and zoomed) from the background of its video: a camera track.
-
-    Example: recon camera-motion clip.mp4 --camera camera.toml --keypoints clip.csv --out track.csv
-    """
-    output = output_file(settings.out, "camera-motion", settings.overwrite, input_paths(settings))
-    return run_camera_motion(settings, output, progress)
+    return CameraMotionSettings(video=video, out=out, **picked(settings, "individual", "tilt_deg"), **more)
 
 
 def motion_files(track: Path) -> tuple[str, str, str]:
@@ -96,8 +85,8 @@ def motion_files(track: Path) -> tuple[str, str, str]:
     return track.name, f"{track.stem}_report.json", f"{track.stem}_panorama.png"
 
 
-def run_camera_motion(settings: _MotionSettings, output: Output, progress: Progress = silent) -> Answer:
-    """Find how a camera turned, as `recon camera-motion` does, and write its files to an output."""
+def run_camera_motion(settings: CameraMotionSettings, output: Output, progress: Progress = silent) -> dict[str, Any]:
+    """Find how a camera turned, write the files of `motion_files` to an output, and return the report."""
     files = motion_files(settings.out)
     info, lens, animal, marks, *_ = collect_problems(
         lambda: probe(settings.video),
@@ -134,16 +123,7 @@ def run_camera_motion(settings: _MotionSettings, output: Output, progress: Progr
         _write_track(track_file, settings, motion, lens)
         report_file.write_text(to_json(report), encoding="utf-8")
         write_bytes(picture_file, cv2.imencode(".png", drawn)[1].tobytes())
-    paths = [settings.out.with_name(name) for name in files]
-    lost, keyframes = len(report["frames_without_background"]), counted(len(report["keyframes"]), "keyframe")
-    lines = [f"{report['frames'] - lost} of {report['frames']} frames placed, {keyframes}."]
-    lines += [f"Too little background in {counted(lost, 'frame')}: no pose there."] if lost else []
-    fit, known = f"{report['residual_px']:.2f} px", f"{report['sigma_deg']:.3f}°"
-    lines.append(f"The background fits to {fit}; the camera's direction is known to ±{known}.")
-    notes = report["notes"][len(NOTES) :]
-    lines += [f"Note: {note}." for note in notes]
-    lines.append(f"Level: {report['level']}. A rolling shutter is not modelled.")
-    return Answer(report, [*lines, "Written: " + ", ".join(map(str, paths))], files=paths, notes=notes)
+    return report
 
 
 # -- what cannot be used ----------------------------------------------------------------------------------------------
@@ -161,7 +141,7 @@ def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:
     )
 
 
-def _require_turning(s: _MotionSettings, motion: TurningMotion, lens: Camera) -> None:
+def _require_turning(s: CameraMotionSettings, motion: TurningMotion, lens: Camera) -> None:
     """Raises InputError for a cut, for too little background, and for a camera that did more than turn."""
     if motion.cut is not None:
         found = f"a cut, or a jump of the whole view, at frame {motion.cut + s.first_frame}"
@@ -184,7 +164,7 @@ def _require_turning(s: _MotionSettings, motion: TurningMotion, lens: Camera) ->
         raise InputError(Problem(s.video, "background", found, f"no more than {MAX_LOST:.0%} of such frames"))
 
 
-def _require_same_frames(s: _MotionSettings, points: dict[int, Array], times_s: Array) -> None:
+def _require_same_frames(s: CameraMotionSettings, points: dict[int, Array], times_s: Array) -> None:
     """Raises InputError where the keypoint file counts otherwise than the video."""
     outside = [number for number in points if not 0 <= number < len(times_s)]
     if outside:
@@ -205,7 +185,7 @@ def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
 
 
 def _up(
-    s: _MotionSettings, motion: TurningMotion, lens: Camera, marks: Sequence[LevelMark]
+    s: CameraMotionSettings, motion: TurningMotion, lens: Camera, marks: Sequence[LevelMark]
 ) -> tuple[Array | None, str]:
     """Up (3,) in the first frame's camera, None if the mean frame is to be level, and how that is known."""
     if s.tilt_deg is not None:
@@ -221,7 +201,7 @@ def _up(
 # -- what comes out ---------------------------------------------------------------------------------------------------
 
 
-def _write_track(path: Path, s: _MotionSettings, motion: TurningMotion, camera: Camera) -> None:
+def _write_track(path: Path, s: CameraMotionSettings, motion: TurningMotion, camera: Camera) -> None:
     turns = Rotation.from_matrix(np.stack([one.rotation for one in motion.orientations]))
     q = turns.as_quat(canonical=True, scalar_first=True)
     poses = np.round(np.concatenate([q, np.zeros((len(q), 3))], axis=1), 9)
@@ -233,7 +213,7 @@ def _write_track(path: Path, s: _MotionSettings, motion: TurningMotion, camera: 
     write_table(path, [["frame", *POSE, *(INTRINSICS if s.zoom else ()), SIGMA]], motion.frames + s.first_frame, poses)
 
 
-def _report(s: _MotionSettings, motion: TurningMotion, lens: Camera, level: str, times_s: Array) -> dict[str, Any]:
+def _report(s: CameraMotionSettings, motion: TurningMotion, lens: Camera, level: str, times_s: Array) -> dict[str, Any]:
     axes = np.stack([orientation.rotation[2] for orientation in motion.orientations])
     pan = np.degrees(np.unwrap(np.arctan2(axes[:, 0], axes[:, 1])))
     tilt = np.degrees(-np.arcsin(np.clip(axes[:, 2], -1, 1)))

@@ -1,4 +1,4 @@
-"""`recon compare`: strides and speeds of several clips beside each other, by group, with the uncertainty of each.
+"""Compare several clips: their strides and speeds beside each other, by group, with the uncertainty of each.
 
 A clip's mean has a standard deviation s of its own: of its strides' scatter, and of what the fit does not know. Clips
 of a group differ by more than that, by tau. The group's mean weighs each clip by 1 / (s^2 + tau^2), with tau by the
@@ -9,6 +9,7 @@ is that of all clips and adds to the mean of lengths and speeds, however many cl
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 from textwrap import fill
@@ -17,7 +18,6 @@ from typing import Annotated, Any
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from rich.table import Table
 
 from recon.api.clip_results import CONFIG
 from recon.api.settings import ANYWAY
@@ -25,14 +25,12 @@ from recon.base.arrays import Array
 from recon.base.documents import read_toml
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import write_bytes
-from recon.base.numbers import counted
 from recon.base.outputs import Output
-from recon.base.progress import Progress
+from recon.base.progress import Progress, silent
 from recon.base.settings import OneOrMore, Option, Settings, input_paths
 from recon.base.tables import write_frame
 from recon.check.codes import names_text
 from recon.check.verdict import usable
-from recon.cli.answers import Answer, table_of
 from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
 from recon.fit.result import TrajectorySolution
@@ -52,7 +50,7 @@ ALL = "all"
 """The group, where there is no column to go by."""
 
 
-class _CompareSettings(Settings):
+class CompareSettings(Settings):
     """The settings of `recon compare`."""
 
     folders: Annotated[OneOrMore[Path], Option(argument="DIR")]
@@ -72,11 +70,19 @@ class _CompareSettings(Settings):
             yield Problem("--by", "table", "one of --table and --by", "both: a table, and its column")
 
 
-def compare(settings: _CompareSettings, progress: Progress) -> Answer:
-    """Strides and speeds of several clips, by group: each with its uncertainty, and the groups' means and spreads.
+@dataclass(frozen=True)
+class Comparison:
+    """The clips and the groups of a comparison, and what was left out."""
 
-    Example: recon compare results/a results/b results/c --table animals.csv --by sex --out comparison
-    """
+    clips: pd.DataFrame
+    groups: pd.DataFrame
+    left_out: Sequence[str]
+    """Names of the results that were not compared."""
+    notes: Sequence[str]
+
+
+def run_compare(settings: CompareSettings, progress: Progress = silent) -> Comparison:
+    """Compare the strides and speeds of several clips, and write the tables and the figure. Raises InputError."""
     out = settings.out
     some = [path for path in settings.folders if not path.is_file()] or settings.folders  # all/* has files of the batch
     folders = []
@@ -131,8 +137,7 @@ def compare(settings: _CompareSettings, progress: Progress) -> Answer:
             f"Probably of one run, by their cameras' folder, frames and paths, and yet each counted as a clip: "
             f"{names_text(twice)}. Give one result of each run, best that of all its cameras."
         )
-    data = {"groups": groups.to_dict("records"), "left_out": [*left_out, *copies], "notes": notes}
-    return Answer(data, _lines(clips, groups, out), notes=notes)
+    return Comparison(clips, groups, [*left_out, *copies], notes)
 
 
 def _copies(motions: Mapping[str, Motion], folders: Mapping[str, Path]) -> dict[str, str]:
@@ -191,31 +196,6 @@ def _one_run(one: Motion, other: Motion, seen: _Seen, others: _Seen) -> bool:
     times, of_one, of_other = np.intersect1d(one.frames[one.solved], other.frames[other.solved], return_indices=True)
     apart_m = one.root_m[one.solved][of_one] - other.root_m[other.solved][of_other]
     return bool(len(times) and np.linalg.norm(apart_m, axis=1).mean() <= sum(high_m))
-
-
-def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str | Table]:
-    levels = clips["verdict"].value_counts()
-    yield f"{counted(len(clips), 'clip')}: " + ", ".join(f"{n} {level}" for level, n in levels.items())
-    known = clips.groupby("group")[[*QUANTITIES]].count()
-    rows = (
-        (
-            *map(str, (fill(row["group"], 20), QUANTITIES[q][0], known.loc[row["group"], q], row["strides"])),
-            *_cells(row[q], row[f"{q}_sigma"], row[f"{q}_spread"]),
-        )
-        for row in groups.to_dict("records")
-        for q in QUANTITIES
-    )
-    yield table_of("group", "quantity", numbers=("clips", "strides", "mean", "±", "spread"), rows=rows)
-    yield "±: one standard deviation of the mean, with the size's; spread: one standard deviation between the clips."
-    if missing := [QUANTITIES[q][0] for q in QUANTITIES if q not in _known(clips)]:
-        none = "No clip has a complete stride: no" if not groups["strides"].sum() else "No clip has a known"
-        yield f"{none} {', '.join(missing)}."
-    yield f"Rows by stride, clip and group (CSV and Parquet), and {FIGURE}, are in {out}."
-
-
-def _cells(mean: float, sigma: float, spread: float) -> tuple[str, ...]:
-    shown = f"{mean:.3g}", f"{sigma:.2g}", f"{spread:.2g}"
-    return tuple("-" if one == "nan" else one for one in shown)
 
 
 def _groups(table: Path | None, by: str | None, names: Sequence[str]) -> dict[str, str]:
@@ -316,7 +296,7 @@ def _group_rows(clips: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _known(clips: pd.DataFrame) -> list[str]:
+def known_quantities(clips: pd.DataFrame) -> list[str]:
     """The quantities that some clip has."""
     return [name for name in QUANTITIES if clips[name].notna().any()]
 
@@ -324,7 +304,7 @@ def _known(clips: pd.DataFrame) -> list[str]:
 def _figure(clips: pd.DataFrame, groups: pd.DataFrame) -> Figure:
     """Each clip with one standard deviation, and each group's mean with that of the mean, by quantity that is known."""
     with drawing(62.0) as figure:
-        known = _known(clips)
+        known = known_quantities(clips)
         panels = figure.subplots(1, max(len(known), 1), squeeze=False)[0]
         for axes, name in zip(panels, known, strict=False):
             for at, group in enumerate(groups["group"]):

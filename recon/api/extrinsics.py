@@ -1,29 +1,23 @@
-"""`recon calibrate extrinsics`: lenses and clips of the animal in, where the cameras stand out."""
+"""Find where cameras stand: lenses and clips of the animal in, a file with all poses out."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from pydantic import Field
-from rich.console import Console
 
-from recon.api.batch.inputs import AUTO, find_clips
+from recon.api.batch_inputs import AUTO, find_clips
 from recon.api.clip_inputs import ClipInputs, prepare
 from recon.api.clip_results import input_files, read_settings
 from recon.api.settings import FitSettings
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
-from recon.base.numbers import length_text
 from recon.base.outputs import output_file, require_suffix
 from recon.base.progress import Progress, silent
-from recon.base.settings import Number, OneOrMore, Option, Settings
-from recon.cli.answers import Answer, say
-from recon.cli.commands import OptionsOf
 from recon.clip import Source, View, align_cameras, camera_poses
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.extrinsics import LEVEL_RAD, search_offsets, solve_extrinsics
@@ -37,72 +31,6 @@ UNTOLD_DEG = 10.0
 """A camera whose turn is known no better is not told by its clips: it may stand anywhere (benchmarks/cameras.py)."""
 LEAST_MOVED = 0.5
 """The least way of an animal, in its lengths in the picture: on its feet it swings by less."""
-
-
-_SETTINGS = (
-    *("camera", "camera_name", "camera_unit", "image_size_px", "tilt_deg", "refine_cameras", "offset_s"),
-    *("find_offsets", "fps"),
-    *("skeleton", "subject", "detector", "prior", "individual", "rename", "frames", "likelihood_min", "sigma_px"),
-    "keypoint_sigma_m",
-)
-"""The settings of a fit that are read."""
-_OfClips = Annotated[dict[str, Any], OptionsOf(FitSettings, _SETTINGS)]
-
-
-class _ExtrinsicsSettings(Settings):
-    """The settings of `recon calibrate extrinsics` beside those of the clips."""
-
-    inputs: Annotated[OneOrMore[str], Option(argument="INPUT")]
-    """Keypoint files, quoted patterns, folders, or manifests, as for recon batch."""
-    out: Path
-    """The file of all cameras, as in cameras.toml."""
-    cameras_by: Annotated[str, Option(metavar="auto|PATTERN")] = "auto"
-    """Which files are one clip, as for recon batch."""
-    level_deg: Annotated[Number, Field(ge=0.01, le=90)] | None = None
-    """How far each camera is from level or its tilt, in degrees; 1 with a bubble. (default: 5)"""
-    overwrite: bool = False
-    """Replace the file."""
-
-
-def extrinsics(settings: _ExtrinsicsSettings, given: _OfClips, progress: Progress, console: Console) -> Answer:
-    """Find where cameras stand, from their lenses and clips of the animal: one tells it roughly, several well.
-
-    With --set refine-cameras=true, the poses in the camera file are taken for as good as 2 degrees and 5 cm, and are
-    refined.
-
-    Example: recon calibrate extrinsics run*_cam*.csv --camera lenses.toml --fps 90 --out cameras.toml
-
-    Exit code 0: written. 2: the input cannot be used.
-    """
-    clips, notes = clips_of(settings.inputs, given, settings.cameras_by)
-    for note in notes:
-        say(console, note, "yellow")
-    level_rad = math.radians(settings.level_deg or 0.0)
-    cameras, report = run_extrinsics(clips, settings.out, settings.overwrite, level_rad, progress)
-    written = f"Written: {settings.out}. Fit clips with: recon fit ... --camera {settings.out}"
-    return Answer(report, [*lines_of(cameras, report), written])
-
-
-def lines_of(cameras: Sequence[Camera], report: Mapping[str, Any]) -> Iterator[str]:
-    """Where the cameras stand, and what there is to say of the clips."""
-    first = cameras[0].centre_world
-    for camera, known in zip(cameras, report["cameras"], strict=True):
-        turn, shift = (float(np.linalg.norm(known[name])) for name in ("turn_sigma_rad", "shift_sigma_m"))
-        sure = f", known to {math.degrees(turn):.1f}° and {length_text(shift)}" if turn or shift else ""
-        height = length_text(camera.centre_world[2], known["height_sigma_m"])
-        yield f"{camera.name}: {height} high, {length_text(math.dist(camera.centre_world, first))} from the first{sure}"
-    for clip in report["clips"]:
-        if clip["found_offsets"]:
-            names, offsets = [Path(path).name for path in clip["keypoints"]], clip["offset_s"]
-            both = ", ".join(f"{name} {s:+.4f} s" for name, s in zip(names[1:], offsets[1:], strict=True))
-            yield f"After {names[0]}: {both}"
-    apart = [clip["disagreement"] for clip in report["clips"]]
-    most = {camera.name: max(of[camera.name] for of in apart) for camera in cameras}
-    if len(apart) > 1 and max(most.values()) > DISAGREEMENT:
-        name = max(most, key=most.__getitem__)
-        yield f"The clips disagree on where the cameras stand, most on {name}: was one moved between them?"
-    if not report["converged"]:
-        yield "The search had not settled when it was ended: more clips, of other ways through the view, tell more."
 
 
 def clips_of(

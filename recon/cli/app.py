@@ -31,7 +31,7 @@ def _fit() -> CommandFunction:
 
 
 def _batch() -> CommandFunction:
-    from recon.api.batch import batch
+    from recon.cli.batch import batch
 
     return batch
 
@@ -65,13 +65,13 @@ def _report() -> CommandFunction:
 
 
 def _analyse() -> CommandFunction:
-    from recon.api.analyse import analyse_command
+    from recon.cli.analyse import analyse_command
 
     return analyse_command
 
 
 def _compare() -> CommandFunction:
-    from recon.api.compare import compare
+    from recon.cli.compare import compare
 
     return compare
 
@@ -83,7 +83,7 @@ def _evaluate() -> CommandFunction:
 
 
 def _convert() -> CommandFunction:
-    from recon.api.convert import convert
+    from recon.cli.convert import convert
 
     return convert
 
@@ -95,25 +95,25 @@ def _overlay() -> CommandFunction:
 
 
 def _calibrate() -> CommandFunction:
-    from recon.api.calibrate import calibrate
+    from recon.cli.cameras import calibrate
 
     return calibrate
 
 
 def _calibrate_extrinsics() -> CommandFunction:
-    from recon.api.extrinsics import extrinsics
+    from recon.cli.cameras import extrinsics
 
     return extrinsics
 
 
 def _camera_motion() -> CommandFunction:
-    from recon.api.camera_motion import camera_motion
+    from recon.cli.cameras import camera_motion
 
     return camera_motion
 
 
 def _camera_advice() -> CommandFunction:
-    from recon.cli.camera_advice import camera_advice
+    from recon.cli.cameras import camera_advice
 
     return camera_advice
 
@@ -137,31 +137,31 @@ def _evaluate_2d() -> CommandFunction:
 
 
 def _skeleton_list() -> CommandFunction:
-    from recon.api.skeleton import skeleton_list
+    from recon.cli.models import skeleton_list
 
     return skeleton_list
 
 
 def _skeleton_check() -> CommandFunction:
-    from recon.api.skeleton import skeleton_check
+    from recon.cli.models import skeleton_check
 
     return skeleton_check
 
 
 def _skeleton_from_keypoints() -> CommandFunction:
-    from recon.api.skeleton import skeleton_from_keypoints
+    from recon.cli.models import skeleton_from_keypoints
 
     return skeleton_from_keypoints
 
 
 def _subject_fit() -> CommandFunction:
-    from recon.api.models import subject_fit
+    from recon.cli.models import subject_fit
 
     return subject_fit
 
 
 def _prior_fit() -> CommandFunction:
-    from recon.api.models import prior_fit
+    from recon.cli.models import prior_fit
 
     return prior_fit
 

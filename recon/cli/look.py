@@ -18,7 +18,7 @@ from rich.console import Console
 from recon.api.analyse import FOLDER, PLAYBACK
 from recon.api.analyse import SUMMARY as ANALYSIS
 from recon.api.batch import read_rows, write_summary_page
-from recon.api.batch.inputs import SUMMARY
+from recon.api.batch_inputs import SUMMARY
 from recon.api.clip_cameras import cameras_in
 from recon.api.settings import ANYWAY, FIRST_FRAME
 from recon.base.arrays import Array, Index

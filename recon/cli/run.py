@@ -16,11 +16,11 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 from rich.console import Console
 
-from recon.api.analyse import FOLDER, AnalyseSettings, analyse_command
+from recon.api.analyse import FOLDER, AnalyseSettings
 from recon.api.analyse import SUMMARY as ANALYSIS
-from recon.api.batch import ClipPlan, OnEvent, Summary, results_of, shown_batch, summary_output, work_off
-from recon.api.batch.inputs import SUMMARY, Clip, file_names
-from recon.api.camera_motion import motion_files, of_clip, run_camera_motion
+from recon.api.batch import ClipPlan, OnEvent, Summary, results_of, summary_output, work_off
+from recon.api.batch_inputs import SUMMARY, Clip, file_names
+from recon.api.camera_motion import motion_files, of_clip
 from recon.api.clip_inputs import read_model_and_cameras
 from recon.api.clip_results import (
     FIT,
@@ -41,7 +41,10 @@ from recon.base.outputs import Output, adopt
 from recon.base.parallel import carry_out
 from recon.base.progress import Progress, silent
 from recon.base.settings import Count, Integer, Option, Settings, input_paths
+from recon.cli.analyse import analyse_command
 from recon.cli.answers import Answer, answer_of_fit, progress_bar, say
+from recon.cli.batch import shown_batch
+from recon.cli.cameras import camera_motion_answer
 from recon.cli.commands import OptionsOf
 from recon.cli.look import OverlaySettings, PageSettings, overlay, rate_note, report
 from recon.fit.motion import Motion
@@ -308,7 +311,7 @@ def _stages(job: _Job) -> dict[str, _Stage]:
         files = film | {"camera": given.camera[0], "keypoints": keypoints}
         how = first | {"motion": run.camera_motion} | picked(given, "camera_name", "tilt_deg", "individual")
         track = output("camera-motion")
-        work, made_of = partial(run_camera_motion, turning, track), partial(identity_of, files, how)
+        work, made_of = partial(camera_motion_answer, turning, track), partial(identity_of, files, how)
         stages["camera-motion"] = _Stage(work, made_of, track, motion_files(run.track))
     analysis = AnalyseSettings(folder=out, overwrite=True)
     drawn = OverlaySettings(out=out / OVERLAY, overwrite=True, **shown)

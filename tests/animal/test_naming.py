@@ -26,8 +26,9 @@ from recon.animal.naming import (
 )
 from recon.api.clip_inputs import prepare
 from recon.api.clip_results import identity, run_clip
-from recon.api.convert import ConvertSettings, read_any
-from recon.api.skeleton import check_skeleton, draft_skeleton
+from recon.api.skeleton_check import check_skeleton
+from recon.api.skeleton_draft import draft_skeleton
+from recon.cli.convert import ConvertSettings, read_any
 from recon.fit.motion import Motion
 from recon.io.deeplabcut import write_csv
 from recon.io.formats import read_keypoints

@@ -30,8 +30,9 @@ from recon.animal.prior_fit import (
     log_likelihood,
 )
 from recon.animal.skeleton_file import load_skeleton
-from recon.api.models import _lines, _sound_states
+from recon.api.prior_fit import _sound_states
 from recon.cli.app import app
+from recon.cli.models import _prior_lines
 from recon.fit.motion import Motion
 from recon.io.positions import read_pose_segments
 
@@ -416,11 +417,11 @@ def test_files_of_one_name_and_too_few_frames(body, tmp_path):
     done = run_prior_fit(PriorFitSettings(poses=files, out=tmp_path / "a.npz", skeleton="cheetah-24", fps="100"))
     assert [row["name"] for row in done["segments"]] == ["run0-truth", "run1-truth"]
     assert (done["components"], done["components_asked"]) == (6, 16)
-    assert any(says(note, "6 components", 16, "20 frames") for note in _lines(done) if isinstance(note, str))
+    assert any(says(note, "6 components", 16, "20 frames") for note in _prior_lines(done) if isinstance(note, str))
     few = run_prior_fit(
         PriorFitSettings(poses=files, out=tmp_path / "b.npz", skeleton="cheetah-24", fps="100", components=6)
     )
-    assert not [note for note in _lines(few) if isinstance(note, str) and "in place of" in note]
+    assert not [note for note in _prior_lines(few) if isinstance(note, str) and "in place of" in note]
 
 
 def test_every_problem_of_a_command(body, tmp_path):

@@ -19,9 +19,10 @@ from recon.animal.chain import builtin_chains
 from recon.animal.naming import both_sides, builtin_maps, load_names, without_side
 from recon.animal.prior import prior_from_body
 from recon.animal.skeleton_file import builtin_names
-from recon.api.skeleton import _SkeletonCheckSettings, check_skeleton, skeleton_check
+from recon.api.skeleton_check import check_skeleton
 from recon.base.outputs import RECORD
 from recon.cli.app import app
+from recon.cli.models import _SkeletonCheckSettings, skeleton_check
 from recon.clip import still_view
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.trajectory import solve_trajectory

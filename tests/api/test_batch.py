@@ -22,15 +22,16 @@ import tomli_w
 from command_line import Refusal, carry_out_here, compare, refusal, refused, run, says
 
 from recon import FitSettings, InputError, find_clips, fit_clip, plan_batch, run_batch
-from recon.api.analyse import AnalyseSettings, analyse_command
+from recon.api.analyse import AnalyseSettings
 from recon.api.batch import COLUMNS, RECORD, Summary, fit_planned, input_problems, read_rows
-from recon.api.batch.inputs import Clip, is_manifest
+from recon.api.batch_inputs import Clip, is_manifest
 from recon.api.clip_results import Record, output_of, run_clip
 from recon.base import parallel
 from recon.base.locks import sole_writer
 from recon.base.outputs import Output
 from recon.base.parallel import Event, outcome_of
 from recon.base.progress import silent
+from recon.cli.analyse import analyse_command
 from recon.io.calibration import read_cameras
 
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"
@@ -109,7 +110,7 @@ def test_a_file_that_may_not_be_read_is_said(clips, monkeypatch):
         def fails(path: Path, kind: str) -> None:
             raise OSError(5, "Input/output error")
 
-        disk.setattr("recon.api.batch.inputs.recognised", fails)
+        disk.setattr("recon.api.batch_inputs.recognised", fails)
         with refusal((clips, "files", "no keypoint files")):
             find_clips([clips], QUICK)
     if Path("/proc/self/mem").exists():  # nothing of it can be read

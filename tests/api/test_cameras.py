@@ -24,8 +24,9 @@ from scipy.spatial.transform import Rotation
 from recon import Camera, FitSettings, Motion, clean, fit_clip, samples_folder
 from recon.api.clip_cameras import cameras_in
 from recon.api.clip_inputs import prepare
-from recon.api.extrinsics import clips_of, lines_of, run_extrinsics
+from recon.api.extrinsics import clips_of, run_extrinsics
 from recon.base.numbers import plus_minus
+from recon.cli.cameras import lines_of
 from recon.clip import Source, View, align_cameras
 from recon.fit.extrinsics import solve_extrinsics
 from recon.fit.result import TrajectorySolution

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -359,7 +358,7 @@ def test_command_says_what_is_missing(frame_results, tmp_path):
 def test_quiet_prints_nothing_and_many_stances_are_not_listed(whole_results, tmp_path, monkeypatch):
     quiet = run("analyse", whole_results, "--out", tmp_path / "a", "--no-figures", "--quiet")
     assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
-    monkeypatch.setattr(sys.modules["recon.api.analyse"], "MOST_STANCES", 3)
+    monkeypatch.setattr("recon.cli.analyse.MOST_STANCES", 3)
     many = run("analyse", whole_results, "--out", tmp_path / "b", "--no-figures")
     assert "LH l_back_paw" not in many.out
     assert re.search(r"Strides are 4\.\d\d m long, 3\.\d\d a second \(average of the feet.s [5-9] strides\)", many.out)

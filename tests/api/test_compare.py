@@ -11,8 +11,9 @@ import pandas as pd
 import pytest
 from command_line import Refusal, refused, run, says
 
-from recon.api.compare import QUANTITIES, _figure, _group_rows, _lines, _mean_of
+from recon.api.compare import QUANTITIES, _figure, _group_rows, _mean_of
 from recon.base.files import write_manifest
+from recon.cli.compare import _lines
 from recon.fit.motion import Motion
 
 

@@ -11,8 +11,8 @@ from command_line import refused, run, says
 
 from recon.animal.prior import prior_from_body
 from recon.animal.skeleton_file import load_skeleton
+from recon.api.camera_advice import where
 from recon.calibrate.camera_advice import ELEVATIONS_RAD, advise, known, length_m, mean_stride, placed
-from recon.cli.camera_advice import where
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.geometry.camera import Camera
 

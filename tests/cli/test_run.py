@@ -81,7 +81,7 @@ def called(monkeypatch, report, small_trajectory) -> list[str]:
         return json.loads(report)
 
     monkeypatch.setattr("recon.keypoint_net.network.run_prediction", predict)
-    monkeypatch.setattr("recon.cli.run.run_camera_motion", track)
+    monkeypatch.setattr("recon.cli.run.camera_motion_answer", track)
     monkeypatch.setattr("recon.cli.run._check_inputs", lambda job: None)
     monkeypatch.setattr("recon.cli.run.fit_into", write_results)
     monkeypatch.setattr("recon.cli.run.analyse_command", does("analyse", "analysis/analysis.json"))

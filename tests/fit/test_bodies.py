@@ -31,13 +31,9 @@ from recon.animal.naming import fitting_maps, load_names, new_names
 from recon.animal.prior import prior_from_body
 from recon.api.clip_inputs import prepare
 from recon.api.clip_results import run_clip
-from recon.api.skeleton import (
-    _SkeletonDraftSettings,
-    check_skeleton,
-    draft_skeleton,
-    drafted,
-    skeleton_from_keypoints,
-)
+from recon.api.skeleton_check import check_skeleton
+from recon.api.skeleton_draft import SkeletonDraftSettings, draft_skeleton, drafted
+from recon.cli.models import skeleton_from_keypoints
 from recon.clip import View, camera_poses, still_view
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.posterior import with_noise_about_bias
@@ -295,10 +291,10 @@ def test_a_draft_from_geometry(skeleton, alone, tmp_path):
     off_m = np.linalg.norm(found.joints_m - true_m[:, order], axis=2)  # with the keypoints' bias
     assert np.median(off_m) < 1.5 * true.keypoint_sigma_m
     with refusal(("KEYPOINTS", "files", "2 files without --camera", "--camera")):
-        skeleton_from_keypoints(_SkeletonDraftSettings(keypoints=tuple(files[:2]), out=tmp_path / "a.toml"))
+        skeleton_from_keypoints(SkeletonDraftSettings(keypoints=tuple(files[:2]), out=tmp_path / "a.toml"))
     with refusal(("--camera", "poses", "cam1 with a pose", "two or more")):
         skeleton_from_keypoints(
-            _SkeletonDraftSettings(keypoints=(files[0],), camera=(rig,), fps=rigs.FPS, out=tmp_path / "a.toml")
+            SkeletonDraftSettings(keypoints=(files[0],), camera=(rig,), fps=rigs.FPS, out=tmp_path / "a.toml")
         )
 
 
@@ -319,7 +315,7 @@ def test_a_draft_from_a_calibration_in_millimetres(tmp_path):
     def drafted_with(**options) -> str:
         out = tmp_path / "mine.toml"
         given = {"keypoints": tuple(files), "camera": (rig,), "fps": rigs.FPS, "out": out, "overwrite": True}
-        skeleton_from_keypoints(_SkeletonDraftSettings(**given, **options))
+        skeleton_from_keypoints(SkeletonDraftSettings(**given, **options))
         return out.read_text()
 
     with refusal(("--up", "up", "do not say which way is up", ["-y", "first-camera"])):

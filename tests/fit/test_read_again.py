@@ -15,8 +15,8 @@ from recon.animal.body import Body
 from recon.animal.skeleton_file import builtin_names, load_skeleton
 from recon.api import analyse as analysis
 from recon.api.clip_results import run_clip
-from recon.api.convert import ConvertSettings, convert
-from recon.api.skeleton import draft_skeleton
+from recon.api.skeleton_draft import draft_skeleton
+from recon.cli.convert import ConvertSettings, convert
 from recon.cli.look import PageSettings, report
 from recon.clip import camera_poses
 from recon.io.camera_files import write_camera, write_cameras

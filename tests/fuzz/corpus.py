@@ -329,7 +329,7 @@ def _by_map(path: Path) -> object:
 
 
 def _rates(path: Path) -> object:
-    from recon.api.models import _rates as read
+    from recon.api.prior_fit import _rates as read
 
     return read(str(path), [path])
 

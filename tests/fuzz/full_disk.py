@@ -54,7 +54,7 @@ def read_results(out: Path) -> object:
 
 
 def read_data(out: Path) -> object:
-    from recon.api.convert import ConvertSettings, read_any
+    from recon.cli.convert import ConvertSettings, read_any
 
     if out.suffix in (".osim", ".glb"):  # by others
         sizes = [path.stat().st_size for path in out.parent.glob(f"{out.stem}.*")]

@@ -16,9 +16,9 @@ from command_line import refusal, says
 from exact_tables import read_csv
 from typer.testing import CliRunner
 
-from recon.api.convert import ConvertSettings, choose_format, convert
 from recon.base.outputs import RECORD
 from recon.cli.app import app, main
+from recon.cli.convert import ConvertSettings, choose_format, convert
 from recon.clip import Keypoints
 from recon.io.common import Pose3D
 from recon.io.formats import CONVERTED, FORMATS, Format, read_keypoints

@@ -15,7 +15,8 @@ from networks import NAMES, grey, write_labels
 
 from recon import evaluate_files, find_clips
 from recon.animal.naming import load_names
-from recon.api.skeleton import _SkeletonDraftSettings, skeleton_from_keypoints
+from recon.api.skeleton_draft import SkeletonDraftSettings
+from recon.cli.models import skeleton_from_keypoints
 from recon.io.deeplabcut_project import find_project, predictions
 from recon.io.formats import read_keypoints
 from recon.io.positions import read_pose3d
@@ -63,7 +64,7 @@ def project(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("name", ["", "config.yaml"])
 def test_a_skeleton_of_a_project(project, tmp_path, name):
     out = tmp_path / "a.toml"
-    found = skeleton_from_keypoints(_SkeletonDraftSettings(keypoints=project / name, out=out)).data
+    found = skeleton_from_keypoints(SkeletonDraftSettings(keypoints=project / name, out=out)).data
     assert [*found["keypoints"]] == ["nose", "l_eye", "neck_base", "tail_base", "l_front_paw", "r_front_paw"]
     assert found["without_place"] == ()
     assert 'keypoints of "horse-me-2026-05-01"' in out.read_text(encoding="utf-8")
@@ -84,7 +85,7 @@ def test_a_configuration(project):
     assert find_project(config) is None
     config.write_text("Task: dogs\nscorer: me\nbodyparts:\n", encoding="utf-8")
     with refusal(("config.yaml", "bodyparts", "none")):
-        skeleton_from_keypoints(_SkeletonDraftSettings(keypoints=config, out=project / "a.toml"))
+        skeleton_from_keypoints(SkeletonDraftSettings(keypoints=config, out=project / "a.toml"))
 
 
 @pytest.mark.parametrize("name", ["", "config.yaml"])

@@ -19,7 +19,7 @@ from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 from recon import FitSettings, InputError
-from recon.api.convert import ConvertSettings, convert
+from recon.cli.convert import ConvertSettings, convert
 from recon.clip import Keypoints
 from recon.io.calibration import read_cameras
 from recon.io.columns import parse_map

@@ -13,7 +13,7 @@ import pytest
 from command_line import refusal, refused, run, says
 
 from recon.animal.skeleton_file import builtin_names, load_skeleton
-from recon.api.convert import ConvertSettings, convert
+from recon.cli.convert import ConvertSettings, convert
 from recon.fit.motion import Motion
 from recon.io.bones import Armature, write_bvh, write_gltf, write_opensim
 from recon.io.positions import read_pose3d

@@ -1,217 +1,44 @@
-"""`recon skeleton list` and `check`: a description of skeletons, remarks on what looks odd, and pictures.
+"""Draft a skeleton file from the keypoints of a detector.
 
-`recon skeleton from-keypoints`: a skeleton file from the names of a detector's keypoints.
-
-It has the quadruped's segments, with markers of these names. With several cameras it has segments from where the
-keypoints are, whatever they are called: keypoints that keep all their distances are a body, and bodies are joined where
-their points keep theirs best. Expected is a pose that the animal had, out of which its segments swing as far as they
-did.
+By their names it has the quadruped's segments, with markers of these names. With several cameras it has segments from
+where the keypoints are, whatever they are called: keypoints that keep all their distances are a body, and bodies are
+joined where their points keep theirs best. Expected is a pose that the animal had, out of which its segments swing as
+far as they did.
 """
 
 from __future__ import annotations
 
 import json
 import re
-import shlex
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from rich.table import Table
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial.distance import squareform
 
-from recon.animal.body import MIN_JOINTS, PLACES, Body, other_side, side_of
-from recon.animal.chain import load_chain
+from recon.animal.body import MIN_JOINTS, PLACES, other_side, side_of
 from recon.animal.naming import fitting_maps, fitting_skeleton, load_names, suggestions
-from recon.animal.prior import load_prior
-from recon.animal.skeleton_file import builtin_names, load_skeleton
+from recon.animal.skeleton_file import load_skeleton
 from recon.api.clip_cameras import read_clip_cameras
 from recon.api.clip_inputs import arrange, read_clips
 from recon.api.rigs import FIRST_CAMERA
 from recon.api.settings import INDIVIDUAL, UNITS_M, FitSettings, Unit
+from recon.api.skeleton_check import LARGEST_ANIMAL_M
 from recon.base.arrays import Array
 from recon.base.documents import builtin_file
 from recon.base.errors import InputError, Problem, collect_problems
 from recon.base.numbers import length_text
-from recon.base.outputs import Output, output_file
+from recon.base.outputs import output_file
 from recon.base.settings import File, OneOrMore, Option, Positive, Settings, input_paths
 from recon.check.agreement import points_m
-from recon.cli.answers import Answer, table_of
 from recon.clip import Source, align_cameras, clean, views_of
-from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES
 from recon.io.deeplabcut_project import bodyparts, find_project
 from recon.io.formats import read_keypoints
 from recon.show.plain import by_name, picked
-
-STEMS = ("skeleton", "angles")
-"""Pictures, each as .png and .svg: the expected pose with names; every angle at both ends of its range."""
-REACH_SIGMAS = 2.0
-"""Ends of the expected range of an angle."""
-
-
-class _SkeletonCheckSettings(Settings):
-    """The settings of `recon skeleton check`."""
-
-    skeleton: Annotated[str, Option(argument="SKELETON")]
-    """A TOML file, or the name of a built-in skeleton, as in my-dog.toml."""
-    subject: str | None = None
-    """Lengths measured on one animal: built-in name or TOML file."""
-    out: Path | None = None
-    """Folder for pictures (skeleton, angles: PNG and SVG)."""
-    overwrite: bool = False
-    """Replace pictures in the folder."""
-
-
-def skeleton_list() -> Answer:
-    """List the skeletons that come with the package.
-
-    Example: recon skeleton list
-    """
-    shown = ("name", "kind", "markers", "unknowns", "title")
-    checks = map(check_skeleton, builtin_names())
-    found = [{name: c[name] for name in shown} | {"markers": len(c["markers"])} for c in checks]
-    return Answer(found, [table_of(*shown, rows=(map(str, row.values()) for row in found))])
-
-
-def skeleton_check(settings: _SkeletonCheckSettings) -> Answer:
-    """Check a skeleton file, list what is in it, and draw it.
-
-    Example: recon skeleton check my-dog.toml --out my-dog
-
-    Exit code 0: it can be used. 2: it cannot; every problem is named.
-    """
-    check, out = check_skeleton(settings.skeleton, settings.subject), settings.out
-    if out is not None:
-        from recon.show.plots.configurations import angle_ranges, views
-        from recon.show.plots.style import save
-
-        pictures = [f"{stem}{end}" for stem in STEMS for end in (".png", ".svg")]
-        given = input_paths(settings)
-        output = Output(out, "skeleton check", settings.overwrite, given, content="these pictures")
-        output.require(pictures)
-        body, title = load_skeleton(settings.skeleton, settings.subject), f"{check['name']}: {check['title']}"
-        figures = views(body, title), angle_ranges(body, REACH_SIGMAS, title)
-        with output.staged() as staging:
-            for stem, figure in zip(STEMS, figures, strict=True):
-                save(figure, staging, stem)
-    return Answer(check, [*_lines(check), *([] if out is None else [f"Pictures are in {out}."])])
-
-
-def _lines(check: dict[str, Any]) -> Iterator[str | Table]:
-    yield f"{check['name']}: {check['title']}"
-    yield (
-        f"A {check['kind']} with {len(check['markers'])} markers and {check['unknowns']} unknowns a frame, "
-        f"{length_text(check['length_m'])} long and {length_text(check['height_m'])} high in its expected pose "
-        f"(size ± {100 * check['size_sigma']:.0f} %, keypoints within {length_text(check['keypoint_sigma_m'])})."
-    )
-    names = ("yaw", "pitch", "roll")
-    rows = []
-    for part in check["parts"]:
-        ranges = {angle["name"]: f"{angle['low_deg']:.0f} to {angle['high_deg']:.0f}" for angle in part["angles"]}
-        lengths = f"{part['length_m']:.3f}", *(ranges.get(name, "-") for name in names)
-        rows.append((part["name"], part["parent"], *lengths))
-    yield table_of("segment", "turns on", numbers=("length m", *(f"{name} °" for name in names)), rows=rows)
-    rows = [(m["name"], m["segment"], *(f"{x:.3f}" for x in m["at_m"])) for m in check["markers"]]
-    yield table_of("marker", "on segment", numbers=("x m", "y m", "z m"), rows=rows)
-    yield "Angles: mean ± 2 standard deviations; - for none."
-    if links := check.get("links"):
-        rows = [(link["name"], link["from"], link["to"], f"{link['length_ratio']:.3f}") for link in links]
-        yield table_of("link", "from", "to", numbers=("length / base length",), rows=rows)
-        yield f"Base length: {check['base_length_m']:.3f} m"
-        names = check["unknown_names"]
-        yield f"The {len(names)} unknowns of a frame (recon frame): {', '.join(names)}"
-    yield f"Feet: {', '.join(f'{foot} ({label})' for label, foot in check['feet'].items()) or 'none'}"
-    yield from (f"Limb {limb}: {', '.join(markers)}" for limb, markers in check["limbs"].items())
-    yield f"Prior of a fit, unless --prior says otherwise: {check['prior']}"
-    yield from [f"Look at this: {remark}" for remark in check["remarks"]] or ["Nothing looks odd."]
-
-
-def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> dict[str, Any]:
-    """What a skeleton's file describes: `length_m` and `height_m` are those of the expected pose, `unknowns` those of a
-    frame, `prior` is the one that a fit takes by default, and `remarks` say what is allowed, but looks like a mistake.
-    Raises InputError, naming every problem, for a file that describes no skeleton."""
-    body = load_skeleton(name_or_path, subject)
-    length, _, height = np.ptp(body.expected_points_m(), axis=0).tolist()
-    return {
-        **picked(body, "name", "title", "size_sigma", "keypoint_sigma_m", "limbs"),
-        "kind": "chain" if body.one_sided else "whole animal",
-        "unknowns": body.n_state,
-        "length_m": length,
-        "height_m": height,
-        "prior": load_prior(None, body).name,
-        "feet": body.feet_by_label(),
-        "remarks": [*_remarks(body)],
-        "parts": [*_segments(body)],
-        **_published(name_or_path, body),
-        "markers": [{"name": m.name, "segment": m.segment, "at_m": m.offset_m} for m in body.tree.markers],
-    }
-
-
-def _published(name_or_path: str | Path, body: Body) -> dict[str, Any]:
-    """Return a chain's links with their ratios to the base length, and the unknowns of the frame method."""
-    if not body.one_sided:
-        return {}
-    chain = load_chain(name_or_path)
-    links = [
-        {"name": link.name, "from": link.start, "to": link.end, "length_ratio": link.length_ratio}
-        for link in chain.links
-    ]
-    return {"base_length_m": chain.nominal_base_length_m, "links": links, "unknown_names": chain.unknown_names}
-
-
-def _segments(body: Body) -> Iterator[dict[str, Any]]:
-    """Each segment with what is expected of its angles: mean, ends of the range, and how quickly they change."""
-    expected = zip(*np.rad2deg([body.mean_rad, body.sigma_rad, body.acceleration_rad_s2]), strict=True)
-    for segment in body.tree.segments:
-        angles = []
-        for axis in AXES[segment.joint][segment.parent is None :]:  # all but the root's heading
-            mean, sigma, acceleration = map(float, next(expected))
-            reach = REACH_SIGMAS * sigma
-            of = {"name": ANGLE_OF_AXIS[axis], "mean_deg": mean, "low_deg": mean - reach, "high_deg": mean + reach}
-            angles.append(of | {"rate": f"{acceleration:.0f} °/s²"})
-        yield {
-            "name": segment.name,
-            "parent": segment.parent or "",
-            "joint": segment.joint,
-            "length_m": float(np.linalg.norm(segment.offset_m)),
-            "angles": angles,
-            "points": [m.name for m in body.tree.markers if m.segment == segment.name],
-        }
-
-
-# -- what looks odd ------------------------------------------------------------------------------------------------
-
-
-def _remarks(body: Body) -> Iterator[str]:
-    at = dict(zip(body.markers, body.expected_points_m(), strict=True))
-    rear, front = (at[marker] for marker in body.forward)
-    if (length_m := float(np.ptp([*at.values()], axis=0).max())) > LARGEST_ANIMAL_M:
-        yield f"lengths: the animal is {length_text(length_m)} long. Lengths are metres, not mm or cm."
-    if front[0] <= rear[0]:
-        yield f"forward: in the expected pose {body.forward[1]} is not ahead (x) of {body.forward[0]}."
-    if not body.feet:
-        yield "feet: none. Contacts with the ground and gait need them."
-    heights_m = {foot: at[foot][2] for foot in body.feet}
-    if high := [foot for foot, height_m in heights_m.items() if height_m >= min(rear[2], front[2])]:
-        yield f"feet: in the expected pose {', '.join(high)} not below {' and '.join(body.forward)}."
-    for label, foot in body.feet_by_label().items():
-        fore = (at[foot] - (rear + front) / 2) @ (front - rear) > 0
-        if fore != (label[-1] == "F"):
-            there, said = ("before", "hind") if fore else ("behind", "fore")
-            yield f"feet: in the expected pose {foot} lies {there} the middle of the trunk, but is a {said} foot."
-    sides = {marker: side for marker in body.markers if (side := body.side_of(marker)) is not None}
-    if wrong := [m for m, side in sides.items() if (at[m][1] < 0 if side == "left" else at[m][1] > 0)]:
-        yield f"markers: on the other side of the middle (y is to the left) {', '.join(wrong)}."
-    pairs = [(m, other_side(m)) for m, side in sides.items() if side == "left" and other_side(m) in at]
-    if uneven := [m for m, other in pairs if not np.allclose(at[m], at[other] * (1, -1, 1), atol=1e-6)]:
-        yield f"markers: not the mirror image of the other side {', '.join(uneven)}."
-
-
-# -- a draft of a skeleton ------------------------------------------------------------------------------------------
 
 BASE = "quadruped"
 REAR, FRONT = ("tail_base", "l_hip", "spine"), ("neck_base", "withers", "l_shoulder", "nose")
@@ -223,8 +50,6 @@ keypoints, by so many times what those between steady neighbours do, but not by 
 KEYPOINT_SHARE, SIZE_SIGMA = 0.02, 0.05
 """For the skeleton: keypoint_sigma_m as a share of its length, and size_sigma of an animal that was measured."""
 HEAD = ("keypoint_sigma_m", "size_sigma")
-LARGEST_ANIMAL_M = 15.0
-"""No animal on legs is longer."""
 SWING_RAD, SWING_HZ = (0.2, 1.2), (0.5, 8.0)
 
 
@@ -236,7 +61,7 @@ SkeletonDraft = tuple[dict[str, str], tuple[str, ...], str]
 and the text of a skeleton file, to be completed."""
 
 
-class _SkeletonDraftSettings(Settings):
+class SkeletonDraftSettings(Settings):
     """What `recon skeleton from-keypoints` is told."""
 
     keypoints: Annotated[OneOrMore[Path], Option(argument="KEYPOINTS")]
@@ -260,34 +85,25 @@ class _SkeletonDraftSettings(Settings):
     """Replace the file."""
 
 
-def skeleton_from_keypoints(settings: _SkeletonDraftSettings) -> Answer:
-    """Draft a skeleton for the keypoints of a file: the proportions of the quadruped, with markers called so; or, with
-    several calibrated cameras, whatever they are called, the bodies and joints that their distances show.
-
-    Example: recon skeleton from-keypoints clip.csv --out my-animal.toml
-    """
+def run_skeleton_draft(settings: SkeletonDraftSettings) -> SkeletonDraft:
+    """Draft a skeleton for the keypoints of a file, or of several cameras, and write it. Raises InputError."""
     out, source = settings.out, settings.keypoints[0]
     output = output_file(out, "skeleton from-keypoints", settings.overwrite, input_paths(settings))
     output.require((out.name,))
     if settings.camera is not None:
-        markers, others, text = _of_geometry(settings)
+        draft = _of_geometry(settings)
     elif len(settings.keypoints) > 1:
         found = f"{len(settings.keypoints)} files without --camera"
         raise InputError(Problem("KEYPOINTS", "files", found, "one, for its names; or --camera beside several"))
     else:
         project = find_project(source)
         names = bodyparts(project) if project else read_keypoints(source, settings.individual).names
-        markers, others, text = draft_skeleton(names, out.stem, project.folder if project else source)
-    output.write(out.name, text)
-    other = [f"{name} as {marker}" for name, marker in markers.items() if name != marker]
-    lines = [f"{out}: {len(markers)} of {len(markers) + len(others)} keypoints have a place."]
-    lines += [f"Taken for the quadruped's: {', '.join(other)}."] if other else []
-    lines += [f"Without a place: {', '.join(others)}."] if others else []
-    look = f"Look at it with: recon skeleton check {shlex.quote(str(out))} --out pictures"
-    return Answer({"out": out, "keypoints": markers, "without_place": others}, [*lines, look])
+        draft = draft_skeleton(names, out.stem, project.folder if project else source)
+    output.write(out.name, draft[-1])
+    return draft
 
 
-def _of_geometry(settings: _SkeletonDraftSettings) -> SkeletonDraft:
+def _of_geometry(settings: SkeletonDraftSettings) -> SkeletonDraft:
     """Draft a skeleton from several cameras; raise InputError also for cameras without poses or direction up."""
     options = ("keypoints", "camera", "fps", "up", "individual", "camera_name", "camera_unit")
     given = FitSettings(**picked(settings, *options))
@@ -311,7 +127,7 @@ def _of_geometry(settings: _SkeletonDraftSettings) -> SkeletonDraft:
     return {name: name for name in known}, tuple(n for n in first.names if n not in known), text
 
 
-def _require_size(positions_m: Array, settings: _SkeletonDraftSettings) -> None:
+def _require_size(positions_m: Array, settings: SkeletonDraftSettings) -> None:
     """Raise InputError for an animal so large that the calibration is in another unit."""
     known = np.asarray(np.isfinite(positions_m).all(axis=2))
     enough = known.sum(axis=1) >= MIN_JOINTS

@@ -1,10 +1,10 @@
-"""`recon camera-advice`: where to put a camera, or a second one, to see an angle or a joint."""
+"""Advise where to put a camera, or a second one, to see an angle or a joint."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
@@ -14,10 +14,9 @@ from recon.animal.prior import load_prior
 from recon.animal.skeleton_file import load_skeleton
 from recon.base.errors import Problem, raise_problems
 from recon.base.outputs import Output
-from recon.base.progress import Progress
+from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Settings, input_paths
 from recon.calibrate.camera_advice import AZIMUTHS_RAD, ELEVATIONS_RAD, PICTURE_PX, Advice, advise
-from recon.cli.answers import Answer
 from recon.fit.motion import MEASURED_SHARE
 from recon.io.writing import write_rows
 from recon.show.plain import picked, to_json
@@ -59,7 +58,7 @@ def where(azimuth_rad: float, elevation_rad: float) -> str:
     return f"{direction}, {height} ({np.degrees(azimuth_rad):.0f}°)" if height != ABOVE else f"{ABOVE}, {direction}"
 
 
-class _CameraAdviceSettings(Settings):
+class CameraAdviceSettings(Settings):
     """The settings of `recon camera-advice`."""
 
     skeleton: str
@@ -88,11 +87,8 @@ class _CameraAdviceSettings(Settings):
             yield Problem("--angle", "value", "--joint as well", "one of the two, or neither for all joints")
 
 
-def camera_advice(settings: _CameraAdviceSettings, progress: Progress) -> Answer:
-    """Where to put a camera, or two, so that an angle or a joint is seen and not guessed.
-
-    Example: recon camera-advice --skeleton cheetah-24 --angle front_trunk_yaw --out advice
-    """
+def run_camera_advice(settings: CameraAdviceSettings, progress: Progress = silent) -> dict[str, Any]:
+    """Find where to put a camera, or two, write the figure and the table, and return the report. Raises InputError."""
     body = load_skeleton(settings.skeleton, settings.subject)
     given = {"angle": (settings.angle, body.state_names[4:]), "joint": (settings.joint, body.markers)}
     raise_problems(
@@ -124,7 +120,7 @@ def camera_advice(settings: _CameraAdviceSettings, progress: Progress) -> Answer
         (staging / REPORT).write_text(to_json(report), encoding="utf-8")
         write_rows(staging / TABLE, [[*table.columns]], table.itertuples(index=False))
         save(advice_figure(found), staging, FIGURE)
-    return Answer(report, [*report["words"], f"The figure and the table are in {settings.out}."])
+    return report
 
 
 def _places(number: int, advice: Advice) -> pd.DataFrame:

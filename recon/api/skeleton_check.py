@@ -1,0 +1,100 @@
+"""Describe a skeleton: what its file says, and remarks on what looks odd."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.animal.body import Body, other_side
+from recon.animal.chain import load_chain
+from recon.animal.prior import load_prior
+from recon.animal.skeleton_file import load_skeleton
+from recon.base.numbers import length_text
+from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES
+from recon.show.plain import picked
+
+REACH_SIGMAS = 2.0
+"""Ends of the expected range of an angle."""
+LARGEST_ANIMAL_M = 15.0
+"""No animal on legs is longer."""
+
+
+def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> dict[str, Any]:
+    """What a skeleton's file describes: `length_m` and `height_m` are those of the expected pose, `unknowns` those of a
+    frame, `prior` is the one that a fit takes by default, and `remarks` say what is allowed, but looks like a mistake.
+    Raises InputError, naming every problem, for a file that describes no skeleton."""
+    body = load_skeleton(name_or_path, subject)
+    length, _, height = np.ptp(body.expected_points_m(), axis=0).tolist()
+    return {
+        **picked(body, "name", "title", "size_sigma", "keypoint_sigma_m", "limbs"),
+        "kind": "chain" if body.one_sided else "whole animal",
+        "unknowns": body.n_state,
+        "length_m": length,
+        "height_m": height,
+        "prior": load_prior(None, body).name,
+        "feet": body.feet_by_label(),
+        "remarks": [*_remarks(body)],
+        "parts": [*_segments(body)],
+        **_published(name_or_path, body),
+        "markers": [{"name": m.name, "segment": m.segment, "at_m": m.offset_m} for m in body.tree.markers],
+    }
+
+
+def _published(name_or_path: str | Path, body: Body) -> dict[str, Any]:
+    """Return a chain's links with their ratios to the base length, and the unknowns of the frame method."""
+    if not body.one_sided:
+        return {}
+    chain = load_chain(name_or_path)
+    links = [
+        {"name": link.name, "from": link.start, "to": link.end, "length_ratio": link.length_ratio}
+        for link in chain.links
+    ]
+    return {"base_length_m": chain.nominal_base_length_m, "links": links, "unknown_names": chain.unknown_names}
+
+
+def _segments(body: Body) -> Iterator[dict[str, Any]]:
+    """Each segment with what is expected of its angles: mean, ends of the range, and how quickly they change."""
+    expected = zip(*np.rad2deg([body.mean_rad, body.sigma_rad, body.acceleration_rad_s2]), strict=True)
+    for segment in body.tree.segments:
+        angles = []
+        for axis in AXES[segment.joint][segment.parent is None :]:  # all but the root's heading
+            mean, sigma, acceleration = map(float, next(expected))
+            reach = REACH_SIGMAS * sigma
+            of = {"name": ANGLE_OF_AXIS[axis], "mean_deg": mean, "low_deg": mean - reach, "high_deg": mean + reach}
+            angles.append(of | {"rate": f"{acceleration:.0f} °/s²"})
+        yield {
+            "name": segment.name,
+            "parent": segment.parent or "",
+            "joint": segment.joint,
+            "length_m": float(np.linalg.norm(segment.offset_m)),
+            "angles": angles,
+            "points": [m.name for m in body.tree.markers if m.segment == segment.name],
+        }
+
+
+def _remarks(body: Body) -> Iterator[str]:
+    at = dict(zip(body.markers, body.expected_points_m(), strict=True))
+    rear, front = (at[marker] for marker in body.forward)
+    if (length_m := float(np.ptp([*at.values()], axis=0).max())) > LARGEST_ANIMAL_M:
+        yield f"lengths: the animal is {length_text(length_m)} long. Lengths are metres, not mm or cm."
+    if front[0] <= rear[0]:
+        yield f"forward: in the expected pose {body.forward[1]} is not ahead (x) of {body.forward[0]}."
+    if not body.feet:
+        yield "feet: none. Contacts with the ground and gait need them."
+    heights_m = {foot: at[foot][2] for foot in body.feet}
+    if high := [foot for foot, height_m in heights_m.items() if height_m >= min(rear[2], front[2])]:
+        yield f"feet: in the expected pose {', '.join(high)} not below {' and '.join(body.forward)}."
+    for label, foot in body.feet_by_label().items():
+        fore = (at[foot] - (rear + front) / 2) @ (front - rear) > 0
+        if fore != (label[-1] == "F"):
+            there, said = ("before", "hind") if fore else ("behind", "fore")
+            yield f"feet: in the expected pose {foot} lies {there} the middle of the trunk, but is a {said} foot."
+    sides = {marker: side for marker in body.markers if (side := body.side_of(marker)) is not None}
+    if wrong := [m for m, side in sides.items() if (at[m][1] < 0 if side == "left" else at[m][1] > 0)]:
+        yield f"markers: on the other side of the middle (y is to the left) {', '.join(wrong)}."
+    pairs = [(m, other_side(m)) for m, side in sides.items() if side == "left" and other_side(m) in at]
+    if uneven := [m for m, other in pairs if not np.allclose(at[m], at[other] * (1, -1, 1), atol=1e-6)]:
+        yield f"markers: not the mirror image of the other side {', '.join(uneven)}."

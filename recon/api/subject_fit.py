@@ -1,0 +1,162 @@
+"""Measure one animal: clips that several cameras filmed in, its lengths and its detector's offsets out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+
+from recon.animal.measured import detector_toml, subject_toml
+from recon.animal.skeleton_file import NONE
+from recon.api.clip_inputs import prepare
+from recon.api.clip_results import CONFIG, read_config
+from recon.api.settings import FitSettings
+from recon.base.arrays import Array, Integers
+from recon.base.errors import InputError, Problem, collect_problems
+from recon.base.outputs import output_file, require_suffix
+from recon.base.settings import OneOrMore, Option, Settings, input_paths
+from recon.clip import views_of
+from recon.fit.clip_problem import ClipProblem
+from recon.fit.points import MIN_MARKERS, solve_points
+from recon.fit.shape import POSED_OFFSET_SIGMA_M, Shape, ShapeFit, fit_shape
+from recon.io.common import Pose3D
+from recon.io.positions import read_pose3d
+
+LEAST_SIZE_SIGMA = 0.01
+"""The least size_sigma of a measured animal: its lengths are known no better than a keypoint's place on it is."""
+
+
+def _rows(fit: ShapeFit) -> Iterator[dict[str, Any]]:
+    """What was measured: lengths in metres, offsets in millimetres."""
+    shape, values, sigma = fit.shape, fit.values, fit.sigma
+    body = shape.applied(shape.body, values)
+    items = {item.name: item for item in (*body.tree.segments, *body.tree.markers)}
+    for name, s in zip(shape.lengths, sigma, strict=False):
+        length = float(np.linalg.norm(items[name].offset_m))
+        yield {"name": name, "value": length, "sigma": float(length * s), "unit": "m"}
+    first = len(shape.lengths)
+    for name, value, s in zip(shape.names[first:], values[first:], sigma[first:], strict=True):
+        yield {"name": name, "value": 1e3 * float(value), "sigma": 1e3 * float(s), "unit": "mm"}
+
+
+class SubjectFitSettings(Settings):
+    """What `recon subject fit` is told."""
+
+    clips: Annotated[OneOrMore[Path], Option(argument="CLIPS")]
+    """Results of several cameras, or their config.toml."""
+    out: Path
+    """File for the subject, as in my-cat.toml."""
+    lengths: bool = True
+    """Measure the lengths of the segments, left equal to right."""
+    offsets: bool = False
+    """Measure where the detector's keypoints lie beside the markers."""
+    poses: tuple[Path, ...] = ()
+    """3D poses by another method, one file a clip: offsets are measured beside these."""
+    title: str | None = None
+    """Title of the animal, in words. (default: made up)"""
+    overwrite: bool = False
+    """Replace the file."""
+
+    def problems(self) -> Iterator[Problem]:
+        """What is to be measured has to be named, and poses have to be there for each clip."""
+        if not self.lengths and not self.offsets:
+            yield Problem("--no-lengths", "unknowns", "nothing to fit", "--offsets with it, or without it")
+        if self.poses and (self.lengths or not self.offsets):
+            yield Problem("--poses", "unknowns", "lengths, or no offsets", "--no-lengths --offsets beside it")
+        if self.poses and len(self.poses) != len(self.clips):
+            yield Problem("--poses", "files", f"{len(self.poses)} for {len(self.clips)} clips", "one for each clip")
+
+
+def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
+    """`recon subject fit`: measure an animal and its detector, and write the subject file; without lengths, the
+    detector file. What was found is given as plain types; its size is the lengths' mean factor on the skeleton's.
+
+    clips: result folders of `recon fit`, or their config.toml. lengths: of the segments; offsets: of the keypoints from
+    the markers. poses: of each clip, its 3D poses in the cameras' world as another method knows them, and then the
+    offsets are those beside these. Raises InputError for clips and options that cannot be used, with the problems of
+    all of them.
+    """
+    output = output_file(settings.out, "subject fit", settings.overwrite, input_paths(settings))
+    fits, _, _, known = collect_problems(
+        lambda: collect_problems(*(partial(read_config, p / CONFIG if p.is_dir() else p, {}) for p in settings.clips)),
+        lambda: require_suffix(settings.out, (".toml",)),
+        lambda: output.require((settings.out.name,)),
+        lambda: collect_problems(*(partial(read_pose3d, path) for path in settings.poses)),
+    )
+    _require_one_skeleton(fits, settings.clips)
+    if settings.lengths:  # those of a measured animal would be measured again
+        fits = [replace(one, subject=None) for one in fits]
+    if settings.offsets:
+        fits = [replace(one, detector=NONE) for one in fits]
+    each = zip(fits, settings.clips, known or (None,) * len(settings.clips), strict=True)
+    given = collect_problems(*(partial(_problem, *of) for of in each))
+    shape = Shape.of_body(given[0].body, settings.lengths, settings.offsets)
+    if known:
+        shape = replace(shape, offset_sigma_m=POSED_OFFSET_SIGMA_M)
+    try:
+        fit = fit_shape(shape, given)
+    except ValueError as error:
+        raise InputError(Problem(settings.clips[0], "clips", str(error), "clips that `recon fit` can solve")) from None
+    n = len(shape.lengths)
+    size, sigma = 1.0, given[0].size_sigma
+    if n:
+        size = float(np.exp(fit.values[:n].mean()))
+        sigma = max(float(np.sqrt(fit.covariance[:n, :n].mean())), LEAST_SIZE_SIGMA)
+    frames = sum(int((one.present().sum(axis=1) > 0).sum()) for one in given)
+    rows = list(_rows(fit))
+    body = replace(shape.applied(shape.body, fit.values), size_sigma=sigma)
+    notes = ["{name}: {value:.4g} ± {sigma:.2g} {unit}".format(**row) for row in rows]
+    count = f"measured in {len(settings.clips)} clip{'s' * (len(settings.clips) > 1)}"
+    if settings.lengths:
+        if not settings.offsets:  # the detector's are not the animal's
+            body = replace(body, keypoint_offset_m={})
+        text = subject_toml(fits[0].skeleton_name, body, settings.title or f"{shape.body.title}, {count}", notes)
+    else:
+        text = detector_toml(fit.seen(shape.body), settings.title or f"a detector, {count}", notes)
+    output.write(settings.out.name, text)
+    counts = {"clips": len(settings.clips), "frames": frames, "converged": fit.converged}
+    return {**counts, "size": size, "size_sigma": sigma, "values": rows}
+
+
+def _require_one_skeleton(settings: Sequence[FitSettings], clips: Sequence[Path]) -> None:
+    names = {one.skeleton_name for one in settings}
+    if len(names) > 1:
+        found = ", ".join(f"{path}: {one.skeleton_name}" for path, one in zip(clips, settings, strict=True))
+        raise InputError(Problem("CLIPS", "skeleton", found, "clips of the same skeleton"))
+
+
+def _problem(settings: FitSettings, path: Path, pose: Pose3D | None) -> ClipProblem:
+    """A clip from which the animal can be measured. Raises InputError for others."""
+    if settings.method != "trajectory":
+        raise InputError(Problem(path, "method", settings.method, "the trajectory method"))
+    given = prepare(settings)
+    if given.body.one_sided:
+        expected = "a whole animal: a chain's lengths stand in its own skeleton file"
+        raise InputError(Problem(path, "skeleton", given.body.name, expected))
+    views, options = views_of(given.sources), settings.trajectory_options()
+    problem = ClipProblem.from_views(views, given.body, given.prior, given.fps, options)
+    if not problem.shows_size:
+        found = f"one camera that stands still, {given.sources[0].camera.name}"
+        raise InputError(Problem(path, "cameras", found, "several cameras, or a moving one: one cannot tell lengths"))
+    if pose is None:
+        return problem
+    return replace(problem, known_states=_states_known(problem, given.sources[0].keypoints.frames, pose))
+
+
+def _states_known(setting: ClipProblem, frames: Integers, pose: Pose3D) -> Array:
+    """(T, D): states of the setting's body, whose markers are nearest to a pose, NaN where it has none. Raises
+    InputError where it has no frame or too few of the markers."""
+    markers = setting.body.markers
+    _, mine, theirs = np.intersect1d(frames, pose.frames, return_indices=True)
+    points_m = np.full((len(frames), len(markers), 3), np.nan)
+    points_m[mine] = pose.of_joints(markers)[theirs]
+    states, *_ = solve_points(setting.body, points_m)
+    if not np.isfinite(states).all(axis=1).any():
+        found = f"{len(mine)} of the clip's frames, {len({*markers} & {*pose.names})} of the skeleton's markers"
+        expected = f"{MIN_MARKERS} or more of {', '.join(markers)} in frames of the clip, numbered as its keypoints are"
+        raise InputError(Problem(pose.source or "--poses", "poses", found, expected))
+    return states

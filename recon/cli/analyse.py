@@ -1,0 +1,66 @@
+"""The command `recon analyse`: what a fitted clip says of the animal's movement, in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from rich.table import Table
+from rich.text import Text
+
+from recon.api.analyse import FOLDER, PLAYBACK, AnalyseSettings, run_analysis
+from recon.base.progress import Progress, silent
+from recon.cli.answers import Answer, table_of, verdict_texts
+from recon.gait.clip import ClipAnalysis
+from recon.gait.gait import interval_text
+from recon.show.sentences import result_sentences
+
+MOST_STANCES = 100
+"""How many stances are printed at most, of all feet."""
+
+
+def analyse_command(settings: AnalyseSettings, progress: Progress = silent) -> Answer:
+    """Kinematics, gait, vector fields and phase portraits of a reconstruction.
+
+    Writes tables (CSV) and figures (PNG, SVG); recon view shows the plots beside the playback from then on.
+
+    Example: recon analyse results/clip
+    """
+    written, out = run_analysis(settings, progress), settings.out_folder
+    lines = [*_lines(written.analysis, written.summary), f"{len(written.files)} files are in {out}."]
+    if out == settings.folder / FOLDER and (settings.folder / PLAYBACK).is_file():
+        lines.append(f"See them beside the playback with: recon view {settings.folder}")
+    return Answer(written.summary, lines, files=written.files)
+
+
+ACCELERATION_KNOWN_M_S2 = 10.0
+"""Standard deviation of an acceleration above which no number is given: animals hardly have more."""
+
+
+def _lines(found: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str | Text | Table]:
+    motion = found.motion
+    yield from verdict_texts(motion.verdict)
+    yield from result_sentences(motion, found.reference_motion, found.gait, found.why_no_speed)
+    net, sigma = found.net_acceleration_m_s2
+    if math.isfinite(net) and sigma > ACCELERATION_KNOWN_M_S2:
+        yield "Acceleration along the way: this camera does not tell it."
+    elif math.isfinite(net):
+        yield f"Acceleration along the way, over the whole clip: {interval_text(net, sigma, 'm/s²', '+')}."
+    if "spine_flexion" in found.angles:
+        low, high = (math.degrees(angle) for angle in found.angles["spine_flexion"].range_rad)
+        yield f"Flexion of the spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)."
+    if (d := found.dynamics) is not None and len(d.forces):
+        peak, low, high = d.forces[["peak_bw", "peak_low_bw", "peak_high_bw"]].mean()
+        said = f"{peak:.1f} body weights (90 %: {low:.1f} to {high:.1f}), mean over the stances in forces.csv"
+        yield f"Peak vertical force of a foot: {said}."
+    if (stride := found.stride) is not None:
+        which = "as given" if found.given is not None else f"of {stride.foot}"
+        yield f"Phase portraits: the stride from {stride.start_s:.3f} to {stride.end_s:.3f} s, {which}."
+    if found.gait is not None and len(found.gait.stances) <= MOST_STANCES:
+        spans: dict[str, list[str]] = {foot: [] for foot in motion.foot_names}
+        for s in found.gait.stances:
+            spans[s.foot].append(f"{'' if s.begins else '≤'}{s.start_s:.3f}-{s.end_s:.3f}{'' if s.ends else '+'}")
+        rows = ((f"{foot} {motion.foot_names[foot]}", ", ".join(of) or "none") for foot, of in spans.items())
+        yield table_of("foot", f"stances, s (frame number / {motion.fps:g})", rows=rows)
+    yield from (f"note: {note}" for note in summary["notes"])

@@ -1,0 +1,185 @@
+"""The commands on cameras: calibration, poses from clips, the motion of a camera that turns, and where to put one."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from recon.api.calibrate import CalibrationSettings, run_calibration
+from recon.api.camera_advice import CameraAdviceSettings, run_camera_advice
+from recon.api.camera_motion import NOTES, CameraMotionSettings, motion_files, run_camera_motion
+from recon.api.extrinsics import DISAGREEMENT, clips_of, run_extrinsics
+from recon.api.settings import FitSettings
+from recon.base.numbers import counted, length_text
+from recon.base.outputs import Output, output_file
+from recon.base.progress import Progress, silent
+from recon.base.settings import Number, OneOrMore, Option, Settings, input_paths
+from recon.check.codes import names_text
+from recon.cli.answers import Answer, say, table_of
+from recon.cli.commands import OptionsOf
+from recon.geometry.camera import Camera
+
+# -- calibration of a lens ---------------------------------------------------------------------------------------------
+
+
+def calibrate(settings: CalibrationSettings, progress: Progress) -> Answer:
+    """Calibrate a camera: pictures or a video of a board in, a camera file and a picture of the coverage out.
+
+    Example: recon calibrate board/ --board chessboard:9x6:25mm --model radtan --out camera.toml
+
+    Exit code 0: written. 1: refused, because a check failed. 2: the input cannot be used.
+    """
+    report = run_calibration(settings, progress)
+    errors = []
+    if report["written"] is None:
+        errors = [f"refused: {check['text']}" for check in report["checks"] if check["verdict"] == "refused"]
+        what = f"mend that, or say --force. What there is: {report['picture']}"
+        errors.append(f"{settings.out} was not written: {what}")
+    data = json.dumps(report, indent=1) + "\n"  # the camera to the last digit
+    return Answer(data, _calibration_lines(report), errors)
+
+
+def _calibration_lines(report: dict[str, Any]) -> Iterator[str | Text | Table]:
+    pictures, written = report["pictures"], report["written"]
+    rows = (
+        (
+            *(view["name"], str(view["corners"]), f"{view['rms_px']:.2f}", f"{view['max_px']:.2f}"),
+            *(f"{math.degrees(view['tilt_rad']):.0f}°", f"{view['distance_m']:.2f}"),
+            "" if view["used"] else Text("left out", style="red"),
+        )
+        for view in pictures
+    )
+    yield table_of("picture", numbers=("corners", "error px", "worst px", "tilt", "distance m", ""), rows=rows)
+    looked = f"{report['board']}: found in {report['found']} of {report['examined']} pictures"
+    if report["found"] > len(pictures):
+        looked += f", the {len(pictures)} sharpest and most different were taken"
+    yield looked
+    if report["without_board"]:
+        yield f"Not found in: {names_text(report['without_board'])}"
+    yield ""
+    for row in report["parameters"]:
+        digits, unit = (1, " px") if row["name"] in ("fx", "fy", "cx", "cy") else (4, "")
+        sigma = math.inf if row["sigma"] is None else row["sigma"]
+        yield f"{row['name']}  {row['value']:.{digits}f} ± {sigma:.{digits}f}{unit}"
+    yield f"reprojection error {report['rms_px']:.3f} px (root mean square)"
+    for check in report["checks"]:
+        if check["verdict"] == "warning" or (check["verdict"] == "refused" and written is not None):
+            yield Text.assemble(("warning: ", "yellow"), check["text"])
+    if written is not None:
+        yield f"Written: {written}, and what it rests on: {report['picture']}"
+
+
+# -- where cameras stand -----------------------------------------------------------------------------------------------
+
+_SETTINGS = (
+    *("camera", "camera_name", "camera_unit", "image_size_px", "tilt_deg", "refine_cameras", "offset_s"),
+    *("find_offsets", "fps"),
+    *("skeleton", "subject", "detector", "prior", "individual", "rename", "frames", "likelihood_min", "sigma_px"),
+    "keypoint_sigma_m",
+)
+"""The settings of a fit that are read."""
+_OfClips = Annotated[dict[str, Any], OptionsOf(FitSettings, _SETTINGS)]
+
+
+class _ExtrinsicsSettings(Settings):
+    """The settings of `recon calibrate extrinsics` beside those of the clips."""
+
+    inputs: Annotated[OneOrMore[str], Option(argument="INPUT")]
+    """Keypoint files, quoted patterns, folders, or manifests, as for recon batch."""
+    out: Path
+    """The file of all cameras, as in cameras.toml."""
+    cameras_by: Annotated[str, Option(metavar="auto|PATTERN")] = "auto"
+    """Which files are one clip, as for recon batch."""
+    level_deg: Annotated[Number, Field(ge=0.01, le=90)] | None = None
+    """How far each camera is from level or its tilt, in degrees; 1 with a bubble. (default: 5)"""
+    overwrite: bool = False
+    """Replace the file."""
+
+
+def extrinsics(settings: _ExtrinsicsSettings, given: _OfClips, progress: Progress, console: Console) -> Answer:
+    """Find where cameras stand, from their lenses and clips of the animal: one tells it roughly, several well.
+
+    With --set refine-cameras=true, the poses in the camera file are taken for as good as 2 degrees and 5 cm, and are
+    refined.
+
+    Example: recon calibrate extrinsics run*_cam*.csv --camera lenses.toml --fps 90 --out cameras.toml
+
+    Exit code 0: written. 2: the input cannot be used.
+    """
+    clips, notes = clips_of(settings.inputs, given, settings.cameras_by)
+    for note in notes:
+        say(console, note, "yellow")
+    level_rad = math.radians(settings.level_deg or 0.0)
+    cameras, report = run_extrinsics(clips, settings.out, settings.overwrite, level_rad, progress)
+    written = f"Written: {settings.out}. Fit clips with: recon fit ... --camera {settings.out}"
+    return Answer(report, [*lines_of(cameras, report), written])
+
+
+def lines_of(cameras: Sequence[Camera], report: Mapping[str, Any]) -> Iterator[str]:
+    """Where the cameras stand, and what there is to say of the clips."""
+    first = cameras[0].centre_world
+    for camera, known in zip(cameras, report["cameras"], strict=True):
+        turn, shift = (float(np.linalg.norm(known[name])) for name in ("turn_sigma_rad", "shift_sigma_m"))
+        sure = f", known to {math.degrees(turn):.1f}° and {length_text(shift)}" if turn or shift else ""
+        height = length_text(camera.centre_world[2], known["height_sigma_m"])
+        yield f"{camera.name}: {height} high, {length_text(math.dist(camera.centre_world, first))} from the first{sure}"
+    for clip in report["clips"]:
+        if clip["found_offsets"]:
+            names, offsets = [Path(path).name for path in clip["keypoints"]], clip["offset_s"]
+            both = ", ".join(f"{name} {s:+.4f} s" for name, s in zip(names[1:], offsets[1:], strict=True))
+            yield f"After {names[0]}: {both}"
+    apart = [clip["disagreement"] for clip in report["clips"]]
+    most = {camera.name: max(of[camera.name] for of in apart) for camera in cameras}
+    if len(apart) > 1 and max(most.values()) > DISAGREEMENT:
+        name = max(most, key=most.__getitem__)
+        yield f"The clips disagree on where the cameras stand, most on {name}: was one moved between them?"
+    if not report["converged"]:
+        yield "The search had not settled when it was ended: more clips, of other ways through the view, tell more."
+
+
+# -- a camera that turns -----------------------------------------------------------------------------------------------
+
+
+def camera_motion(settings: CameraMotionSettings, progress: Progress = silent) -> Answer:
+    """Find how a camera turned (and zoomed) from the background of its video: a camera track.
+
+    Example: recon camera-motion clip.mp4 --camera camera.toml --keypoints clip.csv --out track.csv
+    """
+    output = output_file(settings.out, "camera-motion", settings.overwrite, input_paths(settings))
+    return camera_motion_answer(settings, output, progress)
+
+
+def camera_motion_answer(settings: CameraMotionSettings, output: Output, progress: Progress = silent) -> Answer:
+    """Find how a camera turned, and write its files to an output."""
+    report = run_camera_motion(settings, output, progress)
+    paths = [settings.out.with_name(name) for name in motion_files(settings.out)]
+    lost, keyframes = len(report["frames_without_background"]), counted(len(report["keyframes"]), "keyframe")
+    lines = [f"{report['frames'] - lost} of {report['frames']} frames placed, {keyframes}."]
+    lines += [f"Too little background in {counted(lost, 'frame')}: no pose there."] if lost else []
+    fit, known = f"{report['residual_px']:.2f} px", f"{report['sigma_deg']:.3f}°"
+    lines.append(f"The background fits to {fit}; the camera's direction is known to ±{known}.")
+    notes = report["notes"][len(NOTES) :]
+    lines += [f"Note: {note}." for note in notes]
+    lines.append(f"Level: {report['level']}. A rolling shutter is not modelled.")
+    return Answer(report, [*lines, "Written: " + ", ".join(map(str, paths))], files=paths, notes=notes)
+
+
+# -- where to put a camera ---------------------------------------------------------------------------------------------
+
+
+def camera_advice(settings: CameraAdviceSettings, progress: Progress) -> Answer:
+    """Where to put a camera, or two, so that an angle or a joint is seen and not guessed.
+
+    Example: recon camera-advice --skeleton cheetah-24 --angle front_trunk_yaw --out advice
+    """
+    report = run_camera_advice(settings, progress)
+    return Answer(report, [*report["words"], f"The figure and the table are in {settings.out}."])

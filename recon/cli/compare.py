@@ -1,0 +1,51 @@
+"""The command `recon compare`: strides and speeds of several clips, by group, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from textwrap import fill
+
+import pandas as pd
+from rich.table import Table
+
+from recon.api.compare import FIGURE, QUANTITIES, CompareSettings, known_quantities, run_compare
+from recon.base.numbers import counted
+from recon.base.progress import Progress
+from recon.cli.answers import Answer, table_of
+
+
+def compare(settings: CompareSettings, progress: Progress) -> Answer:
+    """Strides and speeds of several clips, by group: each with its uncertainty, and the groups' means and spreads.
+
+    Example: recon compare results/a results/b results/c --table animals.csv --by sex --out comparison
+    """
+    comparison = run_compare(settings, progress)
+    groups, notes = comparison.groups, comparison.notes
+    data = {"groups": groups.to_dict("records"), "left_out": comparison.left_out, "notes": notes}
+    return Answer(data, _lines(comparison.clips, groups, settings.out), notes=notes)
+
+
+def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str | Table]:
+    levels = clips["verdict"].value_counts()
+    yield f"{counted(len(clips), 'clip')}: " + ", ".join(f"{n} {level}" for level, n in levels.items())
+    known = clips.groupby("group")[[*QUANTITIES]].count()
+    rows = (
+        (
+            *map(str, (fill(row["group"], 20), QUANTITIES[q][0], known.loc[row["group"], q], row["strides"])),
+            *_cells(row[q], row[f"{q}_sigma"], row[f"{q}_spread"]),
+        )
+        for row in groups.to_dict("records")
+        for q in QUANTITIES
+    )
+    yield table_of("group", "quantity", numbers=("clips", "strides", "mean", "±", "spread"), rows=rows)
+    yield "±: one standard deviation of the mean, with the size's; spread: one standard deviation between the clips."
+    if missing := [QUANTITIES[q][0] for q in QUANTITIES if q not in known_quantities(clips)]:
+        none = "No clip has a complete stride: no" if not groups["strides"].sum() else "No clip has a known"
+        yield f"{none} {', '.join(missing)}."
+    yield f"Rows by stride, clip and group (CSV and Parquet), and {FIGURE}, are in {out}."
+
+
+def _cells(mean: float, sigma: float, spread: float) -> tuple[str, ...]:
+    shown = f"{mean:.3g}", f"{sigma:.2g}", f"{spread:.2g}"
+    return tuple("-" if one == "nan" else one for one in shown)

@@ -1,0 +1,193 @@
+"""The commands on models: skeletons, measured animals and motion priors, in words."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+from rich.table import Table
+
+from recon.animal.prior_fit import FRAMES_PER_COMPONENT
+from recon.animal.skeleton_file import builtin_names, load_skeleton
+from recon.api.prior_fit import PriorFitSettings, run_prior_fit
+from recon.api.skeleton_check import REACH_SIGMAS, check_skeleton
+from recon.api.skeleton_draft import SkeletonDraftSettings, run_skeleton_draft
+from recon.api.subject_fit import SubjectFitSettings, run_subject_fit
+from recon.base.numbers import counted, length_text
+from recon.base.outputs import Output
+from recon.base.settings import Option, Settings, input_paths
+from recon.cli.answers import Answer, table_of
+
+# -- skeletons ---------------------------------------------------------------------------------------------------------
+
+STEMS = ("skeleton", "angles")
+"""Pictures, each as .png and .svg: the expected pose with names; every angle at both ends of its range."""
+
+
+class _SkeletonCheckSettings(Settings):
+    """The settings of `recon skeleton check`."""
+
+    skeleton: Annotated[str, Option(argument="SKELETON")]
+    """A TOML file, or the name of a built-in skeleton, as in my-dog.toml."""
+    subject: str | None = None
+    """Lengths measured on one animal: built-in name or TOML file."""
+    out: Path | None = None
+    """Folder for pictures (skeleton, angles: PNG and SVG)."""
+    overwrite: bool = False
+    """Replace pictures in the folder."""
+
+
+def skeleton_list() -> Answer:
+    """List the skeletons that come with the package.
+
+    Example: recon skeleton list
+    """
+    shown = ("name", "kind", "markers", "unknowns", "title")
+    checks = map(check_skeleton, builtin_names())
+    found = [{name: c[name] for name in shown} | {"markers": len(c["markers"])} for c in checks]
+    return Answer(found, [table_of(*shown, rows=(map(str, row.values()) for row in found))])
+
+
+def skeleton_check(settings: _SkeletonCheckSettings) -> Answer:
+    """Check a skeleton file, list what is in it, and draw it.
+
+    Example: recon skeleton check my-dog.toml --out my-dog
+
+    Exit code 0: it can be used. 2: it cannot; every problem is named.
+    """
+    check, out = check_skeleton(settings.skeleton, settings.subject), settings.out
+    if out is not None:
+        from recon.show.plots.configurations import angle_ranges, views
+        from recon.show.plots.style import save
+
+        pictures = [f"{stem}{end}" for stem in STEMS for end in (".png", ".svg")]
+        given = input_paths(settings)
+        output = Output(out, "skeleton check", settings.overwrite, given, content="these pictures")
+        output.require(pictures)
+        body, title = load_skeleton(settings.skeleton, settings.subject), f"{check['name']}: {check['title']}"
+        figures = views(body, title), angle_ranges(body, REACH_SIGMAS, title)
+        with output.staged() as staging:
+            for stem, figure in zip(STEMS, figures, strict=True):
+                save(figure, staging, stem)
+    return Answer(check, [*_skeleton_lines(check), *([] if out is None else [f"Pictures are in {out}."])])
+
+
+def _skeleton_lines(check: dict[str, Any]) -> Iterator[str | Table]:
+    yield f"{check['name']}: {check['title']}"
+    yield (
+        f"A {check['kind']} with {len(check['markers'])} markers and {check['unknowns']} unknowns a frame, "
+        f"{length_text(check['length_m'])} long and {length_text(check['height_m'])} high in its expected pose "
+        f"(size ± {100 * check['size_sigma']:.0f} %, keypoints within {length_text(check['keypoint_sigma_m'])})."
+    )
+    names = ("yaw", "pitch", "roll")
+    rows = []
+    for part in check["parts"]:
+        ranges = {angle["name"]: f"{angle['low_deg']:.0f} to {angle['high_deg']:.0f}" for angle in part["angles"]}
+        lengths = f"{part['length_m']:.3f}", *(ranges.get(name, "-") for name in names)
+        rows.append((part["name"], part["parent"], *lengths))
+    yield table_of("segment", "turns on", numbers=("length m", *(f"{name} °" for name in names)), rows=rows)
+    rows = [(m["name"], m["segment"], *(f"{x:.3f}" for x in m["at_m"])) for m in check["markers"]]
+    yield table_of("marker", "on segment", numbers=("x m", "y m", "z m"), rows=rows)
+    yield "Angles: mean ± 2 standard deviations; - for none."
+    if links := check.get("links"):
+        rows = [(link["name"], link["from"], link["to"], f"{link['length_ratio']:.3f}") for link in links]
+        yield table_of("link", "from", "to", numbers=("length / base length",), rows=rows)
+        yield f"Base length: {check['base_length_m']:.3f} m"
+        names = check["unknown_names"]
+        yield f"The {len(names)} unknowns of a frame (recon frame): {', '.join(names)}"
+    yield f"Feet: {', '.join(f'{foot} ({label})' for label, foot in check['feet'].items()) or 'none'}"
+    yield from (f"Limb {limb}: {', '.join(markers)}" for limb, markers in check["limbs"].items())
+    yield f"Prior of a fit, unless --prior says otherwise: {check['prior']}"
+    yield from [f"Look at this: {remark}" for remark in check["remarks"]] or ["Nothing looks odd."]
+
+
+def skeleton_from_keypoints(settings: SkeletonDraftSettings) -> Answer:
+    """Draft a skeleton for the keypoints of a file: the proportions of the quadruped, with markers called so; or, with
+    several calibrated cameras, whatever they are called, the bodies and joints that their distances show.
+
+    Example: recon skeleton from-keypoints clip.csv --out my-animal.toml
+    """
+    out, (markers, others, _) = settings.out, run_skeleton_draft(settings)
+    other = [f"{name} as {marker}" for name, marker in markers.items() if name != marker]
+    lines = [f"{out}: {len(markers)} of {len(markers) + len(others)} keypoints have a place."]
+    lines += [f"Taken for the quadruped's: {', '.join(other)}."] if other else []
+    lines += [f"Without a place: {', '.join(others)}."] if others else []
+    look = f"Look at it with: recon skeleton check {shlex.quote(str(out))} --out pictures"
+    return Answer({"out": out, "keypoints": markers, "without_place": others}, [*lines, look])
+
+
+# -- measured animals and priors ---------------------------------------------------------------------------------------
+
+
+def prior_fit(settings: PriorFitSettings) -> Answer:
+    """Fit a motion prior to results or 3D poses, and list what it was fitted to.
+
+    Example: recon prior fit results/run1 results/run2 --out my-cat.npz
+    """
+    done = run_prior_fit(settings)
+    short = settings.check and done["held_out"] is None
+    note = [f"Nothing could be held out: --check needs two segments of {FRAMES_PER_COMPONENT} frames."] if short else []
+    return Answer({"out": settings.out, **done}, [*_prior_lines(done), *note, f"The prior is in {settings.out}."])
+
+
+def _prior_lines(done: dict[str, Any]) -> Iterator[str | Table]:
+    columns = ("frames", "fps", "speed m/s", "misfit mm", "used")
+    rows = (
+        (
+            *(row["name"], f"{row['frames']}", f"{row['fps']:g}", f"{row['speed_m_s']:.1f}"),
+            "-" if row["misfit_mm"] is None else f"{row['misfit_mm']:.1f}",
+            "yes" if row["used"] else "no",
+        )
+        for row in done["segments"]
+    )
+    yield table_of("segment", numbers=columns, rows=rows)
+    used, components, held_out = [row["used"] for row in done["segments"]], done["components"], done["held_out"]
+    yield f"Used: {sum(used)} of {len(used)} segments, {done['frames']} frames and their mirror images."
+    if components < done["components_asked"]:
+        place = f"{components} components in place of {done['components_asked']}"
+        yield f"{place}: each takes {FRAMES_PER_COMPONENT} frames."
+    if done["left_out"]:
+        yield f"{done['left_out']} frames of results have a flag or no pose: left out."
+    if done["lacking"]:
+        yield f"Markers that no file has: {', '.join(done['lacking'])}"
+    for path, size in done["sizes"].items():
+        if size != 1.0:
+            yield f"{path}: {size:.3f} times the skeleton's lengths"
+    if held_out is not None:
+        yield (
+            "Held-out log-likelihood per frame: {mixture:.2f} with {components} components, {one_gaussian:.2f} with "
+            "one Gaussian"
+        ).format(**held_out)
+
+
+def subject_fit(settings: SubjectFitSettings) -> Answer:
+    """Measure one animal in clips that several cameras filmed, for `recon fit --subject`; without its lengths the
+    detector only, for `recon fit --set detector`, also from several measured animals.
+
+    Example: recon subject fit results/run1 results/run2 --offsets --out my-cat.toml
+    """
+    found = run_subject_fit(settings)
+    return Answer({"out": settings.out, **found}, _subject_lines(found, settings.out))
+
+
+def _subject_lines(found: dict[str, Any], out: Path) -> Iterator[str | Table]:
+    lengths, offsets = ([row for row in found["values"] if row["unit"] == unit] for unit in ("m", "mm"))
+    if lengths:
+        rows = ((row["name"], f"{row['value']:.3f}", f"{row['sigma']:.3f}") for row in lengths)
+        yield table_of("length of", numbers=("m", "±"), rows=rows)
+    if offsets:
+        rows = []
+        for three in zip(offsets[::3], offsets[1::3], offsets[2::3], strict=True):
+            sigma = max(row["sigma"] for row in three)
+            values = (f"{row['value']:.0f}" for row in three)
+            rows.append((three[0]["name"].removesuffix("_x"), *values, f"{sigma:.0f}"))
+        yield table_of("keypoint off its marker, mm", numbers=("forwards", "left", "up", "±"), rows=rows)
+    if lengths:
+        yield f"Size: {found['size']:.3f} ± {found['size_sigma']:.3f} of the skeleton's lengths."
+    if not found["converged"]:
+        yield "The last step was not small yet: more frames would say more."
+    kind, use = ("subject", "--subject ") if lengths else ("detector", "--set detector=")
+    yield f"From {counted(found['clips'], 'clip')}, {found['frames']} frames. The {kind} is in {out}."
+    yield f"Use it with: recon fit {use}{out}"
