@@ -116,7 +116,7 @@ def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
     """The figures of a clip in short; what they are is in docs/gait.md. results: what its folder is called."""
     moved = found.reference_motion
     net, net_sigma = found.net_acceleration_m_s2
-    run, by = found.motion.solution.constant_velocity_m_s, "gait" if found.given is None else "given"
+    run, by = found.motion.solution.constant_velocity_m_s, _origin(found.stride)
     return {
         "schema": {"name": "recon.analysis", "version": 1},
         "results": results,
@@ -143,6 +143,11 @@ def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
         "stride": None if found.stride is None else picked(found.stride, "foot", "start_s", "end_s") | {"by": by},
         "notes": [*notes(found)],
     }
+
+
+def _origin(stride: Stride | None) -> str:
+    """Return what the stride comes from: the gait, a chain's end effector, or the user."""
+    return stride.at if stride is not None and stride.at in ("given", "end effector") else "gait"
 
 
 def notes(found: ClipAnalysis) -> Iterator[str]:
@@ -259,6 +264,10 @@ def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
         drawn[f"body_fixed_{name.replace(' ', '_')}"] = partial(body_fixed, joints_m, of_part, **own)
     for limb, fields in found.fields.items():
         drawn[f"vector_field_{limb.replace(' ', '_')}"] = partial(vector_fields, fields, time_s, limb)
+    if (effector := found.end_effector) is not None:
+        from recon.show.plots.end_effector import stride_boundaries
+
+        drawn["end_effector"] = partial(stride_boundaries, effector, found.stride)
     if gait is not None:
         drawn["footfalls"] = partial(footfall, {"gait": gait}, motion.fps)
         if found.flexion_curves:

@@ -56,6 +56,8 @@ def _lines(found: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str | Te
         yield f"Peak vertical force of a foot: {said}."
     if (stride := found.stride) is not None:
         which = "as given" if found.given is not None else f"of {stride.foot}"
+        if stride.at == "end effector":
+            which += ", from one rearmost point of the foot to the next"
         yield f"Phase portraits: the stride from {stride.start_s:.3f} to {stride.end_s:.3f} s, {which}."
     if found.gait is not None and len(found.gait.stances) <= MOST_STANCES:
         spans: dict[str, list[str]] = {foot: [] for foot in motion.foot_names}

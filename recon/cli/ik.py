@@ -32,6 +32,7 @@ def _ik_lines(summary: dict[str, Any], out: Path) -> Iterator[str | Table]:
     how = {
         "given": "as given",
         "gait": "from touchdown to touchdown",
+        "end effector": "from one rearmost point of the foot to the next, as in recon analyse",
         "return": "the clip has no complete one: the nearest return of the foot to the same place",
         "whole clip": "the clip has no complete one: the whole clip",
     }[stride["how"]]

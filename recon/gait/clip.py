@@ -30,6 +30,7 @@ from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.result import TrajectorySolution
 from recon.gait import kinematics, phase
 from recon.gait.dynamics import Dynamics, dynamics
+from recon.gait.end_effector import EndEffector, end_effector
 from recon.gait.flexion import JointFlexion, StrideCurve, joint_flexions, stride_curves
 from recon.gait.gait import BODY, Gait, Stride, gait, interval_of, interval_text, pose_tracks
 from recon.gait.kinematics import MIN_POINTS, AngleKinematics, Errors, JointKinematics, at_frames
@@ -195,13 +196,42 @@ class ClipAnalysis(Brief):
     def stride(self) -> Stride | None:
         """Return the stride that phase portraits show, or None.
 
-        The given one, or the first complete stride of the foot with the most strides.
+        The given one, or the first complete stride of the foot with the most strides. A chain's is that of its end
+        effector, where that has one.
         """
         if self.given is not None:
             return self.given
+        if (stride := self._effector_stride) is not None:
+            return stride
         strides = () if self.gait is None else self.gait.strides
         feet = [stride.foot for stride in strides]
         return min(strides, key=lambda s: (-feet.count(s.foot), s.start_s), default=None)
+
+    @cached_property
+    def end_effector(self) -> EndEffector | None:
+        """Return the path of a chain's fore foot relative to the reference joint; None for a whole animal."""
+        motion = self.motion
+        label = next((label for label in motion.foot_names if label.endswith("F")), None)
+        if motion.chain is None or label is None:
+            return None
+        points_m, names = self.pose.xyz_m, self.pose.names
+        rear, front = (points_m[:, names.index(name)] for name in motion.forward_names)
+        foot_m, body_m = (points_m[:, names.index(name)] for name in (motion.foot_names[label], self.reference))
+        return end_effector(label, motion.time_s, foot_m, body_m, np.nanmean(front - rear, axis=0))
+
+    @cached_property
+    def _effector_stride(self) -> Stride | None:
+        """The first stride of a chain's end effector."""
+        motion, effector = self.motion, self.end_effector
+        span_s = None if effector is None else effector.stride_s(motion.time_s)
+        if effector is None or span_s is None:
+            return None
+        series = self.reference_motion.series
+        begin, end = (
+            np.array([np.interp(at_s, series.time_s, series.value[:, axis]) for axis in (0, 1)]) for at_s in span_s
+        )
+        length_m = float(np.linalg.norm(end - begin))
+        return Stride(effector.foot, *span_s, length_m, np.nan, np.nan, "end effector")
 
     @cached_property
     def dynamics(self) -> Dynamics | None:

@@ -208,7 +208,7 @@ class Stride:
     """Share of the stride for which the foot stands; the clip holds that stance from beginning to end."""
     duty_sigma: float
     """One standard deviation of the duty factor."""
-    at: Literal["touchdown", "lift-off", "given"]
+    at: Literal["touchdown", "lift-off", "end effector", "given"]
     """Event at which the stride begins and ends."""
     others_s: float = np.nan
     """Median duration of all feet's strides around its time, for a stride that does not count."""

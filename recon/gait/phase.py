@@ -87,6 +87,8 @@ class Closure:
     """One standard deviation, NaN if unknown."""
     plane_sigma: float = np.nan
     """One standard deviation, NaN if unknown."""
+    unscaled: float = np.nan
+    """The degree in the plane of rad and rad/s, with axes as they are, as published."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -246,7 +248,8 @@ def closure(portrait: Portrait) -> Closure:
     path = np.column_stack([portrait.angle_rad, portrait.rate_rad_s])
     if len(path) < 2 or not np.isfinite(path).all():
         raise ValueError("a closure needs a path of two points or more without gaps")
-    return Closure(degree_of_closure(path[:, :1]), degree_of_closure(scaled(path)), *_closure_sigma(portrait))
+    degrees = degree_of_closure(path[:, :1]), degree_of_closure(scaled(path))
+    return Closure(*degrees, *_closure_sigma(portrait), unscaled=degree_of_closure(path))
 
 
 def _closure_sigma(portrait: Portrait) -> tuple[float, float]:

@@ -201,12 +201,19 @@ def _rates_of(limb: Limb) -> tuple[Frames, Array]:
 def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None = None) -> StridePath:
     """Return the given stride, or the foot's first valid one (`recon.gait.gait`).
 
-    In a clip without a valid stride it is the closest return of the foot within the duration of a stride. Raises
-    InputError for a clip that shows too little.
+    A chain's is the stride of the analysis, whatever the dimensions. In a clip without a valid stride it is the closest
+    return of the foot within the duration of a stride. Raises InputError for a clip that shows too little.
     """
     stride_in_gait, origin, notes, lasts_s = None, "", [], (0.0, np.inf)
     if stride_s is not None:
         stride_in_gait, origin = stride_given(motion, stride_s), "given"
+    elif isinstance(motion.chain, Chain):
+        # One stride for the analysis and for the chain in two and three dimensions.
+        stride_in_gait = ClipAnalysis(motion).stride
+        origin = "" if stride_in_gait is None else "gait" if stride_in_gait.at != "end effector" else stride_in_gait.at
+        if stride_in_gait is None and limb.chain.dim == 2:
+            nearest = stride_of(motion, limb_of(motion, limb.foot, 3))
+            return replace(_path_of(motion, limb, (nearest.start_s, nearest.end_s)), origin=nearest.origin)
     else:
         gait = ClipAnalysis(motion).gait
         assert gait is not None  # the limb has a foot
@@ -221,11 +228,18 @@ def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None =
     span_s = None
     if stride_in_gait is not None:
         span_s = stride_in_gait.start_s - limb.first_s, stride_in_gait.end_s - limb.first_s
+    stride = _path_of(motion, limb, span_s, lasts_s)
+    return replace(stride, origin=origin or stride.origin, notes=tuple(notes))
+
+
+def _path_of(
+    motion: Motion, limb: Limb, span_s: tuple[float, float] | None, lasts_s: tuple[float, float] = (0.0, np.inf)
+) -> StridePath:
+    """Return `find_stride` of a limb. Raises InputError for a clip that shows too little."""
     try:
-        stride = find_stride(limb.chain, limb.q, limb.fps, span_s, lasts_s)
+        return find_stride(limb.chain, limb.q, limb.fps, span_s, lasts_s)
     except ValueError as error:
         raise InputError(Problem(motion.file, "stride", str(error), "a clip that shows more of one")) from None
-    return replace(stride, origin=origin or stride.origin, notes=tuple(notes))
 
 
 def stride_lasts_s(gait: Gait) -> tuple[float, float]:

@@ -299,7 +299,8 @@ def vector_field_means(analysis: ClipAnalysis) -> Table:
 
 def closures(analysis: ClipAnalysis) -> Table:
     """Return degrees of closure of the skeleton's angles over one stride."""
-    kinds, shares, rows = ("angle", "plane", "angle_sigma", "plane_sigma"), analysis.motion.data_shares, []
+    kinds = "angle", "plane", "angle_sigma", "plane_sigma", "unscaled"
+    shares, rows = analysis.motion.data_shares, []
     if (stride := analysis.stride) is not None:
         for name, closure in analysis.closures.items():
             rows.append(

@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from recon.cli.ik import CLOSES_PERCENT
 from recon.fit.motion import Motion
+from recon.gait.clip import ClipAnalysis
 from recon.gait.gait import pose_gait
 from recon.ik.clip import METHODS, IkSettings, run_ik
 from recon.ik.drive import drive_to
@@ -102,7 +103,7 @@ def test_joints_of_the_8u_chain_are_called_as_in_the_analysis(frame_results, tmp
 @pytest.mark.parametrize("limits", [(), ("--no-limits",)])
 def test_the_limit_that_keeps_a_path_from_closing_is_named(frame_results, tmp_path, limits):
     ask = ("--method", "extended-energy", "--follow", "stride", "--dim", "2", "--no-figures", *limits)
-    done = run("ik", frame_results, *ask, "--out", tmp_path / "a")
+    done = run("ik", frame_results, *ask, "--stride", "0.3667:0.667", "--out", tmp_path / "a")
     row = json.loads((tmp_path / "a" / "ik.json").read_text(encoding="utf-8"))["along_stride"]["extended-energy"]
     if limits:
         assert row["least_closure_angle_percent"] > 99
@@ -276,7 +277,7 @@ def test_the_stride_takes_as_long_as_it_does_and_can_be_followed(fit, dim, reque
     for foot in feet:
         limb = limb_of(results, foot, dim)
         stride = stride_of(results, limb)
-        assert stride.origin == ("return" if results.jitters else "gait")
+        assert stride.origin == ("gait" if results.chain is None else "end effector")
         assert stride.end_s - stride.start_s == pytest.approx(
             true_stride_s(stride.start_s), rel=0.08 if results.jitters else 0.05
         )
@@ -284,10 +285,30 @@ def test_the_stride_takes_as_long_as_it_does_and_can_be_followed(fit, dim, reque
         assert stride.gap_percent < 16
 
 
-def test_a_stride_that_misses_a_stance_is_said_and_not_taken(frame_results, tmp_path):
-    done = run("ik", frame_results, "--follow", "stride", "--no-figures", "--out", tmp_path / "a")
-    said = " ".join(done.out.split())
-    assert says(said, "nearest return")
+@pytest.mark.parametrize("fit", ["frame_results", "chain_results"])
+def test_analysis_and_both_dimensions_have_one_stride_of_the_chain(fit, request, tmp_path):
+    folder = request.getfixturevalue(fit)
+    results = Motion.load(folder)
+    stride = ClipAnalysis(results).stride
+    assert (stride.foot, stride.at) == ("RF", "end effector")
+    for dim in (2, 3):
+        limb = limb_of(results, dim=dim)
+        path = stride_of(results, limb)
+        assert limb.first_s + path.start_s == pytest.approx(stride.start_s)
+        assert path.end_s - path.start_s == pytest.approx(stride.duration_s)
+        assert path.gap_percent < 16
+    done = run("ik", folder, "--follow", "stride", "--no-figures", "--out", tmp_path / "a")
+    assert says(" ".join(done.out.split()), "from one rearmost point of the foot to the next")
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_chain_without_a_stride_takes_the_nearest_return(frame_results, dim, monkeypatch):
+    results = Motion.load(frame_results)
+    monkeypatch.setattr(ClipAnalysis, "stride", None)
+    found = stride_of(results, limb_of(results, dim=dim))
+    in_space = stride_of(results, limb_of(results, dim=3))
+    assert found.origin == "return"
+    assert (found.start_s, found.end_s) == pytest.approx((in_space.start_s, in_space.end_s))
 
 
 def test_a_stride_of_ones_own(frame_results, tmp_path):

@@ -4,6 +4,7 @@ from .configurations import camera_advice as camera_advice
 from .configurations import composites as composites
 from .configurations import in_body as in_body
 from .configurations import observability as observability
+from .end_effector import stride_boundaries as stride_boundaries
 from .flexion import joint_flexion as joint_flexion
 from .over_time import footfall as footfall
 from .over_time import forces as forces

@@ -1,0 +1,108 @@
+"""Find the boundaries of strides by the end effector, the foot of a chain, as published.
+
+The end effector moves relative to the body along the direction of travel and up and down. A boundary between two
+strides is where its horizontal position is a local minimum, so that its horizontal velocity crosses zero upwards, near
+an extremum of its height: the foot is rearmost and begins to swing. A minimum counts if it is among the lowest
+`BACK` of the range, and if the foot has moved forwards by `AWAY` of the range since the last one; the lower of two
+minima without that is the boundary. The stride goes from one boundary to the next.
+
+Source: C. van der Leek, MSc(Eng), University of Cape Town, 2022.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from recon.base.arrays import Array, Index
+from recon.gait.kinematics import series_kinematics
+
+BACK, AWAY = 0.25, 0.5
+"""Shares of the range of the horizontal position."""
+_SHORT_M = 0.1
+"""A shorter path of the body has no direction."""
+
+
+@dataclass(frozen=True, eq=False)
+class EndEffector:
+    """Hold the path of an end effector relative to the body at N times, ten for each frame, and its boundaries."""
+
+    foot: str
+    time_s: Array
+    """(N,)"""
+    forward_m: Array
+    """(N,): along the travel, NaN in gaps."""
+    up_m: Array
+    """(N,)"""
+    forward_rate_m_s: Array
+    """(N,): horizontal velocity."""
+    boundaries_s: Array
+    """(B,): times of the boundaries between strides."""
+    height_extrema_s: Array
+    """(B,): time of the extremum of the height nearest to each boundary, NaN without one."""
+
+    def stride_s(self, frames_s: Array) -> tuple[float, float] | None:
+        """Return begin and end of the first stride, which begins at one of the frames; None for a path without."""
+        for begin, end in zip(self.boundaries_s[:-1], self.boundaries_s[1:], strict=True):
+            start = float(frames_s[np.argmin(np.abs(frames_s - begin))])
+            if start + (end - begin) <= frames_s[-1] + 1e-9:
+                return start, start + float(end - begin)
+        return None
+
+
+def end_effector(foot: str, time_s: Array, foot_m: Array, body_m: Array, heading: Array) -> EndEffector:
+    """Return the path of an end effector relative to the body, and the boundaries of its strides.
+
+    Parameters
+    ----------
+    foot : str
+        Its label.
+    time_s : ndarray
+        Times of the frames, shape (T,).
+    foot_m, body_m : ndarray
+        Positions of the foot and of the body's reference joint, z up, shape (T, 3), NaN where unknown.
+    heading : ndarray
+        Where the animal faces, shape (3,), for a body that hardly moves.
+    """
+    known = body_m[np.isfinite(body_m).all(axis=1)]
+    chord = (known[-1] - known[0])[:2] if len(known) else np.full(2, np.nan)
+    ahead = chord if np.hypot(*chord) >= _SHORT_M else heading[:2]
+    ahead = ahead / np.hypot(*ahead)
+    relative = foot_m - body_m
+    series = series_kinematics(time_s, np.column_stack([relative[:, :2] @ ahead, relative[:, 2]]))
+    forward, up = series.value.T
+    boundaries = _boundaries(forward, series.rate[:, 0])
+    extrema = _sign_changes(series.rate[:, 1])
+    nearest = [series.time_s[extrema[np.argmin(np.abs(extrema - i))]] if len(extrema) else np.nan for i in boundaries]
+    return EndEffector(
+        foot=foot,
+        time_s=series.time_s,
+        forward_m=forward,
+        up_m=up,
+        forward_rate_m_s=series.rate[:, 0],
+        boundaries_s=series.time_s[boundaries],
+        height_extrema_s=np.array(nearest, float),
+    )
+
+
+def _sign_changes(values: Array) -> Index:
+    """Return the indices before which values change their sign."""
+    with np.errstate(invalid="ignore"):
+        return np.flatnonzero(values[:-1] * values[1:] < 0) + 1
+
+
+def _boundaries(forward: Array, rate: Array) -> Index:
+    """Return the indices of the minima of the horizontal position that count (see the module)."""
+    if not np.isfinite(forward).any():
+        return np.empty(0, int)
+    low, high = float(np.nanmin(forward)), float(np.nanmax(forward))
+    chosen: list[int] = []
+    for i in _sign_changes(rate).tolist():
+        if not (rate[i - 1] < 0 < rate[i] and forward[i] <= low + BACK * (high - low)):
+            continue
+        if not chosen or np.nanmax(forward[chosen[-1] : i]) >= low + AWAY * (high - low):
+            chosen.append(i)
+        elif forward[i] < forward[chosen[-1]]:
+            chosen[-1] = i
+    return np.array(chosen, int)
