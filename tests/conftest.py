@@ -19,11 +19,10 @@ import numpy as np
 import pytest
 from command_line import copy_results, run
 from motions import with_first
-from shortcuts import draw_small, draw_two_methods, empty_figure, fit_demo_from, leave_out_layout, leave_out_playback
+from shortcuts import draw_small, draw_two_methods, fit_demo_from, leave_out_drawing, leave_out_playback
 
 from recon import FitSettings
 from recon.animal.skeleton_file import load_skeleton
-from recon.api import analyse
 from recon.api.clip_results import run_clip
 from recon.base.file_names import encodable
 from recon.clip import Keypoints, Source, View, camera_poses, clean, still_view, views_of
@@ -109,10 +108,9 @@ def optimiser() -> None:
 
 
 @pytest.fixture
-def page_undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A page has the places of its figures, and none is drawn: for tests of its words."""
-    monkeypatch.setattr("recon.show.page.pages.svg_of", lambda figure: "<svg></svg>")
-    leave_out_layout(monkeypatch)
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests of commands and pages that do not look at their figures."""
+    leave_out_drawing(monkeypatch)
 
 
 @pytest.fixture
@@ -129,17 +127,13 @@ def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="session")
 def of_results(made_once, whole_results) -> Callable[[str], tuple[str, Path]]:
     """`of_results(command)` is what a command about `results/clip` prints where that is `whole_results`, and the folder
-    that it ran in, which is not to be written to. Each command is run once for all tests. Figures of an analysis are
-    there and empty: each is drawn by `test_each_figure_is_drawn`. Those of `recon ik` are of two methods."""
-
-    figures_of = analyse.figures_of
+    that it ran in, which is not to be written to. Each command is run once for all tests, its figures are empty."""
 
     def once(command: str) -> tuple[str, Path]:
         def make(folder: Path) -> None:
             copy_results(whole_results, folder / "results" / "clip")
             with pytest.MonkeyPatch.context() as patch:
-                draw_small(patch)
-                patch.setattr(analyse, "figures_of", lambda found: dict.fromkeys(figures_of(found), empty_figure))
+                leave_out_drawing(patch)
                 draw_two_methods(patch)
                 patch.chdir(folder)
                 ended = run(*shlex.split(command)[1:])

@@ -75,10 +75,14 @@ def pose() -> Pose3D:
     return replace(read_pose3d(SAMPLES / "whole_truth.csv"), fps=60.0)
 
 
-def _half(path: Path) -> None:
-    """The first 30 frames of the sample, where a page only fits them."""
-    lines = (SAMPLES / "whole.csv").read_text().splitlines(keepends=True)
-    path.write_text("".join(lines[:33]))
+def _first(count: int) -> Callable[[Path], None]:
+    """The first frames of the sample, where a page needs no more."""
+
+    def make(path: Path) -> None:
+        lines = (SAMPLES / "whole.csv").read_text().splitlines(keepends=True)
+        path.write_text("".join(lines[: 3 + count]))
+
+    return make
 
 
 def _clips(path: Path) -> None:
@@ -248,14 +252,16 @@ OF_PAGE: dict[str, dict[str, Callable[[Path], None]]] = {
         "recordings": lambda path: _filmed_twice(path, "walk"),
         "scene.json": sample("whole_scene.json"),
     },
-    "how-to/moving-camera.md": {"clip.csv": _half},
-    "how-to/scale.md": {"clip.csv": _half},
-    "how-to/uncalibrated.md": {"clip.csv": _half},
+    "how-to/moving-camera.md": {"clip.csv": _first(30)},
+    "how-to/scale.md": {"clip.csv": _first(30)},
+    "how-to/uncalibrated.md": {"clip.csv": _first(30)},
     "how-to/other-formats.md": {
         "clip.analysis.h5": _of_other_names,
         "results_clip.json": lambda path: write_mmpose(path, read_keypoints(SAMPLES / "whole.csv")),
     },
     "how-to/new-species.md": {"my-cat.toml": cat_file},
+    "method/published-study.md": {"clip.csv": _first(20)},
+    "solver.md": {"clip.csv": _first(20)},
     "robot.md": {"arm.toml": _toml("robot.md", 0)},
     "writing-a-skeleton.md": {
         "my-cat.toml": cat_file,

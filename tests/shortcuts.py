@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from base64 import b64decode
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 from command_line import copy_results
 
 from recon import FitSettings
+from recon.api import analyse
 from recon.cli.answers import Answer
 from recon.ik import clip as ik_clip
 from recon.show.plots import style
@@ -21,6 +23,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SMALL_DPI = 50
+PIXEL = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNkYPhfDwAChwGA60e6kgAAAABJRU5ErkJggg=="
+EMPTY_FILES = {"png": b64decode(PIXEL), "svg": b'<svg xmlns="http://www.w3.org/2000/svg"></svg>'}
+"""The files of a picture of one pixel."""
 
 
 def fit_demo_from(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -33,6 +38,18 @@ def fit_demo_from(whole_results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "recon.cli.demo.report", lambda settings, *more: Answer({"page": settings.folder / "report.html"})
     )
+
+
+def leave_out_drawing(patch: pytest.MonkeyPatch) -> None:
+    """Every figure is made and has its file, in which nothing is drawn; the figures of an analysis are not even made.
+
+    Each figure is drawn in full in `tests/show`, `test_clip_analysis.py`, `test_solver_analysis.py` or the test of its
+    command.
+    """
+    leave_out_layout(patch)
+    patch.setattr(style, "_content", lambda figure, kind, **_: EMPTY_FILES[kind])
+    figures_of = analyse.figures_of
+    patch.setattr(analyse, "figures_of", lambda result: dict.fromkeys(figures_of(result), empty_figure))
 
 
 def draw_small(patch: pytest.MonkeyPatch) -> None:

@@ -226,7 +226,7 @@ def test_options_overrule_the_config(fitted, tmp_path):
     assert "l_front_paw" in table.columns.get_level_values(0)
 
 
-@pytest.mark.usefixtures("no_playback", "page_undrawn")
+@pytest.mark.usefixtures("no_playback", "undrawn")
 def test_results_can_be_moved_with_what_they_were_made_from(tmp_path, monkeypatch):
     """And nobody reads in them where that lay."""
     house, skeleton = (

@@ -293,10 +293,9 @@ def test_a_video_of_another_size_is_refused_before_the_fit(film):
     assert not (film.parent / "out" / "report.json").exists()
 
 
-@pytest.mark.usefixtures("small_pictures")
+@pytest.mark.usefixtures("undrawn")
 def test_the_stages_are_those_of_the_commands(tmp_path, monkeypatch):
     """All of it, with the beginning of the rendered film, but for figures, which take long."""
-    monkeypatch.setattr("recon.api.analyse.write_figures", lambda *given: None)
     page = '<meta name="generator" content="recon">'
     monkeypatch.setattr("recon.cli.look.clip_page", lambda _, stills, behind, files, camera: f"{page} {behind} {files}")
     given = {"camera": SAMPLES / "rendered_camera.toml", "fast": True, "frames": "0:6"}

@@ -28,7 +28,7 @@ import pytest
 import typer
 from command_line import carry_out_here, copy_results, run
 from docs_files import DOCS, FENCE, FILES, OF_PAGE, Block, blocks, commands
-from shortcuts import draw_small, fit_demo_from, leave_out_playback
+from shortcuts import draw_two_methods, fit_demo_from, leave_out_drawing, leave_out_playback
 
 from recon import find_clips
 from recon.cli.app import app
@@ -182,7 +182,8 @@ def folder_after(made_once, whole_results, of_results) -> Callable[[Path, int], 
                 folder.mkdir()
             with pytest.MonkeyPatch.context() as patch:
                 patch.chdir(folder)
-                draw_small(patch)
+                leave_out_drawing(patch)
+                draw_two_methods(patch)
                 patch.setattr("recon.api.batch.carry_out", carry_out_here)
                 leave_out_playback(patch)
                 fit_demo_from(whole_results, patch)

@@ -115,7 +115,7 @@ def test_calibration(said, folder):
     assert not (folder / "results" / "calibration" / "other.toml").exists()
 
 
-@pytest.mark.usefixtures("small_pictures")
+@pytest.mark.usefixtures("undrawn")
 def test_analysis(said, folder, whole_results):
     shutil.copytree(whole_results, folder / "results" / "one_clip")
     text = said("analysis")
@@ -151,7 +151,7 @@ def small_film(folder: Path) -> None:
             write(np.asarray(cv2.resize(picture, (160, 90), interpolation=cv2.INTER_AREA), np.uint8))
 
 
-@pytest.mark.usefixtures("optimiser", "small_pictures")
+@pytest.mark.usefixtures("optimiser", "undrawn")
 def test_video_to_3d(said, folder, monkeypatch):
     """With a network that learned next to nothing."""
     narrow_networks(monkeypatch)

@@ -150,7 +150,7 @@ def test_a_page_says_what_the_report_says(page, folder):
     assert set(page.attributes("a", "href")) == set(read_manifest(folder).files)
 
 
-@pytest.mark.usefixtures("page_undrawn")
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("level", ["use", "check"])
 def test_a_page_begins_with_the_verdict_the_error_and_what_to_do(whole_results, level):
     motion = Motion.load(whole_results)
@@ -198,7 +198,7 @@ def test_a_page_has_the_video_behind_its_pictures(folder, tmp_path, monkeypatch)
         report(PageSettings(folder=folder, video=video, first_frame=11))
 
 
-@pytest.mark.usefixtures("page_undrawn")
+@pytest.mark.usefixtures("undrawn")
 def test_of_several_cameras_the_page_says_whose_pictures_they_are(two_cameras, tmp_path):
     files = (Path("run_cam1.csv"), Path("run_cam2.csv"))
     write_clip(two_cameras, FitSettings(keypoints=files, camera=Path("scene.json"), fps=30), tmp_path)
@@ -207,7 +207,7 @@ def test_of_several_cameras_the_page_says_whose_pictures_they_are(two_cameras, t
         assert f"The fitted pose seen from {name}" in page.read_text(encoding="utf-8")
 
 
-@pytest.mark.usefixtures("page_undrawn")
+@pytest.mark.usefixtures("undrawn")
 def test_a_page_goes_with_its_results(small_trajectory, tmp_path):
     settings = FitSettings(keypoints=Path("run.csv"), camera=Path("camera.toml"), fps=30)
     write_clip(small_trajectory, settings, tmp_path)
@@ -228,7 +228,7 @@ def test_a_page_goes_with_its_results(small_trajectory, tmp_path):
     assert (tmp_path / "report.html").read_text() == GENERATED
 
 
-@pytest.mark.usefixtures("page_undrawn")
+@pytest.mark.usefixtures("undrawn")
 def test_a_page_of_frames_that_are_too_few_for_a_speed(small_motion, tmp_path):
     joints_m = small_motion.solution.joints_m.copy()
     joints_m[0] = np.nan
