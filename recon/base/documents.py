@@ -105,8 +105,14 @@ def require_file(path: Path, expected: str = "a file that can be read") -> None:
     """Raise InputError for anything but a file, such as a pipe, which reading would wait for."""
     with damage_named(path, expected, "file"):
         if not path.is_file():
-            kind_of_file = "a folder" if path.is_dir() else "a pipe or a device" if path.exists() else "no such file"
-            raise InputError(Problem(path, "file", kind_of_file, expected))
+            raise InputError(Problem(path, "file", _kind_of(path), expected))
+
+
+def _kind_of(path: Path) -> str:
+    """Return what a path is that is no file, for a message."""
+    if path.exists():
+        return "a folder" if path.is_dir() else "a pipe or a device"
+    return "a link that points to nothing" if path.is_symlink() else "no such file"
 
 
 def read_json(path: Path, expected: str) -> Any:

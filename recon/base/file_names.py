@@ -5,12 +5,15 @@ Python reads such a byte of a name as a lone surrogate, which no file of text ca
 
 from __future__ import annotations
 
+import itertools
 import os
 import re
 from typing import Any
 
 _SURROGATE = re.compile("[\ud800-\udfff]")
 _ESCAPED_BYTE = re.compile(r"\\x([89a-f][0-9a-f])")
+MOST_CODES = 10
+"""How many codes of bytes in a path may also be texts."""
 
 
 def encodable(text: str) -> str:
@@ -33,8 +36,18 @@ def _code(match: re.Match[str]) -> str:
 
 
 def existing_path(path: str) -> str:
-    r"""Return the path of a file whose name `encodable` wrote: that with the bytes, if only that one exists."""
-    if os.name == "nt" or not _ESCAPED_BYTE.search(path) or os.path.lexists(path):
+    r"""Return the path of a file whose name `encodable` wrote: that with the bytes, if only that one exists.
+
+    A name may have both such bytes and texts like \xe9, so each code is tried as either.
+    """
+    parts = _ESCAPED_BYTE.split(path)  # a text, the digits of a code, a text, ...
+    if os.name == "nt" or len(parts) == 1 or os.path.lexists(path):
         return path
-    named = _ESCAPED_BYTE.sub(lambda match: chr(0xDC00 + int(match[1], 16)), path)
-    return named if os.path.lexists(named) else path
+    codes = [(chr(0xDC00 + int(digits, 16)), rf"\x{digits}") for digits in parts[1::2]]
+    free = codes[:MOST_CODES]
+    for chosen in itertools.product(*free):
+        rest = [byte for byte, _ in codes[MOST_CODES:]]
+        named = "".join(itertools.chain(*zip(parts[::2], (*chosen, *rest, ""), strict=True)))
+        if os.path.lexists(named):
+            return named
+    return path

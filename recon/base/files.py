@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -316,6 +318,8 @@ def read_manifest(folder: Path) -> Manifest:
     """
     path = folder / MANIFEST
     try:
+        if path.exists() and not path.is_file():
+            raise ValueError
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["schema"] != SCHEMA:
             raise ValueError
@@ -340,7 +344,17 @@ def write_manifest(folder: Path, kind: str | None = None) -> None:
     (folder / MANIFEST).write_text(manifest.text, encoding="utf-8", newline="\n")
 
 
+def _open_at_once(path: str, flags: int) -> int:
+    """Open a file without waiting for somebody to write to it, if it is a pipe."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
 def sha256_of(path: str | os.PathLike[str]) -> str:
-    """Return the SHA-256 of a file's content in hexadecimal digits."""
-    with open(path, "rb") as file:
+    """Return the SHA-256 of a file's content in hexadecimal digits.
+
+    Raises OSError for a pipe or a device, which may have no end.
+    """
+    with open(path, "rb", opener=_open_at_once) as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise OSError(errno.EINVAL, "no regular file", os.fspath(path))
         return hashlib.file_digest(file, "sha256").hexdigest()

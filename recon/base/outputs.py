@@ -77,7 +77,7 @@ def read_record(folder: Path) -> _Written:
     """
     path = folder / RECORD
     try:
-        if path.is_symlink():
+        if path.is_symlink() or (path.exists() and not path.is_file()):
             raise ValueError
         content = json.loads(path.read_text(encoding="utf-8"))
         if content["schema"] != SCHEMA or not all(map(is_plain_name, content["files"])):

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from recon.base.arrays import Array
-from recon.base.documents import parse_json, parse_toml, read_text
+from recon.base.documents import parse_json, parse_toml, read_text, require_file
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.geometry.camera import BLOCKS, LARGEST, TILT, Camera, is_rotation
 from recon.geometry.lens import LENS_MODELS
@@ -107,6 +107,7 @@ DLT_COEFFICIENTS = 11
 def _of_other_program(path: Path) -> str | None:
     """Return what a calibration file of a known program that is not read is; None for any other file."""
     if path.suffix.lower() == ".mat":
+        require_file(path)
         return None
     text = read_calibration(path)
     return next((name for pattern, name in _OTHER_PROGRAMS if re.search(pattern, text)), None)

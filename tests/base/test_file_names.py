@@ -50,6 +50,17 @@ def test_a_name_is_written_and_read_again(tmp_path):
     assert existing_path(str(tmp_path / r"caf\xe9")) == str(tmp_path / r"caf\xe9")
 
 
+def test_a_name_of_bytes_and_of_texts_like_their_codes_is_read_again(tmp_path):
+    path = tmp_path / (LATIN_1 + r"\xe9\xff")
+    try:
+        path.touch()
+    except (OSError, UnicodeError):
+        pytest.skip("names are Unicode here")
+    assert existing_path(encodable(str(path))) == str(path)
+    many = str(tmp_path / (r"\xe9" * 60))  # ends
+    assert existing_path(many) == many
+
+
 def test_a_name_that_is_not_utf_8_is_escaped_in_every_file(latin_1, tmp_path):
     out = tmp_path / "out"
     assert run("fit", latin_1, *FIT, "--out", out, "--quiet").code == 0

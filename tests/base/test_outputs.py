@@ -194,6 +194,29 @@ def test_a_record_that_is_none_is_left_alone(tmp_path):
         assert (tmp_path / RECORD).read_text() == text
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes of POSIX")
+@pytest.mark.parametrize("name", [RECORD, MANIFEST, "a.csv"])
+def test_a_pipe_in_place_of_a_file_is_not_waited_for(tmp_path, name):
+    written(tmp_path, a="1", b="1")
+    (tmp_path / name).unlink()
+    os.mkfifo(tmp_path / name)
+    with refusal((tmp_path / name, *{RECORD: ("content", "something else")}.get(name, ("file", "did not write")))):
+        written(tmp_path, a="2")
+    assert ReadResults.of(tmp_path).manifest is None or name != MANIFEST
+    assert (tmp_path / "b.csv").read_text() == "1"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links need a privilege on Windows")
+@pytest.mark.parametrize("target", ["nowhere", "out"])
+def test_a_folder_that_is_a_link_to_nothing_is_named(tmp_path, target):
+    out = tmp_path / "out"
+    out.symlink_to(target)
+    for folder in (out, out / "deep"):
+        with refusal(("--out", "folder", f"{out}, a link that points to nothing", "remove the link")):
+            Output(folder, "fit").require()
+    assert out.is_symlink()
+
+
 def test_a_file_that_appears_or_changes_meanwhile_stays(tmp_path):
     written(tmp_path, a="1")
     with refusal((tmp_path / "b.csv", "file", "did not write", "moved")), Output(tmp_path, "fit", True).staged() as new:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import os
 import shutil
@@ -24,7 +26,7 @@ from recon.animal.skeleton_file import builtin_subjects, load_skeleton, with_det
 from recon.api.clip_results import Record, run_clip
 from recon.base.errors import Problem, printable
 from recon.base.files import MANIFEST, write_manifest
-from recon.base.tables import guarded
+from recon.base.tables import FORMULAS, guarded
 from recon.clip import Keypoints, clean
 from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
@@ -46,6 +48,7 @@ from recon.robotics.retarget import Reference, place, posed
 from recon.robotics.retarget_clip import KEPT, RobotSamples, keep, kept_motions
 from recon.show.plain import to_json
 from recon.show.rig import make_rig
+from tests.fuzz.folders import records, write_after, write_among_others
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 LABELS = """scorer,me,me,me,me
@@ -144,6 +147,12 @@ COCO = {
 PEOPLE = {"version": 1.3, "people": [{"pose_keypoints_2d": [10.0, 20.0, 0.5] * 17}, {"pose_keypoints_2d": []}]}
 WIDE = "frame,nose_x,nose_y,nose_score,tail_x,tail_y,speed\n3,1,2,0.5,3,4,1\n5,1,2,,,,1\n"
 FRAMES = np.array([3, 4, 5, 6, 9])
+NAMES = (
+    *(b"caf\xe9.csv", "L\u00e4ufer (1).csv".encode(), b"\\xe9=1.csv", b"=HYPERLINK(1).csv"),
+    *(b"@a +b.csv", b"--out.csv", b" a .csv", b"a\nb\r.csv", b"\x1b[31m\x07.csv", "\u0430\u202e\u2028.csv".encode()),
+    *(b"NUL.csv", b"x" * 250 + b".csv"),
+)
+"""Names of files."""
 
 
 @dataclass(frozen=True)
@@ -154,6 +163,10 @@ class Seed:
     content: bytes
     read: Callable[[Path], object]
     share: float = 1.0
+    is_input: bool = True
+    """Whether the path itself is read by the package, so that it may be a link."""
+    link: str | None = None
+    """What the path is instead of a file, as `pool.LINKS` says."""
 
     @property
     def suffix(self) -> str:
@@ -179,6 +192,7 @@ def of_settings(folder: Path) -> Iterator[Seed]:
     yield from _built_in()
     yield from _results(folder)
     yield from _models(folder)
+    yield from _folders()
 
 
 def _points(path: Path) -> object:
@@ -286,16 +300,16 @@ def _fixed_h5(path: Path, clip: Keypoints) -> bytes:
 def _texts() -> Iterator[Seed]:
     yield Seed("labels.csv", LABELS.encode(), read_label_file)
     yield Seed("segments.csv", SEGMENTS.encode(), read_pose_segments)
-    yield Seed("map.txt", b"frame=Frame, bodypart=Node, x=X, y=Y, likelihood=Score", _by_map)
-    yield Seed("map-wide.txt", b"frame=Frame, x={bodypart} X, y={bodypart} Y", _by_map)
+    yield Seed("map.txt", b"frame=Frame, bodypart=Node, x=X, y=Y, likelihood=Score", _by_map, is_input=False)
+    yield Seed("map-wide.txt", b"frame=Frame, x={bodypart} X, y={bodypart} Y", _by_map, is_input=False)
     settings = FitSettings(keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60, frames="0:30")
     yield Seed("config.toml", settings.to_toml().encode(), lambda path: read_settings(path, {}), 2.0)
     batch = f"keypoints,camera,fps,frames,method\n{SAMPLES}/whole.csv,{SAMPLES}/camera.toml,60,0:20,\n"
     batch += f"{SAMPLES}/noisy.csv,{SAMPLES}/camera.toml,30,,frame\n"
     yield Seed("batch.csv", batch.encode(), lambda path: find_clips([path], {}), 2.0)
     yield Seed("rates.json", b'{"fps": [120, 90]}', _rates, 0.5)
-    for name in (b"caf\xe9.csv", "L\u00e4ufer (1).csv".encode(), b"\\xe9=1.csv"):
-        yield Seed("name.txt", name, _file_name, 0.5)
+    for name in NAMES:
+        yield Seed("name.txt", name, _file_name, 0.4, is_input=False)
     record = {"schema": {"name": "recon.batch", "version": 3}, "clip": "a", "state": "started", "keypoints": ["a.csv"]}
     yield Seed("record.jsonl", json.dumps(record).encode(), _record, 0.5)
 
@@ -314,12 +328,26 @@ def _file_name(path: Path) -> object:
     (folder / "out" / "config.toml").write_text(settings.to_toml(folder / "out"), encoding="utf-8")
     assert read_settings(folder / "out" / "config.toml", {}).keypoints == settings.keypoints, ascii(name)
     json.loads(to_json({name: name}))
-    printable(guarded(name)).encode()
+    cell = guarded(name)
+    cell.encode()
+    assert not cell.startswith(FORMULAS) or _is_number(cell), ascii(cell)
+    row = io.StringIO(newline="")
+    csv.writer(row).writerow([cell, "next"])
+    assert next(csv.reader(io.StringIO(row.getvalue(), newline=""))) == [cell, "next"], ascii(cell)
+    assert printable(cell).isprintable()
+    assert str(Problem(folder / name, "file", name, name)).isprintable(), ascii(name)
     clips, _ = find_clips([folder / name], {"camera": SAMPLES / "camera.toml", "fps": 60})
     for clip in clips:
         (folder / "out" / clip.name).mkdir()
         clip.name.encode()
     return clips
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return bool(float(text)) or True
+    except ValueError:
+        return False
 
 
 def _by_map(path: Path) -> object:
@@ -460,7 +488,7 @@ def _results(folder: Path) -> Iterator[Seed]:
         )
 
     for name, content in files.items():
-        yield Seed(f"results-{name}", content, read, 3.0 if name == MOTION else 0.7)
+        yield Seed(f"results-{name}", content, read, 3.0 if name == MOTION else 0.7, is_input=False)
 
 
 def _models(folder: Path) -> Iterator[Seed]:
@@ -480,6 +508,13 @@ def _models(folder: Path) -> Iterator[Seed]:
         return load_model(path, torch.device("cpu"))
 
     yield Seed("model.pt", content, read, 0.3)
+
+
+def _folders() -> Iterator[Seed]:
+    """Folders that are written to; of the first, the bytes of the file say what is in it."""
+    yield Seed("folder.txt", b"what lies in the folder", write_among_others, 4.0, is_input=False)
+    for name, content in records():
+        yield Seed(name, content, write_after, 2.0, is_input=False)
 
 
 def outcome(seed: Seed, path: Path) -> str | None:

@@ -42,6 +42,7 @@ ODD_TEXTS = (
         "&x;",
     ),
 )
+ODD_TEXTS += ("../precious.csv", "..", "mine.csv", "link.csv", "d.csv", "analysis", ".recon.json", "manifest.json")
 ODD_VALUES: tuple[Any, ...] = (
     *(None, True, False, 0, -1, 1, 0.5, 1e308, -1e308, 1e-320, 2**31, 2**63, 2**64, -(2**63) - 1, 10**30),
     *(float("inf"), float("-inf"), float("nan"), "", "x", "0", "nan", "a" * 300, "\0", "\x1b[31m", "ä"),
@@ -92,6 +93,8 @@ ODD_PARTS = (
     b"[bold]",
     b"$HOME",
 )
+ODD_PARTS += (b"\r", b"\x07", b"\x7f", b"\xc2\x9b", b"CON", b"NUL.", b"\xd0\xb0", b"@SUM(1)", b"+1")
+ODD_PARTS += (b"\t", b"--out", b"~", b"\xc2\xa0", b"\xe2\x80\xa8")
 ODD_PARTS += (b"&<b>", b"#", b";", b",", b"*", b"..", b"\xf0\x9f\x90\x86", b"\xe2\x80\xae", b"e\xcc\x81", b"a" * 180)
 """In the names of files."""
 

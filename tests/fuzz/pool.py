@@ -39,21 +39,47 @@ class Tally:
         self.causes.setdefault(cause, []).append(case)
 
 
+LINKS = ("to a file elsewhere", "over a folder", "to a folder", "dangling", "to itself", "folder")
+"""What a path may be instead of a file."""
+
+
 def case(number: int, seed: int, good: list[Seed]) -> tuple[Seed, bytes]:
-    """The file of one case. Some have odd names."""
+    """Return the file of one case. Some have odd names, some are links."""
     random = Random(f"{seed} {number}")
     chosen = random.choices(good, [s.share for s in good])[0]
     name = spoilt_name(chosen.name, Random(f"{seed} {number} name"))
-    return replace(chosen, name=name), spoilt(chosen.content, chosen.suffix, random)
+    of_link = Random(f"{seed} {number} link")
+    link = of_link.choice(LINKS) if chosen.is_input and of_link.random() < 0.05 else None
+    return replace(chosen, name=name, link=link), spoilt(chosen.content, chosen.suffix, random)
 
 
 def run(chosen: Seed, content: bytes, folder: Path) -> str | None:
     """What `outcome` says of a file; raises whatever else the reader does."""
-    path = folder / chosen.name
-    path.write_bytes(content)
+    path = _placed(chosen, content, folder)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         return outcome(chosen, path)
+
+
+def _placed(chosen: Seed, content: bytes, folder: Path) -> Path:
+    """Write the file of a case, and return the path that is read."""
+    path, elsewhere = folder / chosen.name, folder / "elsewhere"
+    if path.is_dir() and not path.is_symlink():
+        path.rmdir()
+    path.unlink(missing_ok=True)
+    elsewhere.mkdir(exist_ok=True)
+    if chosen.link in ("dangling", "to itself", "to a folder"):
+        path.symlink_to({"dangling": "nowhere", "to itself": path.name}.get(chosen.link, "elsewhere"))
+    elif chosen.link == "folder":
+        path.mkdir()
+    elif chosen.link is not None:
+        (elsewhere / "file").write_bytes(content)
+        (folder / "over").unlink(missing_ok=True)
+        (folder / "over").symlink_to("elsewhere")
+        path.symlink_to(elsewhere / "file" if chosen.link == "to a file elsewhere" else Path("over", "file"))
+    else:
+        path.write_bytes(content)
+    return path
 
 
 def cause(error: BaseException) -> str:

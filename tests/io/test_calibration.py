@@ -589,3 +589,13 @@ def test_a_lens_of_opensfm_is_known_whatever_else_is_missing(tmp_path):
     path = tmp_path / "cameras.json"
     path.write_text(json.dumps({"a": {"projection_type": "brown", "height": 480, "focal_x": 0.8, "focal_y": 0.8}}))
     refuses(path, *((f"a: {field}", "nothing") for field in ("matrix", "distortion", "width, height")))
+
+
+@pytest.mark.parametrize("suffix", [".mat", ".toml", ".json"])
+def test_a_missing_file_and_a_link_to_nothing_are_named(tmp_path, suffix):
+    path = tmp_path / f"camera{suffix}"
+    with refusal((path, "file", "no such file")):
+        read_cameras(path)
+    path.symlink_to("nowhere")
+    with refusal((path, "file", "a link that points to nothing")):
+        read_cameras(path)
