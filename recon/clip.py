@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -134,6 +134,42 @@ likelihood.
 """
 
 
+@dataclass(frozen=True, eq=False, repr=False)
+class LeftOut(Brief):
+    """Hold N detections of a file that the fit does not use."""
+
+    names: tuple[str, ...] = ()
+    """Names of the keypoints that `keypoint` counts."""
+    reasons: tuple[str, ...] = ()
+    """Reasons that `reason` counts."""
+    frame: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    """(N,): frame numbers of the file."""
+    keypoint: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    """(N,): index into `names`."""
+    reason: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    """(N,): index into `reasons`."""
+    xy_px: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    """(N, 2): pixels."""
+    confidence: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    """(N,): likelihoods, 0 to 1."""
+
+    def and_points(self, keypoints: Keypoints, points: np.ndarray, reason: str, later_frames: int = 0) -> LeftOut:
+        """Return these and further points (T, K), whose frame numbers are so much later than those of the file."""
+        rows, columns = np.nonzero(points)
+        names = tuple(dict.fromkeys((*self.names, *keypoints.names)))
+        reasons = tuple(dict.fromkeys((*self.reasons, reason)))
+        index = np.array([names.index(name) for name in keypoints.names], dtype=np.int64)
+        return LeftOut(
+            names,
+            reasons,
+            np.concatenate([self.frame, keypoints.frames[rows] - later_frames]),
+            np.concatenate([self.keypoint, index[columns]]),
+            np.concatenate([self.reason, np.full(len(rows), reasons.index(reason))]),
+            np.concatenate([self.xy_px, keypoints.xy_px[rows, columns]]),
+            np.concatenate([self.confidence, keypoints.confidence[rows, columns]]),
+        )
+
+
 @dataclass(frozen=True, repr=False)
 class CleaningReport(Brief):
     """Result of `clean`.
@@ -154,6 +190,8 @@ class CleaningReport(Brief):
     """Decisions of the reader."""
     constant_px: tuple[float, float] | None = None
     """The point, such as (-1, -1), that stands for missing ones although it has a likelihood, if any."""
+    left_out: LeftOut = field(default_factory=LeftOut)
+    """Detections that are not used."""
 
     def total(self, count: str) -> int:
         """Return the sum of one count, such as "rejected", over the keypoints."""
@@ -172,6 +210,10 @@ def parse_frame_range(text: str) -> tuple[int | None, int | None]:
         expected = "A:B with A < B, original frame numbers, B not included"
         raise InputError(Problem("--frames", "range", f"'{text}'", expected))
     return start, stop
+
+
+UNLIKELY = "low likelihood"
+"""Reason why a detection is left out: its likelihood is below the least one."""
 
 
 def clean(
@@ -222,20 +264,24 @@ def clean(
         keypoints=counts,
         notes=keypoints.notes,
         constant_px=constant_px(selected),
+        left_out=LeftOut().and_points(known, unlikely, UNLIKELY),
     )
     return cleaned, report
 
 
 def leave_out(
-    keypoints: Keypoints, report: CleaningReport, points: np.ndarray, reason: str
+    keypoints: Keypoints, report: CleaningReport, points: np.ndarray, reason: str, later_frames: int = 0
 ) -> tuple[Keypoints, CleaningReport]:
-    """Mark further points (T, K) of a cleaned clip as missing and rejected, with a note of the reason."""
+    """Mark further points (T, K) of a cleaned clip as missing and rejected, with a note of the reason.
+
+    later_frames: by how much the clip's frame numbers are later than those of the file.
+    """
     if not points.any():
         return keypoints, report
-    left_out = dict(zip(keypoints.names, points.sum(axis=0).tolist(), strict=True))
+    lost_points = dict(zip(keypoints.names, points.sum(axis=0).tolist(), strict=True))
     counts = {}
     for name, counted in report.keypoints.items():  # those of the file; the clip may have more
-        used, lost = counted["used"] - left_out.get(name, 0), left_out.get(name, 0)
+        used, lost = counted["used"] - lost_points.get(name, 0), lost_points.get(name, 0)
         unknown = min(counted["likelihood_unknown"], used)
         counts[name] = {**counted, "used": used, "rejected": counted["rejected"] + lost, "likelihood_unknown": unknown}
     frame, first = (int(i) for i in np.argwhere(points)[0])
@@ -243,7 +289,8 @@ def leave_out(
         f"{points.sum()} points are {reason}, and left out: {keypoints.names[first]} in frame {keypoints.frames[frame]}"
     )
     note += ", ..." if points.sum() > 1 else ""
-    report = replace(report, keypoints=counts, notes=(*report.notes, note))
+    left_out = report.left_out.and_points(keypoints, points, reason, later_frames)
+    report = replace(report, keypoints=counts, notes=(*report.notes, note), left_out=left_out)
     return _without_points(keypoints, points), report
 
 
@@ -569,6 +616,11 @@ class Source(Brief):
     def moves(self) -> bool:
         """Whether the camera moves."""
         return self.poses is not None
+
+    @property
+    def later_frames(self) -> int:
+        """Return by how much the clip's frame numbers are later than those of the file."""
+        return round(self.offset_s * (self.keypoints.fps or 0.0) - self.offset_frames)
 
 
 def views_of(sources: Sequence[Source]) -> tuple[View, ...]:

@@ -125,7 +125,7 @@ def test_config_holds_every_setting_that_has_a_value():
     plain = tomllib.loads(FitSettings(**GIVEN).to_toml())["recon"]["fit"]
     unset = {"camera_name", "hfov_deg", "image_size_px", "tilt_deg", "individual", "frames", "skeleton", "subject"}
     unset |= {"rename", "camera_track", "offset_s", "camera_fps", "focal_sigma", "prior", "detector"}
-    unset |= {"up", "size", "size_sigma", "height_m", "keypoint_sigma_m", "belt_speed_m_s"}
+    unset |= {"up", "size", "size_sigma", "height_m", "keypoint_sigma_m", "belt_speed_m_s", "corrections"}
     assert set(plain) == set(SETTINGS) - unset - set(of_method("frame"))
     assert plain["keypoints"] == "/data/clip.csv"
 
@@ -347,8 +347,8 @@ def test_help_of_fit_has_what_is_decided_for_every_clip():
     options = {f"--{name}" for name in ("out", "config", "overwrite", "set", "json", "quiet")}
     common = {"keypoints" if it.option.argument else it.on_command_line for it in SETTINGS.values() if it.option.common}
     assert {*options_in_help("fit")} == options | common
-    assert len(options | common) + 1 <= 24  # and --help
-    assert common - {"keypoints"} <= {*options_in_help("batch")}
+    assert len(options | common) + 1 <= 25  # and --help
+    assert common - {"keypoints", "--corrections"} <= {*options_in_help("batch")}
 
 
 def test_the_help_of_an_option_is_the_settings():

@@ -21,6 +21,7 @@ from recon.check.verdict import add_verdict, verdict_lines
 from recon.clip import Source, views_of
 from recon.fit.belt import belt_path_m, views_from_belt
 from recon.fit.clip_problem import TrajectoryOptions
+from recon.fit.correction_gain import correction_gain_m2
 from recon.fit.motion import Motion
 from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.trajectory import solve_trajectory
@@ -66,7 +67,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     fit = _solve_again_without_swaps(fit, inputs, settings, solve)
     fit = _with_stage_time(fit, "input_findings", time.perf_counter() - began)
     fit = _check_agreement(fit, as_motion(fit), inputs)
-    motion = _judge(fit, as_motion(fit), settings)
+    motion = _with_correction_gain(_judge(fit, as_motion(fit), settings), fit, inputs)
     _log(motion)
     return motion
 
@@ -178,6 +179,12 @@ def _judge(fit: _Fit, motion: Motion, settings: FitSettings) -> Motion:
             for source, correction, scale in corrections
         )
     return add_verdict(replace(with_flags(motion, fit.findings), sources=sources, findings=fit.findings))
+
+
+def _with_correction_gain(motion: Motion, fit: _Fit, inputs: ClipInputs) -> Motion:
+    """Add what a correction of each detection by hand would gain."""
+    gain_m2 = correction_gain_m2(fit.solution, inputs.prior, inputs.fps, fit.options)
+    return replace(motion, correction_gain_m2=gain_m2)
 
 
 def _log(motion: Motion) -> None:

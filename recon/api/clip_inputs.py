@@ -30,6 +30,7 @@ from recon.clip import (
     parse_frame_range,
 )
 from recon.fit.result import Finding
+from recon.io.corrections import read_corrections, with_corrections
 from recon.io.formats import read_keypoints
 
 if TYPE_CHECKING:
@@ -79,6 +80,9 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], Unknown]
     read_shared: `read_model_and_cameras`, or one that remembers. Raises InputError as `fit_clip`."""
     shared = read_shared or read_model_and_cameras
     files, (body, prior, cameras) = collect_problems(lambda: read_clips(settings), lambda: shared(settings))
+    if settings.corrections is not None:
+        corrections = read_corrections(settings.corrections)
+        files = with_corrections(files, [camera.name for camera, _ in cameras], corrections, settings.corrections)
     later = settings.offset_s or (0.0,) * len(files)
     fps = files[0].fps
     assert fps is not None

@@ -150,7 +150,7 @@ def input_files(settings: FitSettings) -> dict[str, Path]:
 
         tracks = [path for track in settings.camera_track for path in track_files(track)]
         files |= {f"camera_track {i}" if i else "camera_track": path for i, path in enumerate(tracks)}
-    for role in ("skeleton", "subject", "detector", "prior", "rename"):
+    for role in ("skeleton", "subject", "detector", "prior", "rename", "corrections"):
         name = getattr(settings, role)
         if name is not None and Path(name).is_absolute():
             files[role] = Path(name)

@@ -124,6 +124,9 @@ class FitSettings(Settings):
         FrameRange | None, Option(expected="frame numbers A:B with A < B, from A up to but without B, as in 100:160")
     ] = None
     """Only these frame numbers, from A up to but without B, as in 100:160."""
+    corrections: File | None = None
+    """Detections that were corrected by hand: corrections.csv, with the columns frame, keypoint, now_x_px, now_y_px and
+    camera."""
     fix_swaps: Annotated[bool, _TRAJECTORY] = False
     """Exchange left and right back where they look exchanged."""
     offset_s: Annotated[OneOrMore[Number] | None, _RARE_TRAJECTORY] = None
@@ -273,7 +276,7 @@ class FitSettings(Settings):
 
 SETTINGS = FitSettings.infos()
 """By name, in the order of `FitSettings`."""
-OF_ANY_CLIP = tuple(name for name in SETTINGS if name != "keypoints")
+OF_ANY_CLIP = tuple(name for name in SETTINGS if name not in ("keypoints", "corrections"))
 """The settings that several clips can have in common."""
 
 

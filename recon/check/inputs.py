@@ -388,7 +388,7 @@ def without_gross_outliers(
         rows: Bools = ratios > CLEAR
         rows &= rows.sum() <= MOST * view.present.any(axis=1).sum()
         points, numbers = source.keypoints.present & rows[:, None], source.keypoints.frames
-        keypoints, cleaning = leave_out(source.keypoints, source.cleaning, points, _WHY)
+        keypoints, cleaning = leave_out(source.keypoints, source.cleaning, points, _WHY, source.later_frames)
         kept.append(replace(source, keypoints=keypoints, cleaning=cleaning))
         for first, stop in frame_ranges(np.flatnonzero(rows)):
             frames, ratio = (int(numbers[first]), int(numbers[stop - 1]) + 1), float(ratios[first:stop].sum())

@@ -106,6 +106,9 @@ class Motion:
     """The `recon.animal.chain.Chain` from which `body` is made, if it is one."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """All settings of the fit, as JSON has them; paths are absolute, and in a folder of results relative to it."""
+    correction_gain_m2: Array | None = None
+    """(V, T, J): expected fall of the mean squared error of the pose if a detection were right
+    (`recon.fit.correction_gain`); None of a method that does not know."""
     timing_s: Mapping[str, float] = field(default_factory=dict)
     """Seconds that the fit took, by name, besides those of the solution's stages."""
 

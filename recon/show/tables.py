@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from recon.check.to_correct import to_correct as worth_correcting
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.gait.dynamics import FORCE_COLUMNS, G_M_S2, OVER_STRIDE, over_stride
@@ -71,7 +72,33 @@ def reprojection(motion: Motion, path: Path, camera: int = 0) -> None:
     _write_points(path, motion, ("x", "y", "likelihood"), values, scorer="recon")
 
 
-_EVERY_CLIP = pose3d, angles, quality, pose3d_sigma, angles_sigma
+TO_CORRECT_COLUMNS = (
+    *("rank", "frame", "camera", "keypoint", "reason", "found_x_px", "found_y_px", "likelihood"),
+    *("expected_x_px", "expected_y_px", "distance_px", "sigma_major_px", "sigma_minor_px", "sigma_angle_deg"),
+    "pose_error_fall_mm",
+)
+
+
+def to_correct(motion: Motion, path: Path) -> None:
+    """Write the detections that are worth correcting by hand, the most worthwhile first.
+
+    The frame is that of the camera's keypoint file. The sigmas are half axes of the ellipse of one standard deviation
+    about the expected position.
+    """
+    rows = [
+        (
+            *(rank, point.frame, point.camera, point.keypoint, point.reason),
+            *(round(value, 2) for value in (point.found_px or (np.nan, np.nan))),
+            round(point.likelihood, 3),
+            *(round(value, 2) for value in (*point.expected_px, point.distance_px, *point.ellipse_px)),
+            float(f"{1000.0 * point.error_fall_m:.3g}"),
+        )
+        for rank, point in enumerate(worth_correcting(motion), start=1)
+    ]
+    write_rows(path, [TO_CORRECT_COLUMNS], rows)
+
+
+_EVERY_CLIP = pose3d, angles, quality, pose3d_sigma, angles_sigma, to_correct
 CLIP_OUTPUTS: dict[str, Callable[[Motion, Path], None]] = {f"{table.__name__}.csv": table for table in _EVERY_CLIP}
 """Tables of every clip, by file name."""
 

@@ -120,7 +120,7 @@ def test_every_writer_writes(motion, tmp_path, request):
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(outputs)
     for path in tmp_path.iterdir():
         text = path.read_bytes()
-        assert text.count(b"\n") >= 7
+        assert text.count(b"\n") >= (2 if path.name == "to_correct.csv" else 7)
         assert b"\r" not in text
         assert b"nan" not in text
 

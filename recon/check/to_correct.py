@@ -1,0 +1,185 @@
+"""List the detections that are worth correcting by hand, in order.
+
+First come those that are far from where the pose expects them, and those that were left out: they are wrong, or the
+pose is. Then come detections that are missing or doubted, by how much the expected error of the pose would fall if they
+were right (`recon.fit.correction_gain`). An error lasts for about `ERROR_TIME_S`, so that a correction tells of the
+neighbouring frames as well: each one that is listed lowers what is left to gain by the same keypoint nearby.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from recon.base.arrays import Array, Bools
+from recon.clip import UNLIKELY, Source
+from recon.fit import constants
+from recon.fit.motion import Motion, Picture
+
+AGREES_SIGMAS = 2.0
+"""Number of standard deviations from its expected position within which a detection that is used needs no look."""
+MOST_LISTED = 500
+"""Most rows: more than anybody corrects by hand."""
+Reason = Literal["far", "left out", "low likelihood", "missing", "uncertain"]
+"""far: used, but not explained by the pose; left out: for another reason than its likelihood; uncertain: further than
+`AGREES_SIGMAS` from its expected position."""
+
+
+@dataclass(frozen=True)
+class ToCorrect:
+    """Hold one detection that is worth correcting."""
+
+    frame: int
+    """Frame number in the keypoint file."""
+    camera: str
+    keypoint: str
+    found_px: tuple[float, float] | None
+    """Where the detector found it; None: nowhere."""
+    likelihood: float
+    expected_px: tuple[float, float]
+    """Where the pose expects it."""
+    ellipse_px: tuple[float, float, float]
+    """Half axes of the ellipse of one standard deviation about the expected position, and the angle of the longer one
+    to the x axis, in degrees."""
+    distance_px: float
+    """From the found to the expected position; NaN where nothing was found."""
+    reason: Reason
+    error_fall_m: float
+    """Expected fall of the pose's root mean square error if it were right; NaN by a method that does not know."""
+
+
+def to_correct(motion: Motion, limit: int = MOST_LISTED) -> list[ToCorrect]:
+    """Return the detections that are worth correcting, the most worthwhile first.
+
+    Parameters
+    ----------
+    motion
+        A motion of T frames with J joints, filmed by V cameras.
+    most
+        Largest number of detections.
+    """
+    found_px, likelihood, reason_code = (np.array(arrays) for arrays in zip(*map(_found, motion.sources), strict=True))
+    pictures = motion.pictures
+    gain_m2 = motion.correction_gain_m2
+    if gain_m2 is None:
+        gain_m2 = np.full(found_px.shape[:3], np.nan)
+    expected_px = np.array([picture.reprojected_px for picture in pictures])
+    distance_px = np.linalg.norm(found_px - expected_px, axis=-1)
+    inside = np.array([_inside(picture) for picture in pictures])
+    outliers = np.array([picture.outliers for picture in pictures])
+    is_left_out = reason_code > _USED
+    is_first = inside & (outliers | is_left_out & np.isfinite(distance_px))
+    sigma_px = np.array([picture.sigma_px for picture in pictures])
+    agrees = distance_px <= AGREES_SIGMAS * sigma_px
+    is_next = inside & ~is_first & ~agrees & (np.nan_to_num(gain_m2) > 0)
+    tau = max(constants.ERROR_TIME_S * motion.fps, 1.0)
+    first = _by_distance(distance_px, is_first, limit)
+    cells = [*first, *_spread(gain_m2, is_next, tau, limit - len(first))]
+    falls_m = _error_fall_m(motion, gain_m2)
+    ellipses = _Ellipses(motion)
+    return [
+        ToCorrect(
+            int(motion.frames[t]) - motion.sources[v].later_frames,
+            pictures[v].name,
+            motion.names[j],
+            _pair(found_px[v, t, j]),
+            float(likelihood[v, t, j]),
+            (float(expected_px[v, t, j, 0]), float(expected_px[v, t, j, 1])),
+            ellipses.at(v, t, j),
+            float(distance_px[v, t, j]),
+            _reason(int(reason_code[v, t, j]), bool(outliers[v, t, j]), bool(np.isfinite(found_px[v, t, j, 0]))),
+            float(falls_m[v, t, j]),
+        )
+        for v, t, j in cells
+    ]
+
+
+_USED, _UNLIKELY, _LEFT_OUT = 0, 1, 2
+
+
+def _reason(code: int, is_outlier: bool, is_found: bool) -> Reason:
+    if code != _USED:
+        return "low likelihood" if code == _UNLIKELY else "left out"
+    if is_outlier:
+        return "far"
+    return "uncertain" if is_found else "missing"
+
+
+def _found(source: Source) -> tuple[Array, Array, Array]:
+    """Return what the file has, used or left out: (T, J, 2) pixels, (T, J) likelihood, and `_USED` or another code."""
+    keypoints = source.keypoints
+    found_px, likelihood = keypoints.xy_px.copy(), np.where(keypoints.present, keypoints.confidence, np.nan)
+    codes = np.zeros(keypoints.present.shape, dtype=int)
+    left_out = source.cleaning.left_out
+    column = np.array([keypoints.names.index(name) if name in keypoints.names else -1 for name in left_out.names])
+    rows = np.searchsorted(keypoints.frames, left_out.frame + source.later_frames)
+    is_here = (rows < len(keypoints.frames)) & (column[left_out.keypoint] >= 0) if len(rows) else np.zeros(0, bool)
+    rows, columns = rows[is_here], column[left_out.keypoint[is_here]] if len(rows) else rows
+    found_px[rows, columns] = left_out.xy_px[is_here]
+    likelihood[rows, columns] = left_out.confidence[is_here]
+    is_unlikely = np.array([reason == UNLIKELY for reason in left_out.reasons], dtype=bool)
+    codes[rows, columns] = np.where(is_unlikely[left_out.reason[is_here]], _UNLIKELY, _LEFT_OUT) if len(rows) else 0
+    return found_px, likelihood, codes
+
+
+def _inside(picture: Picture) -> Bools:
+    """Return whether the expected keypoints lie inside the picture, (T, J): only those can be marked by hand."""
+    width, height = picture.camera.image_size_px
+    x, y = np.moveaxis(picture.reprojected_px, -1, 0)
+    return (x >= 0) & (x < width) & (y >= 0) & (y < height)
+
+
+def _by_distance(distance_px: Array, chosen: Bools, limit: int) -> list[tuple[int, int, int]]:
+    """Return the chosen cells (V, T, J), the farthest first."""
+    order = np.argsort(np.where(chosen, -distance_px, np.inf), axis=None, kind="stable")[
+        : min(limit, int(chosen.sum()))
+    ]
+    return [_cell(index, chosen.shape) for index in order]
+
+
+def _spread(gain_m2: Array, chosen: Bools, tau: float, limit: int) -> list[tuple[int, int, int]]:
+    """Return the chosen cells (V, T, J) by what is left to gain after those before them."""
+    left_m2 = np.where(chosen, gain_m2, -np.inf)
+    frames, cells = np.arange(gain_m2.shape[1]), []
+    for _ in range(min(limit, int(chosen.sum()))):
+        v, t, j = _cell(int(np.argmax(left_m2)), gain_m2.shape)
+        cells.append((v, t, j))
+        left_m2[v, :, j] *= 1.0 - np.exp(-(((frames - t) / tau) ** 2)) * (frames != t)
+        left_m2[v, t, j] = -np.inf
+    return cells
+
+
+def _cell(index: int, shape: tuple[int, ...]) -> tuple[int, int, int]:
+    v, t, j = np.unravel_index(index, shape)
+    return int(v), int(t), int(j)
+
+
+def _error_fall_m(motion: Motion, gain_m2: Array) -> Array:
+    """Return by how much the root mean square error of the joints, both poses centred, is expected to fall."""
+    variance_m2 = np.trace(motion.solution.relative_covariance_m2[motion.solved], axis1=-2, axis2=-1)
+    error_m2 = float(variance_m2.mean()) if variance_m2.size else np.nan
+    return np.sqrt(error_m2) - np.sqrt(np.maximum(error_m2 - gain_m2, 0.0))
+
+
+class _Ellipses:
+    """Give the ellipses of one standard deviation about expected keypoints."""
+
+    def __init__(self, motion: Motion) -> None:
+        self.motion = motion
+
+    def at(self, v: int, t: int, j: int) -> tuple[float, float, float]:
+        """Return the half axes in pixels, and the angle of the longer one, degrees."""
+        solution = self.motion.solution
+        view = solution.views[v].part(slice(t, t + 1))
+        _, by_point, _ = view.project_with_jacobian(solution.markers_m[t : t + 1, j : j + 1])
+        covariance_px2 = by_point[0, 0] @ solution.covariance_m2[t, j] @ by_point[0, 0].T
+        variances, axes = np.linalg.eigh(covariance_px2)
+        minor, major = np.sqrt(np.maximum(variances, 0.0)).tolist()
+        x, y = axes[:, 1].tolist()
+        return major, minor, float(np.degrees(np.arctan2(y, x)) % 180.0)
+
+
+def _pair(xy: Array) -> tuple[float, float] | None:
+    return (float(xy[0]), float(xy[1])) if np.isfinite(xy).all() else None

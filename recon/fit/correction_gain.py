@@ -1,0 +1,141 @@
+"""Rank the detections of a clip by how much a correction by hand would improve its 3D motion.
+
+No fit is repeated. At the minimum, H is the curvature of the cost by the states of all frames, Z = H^-1 their
+covariance, and G the curvature of the mean squared distance of the joints, both poses centred, in each frame. A
+detection of one keypoint in one picture moves with the states of its frame by A (2, D). It has the noise sigma and the
+weight w, 0 where it is missing or was left out. If it were right, two parts of the squared error would go:
+
+**1. Variance.** The detection would have its whole weight. The precision in the picture grows by d = (1 - w) / sigma^2,
+and the covariance falls by Z A' (I / d + A Z A')^-1 A Z. The trace of that by G is
+
+    tr((I / d + A Z A')^-1 A Q A'),   Q = Z G Z
+
+**2. Pull.** A wrong detection displaces the pose. Without it, the states would move by Z A' (I sigma^2 / w - A Z A')^-1
+r, with the residual r: the step of one deletion (R. D. Cook, *Detection of influential observation in linear
+regression*, Technometrics 19, 1977). The squared displacement of the joints by that step is
+
+    r' P A Q A' P r,   P = (I sigma^2 / w - A Z A')^-1
+
+Only the blocks of Z and Q within a frame are needed. Q is the derivative of the covariance: Z(H) - Z(H + e G) = e Q to
+first order, so that the recursion that gives Z gives Q as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from recon.animal.prior import MotionPrior
+from recon.base.arrays import Array
+from recon.fit.banded import Normal, eliminated
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
+from recon.fit.least_squares import Estimate, LeastSquares
+from recon.fit.result import TrajectorySolution
+from recon.fit.terms import SIDESLIP, SIZE
+from recon.geometry.kinematics import ROOT
+
+_MOST_WEIGHT = 0.99
+_RELATIVE_STEP = 1e-4
+"""Size of e G relative to H, for the derivative of the covariance."""
+
+
+def correction_gain_m2(
+    solution: TrajectorySolution, prior: MotionPrior, fps: float, options: TrajectoryOptions
+) -> Array:
+    """Return the expected fall of the pose's mean squared error if a detection were right, (V, T, J).
+
+    The error is the distance of the joints from their true positions, both poses centred, and the mean is over all
+    frames and joints. NaN in frames without a pose, and where the camera cannot see the joint.
+
+    Parameters
+    ----------
+    solution
+        The solution of a clip, with V views of T frames and J markers.
+    prior
+        The prior that it was solved with.
+    fps
+        Frames per second.
+    options
+        The options that it was solved with.
+    """
+    clip = ClipProblem.from_views(solution.views, solution.body, prior, fps, options)
+    gain_m2 = np.full(solution.weight.shape, np.nan)
+    for rows, segment_clip, problem, estimate in _problems_at(clip, solution):
+        gain_m2[:, rows] = _segment_gain(segment_clip, problem, estimate, solution, rows)
+    return gain_m2 / max(int(solution.posed.sum()) * len(solution.body.markers), 1)
+
+
+def _problems_at(
+    clip: ClipProblem, solution: TrajectorySolution
+) -> Iterator[tuple[slice, ClipProblem, LeastSquares, Estimate]]:
+    """Yield the rows, the problem and the minimum of each segment, set up again at the solution.
+
+    Its views have the time offsets and corrections of the cameras that were found.
+    """
+    size = solution.size if clip.shows_size else 1.0
+    values = {SIZE: np.array([size]), SIDESLIP: np.array([solution.sideslip_rad])}
+    nominal = solution.states.copy()
+    nominal[:, ROOT] = (nominal[:, ROOT] - clip.origin_m) / solution.size
+    for segment in solution.segments:
+        rows, states = segment.rows, nominal[segment.rows]
+        part = replace(clip.part(rows), prior_weight=segment.prior_weight)
+        if not np.isfinite(states).all():
+            continue
+        points = part.markers(states)
+        has_ground = clip.options.ground == "auto" and len(part.feet) > 0 and len(states) > 2
+        contact_terms = contacts(part, points, size)[2] if has_ground else ()
+        problem = part.problem(solution.noise_px[:, rows], 1.0, contact_terms, points, size)
+        shared = {name: (problem.expected() | values)[name] for name in problem.columns}
+        yield rows, part, problem, Estimate(states, 0.0, 0, True, shared)
+
+
+def _segment_gain(
+    clip: ClipProblem, problem: LeastSquares, estimate: Estimate, solution: TrajectorySolution, rows: slice
+) -> Array:
+    """Return the gain of a segment of n frames, (V, n, J), summed over its frames and joints."""
+    states, size = estimate.states, solution.size
+    pose = clip.body.tree.pose_with_jacobian(states)
+    centred = size * (pose.jacobian - pose.jacobian.mean(axis=1, keepdims=True))
+    flat = centred.reshape(len(states), -1, centred.shape[-1])
+    Z, Q = _covariance_and_derivative(problem, estimate, flat.swapaxes(1, 2) @ flat)
+    detected = clip.body.detected.pose_with_jacobian(states)
+    world_m = clip.in_world(detected.points_m, size)
+    gains, eye = [], np.eye(2)
+    for view, noise_px, weight in zip(clip.views, solution.noise_px[:, rows], solution.weight[:, rows], strict=True):
+        projected, by_point, valid = view.project_with_jacobian(view.shift_to_exposure(world_m))
+        A = size * by_point @ detected.jacobian
+        A_Z_A, A_Q_A = (A @ square[:, None] @ A.swapaxes(-1, -2) for square in (Z, Q))
+        w = np.where(view.present, np.nan_to_num(weight) * view.confidence, 0.0)[..., None, None]
+        variance_px2 = noise_px[..., None, None] ** 2
+        precision = np.maximum(1.0 - w, 0.0) / variance_px2
+        fall = precision[..., 0, 0] * np.trace(np.linalg.solve(eye + precision * A_Z_A, A_Q_A), axis1=-2, axis2=-1)
+        residual_px = np.where(view.present[..., None], projected - view.xy_px, 0.0)[..., None]
+        w_left = np.minimum(w, _MOST_WEIGHT) / variance_px2  # a detection that alone determines the pose has no P
+        pulled = w_left * np.linalg.solve(eye - w_left * A_Z_A, residual_px)
+        pull = (pulled.swapaxes(-1, -2) @ A_Q_A @ pulled)[..., 0, 0]
+        gains.append(np.where(valid, clip.correlation_frames * fall + pull, np.nan))
+    return np.array(gains)
+
+
+def _covariance_and_derivative(problem: LeastSquares, estimate: Estimate, G: Array) -> tuple[Array, Array]:
+    """Return the blocks (T, D, D) of Z and of Q within each frame."""
+    normals = replace(problem, shared=(), nuisance=()).normals(estimate.states, estimate.shared)
+    Z = _marginals(normals())
+    step = _RELATIVE_STEP / max(float(np.einsum("tab,tba->t", Z, G).max()), 1e-12)
+    return Z, (Z - _marginals(_stiffened(normals(), step * G))) / step
+
+
+def _marginals(pieces: Iterable[Normal]) -> Array:
+    return np.concatenate([window.marginal_blocks()[:, 0] for window in eliminated(pieces, bounded=True)])
+
+
+def _stiffened(pieces: Iterable[Normal], added: Array) -> Iterator[Normal]:
+    """Yield the normal equations with (T, D, D) added to the blocks within each frame."""
+    first = 0
+    for piece in pieces:
+        blocks = piece.blocks.copy()
+        blocks[:, 0] += added[first : first + len(blocks)]
+        first += len(blocks)
+        yield replace(piece, blocks=blocks)

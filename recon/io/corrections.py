@@ -1,0 +1,168 @@
+"""Read and write corrections.csv: detections that somebody corrected by hand.
+
+A row has the frame of the keypoint file, the camera (empty: the only one), the keypoint, where the detector found it
+(`was_x_px`, `was_y_px`; empty: nowhere) and where it is (`now_x_px`, `now_y_px`; empty: hidden, or not to be used), and
+optionally `why` and `when`. Of several rows for one detection the last counts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from recon.base.errors import InputError, Problem, raise_problems
+from recon.base.tables import unguarded
+from recon.clip import Keypoints
+from recon.io.common import MAX_FRAME, text_rows
+from recon.io.writing import write_rows
+
+COLUMNS = ("frame", "camera", "keypoint", "was_x_px", "was_y_px", "now_x_px", "now_y_px", "why", "when")
+REQUIRED = ("frame", "keypoint", "now_x_px", "now_y_px")
+_EXPECTED = f"a table of corrections with the columns {', '.join(REQUIRED)}, and for several cameras camera"
+_Point = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Correction:
+    """Hold one detection that was corrected by hand."""
+
+    frame: int
+    """Frame number in the keypoint file."""
+    camera: str
+    """Name of the camera; empty: the only one."""
+    keypoint: str
+    was_px: _Point | None
+    """Where the detector found it; None: nowhere."""
+    now_px: _Point | None
+    """Where it is; None: hidden, or not to be used."""
+    reason: str = ""
+    date: str = ""
+    """Date and time, ISO 8601."""
+
+
+def read_corrections(path: Path) -> list[Correction]:
+    """Return the corrections of a file, in its order.
+
+    Raises
+    ------
+    InputError
+        With every line that cannot be read.
+    """
+    lines = [*text_rows(path)]
+    header = [cell.strip() for cell in lines[0][1]] if lines else []
+    lacking = [name for name in REQUIRED if name not in header]
+    if lacking:
+        raise InputError(Problem(path, "columns", ", ".join(header)[:100] or "nothing", _EXPECTED))
+    corrections, problems = [], []
+    for number, cells in lines[1:]:
+        row = {name: unguarded(cell.strip()) for name, cell in zip(header, cells, strict=False)}
+        try:
+            corrections.append(_correction(row))
+        except ValueError as error:
+            problems.append(Problem(path, f"line {number}", str(error), _EXPECTED))
+    raise_problems(problems)
+    return corrections
+
+
+def write_corrections(corrections: Iterable[Correction], path: Path) -> None:
+    """Write corrections.csv."""
+    rows = [
+        (
+            *(row.frame, row.camera, row.keypoint),
+            *(row.was_px or ("", "")),
+            *(row.now_px or ("", "")),
+            *(row.reason, row.date),
+        )
+        for row in corrections
+    ]
+    write_rows(path, [COLUMNS], rows)
+
+
+def _correction(row: dict[str, str]) -> Correction:
+    """Raise ValueError, with what is wrong, for a row that is none."""
+    text = row.get("frame", "")
+    if not text.lstrip("-").isdecimal() or abs(int(text[:12])) > MAX_FRAME:
+        raise ValueError(f"frame {text[:40]!r}, which is no whole number")
+    if not row.get("keypoint"):
+        raise ValueError("no keypoint")
+    was_px, now_px = (_point(row, f"{name}_x_px", f"{name}_y_px") for name in ("was", "now"))
+    camera, reason, date = (row.get(name, "") for name in ("camera", "why", "when"))
+    return Correction(int(text), camera, row["keypoint"], was_px, now_px, reason, date)
+
+
+def _point(row: dict[str, str], x_name: str, y_name: str) -> _Point | None:
+    x, y = row.get(x_name, ""), row.get(y_name, "")
+    if not x and not y:
+        return None
+    try:
+        point = float(x), float(y)
+    except ValueError:
+        point = math.nan, math.nan
+    if not all(map(math.isfinite, point)):
+        raise ValueError(f"{x_name}, {y_name}: {x[:20]!r}, {y[:20]!r}, which are no two numbers")
+    return point
+
+
+def with_corrections(
+    files: Sequence[Keypoints], cameras: Sequence[str], corrections: Sequence[Correction], source: Path
+) -> list[Keypoints]:
+    """Return the keypoints of V cameras with the corrections of each, and a note of how many there are.
+
+    A corrected detection is certain: its confidence is 1.
+
+    Parameters
+    ----------
+    files
+        The keypoints of each camera, as read.
+    cameras
+        The names of the cameras.
+    corrections
+        Of any of them.
+    source
+        The file of the corrections, for messages.
+
+    Raises
+    ------
+    InputError
+        With every correction whose camera, frame or keypoint there is not.
+    """
+    raise_problems(_problems(files, cameras, corrections, source))
+    corrected = []
+    for file, camera in zip(files, cameras, strict=True):
+        corrected_px = {(row.frame, row.keypoint): row.now_px for row in corrections if row.camera in ("", camera)}
+        if not corrected_px:
+            corrected.append(file)
+            continue
+        xy_px, confidence = file.xy_px.copy(), file.confidence.copy()
+        row_of, column_of = {int(frame): i for i, frame in enumerate(file.frames)}, file.names.index
+        for (frame, keypoint), now_px in corrected_px.items():
+            cell = row_of[frame], column_of(keypoint)
+            xy_px[cell] = np.nan if now_px is None else now_px
+            confidence[cell] = 0.0 if now_px is None else 1.0
+        note = f"{len(corrected_px)} detections are corrected by hand, as {source.name} says"
+        corrected.append(replace(file, xy_px=xy_px, confidence=confidence, notes=(*file.notes, note)))
+    return corrected
+
+
+def _problems(
+    files: Sequence[Keypoints], cameras: Sequence[str], corrections: Sequence[Correction], source: Path
+) -> Iterable[Problem]:
+    """Yield one problem for each kind of name or frame that there is not."""
+    unknown_cameras = {row.camera for row in corrections} - {"", *cameras}
+    if unknown_cameras:
+        yield Problem(source, "camera", ", ".join(sorted(unknown_cameras))[:100], f"one of {', '.join(cameras)}")
+    if len(cameras) > 1 and any(not row.camera for row in corrections):
+        yield Problem(source, "camera", "nothing", f"one of {', '.join(cameras)} in every row")
+    for file, camera in zip(files, cameras, strict=True):
+        rows = [row for row in corrections if row.camera == camera or (not row.camera and len(cameras) == 1)]
+        title = file.source or camera
+        unknown = sorted({row.keypoint for row in rows} - {*file.names})
+        if unknown:
+            yield Problem(source, "keypoint", ", ".join(unknown)[:100], f"keypoints of {title}")
+        absent = sorted({row.frame for row in rows} - {*file.frames.tolist()})
+        if absent:
+            yield Problem(source, "frame", ", ".join(map(str, absent))[:100], f"frames of {title}")

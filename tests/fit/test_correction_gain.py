@@ -1,0 +1,86 @@
+"""What a correction gains, compared with what it gains when the equations are solved again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from recon import Motion
+from recon.animal.prior import load_prior
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
+from recon.fit.correction_gain import (
+    _covariance_and_derivative,
+    _problems_at,
+    correction_gain_m2,
+)
+from recon.fit.result import TrajectorySolution
+
+
+@pytest.fixture(scope="module")
+def solved(whole_results) -> Motion:
+    return Motion.load(whole_results)
+
+
+def gains(motion: Motion, **changes) -> np.ndarray:
+    prior = load_prior("running-cheetah", motion.body)
+    assert isinstance(motion.solution, TrajectorySolution)
+    return correction_gain_m2(replace(motion.solution, **changes), prior, motion.fps, TrajectoryOptions())
+
+
+def test_a_fit_states_what_corrections_would_gain(solved: Motion):
+    gain_m2 = solved.correction_gain_m2
+    assert gain_m2 is not None
+    assert gain_m2.shape == (1, len(solved.frames), len(solved.joints))
+    np.testing.assert_allclose(gains(solved), gain_m2, rtol=1e-6)
+    assert np.nanmin(gain_m2) >= 0
+
+
+def test_the_derivative_of_the_covariance_is_that_of_the_whole_inverse(solved: Motion):
+    solution = solved.solution
+    assert isinstance(solution, TrajectorySolution)
+    clip = ClipProblem.from_views(
+        solution.views, solution.body, load_prior("running-cheetah", solved.body), solved.fps, TrajectoryOptions()
+    )
+    ((_, _part, problem, estimate),) = _problems_at(clip, solution)
+    T, D = estimate.states.shape
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(T, D, 3))
+    G = root @ root.swapaxes(1, 2)
+    Z, Q = _covariance_and_derivative(problem, estimate, G)
+    blocks = replace(problem, shared=(), nuisance=()).normal(estimate.states, estimate.shared).blocks
+    H = np.zeros((T, D, T, D))
+    for t in range(T):
+        for k in range(min(blocks.shape[1], T - t)):
+            H[t + k, :, t] = blocks[t, k]
+            H[t, :, t + k] = blocks[t, k].T
+    inverse = np.linalg.inv(H.reshape(T * D, T * D)).reshape(T, D, T, D)
+    np.testing.assert_allclose(Z[5], inverse[5, :, 5], rtol=1e-5, atol=1e-9)
+    whole = np.einsum("asb,sbc,scd->ad", inverse[5], G, inverse[:, :, 5], optimize=True)
+    np.testing.assert_allclose(Q[5], whole, rtol=2e-3, atol=2e-3 * np.abs(whole).max())
+
+
+def test_a_missing_detection_gains_more_than_one_that_is_used(solved: Motion):
+    """The same cell, with and without its detection, which agrees with the pose."""
+    solution, (view,) = solved.solution, solved.solution.views
+    weight = np.nan_to_num(solution.weight[0])
+    weight[:5], weight[-5:] = 0.0, 0.0
+    t, j = np.unravel_index(int(np.argmax(weight)), weight.shape)
+    before = gains(solved)[0, t, j]
+    xy_px, confidence = view.xy_px.copy(), view.confidence.copy()
+    xy_px[t, j], confidence[t, j] = np.nan, 0.0
+    without = replace(view, xy_px=xy_px, confidence=confidence)
+    weights = solution.weight.copy()
+    weights[0, t, j] = np.nan
+    after = gains(solved, views=(without,), weight=weights)[0, t, j]
+    assert after > 3 * before
+
+
+def test_a_distant_detection_pulls_more_than_one_that_agrees(solved: Motion):
+    """A detection that is moved by two standard deviations, still with its weight."""
+    solution, (view,) = solved.solution, solved.solution.views
+    t, j = 20, int(np.nanargmax(np.nan_to_num(solution.weight[0, 20])))
+    xy_px = view.xy_px.copy()
+    xy_px[t, j] += 2 * solution.noise_px[0, t, j]
+    assert gains(solved, views=(replace(view, xy_px=xy_px),))[0, t, j] > 2 * gains(solved)[0, t, j]

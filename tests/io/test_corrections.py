@@ -1,0 +1,67 @@
+"""Detections that were corrected by hand: their file, and what it does to keypoints."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recon import InputError, Keypoints
+from recon.io.corrections import Correction, read_corrections, with_corrections, write_corrections
+
+
+@pytest.fixture
+def keypoints() -> Keypoints:
+    return Keypoints(("nose", "tail"), np.ones((3, 2, 2)), np.full((3, 2), 0.2), np.array([4, 5, 6]), source="a.csv")
+
+
+def test_what_is_written_reads_back(tmp_path: Path):
+    rows = [
+        Correction(4, "cam1", "=nose", (1.5, 2.5), (3.25, 4.0), "far", "2026-11-29T10:00:00"),
+        Correction(5, "", "tail", None, None),
+    ]
+    write_corrections(rows, tmp_path / "corrections.csv")
+    assert "'=nose" in (tmp_path / "corrections.csv").read_text()
+    assert read_corrections(tmp_path / "corrections.csv") == rows
+
+
+def test_a_corrected_detection_is_certain_and_a_hidden_one_missing(keypoints: Keypoints):
+    rows = [
+        Correction(5, "", "nose", (1.0, 1.0), (9.0, 8.0)),
+        Correction(6, "cam", "tail", (1.0, 1.0), None),
+        Correction(5, "cam", "nose", (1.0, 1.0), (7.0, 8.0)),
+    ]
+    (corrected,) = with_corrections([keypoints], ["cam"], rows, Path("corrections.csv"))
+    assert corrected.xy_px[1, 0].tolist() == [7.0, 8.0]
+    assert corrected.confidence[1, 0] == 1.0
+    assert not corrected.present[2, 1]
+    assert corrected.confidence[2, 1] == 0.0
+    assert corrected.notes[-1] == "2 detections are corrected by hand, as corrections.csv says"
+    assert (corrected.xy_px[0] == 1.0).all()
+    assert keypoints.present.all()
+
+
+def test_everything_that_is_not_there_is_named_at_once(keypoints: Keypoints):
+    rows = [Correction(40, "cam", "nose", None, None), Correction(4, "cam", "ear", None, None)]
+    rows.append(Correction(4, "cam9", "nose", None, None))
+    with pytest.raises(InputError) as refusal:
+        with_corrections([keypoints], ["cam"], rows, Path("corrections.csv"))
+    assert [problem.found for problem in refusal.value.problems] == ["cam9", "ear", "40"]
+
+
+@pytest.mark.parametrize(
+    "row", ["x,nose,1,2", "4,,1,2", "4,nose,1,", "4,nose,nan,2", "4,nose,inf,2", "99999999999999,nose,1,2"]
+)
+def test_a_line_that_cannot_be_read_is_named(row: str, tmp_path: Path):
+    path = tmp_path / "corrections.csv"
+    path.write_text(f"frame,keypoint,now_x_px,now_y_px\n4,nose,1,2\n{row}\n")
+    with pytest.raises(InputError) as refusal:
+        read_corrections(path)
+    assert [problem.field for problem in refusal.value.problems] == ["line 3"]
+
+
+def test_another_table_is_refused(tmp_path: Path):
+    (tmp_path / "table.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(InputError, match="frame, keypoint, now_x_px"):
+        read_corrections(tmp_path / "table.csv")
