@@ -14,6 +14,9 @@ from .api.samples import samples_folder as samples_folder
 from .api.settings import FitSettings as FitSettings
 from .api.subject_fit import SubjectFitSettings as SubjectFitSettings
 from .api.subject_fit import run_subject_fit as run_subject_fit
+from .api.triangulation import TriangulatedClip as TriangulatedClip
+from .api.triangulation import run_triangulation as run_triangulation
+from .api.triangulation import triangulate as triangulate
 from .base.errors import InputError as InputError
 from .base.version import __version__ as __version__
 from .clip import Keypoints as Keypoints

@@ -182,10 +182,17 @@ def _as_high(body: Body, height_m: float) -> Body:
 
 
 def _cleaned(body: Body, settings: FitSettings, fps: float, file: Keypoints, of: ClipCamera, late: float) -> Source:
-    """All keypoints of a file, which began so many frames late, at the clip's frame rate. Raises InputError without any
-    of the body's, or where they lie outside the camera's picture; a few that are far outside are left out, and those of
-    frames in which it is not known where the camera was."""
+    """Return the source of a file, as `cleaned_source`; raise InputError also without any keypoints of the body."""
     _require_keypoints_of(body, file)
+    return cleaned_source(settings, fps, file, of, late)
+
+
+def cleaned_source(settings: FitSettings, fps: float, file: Keypoints, of: ClipCamera, late: float) -> Source:
+    """Return all keypoints of a file, which began so many frames late, at the clip's frame rate.
+
+    A few that are far outside the camera's picture are left out, and those of frames in which it is not known where the
+    camera was. Raises InputError where most lie outside.
+    """
     camera, track = of
     first, stop = parse_frame_range(settings.frames) if settings.frames else (None, None)
     assert file.fps is not None

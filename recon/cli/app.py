@@ -42,6 +42,12 @@ def _run() -> CommandFunction:
     return run
 
 
+def _triangulate() -> CommandFunction:
+    from recon.cli.triangulate import triangulate
+
+    return triangulate
+
+
 def _demo() -> CommandFunction:
     from recon.cli.demo import demo
 
@@ -219,6 +225,7 @@ COMMANDS = {
         "fit": (_fit, "One clip: keypoints and a camera in, a folder of results out."),
         "batch": (_batch, "Many clips in parallel, from where it was stopped."),
         "run": (_run, "From a video to a page: keypoints, fit, analysis, overlay, report.html."),
+        "triangulate": (_triangulate, "Keypoints of several cameras to 3D points, without a skeleton."),
         "demo": (_demo, "Fit the bundled sample and compare it with its truth."),
         "settings": (_settings, "All settings of a command, also those that are no options."),
     },

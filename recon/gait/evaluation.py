@@ -30,6 +30,7 @@ from recon.check.codes import finding, sentence
 from recon.check.verdict import usable
 from recon.clip import frame_ranges
 from recon.fit.motion import Motion
+from recon.fit.motion_forms import MOTION
 from recon.fit.posterior import radius
 from recon.fit.result import Finding, Verdict
 from recon.io.common import Pose3D
@@ -42,6 +43,8 @@ SAME_RATE = 2e-3
 """Frame rates that differ by less, such as 29.97 and 30, are the same."""
 WHOLE_FRAME = 1e-4
 """A time this near a frame, in frames, is that frame's."""
+POSE3D, TRIANGULATED = "pose3d.csv", "triangulation.json"
+"""Files of `recon triangulate`."""
 LEVELS = (0.5, 0.9)
 """Levels of the intervals that are compared with the truth."""
 
@@ -255,6 +258,8 @@ def _positions(
         return read_pose3d(path, unit=unit, up=up), None, None
     if unit is not None or up is not None:
         raise InputError(Problem(path, "unit, up", "results of recon fit, which say both", "no --unit and no --up"))
+    if (path / TRIANGULATED).is_file() and not (path / MOTION).exists():
+        return read_pose3d(path / POSE3D), None, None
     motion = usable(Motion.load(path), path, anyway)
     pose = Pose3D(motion.names, motion.joints_m, motion.frames, str(path), motion.fps)
     return pose, (motion.joint_sigma_m, motion.relative_sigma_m), motion.verdict

@@ -1,0 +1,223 @@
+"""Triangulate keypoints of several cameras, without a skeleton: from files, or from plain objects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recon.api.clip_cameras import read_clip_cameras
+from recon.api.clip_inputs import arrange, cleaned_source, read_clips
+from recon.api.clip_results import input_files
+from recon.api.settings import FitSettings
+from recon.base.arrays import Array, Brief
+from recon.base.errors import InputError, Problem, collect_problems
+from recon.base.outputs import Output
+from recon.clip import Keypoints, Source, align_cameras, clean, views_of
+from recon.fit.triangulation import Triangulation, smoothed, triangulate_views
+from recon.geometry.camera import Camera
+from recon.io.common import Pose3D
+
+POINTS, COVARIANCES, SUMMARY = "pose3d.csv", "pose3d_covariance.csv", "triangulation.json"
+"""Files of `recon triangulate`."""
+TRIANGULATION_SETTINGS = (
+    *("keypoints", "camera", "camera_name", "camera_unit", "camera_track", "fps", "image_size_px", "up"),
+    *("individual", "rename", "frames", "offset_s", "camera_fps", "likelihood_min", "sigma_px"),
+)
+"""The settings of a fit that are read."""
+_COVARIANCE_COLUMNS = {"xx": (0, 0), "xy": (0, 1), "xz": (0, 2), "yy": (1, 1), "yz": (1, 2), "zz": (2, 2)}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TriangulatedClip(Brief):
+    """Hold the points of a clip that were triangulated: T frames of J keypoints by V cameras."""
+
+    names: tuple[str, ...]
+    """Names of the J keypoints."""
+    frames: Array
+    """(T,): frame numbers, those of the first camera."""
+    fps: float
+    cameras: tuple[str, ...]
+    """Names of the V cameras."""
+    knows_up: bool
+    """Whether the cameras' poses say which way is up; otherwise z is up if the first camera is level."""
+    result: Triangulation
+    is_smoothed: bool = False
+
+    @property
+    def points_m(self) -> Array:
+        """Return the points, (T, J, 3), metres, z up; NaN in gaps."""
+        return self.result.points_m
+
+    @property
+    def covariance_m2(self) -> Array:
+        """Return the covariances of the points, (T, J, 3, 3)."""
+        return self.result.covariance_m2
+
+    @cached_property
+    def pose3d(self) -> Pose3D:
+        """Return the points as 3D positions, which all writers take."""
+        return Pose3D(self.names, self.points_m, self.frames, fps=self.fps, sigma_m=self.result.sigma_m)
+
+    def summary(self) -> dict[str, Any]:
+        """Return what the points and the cameras' detections say of each other, as plain numbers."""
+        result = self.result
+        is_known = np.isfinite(result.points_m[..., 0])
+        is_compared = np.isfinite(result.error_px)
+        seen_by_several = is_compared.sum(axis=0) >= 2
+        cameras = {}
+        for name, error_px, is_used, compared in zip(
+            self.cameras, result.error_px, result.is_used, is_compared, strict=True
+        ):
+            count = int(compared.sum())
+            cameras[name] = {
+                "median_error_px": float(np.median(error_px[compared])) if count else None,
+                "compared": count,
+                "left_out": int((compared & ~is_used).sum()),
+            }
+        sigma_m = np.linalg.norm(result.sigma_m[is_known], axis=-1)
+        return {
+            "frames": len(self.frames),
+            "keypoints": len(self.names),
+            "points": int(is_known.sum()),
+            "share_known": float(is_known.mean()),
+            "points_of_three_or_more_cameras": int((result.is_used.sum(axis=0) >= 3).sum()),
+            "compared": int(seen_by_several.sum()),
+            "median_sigma_m": float(np.median(sigma_m)) if len(sigma_m) else None,
+            "sigma_px": dict(zip(self.names, result.sigma_px.tolist(), strict=True)),
+            "cameras": cameras,
+            "smoothed": self.is_smoothed,
+            "knows_up": self.knows_up,
+        }
+
+
+def triangulate(
+    keypoints: Sequence[Keypoints],
+    cameras: Sequence[Camera],
+    sigma_px: float = 3.0,
+    smooth: bool = False,
+    likelihood_min: float = 0.5,
+) -> TriangulatedClip:
+    """Triangulate keypoints that several cameras saw at the same time, without a skeleton.
+
+    Parameters
+    ----------
+    keypoints
+        One for each of V >= 2 synchronised cameras, as read. All have the first one's frame rate.
+    cameras
+        The cameras in the same order, each with its pose.
+    sigma_px
+        Expected noise of the detections, one standard deviation; that of each keypoint is estimated from there.
+    smooth
+        Whether points lie on smoothing splines over time, which also fill gaps of up to 0.2 s.
+    likelihood_min
+        Detections that are less likely are left out, 0 to 1.
+
+    Returns
+    -------
+    TriangulatedClip
+        Points (T, J, 3) of all keypoints that a file has, metres, with covariances; NaN where fewer than two cameras
+        agree.
+
+    Raises
+    ------
+    InputError
+        For fewer than two cameras, cameras without a pose, keypoints without a frame rate, or without any that are
+        likely enough.
+    """
+    if len(keypoints) < 2 or len(keypoints) != len(cameras):
+        found = f"{len(keypoints)} keypoint files and {len(cameras)} cameras"
+        raise InputError(Problem("triangulate", "cameras", found, "two or more, and a camera for each"))
+    fps = keypoints[0].fps
+    if fps is None:
+        raise InputError(Problem("triangulate", "fps", "keypoints without a frame rate", "frames per second"))
+    cleaned = collect_problems(*(partial(clean, file, likelihood_min) for file in keypoints))
+    sources = [
+        Source(camera, points, report, file.names)
+        for camera, file, (points, report) in zip(cameras, keypoints, cleaned, strict=True)
+    ]
+    return _triangulated(sources, (0.0,) * len(sources), fps, sigma_px, smooth)
+
+
+def triangulate_files(settings: FitSettings, smooth: bool = False) -> TriangulatedClip:
+    """Triangulate the keypoint files of a clip.
+
+    Parameters
+    ----------
+    settings
+        Those of `TRIANGULATION_SETTINGS` are read.
+    smooth
+        As in `triangulate`.
+
+    Raises
+    ------
+    InputError
+        For files and settings that cannot be used, with the problems of all of them.
+    """
+    if len(settings.keypoints) < 2:
+        expected = "one for each of two or more cameras; a single camera needs a skeleton (recon fit)"
+        raise InputError(Problem("KEYPOINTS", "files", "one", expected))
+    files, cameras = collect_problems(lambda: read_clips(settings), lambda: read_clip_cameras(settings))
+    fps = files[0].fps
+    assert fps is not None
+    offsets_s = settings.offset_s or (0.0,) * len(files)
+    later_frames = tuple((offset_s - offsets_s[0]) * fps for offset_s in offsets_s)
+    sources = collect_problems(
+        *(
+            partial(cleaned_source, settings, fps, file, camera, later)
+            for file, camera, later in zip(files, cameras, later_frames, strict=True)
+        )
+    )
+    return _triangulated(sources, later_frames, fps, settings.sigma_px, smooth)
+
+
+def _triangulated(
+    sources: Sequence[Source], later_frames: Sequence[float], fps: float, sigma_px: float, smooth: bool
+) -> TriangulatedClip:
+    without = [source.camera.name for source in sources if not source.moves and not source.camera.has_extrinsics]
+    if without:
+        raise InputError(Problem("--camera", "poses", f"none of {', '.join(without)}", "a camera file with all poses"))
+    names = tuple(dict.fromkeys(name for source in sources for name in source.keypoints.names))
+    arranged = [replace(source, keypoints=arrange(source.keypoints, names)) for source in sources]
+    aligned = align_cameras(arranged, later_frames)
+    result = triangulate_views(views_of(aligned), sigma_px)
+    cameras = tuple(source.camera.name for source in aligned)
+    knows_up = all(source.moves or source.camera.knows_up for source in aligned)
+    result = smoothed(result, fps) if smooth else result
+    return TriangulatedClip(names, aligned[0].keypoints.frames, fps, cameras, knows_up, result, smooth)
+
+
+def run_triangulation(
+    settings: FitSettings, out: str | Path, smooth: bool = False, overwrite: bool = False
+) -> TriangulatedClip:
+    """Triangulate the keypoint files of a clip, and write `POINTS`, `COVARIANCES` and `SUMMARY` into a folder.
+
+    Files of the folder that this command did not write, or that somebody changed since, stay: InputError names them.
+    """
+    from recon.io.deeplabcut import write_csv
+    from recon.io.writing import write_table
+    from recon.show.plain import to_json
+
+    inputs = [*input_files(settings).values()]
+    output = Output(Path(out), "triangulate", overwrite, inputs, content="triangulated points")
+    output.require((POINTS, COVARIANCES, SUMMARY))
+    clip = triangulate_files(settings, smooth)
+    if not np.isfinite(clip.points_m[..., 0]).any():
+        found = "no keypoint that two cameras saw in the same place and frame"
+        expected = "synchronised cameras with the poses of these clips (recon fit tells which one is off)"
+        raise InputError(Problem("KEYPOINTS", "points", found, expected))
+    header = [
+        ["bodyparts", *(name for name in clip.names for _ in _COVARIANCE_COLUMNS)],
+        ["coords", *(column for _ in clip.names for column in _COVARIANCE_COLUMNS)],
+    ]
+    rows, columns = np.array([*_COVARIANCE_COLUMNS.values()]).T
+    covariances = clip.covariance_m2[:, :, rows, columns].reshape(len(clip.frames), -1)
+    with output.staged() as folder:
+        write_csv(clip.pose3d, folder / POINTS)
+        write_table(folder / COVARIANCES, header, clip.frames, covariances, guard=False)
+        (folder / SUMMARY).write_text(to_json(clip.summary()), encoding="utf-8")
+    return clip

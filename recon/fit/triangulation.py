@@ -1,0 +1,298 @@
+"""Triangulate keypoints that several cameras saw, without a skeleton: robust, with covariances, and with gaps left.
+
+**Start.** Every pair of cameras that saw a keypoint in a frame gives a point, the middle of the shortest line between
+the two rays. Each such point is scored by its reprojection into all cameras, with squared errors cut off at `OUTLIER`
+standard deviations (MSAC; Torr and Zisserman 2000), and the best one is the start. With V cameras all V (V - 1) / 2
+pairs are tried, so that no draw is left to chance.
+
+**Minimum.** Gauss-Newton steps minimise the reprojection errors in the distorted pictures, with Cauchy's weights at
+first. Detections that are then further off than `OUTLIER` standard deviations are left out, and the others count in
+full. With fewer than two left, or with rays that hardly cross, the point stays a gap (NaN).
+
+**Noise.** The detector's noise is estimated for each keypoint from the errors that are left, over their degrees of
+freedom, and everything is done once more with it.
+
+**Covariance.** J' J / sigma^2 of the remaining detections, inverted, times the mean squared error where it is above 1.
+
+**Smoothing.** Optional: cubic smoothing splines over time, one for each coordinate, weighted by the points' standard
+deviations; the smoothness is chosen by generalised cross-validation (Craven and Wahba 1979). Points far off the spline
+lose their weight, and short gaps are filled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from scipy.interpolate import make_smoothing_spline
+
+from recon.base.arrays import Array, Bools, Brief
+from recon.clip import View
+
+OUTLIER = 3.5
+"""Number of standard deviations from the point's reprojection at which a detection is an outlier."""
+SIGMAS_PX = (0.3, 12.0)
+"""Least and largest noise that is estimated."""
+LEAST_CROSSING_RAD = np.radians(1.0)
+"""Angle between two rays below which their crossing is not determined."""
+BRIDGED_S = 0.2
+"""Longest gap that a spline fills."""
+_CAUCHY_ROUNDS, _FINAL_ROUNDS, _NOISE_ROUNDS, _SPLINE_ROUNDS = 4, 3, 2, 3
+_MEDIAN_OF_CHI_SQUARE, _MEDIAN_OF_TWO_RAYS = 1.3863, 0.9099
+"""Medians of a detection's squared error, relative to its expectation for the noise, of several rays; and of two rays,
+whose errors are one number.
+"""
+_LEAST_OF_KEYPOINT = 20
+"""Number of detections that give a keypoint a noise of its own."""
+_LEAST_KNOTS = 6
+"""Number of points in a row that a spline is fitted to."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Triangulation(Brief):
+    """Hold T frames of J points that V cameras saw."""
+
+    points_m: Array
+    """(T, J, 3): the points in the world, metres, NaN where they are not known."""
+    covariance_m2: Array
+    """(T, J, 3, 3): covariances of the points."""
+    is_used: Bools
+    """(V, T, J): whether the point was made from a camera's detection."""
+    error_px: Array
+    """(V, T, J): distance of each detection from the point's reprojection, NaN where either is missing."""
+    sigma_px: Array
+    """(J,): noise of each keypoint's detections, one standard deviation."""
+
+    @property
+    def sigma_m(self) -> Array:
+        """Return the standard deviations along the axes, (T, J, 3)."""
+        return np.sqrt(np.diagonal(self.covariance_m2, axis1=2, axis2=3))
+
+
+def triangulate_views(views: Sequence[View], sigma_px: float = 3.0) -> Triangulation:
+    """Return the points where the rays of several views meet.
+
+    Parameters
+    ----------
+    views
+        V >= 2 views of the same T frames and J keypoints, in one world.
+    sigma_px
+        Expected noise of the detections in pixels; that of each keypoint is estimated from there.
+
+    Raises
+    ------
+    ValueError
+        If there is only one view.
+
+    References
+    ----------
+    P. H. S. Torr and A. Zisserman, "MLESAC", Computer Vision and Image Understanding 78, 2000.
+    """
+    if len(views) < 2:
+        raise ValueError("one view: two or more are needed")
+    views = [_at_frame_times(view.mask_outside_image()) for view in views]
+    sigma = np.full(views[0].xy_px.shape[1], float(sigma_px))
+    result = _triangulated(views, sigma)
+    for _ in range(_NOISE_ROUNDS):
+        sigma = _estimate_noise(result, sigma, sigma_px)
+        result = _triangulated(views, sigma)
+    return result
+
+
+def _at_frame_times(view: View) -> View:
+    """Return a view whose keypoints are those at the clip's frames, between the pictures before and after."""
+    share = view.offset_frames
+    if not share:
+        return view
+    earlier = np.concatenate([np.full_like(view.xy_px[:1], np.nan), view.xy_px[:-1]])
+    xy_px = share * earlier + (1.0 - share) * view.xy_px
+    confidence = np.where(np.isfinite(xy_px[..., 0]), view.confidence, 0.0)
+    return replace(view, xy_px=xy_px, confidence=confidence, offset_frames=0.0)
+
+
+def _triangulated(views: Sequence[View], sigma: Array) -> Triangulation:
+    """Return the points for a noise (J,) of the keypoints."""
+    present = np.array([view.present for view in views])
+    points = _best_of_pairs(views, present, sigma)
+    for _ in range(_CAUCHY_ROUNDS):
+        error, by_point, valid = _errors(views, points, sigma)
+        square = np.sum(error**2, axis=-1)
+        weight = np.where(present & valid, 1.0 / (1.0 + square / OUTLIER**2), 0.0)
+        points = points + _gauss_newton_step(error, by_point, weight)
+    error, by_point, valid = _errors(views, points, sigma)
+    square = np.sum(error**2, axis=-1)
+    is_used = present & valid & (square < OUTLIER**2)
+    for _ in range(_FINAL_ROUNDS):
+        points = points + _gauss_newton_step(error, by_point, is_used.astype(float))
+        error, by_point, valid = _errors(views, points, sigma)
+    square = np.sum(error**2, axis=-1)
+    is_used &= valid & (square < (1.5 * OUTLIER) ** 2)
+    is_known = (is_used.sum(axis=0) >= 2) & _rays_cross(views, points, is_used) & np.isfinite(points).all(axis=-1)
+    is_used &= is_known
+    covariance = _covariance(by_point, square, is_used)
+    points = np.where(is_known[..., None], points, np.nan)
+    covariance = np.where(is_known[..., None, None], covariance, np.nan)
+    error_px = np.where(present & valid & is_known, np.sqrt(square) * sigma, np.nan)
+    return Triangulation(points, covariance, is_used, error_px, sigma)
+
+
+def _best_of_pairs(views: Sequence[View], present: Bools, sigma: Array) -> Array:
+    """Return for each frame and keypoint the point of two cameras that all cameras agree with most, (T, J, 3)."""
+    rays = [view.rays() for view in views]
+    centres = [view.centre_m[:, None] for view in views]
+    best_points, best_cost = np.full((*present.shape[1:], 3), np.nan), np.full(present.shape[1:], np.inf)
+    for a, b in combinations(range(len(views)), 2):
+        points = _between_rays(rays[a], centres[a], rays[b], centres[b])
+        if not np.isfinite(points[..., 0]).any():
+            continue
+        error, _, valid = _errors(views, points, sigma, derivatives=False)
+        square = np.where(valid, np.sum(error**2, axis=-1), np.inf)
+        cost = np.sum(np.where(present, np.minimum(square, OUTLIER**2), 0.0), axis=0)
+        cost = np.where(np.isfinite(points[..., 0]), cost, np.inf)
+        better = cost < best_cost
+        best_points[better], best_cost[better] = points[better], cost[better]
+    return best_points
+
+
+def _between_rays(ray_a: Array, centre_a: Array, ray_b: Array, centre_b: Array) -> Array:
+    """Return the middles of the shortest lines between rays, (T, J, 3); NaN where they hardly cross or are behind."""
+    line = centre_b - centre_a
+    cosine = np.sum(ray_a * ray_b, axis=-1)
+    along_a, along_b = np.sum(ray_a * line, axis=-1), np.sum(ray_b * line, axis=-1)
+    square_sine = 1.0 - cosine**2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth_a = (along_a - cosine * along_b) / square_sine
+        depth_b = (cosine * along_a - along_b) / square_sine
+        crosses = (square_sine > np.sin(LEAST_CROSSING_RAD) ** 2) & (depth_a > 0) & (depth_b > 0)
+    middle = 0.5 * (centre_a + depth_a[..., None] * ray_a + centre_b + depth_b[..., None] * ray_b)
+    return np.where(crosses[..., None], middle, np.nan)
+
+
+def _errors(views: Sequence[View], points: Array, sigma: Array, derivatives: bool = True) -> tuple[Array, Array, Bools]:
+    """Return errors (V, T, J, 2) in standard deviations, their derivatives by the points, and which can be projected.
+
+    Missing detections have an error of 0.
+    """
+    errors, by_points, valids = [], [], []
+    known = np.isfinite(points).all(axis=-1)
+    safe = np.where(known[..., None], points, 0.0)
+    for view in views:
+        if derivatives:
+            projected, by_point, valid = view.project_with_jacobian(safe)
+            by_points.append(np.nan_to_num(by_point) / sigma[:, None, None])
+        else:
+            projected, valid = view.project(safe)
+        is_seen = view.present & valid & known
+        errors.append(np.where(is_seen[..., None], (projected - view.xy_px) / sigma[:, None], 0.0))
+        valids.append(valid & known)
+    return np.array(errors), np.array(by_points), np.array(valids)
+
+
+def _gauss_newton_step(error: Array, by_point: Array, weight: Array) -> Array:
+    """Return the step of points (T, J, 3), 0 where fewer than two detections have a weight."""
+    weighted = by_point * weight[..., None, None]
+    normal = np.sum(weighted.swapaxes(-1, -2) @ by_point, axis=0)
+    pull = np.sum(weighted.swapaxes(-1, -2) @ error[..., None], axis=0)
+    scale = np.trace(normal, axis1=-2, axis2=-1)[..., None, None]
+    regular = normal + (1e-9 * scale + 1e-12) * np.eye(3)
+    step = -np.linalg.solve(regular, pull)[..., 0]
+    is_determined = (weight > 0).sum(axis=0) >= 2
+    return np.where(is_determined[..., None] & np.isfinite(step), step, 0.0)
+
+
+def _rays_cross(views: Sequence[View], points: Array, is_used: Bools) -> Bools:
+    """Return whether two of the used rays cross at an angle that determines the point, (T, J)."""
+    to_points = [points - view.centre_m[:, None] for view in views]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rays = [arm / np.linalg.norm(arm, axis=-1, keepdims=True) for arm in to_points]
+    crosses = np.zeros(points.shape[:2], dtype=bool)
+    for a, b in combinations(range(len(views)), 2):
+        sine = np.linalg.norm(np.cross(rays[a], rays[b]), axis=-1)
+        crosses |= is_used[a] & is_used[b] & (sine > np.sin(LEAST_CROSSING_RAD))
+    return crosses
+
+
+def _covariance(by_point: Array, square: Array, is_used: Bools) -> Array:
+    """Return the covariances (T, J, 3, 3), widened where the detections agree less than their noise lets expect."""
+    weighted = by_point * is_used[..., None, None]
+    normal = np.sum(weighted.swapaxes(-1, -2) @ by_point, axis=0)
+    scale = np.maximum(np.trace(normal, axis1=-2, axis2=-1), 1e-12)[..., None, None]
+    covariance = np.linalg.inv(normal + 1e-9 * scale * np.eye(3))
+    freedom = np.maximum(2 * is_used.sum(axis=0) - 3, 1)
+    factor = np.maximum(np.sum(square * is_used, axis=0) / freedom, 1.0)
+    return np.asarray(covariance * factor[..., None, None], dtype=float)
+
+
+def _estimate_noise(result: Triangulation, sigma: Array, expected_px: float) -> Array:
+    """Return the noise (J,) of the detections from the medians of the errors that are left."""
+    count = result.is_used.sum(axis=0)
+    freedom = np.where(count >= 2, (2 * count - 3) / np.maximum(2 * count, 1), np.nan)
+    median = np.where(count > 2, _MEDIAN_OF_CHI_SQUARE, _MEDIAN_OF_TWO_RAYS)
+    with np.errstate(invalid="ignore"):
+        square = result.error_px**2 / freedom / median
+    is_counted = np.isfinite(square) & (count > 2)  # of two rays, errors show across one direction only
+    if not is_counted.any():
+        is_counted = np.isfinite(square)
+    everything = square[is_counted]
+    if not len(everything):
+        return sigma
+    overall = float(np.median(everything))
+    estimates = np.empty(len(sigma))
+    for j in range(len(sigma)):
+        own = square[:, :, j][is_counted[:, :, j]]
+        estimates[j] = np.median(own) if len(own) >= _LEAST_OF_KEYPOINT else overall
+    return np.clip(np.sqrt(estimates), SIGMAS_PX[0], max(SIGMAS_PX[1], 2 * expected_px))
+
+
+def smoothed(result: Triangulation, fps: float) -> Triangulation:
+    """Return the points on smoothing splines over time, with gaps of up to `BRIDGED_S` filled.
+
+    Parameters
+    ----------
+    result
+        The triangulated points.
+    fps
+        Frames per second.
+
+    Returns
+    -------
+    Triangulation
+        Covariances stay those of single frames, which is more than the splines have; in filled gaps they are those of
+        the frames around them.
+
+    References
+    ----------
+    P. Craven and G. Wahba, "Smoothing noisy data with spline functions", Numerische Mathematik 31, 1979.
+    """
+    points, covariance = result.points_m.copy(), result.covariance_m2.copy()
+    bridged = max(round(BRIDGED_S * fps), 1)
+    for j in range(points.shape[1]):
+        known = np.flatnonzero(np.isfinite(points[:, j, 0]))
+        for frames in np.split(known, np.flatnonzero(np.diff(known) > bridged) + 1):
+            if len(frames) < _LEAST_KNOTS:
+                continue
+            sigma = np.sqrt(np.diagonal(covariance[frames, j], axis1=1, axis2=2))
+            every = np.arange(frames[0], frames[-1] + 1)
+            nearest = frames[np.abs(every[:, None] - frames).argmin(axis=1)]
+            points[every, j] = _spline(frames, points[frames, j], sigma, every)
+            covariance[every, j] = result.covariance_m2[nearest, j]
+    return replace(result, points_m=points, covariance_m2=covariance)
+
+
+def _spline(frames: Array, values: Array, sigma: Array, every: Array) -> Array:
+    """Return a robust smoothing spline through values (n, 3) at frames (n,), at other frames, (m, 3)."""
+    result = np.empty((len(every), 3))
+    x, root = frames.astype(float), np.ones(len(frames))
+    typical = np.median(sigma, axis=0)
+    for _ in range(_SPLINE_ROUNDS):
+        squares = np.zeros(len(frames))
+        for axis in range(3):
+            weight = root * (typical[axis] / np.maximum(sigma[:, axis], 0.3 * typical[axis])) ** 2
+            spline = make_smoothing_spline(x, values[:, axis], weight)
+            result[:, axis] = spline(every)
+            squares += ((values[:, axis] - spline(x)) / sigma[:, axis]) ** 2
+        spread = max(float(np.median(squares)) / 2.366, 1e-12)  # the median of a chi square with three
+        root = 1.0 / (1.0 + squares / spread / OUTLIER**2)
+    return result

@@ -1,0 +1,105 @@
+"""`recon triangulate`: files in, points, covariances and a summary out, which other commands read."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from recon import InputError, read_pose3d, triangulate
+from recon.api.triangulation import COVARIANCES, POINTS, SUMMARY
+from recon.io.calibration import read_cameras
+from recon.io.deeplabcut import write_csv
+from recon.io.formats import read_keypoints
+from recon.testing.rigs import write_rig_clip
+from recon.testing.walkers import walking_person
+from tests.command_line import run
+
+FPS = 50.0
+
+
+@pytest.fixture(scope="module")
+def clip(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("rig")
+    centres_m = [(4, 0, 1.5), (-2, 3.5, 1.2), (-2, -3.5, 1.8), (0, 4, 2.0)]
+    files, truth = write_rig_clip(folder, "human-25", walking_person(40, FPS), FPS, np.array(centres_m), 1.0, 0.8, 2.0)
+    write_csv(truth, folder / "truth.csv")
+    return folder, files, truth
+
+
+def command(clip, out, *more):
+    _, files, _ = clip
+    cameras = [files[f"cam{i}"] for i in (1, 2, 3, 4)]
+    return run("triangulate", *cameras, "--camera", files["rig"], "--fps", 50, "--out", out, *more)
+
+
+def test_the_points_are_where_the_keypoints_are(clip, tmp_path):
+    ended = command(clip, tmp_path / "points")
+    assert ended.code == 0, ended.err
+    pose = read_pose3d(tmp_path / "points" / POINTS)
+    _, _, truth = clip
+    error_m = np.linalg.norm(pose.xyz_m - truth.xyz_m, axis=-1)
+    # Keypoints lie off the markers by half of 30 mm along each axis; the noise is about 5 mm.
+    assert np.isfinite(error_m).mean() > 0.95
+    assert 0.015 < np.nanmedian(error_m) < 0.04
+    middle_m = np.nanmean(pose.xyz_m - truth.xyz_m, axis=0, keepdims=True)
+    assert np.nanmedian(np.linalg.norm(pose.xyz_m - truth.xyz_m - middle_m, axis=-1)) < 0.02
+
+
+def test_covariances_and_summary(clip, tmp_path):
+    out = tmp_path / "points"
+    assert command(clip, out, "--json").code == 0
+    summary = json.loads((out / SUMMARY).read_text())
+    assert summary["frames"] == 40
+    assert summary["share_known"] > 0.95
+    assert list(summary["cameras"]) == ["cam1", "cam2", "cam3", "cam4"]
+    assert 1.5 < np.median(list(summary["sigma_px"].values())) < 2.5
+    lines = (out / COVARIANCES).read_text().splitlines()
+    assert lines[1].startswith("coords,xx,xy,xz,yy,yz,zz")
+    variances = [float(cell) for cell in lines[2].split(",")[1:7:1] if cell]
+    assert all(np.isfinite(variances))
+
+
+def test_the_result_is_evaluated_and_converted(clip, tmp_path):
+    out = tmp_path / "points"
+    assert command(clip, out, "--smooth").code == 0
+    folder, _, _ = clip
+    for scored in (out / POINTS, out):
+        ended = run("evaluate", scored, folder / "truth.csv", "--json")
+        assert ended.code == 0, ended.err
+        assert 10 < json.loads(ended.out)["mpjpe_mm"] < 40
+    assert run("convert", out / POINTS, tmp_path / "points.trc", "--fps", 50).code == 0
+
+
+def test_nothing_of_a_user_is_replaced(clip, tmp_path):
+    out = tmp_path / "points"
+    out.mkdir()
+    (out / POINTS).write_text("mine")
+    ended = command(clip, out, "--overwrite")
+    assert ended.code == 2
+    assert (out / POINTS).read_text() == "mine"
+    assert command(clip, tmp_path / "other").code == 0
+    assert command(clip, tmp_path / "other").code == 2
+    assert command(clip, tmp_path / "other", "--overwrite").code == 0
+
+
+def test_one_file_is_refused(clip, tmp_path):
+    _, files, _ = clip
+    ended = run("triangulate", files["cam1"], "--camera", files["rig"], "--fps", 50, "--out", tmp_path / "points")
+    assert ended.code == 2
+    assert "two or more cameras" in ended.err
+    assert not (tmp_path / "points").exists()
+
+
+def test_from_python(clip):
+    _, files, truth = clip
+    keypoints = [read_keypoints(files[f"cam{i}"], None, FPS) for i in (1, 2)]
+    cameras = read_cameras((files["rig"],), None)
+    result = triangulate(keypoints, cameras[:2])
+    error_m = np.linalg.norm(result.points_m - truth.xyz_m, axis=-1)
+    assert np.nanmedian(error_m) < 0.05
+    assert result.covariance_m2.shape == (40, len(truth.names), 3, 3)
+    assert result.pose3d.names == truth.names
+    with pytest.raises(InputError, match="two or more"):
+        triangulate(keypoints[:1], cameras[:1])
