@@ -11,6 +11,9 @@ from question import Part, main
 
 PARTS = {
     "several": Part("cameras.py", data="cheetah-runs"),
+    "left-out": Part(
+        "left_out_camera.py", ["--only", "runs", "simulated"], quick=["--only", "simulated", "--quick", "--outs", "1"]
+    ),
     "moving": Part("moving.py", data="cheetah-runs"),
     "turning": Part("camera_motion.py", data="still-videos"),
     "panning-film": Part("panning_film.py"),

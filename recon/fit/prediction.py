@@ -1,0 +1,52 @@
+"""Predict what a camera that a solution was not fitted to would detect."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+
+from recon.base.arrays import Array
+from recon.clip import View
+from recon.fit.result import Solution
+
+
+def predicted_keypoints(solution: Solution, view: View) -> tuple[Array, Array]:
+    """Return the keypoints that a view would have, with their covariances.
+
+    Parameters
+    ----------
+    solution
+        The motion of T frames with J keypoints.
+    view
+        A camera on the same frames. Its detections are not read.
+
+    Returns
+    -------
+    xy_px : (T, J, 2) array
+        Pixels, NaN without a pose.
+    covariance_px2 : (T, J, 2, 2) array
+        Covariances of detections about them: of the keypoints in 3D, and the detections' noise in the solution's
+        views, scaled to the distance from this one.
+    """
+    markers_m = solution.markers_m
+    is_posed = np.isfinite(markers_m[..., 0])
+    projected, by_point, valid = view.project_with_jacobian(view.shift_to_exposure(np.nan_to_num(markers_m)))
+    noise_px = _noise_m(solution)[..., None, None] * _px_per_m(view, markers_m)[..., None, None]
+    covariance = by_point @ solution.covariance_m2 @ by_point.swapaxes(-1, -2) + noise_px**2 * np.eye(2)
+    return np.where((is_posed & valid)[..., None], projected, np.nan), covariance
+
+
+def _px_per_m(view: View, markers_m: Array) -> Array:
+    distance_m = np.linalg.norm(markers_m - view.centre_m[:, None], axis=-1)
+    return np.asarray(np.reshape(view.focal_px, (-1, 1)) / distance_m)
+
+
+def _noise_m(solution: Solution) -> Array:
+    """Return the noise of detections at the keypoints' distance, (T, J): the median over the views, metres."""
+    noise_m = [
+        noise_px / _px_per_m(view, solution.markers_m)
+        for view, noise_px in zip(solution.views, solution.noise_px, strict=True)
+    ]
+    with warnings.catch_warnings(action="ignore"):  # of frames without a pose
+        return np.asarray(np.nanmedian(noise_m, axis=0))
