@@ -185,14 +185,32 @@ def fitting_skeleton(names: Sequence[str]) -> tuple[str, int]:
 
     The options name the map if one helps: `--skeleton human-25 --rename coco-17`.
     """
+    (skeleton, name_map), count = _best_skeleton(names)
+    return f"--skeleton {skeleton}{name_map.source and ' --rename '}{name_map.source}", count
+
+
+def marker_names(names: Sequence[str]) -> tuple[str | None, dict[str, int]]:
+    """Return the built-in skeleton with most of these keypoints, and their indices by its markers.
+
+    Names are compared as they are, or by a built-in map; None if no skeleton has any of them.
+    """
+    (skeleton, name_map), count = _best_skeleton(names)
+    if not count:
+        return None, {}
+    markers = {*_whole_animals()[skeleton]}
+    indices = {name_map.get(name, name): i for i, name in reversed([*enumerate(names)])}
+    return skeleton, {marker: i for marker, i in indices.items() if marker in markers}
+
+
+def _best_skeleton(names: Sequence[str]) -> tuple[tuple[str, NameMap], int]:
+    """Return the built-in skeleton and the map with which most of these keypoints are its markers, and their number."""
     maps = [NameMap("", {}), *map(load_names, builtin_maps())]
-    counts = {
-        f"--skeleton {skeleton}{name_map.source and ' --rename '}{name_map.source}": name_map.common(names, markers)
+    counts = [
+        ((skeleton, name_map), name_map.common(names, markers))
         for skeleton, markers in _whole_animals().items()
         for name_map in maps
-    }
-    best = max(counts, key=lambda options: counts[options])
-    return best, counts[best]
+    ]
+    return max(counts, key=lambda entry: entry[1])
 
 
 def _whole_animals() -> dict[str, tuple[str, ...]]:

@@ -198,11 +198,16 @@ def _many(identical: Bools, is_seen: Bools) -> bool:
     return bool(identical.sum() > SHARE * is_seen.sum() and identical.sum() >= FEWEST)
 
 
+def repeats_of(values: Array) -> Bools:
+    """Return which frames (T,) repeat most points of the one before to the last digit; values (T, K, 2 or 3)."""
+    identical, in_both = _identical(values[1:], values[:-1])
+    count = identical.sum(axis=1)
+    return np.append(False, (count >= FEWEST) & (2 * count > in_both.sum(axis=1)))
+
+
 def _repeated(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
     """Yield a finding on frames that repeat the one before: every second, as of a video at twice its rate, or some."""
-    identical, in_both = _identical(keypoints.xy_px[1:], keypoints.xy_px[:-1])
-    count = identical.sum(axis=1)
-    repeats = np.append(False, (count >= FEWEST) & (2 * count > in_both.sum(axis=1)))
+    repeats = repeats_of(keypoints.xy_px)
     if repeats.sum() <= FRAMES * len(repeats):
         return
     new_frames = np.flatnonzero(~repeats)
@@ -229,12 +234,13 @@ def _interpolated(keypoints: Keypoints, camera: str) -> list[Finding]:
     return [finding("detections_interpolated", camera=camera, share=float(is_straight.sum() / is_moving.sum()))]
 
 
-def _left_out(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
-    """Yield a finding on steps between frames that are twice as long as those around, for each keypoint.
+def step_ratios(tracks: Array) -> Array | None:
+    """Return the lengths of steps between frames, relative to those around; None if too few steps can be compared.
 
-    Each keypoint is compared with itself: which ones are seen changes, and a paw is faster than a trunk.
+    Each keypoint of the tracks (T, K, 2 or 3), in pixels, is compared with itself: which ones are seen changes, and a
+    paw is faster than a trunk. A frame's ratio is the median over its keypoints.
     """
-    steps = np.diff(keypoints.xy_px, axis=0)
+    steps = np.diff(tracks, axis=0)
     times = np.full(steps.shape[:2], np.nan)
     for j in range(steps.shape[1]):
         known_frames = np.flatnonzero(np.isfinite(steps[:, j, 0]))
@@ -243,17 +249,25 @@ def _left_out(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
         projected = np.sum(steps[known_frames, j] * usual_px, axis=1) / np.maximum(length_px, 1e-9) ** 2
         times[known_frames, j] = np.where(length_px > LEAST_STEP_PX, projected, np.nan)
     times = times[np.isfinite(times).sum(axis=1) >= FEWEST]
-    if len(times) < LEAST_STEPS:
-        return
-    ratios = np.nanmedian(times, axis=1)
+    return np.nanmedian(times, axis=1) if len(times) >= LEAST_STEPS else None
+
+
+def steps_are_missing(ratios: Array) -> bool:
+    """Return whether so many steps are twice as long as those around that frames must be missing."""
     is_long, is_short = ratios > LONG, ratios < SHORT
     is_alone = is_long[1:-1] & (ratios[1:-1] > ALONE * np.maximum(ratios[:-2], ratios[2:]))
-    if (
+    return bool(
         is_long.mean() > SHARE_LONG
         and is_long.sum() > 2 * is_short.sum()
         and is_alone.sum() > SHARE_ALONE * is_long.sum()
-    ):
-        yield finding("frames_dropped", camera=camera, share=float(is_long.mean()))
+    )
+
+
+def _left_out(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
+    """Yield a finding on steps between frames that are twice as long as those around."""
+    ratios = step_ratios(keypoints.xy_px)
+    if ratios is not None and steps_are_missing(ratios):
+        yield finding("frames_dropped", camera=camera, share=float((ratios > LONG).mean()))
 
 
 def _copied_sides(keypoints: Keypoints, camera: str) -> Iterator[Finding]:

@@ -82,6 +82,12 @@ def _compare() -> CommandFunction:
     return compare
 
 
+def _audit() -> CommandFunction:
+    from recon.cli.audit import audit
+
+    return audit
+
+
 def _evaluate() -> CommandFunction:
     from recon.cli.evaluate import evaluate
 
@@ -234,6 +240,7 @@ COMMANDS = {
         "report": (_report, "A page of a result, or of a batch, to look at and to pass on."),
         "analyse": (_analyse, "Speeds, angles, gait, vector fields and phase portraits."),
         "compare": (_compare, "Strides and speeds of several clips, by group."),
+        "audit": (_audit, "Check 2D keypoints or 3D poses of any program for faults."),
         "evaluate": (_evaluate, "Compare a result with a reference."),
         "convert": (_convert, "Keypoints, 3D positions or results in another file format."),
         "overlay": (_overlay, "Draw a result on its video."),

@@ -19,6 +19,12 @@ FRONT = ("assumed", "clip", "frames", "distance", "side", "keypoints", "detectio
 """Lines of the summary below the verdict; the page has all."""
 
 
+def finding_text(severity: str, text: str) -> Text:
+    """Return a finding in the colour of its severity: error, warning or note."""
+    colour = {"error": "red", "warning": "yellow"}.get(severity, "")
+    return Text.assemble((f"{severity}: ", f"bold {colour}".strip()), (text, colour))
+
+
 def console_summary(report: Mapping[str, Any]) -> Table:
     """Return the summary for rich to print: verdict, expected error, advice, warnings, then the lines of `FRONT`."""
     table = Table.grid(padding=(0, 2))

@@ -1,0 +1,396 @@
+"""Audit real files as they are and with one planted fault each, both 2D keypoints and 3D poses.
+
+    python benchmarks/parts/audit.py [--details] [--seed 0]
+
+Files: the cheetahs' views and 3D poses, the plate trials, windows of a dog's motion capture and of a rat's 3D poses, a
+horse's hand labels and DeepLabCut's examples, of $RECON_SHARED_DATA. A fault is planted where the file allows it: a
+swap needs both sides, gravity a flight. Prints for each fault the share of files in which the audit names it, by the
+limits of `recon.check.audit` and by limits chosen without the recording, and the untouched files with findings.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import warnings
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+from markdown_table import print_table
+from recordings import recordings
+
+from recon.animal.body import opposites
+from recon.api.audit import audit_file
+from recon.check.audit import CONSEQUENCES, LIMITS, measures_of
+from recon.check.audited import AuditedPoints, roles_of
+from recon.check.inputs import step_ratios
+
+LEAP_S = 0.4
+WINDOW = 100
+"""Frames of one file of a long recording."""
+Fault = Callable[[AuditedPoints, np.random.Generator], AuditedPoints | None]
+
+
+@dataclass(frozen=True)
+class File:
+    """One file of points: its name, the recording that it is of, and the points as the audit reads them."""
+
+    name: str
+    source: str
+    points: AuditedPoints
+
+
+def files() -> Iterator[File]:
+    """Yield all files."""
+    for folder in sorted(recordings("cheetah-runs").glob("*/")):
+        fps = json.loads((folder / "meta.json").read_text())["fps"]
+        for path in sorted(folder.glob("cam*.csv")):
+            yield File(f"{folder.name}/{path.stem}", folder.name, audit_file(path, fps=fps).points)
+        yield File(f"{folder.name}/3D", folder.name, audit_file(folder / "truth.csv", fps=fps, unit="m").points)
+    for folder in sorted(recordings("plate-trials").glob("*/")):
+        for path in sorted(folder.glob("cam*.csv")):
+            yield File(f"{folder.name}/{path.stem}", folder.name, audit_file(path, fps=200).points)
+        yield File(f"{folder.name}/3D", folder.name, audit_file(folder / "truth.csv", fps=200, unit="m").points)
+    names = tuple(json.loads((recordings("dog-mocap") / "joints.json").read_text())["joints"])
+    roles = roles_of(names)
+    for path in sorted(recordings("dog-mocap").glob("*_joint_pos.txt")):
+        xyz = np.loadtxt(path, delimiter="," if "," in path.read_text()[:200] else None)
+        xyz = xyz.reshape(len(xyz), -1, 3)
+        xyz = np.stack([xyz[..., 0], -xyz[..., 2], xyz[..., 1]], axis=-1)
+        for first in range(0, min(len(xyz) - WINDOW + 1, 4 * WINDOW), 2 * WINDOW):
+            points = AuditedPoints(names, xyz[first : first + WINDOW], np.arange(WINDOW), 60.0, roles=roles)
+            yield File(f"{path.stem[4:10]}+{first}", f"dog {path.stem[4:10]}", points)
+    table = pd.read_csv(recordings("rat-poses") / "rat23.csv")
+    names = tuple(dict.fromkeys(column[:-2] for column in table.columns if column.endswith("_x")))
+    roles = roles_of(names)
+    xyz = table[[f"{name}_{axis}" for name in names for axis in "xyz"]].to_numpy().reshape(len(table), len(names), 3)
+    for first in range(0, len(xyz) - WINDOW + 1, 2 * WINDOW):
+        points = AuditedPoints(names, xyz[first : first + WINDOW] / 1000, np.arange(WINDOW), 50.0, roles=roles)
+        yield File(f"rat+{first}", f"rat {first}", points)
+    horse = audit_file(recordings("horse-side") / "CollectedData_Byron.csv", fps=24)
+    yield File("horse labels", "horse", horse.points)
+    for path in sorted((recordings("importer-files") / "deeplabcut").glob("*single*.csv")):
+        yield File(path.stem, path.stem, audit_file(path, fps=25).points)
+    trc = recordings("importer-files") / "c3d-trc" / "markers.trc"
+    points = audit_file(trc).points
+    cut = changed(points, points.positions[:WINDOW], frames=points.frames[:WINDOW])
+    yield File("markers.trc", "trc", cut)
+
+
+# -- faults -----------------------------------------------------------------------------------------------------------
+
+
+def changed(points: AuditedPoints, values: np.ndarray, **more) -> AuditedPoints:
+    """Return new points with the same names."""
+    frames, fps = more.get("frames", points.frames), more.get("fps", points.fps)
+    return AuditedPoints(points.names, values, frames, fps, points.resolution, points.roles)
+
+
+def stretch(points: AuditedPoints, rng: np.random.Generator, share: float, least: int, inside: int = 2) -> slice:
+    """Return rows of a share of the frames, at least so many, not at the ends."""
+    T = len(points.frames)
+    length = min(max(least, round(share * T)), T - 2 * inside)
+    first = int(rng.integers(inside, T - length - inside + 1))
+    return slice(first, first + length)
+
+
+def seen_point(points: AuditedPoints, rows: slice, rng: np.random.Generator, moving: float = 0.0) -> int | None:
+    """Return a point that is known in these rows and moves by a part of the animal's size."""
+    known = points.known[rows].all(axis=0)
+    path = np.linalg.norm(points.positions[rows.stop - 1] - points.positions[rows.start], axis=1)
+    choice = np.flatnonzero(known & (np.nan_to_num(path) > moving * points.extent) & ~(points.stands & (moving > 0)))
+    return int(rng.choice(choice)) if len(choice) else None
+
+
+def copied_point(points: AuditedPoints, rng: np.random.Generator) -> AuditedPoints | None:
+    other = opposites(points.names)
+    rows = stretch(points, rng, 0.25, 8)
+    pairs = [k for k in range(len(other)) if other[k] != k and points.known[rows, k].sum() >= 6]
+    if not pairs:
+        return None
+    k = int(rng.choice(pairs))
+    values = points.positions.copy()
+    values[rows, other[k]] = values[rows, k]
+    return changed(points, values)
+
+
+def frozen_frames(points: AuditedPoints, rng: np.random.Generator) -> AuditedPoints | None:
+    rows = stretch(points, rng, 0.1, 4)
+    values = points.positions.copy()
+    if points.known[rows.start - 1].sum() < 4:
+        return None
+    values[rows] = values[rows.start - 1]
+    return changed(points, values)
+
+
+def doubled_frames(points: AuditedPoints, rng: np.random.Generator) -> AuditedPoints | None:
+    values = np.repeat(points.positions, 2, axis=0)
+    return changed(points, values, frames=np.arange(len(values)))
+
+
+def frozen_point(points: AuditedPoints, rng: np.random.Generator) -> AuditedPoints | None:
+    for _ in range(20):
+        rows = stretch(points, rng, 0.15, 6)
+        k = seen_point(points, rows, rng, 0.05)
+        if k is not None:
+            values = points.positions.copy()
+            values[rows, k] = values[rows.start, k]
+            return changed(points, values)
+    return None
+
+
+def interpolated_point(points: AuditedPoints, rng: np.random.Generator) -> AuditedPoints | None:
+    for _ in range(20):
+        rows = stretch(points, rng, 0.1, 7)
+        k = seen_point(points, rows, rng, 0.02)
+        if k is not None:
+            values, n = points.positions.copy(), rows.stop - rows.start
+            start, end = values[rows.start, k], values[rows.stop - 1, k]
+            line = start + np.linspace(0, 1, n)[:, None] * (end - start)
+            values[rows, k] = line if not points.resolution else np.round(line / points.resolution) * points.resolution
+            return changed(points, values)
+    return None
+
+
+def dropped_frames(points: AuditedPoints, rng: np.random.Generator) -> AuditedPoints | None:
+    keep = np.flatnonzero(rng.random(len(points.frames)) > 0.3)
+    scale = 1000 / points.extent if points.in_space else 1.0
+    ratios = step_ratios(points.positions * scale)
+    if ratios is None or len(ratios) < 40:
+        return None  # too short, or the animal stands
+    return changed(points, points.positions[keep], frames=np.arange(len(keep)))
+
+
+def swapped(points: AuditedPoints, rng: np.random.Generator) -> AuditedPoints | None:
+    other = opposites(points.names)
+    left = np.flatnonzero(np.arange(len(other)) != other)
+    rows = stretch(points, rng, 0.2, 5, inside=3)
+    edges = points.known[[rows.start - 1, rows.start, rows.stop - 1, rows.stop]][:, left].all(axis=0)
+    if edges.sum() < 6:
+        return None
+    values = points.positions.copy()
+    values[rows] = values[rows][:, other]
+    return changed(points, values)
+
+
+def exchanged(points: AuditedPoints, rng: np.random.Generator) -> AuditedPoints | None:
+    other = opposites(points.names)
+    has_sides = points.in_space and points.roles.trunk is not None and (other != np.arange(len(other))).sum() >= 6
+    return changed(points, points.positions[:, other]) if has_sides else None
+
+
+def longer_bone(points: AuditedPoints, rng: np.random.Generator) -> AuditedPoints | None:
+    if not points.in_space:
+        return None
+    rows = stretch(points, rng, 0.15, 5)
+    k = seen_point(points, rows, rng)
+    if k is None:
+        return None
+    values = points.positions.copy()
+    away = values[rows, k] - np.nanmean(values[rows], axis=1)
+    away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
+    values[rows, k] += 0.15 * points.extent * away
+    return changed(points, values)
+
+
+def drifting_size(points: AuditedPoints, rng: np.random.Generator) -> AuditedPoints | None:
+    if not points.in_space:
+        return None
+    grow = np.linspace(1.0, 1.25, len(points.frames))[:, None, None]
+    return changed(points, points.positions * grow)
+
+
+def wrong_unit(points: AuditedPoints, rng: np.random.Generator) -> AuditedPoints | None:
+    if points.in_space:
+        return changed(points, points.positions * rng.choice([100.0, 1000.0, 0.001]))
+    return None
+
+
+def normalised(points: AuditedPoints, rng: np.random.Generator) -> AuditedPoints | None:
+    if points.in_space:
+        return None
+    return replace(changed(points, points.positions / np.array([1920.0, 1080.0])), resolution=0.0)
+
+
+def y_up(points: AuditedPoints, rng: np.random.Generator) -> AuditedPoints | None:
+    if points.in_space or not any(measure.code == "keypoints_y_up" for measure in measures_of(points)):
+        return None
+    return changed(points, np.array([0.0, 1080.0]) + np.array([1.0, -1.0]) * points.positions)
+
+
+def other_axis_up(points: AuditedPoints, rng: np.random.Generator) -> AuditedPoints | None:
+    if not points.in_space or len(points.roles.feet) < 2 or not points.roles.upper:
+        return None
+    x, y, z = np.moveaxis(points.positions, 2, 0)
+    turned = [(x, z, -y), (x, -z, y), (x, -y, -z)][int(rng.integers(3))]
+    return changed(points, np.stack(turned, axis=-1))
+
+
+def with_leap(points: AuditedPoints) -> AuditedPoints | None:
+    """Return the points with a leap of `LEAP_S` in their middle: no recording has a flight that is long enough."""
+    feet = points.roles.feet
+    if not points.in_space or len(feet) < 4 or not points.roles.upper or not points.fps:
+        return None
+    n = round(LEAP_S * points.fps)
+    if n > len(points.frames) - 4:
+        return None
+    first = (len(points.frames) - n) // 2
+    time_s = np.arange(n + 1) / points.fps
+    values = points.positions.copy()
+    values[first : first + n + 1, :, 2] += (0.5 * 9.81 * time_s * (time_s[-1] - time_s))[:, None]
+    return changed(points, values)
+
+
+def other_rate(points: AuditedPoints, rng: np.random.Generator) -> AuditedPoints | None:
+    leaping = with_leap(points)
+    if leaping is None or not any(measure.code == "gravity_unlikely" for measure in measures_of(leaping)):
+        return None
+    points = leaping
+    return changed(points, points.positions, fps=(points.fps or 0) * rng.choice([0.5, 2.0, 4.0]))
+
+
+def root_at_origin(points: AuditedPoints, rng: np.random.Generator) -> AuditedPoints | None:
+    slide = next((m for m in measures_of(points) if m.code == "feet_slide"), None)
+    if not points.in_space or slide is None or points.roles.trunk is None:
+        return None
+    values = points.positions.copy()
+    values[..., :2] -= values[:, points.roles.trunk[0], None, :2]
+    return changed(points, values)
+
+
+def bent_back(points: AuditedPoints, rng: np.random.Generator) -> AuditedPoints | None:
+    joints = [joint for joint in points.roles.joints if joint.split("_")[-1] in ("elbow", "stifle", "hock")]
+    if not points.in_space or points.roles.trunk is None or not joints:
+        return None
+    rows = stretch(points, rng, 0.15, 5)
+    above, middle, below = points.roles.joints[str(rng.choice(joints))]
+    values = points.positions.copy()
+    bone = values[rows, middle] - values[rows, above]
+    bone /= np.linalg.norm(bone, axis=1, keepdims=True)
+    shin = values[rows, below] - values[rows, middle]
+    sideways = shin - np.sum(shin * bone, axis=1, keepdims=True) * bone
+    angle = np.arctan2(np.linalg.norm(sideways, axis=1), np.sum(shin * bone, axis=1))
+    if not (np.degrees(angle) > 50).sum() >= 3:
+        return None
+    values[rows, below] = values[rows, middle] + shin - 2 * sideways
+    return changed(points, values)
+
+
+FAULTS: Mapping[str, tuple[Fault, tuple[str, ...]]] = {
+    "point copied from the other side": (copied_point, ("points_identical",)),
+    "frames frozen": (frozen_frames, ("detections_frozen",)),
+    "every frame twice": (doubled_frames, ("detections_repeated",)),
+    "point frozen": (frozen_point, ("point_frozen",)),
+    "point interpolated": (interpolated_point, ("points_interpolated",)),
+    "30 % of the frames dropped": (dropped_frames, ("frames_dropped",)),
+    "left and right swapped in a stretch": (swapped, ("sides_swap",)),
+    "left and right exchanged throughout": (exchanged, ("sides_exchanged",)),
+    "one bone longer in a stretch": (longer_bone, ("lengths_change",)),
+    "size that drifts by 25 %": (drifting_size, ("lengths_drift",)),
+    "unit wrong by 100 or 1000": (wrong_unit, ("unit_unlikely",)),
+    "keypoints from 0 to 1": (normalised, ("keypoints_normalised",)),
+    "keypoints with y up": (y_up, ("keypoints_y_up",)),
+    "another axis up": (other_axis_up, ("up_unlikely",)),
+    "frame rate wrong by 2 or 4, with a leap": (other_rate, ("gravity_unlikely",)),
+    "trunk held at the origin": (root_at_origin, ("feet_slide",)),
+    "joint bent the other way": (bent_back, ("joint_beyond_range",)),
+}
+
+
+def values_of(points: AuditedPoints) -> dict[str, float]:
+    """Return the largest measure of each code."""
+    values: dict[str, float] = {}
+    for measure in measures_of(points):
+        values[measure.code] = max(values.get(measure.code, -np.inf), measure.value)
+    return values
+
+
+def named_by(values: Mapping[str, float], limits: Mapping[str, float]) -> set[str]:
+    """Return the codes that are named with these limits."""
+    codes = {code for code, value in values.items() if value > limits[code]}
+    return codes - {later for code in codes for later in CONSEQUENCES.get(code, ())}
+
+
+def chosen_limits(untouched: Sequence[Mapping[str, float]], faulty: Mapping[str, Sequence[float]]) -> dict[str, float]:
+    """Return for each code the limit between files that are right and files with its fault."""
+    limits = {}
+    for code, fixed in LIMITS.items():
+        right = np.array([values[code] for values in untouched if code in values])
+        wrong = np.array(faulty.get(code, ()))
+        if not len(right) or not len(wrong) or code in ("detections_repeated", "keypoints_normalised"):
+            limits[code] = fixed
+            continue
+        candidates = np.unique(np.concatenate([right, wrong, [fixed]]))
+        middles = 0.5 * (candidates[1:] + candidates[:-1])
+        cost = [5 * np.mean(right > limit) + np.mean(wrong <= limit) for limit in middles]
+        best = np.flatnonzero(np.isclose(cost, np.min(cost)))
+        limits[code] = float(middles[best[len(best) // 2]])
+    return limits
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--details", action="store_true", help="measures of all files, and the faults that are missed")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    warnings.simplefilter("ignore", RuntimeWarning)
+    all_files = [*files()]
+    untouched = {file.name: values_of(file.points) for file in all_files}
+    for file in all_files:  # a leap that is right is no fault
+        leaping = with_leap(file.points)
+        if leaping is not None and "gravity_unlikely" in (values := values_of(leaping)):
+            untouched[file.name]["gravity_unlikely"] = values["gravity_unlikely"]
+    planted: dict[str, list[tuple[File, dict[str, float]]]] = defaultdict(list)
+    for f, (name, (fault, _)) in enumerate(FAULTS.items()):
+        for i, file in enumerate(all_files):
+            faulty = fault(file.points, np.random.default_rng([options.seed, f, i]))
+            if faulty is not None:
+                planted[name].append((file, values_of(faulty)))
+    by_source: dict[str, dict[str, float]] = {}
+    for source in {file.source for file in all_files}:
+        right = [untouched[file.name] for file in all_files if file.source != source]
+        wrong: dict[str, list[float]] = defaultdict(list)
+        for name, (_, codes) in FAULTS.items():
+            for file, values in planted[name]:
+                if file.source != source:
+                    wrong[codes[0]].append(values.get(codes[0], 0.0))
+        by_source[source] = chosen_limits(right, wrong)
+    rows, total, total_out, count = [], 0, 0, 0
+    for name, (_, codes) in FAULTS.items():
+        entries = planted[name]
+        named = [bool(named_by(values, LIMITS) & {*codes}) for _, values in entries]
+        named_out = [bool(named_by(values, by_source[file.source]) & {*codes}) for file, values in entries]
+        total, total_out, count = total + sum(named), total_out + sum(named_out), count + len(named)
+        if entries:
+            rows.append([name, len(named), f"{np.mean(named):.0%}", f"{np.mean(named_out):.0%}"])
+        if options.details:
+            missed = [
+                f"{file.name}: {values.get(codes[0], float('nan')):.3g} {sorted(named_by(values, LIMITS))}"
+                for (file, values), is_named in zip(entries, named, strict=True)
+                if not is_named
+            ]
+            print(f"missed {name} (limit {LIMITS[codes[0]]:g}):", *missed, sep="\n  ")
+    rows.append(["all", count, f"{total / count:.0%}", f"{total_out / count:.0%}"])
+    print_table(["fault", "files", "named", "named, by limits chosen without the recording"], rows)
+    false = {file.name: named_by(untouched[file.name], LIMITS) for file in all_files}
+    false_out = {file.name: named_by(untouched[file.name], by_source[file.source]) for file in all_files}
+    kinds = [sum(file.points.in_space for file in all_files), sum(not file.points.in_space for file in all_files)]
+    print(f"\n{len(all_files)} untouched files: {kinds[1]} of 2D keypoints, {kinds[0]} of 3D poses.")
+    tests = sum(map(len, untouched.values()))
+    for title, named in (("limits of the package", false), ("limits chosen without the recording", false_out)):
+        wrong = {name: codes for name, codes in named.items() if codes}
+        n = sum(map(len, wrong.values()))
+        share, of_checks = len(wrong) / len(all_files), f"{n} of {tests} checks ({n / tests:.1%})"
+        print(f"By the {title}: {len(wrong)} files have a finding ({share:.0%}), {of_checks}.")
+        print(*(f"  {name}: {', '.join(sorted(codes))}" for name, codes in wrong.items()), sep="\n")
+    if options.details:
+        table = pd.DataFrame(untouched).T.reindex(columns=[*LIMITS])
+        print(table.to_string(float_format="%.2f"))
+        print(pd.DataFrame(by_source).T.describe().T.to_string(float_format="%.2f"))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,155 @@
+"""Read a file of points for `recon audit`, and audit it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from recon.base.arrays import Array, Integers
+from recon.check.audit import LEAST_FRAMES, audit
+from recon.check.audited import AuditedPoints, resolution_of, roles_of
+from recon.check.codes import finding, sentence, sort_findings
+from recon.check.pose_checks import EXTENT_M
+from recon.clip import mark_missing
+from recon.fit.motion import Motion
+from recon.fit.motion_forms import MOTION
+from recon.fit.result import Finding
+from recon.io.common import StoredPoints
+from recon.io.formats import Format, as_keypoints, read_points
+from recon.io.positions import PER_METRE, in_metres
+
+LIKELIHOOD_MIN = 0.5
+"""Detections less likely than this are left out, as in a fit."""
+
+
+@dataclass(frozen=True)
+class Audit:
+    """The findings on one file of points."""
+
+    source: Path
+    content: str
+    """What the file holds, in words."""
+    points: AuditedPoints
+    findings: tuple[Finding, ...]
+    notes: tuple[str, ...] = ()
+    """Decisions of the reader."""
+
+    def table(self) -> pd.DataFrame:
+        """Return a row for each finding: code, severity, points, frames, measure and limit, and the sentence."""
+        rows = [
+            {
+                "code": item.code,
+                "severity": item.severity,
+                "points": " ".join(item.names("points")),
+                "first_frame": item.frames[0] if item.frames else None,
+                "last_frame": item.frames[1] - 1 if item.frames else None,
+                "measure": item.numbers.get("measure"),
+                "limit": item.numbers.get("limit"),
+                "text": sentence(item),
+            }
+            for item in self.findings
+        ]
+        columns = ["code", "severity", "points", "first_frame", "last_frame", "measure", "limit", "text"]
+        table = pd.DataFrame(rows, columns=columns)
+        return table.astype({"first_frame": "Int64", "last_frame": "Int64"})
+
+
+def audit_file(
+    source: str | Path,
+    fps: float | None = None,
+    unit: str | None = None,
+    up: str | None = None,
+    individual: str | None = None,
+    columns: Mapping[str, str] | None = None,
+    likelihood_min: float = LIKELIHOOD_MIN,
+) -> Audit:
+    """Audit a file of 2D keypoints or 3D poses, or a folder of results.
+
+    Parameters
+    ----------
+    source : path
+        Any format that recon reads, whoever wrote it.
+    fps : float, optional
+        Frames per second, if the file does not state them, or to compare with what it states.
+    unit, up : str, optional
+        Unit (m, cm, mm) and upward axis (y, z) of 3D positions.
+    individual : str, optional
+        Name of the animal in a file of several.
+    columns : mapping, optional
+        Columns of a plain table (`recon.io.columns.parse_map`).
+    likelihood_min : float
+        Detections less likely than this are left out.
+
+    Returns
+    -------
+    Audit
+        The findings, with frames and one thing to do.
+
+    Raises
+    ------
+    InputError
+        For a file that cannot be read, or that has too few frames.
+    """
+    path = Path(source)
+    if path.is_dir() and (path / MOTION).is_file():
+        motion = Motion.load(path)
+        pose = motion.upright
+        points = audited_points(pose.names, pose.xyz_m, pose.frames, fps or motion.fps)
+        return Audit(path, "results of recon fit", points, audit(points))
+    reader, stored = read_points(path, individual, by=columns, fps=None)
+    return audit_points(path, reader, stored, fps, unit, up, likelihood_min)
+
+
+def audit_points(
+    path: Path,
+    reader: Format,
+    stored: StoredPoints,
+    fps: float | None,
+    unit: str | None,
+    up: str | None,
+    likelihood_min: float,
+) -> Audit:
+    """Return the audit of points as a file has them; parameters as in `audit_file`."""
+    findings = []
+    rate = fps or stored.fps
+    if fps is not None and stored.fps is not None and abs(fps / stored.fps - 1) > 0.01:
+        findings.append(finding("frame_rate_stated", given_hz=fps, other_hz=stored.fps))
+    resolution = resolution_of(stored.values)
+    if stored.in_space:
+        read_unit = unit or stored.unit or reader.unit or likely_unit(stored)
+        pose = in_metres(path, reader, stored, None if read_unit == stored.unit else read_unit, up)
+        per_metre = PER_METRE[read_unit]
+        points = audited_points(pose.names, pose.xyz_m, pose.frames, rate, resolution / per_metre)
+        if unit is None and stored.unit is None and reader.unit is None:
+            findings.append(finding("unit_not_stated", unit=read_unit, extent_m=points.extent))
+        if rate is None:
+            findings.append(finding("frame_rate_not_stated"))
+        content, notes = f"3D poses ({reader.title})", pose.notes
+    else:
+        keypoints, _ = mark_missing(as_keypoints(path, stored))
+        is_unlikely = keypoints.confidence < likelihood_min
+        xy_px = np.where(is_unlikely[..., None], np.nan, keypoints.xy_px)
+        points = audited_points(keypoints.names, xy_px, keypoints.frames, rate, resolution)
+        content, notes = f"2D keypoints ({reader.title})", keypoints.notes
+    if len(points.frames) < LEAST_FRAMES:
+        notes = (*notes, f"{len(points.frames)} frames are too few for an audit.")
+    return Audit(path, content, points, sort_findings([*findings, *audit(points)]), notes)
+
+
+def audited_points(
+    names: tuple[str, ...], values: Array, frames: Integers, fps: float | None, resolution: float = 0.0
+) -> AuditedPoints:
+    """Return points to audit, with the parts of the animal that their names tell."""
+    return AuditedPoints(names, values, frames, fps, resolution, roles_of(names))
+
+
+def likely_unit(stored: StoredPoints) -> str:
+    """Return the unit in which the animal of a file has a possible size: metres or millimetres before centimetres."""
+    extent = AuditedPoints(stored.names, stored.values, stored.frames).extent
+    low_m, high_m = EXTENT_M
+    fitting = [name for name in ("m", "mm", "cm") if low_m <= extent / PER_METRE[name] <= high_m]
+    return fitting[0] if fitting else "m"

@@ -1,0 +1,342 @@
+"""Check 3D poses: lengths, unit, the axis that is up, gravity in flight, feet on the ground, the range of joints.
+
+Points are in metres with z up, as their file says or as is its custom. Bones are found in the points themselves: of all
+pairs, the tree of those whose distance varies least.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from scipy.ndimage import median_filter
+from scipy.sparse.csgraph import minimum_spanning_tree
+
+from recon.animal.anatomy import FLEXES_CAUDALLY, joint_and_side
+from recon.animal.body import opposites, side_of
+from recon.base.arrays import Array
+from recon.check.audited import AuditedPoints, Measure
+from recon.check.inputs import FEWEST, SLIDE_LEGS_S, SLIDE_SHARE, SLOWEST
+from recon.check.track_checks import mean_of_known
+from recon.clip import frame_ranges
+
+LENGTH_SHARE, LENGTH_SPREADS = 0.1, 5.0
+"""Change of a length that counts: a part of it, and a number of its usual deviations."""
+DRIFT_SHARE, DRIFT_FRAMES = 0.08, 5
+"""Change of all lengths together that counts, and frames over which it is smoothed."""
+NEAR = 0.02
+"""Weight of the length of a pair against its deviation: near points are connected, not feet that stand side by side."""
+LEAST_KNOWN = 0.3
+"""Pairs of points that are known together in fewer frames are no bones."""
+EXTENT_M = (0.04, 5.0)
+"""Sizes of animals from nose to tail: a mouse, and more than a horse."""
+GRAVITY_M_S2 = 9.81
+IN_AIR = 0.1
+"""Height of a foot above its lowest one, relative to the length of the legs, from which it is in the air."""
+FLIGHT_FRAMES = 5
+"""Fewest frames of a flight in which its acceleration is measured."""
+SIGMAS = 2.0
+"""Standard deviations of the acceleration that are no contradiction."""
+RATIO = 1.5
+"""Factor between the acceleration and gravity, beyond the uncertainty, that is a contradiction."""
+OWN_MOTION = 0.02
+"""Motion of the trunk relative to the centre of mass in a flight, relative to the length of the legs."""
+RANGE_DEG: Mapping[str, tuple[float, float]] = {
+    "elbow": (-20.0, 165.0),
+    "stifle": (-20.0, 170.0),
+    "hock": (-20.0, 165.0),
+    "carpus": (-110.0, 175.0),
+}
+"""Flexion of joints that bend to one side only, 0 for a straight one, of mammals from mice to horses."""
+BEYOND_DEG, BEYOND_FRAMES = 15.0, 2
+"""Angle beyond the range that counts, and in how many frames."""
+LEVEL_DEG = 60.0
+"""Largest angle between the direction from the feet to the trunk and the vertical."""
+
+
+def measure_poses(points: AuditedPoints) -> Iterator[Measure]:
+    """Yield the measures of all checks of 3D poses."""
+    yield from _lengths(points)
+    yield from _unit(points)
+    yield from _up(points)
+    yield from _exchanged_sides(points)
+    yield from _gravity(points)
+    yield from _slide(points)
+    yield from _ranges(points)
+
+
+# -- lengths ----------------------------------------------------------------------------------------------------------
+
+
+def rigid_pairs(points: AuditedPoints) -> list[tuple[int, int]]:
+    """Return the pairs of points that are connected as by bones: the tree of the steadiest distances."""
+    values, K = points.positions, len(points.names)
+    spread = np.zeros((K, K))
+    for i in range(K - 1):
+        lengths = np.linalg.norm(values[:, i, None] - values[:, i + 1 :], axis=2)
+        counts = np.isfinite(lengths).sum(axis=0)
+        lengths[:, counts == 0] = 0.0
+        median = np.nanmedian(lengths, axis=0)
+        deviation = np.nanmedian(np.abs(lengths - median), axis=0)
+        is_bone = (counts >= max(FEWEST, LEAST_KNOWN * len(values))) & (median > 0.02 * points.extent)
+        spread[i, i + 1 :] = np.where(is_bone, deviation + NEAR * median, 0.0)
+    other = opposites(points.names)
+    standing = np.flatnonzero((other != np.arange(K)) & points.stands)
+    spread[standing, other[standing]] = 0.0  # a left and a right foot are never connected
+    tree = minimum_spanning_tree(spread).tocoo()
+    return [(int(i), int(j)) for i, j in zip(tree.row, tree.col, strict=True)]
+
+
+def _lengths(points: AuditedPoints) -> Iterator[Measure]:
+    """Yield the length that changes most, and the drift of all lengths together."""
+    pairs = rigid_pairs(points)
+    if len(pairs) < 2:
+        return
+    first, second = np.array(pairs).T
+    lengths = np.linalg.norm(points.positions[:, first] - points.positions[:, second], axis=2)
+    relative = lengths / np.nanmedian(lengths, axis=0)
+    common = _running_median(np.nanmedian(relative, axis=1) if np.isfinite(relative).any() else relative[:, 0])
+    known = np.isfinite(common)
+    if known.sum() >= 2 * DRIFT_FRAMES:
+        low, high = np.quantile(common[known], [0.02, 0.98])
+        yield Measure("lengths_drift", float((high - low) / DRIFT_SHARE), None, {"share": float(high / low - 1)})
+    deviation = np.abs(relative / common[:, None] - 1)
+    usual = 1.4826 * np.nanmedian(deviation, axis=0)
+    score = np.nan_to_num(deviation / np.maximum(LENGTH_SHARE, LENGTH_SPREADS * usual))
+    # The second largest: one frame may be a single outlier, which the next number shows.
+    peaks = np.sort(score, axis=0)[-2] if len(score) > 1 else score[-1]
+    e = int(np.argmax(peaks))
+    at = int(np.argmax(score[:, e]))
+    run = next((run for run in frame_ranges(np.flatnonzero(score[:, e] > 1)) if run[0] <= at < run[1]), (at, at + 1))
+    numbers = {"points": points.named(pairs[e]), "share": float(deviation[at, e]), "usual": float(usual[e])}
+    yield Measure("lengths_change", float(peaks[e]), run, numbers)
+
+
+def _running_median(values: Array) -> Array:
+    known = np.isfinite(values)
+    result = np.full(len(values), np.nan)
+    if known.any():
+        result[known] = median_filter(values[known], size=DRIFT_FRAMES, mode="nearest")
+    return result
+
+
+def _unit(points: AuditedPoints) -> Iterator[Measure]:
+    """Yield the decimal logarithm of how far the animal's size is from what is possible."""
+    ratios = [
+        float(np.nanmedian(np.linalg.norm(points.positions[:, a] - points.positions[:, b], axis=1))) / expected_m
+        for (a, b), expected_m in points.roles.bones_m.items()
+        if expected_m > 0 and (points.known[:, a] & points.known[:, b]).any()
+    ]
+    if len(ratios) >= 3:
+        times = float(np.median(ratios))
+    else:
+        low, high = EXTENT_M
+        if not points.extent > 0:
+            return
+        times = points.extent / low if points.extent < low else max(points.extent / high, 1.0)
+    value = abs(float(np.log10(max(times, 1e-12))))
+    if len(ratios) < 3 and times != 1.0:
+        value += 0.6  # outside of what any animal has
+    yield Measure("unit_unlikely", value, None, {"extent_m": points.extent, "times": times, "unit": _unit_for(times)})
+
+
+def _unit_for(times: float) -> str:
+    """Return the unit in which numbers would be `times` as large as in metres."""
+    candidates = {"mm": 1000.0, "cm": 100.0, "m, divided by 100": 0.01, "m, divided by 1000": 0.001}
+    return min(candidates, key=lambda unit: abs(np.log10(max(times, 1e-12) / candidates[unit])))
+
+
+# -- up, and the animal's own left ------------------------------------------------------------------------------------
+
+
+def _upward(points: AuditedPoints) -> Array | None:
+    """Return the unit vector from the feet to the trunk, typical of all frames."""
+    feet, upper = list(points.roles.feet), list(points.roles.upper)
+    if len(feet) < 2 or not upper:
+        return None
+    up = mean_of_known(points.positions[:, upper]) - mean_of_known(points.positions[:, feet])
+    up = up[np.isfinite(up).all(axis=1)]
+    if len(up) < FEWEST:
+        return None
+    direction = np.mean(up / np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-12), axis=0)
+    length = float(np.linalg.norm(direction))
+    return direction / length if length > 0.3 else None
+
+
+def _up(points: AuditedPoints) -> Iterator[Measure]:
+    """Yield 1 less the cosine of the angle between the vertical and the direction from the feet to the trunk."""
+    up = _upward(points)
+    if up is None:
+        return
+    axis = int(np.argmax(np.abs(up)))
+    name = f"{'-' if up[axis] < 0 else ''}{'xyz'[axis]}"
+    yield Measure(
+        "up_unlikely", 1.0 - float(up[2]), None, {"axis": name, "tilt_rad": float(np.arccos(np.clip(up[2], -1, 1)))}
+    )
+
+
+def _exchanged_sides(points: AuditedPoints) -> Iterator[Measure]:
+    """Yield the share of frames and pairs whose left point is on the animal's right."""
+    left_of = _left(points)
+    if left_of is None:
+        return
+    other = opposites(points.names)
+    left = [k for k in range(len(other)) if other[k] != k and side_of(points.names[k]) == "left"]
+    across = np.sum((points.positions[:, left] - points.positions[:, other[left]]) * left_of[:, None], axis=2)
+    signs = across[np.isfinite(across) & (np.abs(across) > 0.02 * points.extent)]
+    if len(signs) >= FEWEST:
+        yield Measure("sides_exchanged", float(np.mean(signs < 0)), None, {"share": float(np.mean(signs < 0))})
+
+
+def _left(points: AuditedPoints) -> Array | None:
+    """Return the animal's left (T, 3) by its trunk and the direction from its feet to its trunk; None if not known."""
+    up = _upward(points)
+    if up is None or points.roles.trunk is None:
+        return None
+    rear, front = points.roles.trunk
+    left = np.cross(up, points.positions[:, front] - points.positions[:, rear])
+    return left / np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-12)
+
+
+# -- the ground and gravity -------------------------------------------------------------------------------------------
+
+
+def leg_length_m(points: AuditedPoints) -> float:
+    """Return the usual height of the trunk above the lowest foot; NaN if not known."""
+    feet, upper = list(points.roles.feet), list(points.roles.upper)
+    if len(feet) < 2 or not upper:
+        return np.nan
+    feet_z = np.where(points.known[:, feet], points.positions[:, feet, 2], np.inf).min(axis=1)
+    height = mean_of_known(points.positions[:, upper])[:, 2] - feet_z
+    height = height[np.isfinite(height)]
+    return float(np.median(height)) if len(height) else np.nan
+
+
+def _gravity(points: AuditedPoints) -> Iterator[Measure]:
+    """Yield how far the vertical acceleration in flight is from gravity, in powers of `RATIO`."""
+    leg_m = leg_length_m(points)
+    if points.fps is None or not leg_m > 0 or len(points.roles.feet) < 4:
+        return
+    z_m = points.positions[:, list(points.roles.feet), 2]
+    if not np.isfinite(z_m).all(axis=1).sum() >= 2 * FLIGHT_FRAMES:
+        return
+    above_m = z_m - _ground_m(z_m)[:, None]
+    above_m -= np.nanquantile(above_m, 0.05, axis=0)
+    is_flying = np.isfinite(z_m).all(axis=1) & (above_m > IN_AIR * leg_m).all(axis=1)
+    body_m = mean_of_known(points.positions[:, list(points.roles.upper)])[:, 2]
+    accelerations, variances, rows = [], [], []
+    for first, stop in frame_ranges(np.flatnonzero(is_flying)):
+        heights = body_m[first:stop]
+        if stop - first < FLIGHT_FRAMES or not np.isfinite(heights).all() or not points.follows[first + 1 : stop].all():
+            continue
+        time_s = np.arange(stop - first) / points.fps
+        design = np.stack([np.ones_like(time_s), time_s, 0.5 * time_s**2], axis=1)
+        solution, *_ = np.linalg.lstsq(design, heights, rcond=None)
+        residual = heights - design @ solution
+        noise = max(float(residual @ residual) / max(len(heights) - 3, 1), (0.003 * leg_m) ** 2)
+        accelerations.append(float(solution[2]))
+        own_m_s2 = 8 * OWN_MOTION * leg_m / float(time_s[-1]) ** 2
+        variances.append(noise * float(np.linalg.inv(design.T @ design)[2, 2]) + own_m_s2**2)
+        rows.append((first, stop))
+    if not accelerations:
+        return
+    weights = 1 / np.array(variances)
+    mean = float(np.sum(weights * accelerations) / weights.sum())
+    sigma = float(np.sqrt(1 / weights.sum()))
+    off = -mean - GRAVITY_M_S2
+    nearest_m_s2 = GRAVITY_M_S2 + np.copysign(max(abs(off) - SIGMAS * sigma, 0.0), off)
+    value = abs(float(np.log(max(nearest_m_s2, 1e-2) / GRAVITY_M_S2) / np.log(RATIO)))
+    numbers = {
+        "acceleration_m_s2": -mean,
+        "sigma_m_s2": sigma,
+        "given_hz": points.fps,
+        "other_hz": points.fps * float(np.sqrt(GRAVITY_M_S2 / max(-mean, 1e-3))),
+    }
+    yield Measure("gravity_unlikely", value, max(rows, key=lambda run: run[1] - run[0]), numbers)
+
+
+def _ground_m(z_m: Array) -> Array:
+    """Return the height of the ground (T,), which may slope evenly, below feet at heights (T, F)."""
+    rows = np.arange(len(z_m), dtype=float)
+    lowest_m = np.where(np.isfinite(z_m), z_m, np.inf).min(axis=1)
+    is_used = np.isfinite(lowest_m)
+    line = np.zeros(2)
+    for _ in range(3):
+        line = np.polyfit(rows[is_used], lowest_m[is_used], 1)
+        lower = is_used & (lowest_m <= np.polyval(line, rows))
+        if lower.sum() < FEWEST:
+            break
+        is_used = lower
+    return np.asarray(np.polyval(line, rows), dtype=float)
+
+
+def _slide(points: AuditedPoints) -> Iterator[Measure]:
+    """Yield how fast standing feet slide backwards or forwards along the trunk, relative to the limit."""
+    leg_m, trunk, feet = leg_length_m(points), points.roles.trunk, list(points.roles.feet)
+    if points.fps is None or trunk is None or not leg_m > 0 or len(points.frames) < 2 * FLIGHT_FRAMES:
+        return
+    rear, front = trunk
+    along = (points.positions[:, front] - points.positions[:, rear])[:, :2]
+    along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+    times_s = points.frames / points.fps
+    velocity = np.gradient(points.positions, times_s, axis=0)[..., :2]
+    forward = np.einsum("tja,ta->tj", velocity, along)
+    body_m_s = float(np.nanmedian(forward[:, [rear, front]]))
+    feet_m_s = forward[:, feet]
+    if not np.isfinite(feet_m_s).any():
+        return
+    slowest_m_s = float(np.nanquantile(feet_m_s, SLOWEST))
+    over_feet_m_s = body_m_s - slowest_m_s
+    if over_feet_m_s <= SLIDE_LEGS_S * leg_m:
+        return
+    z_m = points.positions[:, feet, 2]
+    is_low = z_m - np.nanquantile(z_m, 0.05, axis=0) < IN_AIR * leg_m
+    standing = feet_m_s[is_low & np.isfinite(feet_m_s)]
+    typical_m_s = float(np.quantile(standing, 0.25)) if len(standing) >= FEWEST else slowest_m_s
+    backwards = -slowest_m_s / (SLIDE_SHARE * over_feet_m_s)
+    forwards = typical_m_s / (2 * SLIDE_SHARE * max(abs(body_m_s), SLIDE_LEGS_S * leg_m))
+    slide_m_s = slowest_m_s if backwards >= forwards else typical_m_s
+    numbers = {"slide_m_s": slide_m_s, "speed_m_s": body_m_s}
+    yield Measure("feet_slide", float(max(backwards, forwards)), None, numbers)
+
+
+# -- joints -----------------------------------------------------------------------------------------------------------
+
+
+def _ranges(points: AuditedPoints) -> Iterator[Measure]:
+    """Yield the joint that bends furthest beyond its range, in multiples of `BEYOND_DEG`."""
+    left = _left(points)
+    if left is None:
+        return
+    worst: Measure | None = None
+    for name, (above, middle, below) in points.roles.joints.items():
+        joint = joint_and_side(name)[0]
+        if joint not in RANGE_DEG:
+            continue
+        proximal, distal = (
+            points.positions[:, middle] - points.positions[:, above],
+            points.positions[:, below] - points.positions[:, middle],
+        )
+        angle_deg = np.degrees(flexion_about(proximal, distal, left)) * FLEXES_CAUDALLY[joint]
+        low, high = RANGE_DEG[joint]
+        centre = 0.5 * (low + high)
+        wrapped = np.mod(angle_deg - centre + 180, 360) - 180 + centre
+        beyond = np.nan_to_num(np.maximum(low - wrapped, wrapped - high), nan=-np.inf)
+        if len(beyond) < BEYOND_FRAMES:
+            continue
+        value = float(np.sort(beyond)[-BEYOND_FRAMES] / BEYOND_DEG)
+        if worst is None or value > worst.value:
+            t = int(np.argmax(beyond))
+            run = next((run for run in frame_ranges(np.flatnonzero(beyond > 0)) if run[0] <= t < run[1]), (t, t + 1))
+            numbers = {"joint": name.replace("_", " "), "angle_rad": float(np.radians(wrapped[t]))}
+            numbers |= {"low_rad": float(np.radians(low)), "high_rad": float(np.radians(high))}
+            worst = Measure("joint_beyond_range", value, run, numbers)
+    if worst is not None:
+        yield worst
+
+
+def flexion_about(proximal: Array, distal: Array, left: Array) -> Array:
+    """Return the angle (T,) from one link (T, 3) to the next about an axis to the left, rad."""
+    sine = np.sum(np.cross(proximal, distal) * left, axis=1)
+    across = np.sum(proximal * left, axis=1) * np.sum(distal * left, axis=1)
+    return np.arctan2(sine, np.sum(proximal * distal, axis=1) - across)

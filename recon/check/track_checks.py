@@ -1,0 +1,255 @@
+"""Check tracks of points, 2D or 3D: copied, frozen and interpolated ones, swapped sides, frames that are missing.
+
+Nothing is known but the numbers and the names. Detections that are the same to the last digit were copied.
+The vector from a point's right counterpart to the left one turns slowly; where the sides are swapped, it is suddenly
+reversed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from recon.animal.body import opposites, side_of
+from recon.base.arrays import Array, Bools, Index
+from recon.check.audited import AuditedPoints, Measure
+from recon.check.inputs import FEWEST, SHARE_LONG, repeats_of, step_ratios, steps_are_missing
+from recon.clip import frame_ranges
+
+DIGITS = 1e-9
+"""Part of the animal's size below which a difference is rounding of the arithmetic."""
+IDENTICAL_SHARE = 0.05
+"""Share of the frames in which two points may be identical, at least `FEWEST` frames."""
+STRUCTURAL = 0.9
+"""Two points of one side that are identical in so many frames are two names of one point, such as hips and spine."""
+APART = 10.0
+"""Two points are different ones if they are usually so many steps of the resolution apart, or move by so many."""
+BENT = 5.0
+"""Tracks are tested for straight stretches where they usually bend by so many roundings."""
+STRAIGHT = 0.02
+"""Largest deviation from a line, relative to the track's usual one."""
+MOVING, STANCE = 0.01, 1.0
+"""Ways of the other points, relative to the animal's size, in which a point, and a foot, cannot stay where it is."""
+GAP_FRAMES = 3
+"""Sides are followed over gaps up to so many frames."""
+CAP = 6.0
+"""Largest log-likelihood gain of one pair of points at a swap."""
+SIDE_STEP = 0.02
+"""Least standard deviation of a side vector's change in a frame, relative to the animal's size."""
+LEAST_PAIRS = 2
+"""Fewest pairs of points that show a swap together."""
+PX_OF_EXTENT = 1000.0
+"""Size in pixels at which 3D points are compared with limits in pixels."""
+NORMALISED = 1.5
+"""Largest coordinate of keypoints that are parts of the picture."""
+
+
+def measure_tracks(points: AuditedPoints) -> Iterator[Measure]:
+    """Yield the measures of all checks of tracks."""
+    yield from _identical_points(points)
+    yield from _frozen_frames(points)
+    yield from _frozen_points(points)
+    yield from _interpolated(points)
+    yield from _missing_frames(points)
+    yield from _swapped_sides(points)
+    if not points.in_space:
+        yield from _normalised(points)
+        yield from _upside_down(points)
+
+
+def _identical_points(points: AuditedPoints) -> Iterator[Measure]:
+    """Yield the pair of points that have the same coordinates in most frames."""
+    values, T = points.positions, len(points.frames)
+    worst: tuple[float, int, int, Bools] | None = None
+    for i in range(len(points.names)):
+        others = np.arange(i + 1, len(points.names))
+        identical = (values[:, i, None] == values[:, others]).all(axis=2)
+        counts = identical.sum(axis=0)
+        in_both = (points.known[:, i, None] & points.known[:, others]).sum(axis=0)
+        for j in others[counts >= FEWEST]:
+            same = identical[:, j - i - 1]
+            is_other_side = side_of(points.names[i]) != side_of(points.names[j])
+            if counts[j - i - 1] >= STRUCTURAL * in_both[j - i - 1] and not is_other_side:
+                continue
+            apart = np.linalg.norm(values[~same, i] - values[~same, j], axis=1)
+            is_near = bool(np.isfinite(apart).any()) and np.nanmedian(apart) < APART * points.resolution
+            value = float(same.sum() / max(FEWEST, IDENTICAL_SHARE * T))
+            if not is_near and (worst is None or value > worst[0]):
+                worst = value, i, int(j), same
+    if worst is not None:
+        value, i, j, same = worst
+        numbers = {"points": points.named((i, j)), "count": int(same.sum())}
+        yield Measure("points_identical", value, _longest(same), numbers)
+
+
+def _frozen_frames(points: AuditedPoints) -> Iterator[Measure]:
+    """Yield the longest run of frames that repeat the one before, or how often every frame occurs."""
+    repeats = repeats_of(points.positions)
+    if not repeats.any():
+        return
+    new_frames = np.flatnonzero(~repeats)
+    times = int(np.median(np.diff(new_frames))) if len(new_frames) > 2 else 1
+    if times > 1 and repeats.mean() < 1 - 0.5 / times:
+        numbers = {"times": times, "given_hz": points.fps or np.nan, "other_hz": (points.fps or np.nan) / times}
+        yield Measure("detections_repeated", float(times - 1), None, numbers)
+    first, stop = _longest(repeats)
+    numbers = {"count": int(repeats.sum()), "frames_total": len(repeats)}
+    yield Measure("detections_frozen", float(stop - first), (first - 1, stop), numbers)
+
+
+def _frozen_points(points: AuditedPoints) -> Iterator[Measure]:
+    """Yield the longest run in which one point keeps its coordinates while most others move."""
+    values = points.positions
+    is_same = np.zeros(values.shape[:2], dtype=bool)
+    is_same[1:] = (values[1:] == values[:-1]).all(axis=2)
+    worst: tuple[int, int, int] = (0, 0, 0)
+    point = -1
+    for k in range(len(points.names)):
+        for first, stop in frame_ranges(np.flatnonzero(is_same[:, k])):
+            moved = np.linalg.norm(values[stop - 1] - values[first - 1], axis=1)
+            moved_others = np.delete(moved, k)
+            typical = float(np.nanmedian(moved_others)) if np.isfinite(moved_others).any() else 0.0
+            # A foot stands still until the body has passed over it.
+            least = max(APART * points.resolution, (STANCE if points.stands[k] else MOVING) * points.extent)
+            if typical > least and stop - first > worst[0]:
+                worst, point = (stop - first, first - 1, stop), k
+    if point >= 0:
+        length, first, stop = worst
+        numbers = {"points": points.named((point,)), "count": length + 1}
+        yield Measure("point_frozen", float(length), (first, stop), numbers)
+
+
+def _interpolated(points: AuditedPoints) -> Iterator[Measure]:
+    """Yield the longest run of a point on a straight line at an even speed, where its track usually bends."""
+    values = points.positions
+    if len(values) < 3:
+        return
+    rounding = 2.01 * points.resolution * np.sqrt(values.shape[2]) + DIGITS * points.extent
+    bend = np.full(values.shape[:2], np.nan)
+    bend[1:-1] = np.linalg.norm(values[2:] - 2 * values[1:-1] + values[:-2], axis=2)
+    bend[1:-1][~(points.follows[1:-1] & points.follows[2:])] = np.nan
+    travel = np.zeros(values.shape[:2])
+    travel[1:-1] = np.linalg.norm(values[2:] - values[:-2], axis=2)
+    worst: tuple[int, int, int, int] = (0, -1, 0, 0)
+    total = 0
+    for k in range(len(points.names)):
+        is_straight = bend[:, k] <= rounding
+        is_straight &= travel[:, k] > max(APART * rounding, DIGITS)
+        bent = bend[np.isfinite(bend[:, k]) & (bend[:, k] > rounding), k]
+        if not is_straight.any() or len(bent) < FEWEST or rounding > max(STRAIGHT, 1 / BENT) * np.median(bent):
+            continue
+        total += int(is_straight.sum())
+        first, stop = _longest(is_straight)
+        if stop - first > worst[0]:
+            worst = stop - first, k, first, stop
+    length, k, first, stop = worst
+    if k >= 0:
+        numbers = {"points": points.named((k,)), "count": length, "count_total": total}
+        yield Measure("points_interpolated", float(length), (first, stop), numbers)
+
+
+def _missing_frames(points: AuditedPoints) -> Iterator[Measure]:
+    """Yield the share of steps twice as long as those around, relative to the limit for real tracks."""
+    scale = PX_OF_EXTENT / points.extent if points.in_space else 1.0
+    ratios = step_ratios(points.positions * scale)
+    if ratios is not None and steps_are_missing(ratios):
+        share = float((ratios > 1.45).mean())
+        yield Measure("frames_dropped", share / SHARE_LONG, None, {"share": share})
+
+
+# -- left and right ---------------------------------------------------------------------------------------------------
+
+
+def _swapped_sides(points: AuditedPoints) -> Iterator[Measure]:
+    """Yield the clearest swap of left and right, of all points or of one pair of limbs."""
+    other = opposites(points.names)
+    left = np.array([k for k in range(len(other)) if other[k] != k and side_of(points.names[k]) == "left"], dtype=int)
+    if len(left) < LEAST_PAIRS:
+        return
+    gains = _reversal_gains(points, points.positions[:, left] - points.positions[:, other[left]])
+    best: tuple[float, str, Index, int, Array] | None = None
+    for part, pairs in _parts(points, left).items():
+        total = gains[:, pairs].sum(axis=1)
+        t = int(np.argmax(total))
+        if best is None or total[t] > best[0]:
+            best = float(total[t]), part, pairs, t, total
+    assert best is not None
+    value, part, pairs, t, total = best
+    stop = len(total)
+    others = np.flatnonzero(total > 0.5 * value)
+    others = others[others != t]
+    if len(others):
+        nearest = int(others[np.argmin(np.abs(others - t))])
+        first, stop = sorted((t, nearest))
+    else:
+        first, stop = (0, t) if t < len(total) / 2 else (t, len(total))
+    numbers = {"part": part, "points": points.named(left[pairs])}
+    yield Measure("sides_swap", value, (first, stop), numbers)
+
+
+def _reversal_gains(points: AuditedPoints, vectors: Array) -> Array:
+    """Return the log-likelihood gain (T, P) of vectors (T, P, C) that are reversed since the frame before."""
+    gains = np.zeros(vectors.shape[:2])
+    floor = SIDE_STEP * points.extent
+    for p in range(vectors.shape[1]):
+        known = np.flatnonzero(np.isfinite(vectors[:, p]).all(axis=1))
+        if len(known) < FEWEST:
+            continue
+        v = vectors[known, p]
+        gap = np.diff(points.frames[known]) / max(1.0, float(np.median(np.diff(points.frames))))
+        change = np.minimum(np.linalg.norm(v[1:] - v[:-1], axis=1), np.linalg.norm(v[1:] + v[:-1], axis=1)) / gap
+        sigma = np.maximum(np.hypot(1.5 * np.median(change), floor), points.resolution) * gap
+        gain = -2 * np.sum(v[1:] * v[:-1], axis=1) / sigma**2
+        gain = np.clip(gain, -CAP, CAP) * (gap <= GAP_FRAMES)
+        gains[known[1:], p] = gain
+    return gains
+
+
+def _parts(points: AuditedPoints, left: Index) -> dict[str, Index]:
+    """Return the pairs of all points, and of the fore and the hind limbs, where the names tell them."""
+    parts = {"all points": np.arange(len(left))}
+    for limb, rows in points.roles.limbs.items():
+        pairs = np.array([p for p, k in enumerate(left) if k in rows], dtype=int)
+        if len(pairs) >= LEAST_PAIRS and "left" in limb:
+            parts[limb.replace("left ", "the ") + "s"] = pairs
+    return parts
+
+
+# -- the picture ------------------------------------------------------------------------------------------------------
+
+
+def _normalised(points: AuditedPoints) -> Iterator[Measure]:
+    """Yield whether coordinates go from 0 to 1."""
+    numbers = points.positions[points.known]
+    if len(numbers) and points.resolution < 1:
+        is_small = (numbers >= -0.5).all() and (numbers < NORMALISED).all()
+        yield Measure("keypoints_normalised", float(is_small))
+
+
+def _upside_down(points: AuditedPoints) -> Iterator[Measure]:
+    """Yield how far the trunk is below the feet in the picture, relative to their distance."""
+    feet, upper = list(points.roles.feet), list(points.roles.upper)
+    if len(feet) < 2 or not upper:
+        return
+    up = mean_of_known(points.positions[:, upper]) - mean_of_known(points.positions[:, feet])
+    up = up[np.isfinite(up).all(axis=1)]
+    if len(up) < FEWEST:
+        return
+    direction = np.median(up, axis=0)
+    share = direction[1] / max(float(np.linalg.norm(direction)), 1e-9)
+    if np.linalg.norm(direction) > 0.1 * points.extent:
+        yield Measure("keypoints_y_up", float(share))
+
+
+def mean_of_known(values: Array) -> Array:
+    """Return the mean (T, C) of known points (T, N, C), NaN without any."""
+    known = np.asarray(np.isfinite(values).all(axis=2))
+    total = np.where(known[..., None], values, 0.0).sum(axis=1)
+    count = known.sum(axis=1)[:, None]
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _longest(rows: Bools) -> tuple[int, int]:
+    """Return the longest run of rows: the first, and the one after the last."""
+    return max(frame_ranges(np.flatnonzero(rows)), key=lambda run: run[1] - run[0])

@@ -1,0 +1,106 @@
+"""The command `recon audit`: what it prints and writes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from recon.api.audit import Audit, audit_file
+from recon.api.settings import INDIVIDUAL
+from recon.base.files import write_text
+from recon.base.numbers import counted
+from recon.base.outputs import Output, ReadResults
+from recon.base.settings import Number, Option, Positive, Settings, input_paths
+from recon.base.tables import write_frame
+from recon.check.codes import sentence
+from recon.cli.answers import Answer
+from recon.fit.motion_forms import MOTION
+from recon.io.columns import parse_map
+from recon.show.console import finding_text
+from recon.show.page.audit_page import audit_page
+
+TABLE, PAGE = "audit.csv", "audit.html"
+
+
+class _AuditSettings(Settings):
+    """The settings of `recon audit`."""
+
+    source: Annotated[Path, Option(argument="FILE")]
+    """2D keypoints or 3D poses of any program, as in clip.csv, or a folder of results."""
+    out: Path | None = None
+    """Folder for a table and a page of the findings, as in audits/clip."""
+    fps: Positive | None = None
+    """Frames a second, as in 120, if the file does not say it."""
+    unit: str | None = None
+    """Unit of 3D positions, if the file does not say it: m, cm or mm."""
+    up: str | None = None
+    """Axis of 3D positions that points up, if unsaid: y or z."""
+    individual: Annotated[str | None, Option(INDIVIDUAL)] = None
+    columns: str | None = None
+    """Columns of a plain CSV, as for recon convert."""
+    likelihood_min: Annotated[Number, Field(ge=0, le=1), Option(expected="a number from 0 to 1")] = 0.5
+    """Leave out detections less likely than this, 0 to 1."""
+    overwrite: bool = False
+    """Replace an earlier audit."""
+
+
+def audit(settings: _AuditSettings) -> Answer:
+    """Audit 2D keypoints or 3D poses of any origin: copied, frozen and swapped points, lengths, unit, gravity, feet.
+
+    Example: recon audit poses.csv --fps 120
+
+    Each finding says what was found, in which frames, and one thing to do. Nothing is changed.
+    """
+    output = None
+    if settings.out is not None:
+        made_from = ReadResults.of(settings.source) if (settings.source / MOTION).is_file() else None
+        output = Output(settings.out, "audit", settings.overwrite, input_paths(settings), made_from, content="an audit")
+        output.require((TABLE, PAGE))
+    result = audit_file(
+        settings.source,
+        settings.fps,
+        settings.unit,
+        settings.up,
+        settings.individual,
+        None if settings.columns is None else parse_map(settings.columns),
+        settings.likelihood_min,
+    )
+    files = []
+    if output is not None and settings.out is not None:
+        with output.staged() as staging:
+            write_frame(result.table(), staging / TABLE)
+            write_text(
+                staging / PAGE, audit_page(result.source, result.content, result.points, result.findings, result.notes)
+            )
+        files = [settings.out / TABLE, settings.out / PAGE]
+    return _answer(result, files)
+
+
+def _answer(result: Audit, files: list[Path]) -> Answer:
+    points = result.points
+    frames = counted(len(points.frames), "frame")
+    head = f"{result.source}: {result.content}, {counted(len(points.names), 'point')}, {frames}"
+    serious = [item for item in result.findings if item.severity != "note"]
+    summary = counted(len(serious), "finding") if serious else "Nothing was found that is wrong."
+    lines = [head, summary, *(finding_text(item.severity, sentence(item)) for item in result.findings)]
+    lines += [f"Table and page: {', '.join(map(str, files))}"] if files else []
+    data = {
+        "source": result.source,
+        "content": result.content,
+        "points": list(points.names),
+        "frames": [int(points.frames[0]), int(points.frames[-1])],
+        "findings": [
+            {
+                "code": item.code,
+                "severity": item.severity,
+                "frames": item.frames,
+                "numbers": item.numbers,
+                "text": sentence(item),
+            }
+            for item in result.findings
+        ],
+        "notes": result.notes,
+    }
+    return Answer(data, lines, files=files, notes=result.notes)

@@ -1,0 +1,203 @@
+"""Audit of files of any origin: each planted fault is named with its frames, and right files have no finding."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from command_line import refused, run
+
+from recon.animal.body import opposites
+from recon.api.audit import Audit, audit_file
+from recon.check.audit import LIMITS, audit, measures_of
+from recon.check.audited import AuditedPoints, resolution_of, roles_of
+
+SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
+ROWS = slice(20, 30)
+
+
+@pytest.fixture(scope="module")
+def poses() -> AuditedPoints:
+    """The 3D poses of the bundled gallop, 60 frames a second."""
+    return audit_file(SAMPLES / "whole_truth.csv", fps=60).points
+
+
+@pytest.fixture(scope="module")
+def keypoints() -> AuditedPoints:
+    return audit_file(SAMPLES / "whole.csv", fps=60).points
+
+
+def codes(points: AuditedPoints, **changes) -> dict[str, tuple[int, int] | None]:
+    """The codes of the findings on changed points, with their frames."""
+    return {item.code: item.frames for item in audit(replace(points, **changes))}
+
+
+def swap(values: np.ndarray, points: AuditedPoints) -> np.ndarray:
+    return values[:, opposites(points.names)]
+
+
+def test_points_that_are_right_have_no_finding(poses: AuditedPoints, keypoints: AuditedPoints):
+    assert poses.roles.skeleton == keypoints.roles.skeleton == "cheetah-24"
+    assert codes(poses) == codes(keypoints) == {}
+    assert {measure.code for measure in measures_of(poses)} >= {"lengths_change", "unit_unlikely", "up_unlikely"}
+
+
+def in_rows(change: Callable[[np.ndarray, AuditedPoints], np.ndarray]):
+    """Change the points in `ROWS` only."""
+
+    def changed(points: AuditedPoints) -> np.ndarray:
+        values = points.positions.copy()
+        values[ROWS] = change(values, points)[ROWS]
+        return values
+
+    return changed
+
+
+def copied(values: np.ndarray, points: AuditedPoints) -> np.ndarray:
+    values = values.copy()
+    values[:, points.names.index("l_front_paw")] = values[:, points.names.index("r_front_paw")]
+    return values
+
+
+def frozen(points: AuditedPoints) -> np.ndarray:
+    values = points.positions.copy()
+    values[20:30] = values[19]
+    return values
+
+
+def stuck(points: AuditedPoints) -> np.ndarray:
+    values = points.positions.copy()
+    values[20:30, points.names.index("spine")] = values[19, points.names.index("spine")]
+    return values
+
+
+def straight(points: AuditedPoints) -> np.ndarray:
+    values, k = points.positions.copy(), points.names.index("l_back_knee")
+    values[20:30, k] = values[20, k] + np.linspace(0, 1, 10)[:, None] * (values[29, k] - values[20, k])
+    return values
+
+
+BOTH = {
+    "points_identical": (in_rows(copied), (20, 30)),
+    "detections_frozen": (frozen, (19, 30)),
+    "point_frozen": (stuck, (19, 30)),
+    "points_interpolated": (straight, (21, 29)),
+    "sides_swap": (in_rows(swap), (20, 30)),
+}
+
+
+@pytest.mark.parametrize("code", BOTH)
+@pytest.mark.parametrize("kind", ["poses", "keypoints"])
+def test_a_fault_in_some_frames_is_named_with_them(kind: str, code: str, request: pytest.FixtureRequest):
+    points = request.getfixturevalue(kind)
+    fault, expected = BOTH[code]
+    findings = codes(points, positions=fault(points))
+    assert list(findings) == [code]
+    first, stop = findings[code] or (0, 0)
+    first, stop = first - points.frames[0], stop - points.frames[0]
+    assert abs(first - expected[0]) <= 1
+    assert abs(stop - expected[1]) <= 1
+
+
+def longer(values: np.ndarray, points: AuditedPoints) -> np.ndarray:
+    values = values.copy()
+    values[:, points.names.index("nose"), 0] += 0.4
+    return values
+
+
+def bent(values: np.ndarray, points: AuditedPoints) -> np.ndarray:
+    values = values.copy()
+    above, middle, below = points.roles.joints["left_hock"]
+    bone, shank = values[:, middle] - values[:, above], values[:, below] - values[:, middle]
+    bone /= np.linalg.norm(bone, axis=1, keepdims=True)
+    values[:, below] = values[:, middle] + 2 * np.sum(shank * bone, axis=1, keepdims=True) * bone - shank
+    return values
+
+
+WHOLE = {
+    "unit_unlikely": lambda points: 1000 * points.positions,
+    "up_unlikely": lambda points: points.positions[..., [0, 2, 1]] * [1, -1, 1],
+    "sides_exchanged": lambda points: swap(points.positions, points),
+    "lengths_drift": lambda points: points.positions * np.linspace(1, 1.3, len(points.frames))[:, None, None],
+    "lengths_change": in_rows(longer),
+    "joint_beyond_range": in_rows(bent),
+    "feet_slide": lambda points: points.positions - points.positions[:, [points.names.index("tail_base")]] * [1, 1, 0],
+}
+
+
+@pytest.mark.parametrize("code", WHOLE)
+def test_a_fault_of_3d_poses_is_named(code: str, poses: AuditedPoints):
+    assert list(codes(poses, positions=WHOLE[code](poses))) == [code]
+
+
+def test_every_frame_twice_and_missing_frames_are_named(keypoints: AuditedPoints):
+    twice = np.repeat(keypoints.positions, 2, axis=0)
+    assert list(codes(keypoints, positions=twice, frames=np.arange(len(twice)))) == ["detections_repeated"]
+
+
+def test_a_leap_is_no_fault_and_shows_a_wrong_frame_rate(poses: AuditedPoints):
+    time_s = np.arange(25) / 60
+    values = poses.positions.copy()
+    values[15:40, :, 2] += (0.5 * 9.81 * time_s * (time_s[-1] - time_s))[:, None]
+    assert codes(poses, positions=values) == {}
+    findings = audit(replace(poses, positions=values, fps=120.0))
+    assert [item.code for item in findings] == ["gravity_unlikely"]
+    assert findings[0].numbers["other_hz"] == pytest.approx(60, rel=0.2)
+
+
+def test_keypoints_of_another_picture_are_named(keypoints: AuditedPoints):
+    up = [0.0, 1080.0] + keypoints.positions * [1.0, -1.0]
+    assert list(codes(keypoints, positions=up)) == ["keypoints_y_up"]
+    parts = keypoints.positions / [1920, 1080]
+    assert list(codes(keypoints, positions=parts, resolution=0.0)) == ["keypoints_normalised"]
+
+
+def test_what_a_file_does_not_say_is_a_note(tmp_path: Path):
+    table = pd.read_csv(SAMPLES / "whole_truth.csv", header=None)
+    path = tmp_path / "poses.csv"
+    names = ["frame"] + [f"{name}_{axis}" for name, axis in table.iloc[:2, 1:].T.itertuples(index=False)]
+    rows = table.iloc[3 if str(table.iloc[2, 0]) == "frame" else 2 :].astype(float)
+    rows.iloc[:, 1:] *= 1000
+    rows.iloc[:, 0] = np.arange(len(rows))
+    rows.set_axis(names, axis=1).to_csv(path, index=False)
+    result = audit_file(path)
+    assert {item.code: item.severity for item in result.findings} == {
+        "unit_not_stated": "note",
+        "frame_rate_not_stated": "note",
+    }
+    assert result.findings[0].numbers["unit"] == "mm"
+
+
+def test_names_of_other_programs_are_understood():
+    roles = roles_of(["LeftPaw", "RightPaw", "SpineMid"])
+    assert (roles.skeleton, roles.feet, roles.upper) == (None, (0, 1), (2,))
+    assert resolution_of(np.array([0.5, 1.25])) == 0.01
+    assert resolution_of(np.array([np.pi])) == 0.0
+
+
+def test_the_command_writes_a_table_and_a_page(tmp_path: Path):
+    source, out = SAMPLES / "whole_truth.csv", tmp_path / "audit"
+    ended = run("audit", source, "--fps", 60, "--unit", "m", "--out", out)
+    assert ended.code == 0
+    assert "Nothing was found that is wrong." in ended.out
+    table = pd.read_csv(out / "audit.csv")
+    assert list(table) == ["code", "severity", "points", "first_frame", "last_frame", "measure", "limit", "text"]
+    page = (out / "audit.html").read_text(encoding="utf-8")
+    assert "lengths_change" in page
+    assert "frames_dropped" in page
+    refused(["audit", source, "--out", out], ("--out", "folder", "audit.csv and 1 more"))
+
+
+def test_a_page_has_a_row_for_each_finding(poses: AuditedPoints):
+    from recon.show.page.audit_page import audit_page
+
+    points = replace(poses, positions=1000 * poses.positions)
+    result = Audit(Path("a.csv"), "3D poses", points, audit(points))
+    page = audit_page(result.source, result.content, points, result.findings, ())
+    assert "The animal would be" in page
+    assert "gravity_unlikely" in page
+    assert next(iter(LIMITS)) == "detections_repeated"
