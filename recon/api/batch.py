@@ -23,7 +23,7 @@ from pydantic import create_model
 from threadpoolctl import threadpool_limits
 
 from recon.api.batch_inputs import SUMMARY, Clip
-from recon.api.clip_inputs import Unknown, prepare, read_model_and_cameras
+from recon.api.clip_inputs import SharedInputs, prepare, read_model_and_cameras
 from recon.api.clip_results import (
     Record,
     beside,
@@ -143,7 +143,7 @@ def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Pro
     cameras, skeletons, subjects and priors."""
     read = cache(read_model_and_cameras)
 
-    def read_once(settings: FitSettings) -> Unknown:
+    def read_once(settings: FitSettings) -> SharedInputs:
         """What clips share is read once."""
         # Names of keypoint files choose cameras.
         files = [str(i) for i, _ in enumerate(settings.keypoints)] if settings.camera_name else settings.keypoints

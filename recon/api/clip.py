@@ -97,7 +97,7 @@ def _solve_first(inputs: ClipInputs, options: TrajectoryOptions, solve: Solve) -
 
     noise = (options.sigma_px, options.keypoint_noise_m(inputs.body))
     solve_with = partial(_solve_with, solve, options)
-    sources, solution = solve_time_offsets(inputs.apart, inputs.later_frames, solve_with, *noise)
+    sources, solution = solve_time_offsets(inputs.sources_apart, inputs.later_frames, solve_with, *noise)
     return _Fit(sources, options, solution, inputs.findings)
 
 
@@ -208,7 +208,7 @@ def _file_facts(inputs: ClipInputs, settings: FitSettings) -> tuple[list[str | N
     for source, path in zip(inputs.sources, settings.keypoints, strict=True):
         cameras = () if source.moves else other_cameras(source.camera, settings)
         names = cameras_in(path.stem, [source.camera.name, *(camera.name for camera in cameras)])
-        other = next(iter(names), None) or other_camera_in(path.stem, source.camera.name)
-        named.append(None if source.camera.name in names else other)
+        named_camera = next(iter(names), None) or other_camera_in(path.stem, source.camera.name)
+        named.append(None if source.camera.name in names else named_camera)
     stated_hz = next((s.keypoints.stated_fps for s in inputs.sources if s.keypoints.stated_fps is not None), None)
     return named, stated_hz, not settings.fast or bool(settings.fix_swaps)

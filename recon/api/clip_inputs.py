@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,6 +15,8 @@ from recon.animal.chain import facing_side
 from recon.animal.naming import load_names, problem_of_names, renamed
 from recon.animal.prior import MotionPrior, load_prior
 from recon.animal.skeleton_file import load_skeleton, with_detector_offsets
+from recon.api.clip_cameras import Cameras, ClipCamera, read_clip_cameras
+from recon.api.inside_picture import require_inside
 from recon.api.settings import FitSettings
 from recon.base.arrays import mean_along
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
@@ -33,13 +34,6 @@ from recon.fit.result import Finding
 from recon.io.corrections import read_corrections, with_corrections
 from recon.io.formats import read_keypoints
 
-if TYPE_CHECKING:
-    pass
-
-
-from recon.api.clip_cameras import Cameras, ClipCamera, read_clip_cameras
-from recon.api.inside_picture import require_inside
-
 RATES_HZ = (1.0, 10_000.0)
 """Frame rates that a clip can have. Slower, a whole stride lies between two frames, and nothing ties them; faster, what
 an animal does from one frame to the next is lost in the rounding of its acceleration."""
@@ -50,34 +44,48 @@ HEIGHT_SIGMA = 0.05
 _FAR_OUTSIDE = "too far outside the picture to have been found in it"
 
 
-Unknown = tuple[Body, MotionPrior, Cameras]
-"""What clips of one animal before the same cameras share."""
+SharedInputs = tuple[Body, MotionPrior, Cameras]
+"""Inputs that clips of one animal before the same cameras share."""
 
 
 @dataclass(frozen=True)
 class ClipInputs:
-    """All that a fit works on: the animal, what is expected of its motion, and for each camera its keypoints on its own
-    frames, which began so many frames later than the first's. side: whose limbs, None for a whole animal."""
+    """Everything that a fit works on: the animal, its expected motion, and the keypoints of each camera."""
 
     body: Body
     prior: MotionPrior
-    apart: tuple[Source, ...]
+    sources_apart: tuple[Source, ...]
+    """Each camera's keypoints on its own frames."""
     later_frames: tuple[float, ...]
+    """Frames by which each camera began later than the first."""
     fps: float
     side: Side | None
+    """The side whose limbs are fitted; None for a whole animal."""
     side_reason: str
     findings: tuple[Finding, ...] = ()
     """Findings on the cameras, before the fit."""
 
     @cached_property
     def sources(self) -> tuple[Source, ...]:
-        """On the frames of the clip."""
-        return align_cameras(self.apart, self.later_frames)
+        """Return the keypoints of all cameras on the frames of the clip."""
+        return align_cameras(self.sources_apart, self.later_frames)
 
 
-def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], Unknown] | None = None) -> ClipInputs:
-    """Everything that comes before solving: the one list of checks, of a fit and of who asks whether it can be done.
-    read_shared: `read_model_and_cameras`, or one that remembers. Raises InputError as `fit_clip`."""
+def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], SharedInputs] | None = None) -> ClipInputs:
+    """Read and check everything that a fit needs before it solves.
+
+    Parameters
+    ----------
+    settings
+        Those of the fit.
+    read_shared
+        Reads what clips can share, in place of `read_model_and_cameras`; a batch passes one that remembers.
+
+    Raises
+    ------
+    InputError
+        With the problems of all files and settings that cannot be used.
+    """
     shared = read_shared or read_model_and_cameras
     files, (body, prior, cameras) = collect_problems(lambda: read_clips(settings), lambda: shared(settings))
     if settings.corrections is not None:
@@ -90,32 +98,35 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], Unknown]
     scorers = {file.source or f"camera {i}": file.scorer for i, file in enumerate(files, start=1)}
     seen, *cleaned = collect_problems(
         lambda: body if body.detector is not None else with_detector_offsets(body, None, scorers),
-        *(partial(_cleaned, body, settings, fps, *of) for of in zip(files, cameras, later_frames, strict=True)),
+        *(
+            partial(_cleaned, body, settings, fps, *file_inputs)
+            for file_inputs in zip(files, cameras, later_frames, strict=True)
+        ),
     )
     side, reason = None, "both sides are fitted"
     if body.one_sided:
-        side, reason = _side(body, cleaned[0].keypoints, settings)
+        side, reason = _chosen_side(body, cleaned[0].keypoints, settings)
     names = body.keypoint_names(side)
     sources = tuple(replace(source, keypoints=arrange(source.keypoints, names)) for source in cleaned)
-    given = ClipInputs(seen, prior, sources, later_frames, fps, side, reason)
+    inputs = ClipInputs(seen, prior, sources, later_frames, fps, side, reason)
     cameras = [source.camera for source in sources]
     unsaid = all(camera.has_extrinsics and not camera.world_z_up and not camera.tilt_rad for camera in cameras)
     if len(cameras) == 1 or not unsaid or settings.up is not None:
-        return given
+        return inputs
     from recon.api.rigs import turned_up_by_feet
 
-    apart, found = turned_up_by_feet(given.sources, sources, seen, fps, settings.trajectory_options().sigma_px)
-    return replace(given, apart=apart, findings=found)
+    turned, findings = turned_up_by_feet(inputs.sources, sources, seen, fps, settings.trajectory_options().sigma_px)
+    return replace(inputs, sources_apart=turned, findings=findings)
 
 
-def read_model_and_cameras(settings: FitSettings) -> Unknown:
-    """Raises InputError with the problems of both."""
+def read_model_and_cameras(settings: FitSettings) -> SharedInputs:
+    """Return body, prior and cameras. Raises InputError with the problems of all."""
     model, cameras = collect_problems(lambda: _model(settings), lambda: read_clip_cameras(settings))
     return *model, cameras
 
 
 def arrange(keypoints: Keypoints, names: tuple[str, ...]) -> Keypoints:
-    """The named keypoints in that order, all missing where the file does not have them."""
+    """Return the named keypoints in that order, all missing where the file does not have them."""
     T = len(keypoints.frames)
     xy, confidence = np.full((T, len(names), 2), np.nan), np.zeros((T, len(names)))
     for column, name in enumerate(names):
@@ -126,20 +137,25 @@ def arrange(keypoints: Keypoints, names: tuple[str, ...]) -> Keypoints:
 
 
 def read_clips(settings: FitSettings) -> list[Keypoints]:
-    """The keypoint files, with the frame rate as given or their own. Raises InputError with the problems of all, also
-    without a frame rate, or with two that nobody gave."""
+    """Return the keypoints of all files, with the frame rate as given or their own.
+
+    Raises InputError with the problems of all files, also if a frame rate is missing or the files have different ones.
+    """
     rates = settings.camera_fps or (settings.fps,) * len(settings.keypoints)
     files = collect_problems(
-        *(partial(_read_clip, settings, *of) for of in zip(settings.keypoints, rates, strict=True))
+        *(
+            partial(_read_clip, settings, *path_and_rate)
+            for path_and_rate in zip(settings.keypoints, rates, strict=True)
+        )
     )
-    silent = [path.name for path, file in zip(settings.keypoints, files, strict=True) if file.fps is None]
-    if silent:
-        found = f"nothing, and {', '.join(silent)} {'does' if len(silent) == 1 else 'do'} not say"
-        raise InputError(Problem("--fps", "fps", found, "frames per second above 0, as in 120"))
+    without_rate = [path.name for path, file in zip(settings.keypoints, files, strict=True) if file.fps is None]
+    if without_rate:
+        actual = f"nothing, and {', '.join(without_rate)} {'does' if len(without_rate) == 1 else 'do'} not say"
+        raise InputError(Problem("--fps", "fps", actual, "frames per second above 0, as in 120"))
     if len({file.fps for file in files}) > 1 and settings.camera_fps is None:
-        found = ", ".join(f"{path.name} {file.fps:g}" for path, file in zip(settings.keypoints, files, strict=True))
+        actual = ", ".join(f"{path.name} {file.fps:g}" for path, file in zip(settings.keypoints, files, strict=True))
         expected = "one frame rate for all cameras of a clip, --fps, or --set camera-fps for each"
-        raise InputError(Problem("KEYPOINTS", "fps", found, expected))
+        raise InputError(Problem("KEYPOINTS", "fps", actual, expected))
     return list(files)
 
 
@@ -149,8 +165,8 @@ def _read_clip(settings: FitSettings, path: Path, given_fps: float | None) -> Ke
         file = renamed(file, load_names(settings.rename))
     fps = file.fps if given_fps is None else given_fps
     if fps is not None and not RATES_HZ[0] <= fps <= RATES_HZ[1]:
-        where = path if given_fps is None else "--fps" if settings.camera_fps is None else "--set camera-fps"
-        raise InputError(Problem(where, "fps", f"{fps:g}", f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} frames per second"))
+        origin = path if given_fps is None else "--fps" if settings.camera_fps is None else "--set camera-fps"
+        raise InputError(Problem(origin, "fps", f"{fps:g}", f"{RATES_HZ[0]:g} to {RATES_HZ[1]:g} frames per second"))
     return replace(file, fps=fps, stated_fps=file.fps if file.fps != fps else None)
 
 
@@ -162,46 +178,50 @@ def _model(settings: FitSettings) -> tuple[Body, MotionPrior]:
         return body, load_prior(None, body)
     body = with_detector_offsets(load_skeleton(settings.skeleton_name, settings.subject), settings.detector)
     body = body if settings.size is None else body.scaled(settings.size)
-    body = body if settings.height_m is None else _as_high(body, settings.height_m)
-    sides = f"nothing: {body.name} is a whole animal, and both sides are fitted"
-    wrong = [Problem("--set side", "side", repr(settings.side), sides)] if settings.side != "auto" else []
+    body = body if settings.height_m is None else _scaled_to_height(body, settings.height_m)
+    expected = f"nothing: {body.name} is a whole animal, and both sides are fitted"
+    side_problems = [Problem("--set side", "side", repr(settings.side), expected)] if settings.side != "auto" else []
     prior, _ = collect_problems(
-        lambda: load_prior(settings.prior, body), lambda: raise_problems(wrong if not body.one_sided else ())
+        lambda: load_prior(settings.prior, body), lambda: raise_problems(side_problems if not body.one_sided else ())
     )
     return body, prior
 
 
-def _as_high(body: Body, height_m: float) -> Body:
-    """So large that the withers, or the front end of the trunk, are as high above the feet in the expected pose."""
+def _scaled_to_height(body: Body, height_m: float) -> Body:
+    """Scale a body so that its withers are at a height above the feet in the expected pose."""
     if not body.feet:
         raise InputError(Problem("--height-m", "height_m", f"{body.name}, which has no feet", "--set size"))
     heights_m = dict(zip(body.markers, body.expected_points_m()[:, 2], strict=True))
-    top = next((name for name in body.markers if "wither" in name.lower()), body.forward[1])
-    usual_m = heights_m[top] - min(heights_m[foot] for foot in body.feet)
+    withers = next((name for name in body.markers if "wither" in name.lower()), body.forward[1])
+    usual_m = heights_m[withers] - min(heights_m[foot] for foot in body.feet)
     return replace(body.scaled(height_m / usual_m), size_sigma=HEIGHT_SIGMA)
 
 
-def _cleaned(body: Body, settings: FitSettings, fps: float, file: Keypoints, of: ClipCamera, late: float) -> Source:
+def _cleaned(
+    body: Body, settings: FitSettings, fps: float, file: Keypoints, clip_camera: ClipCamera, late_frames: float
+) -> Source:
     """Return the source of a file, as `cleaned_source`; raise InputError also without any keypoints of the body."""
     _require_keypoints_of(body, file)
-    return cleaned_source(settings, fps, file, of, late)
+    return cleaned_source(settings, fps, file, clip_camera, late_frames)
 
 
-def cleaned_source(settings: FitSettings, fps: float, file: Keypoints, of: ClipCamera, late: float) -> Source:
+def cleaned_source(
+    settings: FitSettings, fps: float, file: Keypoints, clip_camera: ClipCamera, late_frames: float
+) -> Source:
     """Return all keypoints of a file, which began so many frames late, at the clip's frame rate.
 
-    A few that are far outside the camera's picture are left out, and those of frames in which it is not known where the
-    camera was. Raises InputError where most lie outside.
+    Keypoints that are far outside the picture are left out, and those of frames without a camera pose. Raises
+    InputError if most of them lie outside.
     """
-    camera, track = of
+    camera, track = clip_camera
     first, stop = parse_frame_range(settings.frames) if settings.frames else (None, None)
     assert file.fps is not None
-    shift, per_frame = math.floor(late), file.fps / fps  # the clip's frames are the first camera's
+    shift, per_frame = math.floor(late_frames), file.fps / fps  # the clip's frames are the first camera's
 
-    def own(frame: int | None) -> int | None:
+    def file_frame(frame: int | None) -> int | None:
         return None if frame is None else math.ceil((frame - shift) * per_frame)
 
-    keypoints, cleaning = clean(file, settings.likelihood_min, (own(first), own(stop)))
+    keypoints, cleaning = clean(file, settings.likelihood_min, (file_frame(first), file_frame(stop)))
     require_inside(camera, keypoints, settings)
     if file.fps != fps:
         if track is not None:
@@ -224,7 +244,7 @@ def cleaned_source(settings: FitSettings, fps: float, file: Keypoints, of: ClipC
 
 
 def _require_keypoints_of(body: Body, keypoints: Keypoints) -> None:
-    """A few names in common, such as nose, are those of another detector."""
+    """Raise InputError for a file whose names are not the body's: a few in common, such as nose, are no match."""
     wanted = tuple(dict.fromkeys(name for pair in body.keypoints for name in pair))
     known = [name for name in keypoints.names if name in wanted]
     if known and (len(known) >= FEW_OF_SKELETON * len(wanted) or len(known) >= FEW_OF_FILE * len(keypoints.names)):
@@ -232,8 +252,8 @@ def _require_keypoints_of(body: Body, keypoints: Keypoints) -> None:
     raise InputError(problem_of_names(keypoints.names, wanted, body.name, keypoints.source or "keypoints"))
 
 
-def _side(body: Body, keypoints: Keypoints, settings: FitSettings) -> tuple[Side, str]:
-    """The side as given, or the one that faces the camera unless the file has far more points of the other."""
+def _chosen_side(body: Body, keypoints: Keypoints, settings: FitSettings) -> tuple[Side, str]:
+    """Return the side as given, or the one that faces the camera unless the file has far more points of the other."""
     ends = []
     for marker in body.forward:
         names = body.keypoints[body.markers.index(marker)]
@@ -241,8 +261,8 @@ def _side(body: Body, keypoints: Keypoints, settings: FitSettings) -> tuple[Side
     facing, reason = facing_side(*ends)
     if settings.side != "auto":
         return settings.side, f"as given; {reason}"
-    other: Side = "left" if facing == "right" else "right"
-    of_facing, of_other = (int(arrange(keypoints, body.keypoint_names(s)).present.sum()) for s in (facing, other))
-    if of_facing < of_other / 2:
-        return other, f"{reason}, but that side has {of_facing} points and the other {of_other}"
+    far: Side = "left" if facing == "right" else "right"
+    facing_count, far_count = (int(arrange(keypoints, body.keypoint_names(s)).present.sum()) for s in (facing, far))
+    if facing_count < far_count / 2:
+        return far, f"{reason}, but that side has {facing_count} points and the other {far_count}"
     return facing, reason

@@ -1,4 +1,4 @@
-"""What a clip of several cameras needs, or of one that moves: cameras that go together, in a world with z up."""
+"""Prepare clips of several cameras or a moving one: cameras that go together, in a world with z up."""
 
 from __future__ import annotations
 
@@ -25,14 +25,17 @@ if TYPE_CHECKING:
 
 AXES, FIRST_CAMERA = ("x", "y", "z"), "first-camera"
 MOST_ZOOM = 20
-"""More than lenses zoom, from the setting in which they were calibrated."""
+"""Largest factor on the calibrated focal length that a zoom lens can have."""
 
 _Cameras = tuple[tuple[Camera, "CameraTrack | None"], ...]
 """The camera of each keypoint file, with its track where it moves."""
 
 
 def problems_of_several(file: str, cameras: Sequence[Camera], owners: Mapping[Path, list[str]]) -> Iterator[Problem]:
-    """What cameras that film together must have. owners: of each track the cameras whose names its own contains."""
+    """Yield problems of cameras that do not go together.
+
+    owners: for each track the cameras whose names its own contains.
+    """
     names = [camera.name for camera in cameras]
     for name in sorted({name for name in names if names.count(name) > 1}):
         yield Problem(file, "camera", f"{name} for two keypoint files", "a camera for each, by --camera-name")
@@ -40,8 +43,8 @@ def problems_of_several(file: str, cameras: Sequence[Camera], owners: Mapping[Pa
         if len(of_track) != 1:
             from recon.io.camera_track import track_label
 
-            found = f"{track_label(track)}, with the name of {' and of '.join(of_track) or 'no camera'}"
-            yield Problem(track, "name", found, f"the name of one of {', '.join(names)} in it")
+            actual = f"{track_label(track)}, with the name of {' and of '.join(of_track) or 'no camera'}"
+            yield Problem(track, "name", actual, f"the name of one of {', '.join(names)} in it")
     moving = [of_track[0] for of_track in owners.values() if len(of_track) == 1]
     for name in sorted({name for name in moving if moving.count(name) > 1}):
         yield Problem("--camera-track", name, f"{moving.count(name)} tracks of it", "one")
@@ -51,34 +54,36 @@ def problems_of_several(file: str, cameras: Sequence[Camera], owners: Mapping[Pa
         elif owners and not camera.knows_up:
             expected = "one in the world of the camera track, z up (world_z_up)"
             yield Problem(file, f"camera {camera.name}", "a pose that does not say which way is up", expected)
-    still = [camera for camera in cameras if camera.has_extrinsics and camera.name not in moving]
-    for one, other in combinations(still, 2):
-        poses = camera_poses([one, other])
-        if one.name != other.name and np.array_equal(poses[0], poses[1]):
-            found = "the same pose, as of an entry that was copied"
-            yield Problem(file, f"cameras {one.name} and {other.name}", found, "each camera's own pose")
+    fixed = [camera for camera in cameras if camera.has_extrinsics and camera.name not in moving]
+    for first, second in combinations(fixed, 2):
+        poses = camera_poses([first, second])
+        if first.name != second.name and np.array_equal(poses[0], poses[1]):
+            actual = "the same pose, as of an entry that was copied"
+            yield Problem(file, f"cameras {first.name} and {second.name}", actual, "each camera's own pose")
 
 
 def focal_problems(cameras: _Cameras) -> Iterator[Problem]:
-    """Tracks of cameras that zoom, whose focal length is nowhere near the camera file's, as in another unit."""
+    """Yield problems of zoom tracks whose focal length is far from the camera file's, as in another unit."""
     for camera, track in cameras:
         if track is not None and track.intrinsics_px is not None:
-            found, own = float(np.median(track.intrinsics_px[:, 0])), float(camera.matrix[0, 0])
-            if not own / MOST_ZOOM <= found <= own * MOST_ZOOM:
-                expected = f"about the {own:.4g} px of the camera file, or {MOST_ZOOM} times more or less"
-                yield Problem(track.source, "fx", f"{found:.4g} px (median)", expected)
+            track_px, camera_px = float(np.median(track.intrinsics_px[:, 0])), float(camera.matrix[0, 0])
+            if not camera_px / MOST_ZOOM <= track_px <= camera_px * MOST_ZOOM:
+                expected = f"about the {camera_px:.4g} px of the camera file, or {MOST_ZOOM} times more or less"
+                yield Problem(track.source, "fx", f"{track_px:.4g} px (median)", expected)
 
 
 def with_poses(
     keypoints: Keypoints, cleaning: CleaningReport, track: CameraTrack, fps: float
 ) -> tuple[Keypoints, CleaningReport, FramePoses]:
-    """The poses of a track in the keypoints' frames, and these without detections in frames for which it has none.
-    Raises InputError where there are no others."""
+    """Return keypoints and poses in the same frames.
+
+    Detections are left out in frames for which the track has no pose. Raises InputError if it has none for any frame.
+    """
     poses, filled = track.at(keypoints.frames, fps)
     if not (keypoints.present & poses.known[:, None]).any():
         first, last = keypoints.frames[[0, -1]]
-        found = f"{track.frames[0]} to {track.frames[-1]}, none in common with {keypoints.source or 'the keypoints'}"
-        raise InputError(Problem(track.source, "frame", found, f"the numbers of the clip's frames, {first} to {last}"))
+        actual = f"{track.frames[0]} to {track.frames[-1]}, none in common with {keypoints.source or 'the keypoints'}"
+        raise InputError(Problem(track.source, "frame", actual, f"the numbers of the clip's frames, {first} to {last}"))
     if filled.any():
         between = f"between two of its track that are {track.max_gap_s:g} s apart or less"
         note = f"{filled.sum()} frames have a camera pose {between}"
@@ -88,8 +93,11 @@ def with_poses(
 
 
 def at_rate(keypoints: Keypoints, fps: float) -> Keypoints:
-    """Keypoints of a camera with another frame rate at that of the clip, frame 0 staying where it is, along straight
-    lines; those of slower ones count less in proportion. Raises InputError for fewer frames than that needs."""
+    """Return the keypoints of a camera with another frame rate at that of the clip.
+
+    They are interpolated linearly, frame 0 stays, and the confidence of a slower camera is reduced in proportion.
+    Raises InputError for fewer frames than that needs.
+    """
     assert keypoints.fps is not None
     if keypoints.fps == fps:
         return keypoints
@@ -98,16 +106,16 @@ def at_rate(keypoints: Keypoints, fps: float) -> Keypoints:
     if len(times) < 2 or not len(frames):
         expected = f"two or more that last as long as one at {fps:g} Hz"
         raise InputError(Problem(keypoints.source or "keypoints", "frames", str(len(times)), expected))
-    after = np.clip(np.searchsorted(times, frames), 1, len(times) - 1)
-    share = ((frames - times[after - 1]) / (times[after] - times[after - 1]))[:, None]
+    next_rows = np.clip(np.searchsorted(times, frames), 1, len(times) - 1)
+    share = ((frames - times[next_rows - 1]) / (times[next_rows] - times[next_rows - 1]))[:, None]
 
-    def between(values: Array, share: Array) -> Array:
-        before, later = values[after - 1], values[after]
-        mixed = (1 - share) * before + share * later
-        return np.where(share == 0, before, np.where(share == 1, later, mixed))
+    def interpolated(values: Array, share: Array) -> Array:
+        earlier, later = values[next_rows - 1], values[next_rows]
+        mixed = (1 - share) * earlier + share * later
+        return np.where(share == 0, earlier, np.where(share == 1, later, mixed))
 
-    xy_px = between(keypoints.xy_px, share[..., None])
-    confidence = between(keypoints.confidence, share) * min(1.0, keypoints.fps / fps)
+    xy_px = interpolated(keypoints.xy_px, share[..., None])
+    confidence = interpolated(keypoints.confidence, share) * min(1.0, keypoints.fps / fps)
     confidence = np.where(np.isnan(xy_px[..., 0]), 0.0, confidence)
     return replace(keypoints, xy_px=xy_px, confidence=confidence, frames=frames, fps=fps)
 
@@ -116,7 +124,7 @@ def at_rate(keypoints: Keypoints, fps: float) -> Keypoints:
 
 
 def turned_up(cameras: _Cameras, up: str) -> _Cameras:
-    """Cameras whose calibration does not say which way is up, in a world with z up. Raises InputError."""
+    """Return cameras in a world with z up, from the direction that points up in theirs. Raises InputError."""
     if up == FIRST_CAMERA:
         return cameras
     sign, axis = (-1.0, up[1:]) if up[:1] == "-" and up[1:] in AXES else (1.0, up)
@@ -130,18 +138,23 @@ def turned_up(cameras: _Cameras, up: str) -> _Cameras:
         expected = f"x, y or z, -x, -y or -z, {FIRST_CAMERA}, or 0,-1,0"
         raise InputError(Problem("--set up", "direction", repr(up), expected))
     raise_problems(
-        Problem("--set up", f"camera {camera.name}", why, "poses that do not say which way is up")
+        Problem("--set up", f"camera {camera.name}", reason, "poses that do not say which way is up")
         for camera, _ in cameras
-        for why in (["no pose"] if not camera.has_extrinsics else ["a pose that says it"] if camera.world_z_up else [])
+        for reason in (
+            ["no pose"] if not camera.has_extrinsics else ["a pose that says it"] if camera.world_z_up else []
+        )
     )
     return tuple((with_up(camera, direction / np.linalg.norm(direction)), track) for camera, track in cameras)
 
 
 def turned_up_by_feet(
-    sources: Sequence[Source], apart: Sequence[Source], body: Body, fps: float, sigma_px: float
+    sources: Sequence[Source], sources_apart: Sequence[Source], body: Body, fps: float, sigma_px: float
 ) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
-    """Sources on their own frames with z up and the ground at 0, and a note on it, where the feet in those that are on
-    the clip's frames say which way is up."""
+    """Turn cameras so that z is up and the ground at 0, where standing feet show it.
+
+    sources are on the clip's frames, sources_apart on their own. Returns the sources on their own frames, and a note;
+    unchanged where the feet do not show it.
+    """
     views = [
         replace(view, T_camera_world=rigid(np.asarray(view.camera.rotation), np.asarray(view.camera.translation_m)))
         for view in views_of(sources)
@@ -150,15 +163,18 @@ def turned_up_by_feet(
 
     upward = up_from_feet(views, body, fps, sigma_px)
     if upward is None:
-        return tuple(apart), ()
-    turned = tuple(replace(s, camera=with_up(s.camera, upward.up, upward.ground_m)) for s in apart)
+        return tuple(sources_apart), ()
+    turned = tuple(replace(s, camera=with_up(s.camera, upward.up, upward.ground_m)) for s in sources_apart)
     height_m = float(upward.up @ (views[0].centre_m[0] - upward.ground_m))
     up = ",".join(f"{x:.3f}" for x in upward.up)
     return turned, (finding("up_from_feet", up=up, height_m=height_m, sigma_rad=upward.sigma_rad),)
 
 
 def with_up(camera: Camera, up: Array, origin_m: Array | float = 0.0) -> Camera:
-    """With its pose in a world with z up, of one where the unit vector (3,) points up, and about a point (3,) of it."""
+    """Return a camera with its pose in a world with z up.
+
+    up: unit vector (3,) that points up in its present world; origin_m: point (3,) there that becomes the origin.
+    """
     R_camera = np.asarray(camera.rotation)
     translation_m = np.asarray(camera.translation_m) + R_camera @ np.broadcast_to(origin_m, 3)
     return replace(camera, rotation=R_camera @ level_from_camera(up).T, translation_m=translation_m, world_z_up=True)

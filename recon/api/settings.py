@@ -1,4 +1,4 @@
-"""The settings of a fit: what config.toml, the report and the command line's options are made of."""
+"""Define the settings of a fit, of which config.toml, the report and the command line's options are made."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast
 
 import tomli_w
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic_core import ArgsKwargs
 
 from recon.base.errors import Problem
 from recon.base.file_names import to_encodable
@@ -20,6 +21,7 @@ from recon.clip import parse_frame_range
 if TYPE_CHECKING:
     from recon.fit.clip_problem import TrajectoryOptions
 
+T = TypeVar("T")
 Method = Literal["trajectory", "frame"]
 Unit = Literal["m", "cm", "mm"]
 UNITS_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -33,15 +35,15 @@ _TRAJECTORY, _RARE_TRAJECTORY = Option(method="trajectory"), Option(common=False
 NUMBER = r"[0-9]+(?:\.[0-9]*)?"
 
 
-def _size(given: Any) -> Any:
-    """(width, height) of the text "1920x1080"; numbers as they are."""
-    match = re.fullmatch(r"\s*([0-9]{1,9})\s*[xX]\s*([0-9]{1,9})\s*", given) if isinstance(given, str) else None
-    return match.groups() if match else given
+def _size(value: object) -> object:
+    """Return (width, height) of the text "1920x1080"; numbers as they are."""
+    match = re.fullmatch(r"\s*([0-9]{1,9})\s*[xX]\s*([0-9]{1,9})\s*", value) if isinstance(value, str) else None
+    return match.groups() if match else value
 
 
-def _frames(given: str) -> str:
-    parse_frame_range(given)
-    return given
+def _frames(text: str) -> str:
+    parse_frame_range(text)
+    return text
 
 
 Size = Annotated[tuple[Count, Count], BeforeValidator(_size)]
@@ -59,7 +61,7 @@ RENAME = Option(
 # -- options that several commands have -------------------------------------------------------------------------------
 
 StrideTimes = Annotated[
-    tuple[Number, Number], BeforeValidator(lambda given: given.split(":") if isinstance(given, str) else given)
+    tuple[Number, Number], BeforeValidator(lambda value: value.split(":") if isinstance(value, str) else value)
 ]
 """(start, end) in seconds since frame 0, or the text "0.31:0.62"."""
 FIRST_FRAME = Option("Number that the video's first frame has in the keypoint file, if it was cut.")
@@ -72,11 +74,17 @@ STRIDE = Option(
 
 
 class FitSettings(Settings):
-    """The settings of `recon fit`. Raises InputError with everything that is wrong with it.
+    """Settings of `recon fit`.
 
     One of camera (a calibration file) and hfov_deg with image_size_px is needed. Text is taken for numbers, sizes and
     files. Fields without a unit in their name are counts, names or shares; the solvers' are explained at
-    `recon.fit.TrajectoryOptions` and by the packages of the other methods."""
+    `recon.fit.TrajectoryOptions` and by the packages of the other methods.
+
+    Raises
+    ------
+    InputError
+        With everything that is wrong with the settings.
+    """
 
     keypoints: Annotated[
         OneOrMore[File], Option(expected="a keypoint file, or one for each camera", argument="KEYPOINTS")
@@ -181,25 +189,25 @@ class FitSettings(Settings):
 
     @model_validator(mode="before")
     @classmethod
-    def _uncertain_field_of_view(cls, given: Any) -> Any:
-        """`hfov_deg` with its uncertainty, as in "64+-6", is that and `focal_sigma`."""
-        of = given.kwargs or {}
-        match = re.fullmatch(rf"\s*({NUMBER})\s*(?:±|\+/?-)\s*({NUMBER})\s*", str(of.get("hfov_deg")))
+    def _uncertain_field_of_view(cls, arguments: ArgsKwargs) -> ArgsKwargs:
+        """Replace `hfov_deg` with its uncertainty, as in "64+-6", by that and `focal_sigma`."""
+        values = arguments.kwargs if arguments.kwargs is not None else {}
+        match = re.fullmatch(rf"\s*({NUMBER})\s*(?:±|\+/?-)\s*({NUMBER})\s*", str(values.get("hfov_deg")))
         if match:
             hfov_deg, sigma_deg = map(float, match.groups())
             # The focal length goes with the cotangent of half the angle.
             share = math.radians(sigma_deg) / math.sin(math.radians(hfov_deg)) if 0 < hfov_deg < 180 else None
-            of |= {"focal_sigma": of.get("focal_sigma", share), "hfov_deg": hfov_deg}
-        return given
+            values |= {"focal_sigma": values.get("focal_sigma", share), "hfov_deg": hfov_deg}
+        return arguments
 
     @classmethod
     def problems_of_given(cls, values: Mapping[str, Any]) -> Iterator[Problem]:
-        """A camera given in one way only, and nothing that the method does not read."""
+        """Yield problems of a camera that is given in two ways, and of settings that the method does not read."""
         yield from _camera_problems(values)
-        yield from _of_the_other_method(values)
+        yield from _other_method_problems(values)
 
     def problems(self) -> Iterator[Problem]:
-        """Where a clip has several cameras, everything of one camera is there once for each."""
+        """Yield problems of settings that do not go together, or are not there once for each camera."""
         count = len(self.keypoints)
         for name in ("camera_name", "offset_s", "camera_fps"):
             values = getattr(self, name)
@@ -216,61 +224,80 @@ class FitSettings(Settings):
         if self.camera_fps is not None and self.fps is not None:
             yield Problem("settings", "camera_fps", f"beside fps, {self.fps:g}", "one of the two")
         if count > 1 and self.method == "frame":
-            found = f"{count} files with the frame method, which knows one camera"
-            yield Problem("settings", "keypoints", found, "one file, or --set method=trajectory")
+            actual = f"{count} files with the frame method, which knows one camera"
+            yield Problem("settings", "keypoints", actual, "one file, or --set method=trajectory")
         named_tracks = self.camera_track is not None and self.camera_name is not None and self.hfov_deg is None
         if count > 1 and self.camera is None and not named_tracks:
-            found = f"{count} keypoint files without a camera file"
-            yield Problem("settings", "camera", found, "a calibration of all these cameras")
+            actual = f"{count} keypoint files without a camera file"
+            yield Problem("settings", "camera", actual, "a calibration of all these cameras")
         if len(self.camera_track or ()) > count:
-            found = f"{len(self.camera_track or ())} for {count} keypoint file{'s' * (count > 1)}"
-            yield Problem("settings", "camera_track", found, "one for each camera that moves")
+            actual = f"{len(self.camera_track or ())} for {count} keypoint file{'s' * (count > 1)}"
+            yield Problem("settings", "camera_track", actual, "one for each camera that moves")
         if len(set(self.keypoints)) < count:
-            found = ", ".join(str(path) for path in self.keypoints)
-            yield Problem("settings", "keypoints", found, "a different file for each camera")
+            actual = ", ".join(str(path) for path in self.keypoints)
+            yield Problem("settings", "keypoints", actual, "a different file for each camera")
 
     @property
     def camera_text(self) -> str:
-        """The camera files in one line; empty without."""
+        """Return the camera files in one line; empty without."""
         return ", ".join(str(path) for path in self.camera or ())
 
     @property
     def keypoints_text(self) -> str:
-        """The keypoint files in one line."""
+        """Return the keypoint files in one line."""
         return ", ".join(str(path) for path in self.keypoints)
 
     def keypoints_from(self, folder: Path) -> list[str]:
-        """The same, each as seen from a folder."""
-        return seen_from(folder, "keypoints", [str(path) for path in self.keypoints])
+        """Return the keypoint files as seen from a folder."""
+        return setting_seen_from(folder, "keypoints", [str(path) for path in self.keypoints])
 
     @property
     def skeleton_name(self) -> str:
-        """As given, or the method's default."""
+        """Return the skeleton's name as given, or the method's default."""
         return DEFAULT_SKELETONS[self.method] if self.skeleton is None else self.skeleton
 
     @property
     def seeks_cameras(self) -> bool:
-        """Whether cameras come out otherwise than their file says."""
+        """Return whether the fit changes the cameras of the file."""
         return bool(self.refine_cameras) or (self.focal_sigma is not None and len(self.keypoints) > 1)
 
     def trajectory_options(self) -> TrajectoryOptions:
-        """The options that the trajectory method's solver reads."""
+        """Return the options that the trajectory method's solver reads."""
         from recon.fit.clip_problem import TrajectoryOptions
 
         return TrajectoryOptions(**{field.name: getattr(self, field.name) for field in fields(TrajectoryOptions)})
 
     def plain(self, folder: Path | None = None) -> dict[str, Any]:
-        """All that the method reads, as plain JSON types; None for what is not given and has no default. folder: that
-        paths are relative to, as `beside` reads them; None: they are absolute."""
-        of_method = {name: one for name, one in SETTINGS.items() if one.option.method in (None, self.method)}
-        plain = {name: one.plain(getattr(self, name)) for name, one in of_method.items()}
-        return plain if folder is None else {name: seen_from(folder, name, value) for name, value in plain.items()}
+        """Return all settings that the method reads, as plain JSON types.
+
+        Parameters
+        ----------
+        folder
+            Folder that paths are relative to, as `setting_in_folder` reads them; None: paths are absolute.
+
+        Returns
+        -------
+        dict
+            Values by name; None for a setting that is not given and has no default.
+        """
+        of_method = {name: info for name, info in SETTINGS.items() if info.option.method in (None, self.method)}
+        plain = {name: info.plain(getattr(self, name)) for name, info in of_method.items()}
+        return (
+            plain if folder is None else {name: setting_seen_from(folder, name, value) for name, value in plain.items()}
+        )
 
     def to_toml(self, folder: Path | None = None, sha256: Mapping[str, str] | None = None) -> str:
-        """The text of config.toml. Settings that are not given are left out; folder: see `plain`; sha256: what is
-        written down of the files' content."""
-        given = {name: value for name, value in self.plain(folder).items() if value is not None}
-        plain = to_encodable(given)
+        """Return the text of config.toml, without settings that are not given.
+
+        Parameters
+        ----------
+        folder
+            Folder that paths are relative to, as for `plain`.
+        sha256
+            Digests of the input files by their role, which are written beside the settings.
+        """
+        values = {name: value for name, value in self.plain(folder).items() if value is not None}
+        plain = to_encodable(values)
         return tomli_w.dumps({"recon": {"fit": plain, **({"sha256": sha256} if sha256 else {})}})
 
 
@@ -280,49 +307,51 @@ OF_ANY_CLIP = tuple(name for name in SETTINGS if name not in ("keypoints", "corr
 """The settings that several clips can have in common."""
 
 
-def seen_from(folder: Path, name: str, given: Any) -> Any:
-    """The value as it has to stand in a file of that folder, see `files.seen_from`."""
+def setting_seen_from(folder: Path, name: str, value: T) -> T:
+    """Return a setting's value with its paths as seen from a folder."""
     from recon.base.files import seen_from
 
-    return with_paths(name, given, lambda path: seen_from(folder, path))
+    return with_paths(name, value, lambda path: seen_from(folder, path))
 
 
-def with_paths(name: str, given: Any, change: Callable[[str], str]) -> Any:
-    """The value of a setting with its paths changed; others as they are."""
-    if isinstance(given, list):
-        return [with_paths(name, one, change) for one in given]
-    is_file = isinstance(given, str) and name in SETTINGS and SETTINGS[name].is_file(given)
-    return change(given) if is_file else given
+def with_paths(name: str, value: T, change: Callable[[str], str]) -> T:
+    """Return a setting's value with its paths changed; other values as they are."""
+    if isinstance(value, list):
+        return cast("T", [with_paths(name, element, change) for element in value])
+    if isinstance(value, str) and name in SETTINGS and SETTINGS[name].is_file(value):
+        return cast("T", change(value))
+    return value
 
 
-def _camera_problems(given: Mapping[str, Any]) -> Iterator[Problem]:
-    """A camera is given in one way, with what belongs to it."""
-    if not given.keys() & {"camera", "hfov_deg", "camera_track"}:
+def _camera_problems(values: Mapping[str, Any]) -> Iterator[Problem]:
+    """Yield problems of a camera that is given in two ways, or without what belongs to it."""
+    if not values.keys() & {"camera", "hfov_deg", "camera_track"}:
         expected = "a camera file, or --hfov-deg with --image-size for a rough one"
         yield Problem("settings", "camera", "nothing", expected)
-    if "camera" in given and "hfov_deg" in given:
-        yield Problem("settings", "hfov_deg", f"{given['hfov_deg']} beside a camera file", "one of the two")
-    if "camera_track" in given and "tilt_deg" in given:
-        found = f"{given['tilt_deg']} beside a camera track, which says which way is up"
-        yield Problem("settings", "tilt_deg", found, "one of the two")
-    if not given.keys() & {"camera", "camera_track"} and "camera_name" in given:
-        found = f"{given['camera_name']!r} without a camera file"
-        yield Problem("settings", "camera_name", found, "--camera with it")
-    if "camera" not in given and given.get("camera_unit", "m") != "m":
-        found = f"{given['camera_unit']!r} without a camera file"
-        yield Problem("settings", "camera_unit", found, "--camera with it")
-    if "camera" not in given and "hfov_deg" in given and "image_size_px" not in given:
+    if "camera" in values and "hfov_deg" in values:
+        yield Problem("settings", "hfov_deg", f"{values['hfov_deg']} beside a camera file", "one of the two")
+    if "camera_track" in values and "tilt_deg" in values:
+        actual = f"{values['tilt_deg']} beside a camera track, which says which way is up"
+        yield Problem("settings", "tilt_deg", actual, "one of the two")
+    if not values.keys() & {"camera", "camera_track"} and "camera_name" in values:
+        actual = f"{values['camera_name']!r} without a camera file"
+        yield Problem("settings", "camera_name", actual, "--camera with it")
+    if "camera" not in values and values.get("camera_unit", "m") != "m":
+        actual = f"{values['camera_unit']!r} without a camera file"
+        yield Problem("settings", "camera_unit", actual, "--camera with it")
+    if "camera" not in values and "hfov_deg" in values and "image_size_px" not in values:
         expected = "the size of the video beside --hfov-deg, as in 1920x1080"
         yield Problem("settings", "image_size_px", "nothing", expected)
 
 
-def _of_the_other_method(given: Mapping[str, Any]) -> Iterator[Problem]:
-    """What would have no effect. The method may be none, such as a list in a file."""
-    method = given.get("method", SETTINGS["method"].default)
-    for name, value in given.items():
-        if (info := SETTINGS.get(name)) is None or value == info.default:
+def _other_method_problems(values: Mapping[str, Any]) -> Iterator[Problem]:
+    """Yield problems of settings that the method does not read; the method may be no text, as a list in a file."""
+    method = values.get("method", SETTINGS["method"].default)
+    for name, value in values.items():
+        info = SETTINGS.get(name)
+        if info is None or value == info.default:
             continue
-        other = info.option.method
-        if isinstance(method, str) and method in DEFAULT_SKELETONS and other not in (None, method):
-            found = f"{info.plain(value)!r} with the {method} method, which does not read it"
-            yield Problem("settings", name, found, f"nothing, or --set method={other} with it")
+        owner = info.option.method
+        if isinstance(method, str) and method in DEFAULT_SKELETONS and owner not in (None, method):
+            actual = f"{info.plain(value)!r} with the {method} method, which does not read it"
+            yield Problem("settings", name, actual, f"nothing, or --set method={owner} with it")
