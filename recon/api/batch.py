@@ -1,7 +1,7 @@
-"""Many clips: `find_clips`, `plan_batch`, `run_batch`, each with what the one before gives.
+"""Fit many clips: `find_clips`, `plan_batch`, `run_batch`, each with the result of the one before.
 
-In the batch's folder `batch.jsonl` keeps what each clip's results were made from, summary.csv has one row a clip, the
-whole file written again while clips finish, and summary.html is made of it.
+In the batch's folder `batch.jsonl` keeps what each clip's results were made from, summary.csv has one row a clip and is
+written again while clips finish, and summary.html is made of it.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from recon.api.batch_inputs import SUMMARY, Clip
 from recon.api.clip_inputs import SharedInputs, prepare, read_model_and_cameras
 from recon.api.clip_results import (
     Record,
-    beside,
     digests,
     fit_into,
     identity,
     output_files,
     output_of,
     require_same_inputs,
+    setting_in_folder,
 )
 from recon.api.settings import FitSettings
 from recon.base.arrays import Brief
@@ -52,7 +52,7 @@ from recon.show.page.own_page import SUMMARY_PAGE
 from recon.show.report import is_unsolved, warnings
 
 BATCH = "batch"
-"""The kind of a batch's own files."""
+"""Kind of a batch's own files."""
 RECORD, CRASH_LOG = "batch.jsonl", "crash.log"
 Problems = tuple[Problem, ...]
 RESULTS = (
@@ -70,38 +70,43 @@ _TEXTS = ("keypoints", "out", "error", "verdict", "reason", "settings_hash", "in
 _CELLS: dict[str, Any] = {name: (str | None if name in _TEXTS else float | None, None) for name in COLUMNS}
 _CELLS |= {"clip": (str, ...), "status": (str, ...)}
 _Row = create_model("_Row", **_CELLS)
-"""What the cells of a row of the summary may be."""
+"""A row of the summary, with the types of its cells."""
 STATUSES = ("done", "done earlier", "unsolved", "failed", "pending")
-"""unsolved: fitted, but no frame has a pose. pending: not tried, because the batch was interrupted."""
+"""Unsolved: fitted, but no frame has a pose. Pending: not tried, because the batch was interrupted."""
 WRITE_EVERY_S = 0.5
 DYING_S = 5.0
-"""So long a process may hold a clip's folder after the batch that it belonged to was killed."""
+"""Time in which a process may hold a clip's folder after its batch was killed."""
 
 
 OnEvent = Callable[[Event, "Summary"], None]
-"""What is told of each event of a clip, with what became of all so far."""
+"""Called at each event of a clip, with the summary so far."""
 
 
 @dataclass(frozen=True, repr=False)
 class ClipPlan(Brief):
-    """A clip with what is to be done with it, and why."""
+    """What a batch does with a clip, and why."""
 
     clip: Clip
     out: Path
     action: Literal["new", "refit", "done"]
     reason: str
     identity: Mapping[str, Any]
-    """What its results follow from."""
+    """Digests, settings and version that its results follow from."""
     row: Mapping[str, Any] | None = None
     """The row of the summary, if the clip is done."""
 
 
 def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> list[ClipPlan]:
-    """What is to be done with each clip, whose results belong into `out / clip.name`.
+    """Plan what a batch does with each clip, whose results belong into `out / clip.name`.
 
     Results of the same input files, settings and version are done. Those that a batch made of the same keypoints, or of
-    some of the clip's cameras, with other settings are made again. Raises InputError for folders with any other
-    results, unless they may be overwritten; and, in any case, for files that no fit wrote or that were changed since.
+    some of the clip's cameras, with other settings are made again.
+
+    Raises
+    ------
+    InputError
+        For folders with any other results, unless they may be overwritten; in any case for files that no fit wrote or
+        that were changed since.
     """
     summary_output(out).require((SUMMARY, SUMMARY_PAGE))
     record = Record(out / RECORD)
@@ -109,42 +114,45 @@ def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> lis
 
 
 def _planned(clip: Clip, out: Path, record: Record, overwrite: bool) -> ClipPlan:
-    mine, row = identity(clip.settings), record.rows.get(clip.name)
+    made_from, row = identity(clip.settings), record.rows.get(clip.name)
     names, output = output_files(clip.settings, out), output_of(clip.settings, out, overwrite=True)
     if not any(os.path.lexists(out / name) for name in names):
-        return ClipPlan(clip, out, "new", "", mine)
+        return ClipPlan(clip, out, "new", "", made_from)
     if overwrite:
         output.require(names)
-        return ClipPlan(clip, out, "refit", "--overwrite", mine)
+        return ClipPlan(clip, out, "refit", "--overwrite", made_from)
     expected = "a folder without results, or of an earlier batch of this clip; or --overwrite"
-    why, changed = record.look(clip.name, mine, out)
+    reason, changed = record.look(clip.name, made_from, out)
     if row is None or (out / MANIFEST in changed and (out / MANIFEST).exists()):
         raise InputError(Problem(out, "folder", "results that no batch has made", expected))
-    before = beside(out.parent, "keypoints", row.get("keypoints", ()))
-    if not {*before} & {*map(str, clip.settings.keypoints)} and not _keypoints(row["identity"]) & _keypoints(mine):
-        raise InputError(Problem(out, "folder", f"results of {', '.join(before)}", expected))
-    if why or "row" not in row:
+    earlier_keypoints = setting_in_folder(out.parent, "keypoints", row.get("keypoints", ()))
+    same_names = {*earlier_keypoints} & {*map(str, clip.settings.keypoints)}
+    if not same_names and not _keypoints(row["identity"]) & _keypoints(made_from):
+        raise InputError(Problem(out, "folder", f"results of {', '.join(earlier_keypoints)}", expected))
+    if reason or "row" not in row:
         output.require(names)
-        return ClipPlan(clip, out, "refit", why, mine)
+        return ClipPlan(clip, out, "refit", reason, made_from)
     validated(_Row, {"clip": clip.name, **row["row"]}, f"{record.path}, row of {clip.name}")
-    return ClipPlan(clip, out, "done", "", mine, row["row"])
+    return ClipPlan(clip, out, "done", "", made_from, row["row"])
 
 
-def _keypoints(known: Mapping[str, Any]) -> set[str]:
-    """Hashes of the keypoint files that could be read."""
-    return {sha256 for role, sha256 in known["inputs"].items() if role.split()[0] == "keypoints" and sha256}
+def _keypoints(made_from: Mapping[str, Any]) -> set[str]:
+    """Return the digests of the keypoint files that could be read."""
+    return {sha256 for role, sha256 in made_from["inputs"].items() if role.split()[0] == "keypoints" and sha256}
 
 
 # -- what inputs lack -------------------------------------------------------------------------------------------------
 
 
 def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Problems]:
-    """The problems of each clip: everything that its fit would raise before solving; shared_only: only those with
-    cameras, skeletons, subjects and priors."""
+    """Return the problems of each clip, all that its fit would raise before it solves.
+
+    shared_only: only those of cameras, skeletons, subjects and priors.
+    """
     read = cache(read_model_and_cameras)
 
     def read_once(settings: FitSettings) -> SharedInputs:
-        """What clips share is read once."""
+        """Read once what clips share."""
         # Names of keypoint files choose cameras.
         files = [str(i) for i, _ in enumerate(settings.keypoints)] if settings.camera_name else settings.keypoints
         return read(replace(settings, keypoints=files, individual=None, frames=None))
@@ -153,19 +161,18 @@ def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Pro
     return [problems_of(partial(check, clip.settings)) for clip in clips]
 
 
-def repeated(each: Sequence[Problems]) -> list[tuple[Problem, tuple[int, ...]]]:
-    """What several clips have in common is said once, whatever the files are called: each problem, and the places among
-    all clips of those that have the same."""
-    found: dict[tuple[str, str, str], list[tuple[int, Problem]]] = {}
-    for place, problems in enumerate(each):
-        for one in problems:
-            found.setdefault((one.field, one.found, one.expected), []).append((place, one))
-    said = []
-    for same in found.values():
-        file, *others = dict.fromkeys(str(one.file) for _, one in same)
-        named = f"{file} and {counted(len(others), 'more file')}" if others else file
-        said.append((replace(same[0][1], file=named), tuple(dict.fromkeys(place for place, _ in same))))
-    return said
+def repeated(problems_by_clip: Sequence[Problems]) -> list[tuple[Problem, tuple[int, ...]]]:
+    """Return each problem once, whatever its files are called, with the indices of the clips that have it."""
+    places_by_content: dict[tuple[str, str, str], list[tuple[int, Problem]]] = {}
+    for place, problems in enumerate(problems_by_clip):
+        for problem in problems:
+            places_by_content.setdefault((problem.field, problem.found, problem.expected), []).append((place, problem))
+    merged = []
+    for occurrences in places_by_content.values():
+        file, *more_files = dict.fromkeys(str(problem.file) for _, problem in occurrences)
+        named = f"{file} and {counted(len(more_files), 'more file')}" if more_files else file
+        merged.append((replace(occurrences[0][1], file=named), tuple(dict.fromkeys(place for place, _ in occurrences))))
+    return merged
 
 
 # -- the work ---------------------------------------------------------------------------------------------------------
@@ -179,13 +186,30 @@ def run_batch(
     scheduler: str | None = None,
     on_event: OnEvent = lambda *_: None,
 ) -> Summary:
-    """`recon batch`: fit what is not done, each clip in a folder of its own, and keep `out / summary.csv` up to date;
-    summary.html comes last.
+    """Fit the clips that are not done, each in a folder of its own, and keep `out / summary.csv` up to date.
 
-    jobs: processes on this machine, by default one for each core; scheduler: the address of a Dask cluster instead.
-    retries: how often a clip at which a process died is tried again. A clip that fails stops nothing. KeyboardInterrupt
-    stops the fits under way, writes the summary and is raised again. Raises InputError where the cluster is not there,
-    or goes away, and where another batch is writing to `out`.
+    A clip that fails stops nothing. summary.html is written last. KeyboardInterrupt stops the fits under way, writes
+    the summary and is raised again.
+
+    Parameters
+    ----------
+    plan
+        As `plan_batch` returned it.
+    out
+        Folder of the batch.
+    jobs
+        Processes on this machine; by default one for each core.
+    retries
+        How often a clip is tried again at which a process died.
+    scheduler
+        Address of a Dask cluster, in place of this machine.
+    on_event
+        Called at each event of a clip.
+
+    Raises
+    ------
+    InputError
+        Where the cluster cannot be reached, or goes away, and where another batch is writing to `out`.
     """
     todo = {planned.clip.name: planned for planned in plan if planned.action != "done"}
 
@@ -215,7 +239,7 @@ def run_batch(
 
 
 def work_off(plan: Sequence[ClipPlan], out: Path, run: Callable[[Tell], None], on_event: OnEvent) -> Summary:
-    """The clips of a plan by `carry_out` with its tasks given, and the summary of it all, written again and again."""
+    """Work off the clips of a plan, with `carry_out` and its tasks given, and write the summary again and again."""
     summary = Summary(plan, out)
 
     def tell(event: Event) -> None:
@@ -237,40 +261,45 @@ def work_off(plan: Sequence[ClipPlan], out: Path, run: Callable[[Tell], None], o
 def fit_planned(planned: ClipPlan, progress: Progress) -> dict[str, Any]:
     """Fit and write one clip, in a process that does nothing else meanwhile.
 
-    Returns columns of its summary, the digest of its manifest, and what its results follow from: its files may be
-    others than when the batch was planned.
+    Returns columns of its summary, the digest of its manifest, and its identity: its files may have changed since the
+    batch was planned.
     """
-    here, there = version(), planned.identity["version"]
-    if here != there:
-        return {"status": "failed", "error": f"recon {here} on the worker, {there} where the batch runs"}
+    own_version, planned_version = version(), planned.identity["version"]
+    if own_version != planned_version:
+        return {
+            "status": "failed",
+            "error": f"recon {own_version} on the worker, {planned_version} where the batch runs",
+        }
     with sole_writer(planned.out, DYING_S), threadpool_limits(1):
-        known = identity(planned.clip.settings)
+        made_from = identity(planned.clip.settings)
         report = fit_into(planned.out, planned.clip.settings, progress)
-        require_same_inputs(planned.clip.settings, known["inputs"])
+        require_same_inputs(planned.clip.settings, made_from["inputs"])
         files = digests([planned.out / MANIFEST], planned.out)
     status = "unsolved" if is_unsolved(report) else "done"
-    made_from = {"identity": known, "inputs_hash": _hash(known["inputs"])}
-    return {"status": status, **results_of(report), "files": files, **made_from}
+    inputs = {"identity": made_from, "inputs_hash": _hash(made_from["inputs"])}
+    return {"status": status, **results_of(report), "files": files, **inputs}
 
 
 # -- what became of the clips -----------------------------------------------------------------------------------------
 
 
 def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
-    """The columns `RESULTS`. Speeds are the root's, without the jitter from frame to frame where that can be told;
-    warnings is how many the report has; size is the factor on the skeleton's lengths, which only the trajectory method
-    has."""
+    """Return the columns `RESULTS` of a report.
+
+    Speeds are the root's, without the jitter from frame to frame where that is known. warnings is their number; size is
+    the factor on the skeleton's lengths, which only the trajectory method has.
+    """
     summary, path, verdict = report["summary"], report["root_path"], report["verdict"] or {}
     speeds = path["smoothed"] or path["exact"]
-    expected = {}
-    for name, of, unit in (("pose_mm", "pose_m", 1000.0), ("position_m", "position_m", 1.0)):
-        error = verdict.get(of)
+    errors = {}
+    for name, field, unit in (("pose_mm", "pose_m", 1000.0), ("position_m", "position_m", 1.0)):
+        error = verdict.get(field)
         for end, key in (("", "expected"), ("_low", "low"), ("_high", "high")):
-            expected[name + end] = None if error is None else float(f"{unit * error[key]:.4g}")
+            errors[name + end] = None if error is None else float(f"{unit * error[key]:.4g}")
     return {
         "verdict": verdict.get("level"),
         "reason": verdict.get("reason"),
-        **expected,
+        **errors,
         **{name: summary[name] for name in ("frames", "frames_with_pose", "outliers")},
         "warnings": len(warnings(report)),
         "mean_reprojection_px": summary["reprojection_px"]["mean"],
@@ -285,7 +314,7 @@ def summary_output(out: Path) -> Output:
 
 
 class Summary:
-    """The rows of a batch, by clip, and their file. What was done earlier has its row already."""
+    """The rows of a batch, by clip, and their file. Clips that were done earlier have their row already."""
 
     def __init__(self, plan: Sequence[ClipPlan], out: Path) -> None:
         self.path = out / SUMMARY
@@ -294,26 +323,27 @@ class Summary:
         self._written_s = -WRITE_EVERY_S
 
     def end(self, clip: str, outcome: Mapping[str, Any]) -> None:
-        """outcome: some of the columns."""
+        """Add the outcome of a clip: some of the columns."""
         self.rows[clip] |= {column: outcome[column] for column in COLUMNS if column in outcome}
 
     def write_now_and_then(self) -> None:
-        """Not all the time; a file that is open elsewhere can wait."""
+        """Write the file unless it was just written; one that is open elsewhere can wait."""
         if time.monotonic() - self._written_s >= WRITE_EVERY_S:
             with suppress(PermissionError):
                 self.write()
 
     def counts(self) -> dict[str, int]:
-        """By status, in the order of `STATUSES`, without those that no clip has."""
+        """Return the number of clips by status, in the order of `STATUSES`, without statuses that no clip has."""
         count = Counter(row["status"] for row in self.rows.values())
         return {status: count[status] for status in STATUSES if count[status]}
 
     def verdicts(self) -> dict[str, int]:
-        """How many clips have each verdict, in the order of `LEVELS`, without those that none has."""
+        """Return the number of clips by verdict, in the order of `LEVELS`, without verdicts that no clip has."""
         count = Counter(row["verdict"] for row in self.rows.values() if row["status"].startswith("done"))
         return {level: count[level] for level in LEVELS if count[level]}
 
     def write(self) -> None:
+        """Write summary.csv, the clips to look at first on top."""
         with self._output.staged(adds=True) as folder, (folder / SUMMARY).open("w", encoding="utf-8", newline="") as f:
             writer = csv.DictWriter(f, COLUMNS, lineterminator="\n")
             writer.writeheader()
@@ -324,7 +354,7 @@ class Summary:
 
 
 def write_summary_page(out: Path) -> Path:
-    """summary.html, of what summary.csv in the folder says. Raises InputError for another file in its place."""
+    """Write summary.html from summary.csv in its folder. Raises InputError for another file of that name."""
     from recon.show.page.pages import batch_page  # needs matplotlib, which the processes that fit do not
 
     summary_output(out).write(SUMMARY_PAGE, batch_page(out, read_rows(out / SUMMARY)))
@@ -332,17 +362,19 @@ def write_summary_page(out: Path) -> Path:
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
-    """The rows of a summary.csv as they were before `Summary.write` made texts of formulas. Raises InputError."""
+    """Return the rows of a summary.csv, with the formulas that `Summary.write` made texts. Raises InputError."""
     (_, header), *rows = [*text_rows(path)] or [(1, [])]
     texts = ([*map(unguarded, cells)] for _, cells in rows)
-    found = [{name: x for name, x in zip(header, row, strict=False) if x} for row in texts]
-    wheres = (f"{path}, line {line}" for line, _ in rows)
-    collect_problems(*(partial(validated, _Row, *at) for at in zip(found, wheres, strict=True)))
-    return [dict.fromkeys(COLUMNS, "") | row for row in found]
+    named_rows = [{name: x for name, x in zip(header, row, strict=False) if x} for row in texts]
+    places = (f"{path}, line {line}" for line, _ in rows)
+    collect_problems(
+        *(partial(validated, _Row, *row_and_place) for row_and_place in zip(named_rows, places, strict=True))
+    )
+    return [dict.fromkeys(COLUMNS, "") | row for row in named_rows]
 
 
 def _row(planned: ClipPlan, out: Path) -> dict[str, Any]:
-    settings, known = planned.clip.settings, planned.identity
+    settings, made_from = planned.clip.settings, planned.identity
     row = dict.fromkeys(COLUMNS) | {
         "clip": planned.clip.name,
         "keypoints": ", ".join(settings.keypoints_from(out)),
@@ -351,8 +383,8 @@ def _row(planned: ClipPlan, out: Path) -> dict[str, Any]:
         "status": "pending",
         "attempts": 0,
     }
-    for name, part in (("settings", [known["settings"], known["version"]]), ("inputs", known["inputs"])):
-        row[f"{name}_hash"] = _hash(part)
+    for name, content in (("settings", [made_from["settings"], made_from["version"]]), ("inputs", made_from["inputs"])):
+        row[f"{name}_hash"] = _hash(content)
     earlier = dict(planned.row or {})
     return row | earlier | ({"status": "done earlier"} if earlier.get("status") == "done" else {})
 

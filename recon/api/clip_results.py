@@ -1,5 +1,8 @@
-"""A clip's folder: what its motion becomes there, all of it or nothing; and what results were made from, files by their
-content, settings and the version, so that it can be told whether that is still the same."""
+"""Write a clip's folder, and tell later whether its results are still those of the same inputs.
+
+All outputs of a motion appear in the folder, or none. A record has what results were made from: input files by their
+content, settings and the version.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import TypeAdapter
 
@@ -37,13 +40,14 @@ from recon.show.plain import write_report
 from recon.show.report import build_report
 from recon.show.tables import CLIP_OUTPUTS, REPROJECTION, camera_files, of_any_camera, write_tables
 
+T = TypeVar("T")
 FIT = "fit"
-"""The kind of a fit's files."""
+"""Kind of a fit's files."""
 CONFIG = "config.toml"
 SCHEMA = {"name": "recon.record", "version": 1}
 AS_THEY_WERE = "the prior and the settings of the fit, as they were: fit the clip again"
 REFINED_CAMERAS = "cameras.toml"
-"""Where cameras' poses were refined."""
+"""Camera file with the poses that a fit refined."""
 OUTPUT_FILES = (*CLIP_OUTPUTS, REPROJECTION, MOTION, "report.json", "motion.rrd", CONFIG, MANIFEST)
 """Every file that a clip of one camera gets. With several cameras there is a `REPROJECTION` for each."""
 
@@ -99,7 +103,7 @@ def write_clip(
 
     if sha256 is None:
         sha256 = input_digests(settings)
-    known = {role: found for role, found in sha256.items() if found is not None}
+    known = {role: sha256_hex for role, sha256_hex in sha256.items() if sha256_hex is not None}
     timing_s = {} if solve_s is None else {"solve_s": solve_s}
     motion = replace(motion, settings=settings.plain(out), timing_s=timing_s)
     report = build_report(motion)
@@ -117,8 +121,13 @@ def write_clip(
 
 
 def run_clip(settings: FitSettings, out: Path, overwrite: bool = False, progress: Progress = silent) -> dict[str, Any]:
-    """`recon fit`: reconstruct a clip and write its folder; the report. Raises InputError before any work is done if
-    `out` holds results already and may not be overwritten, or if another process is writing to it."""
+    """Reconstruct a clip, write its folder as `recon fit` does, and return the report.
+
+    Raises
+    ------
+    InputError
+        Before any work, also if `out` holds results and may not be overwritten, or another process is writing to it.
+    """
     with sole_writer(out):
         output_of(settings, out, overwrite).require(output_files(settings, out))
         return fit_into(out, settings, progress)
@@ -141,9 +150,9 @@ def fit_into(out: Path, settings: FitSettings, progress: Progress = silent) -> d
 
 
 def input_files(settings: FitSettings) -> dict[str, Path]:
-    """By the setting that names them; built-in skeletons, subjects, detectors, priors and maps are no files."""
-    first, *others = settings.keypoints
-    files = {"keypoints": first} | {f"keypoints {i}": path for i, path in enumerate(others, start=2)}
+    """Return the input files by the setting that names them; built-in skeletons, priors and others are no files."""
+    first, *more_paths = settings.keypoints
+    files = {"keypoints": first} | {f"keypoints {i}": path for i, path in enumerate(more_paths, start=2)}
     files |= {f"camera {i}" if i > 1 else "camera": path for i, path in enumerate(settings.camera or (), start=1)}
     if settings.camera_track:
         from recon.io.camera_track import track_files
@@ -195,15 +204,18 @@ def digest(path: Path) -> str | None:
 
 
 def identity(settings: FitSettings) -> dict[str, Any]:
-    """What the results of a fit follow from. Where a file lies is not part of it, nor are settings that only the other
-    method reads. A file that cannot be read has no content, None."""
+    """Return what the results of a fit follow from: digests of the input files, settings and version.
+
+    The place of a file is not part of it, nor are settings that the method does not read. The digest of a file that
+    cannot be read is None.
+    """
     files = input_files(settings)
     plain = {name: value for name, value in settings.plain().items() if value is not None and name not in files}
     return identity_of(files, plain)
 
 
 def identity_of(files: Mapping[str, Path], settings: Mapping[str, Any]) -> dict[str, Any]:
-    """The same of any files, by their role, and settings."""
+    """Return the identity of results that were made from files, by their role, with settings."""
     inputs = {role: file_sha256(path) for role, path in files.items()}
     return {"inputs": inputs, "settings": dict(settings), "version": version()}
 
@@ -217,7 +229,10 @@ class _Identity:
 
 @dataclass(frozen=True)
 class _Line:
-    """A line of a record; what follows `identity` is there once the part has ended, the last two as it is noted."""
+    """A line of a record.
+
+    The fields below `identity` are there once the part has ended; the last two as they are noted.
+    """
 
     part: str
     identity: _Identity
@@ -228,16 +243,21 @@ class _Line:
 
 
 _BEGIN = '{"'
-"""How every line of a record begins."""
+"""Beginning of every line of a record."""
 
 
 class Record:
-    """What each part of a work was made from, and what became of it: lines of JSON, of which the last of a part counts.
+    """What each part of a work was made from, and what became of it.
 
-    Only one process writes it. A part has a row before it begins and another one, with the files that it wrote, when it
-    has ended: what a run that is killed at any moment leaves does not look finished. Rows of other versions count as
-    none, and so does the last one where it is cut off, as by a full disk. Raises InputError for any other that a
-    record cannot have, and for a link: the file may be a user's.
+    The file has lines of JSON, of which the last of a part counts, and only one process writes it. A part has a row
+    before it begins and another one, with the files that it wrote, once it has ended, so that a run that is killed at
+    any moment does not look finished. Rows of other versions count as none, and so does the last one if it is cut off,
+    as by a full disk.
+
+    Raises
+    ------
+    InputError
+        For any other row that a record cannot have, and for a link: the file may be a user's.
     """
 
     def __init__(self, path: Path) -> None:
@@ -250,50 +270,52 @@ class Record:
         except OSError:
             return
         for number, line in enumerate(lines, 1):
-            where = f"{path}, line {number}"
+            origin = f"{path}, line {number}"
             try:
-                row = parse_json(line, where)
+                row = parse_json(line, origin)
             except InputError:
                 if number < len(lines) or not (line.startswith(_BEGIN) or _BEGIN.startswith(line)):
                     raise
                 break
             if not isinstance(row, dict) or row.get("schema", SCHEMA) == SCHEMA:
-                validated(_Line, row, where)
+                validated(_Line, row, origin)
                 self.rows[row["part"]] = row
 
     def tidy(self) -> None:
-        """Leave the last row of each part, before others come behind it."""
+        """Leave only the last row of each part, before others are added."""
         write_text(self.path, "".join(json.dumps(row) + "\n" for row in self.rows.values()))
 
-    def note(self, part: str, identity: Mapping[str, Any], **more: Any) -> None:
-        """A part with that identity begins, or has ended, with the digests of its `files` as `digests` gives them."""
-        self.rows[part] = {"schema": SCHEMA, "part": part, "identity": identity, **more}
+    def note(self, part: str, made_from: Mapping[str, Any], **details: Any) -> None:
+        """Note that a part begins, or has ended with `files`, the digests as `digests` gives them."""
+        self.rows[part] = {"schema": SCHEMA, "part": part, "identity": made_from, **details}
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(self.rows[part]) + "\n")
 
-    def look(self, part: str, identity: Mapping[str, Any], folder: Path) -> tuple[str, list[Path]]:
-        """Why a part has to be made, or made again, nothing where it is up to date; and which of its files, in that
-        folder, are missing or not as they were written. A manifest among them answers for those that it lists."""
+    def look(self, part: str, made_from: Mapping[str, Any], folder: Path) -> tuple[str, list[Path]]:
+        """Return why a part has to be made, empty if it is up to date, and its files that are missing or changed.
+
+        A manifest among the files answers for those that it lists.
+        """
         row = self.rows.get(part)
         if row is None:
             return "new", []
         if "files" not in row:
             return "not finished before", []
         changed = [folder / name for name, sha256 in row["files"].items() if digest(folder / name) != sha256]
-        if row["identity"] != identity:
-            return f"changed: {', '.join(_changed_names(row['identity'], identity))}", changed
+        if row["identity"] != made_from:
+            return f"changed: {', '.join(_changed_names(row['identity'], made_from))}", changed
         if MANIFEST in row["files"] and not changed:
             changed = [Path(problem.file) for problem in read_manifest(folder).changed()]
         return "not complete" if changed else "", changed
 
 
 def digests(paths: Iterable[Path], folder: Path) -> dict[str, str]:
-    """The digests of files in a folder, by their path from there."""
+    """Return the digests of files in a folder, by their path from there."""
     return {path.absolute().relative_to(folder.absolute()).as_posix(): sha256_of(path) for path in paths}
 
 
 def _changed_names(theirs: Mapping[str, Any], mine: Mapping[str, Any]) -> list[str]:
-    """Names of the input files and settings that differ, and the version."""
+    """Return the names of input files and settings that differ, and of the version."""
     names = []
     for part in ("inputs", "settings"):
         old, new = theirs[part], mine[part]
@@ -308,30 +330,39 @@ _REPLACED_BY = {
     "hfov_deg": ("camera", "camera_name", "camera_unit"),
     "camera_track": ("tilt_deg",),
 }
-"""Settings of another camera, which do not go with one that is given."""
+"""Settings of the config.toml that a given setting replaces, as those of another camera."""
 
 
-def read_settings(config: Path | None, given: Mapping[str, Any] | None = None) -> FitSettings:
-    """Settings from the table [recon.fit] of a TOML file, such as config.toml, overruled by those given.
+def read_settings(config: Path | None, options: Mapping[str, Any] | None = None) -> FitSettings:
+    """Return settings from the table [recon.fit] of a TOML file, such as config.toml, overruled by options.
 
-    None is not given. Paths in the file are relative to its folder. Another camera or method among those given replaces
-    the one of the file together with all that belongs to it. Raises InputError, naming every setting that is wrong, and
-    where it was given.
+    Parameters
+    ----------
+    config
+        The file; paths in it are relative to its folder.
+    options
+        Settings by name; None is not given. Another camera or method replaces the one of the file together with all
+        that belongs to it.
+
+    Raises
+    ------
+    InputError
+        Naming every setting that is wrong, and where it was given.
     """
-    given = {name: value for name, value in (given or {}).items() if value is not None}
-    under = {} if config is None else _read_config(config)
-    left_out = {*given, *(name for one in given for name in _REPLACED_BY.get(one, ()))}
-    before = under.get("method", SETTINGS["method"].default)
-    if given.get("method", before) != before:
-        left_out |= {name for name, setting in SETTINGS.items() if setting.option.method == before}
-    plain = {name: value for name, value in under.items() if name not in left_out} | given
+    options = {name: value for name, value in (options or {}).items() if value is not None}
+    file_settings = {} if config is None else _read_config(config)
+    left_out = {*options, *(replaced for name in options for replaced in _REPLACED_BY.get(name, ()))}
+    file_method = file_settings.get("method", SETTINGS["method"].default)
+    if options.get("method", file_method) != file_method:
+        left_out |= {name for name, setting in SETTINGS.items() if setting.option.method == file_method}
+    plain = {name: value for name, value in file_settings.items() if name not in left_out} | options
 
     try:
         return FitSettings(**plain)
     except InputError as error:
         raise InputError(
             replace(problem, file=config)
-            if config is not None and problem.field not in given
+            if config is not None and problem.field not in options
             else on_command_line(problem, SETTINGS)
             for problem in error.problems
         ) from None
@@ -343,60 +374,76 @@ def _read_config(config: Path) -> dict[str, Any]:
     table = table.get("fit") if isinstance(table, dict) else None
     if not isinstance(table, dict):
         raise InputError(Problem(config, "table", ", ".join(document)[:120] or "nothing", "[recon.fit]"))
-    return {name: beside(config.parent, name, value) for name, value in table.items()}
+    return {name: setting_in_folder(config.parent, name, value) for name, value in table.items()}
 
 
-def beside(folder: Path, name: str, given: Any) -> Any:
-    """The value of a setting that stands in a file of that folder: its paths are relative to the folder."""
-    return with_paths(name, given, lambda path: existing_path(os.path.normpath(folder.absolute() / path)))
+def setting_in_folder(folder: Path, name: str, value: T) -> T:
+    """Return the value of a setting that stands in a file of a folder, to which its paths are relative."""
+    return with_paths(name, value, lambda path: existing_path(os.path.normpath(folder.absolute() / path)))
 
 
 LIMITS = {"gt": "exclusiveMinimum", "ge": "minimum", "lt": "exclusiveMaximum", "le": "maximum"}
-"""What pydantic leaves under its own names where a text is read first."""
+"""JSON schema's names of limits by pydantic's, which stay where a text is read first."""
 
 
 def config_schema() -> dict[str, Any]:
-    """The JSON schema of config.toml, with what each setting means; texts such as "1920x1080" stand for sizes and
-    ranges."""
-    of_fit = TypeAdapter(FitSettings).json_schema()
+    """Return the JSON schema of config.toml, with the meaning of each setting.
+
+    Sizes and ranges may be texts such as "1920x1080".
+    """
+    fit_schema = TypeAdapter(FitSettings).json_schema()
     for name, info in SETTINGS.items():
-        given = of_fit["properties"][name]
-        choices = [_of_schema(one) for one in given.pop("anyOf", [given]) if one.get("type") != "null"]
+        property_schema = fit_schema["properties"][name]
+        choices = [
+            _with_json_limits(choice)
+            for choice in property_schema.pop("anyOf", [property_schema])
+            if choice.get("type") != "null"
+        ]
         # One value stands for a list of one, and a text for what is read from it.
-        choices += [one["items"] for one in choices if "items" in one]
-        if not any(one.get("type") in ("string", "boolean") for one in choices):
+        choices += [choice["items"] for choice in choices if "items" in choice]
+        if not any(choice.get("type") in ("string", "boolean") for choice in choices):
             choices.append({"type": "string"})
         default = {} if info.default in (MISSING, None) else {"default": info.plain(info.default)}
-        of_fit["properties"][name] = {"description": info.option.help, "anyOf": choices} | default
-    of_fit |= {"title": "recon.fit", "description": "The settings of a fit", "required": []}
-    digests = {"type": "object", "description": "Files' digests", "additionalProperties": {"type": "string"}}
+        fit_schema["properties"][name] = {"description": info.option.help, "anyOf": choices} | default
+    fit_schema |= {"title": "recon.fit", "description": "The settings of a fit", "required": []}
+    digest_schema = {"type": "object", "description": "Files' digests", "additionalProperties": {"type": "string"}}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "config.toml of recon",
         "type": "object",
-        "properties": {"recon": {"type": "object", "properties": {"fit": of_fit, "sha256": digests}}},
+        "properties": {"recon": {"type": "object", "properties": {"fit": fit_schema, "sha256": digest_schema}}},
     }
 
 
-def _of_schema(made: dict[str, Any]) -> dict[str, Any]:
-    """Limits as JSON schema calls them."""
-    kept = ((key, value) for key, value in made.items() if key not in ("title", "default"))
-    return {LIMITS.get(key, key): _of_schema(value) if isinstance(value, dict) else value for key, value in kept}
+def _with_json_limits(schema: dict[str, Any]) -> dict[str, Any]:
+    """Return a schema with limits as JSON schema calls them."""
+    items = ((key, value) for key, value in schema.items() if key not in ("title", "default"))
+    return {
+        LIMITS.get(key, key): _with_json_limits(value) if isinstance(value, dict) else value for key, value in items
+    }
 
 
-def read_config(config: Path, given: Mapping[str, Any]) -> FitSettings:
-    """As `read_settings`; raises InputError also where files are missing that the config.toml of a result names."""
-    settings = read_settings(config, given)
-    gone = {role: path for role, path in _named(given, settings).items() if not path.exists()}
-    if gone:
+def read_config(config: Path, options: Mapping[str, Any]) -> FitSettings:
+    """Read settings as `read_settings` does, from the config.toml of a result.
+
+    Raises InputError also for files that it names and that are missing.
+    """
+    settings = read_settings(config, options)
+    missing = {role: path for role, path in _named(options, settings).items() if not path.exists()}
+    if missing:
         expected = "the file that config.toml names, seen from its own folder: move both together, or name it anew"
-        raise InputError(Problem(config, role, f"{path}, no such file", expected) for role, path in gone.items())
+        raise InputError(Problem(config, role, f"{path}, no such file", expected) for role, path in missing.items())
     return settings
 
 
 def problem_of(motion: Motion, folder: Path) -> ClipProblem:
-    """What a loaded motion was solved for, set up again from the settings in its folder. Raises InputError where these,
-    or the prior, are no longer there or are others, and for a motion of the frame method."""
+    """Return the problem that a loaded motion solves, set up again from the settings in its folder.
+
+    Raises
+    ------
+    InputError
+        For settings or a prior that are missing or changed, and for a motion of the frame method.
+    """
 
     config = folder / CONFIG
     if not isinstance(motion.solution, TrajectorySolution):
@@ -410,14 +457,14 @@ def problem_of(motion: Motion, folder: Path) -> ClipProblem:
     return ClipProblem.from_views(views, motion.body, prior, motion.fps, settings.trajectory_options())
 
 
-def replaced_files(config: Path, given: Mapping[str, Any], settings: FitSettings) -> list[Path]:
-    """The files that the config.toml names whose content is another than when it was written."""
+def replaced_files(config: Path, options: Mapping[str, Any], settings: FitSettings) -> list[Path]:
+    """Return the files that a config.toml names whose content has changed since it was written."""
     table = read_toml(config, "a config.toml of an earlier run").get("recon", {}).get("sha256", {})
     known = table if isinstance(table, dict) else {}
-    files = _named(given, settings).items()
+    files = _named(options, settings).items()
     return [path for role, path in files if role in known and digest(path) != known[role]]
 
 
-def _named(given: Mapping[str, Any], settings: FitSettings) -> dict[str, Path]:
-    """The input files that are not given beside the config.toml."""
-    return {role: path for role, path in input_files(settings).items() if given.get(role.split()[0]) is None}
+def _named(options: Mapping[str, Any], settings: FitSettings) -> dict[str, Path]:
+    """Return the input files that are named in the config.toml, not by options."""
+    return {role: path for role, path in input_files(settings).items() if options.get(role.split()[0]) is None}

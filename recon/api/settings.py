@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, cast
 
 import tomli_w
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
-from pydantic_core import ArgsKwargs
 
 from recon.base.errors import Problem
 from recon.base.file_names import to_encodable
@@ -19,6 +18,8 @@ from recon.base.settings import Count, File, NameOrFile, NotNegative, Number, On
 from recon.clip import parse_frame_range
 
 if TYPE_CHECKING:
+    from pydantic_core import ArgsKwargs
+
     from recon.fit.clip_problem import TrajectoryOptions
 
 T = TypeVar("T")

@@ -490,7 +490,7 @@ def test_a_camera_more_or_less_is_the_same_clip_again(tmp_path):
     with output_of(planned.clip.settings, planned.out, overwrite=True).staged() as folder:
         (folder / "pose3d.csv").write_text("results")
     record = Record(out / RECORD)
-    begun = {"identity": planned.identity, "keypoints": planned.clip.settings.keypoints_from(out)}
+    begun = {"made_from": planned.identity, "keypoints": planned.clip.settings.keypoints_from(out)}
     record.note("walk", **begun)
     assert plan_batch(both, out)[0].reason == "not finished before"
     record.note("walk", **begun, files={"pose3d.csv": "of other results"}, row={})
