@@ -214,7 +214,6 @@ def run_video(
     out, found = job.run.out, {}
     with sole_writer(out):
         record, stages, dones, again = Record(out / RECORD), _stages(job), [], False
-        record.tidy()
         for name, row in record.rows.items():  # version 0.2 had no other record of them
             if name in stages:
                 folder = stages[name].output.folder
@@ -224,6 +223,7 @@ def run_video(
             again = again or name == job.run.start
             if again or record.look(name, stage.identity(), out)[0]:
                 _require_own(name, stage, job, record, again)
+        record.tidy()
         again = False
         for number, (name, stage) in enumerate(stages.items()):
             again = again or name == job.run.start

@@ -10,29 +10,23 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
-from command_line import refusal, run
+from command_line import carry_out_here, copy_results, refusal, run
+from users_files import REFUSED, contents, put_foreign, require_untouched
 
 from recon import InputError
 from recon.base.files import MANIFEST, read_manifest
 from recon.base.locks import sole_writer
 from recon.base.outputs import RECORD, Output, ReadResults, is_current, output_file, read_record
 from recon.base.settings import Settings, input_paths
+from recon.io.video import video_writer
+from recon.show.page.own_page import PAGE
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 CAMERA = ("--camera", SAMPLES / "camera.toml")
 QUICK = ("--fps", 60, "--frames", "0:8", "--set", "fast=true")
-FOREIGN = 40
-"""How many files of a user's lie where a command wants to write."""
-
-
-def contents(folder: Path) -> dict[str, str]:
-    """The text of every file below a folder, of a link where it leads, but for recon's record."""
-    return {
-        path.relative_to(folder).as_posix(): os.readlink(path) if path.is_symlink() else path.read_text("latin-1")
-        for path in folder.rglob("*")
-        if (path.is_file() or path.is_symlink()) and path.name != RECORD
-    }
 
 
 def written(out: Path, kind: str = "fit", overwrite: bool = True, **files: str) -> None:
@@ -416,27 +410,118 @@ def test_no_command_touches_files_of_names_that_it_writes(whole_results, frame_r
     arguments, sure = commands(whole_results, frame_results)[name]
     ended = run(*arguments, "--out", tmp_path / "first")
     assert ended.code in (0, 1), ended.err
-    names = sorted(path.name for path in (tmp_path / "first").iterdir() if path.is_file() and path.name != RECORD)
+    names = sorted(contents(tmp_path / "first"))
     assert sure in names
     mine = tmp_path / "mine"
-    mine.mkdir()
-    names += [f"{number}_{sure}" for number in range(FOREIGN - len(names))]
-    for file in names:
-        (mine / file).write_text(f"mine, {file}")
+    put_foreign(mine, [sure, *(file for file in names if file != sure)])
     before = contents(mine)
     for more in ((), ("--overwrite",)):
         ended = run(*arguments, "--out", mine, *more)
         assert ended.code == 2, ended
-        assert "did not write, or that was changed since" in ended.err
+        assert REFUSED in ended.err
         assert contents(mine) == before
-        assert sorted(path.name for path in mine.iterdir()) == sorted(names)
-    (mine / sure).unlink()
+        assert RECORD not in {path.name for path in mine.rglob("*")}
     for file in names:  # one foreign file is enough
-        if file != sure and (tmp_path / "first" / file).exists():
-            (mine / file).unlink()
+        (mine / file).unlink()
     (mine / sure).write_text("mine")
     assert run(*arguments, "--out", mine, "--overwrite").code == 2
     assert (mine / sure).read_text() == "mine"
+
+
+def test_a_batch_leaves_what_lies_where_a_clip_would_be(tmp_path):
+    put_foreign(tmp_path / "whole", ["motion.npz", "pose3d.csv", "report.json", "report.html", "manifest.json"])
+    before = contents(tmp_path)
+    arguments = ("batch", SAMPLES / "whole.csv", *CAMERA, *QUICK, "--out", tmp_path, "--jobs", 1)
+    for more in ((), ("--overwrite",)):
+        assert run(*arguments, *more).code in (1, 2)
+        after = contents(tmp_path)
+        assert {name: after.get(name) for name in before} == before
+
+
+def files_and_commands(clip: Path, inputs: Path, mine: Path) -> dict[str, tuple[Arguments, Sequence[str]]]:
+    """For each command that writes files of given names its arguments, and the names.
+
+    clip: results of a fit. inputs: a folder with other inputs. mine: where it writes.
+    """
+    film, folder = inputs / "film.avi", ("--out", mine)
+    two = (SAMPLES / "whole_cam1.csv", SAMPLES / "whole_cam2.csv", "--camera", SAMPLES / "whole_scene.json")
+    fit = ("motion.npz", "pose3d.csv", "report.json", "config.toml", MANIFEST)
+    video = (PAGE, "overlay.mp4", "analysis/analysis.json", "analysis/joints.csv")
+    moving = ("film_camera.csv", "film_camera_report.json", "film_camera_panorama.png")
+    turning = ("--model", inputs / "net", "--camera-motion", "turns")
+    still = ("run", film, "--fps", 60, *CAMERA, *folder)
+    return {
+        "run": ((*still, "--keypoints", SAMPLES / "whole.csv"), (*fit, *video)),
+        "run of a network": ((*still, *turning), ("film_keypoints.csv", *moving)),
+        "demo": (("demo", *folder), (*fit, PAGE)),
+        "calibrate": (
+            ("calibrate", inputs, "--board", "chessboard:9x6:25mm", "--model", "radtan", "--out", mine / "lens.toml"),
+            ("lens.toml", "lens_coverage.png"),
+        ),
+        "calibrate extrinsics": (
+            ("calibrate", "extrinsics", *two, "--fps", 60, "--out", mine / "cameras.toml"),
+            ("cameras.toml",),
+        ),
+        "camera-motion": (
+            ("camera-motion", film, *CAMERA, "--out", mine / "track.csv"),
+            ("track.csv", "track_report.json", "track_panorama.png"),
+        ),
+        **{
+            f"convert {name}": (("convert", clip, mine / name), (name, *beside))
+            for name, beside in {
+                "a.csv": (),
+                "a.trc": (),
+                "a.c3d": (),
+                "a.npz": (),
+                "a.nc": (),
+                "a.glb": (),
+                "a.bvh": (),
+                "a.osim": ("a.mot", "a.trc"),
+            }.items()
+        },
+        "overlay": (("overlay", clip, "--video", film, "--out", mine / "o.mp4"), ("o.mp4",)),
+        "view": (("view", clip, "--out", mine / "x.rrd"), ("x.rrd",)),
+        "skeleton from-keypoints": (
+            ("skeleton", "from-keypoints", SAMPLES / "whole.csv", "--out", mine / "new.toml"),
+            ("new.toml",),
+        ),
+        "subject fit": (("subject", "fit", clip, "--out", mine / "cat.toml"), ("cat.toml",)),
+        "prior fit": (("prior", "fit", clip, "--out", mine / "cat.npz"), ("cat.npz",)),
+    }
+
+
+@pytest.fixture(scope="module")
+def other_inputs(tmp_path_factory):
+    """A film of a black picture, which is also a picture of no board, and a network's folder."""
+    folder = tmp_path_factory.mktemp("inputs")
+    with video_writer(folder / "film.avi", (1920, 1080), 60.0) as write:
+        write(np.zeros((1080, 1920, 3), np.uint8))
+    cv2.imwrite(str(folder / "board.png"), np.zeros((48, 64, 3), np.uint8))
+    (folder / "net").mkdir()
+    (folder / "net" / "model.pt").write_text("weights")
+    return folder
+
+
+@pytest.mark.parametrize("name", files_and_commands(Path(), Path(), Path()))
+def test_no_command_touches_files_of_the_names_that_it_is_given(whole_results, other_inputs, tmp_path, name):
+    """Each is refused before any work, whether all are taken or only one."""
+    arguments, names = files_and_commands(whole_results, other_inputs, tmp_path / "mine")[name]
+    require_untouched(arguments, tmp_path / "mine", names)
+
+
+def test_no_page_replaces_one_of_a_user_s(whole_results, tmp_path, monkeypatch):
+    """`recon report` has no --overwrite: it renews its own page."""
+    monkeypatch.setattr("recon.cli.look.carry_out", carry_out_here)
+    clip = copy_results(whole_results, tmp_path / "all" / "clip")
+    put_foreign(clip, [PAGE, "summary.html"])
+    before = contents(tmp_path)
+    assert REFUSED in run("report", clip).err
+    assert contents(tmp_path) == before
+    (tmp_path / "all" / "summary.csv").write_text("clip,status,results\nclip,done,clip\n")
+    put_foreign(tmp_path / "all", ["summary.html"])
+    before = contents(tmp_path)
+    assert run("report", tmp_path / "all").code in (1, 2)
+    assert contents(tmp_path) == before
 
 
 @pytest.mark.parametrize("name", ["analyse", "retarget", "solver"])

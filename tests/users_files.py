@@ -1,0 +1,55 @@
+"""Files of a user's under the names that a command writes, and what has to become of them: nothing."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from command_line import run
+
+from recon.base.outputs import RECORD
+
+FOREIGN = 40
+"""How many files of a user's lie where a command wants to write."""
+REFUSED = "did not write, or that was changed since"
+
+
+def contents(folder: Path) -> dict[str, str]:
+    """Return the text of every file below a folder, of a link where it leads, but for recon's record."""
+    return {
+        path.relative_to(folder).as_posix(): os.readlink(path) if path.is_symlink() else path.read_text("latin-1")
+        for path in folder.rglob("*")
+        if (path.is_file() or path.is_symlink()) and path.name != RECORD
+    }
+
+
+def put_foreign(folder: Path, names: Iterable[str]) -> None:
+    """Write a user's files, 40 with others whose names are similar."""
+    names = [*names]
+    names += [f"{number}_{names[0]}" for number in range(FOREIGN - len(names))]
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(f"mine, {name}", encoding="utf-8")
+
+
+def require_untouched(arguments: Sequence[object], folder: Path, names: Sequence[str]) -> None:
+    """Run a command that writes these names: it refuses, and all stays, also where only one of the names is taken."""
+    put_foreign(folder, names)
+    _require_refused(arguments, folder)
+    for name in names:
+        for other in names:
+            (folder / other).unlink(missing_ok=True)
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text("mine", encoding="utf-8")
+        _require_refused(arguments, folder)
+
+
+def _require_refused(arguments: Sequence[object], folder: Path) -> None:
+    before, everything = contents(folder), sorted(folder.rglob("*"))
+    for option in ((), ("--overwrite",)):
+        ended = run(*arguments, *option)
+        assert ended.code == 2, ended
+        assert REFUSED in ended.err, ended
+        assert sorted(folder.rglob("*")) == everything
+        assert contents(folder) == before
