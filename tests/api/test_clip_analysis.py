@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import refusal, refused, run, says
+from figure_texts import cut_off
 from scipy.spatial.transform import Rotation
 
 from recon import ClipAnalysis, analyse
@@ -288,9 +289,10 @@ FIGURES = (
 
 
 @pytest.mark.parametrize("name", [name for name in FIGURES if not re.search("right|left_hind", name)])
-def test_each_figure_is_drawn(name, whole, tmp_path):
+def test_each_figure_is_drawn_with_all_its_text(name, whole, tmp_path):
     """The left front leg stands for all four, which share their code."""
     figure = figures_of(whole)[name]()
+    assert cut_off(figure) == []
     assert all(axes.has_data() for axes in figure.axes if axes.axison)
     figure.savefig(tmp_path / "figure.svg")  # as PNG too: test_plots.py
     assert (tmp_path / "figure.svg").stat().st_size > 5000

@@ -1,20 +1,19 @@
-"""Every figure is drawn by one style, and no text of it is cut off at its edges."""
+"""Every figure is drawn by one style, and no text of it is cut off at its edges.
+
+Those of an analysis: `test_clip_analysis.py`.
+"""
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.artist import Artist
-from matplotlib.figure import Figure
-from matplotlib.text import Text
+from figure_texts import cut_off
 
 from recon.animal.skeleton_file import load_skeleton
-from recon.api.analyse import figures_of
 from recon.api.compare import QUANTITIES, _figure
 from recon.calibrate.camera_advice import AZIMUTHS_RAD, ELEVATIONS_RAD, Advice
 from recon.fit.motion import Motion
@@ -32,48 +31,11 @@ def whole(whole_results) -> ClipAnalysis:
     return analyse(Motion.load(whole_results))
 
 
-def drawn_texts(figure: Figure) -> Iterator[Text]:
-    """The texts that a reader sees: of axes those within their limits."""
-    hidden: set[Artist] = set()
-    for axes in [*figure.axes, *(child for parent in figure.axes for child in parent.child_axes)]:
-        for axis in (axes.xaxis, axes.yaxis):
-            shown = {*axis._update_ticks()} if axis.get_visible() and axes.axison else set()  # type: ignore[attr-defined]
-            for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()):
-                if tick not in shown:
-                    hidden |= {tick.label1, tick.label2}
-            if not axes.axison:
-                hidden |= {axis.label, axis.offsetText}
-    for text in figure.findobj(Text):
-        if text.get_visible() and text.get_text().strip() and text not in hidden:
-            yield text
-
-
-def cut_off(figure: Figure) -> list[str]:
-    """The texts that reach out of a figure as it is saved."""
-    with style._settings():
-        figure.canvas.draw()
-        renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
-        edge = figure.bbox
-        return [
-            text.get_text()
-            for text in drawn_texts(figure)
-            if (box := text.get_window_extent(renderer)).x0 < edge.x0 - 1
-            or box.y0 < edge.y0 - 1
-            or box.x1 > edge.x1 + 1
-            or box.y1 > edge.y1 + 1
-        ]
-
-
 def test_a_text_that_is_cut_off_is_found():
     with style.drawing(40.0) as figure:
         figure.subplots()
         figure.text(0.9, 0.5, "much too long for what is left of the figure")
     assert cut_off(figure) == ["much too long for what is left of the figure"]
-
-
-def test_figures_of_an_analysis_have_all_their_text(whole):
-    outside = {name: cut_off(draw()) for name, draw in figures_of(whole).items()}
-    assert {name: texts for name, texts in outside.items() if texts} == {}
 
 
 def test_figures_of_several_clips_and_of_the_page_have_all_their_text(whole):

@@ -99,6 +99,7 @@ def test_a_page_is_one_file_in_which_names_are_text(page, folder):
     assert page.text.count("\n") > 20
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_page_has_no_link_to_a_file_that_was_changed(folder, tmp_path):
     copy = shutil.copytree(folder, tmp_path / "copy")
     (copy / "angles.csv").write_text("x")
@@ -375,6 +376,7 @@ def test_pages_of_a_batch_are_made_beside_each_other(batch, monkeypatch):
     refused(["report", batch, "--video", "clip.mp4"], ("--video", "file", "clip.mp4", "one clip"))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_clip_with_strides_has_its_joint_angles_over_the_stride(whole_results):
     headings = [section["heading"] for section in _sections(ClipAnalysis(Motion.load(whole_results)))]
     assert headings[headings.index("Footfalls") + 1] == "Joint angles over the stride"

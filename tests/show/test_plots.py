@@ -156,7 +156,7 @@ def test_everything_is_on_the_page_and_no_text_covers_another(figures, monkeypat
         assert height < 275, name
         renderer = figure.canvas.get_renderer()
         drawn.clear()
-        figure.draw(renderer)
+        figure.draw_without_rendering()
         shown = [t for t in drawn if t.get_visible() and t.get_text().strip()]
         low, high = np.moveaxis([t.get_window_extent(renderer).get_points() for t in shown], 1, 0)
         for k in np.flatnonzero((low < -1).any(axis=1) | (high > figure.bbox.max + 1).any(axis=1)):
