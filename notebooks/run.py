@@ -15,6 +15,7 @@ import multiprocessing
 import os
 import sys
 import tempfile
+from collections.abc import Sequence
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
@@ -111,11 +112,11 @@ def run(notebook: Path, recordings: str) -> nbformat.NotebookNode:
     return node
 
 
-def main() -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("names", nargs="*", metavar="NAME")
     parser.add_argument("--out", type=Path, metavar="DIR")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     everything = sorted(HERE.glob("[0-9]_*.ipynb"))
     names = [Path(name).stem for name in given.names]
     chosen = [path for path in everything if not names or path.stem in names or path.stem.split("_")[0] in names]

@@ -17,7 +17,7 @@ os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL
 
 import numpy as np
 import pytest
-from command_line import copy_results, run
+from command_line import carry_out_here, copy_results, run
 from motions import with_first
 from shortcuts import draw_small, draw_two_methods, fit_demo_from, leave_out_drawing, leave_out_playback
 
@@ -117,6 +117,13 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 def no_playback(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of something else."""
     leave_out_playback(monkeypatch)
+
+
+@pytest.fixture
+def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Batches run in this process: for tests of what is done, not of how processes share it."""
+    for module in ("recon.api.batch", "recon.cli.look"):
+        monkeypatch.setattr(f"{module}.carry_out", carry_out_here)
 
 
 @pytest.fixture

@@ -638,12 +638,11 @@ def test_what_another_process_is_writing_to_is_left_alone(clips, tmp_path, monke
     assert not out.exists()
 
 
-def test_a_clip_that_fails_leaves_nothing_but_older_results(clips, tmp_path, monkeypatch):
+def test_a_clip_that_fails_leaves_nothing_but_older_results(clips, tmp_path, in_process):
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)
     for name in "ab":
         (clips / f"{name}.csv").write_text("scorer,x\n")
-    monkeypatch.setattr("recon.api.batch.carry_out", carry_out_here)
     plan = plan_batch(found(clips / "a.csv", clips / "b.csv"), out)
     summary = run_batch(plan, out)
     for planned in plan:
@@ -869,12 +868,11 @@ def test_dry_run_looks_only(clips, tmp_path):
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
 
 
-def test_command(clips, tmp_path, monkeypatch):
+def test_command(clips, tmp_path, in_process):
     """A line for each clip, --strict and the summary as JSON."""
     out = tmp_path / "out"
     (clips / "c.csv").write_text("scorer,x\n")
     fit(found(clips / "a.csv", clips / "b.csv"), out)
-    monkeypatch.setattr("recon.api.batch.carry_out", carry_out_here)
     ended = run(*args(clips, out))
     assert ended.code == 0
     assert ended.out.startswith("2 of 3 clips are done already.\n2 check, 1 failed in ")
@@ -958,7 +956,7 @@ def some_left(clips: Path, done: dict[str, int]) -> int:
 
 
 @linux
-def test_ctrl_c_keeps_what_is_done(clips, in_the_middle, monkeypatch):
+def test_ctrl_c_keeps_what_is_done(clips, in_the_middle, in_process):
     process, out, command = in_the_middle
     (worker,) = workers(process.pid)
     process.send_signal(signal.SIGINT)
@@ -974,14 +972,13 @@ def test_ctrl_c_keeps_what_is_done(clips, in_the_middle, monkeypatch):
     assert staging_folders(out) == []
     assert sorted(path.name for path in out.iterdir() if path.is_dir()) == sorted(done)
     left = some_left(clips, done)
-    monkeypatch.setattr("recon.api.batch.carry_out", carry_out_here)
     assert run(*command).code == 0
     assert statuses(out) == ["done earlier"] * len(done) + ["done"] * left
     assert finished(out).items() >= done.items()
 
 
 @linux
-def test_after_a_kill_nothing_that_is_finished_is_done_again(clips, in_the_middle, monkeypatch):
+def test_after_a_kill_nothing_that_is_finished_is_done_again(clips, in_the_middle, in_process):
     process, out, command = in_the_middle
     (worker,) = workers(process.pid)
     process.kill()
@@ -989,7 +986,6 @@ def test_after_a_kill_nothing_that_is_finished_is_done_again(clips, in_the_middl
     done = finished(out)
     assert 1 <= len(done) < 8
     left = some_left(clips, done)
-    monkeypatch.setattr("recon.api.batch.carry_out", carry_out_here)
     assert run(*command).code == 0
     assert statuses(out).count("done earlier") == len(done)
     assert statuses(out).count("done") == left

@@ -22,6 +22,7 @@ from recon.fit.motion import Motion
 from recon.gait.clip import POSE_LASTS, lasts_s, limb_chains
 from recon.gait.kinematics import at_frames
 from recon.io.positions import read_pose3d
+from recon.show.plots import style
 from recon.show.report import build_report
 from recon.show.sentences import result_sentences
 from recon.show.tables import TABLES, angle_rates, joints, write_analysis
@@ -293,6 +294,7 @@ def test_each_figure_is_drawn_with_all_its_text(name, whole, tmp_path):
     """The left front leg stands for all four, which share their code."""
     figure = figures_of(whole)[name]()
     assert cut_off(figure) == []
+    assert figure.get_size_inches()[1] / style.MM < 275
     assert all(axes.has_data() for axes in figure.axes if axes.axison)
     figure.savefig(tmp_path / "figure.svg")  # as PNG too: test_plots.py
     assert (tmp_path / "figure.svg").stat().st_size > 5000

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from command_line import refusal, run, says
 from scipy.spatial.transform import Rotation
-from shortcuts import leave_out_layout
 
 from recon import (
     Body,
@@ -105,7 +104,7 @@ def test_a_person_who_walks(cameras, tmp_path):
     assert gait.speed_m_s == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_mouse_of_a_tenth_of_a_metre(tmp_path, monkeypatch):
+def test_a_mouse_of_a_tenth_of_a_metre(tmp_path, undrawn):
     """100 mm from nose to tail base, with keypoints 3.5 mm beside their markers all the time."""
     states = running_mouse(60, 60.0)
     files, truth = write_rig_clip(tmp_path, "mouse-top", states, 60.0, np.array(ABOVE_M), 1.14, 0.02, 0.7)
@@ -115,10 +114,6 @@ def test_a_mouse_of_a_tenth_of_a_metre(tmp_path, monkeypatch):
     assert min(found["place"], found["pose"]) > 0.85
     assert motion.verdict.level == "use"
     assert motion.solution.size == pytest.approx(1.14, abs=0.03)
-    monkeypatch.setattr(
-        "recon.show.plots.style.save", lambda *_: None
-    )  # figures are made, not laid out and not written
-    leave_out_layout(monkeypatch)
     ended = run("analyse", tmp_path / "out", "--out", tmp_path / "analysed")
     assert (ended.code, ended.err) == (0, "")
     assert "no feet" in ended.out

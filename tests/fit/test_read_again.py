@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shortcuts import leave_out_layout
+from shortcuts import leave_out_playback
 
 from recon import Camera, FitSettings, Keypoints, Motion, analyse, evaluate_files, read_keypoints
 from recon.animal.body import Body
@@ -129,10 +129,10 @@ CLIPS |= {"six, drafted": six_that_began_apart}
 
 
 @pytest.mark.parametrize("clip", CLIPS)
-def test_what_a_fit_writes_is_read_by_all_behind_it(clip, tmp_path, monkeypatch):
+def test_what_a_fit_writes_is_read_by_all_behind_it(clip, tmp_path, undrawn, monkeypatch):
     settings, out = CLIPS[clip](tmp_path), tmp_path / "out"
     if clip not in ODD:
-        monkeypatch.setattr("recon.show.view.write", lambda *_: None)  # nothing reads a playback
+        leave_out_playback(monkeypatch)  # nothing reads it
     run_clip(settings, out)
     motion = Motion.load(out)
     assert motion.solved.sum() > FRAMES / 2
@@ -145,7 +145,6 @@ def test_what_a_fit_writes_is_read_by_all_behind_it(clip, tmp_path, monkeypatch)
         np.testing.assert_array_equal(read_keypoints(path).frames, motion.frames)
     found = analyse(motion)
     assert found.reference in motion.names
-    monkeypatch.setattr("recon.show.plots.style.save", lambda *_: None)
     assert analysis.figures_of(found)
     analysis.summarise(found, "out")
     for target in CONVERTED:
@@ -155,6 +154,5 @@ def test_what_a_fit_writes_is_read_by_all_behind_it(clip, tmp_path, monkeypatch)
         convert(ConvertSettings(source=out, out=made, to=target.name, anyway=True))  # a mouse from 7 m
         if "3D" in target.reads and "3D" in target.writes:
             np.testing.assert_array_equal(read_points(made, None, "3D")[1].frames, motion.frames)
-    if clip == "bare root":  # figures take long
-        leave_out_layout(monkeypatch)
+    if clip == "bare root":  # a page takes long
         report(PageSettings(folder=out))

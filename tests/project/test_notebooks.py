@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
@@ -53,9 +52,8 @@ def test_saved_as_run_from_top_to_bottom_with_figures(path: Path) -> None:
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_runs_without_a_warning_and_gives_what_is_saved(path: Path, script: ModuleType, tmp_path: Path, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["run.py", "--out", str(tmp_path), path.stem])
     monkeypatch.setenv("RECON_SHARED_DATA", "")
-    assert script.main() == 0
+    assert script.main(["--out", str(tmp_path), path.stem]) == 0
     written = tmp_path / path.name
     before, after = (nbformat.read(p, as_version=4).cells for p in (path, written))
     assert [cell.source for cell in before] == [cell.source for cell in after]
@@ -70,8 +68,7 @@ def test_a_recording_goes_through_and_is_never_saved_in_the_project(
     shared_data: Path, script: ModuleType, tmp_path: Path, monkeypatch
 ) -> None:
     monkeypatch.setenv("RECON_SHARED_DATA", str(shared_data))
-    monkeypatch.setattr(sys, "argv", ["run.py", "--out", str(tmp_path), "8"])
-    assert script.main() == 0
+    assert script.main(["--out", str(tmp_path), "8"]) == 0
     cells = nbformat.read(tmp_path / RECORDED.name, as_version=4).cells
     assert figures([output for cell in cells for output in cell.get("outputs", ())]) >= 8
     given = []
@@ -82,8 +79,7 @@ def test_a_recording_goes_through_and_is_never_saved_in_the_project(
 
     monkeypatch.setattr(script, "run", stop)
     for where in ([], ["--out", str(FOLDER)]):
-        monkeypatch.setattr(sys, "argv", ["run.py", *where, "8"])
-        assert script.main() == 1
+        assert script.main([*where, "8"]) == 1
     assert given == ["", ""]
 
 

@@ -11,7 +11,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from command_line import carry_out_here
 from networks import narrow_networks
 
 import recon
@@ -88,8 +87,7 @@ def test_several_cameras(said, folder):
     ]
 
 
-def test_batch(said, folder, monkeypatch):
-    monkeypatch.setattr("recon.api.batch.carry_out", carry_out_here)
+def test_batch(said, folder, in_process):
     text = said("batch")
     assert text.startswith("across: new\ngoing-away: new\n2 done\n")
     assert re.search(r"across: 13.\d m/s, \d+ outliers, transverse gallop\n", text)

@@ -14,7 +14,7 @@ from urllib.parse import quote, unquote
 import cv2
 import numpy as np
 import pytest
-from command_line import carry_out_here, refusal, refused, run, says
+from command_line import refusal, refused, run, says
 from markupsafe import Markup
 from motions import with_first
 
@@ -354,11 +354,10 @@ def test_a_thumbnail_is_the_pose_in_the_middle_as_the_camera_saw_it(batch, folde
     assert np.ptp(x) == pytest.approx(0.9 * 96, abs=1)
 
 
-def test_pages_of_a_batch_are_made_beside_each_other(batch, monkeypatch):
+def test_pages_of_a_batch_are_made_beside_each_other(batch, monkeypatch, in_process):
     """What is not a result any more is said, and the others are made."""
     pages = []
 
-    monkeypatch.setattr("recon.cli.look.carry_out", carry_out_here)
     monkeypatch.setattr("recon.cli.look.clip_page", lambda motion, *_: pages.append(motion) or GENERATED)
     with (batch / "good" / "motion.npz").open("ab") as file:
         file.write(b"more")

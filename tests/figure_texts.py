@@ -1,0 +1,43 @@
+"""The texts of a figure, and those of them that its edges cut off."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from matplotlib.artist import Artist
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from recon.show.plots import style
+
+
+def drawn_texts(figure: Figure) -> Iterator[Text]:
+    """The texts that a reader sees: of axes those within their limits."""
+    hidden: set[Artist] = set()
+    for axes in [*figure.axes, *(child for parent in figure.axes for child in parent.child_axes)]:
+        for axis in (axes.xaxis, axes.yaxis):
+            shown = {*axis._update_ticks()} if axis.get_visible() and axes.axison else set()  # type: ignore[attr-defined]
+            for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()):
+                if tick not in shown:
+                    hidden |= {tick.label1, tick.label2}
+            if not axes.axison:
+                hidden |= {axis.label, axis.offsetText}
+    for text in figure.findobj(Text):
+        if text.get_visible() and text.get_text().strip() and text not in hidden:
+            yield text
+
+
+def cut_off(figure: Figure) -> list[str]:
+    """The texts that reach out of a figure as it is saved."""
+    with style._settings():
+        figure.draw_without_rendering()
+        renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+        edge = figure.bbox
+        return [
+            text.get_text()
+            for text in drawn_texts(figure)
+            if (box := text.get_window_extent(renderer)).x0 < edge.x0 - 1
+            or box.y0 < edge.y0 - 1
+            or box.x1 > edge.x1 + 1
+            or box.y1 > edge.y1 + 1
+        ]
