@@ -103,6 +103,8 @@ PUBLISHED = {
     "recon/animal/prior_fit.py": {"apart"},  # the option of `recon fit-prior`
     "recon/base/errors.py": {"found"},  # the field of a problem, in "found ..., expected ..."
     "recon/gait/clip.py": {"given"},  # the stride of a `ClipAnalysis`
+    "recon/robotics/climb/plan.py": {"most"},  # a key of recipes
+    "recon/robotics/retarget_clip.py": {"said"},  # a field of robot.npz
 }
 """Function words that users write as the names of options and fields, and that keep working, by file."""
 UPWARD = {

@@ -1,4 +1,4 @@
-"""Where `recon`, and `python -m recon`, begin and end."""
+"""Start and end `recon` and `python -m recon`."""
 
 import io
 import os
@@ -7,11 +7,14 @@ import sys
 from recon.base.interrupts import Interrupts
 
 LEAST_MB = 640
-"""Where a process may have less, OpenBLAS waits for memory for ever, and rerun cannot be loaded."""
+"""With less memory than this OpenBLAS waits for ever, and rerun cannot be loaded."""
 
 
 def main() -> None:
-    """Run the command line. Ctrl-C ends it with one line and its exit code at any moment, also while it imports."""
+    """Run the command line.
+
+    Ctrl-C ends it with one line and its exit code at any moment, also during imports.
+    """
     _open_streams()
     _require_memory()
     interrupts = Interrupts()
@@ -27,10 +30,10 @@ def main() -> None:
 
 
 def _open_streams() -> None:
-    """Give the process all three standard streams, which take every character.
+    """Give the process all three standard streams, which accept every character.
 
-    A stream that was closed is the null device: otherwise the next file that is opened gets its number, and what a
-    library prints. A terminal of ASCII shows codes.
+    A closed stream becomes the null device: otherwise the next file that is opened would get its number, and with it
+    the output of libraries. A terminal of ASCII shows codes.
     """
     for number in range(3):
         try:
@@ -61,7 +64,7 @@ def _require_memory() -> None:
 
 
 def _flush() -> None:
-    """Report standard output that cannot be written here, not by Python when it is about to end."""
+    """Report standard output that cannot be written here, before Python reports it at exit."""
     try:
         sys.stdout.flush()
     except OSError as error:

@@ -394,12 +394,12 @@ def _source(keypoints: Keypoints) -> str:
     return keypoints.source or "keypoints"
 
 
-# -- views and sources ------------------------------------------------------------------------------------------------
+# -- views and sources -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class View(Brief):
-    """What one camera saw in the T frames of a clip, and from where.
+    """Hold the T frames of a clip as one camera saw them, and the camera's poses.
 
     Lengths are metres. Pixels are those of the distorted picture.
     """

@@ -25,7 +25,7 @@ RUNS = 5
 def margin_table(climbs: dict[str, Climb]) -> None:
     rows = []
     for name, rule in RULES.items():
-        rows.append([f"{rule.what}, {rule.unit}", *(f"{c.least[name][0]:.1f}" for c in climbs.values())])
+        rows.append([f"{rule.title}, {rule.unit}", *(f"{c.least[name][0]:.1f}" for c in climbs.values())])
     rows.append(["fastest joint, of its limit", *(f"{100 * c.motion.rate_share.max():.0f} %" for c in climbs.values())])
     rows.append(["largest pitch, deg", *(f"{np.degrees(c.pitch_rad.max()):.0f}" for c in climbs.values())])
     rows.append(["frames, all in equilibrium", *(f"{len(c.lifted)}" for c in climbs.values())])

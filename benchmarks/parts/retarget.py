@@ -92,7 +92,7 @@ def row(clip: str, solved: Retargeting, seconds: float) -> list[str]:
         f"{1000 * solved.spread_m:.0f}",
         f"{1000 * min(motion.apart_m for motion in both):.0f}",
         f"{100 * max(motion.short.mean() for motion in both):.0f}",
-        {"stride": "a complete one", "return": "nearest return"}[window.how],
+        {"stride": "a complete one", "return": "nearest return"}[window.source],
         f"{window.gap_percent:.0f}",
         f"{solved.stride.closing_percent:.2f}",
         f"{seconds:.1f}",

@@ -14,7 +14,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import BeforeValidator
@@ -71,7 +71,7 @@ CHAIN_PLACES = {"fore": "F", "hind": "H"}
 def foot_table(allowed: Iterable[str], example: str) -> BeforeValidator:
     """Return a validator of a table of feet, with one message for every fault."""
 
-    def checked(value: object) -> Any:
+    def checked(value: object) -> object:
         if isinstance(value, dict) and {*value} <= {*allowed} and all(isinstance(foot, str) for foot in value.values()):
             return value
         raise ValueError(f"a table that says where each foot is, as {example}")
@@ -214,7 +214,7 @@ class Body(Brief):
 
     @cached_property
     def one_sided(self) -> bool:
-        """Whether it is a chain, which stands for the limbs of either side."""
+        """Return whether it is a chain, which stands for the limbs of either side."""
         return any(left != right for left, right in self.keypoints)
 
     def keypoint_names(self, side: Side | None) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""A chain of rigid links joined by universal joints, as in the published 8U chain, and its skeleton files.
+"""Describe a chain of rigid links joined by universal joints, as in the published 8U chain, and read its files.
 
 The chain hangs from a root joint in the local frame UVW (U forwards along the first spine link, V down, W to the side,
 right-handed). Every link has two angles relative to its parent, theta in the sagittal UV plane and phi in the
@@ -74,7 +74,7 @@ class _Link(FileTable):
 
     @property
     def free(self) -> bool:
-        """Whether the link has angles, or lies on its parent's axis."""
+        """Return whether the link has angles; otherwise it lies on its parent's axis."""
         return self.theta is not None
 
 
@@ -128,7 +128,7 @@ class Chain(Skeleton):
     """Describe a chain: its links, its keypoints, and the expected ranges of its angles."""
 
     record_tag: ClassVar[str] = "chain"
-    """What files of motions call the class (`recon.fit.motion_forms.CLASSES`)."""
+    """Tag of the class in files of motions (`recon.fit.motion_forms.CLASSES`)."""
 
     file: _ChainFile
     """The content of the skeleton's file."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 import tomli_w
@@ -35,7 +35,40 @@ def read_subject(table: dict[str, Any], source: str) -> _SubjectFile:
     return validated(_SubjectFile, table, source)
 
 
-def subject_problems(animal: _SubjectFile, file: Any, source: str) -> Iterator[Problem]:
+class Row(Protocol):
+    """A segment or a marker in the table of a skeleton."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None) -> Self:
+        """Return a copy with other values of some fields."""
+
+
+class SkeletonTable(Protocol):
+    """The table of a skeleton (`recon.animal.skeleton_file`), as far as a subject changes it."""
+
+    @property
+    def name(self) -> str:
+        """The skeleton's name."""
+
+    @property
+    def segments(self) -> Sequence[Row]:
+        """The segments, the root first."""
+
+    @property
+    def markers(self) -> Sequence[Row]:
+        """The markers."""
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None) -> Self:
+        """Return a copy with other values of some fields."""
+
+
+_Table = TypeVar("_Table", bound=SkeletonTable)
+
+
+def subject_problems(animal: _SubjectFile, file: SkeletonTable, source: str) -> Iterator[Problem]:
     """Yield what keeps a subject from fitting a skeleton's table (`recon.animal.skeleton_file`)."""
     if animal.skeleton != file.name:
         yield Problem(source, "skeleton", repr(animal.skeleton), f"{file.name!r}, the skeleton that it is used with")
@@ -48,10 +81,10 @@ def subject_problems(animal: _SubjectFile, file: Any, source: str) -> Iterator[P
     yield from unknown(source, offset, markers, f"a marker of {file.name}: ")
 
 
-def with_subject(animal: _SubjectFile, file: Any) -> Any:
+def with_subject(animal: _SubjectFile, file: _Table) -> _Table:
     """Return a skeleton's table with an animal's lengths and keypoint offsets; the root stays."""
 
-    def changed(item: Any) -> Any:
+    def changed(item: Row) -> Row:
         measured = {"at_m": animal.at_m, "keypoint_offset_m": animal.keypoint_offset_m}
         return item.model_copy(
             update={field: values[item.name] for field, values in measured.items() if item.name in values}

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TypeVar, overload
 
 from recon.animal.body import SIDE_WORD, SIDES, opposite_word, side_of
 from recon.animal.chain import builtin_chains
@@ -50,6 +50,9 @@ _MOST_OF_FILE = 0.8
 """A skeleton with this share of a file's keypoints is probably theirs."""
 
 
+_Default = TypeVar("_Default")
+
+
 @dataclass(frozen=True)
 class NameMap:
     """The skeleton's names for keypoints of a file."""
@@ -59,7 +62,13 @@ class NameMap:
     names: Mapping[str, str]
     """The skeleton's name by the file's, empty for keypoints that are left out."""
 
-    def get(self, name: str, otherwise: Any = None) -> Any:
+    @overload
+    def get(self, name: str) -> str | None: ...
+
+    @overload
+    def get(self, name: str, otherwise: _Default) -> str | _Default: ...
+
+    def get(self, name: str, otherwise: _Default | None = None) -> str | _Default | None:
         """Return the skeleton's name for a keypoint of the file, or `otherwise`.
 
         A built-in map finds a name in any spelling of its side and words: left_carpus, LeftCarpus, carpus_L.

@@ -17,7 +17,8 @@ from recon.base.arrays import Array, Bools
 from recon.base.errors import Problem, raise_problems
 
 FRAMES_PER_COMPONENT = 20
-"""With fewer, a component of the mixture could be one short piece of one segment."""
+"""Least number of frames for each component of the mixture; a smaller component could be one short piece of one
+segment."""
 POSE_FLOOR_RAD = 0.1
 """Added to the spread of every angle, because no reconstruction is exact. The value maximises the likelihood of
 held-out segments (docs/priors.md).
@@ -128,7 +129,7 @@ def _mixture(
     `shrink` moves each covariance towards the average within all components; `extra` (A, A) is added.
     """
     scaled = poses / np.maximum(poses.std(axis=0), MISSING_BELOW_RAD)
-    with warnings.catch_warnings(action="ignore"):  # of a cluster that stays empty, where poses repeat
+    with warnings.catch_warnings(action="ignore"):  # a cluster stays empty if poses repeat
         _, nearest = kmeans2(scaled, components, _K_MEANS_ITERATIONS, minit="++", rng=rng)
     share = np.eye(components)[nearest]
     for _ in range(_EM_ITERATIONS):
@@ -158,7 +159,7 @@ def ridge(states: Array, accelerations: Array, loose: Bools) -> tuple[Array, Arr
     """
     scale = states.std(axis=0)
     n_angles = accelerations.shape[1]
-    # What does not move, or only by the noise of the fit, explains nothing.
+    # An angle that does not move, or only by the noise of the fit, explains nothing.
     moves = np.tile(~_still(states[:, :n_angles]) & ~loose, 2) & (scale > 0)
     scaled = np.where(moves, states / np.where(moves, scale, 1.0), 0.0)
     normal = scaled.T @ scaled + RIDGE_PER_ROW * len(scaled) * np.eye(scaled.shape[1])

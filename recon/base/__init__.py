@@ -1,1 +1,1 @@
-"""What every room uses: errors, whole-or-nothing files, documents, interrupts, progress."""
+"""Hold what every room uses: errors, files written whole or not at all, documents, interrupts, progress."""

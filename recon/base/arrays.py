@@ -1,11 +1,14 @@
-"""Arrays by what is in them, their shapes stand in docstrings; and what is known of those with unknown values."""
+"""Name types of arrays, show objects in one line, and compute with arrays that have missing values.
+
+The types name what an array holds; its shape stands in docstrings.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,20 +19,21 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Integers = NDArray[np.int64]
 Index = NDArray[np.intp]
-"""Indices of places in another array."""
+"""Indices into another array."""
 LONGEST, LONGEST_PART, SMALL = 250, 75, 12
-"""The characters that an object shows of itself at most, and a part of it; numbers of an array that is shown itself."""
+"""Most characters that an object shows, and that a part of it shows; most numbers of an array that is shown in full."""
 
 
 class Brief:
-    """What a dataclass with large parts is a subclass of (`repr=False`), so that it shows itself in one line."""
+    """Give a dataclass with large parts (`repr=False`) a representation of one line."""
 
-    def __repr__(self: Any) -> str:
-        text = ", ".join(f"{field.name}={_brief(getattr(self, field.name))}" for field in fields(self))
+    def __repr__(self) -> str:
+        names = [field.name for field in fields(self)]  # pyright: ignore[reportArgumentType]
+        text = ", ".join(f"{name}={_brief(getattr(self, name))}" for name in names)
         return f"{type(self).__name__}({text if len(text) <= LONGEST else text[:LONGEST] + '...'})"
 
 
-def _brief(part: Any) -> str:
+def _brief(part: object) -> str:
     """Return a part of an object in a few words: a long one by its shape, its number of items, or its class."""
     if isinstance(part, np.ndarray):
         return f"array {part.shape}" if part.size > SMALL else f"array {part.tolist()}"
@@ -41,8 +45,19 @@ def _brief(part: Any) -> str:
     return type(part).__name__ if is_dataclass(part) else f"{text[: LONGEST_PART - 3]}..."
 
 
-def to_plain(value: Any, digits: int = 9) -> Any:
-    """Arrays, tuples, mappings and numbers as JSON types; NaN and infinities are None. digits: the significant ones."""
+@overload
+def to_plain(value: Mapping[str, object], digits: int = 9) -> dict[str, Any]: ...
+
+
+@overload
+def to_plain(value: object, digits: int = 9) -> object: ...
+
+
+def to_plain(value: object, digits: int = 9) -> object:
+    """Return a value as JSON types, with NaN and infinities as None.
+
+    digits: significant digits of a number.
+    """
     if isinstance(value, Mapping):
         return {encodable(str(key)): to_plain(item, digits) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):

@@ -1,6 +1,6 @@
 """Read files of unknown origin: JSON, TOML, NumPy's archives of arrays, and the files of the package.
 
-Whatever is in them, the answer is a table, arrays or an InputError: sizes are limited before anything is unpacked.
+Sizes are limited before anything is unpacked. The result is a table, arrays or an InputError.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ from recon.base.file_names import encodable
 
 MAX_BYTES = 1 << 28
 MAX_TOML_BYTES = 1 << 23
-"""The parser is slow; a skeleton has some ten thousand."""
+"""Largest TOML file, as the parser is slow. A skeleton has some ten thousand bytes."""
 
 
 @contextmanager
 def damage_named(source: str | Path, expected: str, field: str = "content") -> Iterator[None]:
-    """Turn what Python and libraries raise on a damaged file, almost any exception, into an InputError.
+    """Turn almost any exception that Python and libraries raise for a damaged file into an InputError.
 
     expected: what a whole file would be, in the message.
     """
     try:
         yield
-    except (InputError, AssertionError, NameError, ImportError):  # all but the first are no fault of the file
+    except (InputError, AssertionError, NameError, ImportError):  # the last three are no fault of the file
         raise
     except UnicodeDecodeError as error:
         raise InputError(Problem(source, field, f"bytes that are not {error.encoding.upper()}", expected)) from None
@@ -64,7 +64,7 @@ def read_text(path: Path, expected: str, most_bytes: int = MAX_BYTES) -> str:
 
 
 def text_of(content: bytes, source: str | Path, expected: str) -> str:
-    """Return what bytes in UTF-8 say. Raises InputError for others."""
+    """Return bytes in UTF-8 as text; raise InputError for other bytes."""
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -83,7 +83,7 @@ def read_content(path: Path, expected: str, most_bytes: int = MAX_BYTES) -> byte
 def read_head(path: Path, expected: str = "a file that can be read", length: int = 64) -> bytes:
     """Return the first bytes of a file.
 
-    Raises InputError for anything but a file that can be read, or with nothing in it.
+    Raises InputError for an empty file, and for anything but a file that can be read.
     """
     require_file(path, expected)
     with damage_named(path, expected, "file"), path.open("rb") as file:
@@ -94,7 +94,7 @@ def read_head(path: Path, expected: str = "a file that can be read", length: int
 
 
 def utf8_path(path: Path) -> str:
-    """Return an absolute path for a library that takes no other names than UTF-8; raise InputError for another."""
+    """Return an absolute path for a library that takes only names in UTF-8; raise InputError for another name."""
     name = str(path.absolute())
     if encodable(name) != name:
         raise InputError(Problem(path, "name", "bytes that are not UTF-8", "a name in UTF-8: rename the file"))
@@ -102,7 +102,7 @@ def utf8_path(path: Path) -> str:
 
 
 def require_file(path: Path, expected: str = "a file that can be read") -> None:
-    """Raise InputError for anything but a file, such as a pipe, which reading would wait for."""
+    """Raise InputError for anything but a file, such as a pipe, on which reading would wait."""
     with damage_named(path, expected, "file"):
         if not path.is_file():
             raise InputError(Problem(path, "file", _kind_of(path), expected))
@@ -115,18 +115,18 @@ def _kind_of(path: Path) -> str:
     return "a link that points to nothing" if path.is_symlink() else "no such file"
 
 
-def read_json(path: Path, expected: str) -> Any:
-    """Return what a file of JSON says. Raises InputError for anything else."""
+def read_json(path: Path, expected: str) -> object:
+    """Return the content of a JSON file; raise InputError for anything else."""
     return parse_json(read_text(path, expected), path, expected)
 
 
 def read_toml(path: Path, expected: str = "a TOML file") -> dict[str, Any]:
-    """Return the table of a file of TOML. Raises InputError for anything else."""
+    """Return the table of a TOML file; raise InputError for anything else."""
     return parse_toml(read_text(path, expected, MAX_TOML_BYTES), path, expected)
 
 
-def parse_json(text: str, source: str | Path, expected: str = "JSON") -> Any:
-    """Return what a text of JSON says. Raises InputError for anything else."""
+def parse_json(text: str, source: str | Path, expected: str = "JSON") -> object:
+    """Return the content of a text in JSON; raise InputError for anything else."""
     with damage_named(source, expected):
         return json.loads(text)
 
@@ -135,7 +135,7 @@ _LONG_KEY = re.compile(r"""(?<![\w"'-])(?:(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)[ \t]
 
 
 def parse_toml(text: str, source: str | Path, expected: str = "TOML") -> dict[str, Any]:
-    """Return the table of a text of TOML. Raises InputError for anything else."""
+    """Return the table of a text in TOML; raise InputError for anything else."""
     with damage_named(source, expected):
         if _LONG_KEY.search(text):
             raise RecursionError  # tomllib takes the square of a key's length in time and memory
@@ -145,13 +145,13 @@ def parse_toml(text: str, source: str | Path, expected: str = "TOML") -> dict[st
 _Model = TypeVar("_Model")
 
 
-_adapter = cache(TypeAdapter)  # takes longer to make than a table to check
+_adapter = cache(TypeAdapter)  # an adapter takes longer to make than a table to check
 
 
 def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path) -> _Model:
-    """Return a table as a model, pydantic's or a dataclass.
+    """Return a table as a model, one of pydantic's or a dataclass.
 
-    Raises InputError with everything that is wrong with it.
+    Raises InputError with everything that is wrong with the table.
     """
     adapter = _adapter(model)
     try:
@@ -165,38 +165,38 @@ def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path)
 # -- arrays ---------------------------------------------------------------------------------------------------------
 
 MAX_UNPACKED, MAX_ARRAYS = 1 << 30, 1 << 16
-"""The largest archive that is unpacked, and the largest size and number of arrays that it is unpacked to."""
+"""Largest archive that is unpacked, and the largest size and number of arrays that it may contain."""
 KINDS = "biuf"
-"""The types of arrays that are read, as NumPy names them: truth values, whole numbers and floats."""
+"""NumPy's letters of the types that are read: truth values, whole numbers and floats."""
 
 
 def arrays_of(content: bytes, kinds: str) -> dict[str, np.ndarray]:
     """Return the arrays of a NumPy archive by name.
 
-    kinds: of their types, as NumPy names them; "O", pickles, is none. Raises whatever NumPy and zipfile do, also for
-    other types and too much memory: sizes are checked before anything is unpacked.
+    kinds: NumPy's letters of the types allowed, never "O", which is a pickle. Sizes are checked before anything is
+    unpacked. Raises whatever NumPy and zipfile raise, and ValueError for other types and too large arrays.
     """
     arrays = {}
     with zipfile.ZipFile(BytesIO(content)) as archive:
         check_unpacked_size(archive)
         for entry in archive.infolist():
-            with archive.open(entry) as file:  # no more than the size that it states: the whole of it may be larger
+            with archive.open(entry) as file:  # only the size that it states, since the content may be larger
                 arrays[entry.filename.removesuffix(".npy")] = _array(file.read(entry.file_size), kinds)
     return arrays
 
 
 def check_unpacked_size(archive: zipfile.ZipFile) -> None:
-    """Raise ValueError for a zip archive that is unpacked to more than `MAX_UNPACKED`, or to too many files."""
+    """Raise ValueError for a zip archive that unpacks to more than `MAX_UNPACKED`, or to too many files."""
     infos = archive.infolist()
     size = sum(info.file_size for info in infos)
     if len(infos) > MAX_ARRAYS or size > MAX_UNPACKED:
         raise ValueError(f"{len(infos)} arrays of {size >> 20} MB are too much")
     if any(info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for info in infos):
-        raise ValueError("compressed in another way than NumPy does")  # zipfile unpacks those without a limit
+        raise ValueError("compressed in another way than NumPy does")  # zipfile would unpack these without a limit
 
 
 def _array(content: bytes, kinds: str) -> np.ndarray:
-    """Return the array of an .npy file whose header says what follows. Raises ValueError for any other."""
+    """Return the array of an .npy file; raise ValueError if its header does not fit its data."""
     file = BytesIO(content)
     version = np.lib.format.read_magic(file)
     read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
@@ -219,17 +219,17 @@ def _array(content: bytes, kinds: str) -> np.ndarray:
 
 Number = Annotated[float, Field(gt=-1e6, lt=1e6, allow_inf_nan=False)]
 Sigma = Annotated[float, Field(gt=1e-9, lt=1e6, allow_inf_nan=False)]
-"""More, or less, can only be damage."""
+"""A standard deviation; a value outside these limits can only be damage."""
 
 
 class FileTable(BaseModel):
-    """A table of a file: other fields than its own are refused."""
+    """Hold a table of a file, which has no other fields than these."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 def unknown(source: str, names: Iterable[tuple[str, str]], known: Iterable[str], prefix: str = "") -> Iterator[Problem]:
-    """Yield the problems of names that are not among the known ones, each with its field."""
+    """Yield a problem for each name that is not among the known ones."""
     known = [*known]
     for field, name in names:
         if name not in known:
@@ -242,16 +242,16 @@ def unknown(source: str, names: Iterable[tuple[str, str]], known: Iterable[str],
 def named_file(
     name: str | Path, folder: str, ending: str, option: str, kind: str, names: Iterable[str] | None = None
 ) -> tuple[bytes, str]:
-    """Return the content of a file by its name, and what to call it in messages.
+    """Return the content of a file by its name, and its name for messages.
 
-    The file comes with the package, in a folder of it, or is a user's own. kind: what it is; names: those to choose
-    from, if not all. Raises InputError.
+    The file is in a folder of the package, or is a user's own. kind: what it is; names: the names to choose from, if
+    not all. Raises InputError.
     """
     known = builtin_names(folder, ending)
     if str(name) in known:
         return builtin_file(folder, f"{name}{ending}").read_bytes(), f"{kind} {name}"
     path, expected = Path(name), f"a {kind} file ({ending})"
-    if not os.path.isfile(path):  # False, not an OSError, of a name that is too long
+    if not os.path.isfile(path):  # False, not an OSError, for a name that is too long
         choice = ", ".join(known if names is None else names)
         content = f"{str(name)!r}{', no such file' if path.suffix else ''}"
         raise InputError(Problem(option, "name or file", content, f"one of {choice}, or {expected}"))
@@ -261,17 +261,17 @@ def named_file(
 def named_table(
     name: str | Path, folder: str, option: str, kind: str, names: Iterable[str] | None = None
 ) -> tuple[dict[str, Any], str]:
-    """Return the table of a TOML file by its name, as `named_file` does its content."""
+    """Return the table of a TOML file by its name, found as `named_file` does."""
     content, source = named_file(name, folder, ".toml", option, kind, names)
     return parse_toml(text_of(content, source, f"a {kind} file"), source), source
 
 
 def builtin_file(folder: str, name: str) -> Traversable:
-    """Return a file that comes with the package, in a folder of it."""
+    """Return a file in a folder of the package."""
     return resources.files("recon") / folder / name
 
 
 def builtin_names(folder: str, ending: str) -> tuple[str, ...]:
-    """Names, without their ending, of the files that come with the package in a folder of it."""
+    """Return the names, without their ending, of the files in a folder of the package."""
     files = (resources.files("recon") / folder).iterdir()
     return tuple(sorted(f.name.removesuffix(ending) for f in files if f.name.endswith(ending)))

@@ -1,29 +1,32 @@
-"""What is said to people: the one error that their input can cause, and numbers as sentences have them."""
+"""Report what is wrong with an input: every problem at once, in the user's words."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, overload
 
 from recon.base.file_names import encodable
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing that is wrong with an input. As text it is one line, with codes for what cannot be printed."""
+    """Describe one thing that is wrong with an input.
+
+    As text it is one line, with codes for characters that cannot be printed.
+    """
 
     file: str | Path
-    """The file (or command-line option) it was found in."""
+    """The file, or the option of the command line."""
     field: str
-    """The place inside it (column, key, row)."""
+    """The place inside it: a column, key or row."""
     found: str
-    """In the user's words, with units where they matter."""
+    """What was found, in the user's words, with units where they matter."""
     expected: str
-    """In the user's words, with units where they matter."""
+    """What was expected, in the user's words, with units where they matter."""
     details: tuple[str, ...] = ()
-    """Lines to follow it, such as a file to write."""
+    """Further lines of the message, such as a file to write."""
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -38,7 +41,10 @@ class Problem:
 
 
 def printable(text: str) -> str:
-    """Return a text with codes in place of what cannot be printed; bytes of file names as `encodable` writes them."""
+    """Return a text with codes in place of what cannot be printed.
+
+    Bytes of file names get codes as `encodable` writes them.
+    """
     if text.isprintable():
         return text
     text = encodable(text)
@@ -46,7 +52,7 @@ def printable(text: str) -> str:
 
 
 class InputError(ValueError):
-    """An input cannot be used. Carries every problem that was found, not just the first."""
+    """Say that an input cannot be used, with every problem that was found, not only the first."""
 
     def __init__(self, problems: Problem | Iterable[Problem]) -> None:
         self.problems: tuple[Problem, ...] = (problems,) if isinstance(problems, Problem) else tuple(problems)
@@ -61,7 +67,7 @@ def raise_problems(problems: Iterable[Problem]) -> None:
 
 
 def problems_of(read: Callable[[], Any]) -> tuple[Problem, ...]:
-    """Return what is wrong with an input, nothing if it can be read."""
+    """Return what is wrong with an input; nothing if it can be read."""
     try:
         read()
     except InputError as error:
@@ -69,8 +75,30 @@ def problems_of(read: Callable[[], Any]) -> tuple[Problem, ...]:
     return ()
 
 
-def collect_problems(*reads: Callable[[], Any]) -> list[Any]:
-    """Every result, or one InputError with the problems of all; what several have in common is said once."""
+_A = TypeVar("_A")
+_B = TypeVar("_B")
+_C = TypeVar("_C")
+
+
+@overload
+def collect_problems(first: Callable[[], _A], second: Callable[[], _B], /) -> tuple[_A, _B]: ...
+
+
+@overload
+def collect_problems(
+    first: Callable[[], _A], second: Callable[[], _B], third: Callable[[], _C], /
+) -> tuple[_A, _B, _C]: ...
+
+
+@overload
+def collect_problems(*reads: Callable[[], _A]) -> tuple[_A, ...]: ...
+
+
+def collect_problems(*reads: Callable[[], object]) -> tuple[object, ...]:
+    """Return what each function returns; raise one InputError with the problems of all.
+
+    A problem that several have in common is in it once.
+    """
     results, problems = [], []
     for read in reads:
         try:
@@ -78,4 +106,4 @@ def collect_problems(*reads: Callable[[], Any]) -> list[Any]:
         except InputError as error:
             problems.extend(error.problems)
     raise_problems(dict.fromkeys(problems))
-    return results
+    return tuple(results)

@@ -1,4 +1,4 @@
-"""What is wrong with a table of a file, field by field, in the user's words: from what pydantic says of it."""
+"""Describe what is wrong with a table of a file, field by field, from pydantic's errors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from recon.base.errors import Problem
 
 _WORDS = {"string": "a text", "number": "a number", "integer": "a whole number", "boolean": "true or false"}
 _WORDS |= {"array": "a list", "object": "a table"}
-"""What a field is to be, by its type in a JSON schema."""
+"""Names of the JSON schema's types in messages."""
 _EXPECTED = {
     **dict.fromkeys(("string_type", "string_unicode", "path_type"), "a text"),
     **dict.fromkeys(("float_type", "float_parsing"), "a number"),
@@ -26,7 +26,7 @@ _EXPECTED = {
     **dict.fromkeys(("greater_than", "greater_than_equal", "less_than", "less_than_equal"), "a number {message}"),
     "literal_error": "{expected}",
 }
-"""What a value should have been, by the type of pydantic's error, which is filled in from the error's context."""
+"""The value expected, by the type of pydantic's error; the error's context fills the gaps."""
 _Table = Mapping[str, Any] | None
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 
@@ -34,11 +34,11 @@ _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 def problems_of(
     error: ValidationError, source: str | Path, schema: _Table = None, skipped: int = 0, table: _Table = None
 ) -> Iterator[Problem]:
-    """Return the problems of a table, each with its field, as in legs[0].hip_m.
+    """Return the problems of a table, each with its field, such as legs[0].hip_m.
 
-    schema: the JSON schema of what was to be read, with the fields of its tables and the types of those that are
-    missing; skipped: how many steps of the way to a field the message leaves out; table: what was to be read. A file
-    about something else, which has no field of the schema, is one problem.
+    schema: the JSON schema of the table, from which known fields and types of missing ones are taken. skipped: number
+    of leading parts of a field's name that the message leaves out. table: the table. A file about something else,
+    without any field of the schema, is one problem.
     """
     fields = (schema or {}).get("properties", {})
     if isinstance(table, Mapping) and fields and not fields.keys() & table.keys():
@@ -67,7 +67,7 @@ def problems_of(
 def _table_at(schema: Mapping[str, Any], way: Iterable[str | int]) -> Mapping[str, Any]:
     """Return the JSON schema of the table that the names of fields lead to.
 
-    Positions in a list, and keys of a table without names of its own, are passed over.
+    Positions in a list are skipped, and so are keys of a table that has no names of its own.
     """
     at = _table_in(schema, schema)
     for part in way:
@@ -76,13 +76,12 @@ def _table_at(schema: Mapping[str, Any], way: Iterable[str | int]) -> Mapping[st
     return at
 
 
-def _table_in(part: Any, schema: Mapping[str, Any]) -> Mapping[str, Any]:
+def _table_in(part: object, schema: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the first table with fields in a part of a JSON schema, empty if there is none."""
     if isinstance(part, Mapping):
-        if "$ref" in part:
-            part = schema["$defs"][part["$ref"].rpartition("/")[2]]
-        if "properties" in part:
-            return part
-        part = [value for name, value in part.items() if name != "$defs"]
+        table: Mapping[str, Any] = schema["$defs"][part["$ref"].rpartition("/")[2]] if "$ref" in part else part
+        if "properties" in table:
+            return table
+        part = [value for name, value in table.items() if name != "$defs"]
     inner = (_table_in(option, schema) for option in part) if isinstance(part, list) else ()
     return next((table for table in inner if table), {})

@@ -1,6 +1,6 @@
-"""File names in texts. A name is bytes, which need not be UTF-8; files of JSON, TOML, CSV and HTML are.
+"""Write names of files in texts: a name is bytes, not always UTF-8, but JSON, TOML, CSV and HTML files are UTF-8.
 
-Python reads such a byte of a name as a lone surrogate, which no file of text can hold.
+Python reads a byte that is not UTF-8 as a lone surrogate, which no text file can hold.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import os
 import re
-from typing import Any
+from typing import Any, overload
 
 _SURROGATE = re.compile("[\ud800-\udfff]")
 _ESCAPED_BYTE = re.compile(r"\\x([89a-f][0-9a-f])")
@@ -21,8 +21,16 @@ def encodable(text: str) -> str:
     return _SURROGATE.sub(_code, text) if not text.isascii() else text
 
 
-def to_encodable(value: Any) -> Any:
-    """Return a value with every text in its lists and dictionaries as `encodable` gives it."""
+@overload
+def to_encodable(value: dict[str, Any]) -> dict[str, Any]: ...
+
+
+@overload
+def to_encodable(value: object) -> object: ...
+
+
+def to_encodable(value: object) -> object:
+    """Return a value with `encodable` applied to every text in its lists and dictionaries."""
     if isinstance(value, dict):
         return {encodable(key): to_encodable(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -36,7 +44,7 @@ def _code(match: re.Match[str]) -> str:
 
 
 def existing_path(path: str) -> str:
-    r"""Return the path of a file whose name `encodable` wrote: that with the bytes, if only that one exists.
+    r"""Return the path of a file whose name `encodable` wrote: the one with the bytes, if only that exists.
 
     A name may have both such bytes and texts like \xe9, so each code is tried as either.
     """

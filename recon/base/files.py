@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and the manifest of those that one run wrote together.
+"""Write files whole or not at all, and the manifest of the files that one run wrote together.
 
 `recon.base.outputs` says which files a command may replace.
 """
@@ -27,7 +27,7 @@ SCHEMA = {"name": "recon.manifest", "version": 1}
 AGAIN = "the results of one run as they were written: run the command again, with --overwrite"
 _PREFIX = ".recon-partial-"
 _LOCK, NEW, _OLD = "lock", "new", "old"
-"""In a staging folder: the file that its process holds locked, the files to come, and those that they replace."""
+"""Names in a staging folder: the file that its process holds locked, the new files, and the files that they replace."""
 _NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 
 
@@ -38,10 +38,11 @@ _NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 def staged_folder(folder: str | Path) -> Iterator[Path]:
     """Give a folder to write files in, which move into `folder` when the block ends without an exception.
 
-    Each file replaces its namesake in one step; other files in `folder` stay. After an exception nothing is left, not
-    even a folder that was made for the purpose; after a kill, only a hidden staging folder, which the next run removes.
-    Any number of processes may do so in one folder at a time. An OSError names the file that was to be written, or
-    the folder. Commands write through `recon.base.outputs.Output`, which replaces nothing of a user's.
+    Each file replaces the one of its name in one step; other files in `folder` stay. After an exception nothing is
+    left, not even a folder that was made for the purpose. After a kill only a hidden staging folder is left, which the
+    next run removes. Any number of processes may write into one folder at a time. An OSError names the file that was to
+    be written, or the folder. Commands write through `recon.base.outputs.Output`, which replaces none of a user's
+    files.
     """
     with staging_in(Path(folder)) as staging:
         yield staging / NEW
@@ -70,7 +71,7 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write what a library has made in memory, as many libraries hang, crash or say nothing on a full disk.
+    """Write bytes that a library has made in memory, since many libraries hang, crash or say nothing on a full disk.
 
     Raises OSError that names the path.
     """
@@ -88,9 +89,9 @@ def names_in(folder: Path) -> list[str]:
 
 @contextmanager
 def staging_in(folder: Path) -> Iterator[Path]:
-    """Make a staging folder in `folder`, itself made if need be, and remove it at the end of the block.
+    """Make a staging folder in `folder`, which is made if need be, and remove it at the end of the block.
 
-    New files are written to its subfolder `NEW`. Errors name the files as they will be called in `folder`.
+    New files are written to its subfolder `NEW`. Errors name the files by their final paths in `folder`.
     """
     staging = None
     with gone_if_empty(folder):
@@ -120,25 +121,25 @@ def staging_in(folder: Path) -> Iterator[Path]:
 
 
 def _as_moved(path: Path, staging: Path, folder: Path) -> Path:
-    """Return where a file of the staging folder will be."""
+    """Return the final path of a file in the staging folder."""
     return folder / path.relative_to(staging / NEW) if path.is_relative_to(staging / NEW) else path
 
 
 def _new_staging(folder: Path) -> tuple[Path, int]:
-    """Return a staging folder and the lock that says its process is alive."""
+    """Return a staging folder and the lock that shows that its process is alive."""
     while True:
         folder.mkdir(parents=True, exist_ok=True)
         try:
             staging = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=folder))
             lock = os.open(staging / _LOCK, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
         except (FileNotFoundError, FileExistsError):
-            continue  # another process has just taken it for a dead one's, or removed the folder that it had made
+            continue  # another process has just removed it as a dead one's, or has removed the folder that it had made
         try:
             if is_locked_here(lock) is not False:
                 (staging / NEW).mkdir()
                 return staging, lock
         except FileNotFoundError:
-            pass  # likewise
+            pass  # as above
         except BaseException:
             os.close(lock)
             shutil.rmtree(staging, ignore_errors=True)
@@ -147,7 +148,7 @@ def _new_staging(folder: Path) -> tuple[Path, int]:
 
 
 def _remove_stale(folder: Path) -> None:
-    """Remove the staging folders of processes that are no more, but nothing that only is called so."""
+    """Remove the staging folders of processes that have ended, but nothing that only has such a name."""
     for stale in folder.glob(f"{_PREFIX}*"):
         with suppress(OSError):
             if stale.is_symlink() or not {*names_in(stale)} <= {_LOCK, NEW, _OLD}:
@@ -170,7 +171,7 @@ def require_no_folders(folder: Path, names: Iterable[str]) -> None:
 
 
 class FileState(NamedTuple):
-    """By what a file is known to be the one that was looked at."""
+    """Identify the version of a file that was looked at."""
 
     size: int
     modified_ns: int
@@ -178,7 +179,7 @@ class FileState(NamedTuple):
 
     @classmethod
     def read(cls, path: Path) -> FileState:
-        """Return the state of a file; of a link, its own."""
+        """Return the state of a file; for a link, that of the link itself."""
         state = os.lstat(path)
         return cls(state.st_size, state.st_mtime_ns, state.st_ino)
 
@@ -186,21 +187,21 @@ class FileState(NamedTuple):
 def exchange(staging: Path, folder: Path, leaving: Mapping[str, FileState]) -> None:
     """Move new files into the folder, the manifest last, and old ones out, the manifest first.
 
-    An exception on the way leaves everything as it was.
+    After an exception everything is as before.
 
     Parameters
     ----------
     staging
-        As `staging_in` gives it, with the new files.
+        The folder of `staging_in`, with the new files.
     folder
-        Where they go.
+        The destination.
     leaving
-        The files in the folder that are replaced or go, by name, as they were when they were looked at.
+        The files in the folder that are replaced or removed, by name, with their states when they were looked at.
 
     Raises
     ------
     InputError
-        A file of a new name has appeared, or one that leaves has changed, since.
+        A file with a new name has appeared since, or one that leaves has changed.
     """
     new, old = staging / NEW, staging / _OLD
     names = sorted(names_in(new), key=lambda name: (name == MANIFEST, name))
@@ -226,7 +227,7 @@ def exchange(staging: Path, folder: Path, leaving: Mapping[str, FileState]) -> N
 
 
 def _move_in(source: Path, target: Path) -> None:
-    """Move a file to a name that has none, without replacing one that appears just now."""
+    """Move a file to a free name, without replacing a file that appears at the same moment."""
     try:
         os.link(source, target)
     except FileExistsError:
@@ -239,10 +240,9 @@ def _move_in(source: Path, target: Path) -> None:
 
 
 def seen_from(folder: Path, path: str | Path) -> str:
-    """Return a path relative to a folder, as it stands in a file of that folder.
+    """Return a path relative to a folder, for a file in that folder.
 
-    Both can then be moved together, and nobody reads in the file where they lay. A path on another drive stays
-    absolute.
+    Both can then be moved together, and the file does not show where they were. A path on another drive stays absolute.
     """
     try:
         return encodable(Path(os.path.relpath(path, folder.absolute())).as_posix())
@@ -251,12 +251,12 @@ def seen_from(folder: Path, path: str | Path) -> str:
 
 
 def name_seen_from(folder: Path, name: str) -> str:
-    """Return `seen_from` of a name that may also be that of something built in, which stays."""
+    """Return `seen_from` of a file's name, and any built-in name unchanged."""
     return seen_from(folder, name) if Path(name).suffix else name
 
 
 def is_plain_name(name: str) -> bool:
-    """Whether a name is that of a file in the folder itself: no path, and nothing that leads out of the folder."""
+    """Return whether a name belongs to a file in the folder itself, and does not lead out of it."""
     return name not in ("", ".", "..") and "\0" not in name and name == os.path.basename(name)
 
 
@@ -268,33 +268,33 @@ def is_plain_name(name: str) -> bool:
 
 @dataclass(frozen=True)
 class Manifest:
-    """The files that one run wrote into a folder."""
+    """List the files that one run wrote into a folder."""
 
     folder: Path
     files: Mapping[str, tuple[int, str]]
     """By name: size in bytes, and the SHA-256 of the content in hexadecimal digits."""
     kind: str | None = None
-    """The command that wrote them, as in fit; None in those of version 0.2."""
+    """The command that wrote them, such as fit; None in manifests of version 0.2."""
 
     @property
     def paths(self) -> list[Path]:
-        """The paths of all files, and of the manifest itself."""
+        """Return the paths of all files and of the manifest."""
         return [self.folder / name for name in (*self.files, MANIFEST)]
 
     @property
     def text(self) -> str:
-        """The manifest as it is written."""
+        """Return the manifest as it is written."""
         files = {name: {"size": size, "sha256": sha256} for name, (size, sha256) in self.files.items()}
         kind = {} if self.kind is None else {"kind": self.kind}
         return json.dumps({"schema": SCHEMA, **kind, "files": files}, indent=1) + "\n"
 
     def changed(self, names: Iterable[str] | None = None) -> list[Problem]:
-        """Return a problem for each of the named files, or of all, that is missing or not as it was written."""
+        """Return a problem for each of the named files, by default all, that is missing or was changed."""
         faults = ((name, self._fault(name)) for name in (self.files if names is None else names))
         return [Problem(self.folder / name, *fault, AGAIN) for name, fault in faults if fault]
 
     def require(self, *names: str) -> None:
-        """Raise InputError unless these files are there and as the run wrote them."""
+        """Raise InputError unless these files exist and are as the run wrote them."""
         raise_problems(self.changed(names))
 
     def _fault(self, name: str) -> tuple[str, str] | None:
@@ -313,8 +313,8 @@ class Manifest:
 def read_manifest(folder: Path) -> Manifest:
     """Read the manifest of a folder.
 
-    Raises InputError where there is none, as after a run that was interrupted while it wrote, and where it names files
-    outside the folder.
+    Raises InputError where there is none, as after a run that was interrupted while it wrote, and for a manifest that
+    names files outside the folder.
     """
     path = folder / MANIFEST
     try:
@@ -338,7 +338,7 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def write_manifest(folder: Path, kind: str | None = None) -> None:
-    """Write the manifest of the files that are in the folder now; kind: the command that wrote them."""
+    """Write the manifest of the files that are in the folder; kind: the command that wrote them."""
     paths = [path for path in sorted(folder.iterdir()) if path.name != MANIFEST and path.is_file()]
     manifest = Manifest(folder, {path.name: (path.stat().st_size, sha256_of(path)) for path in paths}, kind)
     (folder / MANIFEST).write_text(manifest.text, encoding="utf-8", newline="\n")

@@ -1,6 +1,6 @@
-"""Ctrl-C on the command line, and SIGTERM: one line on stderr and exit code 130, at any moment.
+"""Answer Ctrl-C on the command line, and SIGTERM, with one line on stderr and exit code 130, at any moment.
 
-This is imported before anything else, and therefore imports next to nothing.
+This module is imported before anything else, and therefore imports next to nothing.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ if TYPE_CHECKING:
 EXIT_INTERRUPTED = 130
 MESSAGE = "Stopped."
 STUCK_S = 3.0
-"""A library that has not come back by then from what it was called for is not waited for."""
+"""Time to wait for a library that does not return."""
 CLEAN_UP_S = 10.0
-"""Time to remove what is half written, and for a batch to stop its workers."""
+"""Time to remove half-written files, and for a batch to stop its workers."""
 TICK_S = 0.05
 STOPPING = (signal.SIGINT, signal.SIGTERM)
-"""What a cluster or a system sends before it ends a process is answered as Ctrl-C is."""
+"""Signals that are answered like Ctrl-C: clusters and systems send them before they end a process."""
 
 
 class Interrupts:
-    """The handler of `STOPPING` in a process that runs one command.
+    """Handle the signals of `STOPPING` in a process that runs one command.
 
-    While the command runs, the first Ctrl-C is a KeyboardInterrupt, so that the command can clean up; within an import
-    it is one as soon as that is over, as libraries turn exceptions into others there, or print them. At any other time
-    the process ends at once, and so it does at a second Ctrl-C, and where the command does not end in time.
+    While the command runs, the first Ctrl-C is a KeyboardInterrupt, so that the command can clean up. During an import
+    the KeyboardInterrupt comes when the import has ended, because libraries turn exceptions into others there, or print
+    them. The process ends at once at any other time, at a second Ctrl-C, and where the command does not end in time.
 
-    in_command: whether a command runs that can clean up. received: whether it has to stop. said: whether the one line
-    has been printed.
+    in_command: whether a command runs that can clean up. received: whether the command has to stop. said: whether the
+    line has been printed.
     """
 
     def __init__(self) -> None:
@@ -47,7 +47,10 @@ class Interrupts:
         self._watched = False
 
     def install(self) -> None:
-        """In the main thread. Where SIGINT is ignored, as in the background jobs of a shell script, it stays so."""
+        """Install the handler, in the main thread.
+
+        Where SIGINT is ignored, as in the background jobs of a shell script, it stays ignored.
+        """
         taken = [
             number for number in STOPPING if signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL)
         ]
@@ -58,12 +61,12 @@ class Interrupts:
             self._start_watch()
 
     def leave(self) -> NoReturn:
-        """End the process here and now. From any thread."""
-        while self._leaving:  # another thread is about to
+        """End the process at once, from any thread."""
+        while self._leaving:  # another thread is about to end it
             time.sleep(1.0)
         self._leaving = True
         if os.isatty(2):
-            os.write(2, b"\r\x1b[K\x1b[?25h")  # a progress bar may stand there, and has hidden the cursor
+            os.write(2, b"\r\x1b[K\x1b[?25h")  # a progress bar may be on this line and has hidden the cursor
         if not self.said:
             os.write(2, f"{MESSAGE}\n".encode())
         os._exit(EXIT_INTERRUPTED)
@@ -78,17 +81,17 @@ class Interrupts:
         self._tell(number, frame)
 
     def _tell(self, number: int, frame: FrameType | None) -> None:
-        """Let the command know, if it has to and can: otherwise the watch calls for this again."""
+        """Raise KeyboardInterrupt in the command, if it can clean up; otherwise `_watch` tries again."""
         if not self.received or self._raised or not self.in_command or _is_importing(frame):
             return
         self._raised = True
-        # What a library makes of the exception is of no use to anybody.
+        # The message that a library makes of the exception helps nobody.
         sys.excepthook = lambda *_: None
         sys.unraisablehook = self._on_swallowed
         raise KeyboardInterrupt
 
     def _on_swallowed(self, unraisable: UnraisableHookArgs) -> None:
-        """Python drops exceptions in destructors and the like."""
+        """Handle an exception that Python drops, such as one in a destructor."""
         if issubclass(unraisable.exc_type, KeyboardInterrupt):
             self._raised = False
 
@@ -107,7 +110,7 @@ class Interrupts:
         """Bring a signal to the main thread's next step.
 
         Python runs signal handlers between two steps of the main thread, which may be in a library for long, or begin
-        to wait just after the signal. SIGURG, which does nothing elsewhere, brings it to its next step.
+        to wait just after the signal. SIGURG, which has no other effect, wakes it.
         """
         while not {*STOPPING} & {*os.read(reader, 64)}:
             pass

@@ -1,4 +1,4 @@
-"""One process at a time where two would write the same."""
+"""Let only one process at a time write to a folder."""
 
 from __future__ import annotations
 
@@ -28,21 +28,18 @@ else:
 
 
 WRITING = ".recon-writing"
-"""The file that the only writer of a folder holds locked."""
+"""The lock file of the process that writes to a folder."""
 COMMITTING = ".recon-commit"
-"""The file that a process holds locked while it moves new files into a folder."""
+"""The lock file of the process that moves new files into a folder."""
 COMMIT_WAIT_S = 30.0
 _POLL_S = 0.05
 _OWN_CONTENT = re.compile(rb"\d{0,19}\n?")
-"""What a lock file may hold: the number of its process."""
+"""Content of recon's lock files: the number of a process."""
 _NO_LINKS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
 def is_locked_here(file: int) -> bool | None:
-    """Lock an open file: True if this process has the lock now.
-
-    False: another process has it. None: the file system has no locks.
-    """
+    """Lock an open file, and return whether this process has the lock; None if the file system has no locks."""
     try:
         _lock(file)
     except OSError as error:
@@ -52,14 +49,14 @@ def is_locked_here(file: int) -> bool | None:
 
 @contextmanager
 def sole_writer(folder: str | Path, wait_s: float = 0.0) -> Iterator[None]:
-    """Keep other processes out of blocks like this for the same folder, which is made if need be.
+    """Keep other processes out of such blocks for the same folder, which is made if need be.
 
-    A process that dies lets go of the folder.
+    A process that dies releases the folder.
 
     Raises
     ------
     InputError
-        Another process is in such a block after wait_s, or the lock file is not one of recon's.
+        Another process is still in such a block after wait_s, or the lock file is not one of recon's.
     """
     require_usable(Path(folder))
     with gone_if_empty(Path(folder)), _exclusive(Path(folder) / WRITING, wait_s):
@@ -68,20 +65,20 @@ def sole_writer(folder: str | Path, wait_s: float = 0.0) -> Iterator[None]:
 
 @contextmanager
 def committing(folder: Path) -> Iterator[None]:
-    """Keep other processes from moving files into or out of the folder for the moment that the block takes."""
+    """Keep other processes from moving files into or out of the folder during the block."""
     with _exclusive(folder / COMMITTING, COMMIT_WAIT_S):
         yield
 
 
 @contextmanager
 def gone_if_empty(folder: Path) -> Iterator[None]:
-    """Remove a folder that was made in the block, and its parents, if nothing is in them at the end."""
+    """Remove a folder that was made in the block, and its parents, if they are empty at the end."""
     made = [p for p in (folder, *folder.parents) if not p.exists()]
     try:
         yield
     finally:
         for path in made:
-            with suppress(OSError):  # it was not made after all, or there is something in it
+            with suppress(OSError):  # it was not made, or is not empty
                 path.rmdir()
 
 
@@ -93,7 +90,7 @@ def _exclusive(path: Path, wait_s: float) -> Iterator[None]:
     finally:
         if sys.platform == "win32":
             os.close(lock)
-        with suppress(OSError):  # another user's, in a folder that protects it
+        with suppress(OSError):  # another user's lock file, in a folder that protects it
             path.unlink(missing_ok=True)
         if sys.platform != "win32":
             os.close(lock)
@@ -112,10 +109,10 @@ def _locked_file(path: Path, until_s: float) -> int:
             is_free = is_locked_here(lock)
             if is_free is None and not is_writable:
                 raise _not_usable(path)
-            with suppress(FileNotFoundError):  # the process that had it before removes it
+            with suppress(FileNotFoundError):  # the process that held it before removes it
                 if is_free is not False and os.path.samestat(os.fstat(lock), os.lstat(path)):
                     if is_writable:
-                        with suppress(OSError):  # a full disk holds no number
+                        with suppress(OSError):  # a full disk cannot take the number
                             os.truncate(lock, 0)
                             os.write(lock, f"{os.getpid()}\n".encode())
                     return lock
@@ -133,7 +130,7 @@ def _locked_file(path: Path, until_s: float) -> int:
 
 
 def _open(path: Path) -> tuple[int, bool]:
-    """Open a new lock file, or one that another run left; and whether its content may be written.
+    """Open a new lock file, or one that another run left, and return whether its content may be written.
 
     Links are not followed, and nothing is written to a file that may be a user's.
     """
@@ -142,7 +139,7 @@ def _open(path: Path) -> tuple[int, bool]:
     except FileExistsError:
         pass
     except OSError as error:
-        error.filename = str(path.parent)  # the file itself says nothing to a user
+        error.filename = str(path.parent)  # the name of the lock file would say nothing to a user
         raise
     if path.is_symlink():
         raise _not_usable(path)
@@ -174,7 +171,7 @@ def _open(path: Path) -> tuple[int, bool]:
 
 
 def _not_usable(path: Path) -> InputError:
-    """Return what to say of a lock file that cannot be taken, or is something else."""
+    """Return the error about a lock file that cannot be taken, or is another kind of file."""
     try:
         state = os.lstat(path)
     except OSError:
@@ -202,7 +199,7 @@ def _name_of(user: int) -> str:
 
 
 def require_usable(out: Path) -> None:
-    """Raise InputError where `out` is no folder that can be written to, and cannot become one."""
+    """Raise InputError unless `out` is a folder that can be written to, or can become one."""
     existing = next(path for path in (out, *out.absolute().parents) if os.path.lexists(path))
     if not existing.exists():
         found = f"{existing}, a link that points to nothing"

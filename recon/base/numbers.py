@@ -31,7 +31,7 @@ def places(sigma: float, one_digit: float = _ONE_DIGIT) -> int | None:
 
 
 def rounded(value: float, digits: int, sign: str = "") -> str:
-    """Return a value with so many decimals; negative: rounded to tens, hundreds ..."""
+    """Return a value with a number of decimals; negative: rounded to tens, hundreds ..."""
     text = f"{round(value, digits):{sign}.{max(digits, 0)}f}"
     is_minus_zero = text.startswith("-") and not any(digit in "123456789" for digit in text)
     return text[1:] if is_minus_zero else text

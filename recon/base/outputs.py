@@ -1,13 +1,13 @@
-"""What a command may write: nothing of a user's is ever replaced or deleted.
+"""Decide what a command may write: no file of a user's is ever replaced or deleted.
 
-A command replaces or deletes only what an earlier run of the same kind wrote, and nobody changed since. What it wrote
-is known by size and SHA-256: from `RECORD`, a hidden file in every folder that recon writes to, and from the folder's
-manifest, if it has one. Anything else stays: an input of the run that is starting, a link, a folder, a file of a user's
-or of another command. A command that would have to write such a name ends with a message before it touches anything.
-That holds for a folder and for the single file that a user names, as in --out camera.toml.
+A command replaces or deletes only files that an earlier run of the same kind wrote and that nobody has changed since.
+Size and SHA-256 identify these files; they stand in `RECORD`, a hidden file in every folder that recon writes to, and
+in the folder's manifest, if it has one. Everything else stays: an input of the run that is starting, a link, a folder,
+a file of a user's or of another command. A command that would have to write such a name stops with a message before it
+changes anything. This holds for a folder and for a single file that the user names, as in --out camera.toml.
 
-`RECORD` has the new digests before the first file moves, and loses the old ones after the last. Whatever a killed run
-leaves is recognised again.
+`RECORD` gets the new digests before the first file moves, and loses the old ones after the last. Files that a killed
+run leaves are therefore recognised again.
 """
 
 from __future__ import annotations
@@ -42,36 +42,36 @@ from recon.base.locks import committing, require_usable
 RECORD = ".recon.json"
 SCHEMA = {"name": "recon.files", "version": 1}
 NAMED = 3
-"""How many files a message names."""
+"""Number of files that a message names."""
 
 
-# -- what recon wrote ------------------------------------------------------------------------------------------------
+# -- files that recon wrote --------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class WrittenFile:
-    """A file as a run wrote it."""
+    """Describe a file as a run wrote it."""
 
     kind: str
-    """The command, as in analyse."""
+    """The command, such as analyse."""
     size: int
-    """Bytes."""
+    """Size in bytes."""
     sha256: str
     """Digest of the content, in hexadecimal digits."""
     results: str | None = None
-    """The folder of results that it was made from, seen from its own; None: not made from results."""
+    """The folder of results that the file was made from, relative to its own folder; None if there is none."""
     manifest: str | None = None
-    """The SHA-256 of these results' manifest at that time."""
+    """SHA-256 of the manifest of these results at that time."""
     is_named: bool = False
     """Whether the user named this very file: it stays when the results that it was made from go."""
 
 
 _Written = dict[str, tuple[WrittenFile, ...]]
-"""By name, each content that recon may have left under it."""
+"""By name, the contents that recon may have left under it."""
 
 
 def read_record(folder: Path) -> _Written:
-    """Return what recon wrote into a folder, as its `RECORD` says; nothing where there is none.
+    """Return the files that recon wrote into a folder, from its `RECORD`; nothing without one.
 
     Raises InputError for a file of that name that is no such record.
     """
@@ -91,7 +91,7 @@ def read_record(folder: Path) -> _Written:
 
 
 def _entry(**stored: Any) -> WrittenFile:
-    """Return an entry of a record; raise TypeError for values that none has."""
+    """Return an entry of a record; raise TypeError for impossible values."""
     entry = WrittenFile(**stored)
     types = {"kind": str, "size": int, "sha256": str, "results": str | None, "manifest": str | None, "is_named": bool}
     if not all(isinstance(getattr(entry, name), kind) for name, kind in types.items()):
@@ -100,7 +100,7 @@ def _entry(**stored: Any) -> WrittenFile:
 
 
 def _write_record(folder: Path, written: Mapping[str, Sequence[WrittenFile]]) -> None:
-    """Write the record, or remove one that would be empty."""
+    """Write the record, or remove it if it would be empty."""
     files = {
         name: [{key: value for key, value in vars(entry).items() if value or key == "size"} for entry in entries]
         for name, entries in sorted(written.items())
@@ -113,7 +113,7 @@ def _write_record(folder: Path, written: Mapping[str, Sequence[WrittenFile]]) ->
 
 
 def _is_as_written(path: Path, entries: Iterable[WrittenFile]) -> bool:
-    """Whether a file, which is no link, has a content that recon wrote."""
+    """Return whether a file, not a link, has a content that recon wrote."""
     try:
         if path.is_symlink() or not path.is_file():
             return False
@@ -124,25 +124,28 @@ def _is_as_written(path: Path, entries: Iterable[WrittenFile]) -> bool:
         return False
 
 
-# -- results that something is made from -----------------------------------------------------------------------------
+# -- results that something is made from -------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class ReadResults:
-    """A folder of results as it was when a command began to read it."""
+    """Identify a folder of results as it was when a command began to read it."""
 
     folder: Path
     manifest: str | None
-    """The SHA-256 of its manifest; None where it has none."""
+    """SHA-256 of its manifest; None without a manifest."""
 
     @classmethod
     def read(cls, folder: Path) -> ReadResults:
-        """Return the results that are in the folder now."""
+        """Return the results that are in the folder at present."""
         return cls(folder, _manifest_sha256(folder))
 
     @contextmanager
     def unchanged(self) -> Iterator[None]:
-        """Keep the results from being replaced in the block; raise InputError where they were since they were read."""
+        """Keep the results from being replaced during the block.
+
+        Raises InputError if they were replaced since they were read.
+        """
         with ExitStack() as stack:
             if os.access(self.folder, os.W_OK | os.X_OK):
                 stack.enter_context(committing(self.folder))
@@ -150,7 +153,7 @@ class ReadResults:
             yield
 
     def require_unchanged(self) -> None:
-        """Raise InputError where other results are in the folder by now."""
+        """Raise InputError if the folder has other results than those that were read."""
         if _manifest_sha256(self.folder) != self.manifest:
             change = "other results than were read: another run has replaced them meanwhile"
             raise InputError(Problem(self.folder, "results", change, "the command to be run again"))
@@ -164,7 +167,7 @@ def _manifest_sha256(folder: Path) -> str | None:
 
 
 def is_current(path: Path, results: Path) -> bool:
-    """Whether a file, such as an analysis, is known to be made from the results that are in a folder now."""
+    """Return whether a file, such as an analysis, is known to be made from a folder's present results."""
     try:
         entries = read_record(path.parent).get(path.name, ())
     except InputError:
@@ -174,58 +177,59 @@ def is_current(path: Path, results: Path) -> bool:
 
 
 def _is_of(entry: WrittenFile, folder: Path, results: Path) -> bool:
-    """Whether a file in a folder was made from what was in the results' folder."""
+    """Return whether a file in a folder was made from the content of the folder of results."""
     if entry.results is None:
         return False
     return os.path.realpath(folder / entry.results) == os.path.realpath(results)
 
 
 def _goes(entry: WrittenFile, folder: Path, results: Path) -> bool:
-    """Whether a file goes with the results that it was made from."""
+    """Return whether a file is removed together with the results that it was made from."""
     return _is_of(entry, folder, results) and not entry.is_named
 
 
-# -- what may be written ---------------------------------------------------------------------------------------------
+# -- files that may be written -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Output:
-    """A folder that a command writes to."""
+    """Describe a folder that a command writes to."""
 
     folder: Path
     kind: str
-    """The command that its files are known by, as in analyse."""
+    """The command that its files are known by, such as analyse."""
     overwrite: bool = False
-    """Whether the same command's earlier files, if nobody changed them, may be replaced."""
+    """Whether earlier files of the same command, if nobody changed them, may be replaced."""
     inputs: Sequence[Path] = ()
     """Files and folders that the run reads."""
     made_from: ReadResults | None = None
     """The results that the run reads."""
     exact: str | None = None
-    """The name of the one file that the user named, where it is not a folder that was named."""
+    """Name of the single file that the user named, if it was not a folder."""
     has_manifest: bool = False
-    """Whether its files belong together, as a manifest then says. What was made from earlier ones goes with them."""
+    """Whether the files belong together, as a manifest says. Files that were made from earlier ones are removed with
+    them."""
     mark: str = ""
-    """A file by which such a manifest of version 0.2, which does not say its kind, is known."""
+    """A file that identifies a manifest of version 0.2, which does not name its command."""
     content: str = "results"
-    """What a message calls the files."""
+    """Name of the files in messages."""
     option: str = "--out"
-    """What a message calls the folder, or the file."""
+    """Name of the folder, or of the file, in messages."""
 
     def require(self, names: Iterable[str] = ()) -> None:
-        """Raise InputError where the folder cannot be written to, or where a file of these names may not be replaced.
+        """Raise InputError if the folder cannot be written to, or a file of these names may not be replaced.
 
-        Meant to be called before any work is done; `staged` looks again.
+        It is meant to be called before any work is done; `staged` checks again.
         """
         require_usable(self.folder)
         self._require_replaceable(names, self._written(), adds=self.exact is not None)
 
     @contextmanager
     def staged(self, adds: bool = False) -> Iterator[Path]:
-        """Give a folder to write files in, which move into the output's at the end of the block: all, or none.
+        """Give a folder to write files in, which all move into the output's folder at the end of the block, or none.
 
-        adds: files that an earlier run of the same kind wrote stay, unless they are replaced; otherwise they go.
-        Raises InputError as `require` does, and where the results that they were made from are no more.
+        adds: earlier files of the same kind stay unless they are replaced; otherwise they are removed. Raises
+        InputError as `require` does, and if the results that the files were made from have been replaced.
         """
         with staging_in(self.folder) as staging:
             try:
@@ -247,18 +251,18 @@ class Output:
 
     @contextmanager
     def staged_file(self) -> Iterator[Path]:
-        """Give a path to write the one exact file to, as `staged` does."""
+        """Give a path for the single file that the user named, as `staged` does."""
         assert self.exact is not None
         with self.staged(adds=True) as folder:
             yield folder / self.exact
 
     def write(self, name: str, text: str) -> None:
-        """Write a file of text, beside those that are there."""
+        """Write a text file and leave the other files in place."""
         with self.staged(adds=True) as folder:
             (folder / name).write_text(encodable(text), encoding="utf-8")
 
     def remove(self, name: str) -> None:
-        """Delete a file of an earlier run of this kind; any other stays."""
+        """Delete a file of an earlier run of this kind; any other file stays."""
         path = self.folder / name
         if not os.path.lexists(path):
             return
@@ -268,10 +272,10 @@ class Output:
                 path.unlink()
                 _write_record(self.folder, written | {name: ()})
 
-    # -- what is there already
+    # -- existing files
 
     def _written(self) -> _Written:
-        """Return what the record and the manifest of the folder say."""
+        """Return the content of the folder's record and manifest."""
         written = read_record(self.folder)
         with suppress(InputError, OSError):
             manifest = read_manifest(self.folder)
@@ -287,7 +291,7 @@ class Output:
         return written
 
     def _is_own(self, name: str, written: _Written) -> bool:
-        """Whether a file is of an earlier run of this kind and as it was written."""
+        """Return whether an earlier run of this kind wrote a file and nobody has changed it."""
         return _is_as_written(self.folder / name, (e for e in written.get(name, ()) if e.kind == self.kind))
 
     def _is_input(self, name: str) -> bool:
@@ -299,7 +303,7 @@ class Output:
     def _require_replaceable(self, names: Iterable[str], written: _Written, adds: bool) -> None:
         """Raise InputError unless each name is free, or its file may be replaced.
 
-        Without --overwrite, there may be no earlier results of the same command either, unless it adds to them.
+        Without --overwrite there may be no earlier results of the same command either, unless this run adds to them.
         """
         names = [name for name in names if os.path.lexists(self.folder / name)]
         links = [name for name in names if (self.folder / name).is_symlink()]
@@ -324,7 +328,7 @@ class Output:
         return Problem(self.option, "file", existing, "a new name, or --overwrite")
 
     def _refused(self, names: Sequence[str], description: str) -> Iterator[Problem]:
-        """Give one problem for all files that may not be replaced."""
+        """Yield one problem for all files that may not be replaced."""
         if names:
             listed, count = names[1 : 1 + NAMED], len(names) - 1
             rest = (
@@ -336,7 +340,7 @@ class Output:
     # -- putting files there
 
     def _commit(self, staging: Path, adds: bool) -> None:
-        """Move the new files in, and what they replace out."""
+        """Move the new files into the folder, and the files that they replace out of it."""
         folder, names = self.folder, names_in(staging / NEW)
         record, written = read_record(folder), self._written()
         self._require_replaceable(names, written, adds)
@@ -354,13 +358,16 @@ class Output:
                 _write_record(folder, record)
             raise
         kept = {name: entries for name, entries in record.items() if os.path.lexists(folder / name)}
-        with suppress(OSError):  # then the record knows more than it needs to
+        with suppress(OSError):  # otherwise the record lists more files than it needs to
             _write_record(folder, kept | {name: (entry,) for name, entry in new.items()})
         if self.has_manifest:
             _remove_made_from(folder)
 
     def _may_go(self, name: str, written: _Written) -> bool:
-        """Whether a file that is not written again goes: an earlier one of this kind, or one made from such."""
+        """Return whether a file that is not written again is removed.
+
+        Earlier files of this kind are, and files that were made from them.
+        """
         entries = written[name]
         if self._is_input(name) or not os.path.lexists(self.folder / name):
             return False
@@ -385,7 +392,7 @@ def output_file(
     made_from: ReadResults | None = None,
     option: str = "--out",
 ) -> Output:
-    """Return the output of a command that writes the one file which the user names."""
+    """Return the output of a command that writes the single file that the user names."""
     return Output(path.parent, kind, overwrite, inputs, made_from, exact=path.name, option=option)
 
 
@@ -397,7 +404,7 @@ def require_suffix(path: Path, suffixes: Iterable[str], option: str = "--out") -
 
 
 def adopt(folder: Path, kind: str, digests: Mapping[str, str]) -> None:
-    """Record files that another record of recon's, by their SHA-256, says were written by a command of this kind."""
+    """Record files that another of recon's records says were written by a command of this kind, by their SHA-256."""
     with committing(folder):
         written = read_record(folder)
         for name, sha256 in digests.items():
@@ -408,7 +415,7 @@ def adopt(folder: Path, kind: str, digests: Mapping[str, str]) -> None:
 
 
 def _remove_made_from(results: Path) -> None:
-    """Delete what was made from earlier results, as nobody changed it, in the folders within theirs."""
+    """Delete files, unchanged ones only, that were made from earlier results, in the folders within theirs."""
     for folder in sorted(path.parent for path in results.glob(f"*/{RECORD}")):
         if folder.is_symlink():
             continue
@@ -420,7 +427,7 @@ def _remove_made_from(results: Path) -> None:
                     (folder / name).unlink()
                     del written[name]
             _write_record(folder, written)
-        with suppress(OSError):  # a user's files are in it
+        with suppress(OSError):  # it contains a user's files
             folder.rmdir()
 
 

@@ -1,6 +1,6 @@
-"""The distribution that this package is installed from, how to add to it, and the files that come with it.
+"""Find the distribution that this package is installed from, its version, and the command that adds an extra.
 
-Its name is not the package's: `recon` on the public index is somebody else's.
+The distribution has another name than the package: `recon` on the public index is somebody else's.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def version() -> str:
 
 
 def install_command(extra: str) -> str:
-    """Return the command that adds an extra to this environment, from where the package came.
+    """Return the command that adds an extra to this environment, from the source of the package.
 
     The command works in any folder: its paths are absolute, so that pip takes neither a folder nor a package of the
     index for this distribution.
@@ -32,12 +32,12 @@ def install_command(extra: str) -> str:
 
 
 def pip_command() -> str:
-    """Return the command of this Python's pip; the `pip` of a shell may belong to another Python."""
+    """Return the command of this Python's pip; `pip` in a shell may belong to another Python."""
     return f"{quoted(sys.executable)} -m pip"
 
 
 def quoted(word: str) -> str:
-    """Return a word as a shell takes it whole."""
+    """Return a word quoted for a shell, if need be."""
     if sys.platform == "win32":
         return f'"{word}"' if set(word) - set(_PLAIN) else word
     return shlex.quote(word)
@@ -47,7 +47,7 @@ _PLAIN = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_-.\\/:"
 
 
 def _source() -> tuple[bool, str]:
-    """Return whether the install is editable, and what to give to pip: an absolute path, or the name on the index.
+    """Return whether the installation is editable, and pip's argument: an absolute path, or the name on the index.
 
     References
     ----------

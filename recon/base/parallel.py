@@ -1,7 +1,7 @@
-"""Many tasks beside each other, each in a process: one whose process dies takes no other with it.
+"""Do many tasks at the same time, each in a process: one whose process dies does not affect the others.
 
-They are done on this machine, or on a Dask cluster, whose workers see the same files at the same paths. A pool of
-`concurrent.futures` loses all that it has under way when one of its processes dies, and hears of no progress.
+The processes run on this machine or on a Dask cluster, whose workers see the same files at the same paths. A pool of
+`concurrent.futures` would lose all tasks under way when one of its processes dies, and would report no progress.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from recon.base.errors import InputError, Problem
 from recon.base.package import install_command
@@ -35,36 +35,38 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 Outcome = Mapping[str, Any]
-"""What became of a task, by name, at least its status; a task that failed has an error."""
-Work = Callable[[Any, Progress], Outcome]
-"""What is done with each task: a function at the top of a module, so that another process finds it."""
-Tasks = Sequence[tuple[str, Any]]
-"""Each with its name."""
+"""The outcome of a task by name, at least its status; a task that failed has an error."""
+_Task = TypeVar("_Task")
+Work = Callable[[_Task, Progress], Outcome]
+"""The function that does a task: at the top of a module, so that another process finds it."""
+Tasks = Sequence[tuple[str, _Task]]
+"""Tasks with their names."""
 STARTING = "starting"
 TASKS_PER_PROCESS = 50
-"""Then a new process takes over: rerun keeps two to four threads and 1.5 to 3 MB of each recording for good."""
+"""A new process takes over after this number: rerun keeps two to four threads and 1.5 to 3 MB of each recording for
+good."""
 ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "BLIS", "NUMEXPR", "RAYON")} | {
     "OPENCV_FOR_THREADS_NUM": "1"
 }
 KILLED = 128 + signal.SIGTERM
 STOP_S = 3.0
-"""A process that is told to stop has this long to clean up."""
+"""Time that a process has to clean up before it is killed."""
 TICK_S = 0.1
 LOG_BYTES = 20_000
 
 
 @dataclass(frozen=True)
 class Event:
-    """What happened to a task. On a cluster nothing is heard of its progress but that it begins."""
+    """Report the progress or the end of a task. On a cluster the only progress reported is that a task has begun."""
 
     kind: Literal["progress", "ended"]
     name: str
     """The name of the task."""
     pid: int | None = None
-    """The process that it runs in."""
+    """Number of the process that the task runs in."""
     stage: str = ""
     share: float = 0.0
-    """How much of all is done, 0 to 1."""
+    """Share of the work that is done, 0 to 1."""
     outcome: Outcome = field(default_factory=dict)
     """The outcome of a task that has ended."""
 
@@ -73,12 +75,12 @@ Tell = Callable[[Event], None]
 
 
 def available_cores() -> int:
-    """How many processor cores this process may use."""
+    """Return the number of processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def outcome_of(work: Work, task: Any, progress: Progress) -> dict[str, Any]:
-    """Do a task. Input that cannot be used is an outcome, with the status "failed"; a fault is not."""
+def outcome_of(work: Work[_Task], task: _Task, progress: Progress) -> dict[str, Any]:
+    """Do a task and return its outcome: "failed" for input that cannot be used; a fault of the program is raised."""
     began = time.perf_counter()
     try:
         outcome = work(task, progress)
@@ -90,24 +92,24 @@ def outcome_of(work: Work, task: Any, progress: Progress) -> dict[str, Any]:
     return {"seconds": round(time.perf_counter() - began, 3), "attempts": 1, **outcome}
 
 
-def carry_out(work: Work, tasks: Tasks, tell: Tell, jobs: int | None = None, retries: int = 0) -> None:
-    """All tasks, each with its name, in processes of this machine with one thread each; what happens is told.
+def carry_out(work: Work[_Task], tasks: Tasks[_Task], tell: Tell, jobs: int | None = None, retries: int = 0) -> None:
+    """Carry out tasks in processes of this machine with one thread each, and report their events to `tell`.
 
-    jobs: tasks at a time, by default one for each core; retries: how often a task is tried again whose process died or
-    that raised what is no InputError. Its outcome is then a failure with the last words of the process as "log". After
-    an exception, as at Ctrl-C, the processes are stopped, which takes seconds, and what ended before is told. Raises
-    InputError where processes cannot be started.
+    jobs: tasks at a time, by default one for each core. retries: number of further attempts at a task whose process
+    died, or that raised anything but InputError; after the last attempt the outcome is a failure with the last lines of
+    the process as "log". After an exception, such as Ctrl-C, the processes are stopped, which takes seconds, and tasks
+    that ended before are reported. Raises InputError if processes cannot be started.
     """
     waiting = deque((name, task, 1) for name, task in tasks)
-    underway: dict[Any, tuple[_Process, str, Any, int]] = {}
+    underway: dict[Any, tuple[_Process, str, _Task, int]] = {}
     processes: list[_Process] = []
     numbers = count()
 
-    def begin(process: _Process | None, name: str, task: Any, attempt: int) -> None:
+    def begin(process: _Process | None, name: str, task: _Task, attempt: int) -> None:
         if process is None or process.tasks_left == 0:
             if process is not None:
-                process.channel.close()  # upon which it ends
-                processes.remove(process)  # its open files with it: there may be any number of processes after it
+                process.channel.close()  # which ends the process
+                processes.remove(process)  # which closes its files: any number of processes may follow
             process = _Process(Path(logs) / str(next(numbers)))
             processes.append(process)
         process.give(work, task)
@@ -146,10 +148,10 @@ def carry_out(work: Work, tasks: Tasks, tell: Tell, jobs: int | None = None, ret
 
 
 class _Process:
-    """A process that does one task at a time, up to `TASKS_PER_PROCESS`, until its channel is closed or it dies."""
+    """Run a process that does one task at a time, up to `TASKS_PER_PROCESS`, until its channel is closed or it dies."""
 
     def __init__(self, log: Path) -> None:
-        context = multiprocessing.get_context("spawn")  # others cannot be started beside threads
+        context = multiprocessing.get_context("spawn")  # other start methods do not work with threads
         self.channel, theirs = context.Pipe()
         self._process, self._log = context.Process(target=_work_off, args=(theirs, log)), log
         try:
@@ -160,14 +162,14 @@ class _Process:
         theirs.close()
         self.pid, self.tasks_left = self._process.pid, TASKS_PER_PROCESS
 
-    def give(self, work: Work, task: Any) -> None:
-        """Begin a task; what becomes of it comes through the channel."""
+    def give(self, work: Work[_Task], task: _Task) -> None:
+        """Begin a task; its events come through the channel."""
         self.tasks_left -= 1
-        with suppress(OSError):  # it is dead, as its channel says
+        with suppress(OSError):  # the process is dead, as its channel reports
             self.channel.send((work, task))
 
     def heard(self) -> tuple[str, float] | dict[str, Any]:
-        """Return the task's next progress, or its outcome, also if the process died of it."""
+        """Return the task's next progress, or its outcome, also if the process died."""
         with suppress(EOFError, OSError):
             return self.channel.recv()
         self._process.join()
@@ -180,7 +182,7 @@ class _Process:
         return _failure(f"crashed: {(log.strip().splitlines() or ['no word'])[-1]}", log)
 
     def stop(self) -> None:
-        """Stop the task, which cleans up; a process that waits for a task just ends."""
+        """Stop the task, which cleans up; a process that waits for a task ends."""
         self._process.terminate()
 
     def join(self, until_s: float) -> None:
@@ -195,9 +197,9 @@ def _failure(reason: str, log: str) -> dict[str, Any]:
 
 @contextmanager
 def _alone() -> Iterator[None]:
-    """Start processes that neither import the caller's script nor hear the terminal's Ctrl-C.
+    """Start processes that neither import the caller's script nor receive the terminal's Ctrl-C.
 
-    The script would begin the same work again, and the parent tells a process when to stop.
+    The script would begin the same work again, and the parent stops the processes itself.
     """
     script = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
@@ -216,13 +218,13 @@ def _alone() -> Iterator[None]:
 
 
 def _work_off(channel: Connection, log: Path) -> None:
-    """Carry out task after task, until there is nobody to give one.
+    """Carry out task after task, until the parent closes the channel.
 
-    Each library gets one thread, before any is imported; what is printed goes into the log.
+    Each library gets one thread before any is imported. Printed text goes into the log.
     """
     os.environ.update(ONE_THREAD)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(KILLED))  # tasks clean up behind them
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(KILLED))  # so that tasks clean up
     file = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_APPEND, 0o600)
     os.dup2(file, 1)
     os.dup2(file, 2)
@@ -239,7 +241,7 @@ def _work_off(channel: Connection, log: Path) -> None:
 
 
 def _end_with_parent() -> None:
-    """Nobody waits for the task at hand once the parent is no more, however that ended."""
+    """End this process when its parent has ended, since nobody waits for its task."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
@@ -250,18 +252,18 @@ def _end_with_parent() -> None:
 
 CONNECT_S = 10.0
 _STOPPED: set[str] = set()
-"""On a Dask worker: the batches that are over."""
+"""On a Dask worker: the batches that have ended."""
 
 
 class _StoppedError(Exception):
-    """The batch that a task belongs to is over."""
+    """Say that the batch of a task has ended."""
 
 
-def carry_out_on_cluster(address: str, work: Work, tasks: Tasks, tell: Tell, retries: int = 0) -> None:
-    """Carry out all tasks as futures of the Dask scheduler at an address, and tell of each as it ends.
+def carry_out_on_cluster(address: str, work: Work[_Task], tasks: Tasks[_Task], tell: Tell, retries: int = 0) -> None:
+    """Carry out all tasks as futures of the Dask scheduler at an address, and report the end of each.
 
-    A Dask worker that dies costs no task, as others take them. After an exception the tasks under way are stopped.
-    Raises InputError if there is no scheduler, or no Dask here, and if the scheduler goes away.
+    A Dask worker that dies costs no task, since other workers take them over. After an exception the tasks under way
+    are stopped. Raises InputError if there is no scheduler, if it stops, or if Dask is not installed.
     """
     client = _client(address)
     batch = uuid.uuid4().hex
@@ -283,7 +285,7 @@ def carry_out_on_cluster(address: str, work: Work, tasks: Tasks, tell: Tell, ret
             else:
                 name, _ = underway.pop(str(future.key))
                 tell(Event("ended", name, outcome=_outcome(future)))
-                future.release()  # else it is computed again when the Dask worker that holds it dies
+                future.release()  # otherwise it would be computed again when the Dask worker that holds it dies
     finally:
         if client.status == "running":
             client.cancel([future for _, future in underway.values()], force=True)
@@ -305,9 +307,9 @@ def _client(address: str) -> Client:
         (await connect(address, CONNECT_S, **Security().get_connection_args("client"))).abort()
 
     try:
-        asyncio.run(asyncio.wait_for(answers(), CONNECT_S))  # a client would wait on where a port only accepts
+        asyncio.run(asyncio.wait_for(answers(), CONNECT_S))  # a client would wait for ever at a port that only accepts
         return Client(address, timeout=CONNECT_S, set_as_default=False)
-    except Exception as error:  # of addresses, of the network, of certificates that there are not
+    except Exception as error:  # wrong addresses, network failures, missing certificates
         silent = f"no answer within {CONNECT_S:g} s" if isinstance(error, TimeoutError) else type(error).__name__
         message = " ".join(str(error).split())[:200] or silent
         expected = "a running Dask scheduler, as in tcp://host:8786"
@@ -331,11 +333,11 @@ def _lost(reason: str) -> InputError:
 
 
 def _stop(batch: str) -> None:
-    """On a Dask worker, beside its tasks."""
+    """Mark a batch as ended, on a Dask worker."""
     _STOPPED.add(batch)
 
 
-def _on_worker(batch: str, work: Work, task: Any) -> dict[str, Any]:
+def _on_worker(batch: str, work: Work[_Task], task: _Task) -> dict[str, Any]:
     def progress(stage: str, share: float) -> None:
         if batch in _STOPPED:
             raise _StoppedError

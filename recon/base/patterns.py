@@ -1,21 +1,20 @@
-"""Regular expressions that stand in files, of which nobody knows who wrote them: only those that end soon are used."""
+"""Check regular expressions that stand in files of unknown origin: only fast ones are used."""
 
 from __future__ import annotations
 
 from re import _constants as codes  # type: ignore[attr-defined]
 from re import _parser as parser  # type: ignore[attr-defined]
-from typing import Any
 
 MAX_REPEATS = 3
-"""Repeats in a pattern: the time grows with the length of the text to the power of their number."""
+"""Most repeats in a pattern: time grows with the length of the text to the power of their number."""
 MAX_OPTIONS = 6
-"""Optional parts of a pattern: the time doubles with each."""
+"""Most optional parts of a pattern: each doubles the time."""
 MAX_LENGTH = 200
 _REPEATS = (codes.MAX_REPEAT, codes.MIN_REPEAT, codes.POSSESSIVE_REPEAT)
 
 
 def slow_part(pattern: str) -> str | None:
-    """Return what can make a search with a pattern take for ever, in words; None if nothing can.
+    """Return in words what makes a search with a pattern endless; None if nothing does.
 
     Raises
     ------
@@ -33,14 +32,14 @@ def slow_part(pattern: str) -> str | None:
     return f"{options} optional parts" if options > MAX_OPTIONS else None
 
 
-def _variable_repeats(part: Any, inside: bool) -> list[int] | None:
-    """Return how often each repeat of variable length repeats at most; None if one, or a choice, is within a repeat.
+def _variable_repeats(part: object, inside: bool) -> list[int] | None:
+    """Return the largest count of each repeat of variable length; None if one, or a choice, is within a repeat.
 
-    `inside` is whether the part itself is repeated.
+    inside: whether the part itself is repeated.
     """
-    operation = part[0] if isinstance(part, tuple) and len(part) == 2 else None
+    operation, argument = part if isinstance(part, tuple) and len(part) == 2 else (None, None)
     if any(operation is repeat for repeat in _REPEATS):
-        smallest, largest, repeated = part[1]
+        smallest, largest, repeated = argument
         is_variable = smallest != largest
         if inside and is_variable:
             return None

@@ -1,11 +1,11 @@
-"""How long work reports what it is doing."""
+"""Report the progress of long work."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
 Progress = Callable[[str, float], None]
-"""Called with what is being done, and how much of all is done, 0 to 1."""
+"""Called with the name of the present step, and the share of all the work that is done, 0 to 1."""
 
 
 def silent(stage: str, share: float) -> None:

@@ -1,10 +1,11 @@
-"""Dataclasses in one file of arrays, bit for bit: a NumPy archive (.npz) without pickles.
+"""Save dataclasses bit for bit in one file of arrays: a NumPy archive (.npz) without pickles.
 
-The archive has an array `record`, a text of JSON with all that is no array, and an array for each larger one, called by
-where it stands, as in `solution.states`. Fields are plain values, paths, slices, tuples, mappings with texts as keys,
-arrays of numbers, tables of files (pydantic's models), and dataclasses, also of a subclass within this package; what is
-loaded has the types that they declare. A subclass is named by its tag, `record_tag`, never by its module, and the
-caller of `load_record` says which classes there are. What a dataclass works out from its fields is not in the file.
+The archive has an array `record`, a JSON text with everything but the arrays, and one array for each larger one, named
+by the fields that lead to it, such as `solution.states`. Fields are plain values, paths, slices, tuples, mappings with
+texts as keys, arrays of numbers, tables of files (pydantic's models), and dataclasses, also of a subclass within this
+package; loaded values have the types that the fields declare. A subclass is named by its tag, `record_tag`, never by
+its module, and the caller of `load_record` lists the classes. Values that a dataclass computes from its fields are not
+in the file.
 """
 
 from __future__ import annotations
@@ -30,16 +31,16 @@ SMALL = 64
 CLASS = "class"
 """The key of a subclass's tag."""
 Classes = Mapping[str, Callable[[], type]]
-"""By tag, a function that returns the class: it imports what is slow to import."""
+"""By tag, a function that returns the class, since some modules are slow to import."""
 
 _Class = TypeVar("_Class")
 
 
-def save_record(value: Any, path: Path, schema: Mapping[str, Any]) -> None:
+def save_record(value: object, path: Path, schema: Mapping[str, Any]) -> None:
     """Write a dataclass, whole or not at all.
 
-    schema: the format's name and version, which `load_record` expects. Raises TypeError for values of types that such a
-    file does not hold.
+    schema: the format's name and version, which `load_record` expects. Raises TypeError for values whose type such a
+    file cannot hold.
     """
     arrays: dict[str, np.ndarray] = {}
     text = json.dumps({"schema": schema, "value": _plain(value, "", arrays, {})})
@@ -48,7 +49,7 @@ def save_record(value: Any, path: Path, schema: Mapping[str, Any]) -> None:
 
     with staged_file(path) as staged:
         try:
-            with staged.open("wb") as file:  # of a long clip too large for memory
+            with staged.open("wb") as file:  # the file of a long clip may be too large for memory
                 np.savez_compressed(file, **entries)
         except OSError as error:
             error.filename = str(staged)
@@ -63,11 +64,11 @@ def load_record(
     classes: Classes | None = None,
     older_versions: tuple[int, ...] = (),
 ) -> _Class:
-    """Return what `save_record` wrote of that class.
+    """Return an object of a class that `save_record` wrote.
 
-    expected: what the file should be, in a message; classes: the subclasses that may be in it; older_versions: those of
-    the schema that are read, too. Raises InputError for a file that is damaged, is something else, or would take too
-    much memory: the sizes of all that is in it are checked before anything is unpacked.
+    expected: what the file should be, in a message. classes: the subclasses that may be in it. older_versions: further
+    versions of the schema that are read. Raises InputError for a damaged file, for anything else, and for a file that
+    would take too much memory: all sizes are checked before anything is unpacked.
     """
     content = read_content(path, expected, MAX_UNPACKED)
     with damage_named(path, expected):
@@ -86,14 +87,14 @@ def load_record(
             raise InputError(dataclasses.replace(p, expected=f"{p.expected}: {expected}") for p in problems) from None
 
 
-def _plain(value: Any, field: str, arrays: dict[str, np.ndarray], name_of: dict[int, str]) -> Any:
-    """Return a value as JSON has it, larger arrays by their names.
+def _plain(value: object, field: str, arrays: dict[str, np.ndarray], name_of: dict[int, str]) -> object:
+    """Return a value as JSON types, with larger arrays replaced by their names.
 
-    field: the fields that lead to it; name_of: by an array's identity, so that an array with several names is written
-    once.
+    field: the fields that lead to the value. name_of: names by an array's identity, so that an array with several names
+    is written once.
     """
 
-    def inside(name: Any, item: Any) -> Any:
+    def inside(name: str | int, item: object) -> object:
         return _plain(item, f"{field}.{name}".removeprefix("."), arrays, name_of)
 
     if isinstance(value, np.ndarray):
@@ -125,15 +126,16 @@ def _plain(value: Any, field: str, arrays: dict[str, np.ndarray], name_of: dict[
     raise TypeError(f"{field}: a {type(value).__name__} cannot be saved")
 
 
-def _tag(subclass: Any, field: str) -> str:
-    """Return what a file calls a subclass."""
-    if not hasattr(subclass, "record_tag"):
+def _tag(subclass: type, field: str) -> str:
+    """Return the tag of a subclass."""
+    tag: str | None = getattr(subclass, "record_tag", None)
+    if tag is None:
         raise TypeError(f"{field}: a {subclass.__name__} cannot be saved, as it has no record_tag")
-    return subclass.record_tag
+    return tag
 
 
-def _restored(value: Any, arrays: Mapping[str, np.ndarray], classes: Classes) -> Any:
-    """Return what `_plain` made plain, with its arrays, slices and the dataclasses that have a tag.
+def _restored(value: object, arrays: Mapping[str, np.ndarray], classes: Classes) -> object:
+    """Return a value of `_plain` with its arrays, slices and the dataclasses that have a tag.
 
     Other dataclasses are still mappings.
     """
@@ -149,7 +151,7 @@ def _restored(value: Any, arrays: Mapping[str, np.ndarray], classes: Classes) ->
         if (dtype := np.dtype(value["dtype"])).kind not in KINDS or len(value["values"]) > SMALL:
             raise ValueError(f"an array of {dtype}")
         return np.array(value["values"], dtype).reshape(value["shape"])
-    restored = {name: _restored(item, arrays, classes) for name, item in value.items()}
+    restored: dict[str, Any] = {name: _restored(item, arrays, classes) for name, item in value.items()}
     if CLASS not in restored:
         return restored
     tag = restored.pop(CLASS)
@@ -158,12 +160,12 @@ def _restored(value: Any, arrays: Mapping[str, np.ndarray], classes: Classes) ->
     return _validated(classes[tag](), restored)
 
 
-def _validated(record_class: type[_Class], fields: Any) -> _Class:
+def _validated(record_class: type[_Class], fields: object) -> _Class:
     return _adapter(record_class).validate_python([fields])[0]
 
 
 @cache
 def _adapter(record_class: type) -> TypeAdapter[Any]:
-    """Return what checks a list of one such dataclass: pydantic takes no configuration for a single one."""
+    """Return a validator of a list of such dataclasses: pydantic takes no configuration for a single one."""
     many: Any = GenericAlias(list, (record_class,))
     return TypeAdapter(many, config=ConfigDict(extra="forbid", arbitrary_types_allowed=True))

@@ -1,7 +1,7 @@
-"""Describe settings: one class for each command, from which its options, its help and what Python takes follow.
+"""Describe the settings of each command by one class, from which options, help and the Python interface follow.
 
-A setting is one field: its type says which values it may have, the text below it is its help, and an `Option` in its
-`Annotated` says what else the command line has to know.
+A setting is one field: its type limits its values, the text below it is its help, and an `Option` in its `Annotated`
+adds what else the command line needs.
 
     class ViewSettings(Settings):
         folder: Annotated[Path, Option(argument="DIR")]
@@ -27,28 +27,28 @@ from pydantic.fields import FieldInfo
 from recon.base.errors import Problem, raise_problems
 
 FILE_SUFFIXES = (".toml", ".npz", ".csv")
-"""What ends so is no name of something built in."""
+"""Endings of files; a text that ends so names nothing built in."""
 
-# -- types of values, beside bool, str, Path and Literal ---------------------------------------------------------
+# -- types of values, in addition to bool, str, Path and Literal --------------------------------------------------
 
 
-def _no_bool(value: Any) -> Any:
+def _no_bool(value: object) -> object:
     if isinstance(value, bool):
         raise ValueError("a truth value")
     return value
 
 
-def _as_tuple(value: Any) -> Any:
+def _as_tuple(value: object) -> tuple[object, ...]:
     return tuple(value) if isinstance(value, list | tuple) else (value,)
 
 
-def _name_or_file(value: Any) -> Any:
+def _name_or_file(value: object) -> object:
     text = str(value) if isinstance(value, Path) else value
     return str(Path(text).absolute()) if isinstance(text, str) and text.endswith(FILE_SUFFIXES) else text
 
 
 _MAY_BE_FILE = object()
-"""Among the parts of a type: text that names a file where it ends as one."""
+"""Marks a type whose text is a file if it ends like one."""
 _Value = TypeVar("_Value")
 Number = Annotated[float, BeforeValidator(_no_bool), Field(allow_inf_nan=False)]
 """A number that is finite."""
@@ -61,45 +61,45 @@ File = Annotated[Path, AfterValidator(Path.absolute)]
 NameOrFile = Annotated[str, BeforeValidator(_name_or_file), _MAY_BE_FILE]
 """The name of something built in, or a file as its absolute path."""
 OneOrMore = Annotated[tuple[_Value, ...], BeforeValidator(_as_tuple), Field(min_length=1)]
-"""One value, or a list of them, as a tuple. Its option may be given several times."""
+"""One value, or a list of values, as a tuple. Its option may be repeated."""
 
 
-# -- what people are told of a setting ----------------------------------------------------------------------------
+# -- what users read about a setting ----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Option:
-    """What is known of a setting besides its type and its default."""
+    """Describe a setting beyond its type and its default."""
 
     help: str = ""
-    """For the command line; empty: the text below the field. Where the default is None, it says in brackets what
-    happens instead."""
+    """Help of the command line; empty: the text below the field. If the default is None, brackets say what happens
+    instead."""
     expected: str = ""
-    """Ends the sentence "found ..., expected ..." where a value is wrong; empty: made of the type."""
+    """End of the sentence "found ..., expected ..." about a wrong value; empty: made from the type."""
     common: bool = True
-    """Whether it is an option of its own. Others are set with `--set name=value` and in config.toml."""
+    """Whether it is an option of its own. Other settings are given by `--set name=value` and in config.toml."""
     argument: str = ""
-    """What the help calls it if it is an argument, not an option."""
+    """Name in the help, if it is an argument and not an option."""
     metavar: str = ""
-    """What the help calls the value; empty: made of the type."""
+    """Name of the value in the help; empty: made from the type."""
     name: str = ""
-    """On the command line, if not made of the field's name, as in --from."""
+    """Name on the command line, if it differs from the field's, as in --from."""
     panel: str | None = None
-    """The heading in the help that the option stands under."""
+    """Heading of the help under which the option stands."""
     method: str | None = None
     """The only method of fitting that reads the setting."""
 
 
 @dataclass(frozen=True)
 class SettingInfo:
-    """One setting of a class, for the command line and for messages."""
+    """Hold one setting of a class, for the command line and for messages."""
 
     field: str
     option: Option
     default: Any
-    """MISSING where it must be given, None where it has none."""
-    parts: tuple[Any, ...]
-    """All that its type consists of."""
+    """MISSING for a required setting, None for one without a default."""
+    parts: tuple[object, ...]
+    """All parts of its type."""
 
     @property
     def is_flag(self) -> bool:
@@ -113,28 +113,31 @@ class SettingInfo:
 
     @property
     def is_many(self) -> bool:
-        """Whether it is a tuple of one value or several, and its option may be given several times."""
+        """Return whether the value is a tuple of one value or several, and the option may be repeated."""
         return Ellipsis in self.parts
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """The words of a `Literal`, none for other types."""
+        """Return the words of a `Literal`; none for other types."""
         return tuple(part for part in self.parts if isinstance(part, str))
 
-    def is_file(self, value: Any) -> bool:
-        """Whether the value is a path."""
+    def is_file(self, value: object) -> bool:
+        """Return whether the value is a path."""
         return Path in self.parts or (_MAY_BE_FILE in self.parts and str(value).endswith(FILE_SUFFIXES))
 
     @property
     def on_command_line(self) -> str:
-        """As in --fps, or KEYPOINTS for an argument, or --set sigma-px for what is no option of its own."""
+        """Return the name on the command line: --fps, KEYPOINTS for an argument, --set sigma-px for a rare setting."""
         if self.option.argument:
             return self.option.argument
         name = self.option.name or "--" + self.field.replace("_", "-")
         return name if self.option.common else f"--set {name[2:]}"
 
     def expected(self, message: str = "") -> str:
-        """Return what is expected of a value, in the user's words; message: what pydantic says of a wrong one."""
+        """Return what is expected of a value, in the user's words.
+
+        message: pydantic's message about a wrong value.
+        """
         if self.option.expected:
             return self.option.expected
         if self.choices:
@@ -148,8 +151,8 @@ class SettingInfo:
         limit = message.removeprefix("Input should be ")
         return f"{kind} {limit}" if limit.startswith(("greater", "less")) else kind
 
-    def plain(self, value: Any) -> Any:
-        """Return the value as TOML and JSON have it; a single one of many by itself."""
+    def plain(self, value: object) -> object:
+        """Return the value as TOML and JSON types; a tuple of one value becomes this value."""
         if isinstance(value, tuple | list):
             values = [self.plain(item) for item in value]
             return values[0] if self.is_many and len(values) == 1 else values
@@ -163,7 +166,8 @@ _CONFIG = pydantic.ConfigDict(extra="forbid", use_attribute_docstrings=True)
 class Settings:
     """Hold the settings of a command: a subclass is a frozen dataclass, with the help of each field below it.
 
-    Text is taken for numbers, sizes and files; None is not given. Raises InputError with everything that is wrong.
+    Texts are accepted for numbers, sizes and files; None means not given. Raises InputError with everything that is
+    wrong.
     """
 
     if not TYPE_CHECKING:  # type checkers know the fields
@@ -187,24 +191,24 @@ class Settings:
             cls.__init__ = __init__
 
     def __repr__(self) -> str:
-        """Return the settings that are not as by default."""
+        """Return the settings that differ from their defaults."""
         values = {name: (getattr(self, name), info.default) for name, info in self.infos().items()}
         changed = (f"{name}={value!r}" for name, (value, usual) in values.items() if value != usual)
         return f"{type(self).__name__}({', '.join(changed)})"
 
     @classmethod
     def problems_of_given(cls, values: Mapping[str, Any]) -> Iterable[Problem]:
-        """Return what does not go together in what was given, whether or not single values can be used."""
+        """Return contradictions between the given settings, whether or not the single values can be used."""
         return ()
 
     def problems(self) -> Iterable[Problem]:
-        """Return what does not go together, once all values can be used."""
+        """Return contradictions between the settings, once all single values can be used."""
         return ()
 
     @classmethod
     @cache
     def infos(cls) -> dict[str, SettingInfo]:
-        """All settings by name, in their order."""
+        """Return all settings by name, in their order."""
         types = typing.get_type_hints(cls, include_extras=True)
         field_items = (vars(info).get("__pydantic_fields__", {}).items() for info in reversed(cls.__mro__))
         texts = {
@@ -224,7 +228,7 @@ class Settings:
 
 
 OUTPUTS = ("out", "overlay")
-"""The settings that name what a command writes; all other paths are what it reads."""
+"""Settings that name what a command writes; all other paths are inputs."""
 
 
 def input_paths(settings: Settings) -> tuple[Path, ...]:
@@ -240,12 +244,12 @@ def input_paths(settings: Settings) -> tuple[Path, ...]:
 def _exists(path: Path) -> bool:
     try:
         return path.exists()
-    except (OSError, ValueError):  # a text that no file can be called
+    except (OSError, ValueError):  # a text that cannot be the name of a file
         return False
 
 
 def _problems(cls: type[Settings], values: Mapping[str, Any], error: ValidationError) -> list[Problem]:
-    """In the user's words, one for each setting."""
+    """Return one problem in the user's words for each setting that pydantic refuses."""
     infos, problems = cls.infos(), {}
     for detail in error.errors(include_url=False):
         name = str(detail["loc"][0])
@@ -258,13 +262,13 @@ def _problems(cls: type[Settings], values: Mapping[str, Any], error: ValidationE
 
 
 def unknown_setting(file: str, name: str, infos: Mapping[str, SettingInfo]) -> Problem:
-    """Return the problem of a setting that does not exist, with the one that was perhaps meant."""
+    """Return the problem of a setting that does not exist, with the name that was perhaps meant."""
     meant = get_close_matches(name, infos, 1)
     return Problem(file, name, "an unknown setting", f"perhaps {meant[0]}" if meant else f"one of {', '.join(infos)}")
 
 
-def _parts(kind: Any) -> Iterator[Any]:
-    """Everything that a type consists of, at any depth."""
+def _parts(kind: object) -> Iterator[object]:
+    """Yield all parts of a type, at any depth."""
     yield typing.get_origin(kind) or kind
     inner = typing.get_args(kind)
     for part in inner:

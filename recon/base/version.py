@@ -1,4 +1,4 @@
-"""The version of the distribution, which the package's metadata says."""
+"""Give the version of the distribution, from the package's metadata."""
 
 from recon.base.package import version
 

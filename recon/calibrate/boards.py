@@ -36,6 +36,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 import numpy.typing as npt
+from cv2.typing import MatLike
 from scipy.linalg import block_diag
 
 from recon.base.arrays import Array, Bools, Index
@@ -197,7 +198,7 @@ def _refined_corners(image: Gray, xy_px: Array, reach: float) -> Array:
     return np.where(np.linalg.norm(moved_px - xy_px, axis=1, keepdims=True) <= half, moved_px, xy_px)
 
 
-# -- views ------------------------------------------------------------------------------------------------------------
+# -- views -------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -383,7 +384,7 @@ def _outline(board: Board, ids: Index, xy_px: Array) -> Array:
     return cv2.perspectiveTransform(board.outline_m[None, :, :2], np.asarray(homography, dtype=float))[0]
 
 
-# -- the camera -----------------------------------------------------------------------------------------------------
+# -- the camera --------------------------------------------------------------------------------------------------------
 
 DROP_FACTOR = 3.0
 DROP_FLOOR_PX = 0.3
@@ -480,12 +481,16 @@ def calibrate(views: BoardViews, model: str, name: str = "cam1") -> Calibration:
     return Calibration(camera, views.board, tuple(all_views[view.name] for view in views.views), tuple(sigma.tolist()))
 
 
+_Solution = tuple[MatLike, Array, Sequence[MatLike], Sequence[MatLike]]
+"""Camera matrix, distortion, and rotation vectors and translations of the views."""
+
+
 def _solve(views: BoardViews, model: str, name: str) -> tuple[Camera, list[_FittedBoardView]]:
     points, size, lens = views.board.points_m, views.image_size_px, LENS_MODELS[model]
     try:
         solve = _solve_fisheye if lens.opencv == "fisheye" else _solve_standard
         matrix, distortion, rotations, translations = solve(views.views, points, size, lens.calibrated)
-        camera = Camera(name, matrix, distortion, model, size)
+        camera = Camera(name, np.asarray(matrix, dtype=float), distortion, model, size)
     except (cv2.error, ValueError) as error:
         expected = "boards tilted in different ways, over the whole picture"
         raise InputError(Problem("pictures", f"{model} model", "no solution", expected)) from error
@@ -499,7 +504,7 @@ def _solve(views: BoardViews, model: str, name: str) -> tuple[Camera, list[_Fitt
     return camera, fitted
 
 
-def _solve_standard(views: Sequence[BoardView], points: Array, size: tuple[int, int], coefficients: int) -> Any:
+def _solve_standard(views: Sequence[BoardView], points: Array, size: tuple[int, int], coefficients: int) -> _Solution:
     """Solve with OpenCV's first five coefficients, or with none."""
     fixed = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
     objects = [points[view.ids].astype(np.float32) for view in views]
@@ -510,7 +515,7 @@ def _solve_standard(views: Sequence[BoardView], points: Array, size: tuple[int, 
     return matrix, np.ravel(distortion)[:coefficients], rotations, translations
 
 
-def _solve_fisheye(views: Sequence[BoardView], points: Array, size: tuple[int, int], coefficients: int) -> Any:
+def _solve_fisheye(views: Sequence[BoardView], points: Array, size: tuple[int, int], coefficients: int) -> _Solution:
     """Solve from several fields of view, because OpenCV stays near the one it starts from."""
     objects = [points[view.ids].reshape(1, -1, 3) for view in views]
     images = [view.xy_px.reshape(1, -1, 2) for view in views]
@@ -563,7 +568,7 @@ def _jacobian(view: _FittedBoardView, points: Array, camera: Camera) -> tuple[Ar
     return jacobian[:, 6 : 10 + n], jacobian[:, :6]
 
 
-# -- checks ---------------------------------------------------------------------------------------------------------
+# -- checks ------------------------------------------------------------------------------------------------------------
 
 Verdict = Literal["ok", "warning", "refused"]
 
@@ -624,7 +629,7 @@ LIMITS = (
     # about one axis, only one of fx and fy is determined by perspective
     ("tilt axes", "spread of the tilt in its least varied direction", "degrees", 6, 2, True,
      "tilt the board sideways as well as forwards"),
-    # what the lens model cannot express is not in it: take it for a third of the truth
+    # errors of the lens model itself are not included: expect three times as much
     ("focal length", "standard deviation of fx or fy", "%", 0.3, 1.0, False, "take more pictures, closer and tilted"),
     ("principal point", "standard deviation of cx or cy", "% of the width", 0.3, 1.0, False,
      "take more pictures, tilted and at the borders"),

@@ -57,7 +57,9 @@ all.
 EXPLAINED = 0.25
 """A cause that leaves no more than this part of a camera's level explains it, too."""
 CLEAR_ROTATION_RAD, CLEAR_OFFSET, CLEAR_GAIN = np.radians(3.0), 3.0, 1.5
-"""Cameras that agree are named, too, if such a rotation, or time offset in frames, divides their level by so much."""
+"""A camera that agrees is reported, too, if a rotation or a time offset (frames) of at least this size divides its
+level by at least this factor.
+"""
 LARGEST_ROTATION_RAD = np.radians(45.0)
 """A rotation that fits better only if it is larger is no rotation of the camera."""
 MIN_POINTS = 30
@@ -226,7 +228,7 @@ def _compared(sights: Sequence[_Sight], fps: float, limit: float) -> tuple[tuple
     return agreeing, comparisons
 
 
-# -- who agrees ----------------------------------------------------------------------------------------------------
+# -- who agrees --------------------------------------------------------------------------------------------------------
 
 
 def _agree(levels: Array, limit: float) -> bool:
@@ -320,7 +322,7 @@ def _cost_without(
     return not _agree(best, limit), float(np.nansum(best))
 
 
-# -- rays and points -----------------------------------------------------------------------------------------------
+# -- rays and points ---------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -353,7 +355,7 @@ _Points = tuple[Array, Array]
 
 
 def _shifted(values: Array, frames: float) -> Array:
-    """Return values (T, ...) moved on by so many rows, interpolated linearly; NaN where they come from outside."""
+    """Return values (T, ...) shifted by a number of rows, interpolated linearly; NaN where they come from outside."""
     whole, T = int(np.floor(frames)), len(values)
     rows = np.arange(T) - np.array([[whole], [whole + 1]])
     inside = ((rows >= 0) & (rows < T)).reshape(2, T, *[1] * (values.ndim - 1))
@@ -384,7 +386,7 @@ def _with_keypoint_noise(sight: _Sight, position_m: Array, keypoint_sigma_m: flo
     distance = np.linalg.norm(position_m - sight.centre_m[:, None], axis=-1)
     if np.isnan(distance).all():
         return sight
-    with warnings.catch_warnings(action="ignore"):  # of frames without points
+    with warnings.catch_warnings(action="ignore"):  # frames without points
         typical = np.nanmedian(distance, axis=1)
     typical = np.where(np.isnan(typical), np.nanmedian(distance), typical)
     return replace(sight, noise_rad=np.hypot(sight.noise_rad, keypoint_sigma_m / typical[:, None]))
@@ -416,11 +418,11 @@ def _points(sights: Sequence[_Sight]) -> _Points:
     return position, covariance
 
 
-# -- one camera against others -------------------------------------------------------------------------------------
+# -- one camera against others -----------------------------------------------------------------------------------------
 
 
 def _levels(sights: Sequence[_Sight], agreeing: Sequence[int]) -> Array:
-    """Return the level of each of some cameras against the others of them, (V,); NaN for the rest."""
+    """Return the level of each of these cameras compared with the others (V,); NaN for all other cameras."""
     levels = np.full(len(sights), np.nan)
     for v in agreeing:
         partners = [sights[o] for o in agreeing if o != v]
@@ -526,7 +528,7 @@ def _best_shifted(sight: _Sight, points: _Points, fps: float, wide: bool) -> tup
     return sight.later(best), best
 
 
-# -- cameras out of step -------------------------------------------------------------------------------------------
+# -- cameras out of step -----------------------------------------------------------------------------------------------
 
 
 def search_offsets(views: Sequence[View], fps: float, sigma_px: float, keypoint_sigma_m: float) -> Array:
@@ -567,7 +569,7 @@ def _best_offset(sight: _Sight, partner_sights: Sequence[_Sight], reach: int, ro
     return 0.0 if mean[best] > CLEARLY * mean[reach] else float(offsets[best])
 
 
-# -- what is solved of cameras with the fit ----------------------------------------------------------------------------
+# -- camera parameters that are solved with the fit --------------------------------------------------------------------
 
 FIT_ROUNDS = 5
 CLOSE_FRAMES = 0.05
@@ -681,7 +683,7 @@ def _medians_px(solution: TrajectorySolution) -> np.ndarray:
     return np.maximum(medians, 1e-9)
 
 
-# -- which way is up ------------------------------------------------------------------------------------------------
+# -- which way is up ---------------------------------------------------------------------------------------------------
 
 MAX_SIGMA_RAD = np.radians(10.0)
 """Largest uncertainty of up, which is that of a camera taken to be level."""
@@ -731,7 +733,7 @@ def up_from_feet(views: Sequence[View], body: Body, fps: float, sigma_px: float)
     if is_seen.sum() < MIN_STANDING or posture_m is None:
         return None
     axes = np.linalg.svd(posture_m[None])[2]
-    axes[0] *= np.sign(axes[0] @ posture_m)  # up by the posture, and across it
+    axes[0] *= np.sign(axes[0] @ posture_m)  # upwards by the posture, and across
 
     slow = StanceVelocity(feet, fps, constants.SLIP_M_S, constants.SLIP_C).contact(positions_m, 1.0)[2][is_seen]
     middle = np.median(step[is_seen], axis=0)

@@ -21,7 +21,7 @@ from recon.fit.result import Finding, Severity
 NAMED = 5
 """Most names listed in a sentence."""
 LENGTHS = ("height", "apart", "in_cm", "in_mm")
-"""Numbers that a sentence may have as lengths: height_m, with sigma_m if there is one, as height_length."""
+"""Numbers of a finding that its sentence writes as lengths: height_m, with sigma_m if present, as height_length."""
 SWAPPED, OUTLIERS = "left-right swap", "gross outliers"
 """Flags of frames in which one camera's detections are wrong."""
 FLAG_OF: Mapping[str, str] = {"left_right_swap": SWAPPED, "gross_outliers": OUTLIERS}

@@ -42,7 +42,7 @@ FASTEST_M_S = 40.0
 MOSTLY_POOR = 0.9
 """Share of the frames with few or no detections from which the motion, and with it the rate, is the prior's."""
 MOVES = ("animal_still", "time_reversed", "treadmill", "camera_moves")
-"""Codes of motions in which sides cannot be told."""
+"""Codes of motions in which left and right cannot be distinguished."""
 
 
 def input_findings(
@@ -278,15 +278,13 @@ def _copied_sides(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
         yield finding("far_side_copied", camera=camera, share=float(identical.sum() / in_both.sum()))
 
 
-# -- how no animal moves ----------------------------------------------------------------------------------------------
+# -- how no animal moves -----------------------------------------------------------------------------------------------
 
 LEAST_S = 0.25
 """Least length of a motion that is tested, in seconds."""
 STILL, STILL_M_S, STILL_RAD_S, STILL_TRUNKS = 0.95, 0.3, 0.6, 0.5
-"""Limits of an animal that stands still.
-
-In so many frames it is not faster than the speed, nor goes by its trunk's length in a second; its joints' angular
-speeds are not larger, by their median; nor does it leave its position by so many trunk lengths.
+"""Limits of an animal that stands still: the share of frames in which its speed is below the limit and below a trunk's
+length a second; the median of its joints' angular speeds; and its distance from its position, in trunk lengths.
 """
 BACKWARDS_M_S, BACKWARDS = 1.0, 0.9
 """Speed at which no animal runs backwards, and the share of a clip."""
@@ -326,7 +324,7 @@ def movement(motion: Motion) -> Iterator[Finding]:
         yield sliding
     elif is_staying and np.nanquantile(speed, STILL) < min(STILL_M_S, trunk_m) and np.nanmedian(turns) < STILL_RAD_S:
         standing = finding("animal_still", speed_m_s=float(np.nanmedian(speed)))
-        # without a prior of motions that move, nothing expects it to move
+        # without a prior of running animals no movement is expected
         yield replace(standing, severity="note") if solution.prior == NONE else standing
     elif np.mean(forward[np.isfinite(forward)] < -BACKWARDS_M_S) > BACKWARDS:
         yield finding("time_reversed", speed_m_s=-float(np.nanmedian(forward)))
@@ -371,7 +369,7 @@ def _along(motion: Motion) -> tuple[Array, Array]:
     return along.mean(axis=1), along[:, motion.feet]
 
 
-# -- gross outliers ---------------------------------------------------------------------------------------------------
+# -- gross outliers ----------------------------------------------------------------------------------------------------
 
 _WHY = "in frames whose detections are gross outliers"
 MOST = 0.5

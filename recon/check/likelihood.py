@@ -84,7 +84,7 @@ class Refit:
         noise_px = clip.noise_px(clip.markers(states), np.ones((1, len(clip.body.markers))))
         costs = clip.problem(noise_px, 1.0).costs(states)
         reprojection, independent, ground_cost = costs["reprojection"], sum(costs.values()), 0.0
-        if clip.ground_known and len(clip.feet):  # of feet that are off it all the time
+        if clip.ground_known and len(clip.feet):  # feet that never touch the ground
             ground_cost = 0.5 * sigmas_above_ground(clip, clip.markers(states)) ** 2
         return cls(states, _view_log_density(clip, states) + ground_cost + independent - reprojection, independent)
 
@@ -184,7 +184,7 @@ def project_either_side(baseline: Baseline, mirrored: View, is_exchanged: Bools)
         step = max(1, round(clip.fps / APPROACH_HZ))
         kept_frames, no_factor = np.arange(0, len(part), step), np.ones((2, len(is_exchanged)))
         thin = part.thinned(step)
-        states = baseline.states[rows][kept_frames]  # of the mean pose, where the animal was found
+        states = baseline.states[rows][kept_frames]  # the mean pose, at the animal's position
         states[:, ANGLES] = clip.prior.mean
         problem = thin.problem(LOOSE * thin.noise_px(thin.markers(states), no_factor))
         states = problem.minimise(states, _TOLERANCE, _ITERATIONS).states
@@ -318,12 +318,12 @@ def smaller(camera: Camera, times: float) -> Camera:
     return replace(camera, matrix=scale * camera.matrix + shift, image_size_px=size_px)
 
 
-# -- the lens -------------------------------------------------------------------------------------------------------
+# -- the lens ----------------------------------------------------------------------------------------------------------
 
 ZOOM, LARGEST, _ROUNDS = 0.2, 5.0, 6
-"""Logarithm of the zoom in a second that is tried, and the least that is named; the largest factor on it, and rounds.
-
-Smaller ones fit better, too, where an animal of other proportions comes nearer. Chosen by leaving runs out.
+"""Logarithm of the zoom in a second that is tried first, which is also the least that is reported; the largest factor
+on it; and the number of rounds. Smaller zooms fit better, too, if an animal of other proportions comes nearer. Chosen
+by leaving runs out.
 """
 LASTING = 0.25
 """Part of the first and of the last third of a second in which a lasting keypoint is seen.
@@ -392,13 +392,16 @@ def _zooms(view: View, states: Array, minimum: _Minimum) -> Iterator[Finding]:
 
     as_given = at(0.0, states)
     nearer, farther = (as_given.cost - at(zoom, as_given.states).cost for zoom in (ZOOM, -ZOOM))
-    slope, bend = 0.5 * (nearer - farther), nearer + farther  # of the parabola through both, in zooms
+    slope, bend = (
+        0.5 * (nearer - farther),
+        nearer + farther,
+    )  # slope and curvature of the parabola through the three costs, in zooms
     best = float(np.clip(-slope / bend if bend < 0 else np.sign(slope), -LARGEST, LARGEST))
     if abs(best) >= 1.0 and exceeds_margin(ratio := as_given.cost - at(ZOOM * best, as_given.states).cost):
         yield finding("picture_zooms", way="in" if best > 0 else "out", log_likelihood_ratio=ratio)
 
 
-# -- the frame rate ---------------------------------------------------------------------------------------------------
+# -- the frame rate ----------------------------------------------------------------------------------------------------
 
 RATE_STEP, RATE_STEPS = 2**0.5, 8
 """Factor between rates that are tried, and the most steps upwards and downwards."""
@@ -411,10 +414,9 @@ with a standard deviation of a tenth. At its true rate an animal is not faster o
 than the third: an animal that stands or turns is no slow motion.
 """
 FAR = 1.5
-"""Factor from which another frame rate is an error whatever poses and positions do, as speeds are wrong by as much.
-
-Below it, it is at most a warning unless they change, too: animals that turn swing 1.45 times slower than those that run
-straight on.
+"""Factor from which a different frame rate is an error, because speeds are wrong by this factor whatever the poses are.
+Below it, a different rate is at most a warning unless poses or positions change, too: animals that turn swing their
+legs 1.45 times slower than those that run straight on.
 """
 RATE_S = 5.0
 """Seconds of a clip that are tested."""
@@ -473,10 +475,10 @@ def _effect_m(clip: ClipProblem, states: Array, other_states: Array) -> dict[str
 
 
 def _likeliest_rate(clip: ClipProblem, states: Array) -> tuple[float, float]:
-    """Return the factor on the frame rate at which the angles swing as the prior knows, and its log-likelihood gain.
+    """Return the factor on the frame rate at which angles swing as the prior expects, and its log-likelihood gain.
 
     Rates in steps of `RATE_STEP` are tried downhill, on a few frames; the minimum is that of the parabola through the
-    last three. The factor is 1 where the given rate is the best of them, or none is up to the last.
+    last three. The factor is 1 if the given rate is the best of them, or if the last rate tried is.
     """
     step = max(1, round(clip.fps / APPROACH_HZ))
     thin, thin_states, correlation_frames = clip.thinned(step), states[::step], clip.correlation_frames

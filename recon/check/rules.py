@@ -72,7 +72,7 @@ def findings_of(motion: Motion) -> tuple[Finding, ...]:
     return sort_findings([*given_findings, *(item for rule in rules for item in rule(motion))])
 
 
-# -- both methods -----------------------------------------------------------------------------------------------------
+# -- both methods ------------------------------------------------------------------------------------------------------
 
 
 def many_outliers(motion: Motion) -> Iterator[Finding]:
@@ -137,7 +137,7 @@ COMMON: tuple[Rule, ...] = (
     camera_taken_level,
 )
 
-# -- trajectory method ------------------------------------------------------------------------------------------------
+# -- trajectory method -------------------------------------------------------------------------------------------------
 
 
 def no_pose(motion: Motion) -> Iterator[Finding]:
@@ -170,7 +170,7 @@ def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
     expected, remaining = constants.TIME_OFFSET_FRAMES**2, solution.time_offset_sigma_frames[ends] ** 2
     explained = (
         np.sum(expected - remaining) * len(delays) / (len(delays) - 1)
-    )  # what all cameras have in common is not seen
+    )  # a delay that all cameras share is not visible
     variance = explained if 0.0 < explained < 2.0 * expected else 2.0 * expected
     likely_late = [test for test in solution.second_cameras if test.late > max(test.misplaced, 0.0)]
     if likely_late or apart_frames > OUT_OF_STEP_SIGMAS * math.sqrt(variance):
@@ -225,7 +225,7 @@ def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
             for unit, per_m in UNITS_PER_M.items() if given_per_m == 1.0 else [("metres", 1 / given_per_m)]:
                 in_metres = (
                     1.0 < distance_m < min(50.0, 0.5 * per_m)
-                )  # in that unit the camera would stand in the origin
+                )  # in that unit the camera would stand at the origin
                 if per_m != 1.0 and not in_metres and 1 / NEARLY_UNIT < times / per_m < NEARLY_UNIT:
                     yield finding("camera_unit", unit=unit, times=float(times))
                     return
@@ -316,7 +316,7 @@ def frames_flagged(motion: Motion) -> Iterator[Finding]:
         for flags, t in zip(motion.flags, motion.solved, strict=True)
         if t
     ]
-    poor = [frame_flags - {"ambiguous depth"} for frame_flags in flags]  # which the expected error contains
+    poor = [frame_flags - {"ambiguous depth"} for frame_flags in flags]  # the expected error includes ambiguous depth
     if sum(map(bool, poor)) > MANY_FRAMES * len(flags):
         flags = poor
     elif sum(map(bool, flags)) <= FLAGGED * len(flags):

@@ -202,7 +202,7 @@ def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str,
     low, high = sums - gain, sums + gain
     best_ahead, best_behind = np.full(len(ends), -np.inf), np.full(len(ends), np.inf)
     best_ahead[:-1], best_behind[1:] = np.maximum.accumulate(high[:0:-1])[::-1], np.minimum.accumulate(low[:-1])
-    is_candidate = (best_ahead - low > LIKELY) | (high - best_behind > LIKELY)  # of a long clip next to none
+    is_candidate = (best_ahead - low > LIKELY) | (high - best_behind > LIKELY)  # few rows of a long clip are left
     ends, low, high = ends[is_candidate], low[is_candidate], high[is_candidate]
     first, stop = ends[:, None], ends[None]
     score = np.where((stop > first) & (stop - first < T), high[None] - low[:, None], -np.inf)
@@ -249,7 +249,7 @@ def jumps(view: View, places: Index) -> Array:
         np.sum((windows @ by) * windows, axis=(2, 3)) for by in (off_line, flip[:, None] * off_line * flip)
     )
     is_known, freedom = np.isfinite(given_squares), 2 * (n - 2)
-    with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):  # of a pair that is never seen
+    with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):  # a pair may never be seen
         square_px = np.nanmedian(np.where(is_known, given_squares, np.nan), axis=0) / freedom
         side_square_px = np.nanmedian(np.sum(differences**2, axis=-1), axis=0)
     is_seen = np.lib.stride_tricks.sliding_window_view(view.present.any(axis=1), n).all(axis=1)

@@ -142,7 +142,7 @@ def add_verdict(with_findings: Motion) -> Motion:
 
 def _verdict(motion: Motion) -> Verdict:
     if errors := [finding for finding in motion.findings if finding.severity == "error"]:
-        # what is expected of errors does not hold for data that are none of this animal, camera or time
+        # expected errors do not hold for data of another animal, camera or time
         return Verdict("do not use", _said(motion, errors[0]))
     if not motion.solved.any():
         return Verdict("do not use", "No frame has a pose.")
@@ -150,11 +150,11 @@ def _verdict(motion: Motion) -> Verdict:
     pose_effect_m, position_effect_m = effects_of(motion.findings)
     pose = _widened(expected_pose_of_trunk(evidence), pose_effect_m / evidence.trunk_m)
     position = _widened(expected_position(evidence), position_effect_m)
-    if not np.isfinite(pose.expected + position.expected):  # as of the frame method without its priors
+    if not np.isfinite(pose.expected + position.expected):  # the frame method without its priors
         return Verdict("do not use", WHY["posterior"])
     warnings = [finding for finding in motion.findings if finding.severity == "warning"]
     level = level_of(pose, error=False, warning=bool(warnings))
-    # the factor that is furthest above what it is in a good view
+    # the factor that most exceeds its value in a good view
     strongest = WHY[max(WHY, key=lambda name: POWERS[name] * (evidence.factors[name] - USUAL[name]))]
     reason = strongest if pose.high > LIMIT_OF_TRUNK else NOTHING_AGAINST
     if level == "use" and (notes := [finding for finding in motion.findings if finding.code == "keypoints_do_not_fit"]):
@@ -166,7 +166,7 @@ def _verdict(motion: Motion) -> Verdict:
 
 
 def effects_of(findings: Sequence[Finding]) -> tuple[float, float]:
-    """Return by how much poses and positions may be off by what findings say, the largest of them, in metres."""
+    """Return the largest errors, in metres, that findings may cause in poses and in positions."""
     largest = []
     for name in EFFECTS:
         values = (item.numbers.get(name) for item in findings)

@@ -60,9 +60,9 @@ def _check_lines(check: dict[str, Any]) -> Iterator[str | Table]:
         clip, stride = check["clip"][name], check["stride"][name]
         earlier = [f"{100 * min(before[part][name]['share'] for part in ('clip', 'stride')):.0f}"] if before else []
         shares = [f"{100 * part['share']:.0f}" for part in (clip, stride)]
-        table.add_row(rule.what, *earlier, *shares, f"{min(clip['least'], stride['least']):.2f}", rule.unit)
+        table.add_row(rule.title, *earlier, *shares, f"{min(clip['least'], stride['least']):.2f}", rule.unit)
         if min(clip["share"], stride["share"]) < 1:
-            advice[rule.what] = rule.advice
+            advice[rule.title] = rule.advice
     yield table
     if before:
         made = check["changed"]

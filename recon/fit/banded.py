@@ -277,5 +277,5 @@ def lower_band(blocks: Array) -> Array:
         columns[:, j, : P - j] = blocks[..., j].reshape(T, P)[:, j:]
     band = columns.reshape(T * D, P).T
     last = min(P, T * D)
-    band[:, -last:][np.add.outer(np.arange(P), np.arange(last)) >= last] = 0.0  # what lies outside
+    band[:, -last:][np.add.outer(np.arange(P), np.arange(last)) >= last] = 0.0  # entries outside the matrix
     return band

@@ -22,6 +22,7 @@ from recon.io.common import Pose3D
 
 if TYPE_CHECKING:
     import pandas as pd
+    import xarray as xr
 
 MEASURED_SHARE = 0.5
 """A quantity with a lower information fraction is not called measured."""
@@ -143,7 +144,7 @@ class Motion:
 
         return table_of(self, wide)
 
-    def to_xarray(self) -> Any:
+    def to_xarray(self) -> xr.Dataset:
         """Return the joints as movement's dataset of poses.
 
         It has `position` and `position_sigma` (time, space, keypoint, individual) in metres, `confidence`, which is

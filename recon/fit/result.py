@@ -1,4 +1,4 @@
-"""What a fit gives back, as data: findings, the verdict, a `Solution`, and what the trajectory method adds."""
+"""Hold the result of a fit as data: findings, the verdict, a `Solution`, and the additions of the trajectory method."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from recon.base.arrays import Array, Bools, Brief
 from recon.clip import View
 
 Severity = Literal["error", "warning", "note"]
-"""error: the result is not to be used as it is; warning: it is to be used with care; note: nothing is wrong."""
+"""error: do not use the result; warning: use it with care; note: nothing is wrong."""
 Number = float | int | str | tuple[str, ...]
 
 
@@ -168,7 +168,7 @@ class Solution(Brief):
     method: ClassVar[str]
     """Name of the method in the report."""
     record_tag: ClassVar[str]
-    """What files of motions call the class (`recon.fit.motion_forms.CLASSES`)."""
+    """Tag of the class in files of motions (`recon.fit.motion_forms.CLASSES`)."""
     jitters: ClassVar[bool] = False
     """Whether each frame was solved by itself, so that paths jitter from frame to frame."""
 

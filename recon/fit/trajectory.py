@@ -131,7 +131,7 @@ def _segments(usable: Bools, fps: float) -> list[slice]:
     ]
 
 
-# -- one segment -----------------------------------------------------------------------------------------------------
+# -- one segment -------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -332,7 +332,7 @@ def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Arr
     return np.array(factors_of_views)
 
 
-# -- the result ----------------------------------------------------------------------------------------------------
+# -- the result --------------------------------------------------------------------------------------------------------
 
 
 def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> TrajectorySolution:
@@ -417,7 +417,7 @@ def _segment_arrays(
     in_world, joints_m = states.copy(), clip.in_world(points, size)
     in_world[:, ROOT] = clip.in_world(states[:, ROOT], size)
     covariance_m2 = with_size(segment_posterior.covariance_m2, by_size, size, size_sigma)
-    if len(views) == 1 and views[0].rotation_sigma_rad is not None:  # of several, one's turn is known by the others
+    if len(views) == 1 and views[0].rotation_sigma_rad is not None:  # the other cameras determine the rotation of each
         covariance_m2 += views[0].rotation_covariance_m2(joints_m)
     yield "states", in_world
     yield "joints_m", joints_m
@@ -445,7 +445,7 @@ def _estimate_size(
     precision, pull, sources = prior_precision, prior_precision, ["prior"]
     for segment, segment_posterior in zip(solved, posteriors, strict=True):
         if segment_posterior.size_precision > 0:
-            # What the views alone say: the minimum is drawn to the prior's 1.
+            # The estimate from the views alone: the prior draws the minimum towards 1.
             view_precision = segment_posterior.size_precision * clip.correlation_frames
             seen_precision = 1.0 / (1.0 / segment_posterior.size_precision + bias_variance)
             precision += seen_precision

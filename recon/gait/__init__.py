@@ -1,1 +1,1 @@
-"""What an animal's motion says: kinematics, stances, strides, phase portraits, and comparison with a truth."""
+"""Analyse an animal's motion: kinematics, stances, strides, phase portraits, and comparison with a truth."""

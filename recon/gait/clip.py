@@ -81,7 +81,7 @@ class ClipAnalysis(Brief):
     def errors(self) -> Sequence[Errors]:
         """Return the errors of the size, the position and the pose.
 
-        Of the jitter if the fit gives no errors over time.
+        If the fit gives no errors over time, they are those of the jitter.
         """
         return _errors(self.motion, lasts_s(self.motion.upright.xyz_m, self.motion.fps))
 
@@ -386,7 +386,7 @@ def _errors(motion: Motion, last_s: float) -> Sequence[Errors]:
     lasting_s = motion.solution.position_lasts_s
     if motion.jitters and lasting_s is None:
         return kinematics.lasting_errors(motion.upright.xyz_m, motion.fps)
-    # What is common to all joints; the relative errors of a single one can be larger than its absolute ones.
+    # The errors common to all joints; the relative errors of a single joint can exceed its absolute ones.
     floor = 1e-4
     position = np.sqrt(np.maximum(motion.upright_sigma_m**2 - motion.upright_relative_sigma_m**2, floor**2))
     of_pose = Errors(np.maximum(motion.upright_relative_sigma_m, floor), POSE_LASTS * last_s)

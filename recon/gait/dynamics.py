@@ -152,7 +152,7 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
     net = kinematics.net_acceleration(
         motion.time_s[every_few], centre_m[every_few], [error[every_few] for error in centre_errors]
     )
-    # What turns about the centre is worked out at frames: the rods' paths on the fine grid would take far longer.
+    # The rotation about the centre is computed at frames: the rods' paths on the fine grid would take far longer.
     flat_rods_m = (rods_m - centre_m[:, None, None]).reshape(len(rods_m), -1)
     rod_motion = kinematics.series_kinematics(motion.time_s, flat_rods_m, oversampling=1)
     value, rate = (values.reshape(len(values), -1, 3) for values in (rod_motion.value, rod_motion.rate))

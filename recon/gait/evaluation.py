@@ -342,7 +342,9 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
 def _thresholds_m(truth_m: np.ndarray) -> tuple[float, ...]:
     """Return the PCK thresholds for the median extent of joints (T, J, 3) over the frames."""
     size_m = float(np.median(np.linalg.norm(np.nanmax(truth_m, axis=1) - np.nanmin(truth_m, axis=1), axis=1)))
-    tens = np.ceil(np.log10(PCK_THRESHOLDS_M[-1] / (PCK_LARGEST * size_m))) if size_m else 0.0  # of one joint
+    tens = (
+        np.ceil(np.log10(PCK_THRESHOLDS_M[-1] / (PCK_LARGEST * size_m))) if size_m else 0.0
+    )  # a single joint has no extent
     return tuple(float(threshold_m / 10.0 ** max(tens, 0.0)) for threshold_m in PCK_THRESHOLDS_M)
 
 
@@ -400,7 +402,7 @@ def _together(pose_m: Array, truth_m: Array) -> tuple[Array, Array]:
     return common - means, means
 
 
-# -- what does not belong together -----------------------------------------------------------------------------------
+# -- files that do not belong together ---------------------------------------------------------------------------------
 
 SHARE = 1 / 3
 """An error that falls to this part is explained."""
@@ -475,6 +477,6 @@ def _turned(pose: Array, truth: Array) -> tuple[Array, float]:
     is_known = np.isfinite(pose[..., 0])
     if not is_known.any():
         return pose, 0.0
-    with warnings.catch_warnings(action="ignore"):  # of points on a line, which several rotations fit
+    with warnings.catch_warnings(action="ignore"):  # several rotations fit points on a line
         turn, _ = Rotation.align_vectors(truth[is_known], pose[is_known])
     return pose @ turn.as_matrix().T, float(turn.magnitude())

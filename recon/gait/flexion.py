@@ -30,7 +30,7 @@ LEAST_KNOWN = 0.9
 """Share of a stride's frames with a pose, from which it counts."""
 _STEP_RAD = 1e-4
 _ROWS_AT_ONCE = 2000
-"""Frames whose derivatives are worked out at once."""
+"""Frames whose derivatives are computed at once."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -133,7 +133,7 @@ def _change(body: Body, states: Array, size: float, step: Array) -> Array:
     return (np.mod(change + np.pi, 2 * np.pi) - np.pi) / (2 * _STEP_RAD)
 
 
-# -- over the stride --------------------------------------------------------------------------------------------------
+# -- over the stride ---------------------------------------------------------------------------------------------------
 
 
 def stride_curves(flexions: Sequence[JointFlexion], gait: Gait | None, time_s: Array) -> tuple[StrideCurve, ...]:

@@ -40,7 +40,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -280,7 +280,10 @@ class Gait(Brief):
         return _mean_time(near, 1) if near else (self.stride_s, self.stride_sigma_s)
 
 
-def interval_of(value: Any, sigma: Any) -> tuple[Any, Any, Any]:
+_Value = TypeVar("_Value", float, Array)
+
+
+def interval_of(value: _Value, sigma: _Value) -> tuple[_Value, _Value, _Value]:
     """Return a value and the ends of its interval, which covers `INTERVAL`.
 
     Parameters

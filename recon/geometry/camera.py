@@ -237,12 +237,12 @@ class Camera(Brief):
 
     @property
     def has_extrinsics(self) -> bool:
-        """Whether the camera's position is known."""
+        """Return whether the camera's position is known."""
         return self.rotation is not None
 
     @property
     def knows_up(self) -> bool:
-        """Whether the pose says which way is up."""
+        """Return whether the pose says which way is up."""
         return self.rotation is not None and self.world_z_up
 
     @property

@@ -25,7 +25,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -93,7 +93,7 @@ class TreePose:
 
 
 class _Plan:
-    """Everything that a tree's kinematics need besides the state.
+    """Hold everything that a tree's kinematics need in addition to the state.
 
     Dimensions: S segments, J markers, K rotations, M pairs of a marker and a rotation that moves it, and P pairs of a
     marker and an angle of the state.
@@ -199,6 +199,9 @@ class _Plan:
         """(K, M): 1 for the pairs of each rotation, otherwise 0."""
 
 
+_Placed = TypeVar("_Placed", Segment, Marker)
+
+
 @dataclass(frozen=True, repr=False)
 class Tree(Brief):
     """Segments, root first and parents before children, and J markers; D = 6 + number of angles."""
@@ -209,7 +212,7 @@ class Tree(Brief):
     def lengthened(self, factor_of: Callable[[str], float]) -> Tree:
         """Return the tree with each offset times a factor of its segment's or marker's name."""
 
-        def longer(item: Any) -> Any:
+        def longer(item: _Placed) -> _Placed:
             return replace(item, offset_m=tuple(float(factor_of(item.name)) * value for value in item.offset_m))
 
         return Tree(tuple(map(longer, self.segments)), tuple(map(longer, self.markers)))
@@ -245,7 +248,7 @@ class Tree(Brief):
 
     @cached_property
     def plan(self) -> _Plan:
-        """Everything that the kinematics need besides the state."""
+        """Return everything that the kinematics need in addition to the state."""
         return _Plan(self)
 
     # -- kinematics ------------------------------------------------------------------------------------------------
@@ -271,7 +274,7 @@ class Tree(Brief):
                 [c * b - s * a for a, b in zip(y, z, strict=True)],
             )
         columns = np.array((cz * cy, sz * cy, -sy, *y, *z))
-        turned = columns.reshape(3, 3, len(self.segments) + 1, N)  # of Rz Ry Rx
+        turned = columns.reshape(3, 3, len(self.segments) + 1, N)  # Rz Ry Rx
         if plan.placed is not None:
             turned = np.einsum("sab,cbsn->casn", plan.placed, turned)
         frames = np.empty((3, len(self.segments) + 1, 3, N))

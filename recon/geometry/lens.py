@@ -77,13 +77,13 @@ class Lens:
         angles = np.linspace(0.0, math.atan(min(self.max_radius, _LARGEST_RADIUS)), _ANGLES)
         r, zero = np.tan(angles), np.zeros(_ANGLES)
         ahead, opposite = (self.distort(a, zero, r * r)[0] for a in (r, -r))
-        return 0.5 * (ahead - opposite), angles  # what is not radial is the same on both sides
+        return 0.5 * (ahead - opposite), angles  # the tangential part is the same on both sides
 
     def undistort(self, xd: Array, yd: Array) -> tuple[Array, Array, Bools]:
         """Return ideal coordinates (N,), (N,) of distorted ones, and whether they exist."""
         radius_d, (radii_d, angles) = np.hypot(xd, yd), self._radial
         scale = np.where(radius_d > 0, np.tan(np.interp(radius_d, radii_d, angles)) / radius_d, 1.0)
-        # what is not radial can carry pixels past the largest radius that the radial part alone reaches
+        # the tangential part can move pixels beyond the largest radius that the radial part reaches
         scale = np.where(radius_d < radii_d[-1], scale, 0.95 * scale)
         a, b, tolerance = scale * xd, scale * yd, 1e-14 * (1 + radius_d)
         # Newton's method on the whole distortion, from the inverse of its radial part.
@@ -188,7 +188,7 @@ def lens_named(text: str) -> str | None:
     return next((lens.name for lens in LENS_MODELS.values() if text in (lens.name, *lens.aliases)), None)
 
 
-# -- what the models share -------------------------------------------------------------------------------------------
+# -- functions that the models share -----------------------------------------------------------------------------------
 
 
 def _first_positive_root(coefficients: npt.ArrayLike) -> float:

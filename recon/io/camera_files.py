@@ -21,7 +21,7 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import tomli_w
@@ -33,6 +33,9 @@ from recon.geometry.camera import Camera
 from recon.geometry.lens import LENS_MODELS, lens_named
 from recon.io.calibration import FORMAT, VERSION, CameraRecord, read_calibration
 from recon.io.common import number
+
+if TYPE_CHECKING:
+    import cv2  # slow to import
 
 ALIASES = {
     "matrix": (
@@ -111,13 +114,13 @@ def stated_lens(table: Mapping[str, Any]) -> tuple[str, str | None]:
     return next(iter(stated.items()), ("distortion_model", None))
 
 
-def transposed(value: Any) -> Any:
+def transposed(value: object) -> object:
     """Return the transpose of a 3x3 block, or anything else unchanged."""
     array = np.asarray(value["data"] if isinstance(value, Mapping) and "data" in value else value)
     return array.reshape(3, 3).T.tolist() if array.dtype.kind in "iuf" and array.size == 9 else value
 
 
-# -- Anipose, Pose2Sim -----------------------------------------------------------------------------------------------
+# -- Anipose, Pose2Sim -------------------------------------------------------------------------------------------------
 
 
 def recognises_anipose(path: Path) -> bool:
@@ -144,7 +147,7 @@ def read_anipose(path: Path, individual: str | None = None) -> list[CameraRecord
     return records
 
 
-# -- AcinoSet --------------------------------------------------------------------------------------------------------
+# -- AcinoSet ----------------------------------------------------------------------------------------------------------
 
 
 def recognises_acinoset(path: Path) -> bool:
@@ -175,7 +178,7 @@ def read_acinoset(path: Path, individual: str | None = None) -> list[CameraRecor
     ]
 
 
-# -- OpenDroneMap, OpenSfM, COLMAP -----------------------------------------------------------------------------------
+# -- OpenDroneMap, OpenSfM, COLMAP -------------------------------------------------------------------------------------
 
 OPENSFM_LENSES = {
     "perspective": ("radtan", ("k1", "k2")),
@@ -210,7 +213,7 @@ def read_opensfm(path: Path, individual: str | None = None) -> list[CameraRecord
     records = []
     for name, table in _tables(path, document, expected).items():
         values: dict[str, Any] = {"model": table.get("projection_type"), "world_z_up": False}
-        with suppress(KeyError, TypeError, ValueError, OverflowError):  # what is missing then is said
+        with suppress(KeyError, TypeError, ValueError, OverflowError):  # a missing value is reported later
             values["model"], names = OPENSFM_LENSES[table["projection_type"]]
             n = {key: float(table.get(key, 0.0)) for key in names} | {"w": float(table["width"])}
             n["h"] = float(table["height"])
@@ -234,7 +237,7 @@ def read_colmap(path: Path) -> list[CameraRecord]:
         if not cells or cells[0].startswith("#"):
             continue
         values: dict[str, Any] = {"model": "".join(cells[1:2]), "world_z_up": False}
-        with suppress(LookupError, ValueError):  # what is missing then is said
+        with suppress(LookupError, ValueError):  # a missing value is reported later
             values["model"], names = COLMAP_LENSES[cells[1]]
             w, h = values["image_size_px"] = number(cells[2]), number(cells[3])
             n = dict(zip(names, map(number, cells[4:]), strict=True)) | {"w": w, "h": h}
@@ -254,7 +257,7 @@ def _of_numbers(model: str, n: dict[str, float]) -> dict[str, Any]:
     return {"model": model, "image_size_px": [n["w"], n["h"]], "matrix": matrix, "distortion": distortion}
 
 
-# -- OpenCV, ROS -----------------------------------------------------------------------------------------------------
+# -- OpenCV, ROS -------------------------------------------------------------------------------------------------------
 
 
 def recognises_opencv(path: Path) -> bool:
@@ -282,7 +285,7 @@ def document_of(path: Path) -> dict[str, Any]:
     text = read_calibration(path)
     if path.suffix.lower() == ".json" and '"opencv-matrix"' not in text:
         document = parse_json(text, path)
-    else:  # what OpenCV writes as JSON is not always JSON: whole numbers are "1."
+    else:  # OpenCV does not always write valid JSON: whole numbers are "1."
         document = _of_file_storage(path, text)
     if not isinstance(document, dict):
         raise InputError(Problem(path, "content", "no keys", "camera_matrix, distortion_coefficients, ..."))
@@ -330,11 +333,11 @@ def number_or(value: object, otherwise: float) -> float:
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else otherwise
 
 
-def _block(value: object) -> Any:
+def _block(value: object) -> object:
     return value["data"] if isinstance(value, Mapping) and "data" in value else [] if value is None else value
 
 
-def _of_file_storage(path: Path, text: str) -> Any:
+def _of_file_storage(path: Path, text: str) -> object:
     """Return OpenCV's FileStorage as plain dictionaries, lists, strings and numbers."""
     import cv2  # slow to import
 
@@ -363,7 +366,7 @@ def _nesting(text: str) -> int:
     return max(len(re.findall(r"[\[{]", text)), len(re.findall(r"<[^/?!]", text)), inline * len(indents))
 
 
-def _plain_node(node: Any) -> Any:
+def _plain_node(node: cv2.FileNode) -> object:
     if node.isMap():
         return {key: _plain_node(node.getNode(key)) for key in node.keys()}  # noqa: SIM118 (not a dict)
     if node.isSeq():
@@ -373,7 +376,7 @@ def _plain_node(node: Any) -> Any:
     return node.real() if node.isInt() or node.isReal() else None
 
 
-# -- our own, written -------------------------------------------------------------------------------------------------
+# -- our own, written --------------------------------------------------------------------------------------------------
 
 
 def write_cameras(cameras: Sequence[Camera], path: str | Path) -> None:

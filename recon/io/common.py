@@ -95,7 +95,7 @@ class StoredPoints:
 
     @property
     def in_space(self) -> bool:
-        """Whether the points are 3D."""
+        """Return whether the points are 3D."""
         return self.values.shape[-1] == 3
 
 
@@ -206,7 +206,7 @@ def one_animal(
     if len(frames) != T:
         problems.append(Problem(path, "frames", f"{len(frames)} numbers", f"{T}, one for each frame"))
     else:
-        with np.errstate(invalid="ignore"):  # of what is infinite
+        with np.errstate(invalid="ignore"):  # infinite numbers
             wrong = ~(np.abs(frames) <= MAX_FRAME) | (frames % 1 != 0) | (np.diff(frames, prepend=-np.inf) <= 0)
         if wrong.any():
             first = int(np.argmax(wrong))
@@ -367,7 +367,7 @@ def require_span(frames: int, points: int, source: str | Path) -> None:
         raise InputError(Problem(source, "frames", detail, expected))
 
 
-# -- tables of text --------------------------------------------------------------------------------------------------
+# -- tables of text ----------------------------------------------------------------------------------------------------
 
 SEPARATORS = (",", ";", "\t")
 Rows = Iterable[tuple[int, list[str]]]

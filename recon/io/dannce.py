@@ -95,7 +95,7 @@ def read_cameras(path: Path, individual: str | None = None) -> list[CameraRecord
     return records
 
 
-# -- MATLAB's files ---------------------------------------------------------------------------------------------------
+# -- MATLAB's files ----------------------------------------------------------------------------------------------------
 
 
 def _variables(path: Path) -> dict[str, Any]:
@@ -140,7 +140,7 @@ class _File:
         position = 0
         while position + 8 <= len(data):
             kind, size = struct.unpack_from("<II", data, position)
-            if kind >> 16:  # up to 4 bytes beside the type
+            if kind >> 16:  # up to 4 bytes in the same word as the type
                 size, kind, begin, step = kind >> 16, kind & 0xFFFF, position + 4, 8
                 if size > 4:
                     raise ValueError("an element that is too large for its place")

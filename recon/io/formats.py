@@ -325,7 +325,7 @@ CONVERTED = tuple(f for f in FORMATS if f.writes)
 PLAIN = next(f for f in FORMATS if f.name == "long")
 
 TRACKS_COMPARED = 8
-"""Up to so many animals of a file are compared for tracks that never overlap in time."""
+"""Most animals of a file that are compared for tracks that never overlap in time."""
 LIKELIHOOD_MARGIN = 0.5
 """Networks whose scores are no probabilities, such as SLEAP's, exceed 1 by up to this."""
 
@@ -348,7 +348,7 @@ def _reading(kind: Kind | None) -> list[Format]:
     return [f for f in FORMATS if kinds & {*f.reads}]
 
 
-# -- reading ---------------------------------------------------------------------------------------------------------
+# -- reading -----------------------------------------------------------------------------------------------------------
 
 
 def read_keypoints(path: str | Path, individual: str | None = None, fps: float | None = None) -> Keypoints:

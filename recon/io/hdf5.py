@@ -126,7 +126,7 @@ def child(group: h5py.Group, path: str, hops: int = MAX_HOPS) -> Any:
     return item if isinstance(item, h5py.Group | h5py.Dataset) else None
 
 
-def member(group: h5py.Group, name: str) -> Any:
+def member(group: h5py.Group, name: str) -> h5py.Dataset:
     """Return a required member of a group; raise ValueError if it is absent."""
     item = child(group, name)
     if item is None:
@@ -161,7 +161,7 @@ def is_scale(item: object) -> bool:
     return isinstance(item, h5py.Dataset) and attribute(item, "CLASS") == "DIMENSION_SCALE"
 
 
-def scale_of(scale: Any, dataset: Any) -> list[int]:
+def scale_of(scale: h5py.Dataset, dataset: h5py.Dataset) -> list[int]:
     """Return the axes of a dataset that a scale refers to."""
     if not h5py.h5a.exists(scale.id, b"REFERENCE_LIST"):
         return []
@@ -194,7 +194,7 @@ def attribute(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
     return value
 
 
-def raw_attribute(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
+def raw_attribute(holder: h5py.Group | h5py.Dataset, name: str) -> object:
     """Return an attribute, with bytes unchanged."""
     if not h5py.h5a.exists(holder.id, name.encode()):
         return None
@@ -211,7 +211,7 @@ def raw_attribute(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
     return bytes(value) if isinstance(value, np.bytes_) else value
 
 
-def numbers(dataset: Any) -> np.ndarray:
+def numbers(dataset: h5py.Dataset) -> np.ndarray:
     """Return a dataset of numbers.
 
     Raises ValueError for other types, and for more data than the file has.
@@ -227,7 +227,7 @@ def is_text(dataset: h5py.Dataset) -> bool:
     return dataset.id.get_type().get_class() == h5t.STRING
 
 
-def texts(dataset: Any) -> list[str]:
+def texts(dataset: h5py.Dataset) -> list[str]:
     """Return a dataset of texts, of any shape, in one list; raise ValueError as `numbers` does."""
     _require_readable(dataset)
     if not dataset.size:
@@ -253,7 +253,7 @@ def texts_in(group: h5py.Group, name: str) -> list[str]:
     return texts(dataset) if getattr(dataset, "size", 0) else []
 
 
-def read_values(dataset: Any) -> np.ndarray:
+def read_values(dataset: h5py.Dataset) -> np.ndarray:
     """Return a dataset of numbers, texts of one length, or records of them; raise ValueError as `numbers` does."""
     _require_readable(dataset)
     if _of_any_length(dataset.id.get_type()):
@@ -306,7 +306,7 @@ def _of_any_length(kind: h5t.TypeID) -> bool:
     return kind.get_class() == h5t.STRING and bool(kind.is_variable_str())
 
 
-def _require_short_texts(dataset: Any) -> None:
+def _require_short_texts(dataset: h5py.Dataset) -> None:
     """Raise ValueError where a text claims to be longer than the file, for which the library would take memory.
 
     Each text is stored as its length (4), the address of its heap (8), and its number there (4).

@@ -92,10 +92,10 @@ def _keys(path: Path) -> list[str]:
 # fixed layout: the axes and the blocks of columns of one type, each an array
 
 
-def _fixed_frame(group: Any) -> _Table:
+def _fixed_frame(group: h5py.Group) -> _Table:
     levels, columns = _axis(group, "axis0")
     _, index = _axis(group, "axis1")
-    place_of = {label: column for column, label in enumerate(columns)}  # those of one label are refused later
+    place_of = {label: column for column, label in enumerate(columns)}  # columns with the same label are refused later
     cells = np.full((len(index), len(columns)), np.nan)
     for block in range(int(attribute(group, "nblocks"))):
         _, items = _axis(group, f"block{block}_items")
@@ -106,7 +106,7 @@ def _fixed_frame(group: Any) -> _Table:
     return levels, columns, index, cells
 
 
-def _axis(group: Any, name: str) -> tuple[list[str | None], list[Label]]:
+def _axis(group: h5py.Group, name: str) -> tuple[list[str | None], list[Label]]:
     """Return names of the levels, and labels."""
     if attribute(group, f"{name}_variety") != "multi":
         dataset = member(group, name)
@@ -123,7 +123,7 @@ def _axis(group: Any, name: str) -> tuple[list[str | None], list[Label]]:
     return levels, list(zip(*level_labels, strict=True))
 
 
-def _labels(group: Any, dataset: Any) -> list[str]:
+def _labels(group: h5py.Group, dataset: h5py.Dataset) -> list[str]:
     """Return one level of labels as texts."""
     return [] if _is_empty(dataset) else _texts_of(group, read_values(dataset).ravel())
 
@@ -135,7 +135,7 @@ def _texts_of(group: h5py.Group, values: np.ndarray) -> list[str]:
     return [value.decode(encoding) for value in values.tolist()]
 
 
-def _is_empty(dataset: Any) -> bool:
+def _is_empty(dataset: h5py.Dataset) -> bool:
     """Return whether a dataset is empty; raise ValueError for pickled cells.
 
     pandas stores an empty array as one with one element, with its shape as an attribute.
@@ -148,7 +148,7 @@ def _is_empty(dataset: Any) -> bool:
 # table layout: one array of records, and the labels of its columns pickled
 
 
-def _table_frame(group: Any) -> _Table:
+def _table_frame(group: h5py.Group) -> _Table:
     ((_, stored_columns),) = _attribute_value(group, "non_index_axes")
     columns = [_label(label) for label in stored_columns]
     dataset = member(group, "table")
@@ -162,11 +162,11 @@ def _table_frame(group: Any) -> _Table:
     return levels, columns, [(text,) for text in _texts_of(group, rows["index"])], cells
 
 
-def _label(label: Any) -> Label:
+def _label(label: object) -> Label:
     return tuple(str(part) for part in (label if isinstance(label, tuple) else (label,)))
 
 
-def _attribute_value(holder: Any, name: str) -> Any:
+def _attribute_value(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
     """Return an attribute of PyTables: a text or number, or anything else pickled, which ends in a dot."""
     value = raw_attribute(holder, name)
     if not isinstance(value, bytes):
@@ -196,7 +196,7 @@ def write_deeplabcut(data: Keypoints | Pose3D, path: Path) -> None:
     write_bytes(path, content)
 
 
-# -- SLEAP ------------------------------------------------------------------------------------------------------------
+# -- SLEAP -------------------------------------------------------------------------------------------------------------
 
 SLEAP_AXES = {
     "tracks": ("track", "xy", "node", "frame"),
@@ -229,7 +229,7 @@ def read_sleap(path: Path, individual: str | None = None) -> StoredPoints:
     return common.one_animal(path, individual, stored, tracks, occupied)
 
 
-def _sleap_array(path: Path, dataset: Any, name: str) -> np.ndarray:
+def _sleap_array(path: Path, dataset: h5py.Dataset, name: str) -> np.ndarray:
     """Return one array with its axes in the order of `WANTED`."""
     dims = attribute(dataset, "dims")
     order = SLEAP_AXES[name] if dims is None else tuple(str(axis) for axis in json.loads(dims))
@@ -268,7 +268,7 @@ def read_points3d(path: Path, individual: str | None = None) -> StoredPoints:
     return common.one_animal(path, individual, stored, tracks)
 
 
-# -- movement ---------------------------------------------------------------------------------------------------------
+# -- movement ----------------------------------------------------------------------------------------------------------
 
 VARIABLES = ("position", "confidence", "time", "space", "keypoint", "individual", "keypoints", "individuals")
 ATTRIBUTES = ("ds_type", "fps", "time_unit", "length_unit", "up_axis")
@@ -355,7 +355,7 @@ def _of_variables(path: Path, stored: Variables, attributes: Mapping[str, Any], 
     return common.one_animal(path, individual, points, individuals)
 
 
-def _axes(dataset: Any, name: str, scales: Mapping[str, Any]) -> tuple[str, ...]:
+def _axes(dataset: h5py.Dataset, name: str, scales: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the names of a variable's dimensions, each of which is a dataset of the file.
 
     They are found by number, or by what each dimension refers to. HDF5's own functions for this crash with damaged
@@ -385,7 +385,7 @@ def write_movement(data: Keypoints | Pose3D, path: Path) -> None:
     write_bytes(path, bytes(dataset_of(data).to_netcdf(None, engine="h5netcdf")))
 
 
-def dataset_of(data: Keypoints | Pose3D) -> Any:
+def dataset_of(data: Keypoints | Pose3D) -> xr.Dataset:
     """Return the data as an `xarray.Dataset`; raise InputError if xarray is not installed."""
     with writing.formats_extra("movement netCDF"):
         import xarray
@@ -406,7 +406,7 @@ def dataset_of(data: Keypoints | Pose3D) -> Any:
     return xarray.Dataset(variables, attrs=attributes)
 
 
-# -- NWB --------------------------------------------------------------------------------------------------------------
+# -- NWB ---------------------------------------------------------------------------------------------------------------
 
 NWB = "ndx-pose NWB"
 IN_PICTURE = "(0, 0) is the upper left corner of the picture, x to the right, y down"
@@ -470,7 +470,7 @@ def _last(group: h5py.Group) -> str:
     return str(group.name).rsplit("/", 1)[-1]
 
 
-def _series(path: Path, group: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray, float | None]:
+def _series(path: Path, group: h5py.Group) -> tuple[np.ndarray, np.ndarray, np.ndarray, float | None]:
     """Return positions (T, 2 or 3), confidences and times in seconds (T,) of one point, and the frame rate."""
     keys = ("data", "confidence", "timestamps", "starting_time")
     data, confidence, stamps, start = (child(group, name) for name in keys)

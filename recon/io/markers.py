@@ -25,7 +25,7 @@ from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints
 from recon.io.positions import PER_METRE, UNIT_NAMES
 
-# -- TRC --------------------------------------------------------------------------------------------------------------
+# -- TRC ---------------------------------------------------------------------------------------------------------------
 
 UP_TEXT = "y up: x forwards, y up, z right"
 """End of the first line of our own files."""
@@ -87,7 +87,7 @@ def write_trc(pose: Pose3D, path: Path) -> None:
     path.write_text(text, encoding="utf-8", newline="")
 
 
-# -- C3D --------------------------------------------------------------------------------------------------------------
+# -- C3D ---------------------------------------------------------------------------------------------------------------
 
 UNIT = "mm"
 """Unit of our own files."""
@@ -116,7 +116,7 @@ def read_c3d(path: Path, individual: str | None = None) -> StoredPoints:
     """Return the markers of a C3D file; raise InputError for a damaged file."""
     parameters, xyz, first = _content(path.read_bytes())
     point = parameters.get("POINT", {})
-    labels = sorted((name for name in point if name.startswith("LABELS")), key=len)  # of 255 names each
+    labels = sorted((name for name in point if name.startswith("LABELS")), key=len)  # each holds up to 255 names
     names = [text for name in labels for text in point[name]][: xyz.shape[1]]
     fps = common.rate(str(np.float32(point["RATE"].ravel()[0])))
     frames = np.arange(len(xyz)) + first - 1
@@ -190,7 +190,7 @@ def _parameters(section: bytes, order: str) -> Parameters:
     return {groups.get(group, f"{group}"): values for group, values in by_group.items()}
 
 
-def _value(section: bytes, position: int, order: str) -> Any:
+def _value(section: bytes, position: int, order: str) -> list[str] | np.ndarray:
     """Return a parameter's data: texts of type -1, bytes of 1, whole numbers of 2, floats of 4."""
     kind, dimensions = struct.unpack_from("bB", section, position)
     shape = tuple(section[position + 2 : position + 2 + dimensions])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import pickle
 import pickletools
-from typing import Any
 
 MAX_PICKLE_BYTES = 1 << 24
 PLAIN_PICKLES = {
@@ -23,7 +22,7 @@ _SCALARS = {
 """NumPy's functions that make single numbers, which are allowed among plain values if asked for."""
 
 
-def plain_pickle(content: bytes) -> Any:
+def plain_pickle(content: bytes) -> object:
     """Return the value of a pickle of plain values.
 
     It is run only if all its instructions are in `PLAIN_PICKLES`. Raises ValueError that names any other instruction.
@@ -39,7 +38,7 @@ def plain_pickle(content: bytes) -> Any:
         raise ValueError("a damaged pickle") from None
 
 
-def plain_pickle_with_scalars(content: bytes) -> Any:
+def plain_pickle_with_scalars(content: bytes) -> object:
     """Return the value of a pickle of plain values and NumPy's numbers; raise ValueError for anything else."""
     _require_small(content)
     try:
@@ -53,7 +52,7 @@ def plain_pickle_with_scalars(content: bytes) -> Any:
 class _ScalarUnpickler(pickle.Unpickler):
     """An unpickler that imports only what makes NumPy's numbers."""
 
-    def find_class(self, module: str, name: str) -> Any:
+    def find_class(self, module: str, name: str) -> object:
         if (module, name) not in _SCALARS:
             raise pickle.UnpicklingError(f"{module}.{name} in a pickle of plain values")
         return super().find_class(module, name)
@@ -64,7 +63,7 @@ def _require_small(content: bytes) -> None:
         raise ValueError(f"a pickle of {len(content)} bytes")
 
 
-def _require_place(name: str, argument: Any, content: bytes) -> None:
+def _require_place(name: str, argument: int | str | None, content: bytes) -> None:
     """Raise ValueError for a place so far away that memory would be taken for all before it."""
     if name in ("PUT", "LONG_BINPUT") and int(argument or 0) > len(content):
         raise ValueError("a damaged pickle")

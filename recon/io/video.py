@@ -36,7 +36,9 @@ UNEVEN, STAMP_S = 0.3, 1e-3
 Matroska's time stamps are whole milliseconds.
 """
 DRIFT, DRIFT_FRAMES = 0.05, 30
-"""Largest deviation of the rate over so many frames from the usual one. Telephones film slower in the dark."""
+"""Largest deviation from the usual rate, and the number of frames over which it is measured. Telephones film slower in
+the dark.
+"""
 MOST_PLACES = 5
 
 SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".mts")

@@ -10,7 +10,6 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -144,7 +143,7 @@ def _guarded_column(values: np.ndarray) -> np.ndarray:
     return np.array([guarded(str(text)) for text in texts])[numbers]
 
 
-def _cell(value: object) -> Any:
+def _cell(value: object) -> object:
     """Return a value that the writer turns into the shortest text that reads back exactly."""
     plain = value.item() if isinstance(value, np.generic) else value
     return "" if plain != plain else plain

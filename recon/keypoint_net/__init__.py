@@ -1,4 +1,4 @@
-"""A small keypoint network: trained on a few labels, it turns a video into a keypoint file.
+"""Train a small keypoint network on a few labels, and turn videos into keypoint files with it.
 
 It needs torch (extra `net`), which is imported where it is used.
 """

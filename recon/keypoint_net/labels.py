@@ -1,7 +1,7 @@
-"""Labelled pictures, how they are split for training, and `recon evaluate-2d`.
+"""Read labelled pictures, split them for training, and compare predictions with labels (`recon evaluate-2d`).
 
-Labels are DeepLabCut's label files, with the images of a project folder or the frames of one video. The split says
-which pictures a network learns from and which it is judged by. `recon evaluate-2d` compares predictions with labels.
+Labels are DeepLabCut's label files, with the images of a project folder or the frames of one video. The split decides
+which pictures a network learns from and which pictures it is judged by.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from recon.show.plain import picked
 
 SPLIT = "Which pictures"
 OUTSIDE = 0.1
-"""Share of the labels that may lie outside of their pictures."""
+"""Share of the labels that may lie outside their pictures."""
 
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """N labelled pictures of K keypoints."""
+    """Hold N labelled pictures of K keypoints."""
 
     names: tuple[str, ...]
     xy_px: Array
@@ -56,7 +56,7 @@ class Labels:
     source: str
     """The file or the project that was read."""
     notes: tuple[str, ...] = ()
-    """What had to be decided, in sentences."""
+    """Decisions of the reader, in sentences."""
 
     @property
     def labelled(self) -> Bools:
@@ -70,7 +70,7 @@ class Labels:
 
 
 class LabelSource(Settings):
-    """Labelled pictures, and which of them to learn from."""
+    """Choose labelled pictures, and which of them to learn from."""
 
     data: Annotated[Path, Option(argument="DATA")]
     """DeepLabCut project (its folder or config.yaml), or a video (with --labels)."""
@@ -84,7 +84,7 @@ class LabelSource(Settings):
     validation: Annotated[str, Option(panel=SPLIT)] = "0.2"
     """Pictures to judge and calibrate by: a share, or frame numbers A:B (B excluded)."""
     test: Annotated[str, Option(panel=SPLIT)] = "0"
-    """Pictures that are only judged at the end, in the same way."""
+    """Pictures for the final test only, given like --validation."""
 
 
 def known_points(xy_px: Array) -> Bools:
@@ -98,7 +98,7 @@ def resize(picture: Image, scale: float) -> Image:
         return picture
     size = scaled_size((picture.shape[1], picture.shape[0]), scale)
     transform = np.array([[scale, 0.0, (scale - 1) / 2], [0.0, scale, (scale - 1) / 2]])
-    if scale < 0.8:  # each pixel averages those that it covers
+    if scale < 0.8:  # each pixel is the mean of those that it covers
         picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.5 * (1 / scale - 1) ** 0.5 + 0.15 / scale), np.uint8)
     return np.asarray(cv2.warpAffine(picture, transform, size, borderMode=cv2.BORDER_REPLICATE), np.uint8)
 
@@ -153,10 +153,10 @@ def read_labels(data: Path, labels: Path | None = None, **options: Any) -> Label
 
 
 def read_label_file(path: Path, individual: str | None = None) -> tuple[Keypoints, tuple[str, ...]]:
-    """Return points as labelled, NaN where there is none, and the name of each row's image.
+    """Return points as labelled, NaN for missing labels, and the name of each row's image.
 
-    A row without an image has its number as the name. Raise InputError for a file that is not a table of DeepLabCut, or
-    that has no label in it.
+    A row without an image is named by its number. Raises InputError for a file that is not a table of DeepLabCut, or
+    has no labels.
     """
     keypoints, images = _read_rows(path, individual)
     if not keypoints.present.any():
@@ -223,7 +223,7 @@ def _read_project(folder: Path, project: Project | None, individual: str | None)
 
 
 def _read_folder(path: Path, individual: str | None) -> Labels | None:
-    """Return the pictures beside a label file; None where nothing is labelled yet."""
+    """Return the pictures next to a label file; None if nothing is labelled yet."""
     keypoints, images = _read_rows(path, individual)
     if not keypoints.present.any():
         return None
@@ -255,8 +255,8 @@ def extents_px(xy_px: Array) -> Array:
 def body_length_px(xy_px: Array) -> float:
     """Return the length of the animal in pictures with points (N, K, 2), in pixels.
 
-    It is the median diagonal of the box around its points, over the pictures that show most of it; NaN where no picture
-    has two points.
+    It is the median diagonal of the box around its points, over the pictures that show most of the animal; NaN if no
+    picture has two points.
     """
     counts = known_points(xy_px).sum(axis=1)
     return median(extents_px(xy_px)[counts >= max(2, 0.7 * counts.max(initial=0))])
@@ -289,10 +289,11 @@ def _mirrored(name: str) -> Iterator[str]:
 # -- which pictures are learned from ---------------------------------------------------------------------------------
 
 PARTS = ("train", "validation", "test")
-"""What is learned from; what judges the network meanwhile and calibrates it; what is looked at once, at the end."""
+"""Pictures to train on; to judge and calibrate by meanwhile; and for the test at the end."""
 BLOCKS = 10
-"""A share of the pictures is held out in this many runs of neighbours in time, or in fewer, longer ones: neighbours
-look alike, and what was seen in training would judge itself."""
+"""Number of runs of consecutive pictures that a share is held out in, or fewer and longer ones: neighbours in time look
+alike, so that single pictures would be judged by what the network has seen.
+"""
 
 
 _Choice = float | tuple[int | None, int | None]
@@ -302,8 +303,8 @@ _Choice = float | tuple[int | None, int | None]
 def split_labels(labels: Labels, validation: str, test: str, seed: int) -> dict[str, Integers]:
     """Return for each of `PARTS` its indices into the labelled pictures, increasing.
 
-    `validation` and `test` are a share as in "0.2", or frame numbers as in "110:150". Raise InputError where nothing
-    would be left to train on.
+    validation, test: a share as in "0.2", or frame numbers as in "110:150". Raises InputError if no picture is left to
+    train on.
     """
     chosen = collect_problems(lambda: _parse(validation, "--validation"), lambda: _parse(test, "--test"))
     remaining = np.arange(len(labels.images))
@@ -370,7 +371,7 @@ PCK_RELATIVE = (0.05, 0.1, 0.2)
 
 
 class Evaluate2DSettings(Settings):
-    """What `recon evaluate-2d` compares, and how."""
+    """The settings of `recon evaluate-2d`."""
 
     predicted: Annotated[Path, Option(argument="PREDICTED")]
     """Keypoints of any known format, as in run.csv."""
@@ -384,16 +385,16 @@ class Evaluate2DSettings(Settings):
     """The animal, where the files name several."""
     rename: Annotated[str | None, RENAME] = None
     likelihood_min: Annotated[Number, Option(expected="a number from 0 to 1")] = 0.5
-    """Cut-off for the rows of likely points."""
+    """Least likelihood of the points in the rows of likely points."""
     tolerance_px: Annotated[Positive, Option(expected="pixels above 0")] = 5.0
-    """Within this a point is right, for the likelihoods' reliability."""
+    """Distance within which a point counts as right, for the reliability of the likelihoods."""
 
 
 def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str, Any]:
-    """Compare a file of predictions with a label file; see `evaluate_2d` for the result.
+    """Compare a file of predictions with a label file; `evaluate_2d` describes the result.
 
-    `options` are further fields of `Evaluate2DSettings`. Raise InputError for files that cannot be read or have nothing
-    in common.
+    options: further fields of `Evaluate2DSettings`. Raises InputError for files that cannot be read or have no frames
+    or keypoints in common.
     """
     o = Evaluate2DSettings(predicted=predicted, labels=labels, **options)
 

@@ -1,25 +1,24 @@
-"""The network: from a picture to the position and likelihood of each keypoint, and `recon predict`.
+"""Find the position and likelihood of each keypoint in a picture by a network, and carry out `recon predict`.
 
 An encoder of residual blocks leads down to 1/32 of the picture, and a decoder back up to 1/4 (`STRIDE`). All layers are
-convolutions, so that any size of picture goes in; there are about 2.7 million parameters for any number of keypoints.
-An animal that is large in the pictures has two networks: one for the whole animal in small pictures, and one that looks
-again near each of its points at full size.
+convolutions, so that pictures may have any size; there are about 2.7 million parameters for any number of keypoints. An
+animal that is large in the pictures has two networks: one for the whole animal in small pictures, and one for the
+surroundings of each of its points at full size.
 
-A softmax over the grid makes probabilities of a keypoint's scores. The point is where most of the probability lies
-within a small blur (`BLUR` cells): a broad peak beats a sharp one of less weight. Between cells of the grid, a parabola
+A softmax over the grid makes probabilities of a keypoint's scores. The point is at the maximum of the probability after
+a small blur (`BLUR` cells): a broad peak beats a sharp one of less weight. Between cells of the grid, a parabola
 through the logarithm of the blurred probability at the peak and its neighbours finds the maximum; it is exact for a
 Gaussian, which is what the network is trained on. The raw likelihood is the probability within the tolerance of the
 point.
 
-A network is surer on the pictures that it knows than it may be on others. The validation pictures show which points are
-right (within the tolerance of their label). A logistic function of the raw likelihood's logit is fitted to them, and
-turns it into the share of points that are right.
+A network is more certain about pictures that it has learned from than about others. The validation pictures show which
+points are right (within the tolerance of their label). A logistic function of the raw likelihood's logit is fitted to
+them, and turns it into the share of points that are right.
 
 The optional package torch is imported where it is used.
 
 `recon predict` takes a video and writes a keypoint file. The frames go through the network in batches, while the next
-ones are decoded. Pictures stay in memory for a few batches only; what grows with the video are the points, 12 bytes
-each.
+ones are decoded. Pictures stay in memory for a few batches only; the points, 12 bytes each, grow with the video.
 """
 
 from __future__ import annotations
@@ -33,6 +32,7 @@ from dataclasses import dataclass
 from io import BytesIO
 from itertools import islice, pairwise
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -72,24 +72,24 @@ STRIDE = 4
 WIDTHS, BLOCKS = (16, 32, 64, 128, 192), (0, 1, 2, 2, 2)
 """Channels and residual blocks at 1/2, 1/4, ... 1/32 of the picture."""
 SECOND_WIDTHS, SECOND_BLOCKS = (16, 32, 64, 96), (0, 1, 2, 2)
-"""Widths and blocks of the second stage, which sees parts of a large animal at full size: less context, and less
-work."""
+"""Widths and blocks of the second stage, which sees parts of a large animal at full size: less context, and less work.
+"""
 HEAD = 48
 
 SIGMA = 0.9
-"""The standard deviation of the Gaussian that the network is to give, in cells of the grid."""
+"""Standard deviation of the Gaussian that the network is trained on, in cells of the grid."""
 LEAST_SIGMA = 0.15
-"""Standard deviation of a point in cells, if the probability is no broader than that."""
+"""Standard deviation of a point in cells, if the probability is no broader than the Gaussian."""
 BLUR = 0.8
 """Standard deviation, in cells of the grid."""
 FAR = 4.0
 _REACH = 3
 NOWHERE = -1e4
-"""Score of cells outside of the window."""
+"""Score of cells outside the window."""
 MARGIN_PX = 32
-"""Around where the second stage looks, for it to see what is near."""
+"""Margin around the second stage's window, to show its surroundings."""
 SURE = 0.05
-"""Raw likelihood of points that the second stage's part of a picture has to hold."""
+"""Raw likelihood from which a point has to be inside the second stage's part of a picture."""
 
 _EDGE = 1e-4
 _PRIOR, _PRIOR_SIGMA = np.array([1.0, 0.0]), np.array([0.5, 2.0])
@@ -99,10 +99,10 @@ DEVICE = Option("auto, cpu, cuda or mps.")
 THREADS = Option("Threads on the CPU. (default: one for each core)", "1 or more")
 
 
-# -- torch -----------------------------------------------------------------------------------------------------------
+# -- torch -------------------------------------------------------------------------------------------------------------
 
 
-def require_torch() -> Any:
+def require_torch() -> ModuleType:
     """Return the package torch; raise InputError, which says what to install, if it is missing."""
     try:
         import torch  # pyright: ignore[reportMissingImports]
@@ -126,14 +126,14 @@ def choose_device(name: str) -> torch.device:
 
 
 def use_threads(count: int | None) -> None:
-    """Set the threads of the CPU: as given, or as many as this process may use."""
+    """Set the number of CPU threads: the given one, or as many as this process may use."""
     require_torch().set_num_threads(count or available_cores())
 
 
-def fast_half(device: torch.device) -> Any:
+def fast_half(device: torch.device) -> torch.dtype | None:
     """Return bfloat16 if a device computes faster with it than with float32, else None.
 
-    It is not float16, whose range is too small for gradients unless they are scaled.
+    float16 is not used: its range is too small for gradients unless they are scaled.
     """
     torch = require_torch()
     if device.type == "cuda":
@@ -145,13 +145,13 @@ def fast_half(device: torch.device) -> Any:
     return None
 
 
-# -- layers ----------------------------------------------------------------------------------------------------------
+# -- layers ------------------------------------------------------------------------------------------------------------
 
 
 def build_network(keypoints: int, widths: tuple[int, ...], blocks: tuple[int, ...]) -> torch.nn.Module:
     """Return a network with random weights.
 
-    It takes (B, CHANNELS, H, W) and gives scores (B, keypoints, ceil(H / 4), ceil(W / 4)).
+    It maps (B, CHANNELS, H, W) to scores (B, keypoints, ceil(H / 4), ceil(W / 4)).
     """
     torch = require_torch()
     nn, functional = torch.nn, torch.nn.functional
@@ -178,7 +178,7 @@ def build_network(keypoints: int, widths: tuple[int, ...], blocks: tuple[int, ..
                 nn.Sequential(conv(a, b, stride=2), *(Residual(b) for _ in range(n)))
                 for a, b, n in zip(ins, widths, blocks, strict=True)
             )
-            outs = (HEAD, *widths[2:])  # of the decoder, from 1/4 down; the deepest is the encoder's
+            outs = (HEAD, *widths[2:])  # widths of the decoder, from 1/4 down; the deepest is the encoder's
             self.across = nn.ModuleList(nn.Conv2d(w, o, 1) for w, o in zip(widths[1:-1], outs[:-1], strict=True))
             self.up = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in pairwise(outs))
             self.mix = nn.ModuleList(conv(o, o) for o in outs[:-1])
@@ -216,7 +216,7 @@ def stages(network: torch.nn.Module) -> tuple[torch.nn.Module, ...]:
     return tuple(network.children()) if isinstance(network, require_torch().nn.ModuleDict) else (network,)
 
 
-def on_device(network: Any, device: torch.device) -> Any:
+def on_device(network: torch.nn.Module, device: torch.device) -> torch.nn.Module:
     """Return a network on a device, in the layout in which convolutions are fastest."""
     return network.to(device).to(memory_format=require_torch().channels_last)
 
@@ -229,10 +229,10 @@ def as_input(pictures: NDArray[np.uint8], background: Image | None, device: torc
     return torch.cat([(x - GREY) / SPREAD, (x - backgrounds) / DIFFERENCE], dim=-1).permute(0, 3, 1, 2)
 
 
-# -- scores and points -----------------------------------------------------------------------------------------------
+# -- scores and points -------------------------------------------------------------------------------------------------
 
 Window = tuple["torch.Tensor", float]
-"""Where each keypoint may be: near (B, K, 2), and within which distance of it, in cells of the grid."""
+"""Region of each keypoint: its centre (B, K, 2) and its radius, in cells of the grid."""
 
 
 def _inside(window: Window, size: Sequence[int]) -> torch.Tensor:
@@ -291,8 +291,8 @@ def decode(probability: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, t
 def variance(probability: torch.Tensor, xy: torch.Tensor) -> torch.Tensor:
     """Return the variance (B, K) of points (B, K, 2) along each axis, in cells squared.
 
-    It is how much broader the probability (B, K, h, w) is around them than the Gaussian that the network is trained on.
-    Probability farther away counts as at `FAR`.
+    It is the excess of the probability's (B, K, h, w) breadth around them over that of the Gaussian that the network is
+    trained on. Probability farther away counts as at `FAR`.
     """
     spread = 0.5 * (probability * _distance2(xy, probability.shape[2:]).clamp(max=FAR**2)).sum(dim=(2, 3))
     return (spread - SIGMA**2).clamp_min(0) + LEAST_SIGMA**2
@@ -301,8 +301,7 @@ def variance(probability: torch.Tensor, xy: torch.Tensor) -> torch.Tensor:
 def loss(scores: torch.Tensor, xy: torch.Tensor, window: Window | None = None) -> torch.Tensor:
     """Return the mean cross-entropy with a Gaussian around each labelled point, 0 without labels.
 
-    Points `xy` (B, K, 2) are in cells of the grid, NaN where not labelled. Only cells inside the window count, if there
-    is one.
+    xy: points (B, K, 2) in cells of the grid, NaN if not labelled. Only cells inside the window count, if there is one.
     """
     import torch  # pyright: ignore[reportMissingImports]
 
@@ -320,7 +319,7 @@ def loss(scores: torch.Tensor, xy: torch.Tensor, window: Window | None = None) -
     return (entropies * labelled).sum() / labelled.sum().clamp_min(1)
 
 
-# -- likelihoods -----------------------------------------------------------------------------------------------------
+# -- likelihoods -------------------------------------------------------------------------------------------------------
 
 Calibration = tuple[float, float]
 """slope and offset: likelihood = expit(slope * logit(raw) + offset)."""
@@ -335,10 +334,10 @@ def calibrated(raw: Array, calibration: Calibration | None) -> Array:
 
 
 def fit_calibration(raw: Array, right: Bools) -> Calibration | None:
-    """Return the calibration from raw likelihoods (N,) and whether their points are right (N,).
+    """Return the calibration from raw likelihoods (N,) and whether their points are right (N,); None without points.
 
-    It is fitted by maximum likelihood with a weak prior on slope and offset, which keeps both finite where all points
-    are right. None without points.
+    It is fitted by maximum likelihood with a weak prior on slope and offset, which keeps both finite if all points are
+    right.
     """
     if not len(raw):
         return None
@@ -354,7 +353,7 @@ def fit_calibration(raw: Array, right: Bools) -> Calibration | None:
     return float(minimum.x[0]), float(minimum.x[1])
 
 
-# -- a trained network -----------------------------------------------------------------------------------------------
+# -- a trained network -------------------------------------------------------------------------------------------------
 
 
 _Pixels = Annotated[float, Field(gt=0, lt=1e6)]
@@ -362,18 +361,18 @@ _Pixels = Annotated[float, Field(gt=0, lt=1e6)]
 
 @dataclass(frozen=True)
 class Spec:
-    """What belongs to a network's weights."""
+    """Describe a network, for its weights."""
 
     names: Annotated[tuple[str, ...], Field(min_length=1, max_length=1000)]
-    """The names of the keypoints."""
+    """Names of the keypoints."""
     scale: Annotated[float, Field(gt=1e-3, lt=1e3)]
-    """The scale of the network's pictures to those of the clip."""
+    """Scale of the network's pictures relative to the clip's."""
     body_length_px: _Pixels
-    """The length of the animal in the labelled pictures, before scaling."""
+    """Length of the animal in the labelled pictures, before scaling."""
     tolerance_px: _Pixels
-    """Within which a point counts as right, for its likelihood; in the labelled pictures, before scaling."""
+    """Distance within which a point counts as right, for its likelihood; in the labelled pictures, before scaling."""
     first: Annotated[float, Field(gt=1e-3, le=1)] = 1.0
-    """The scale of the pictures of the first stage to the network's; 1 where there is but one stage."""
+    """Scale of the first stage's pictures relative to the network's; 1 with a single stage."""
     calibration: Calibration | None = None
 
     @property
@@ -383,7 +382,7 @@ class Spec:
 
     @property
     def reach_cells(self) -> float:
-        """Return how far from a point of the first stage the second one looks, in cells of its own grid.
+        """Return the radius of the second stage's window around a point of the first, in cells of its own grid.
 
         It is the distance within which the first stage expects the point.
         """
@@ -392,7 +391,7 @@ class Spec:
 
 @dataclass(frozen=True, eq=False)
 class TrainedNetwork:
-    """A network with its weights, ready to find points."""
+    """Hold a network with its weights, ready to find points."""
 
     spec: Spec
     network: torch.nn.Module
@@ -403,7 +402,7 @@ class TrainedNetwork:
     def points(self, pictures: Sequence[Image], background: Image | None) -> tuple[Array, Array]:
         """Return points (B, K, 2) in pixels of the clip and raw likelihoods (B, K).
 
-        `pictures` have one size and the network's scale.
+        pictures: of one size, at the network's scale.
         """
         first = self.spec.first
         small = np.stack([resize(picture, first) for picture in pictures])
@@ -417,10 +416,10 @@ class TrainedNetwork:
     def _refined(
         self, xy_px: Array, raw: Array, variance_px2: Array, pictures: Sequence[Image], background: Image | None
     ) -> Array:
-        """Return points (B, K, 2) that both stages see, each stage weighted by its certainty.
+        """Return points (B, K, 2) from both stages, each stage weighted by its certainty.
 
-        The second stage looks at the part of each picture where most points are; points elsewhere stay as the first
-        found them.
+        The second stage sees the part of each picture with most points; points elsewhere stay as the first stage found
+        them.
         """
         low, size = part_of(xy_px, raw, STRIDE * self.spec.reach_cells + MARGIN_PX, pictures[0].shape[1::-1])
         parts = [(slice(y, y + size[1]), slice(x, x + size[0])) for x, y in low]
@@ -437,7 +436,7 @@ class TrainedNetwork:
     ) -> tuple[Array, Array, Array]:
         """Return points (B, K, 2) in pixels, raw likelihoods (B, K), and variances along each axis (B, K).
 
-        `near_px` is where the second stage looks.
+        near_px: centres of the second stage's windows.
         """
         torch = require_torch()
         spec = self.spec
@@ -458,7 +457,7 @@ def part_of(
 ) -> tuple[NDArray[np.int64], tuple[int, int]]:
     """Return the part of pictures of `size_px` around points (B, K, 2) that are likely enough.
 
-    It is given by its first pixel in each picture (B, 2), and its size (width, height) in all.
+    It is returned as its first pixel in each picture (B, 2), and one size (width, height) for all.
     """
     sure = (raw >= np.minimum(SURE, raw.max(axis=1, keepdims=True)))[..., None]
     low = np.where(sure, xy_px, np.inf).min(axis=1) - margin_px
@@ -499,7 +498,7 @@ def load_model(folder: Path, device: torch.device) -> TrainedNetwork:
         raise InputError(Problem(path, "model", "a file of another kind or version", "one that `recon train` wrote"))
     try:
         spec_table = content["spec"]
-        if calibration_02 := spec_table.get("calibrations", {}).get("fast"):  # of version 0.2
+        if calibration_02 := spec_table.get("calibrations", {}).get("fast"):  # written by version 0.2
             spec_table["calibration"] = calibration_02["slope"], calibration_02["offset"]
         names = [field.name for field in dataclasses.fields(Spec)]
         spec = validated(Spec, {name: spec_table[name] for name in names if name in spec_table}, path)
@@ -516,11 +515,11 @@ def load_model(folder: Path, device: torch.device) -> TrainedNetwork:
 MAX_PICKLE_BYTES = 1 << 22
 
 
-def load_torch(path: Path) -> Any:
-    """Return what torch saved, numbers and plain types only; raise InputError for another or a damaged file."""
+def load_torch(path: Path) -> dict[str, Any]:
+    """Return numbers and plain types that torch saved; raise InputError for other and for damaged files."""
     torch = require_torch()
     try:
-        # torch writes a zip archive; what it makes of other and damaged files is almost any exception.
+        # torch writes a zip archive, and raises almost any exception for other and damaged files.
         with zipfile.ZipFile(path) as archive:
             check_unpacked_size(archive)
             if any(info.file_size > MAX_PICKLE_BYTES for info in archive.infolist() if info.filename.endswith(".pkl")):
@@ -539,19 +538,22 @@ WRITERS = {f.suffixes[0]: f.write for f in FORMATS if f.name == "deeplabcut"}
 LIKELY = 0.5
 """Points less likely than this are rings in the overlay."""
 PIXELS = 2**20
-"""The most pixels of a batch, at the network's scale."""
+"""Most pixels of a batch, at the network's scale."""
 WAITING = 2
-"""Batches that are decoded ahead."""
+"""Number of batches that are decoded ahead."""
 LOST_SHARE, LOST_FRAMES = 0.01, 3
-"""So many frames fewer than the video states are its count's fault; more are the video's."""
+"""A count of frames that is at most this much too high is an error of the video's header; more missing frames mean a
+damaged video.
+"""
 
 _Chunk = tuple[list[int], list[float], list[Image], list[Image]]
-"""Numbers of consecutive frames, their time stamps in seconds, their pictures at the network's scale, and as they
-are, if they are drawn on."""
+"""Numbers of consecutive frames, their time stamps in seconds, their pictures at the network's scale, and the original
+pictures if they are drawn on.
+"""
 
 
 class PredictSettings(Settings):
-    """What `recon predict` finds, and where."""
+    """The settings of `recon predict`."""
 
     video: Annotated[Path, Option(argument="VIDEO")]
     """The video, as in run.mp4."""
@@ -566,7 +568,7 @@ class PredictSettings(Settings):
     partial: bool = False
     """Accept a video of which fewer frames can be decoded than it states."""
     overwrite: bool = False
-    """Replace files that are there."""
+    """Replace existing files."""
 
 
 def run_prediction(
@@ -574,7 +576,7 @@ def run_prediction(
 ) -> Keypoints:
     """Carry out `recon predict`: write a keypoint file in DeepLabCut's layout, and return the keypoints.
 
-    `options` are the other fields of `PredictSettings`. Raise InputError before anything is written.
+    options: the other fields of `PredictSettings`. Raises InputError before anything is written.
     """
     s = PredictSettings(video=video, model=model, out=out, **options)
     output = output or output_file(out, "predict", s.overwrite, input_paths(s))
@@ -597,9 +599,9 @@ def _overlay_output(s: PredictSettings, overlay: Path) -> Output:
 
 
 def predict_video(trained: TrainedNetwork, settings: PredictSettings, progress: Progress = silent) -> Keypoints:
-    """Return every frame's points as the network sees them, without smoothing.
+    """Return the network's points in every frame, without smoothing, with calibrated likelihoods.
 
-    Likelihoods are calibrated. Raise InputError if too many frames cannot be decoded.
+    Raises InputError if too many frames cannot be decoded.
     """
     video, spec = settings.video, trained.spec
     info = probe(video)
@@ -662,7 +664,7 @@ def draw_points(picture: Image, xy_px: Array, likelihood: Array) -> Image:
 def point_colours(count: int) -> list[Colour]:
     """Return a colour (blue, green, red) for each keypoint.
 
-    They lie evenly around the colour wheel, bright and dark by turns.
+    Colours are evenly spaced around the colour wheel, bright and dark in turn.
     """
     colours = (hsv_to_rgb(k / count, 0.85, 0.75 if k % 2 else 1.0) for k in range(count))
     return [(round(255 * blue), round(255 * green), round(255 * red)) for red, green, blue in colours]

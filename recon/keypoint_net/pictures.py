@@ -1,13 +1,13 @@
-"""Make batches of training pictures in a thread, while the network learns from the last ones.
+"""Make batches of training pictures in a thread, while the network learns from the previous ones.
 
-New pictures are made of the labelled ones: turned, scaled, moved, mirrored, pasted elsewhere, in another light,
-blurred, covered in part and noisy. Each is a function of its random generator, which is seeded by the run's seed and
-the picture's number: a run that goes on after a break draws the same pictures.
+New pictures are made from the labelled ones: turned, scaled, moved, mirrored, pasted elsewhere, in different light,
+blurred, covered in part and noisy. Each depends only on its random generator, which is seeded by the run's seed and the
+picture's number: a run that continues after a break draws the same pictures.
 
-The still background of a clip is what a camera on a tripod sees where nothing moves. The network gets the difference of
-a picture to it besides the picture itself, which shows what is new in the scene whatever the scene and the light.
-Training pastes the animal on it elsewhere. Where the camera moves, or where there are too few pictures, there is no
-background, and the difference is all zero.
+The still background of a clip is the picture of a camera on a tripod without moving objects. The network gets, in
+addition to a picture, its difference from this background, which shows what is new in the scene in any scene and light.
+Training pastes the animal elsewhere on it. If the camera moves, or if there are too few pictures, there is no
+background, and the difference is 0.
 """
 
 from __future__ import annotations
@@ -29,43 +29,44 @@ from recon.io.video import Image, probe, read_frames
 from recon.keypoint_net.labels import Labels, body_length_px, known_points, resize, scaled_size
 
 NETWORK_LENGTH_PX = 120.0
-"""Length of the animal in the pictures that the network sees; clips are scaled to it, unless they are near."""
+"""Length of the animal in the network's pictures; clips are scaled to it, unless they are near it."""
 FULL_LENGTH_PX = 480.0
-"""Length of the animal in the pictures of a second stage, at most: labels are no more precise than this."""
+"""Largest length of the animal in the pictures of a second stage: labels are no more precise than this."""
 TWO_STAGES = 1.5
-"""Animals so many times longer than NETWORK_LENGTH_PX are looked for in small pictures, and each of their points then
-near the position found, at full size."""
+"""An animal that is longer than NETWORK_LENGTH_PX by this factor is first located in small pictures, and each of its
+points then refined at full size.
+"""
 PART_PX = (128, 128)
 """Size of training pictures of the second stage."""
 OFF = 0.75
-"""How far off the first stage is taken to be at most, in training, relative to where the second one looks."""
+"""Largest error of the first stage that is assumed in training, relative to the second stage's window."""
 CROP = 1.4
 """Size of training pictures, relative to the animal's length."""
 MARGIN = 0.12
-"""The margin around the animal's labelled points, relative to its length."""
+"""Margin around the animal's labelled points, relative to its length."""
 NO_BACKGROUND = 0.2
 """Share of the training pictures whose difference to the background is left out."""
 AHEAD = 3
-"""Batches that are made while the network learns from an earlier one."""
+"""Number of batches that are made ahead of the network."""
 
 LEAST_PICTURES = 8
 MOST_PICTURES = 60
 MOST_BYTES = 2**28
-"""The most bytes of a video's pictures in memory at a time."""
+"""Most bytes of a video's pictures in memory at a time."""
 STILL_LEVELS = 12.0
-"""Grey levels by which most of a picture differs at most from the background where the camera is still."""
+"""Largest difference from the background, in grey levels, of most of a picture if the camera is still."""
 STILL_SHARE = 0.6
-"""The share of a picture's pixels that stay the same where the camera stands still."""
+"""Share of a picture's pixels that stay the same if the camera is still."""
 MOVED_LEVELS = 22.0
-"""Grey levels by which the animal differs from the background, in some colour."""
+"""Grey levels by which the animal differs from the background, in at least one colour."""
 
 
 @dataclass(frozen=True)
 class Augmentation:
-    """Ranges of random changes of a picture; shares are probabilities.
+    """Hold ranges of random changes of a picture; shares are probabilities.
 
-    Each value is drawn evenly between the ends of its range, in its logarithm if it is a factor. `partner` is for each
-    keypoint the one that it becomes in a mirror; None: pictures are not mirrored.
+    Each value is drawn evenly between the ends of its range, or in its logarithm if it is a factor. partner: for each
+    keypoint the index of its mirror image; None: pictures are not mirrored.
     """
 
     rotation_deg: float = 20.0
@@ -85,20 +86,20 @@ class Augmentation:
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """A picture to learn from, h by w pixels, with K points."""
+    """Hold a picture to learn from, h by w pixels, with K points."""
 
     picture: Image
     """The picture, shape (h, w, 3)."""
     background: Image | None
-    """The median picture of the clip, of the pictures' shape; None where the camera moves."""
+    """Median picture of the clip, of the same shape; None if the camera moves."""
     mask: Image | None
-    """(h, w), the animal's, None where the camera moves."""
+    """(h, w): the animal's pixels; None if the camera moves."""
     xy_px: Array
     """(K, 2), NaN where not labelled."""
     length_px: float
     """The length of the animal in pixels."""
     part: bool = False
-    """Whether pictures are made of what is around one of its points, rather than of all of it."""
+    """Whether pictures show the surroundings of one of its points, instead of the whole animal."""
 
 
 def augment(
@@ -212,7 +213,7 @@ def _in_light(picture: Image, light: tuple[NDArray[np.uint8], NDArray[np.float32
 def _partly_covered(
     picture: Image, background: Image | None, length_px: float, options: Augmentation, rng: np.random.Generator
 ) -> Image:
-    """Return a picture with up to three rectangles of one colour, or of the background, before the animal."""
+    """Return a picture with up to three rectangles of one colour, or of the background, in front of the animal."""
     if rng.random() >= options.cutout:
         return picture
     picture = picture.copy()
@@ -231,7 +232,7 @@ def _partly_covered(
 
 
 def background_of(pictures: Sequence[Image]) -> Image | None:
-    """Return the median of one clip's pictures; None where they are few, or where the camera moves."""
+    """Return the median of one clip's pictures; None if they are few, or if the camera moves."""
     if len(pictures) < LEAST_PICTURES:
         return None
     picked = [pictures[i] for i in np.unique(np.linspace(0, len(pictures) - 1, MOST_PICTURES).round().astype(int))]
@@ -263,7 +264,7 @@ def background_of_video(video: Path, scale: float) -> Image | None:
 
 
 def moving_mask(picture: Image, background: Image, xy_px: Array, margin_px: float) -> Image:
-    """Return a mask (height, width), 0 to 255, of what differs from the background near labelled points (K, 2)."""
+    """Return a mask (height, width), 0 to 255, of pixels near points (K, 2) that differ from the background."""
     region = np.zeros(picture.shape[:2], np.uint8)
     points = xy_px[known_points(xy_px)]
     if len(points):
@@ -302,15 +303,16 @@ def prefetched(items: Generator[T], count: int) -> Generator[T]:
 
 
 Batch = tuple[NDArray[np.uint8], NDArray[np.uint8], Array, Array | None]
-"""Pictures (B, H, W, 3); their backgrounds (B, H, W, 3), the picture itself where there is none, which makes the
-difference 0; K points of each (B, K, 2), NaN where a point is not labelled or not in the picture; and positions near
-them (B, K, 2), as a first stage might find them, None for the first stage itself."""
+"""Pictures (B, H, W, 3); their backgrounds (B, H, W, 3), or the pictures themselves, which makes the difference 0; K
+points of each (B, K, 2), NaN if not labelled or outside the picture; and positions near them (B, K, 2), such as a first
+stage finds, None for the first stage itself.
+"""
 
 
 def network_scales(xy_px: Array) -> tuple[float, float]:
-    """Return the scales of the pictures of the network's last stage and, from there, of its first stage.
+    """Return the scale of the pictures of the network's last stage, and the scale from there to its first stage.
 
-    The second is 1 where there is only one stage. `xy_px` are labels (N, K, 2).
+    The second is 1 with a single stage. xy_px: labels (N, K, 2).
     """
     length = body_length_px(xy_px)
     scale = NETWORK_LENGTH_PX / length if np.isfinite(length) and length > 0 else 1.0
@@ -323,7 +325,7 @@ def network_scales(xy_px: Array) -> tuple[float, float]:
 def crop_size(labels: Labels, scale: float) -> tuple[int, int]:
     """Return the size (width, height) of training pictures at a scale of the labels' own.
 
-    It is the size of the clips' pictures, or less where the animal is small in them.
+    It is the size of the clips' pictures, or less if the animal is small in them.
     """
     length = scale * body_length_px(labels.xy_px)
     length = length if np.isfinite(length) else NETWORK_LENGTH_PX
@@ -352,9 +354,9 @@ def make_batch(
     examples: Sequence[Example], size_px: tuple[int, int], options: Augmentation, size: int, seed: int, step: int,
     pool: Integers, off_px: float = 0.0,
 ) -> Batch:  # fmt: skip
-    """Return the batch of a step, a function of the seed, the step and the pictures to draw from only.
+    """Return the batch of a step, which depends only on the seed, the step and the pictures to draw from.
 
-    `off_px` is how far from its points a second stage looks; 0 for the first stage.
+    off_px: the second stage's distance from its points; 0 for the first stage.
     """
     pictures, picture_backgrounds, points, near_points = [], [], [], []
     for i in range(size):

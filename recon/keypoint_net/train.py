@@ -1,13 +1,12 @@
-"""`recon train`: from labelled pictures to weights.
+"""Train a network on labelled pictures (`recon train`).
 
-The optimiser is AdamW with a warm-up and a cosine down to nothing, twice; the weights that count are a moving average
-of those that it moves. The first part of a run learns from the training pictures and is judged by the validation
-pictures, which also calibrate the likelihoods. The last part, from `FINISH` on, learns from both, so that no label is
-lost.
+The optimiser is AdamW with a warm-up and a cosine down to almost 0, twice; the final weights are a moving average of
+the optimiser's. The first part of a run learns from the training pictures and is judged by the validation pictures,
+which also calibrate the likelihoods. The last part, from `FINISH` on, learns from both, so that no label is lost.
 
-A run is a function of its settings, its labels and its device: augmentation depends on the seed and the step only, and
-a checkpoint holds everything else. With a number of steps, a run that was stopped and goes on ends in the same weights
-bit for bit; with a number of minutes, the speed of the machine decides how many steps there are.
+A run depends only on its settings, its labels and its device: augmentation depends on the seed and the step, and a
+checkpoint holds everything else. With a fixed number of steps, a run that was stopped and continued ends in the same
+weights bit for bit. With a fixed number of minutes, the speed of the machine decides the number of steps.
 """
 
 from __future__ import annotations
@@ -50,25 +49,25 @@ if TYPE_CHECKING:
 CHECKPOINT_FILE = "checkpoint.pt"
 REPORT_FILES = ("training.json", "suspicious.csv", "worst.png")
 TOLERANCE = 0.04
-"""Within this, relative to the body length, a point counts as right for its likelihood."""
+"""Distance within which a point counts as right for its likelihood, relative to the body length."""
 LEARNING_RATE, WEIGHT_DECAY = 2e-3, 0.05
 FINISH = 0.6
-"""Share of a run after which the validation pictures are learned from, too."""
+"""Share of a run after which it learns from the validation pictures, too."""
 FINISH_RATE = 0.5
-"""The learning rate with which that begins, relative to the highest before."""
+"""Learning rate at the beginning of this part, relative to the highest rate before."""
 WARM_UP = 0.04
 EVALUATIONS = 30
 MOST_AVERAGED = 300.0
-"""Steps over which the weights are averaged, at most; fewer at the beginning."""
+"""Most steps over which the weights are averaged; fewer at the beginning."""
 TRAINING = "Training"
 
 
 class TrainSettings(Settings):
-    """How a network is trained."""
+    """Choose how a network is trained."""
 
     minutes: Annotated[Number, Field(ge=0.05), Option("Time to train.", "0.05 minutes or more", panel=TRAINING)] = 15.0
     steps: Annotated[Count | None, Option(expected="1 or more", panel=TRAINING)] = None
-    """Steps to train, instead of a time: the same in every run."""
+    """Number of steps, instead of a time, so that every run has the same."""
     batch: Annotated[Count, Option(expected="1 or more", panel=TRAINING)] = 8
     """Pictures in a step."""
     seed: Annotated[
@@ -79,12 +78,12 @@ class TrainSettings(Settings):
     labelled going one way and filmed going both. Takes longer to learn."""
 
     def of_training(self) -> dict[str, Any]:
-        """Return the settings of training alone, without those of a subclass."""
+        """Return the training settings alone, without those of a subclass."""
         return {name: getattr(self, name) for name in TrainSettings.infos()}
 
 
 class TrainRunSettings(data.LabelSource, TrainSettings):
-    """What `recon train` does: labels, how to learn from them, and where and with what."""
+    """The settings of `recon train`."""
 
     out: Annotated[Path, Option(metavar="DIR")]
     """Folder for the network and its report, as in models/horse."""
@@ -98,7 +97,7 @@ class TrainRunSettings(data.LabelSource, TrainSettings):
 
 @dataclass(frozen=True, eq=False)
 class TrainingRun:
-    """What stays the same from step to step; pictures are at the network's scale."""
+    """Hold the fixed inputs of a run; pictures are at the network's scale."""
 
     settings: TrainSettings
     spec: net.Spec
@@ -111,25 +110,25 @@ class TrainingRun:
 
 @dataclass
 class State:
-    """All that a run carries from step to step."""
+    """Hold everything that changes from step to step."""
 
     network: torch.nn.Module
     average: torch.nn.Module
     optimizer: torch.optim.Optimizer
     step: int = 0
     share: float = 0.0
-    """The share of the run that is done; it decides the learning rate."""
+    """Share of the run that is done, which decides the learning rate."""
     seconds: float = 0.0
-    """The time that all its parts have taken."""
+    """Total time of all parts of the run."""
     calibration: net.Calibration | None = None
     judged: tuple[list[float], list[bool]] = ([], [])
-    """The calibrated likelihoods of the labelled validation points, and which of them are right."""
+    """Calibrated likelihoods of the labelled validation points, and which of these points are right."""
     history: list[dict[str, float]] = field(default_factory=list)
     """A row for each evaluation."""
     losses: list[float] = field(default_factory=list)
-    """The losses of the steps since the last evaluation."""
+    """Losses of the steps since the last evaluation."""
     threads: int = 0
-    """With which it computes on the CPU; 0 where none were chosen yet."""
+    """Number of CPU threads; 0 if none were chosen yet."""
 
     @property
     def finishing(self) -> bool:
@@ -138,7 +137,7 @@ class State:
 
 
 def prepare(labels: data.Labels, s: TrainRunSettings, device: torch.device) -> TrainingRun:
-    """Return what stays the same during a run: the split, the network's scales, pictures and backgrounds."""
+    """Return the fixed inputs of a run: the split, the network's scales, pictures and backgrounds."""
     split = data.split_labels(labels, s.validation, s.test, s.seed)
     learned = np.concatenate([split["train"], split["validation"]])
     scale, first = pictures.network_scales(labels.xy_px[learned])
@@ -152,10 +151,10 @@ def prepare(labels: data.Labels, s: TrainRunSettings, device: torch.device) -> T
 def train(
     run: TrainingRun, output: Output, resume: bool = False, threads: int | None = None, progress: Progress = silent
 ) -> State:
-    """Train, or go on, to the end.
+    """Train, or continue to train, to the end.
 
-    `out` gets a checkpoint at each evaluation, and the model at the end. `threads` are those of the CPU; None: those
-    that the run had before, or all.
+    out: the folder that gets a checkpoint at each evaluation, and the model at the end. threads: of the CPU; by default
+    those that the run had before, or all.
     """
     torch = net.require_torch()
     torch.backends.cudnn.deterministic, torch.backends.cudnn.benchmark = True, False
@@ -212,7 +211,7 @@ def _sources(run: TrainingRun) -> tuple[Any, ...]:
     first = partial(pictures.make_batch, pictures.examples_of(labels, backgrounds), size_px, *last)
     if not spec.two_stages:
         return (first,)
-    # What is drawn or blurred on a part is as large in it as on the whole animal in its smaller picture.
+    # Drawings and blur on a part are as large as on the whole animal in its smaller picture.
     part_settings = {"part": True, "length_px": pictures.NETWORK_LENGTH_PX}
     parts = [
         dataclasses.replace(example, **part_settings) for example in pictures.examples_of(run.scaled, run.backgrounds)
@@ -224,7 +223,7 @@ def _sources(run: TrainingRun) -> tuple[Any, ...]:
 def schedule(share: float) -> float:
     """Return the factor of the learning rate at a share of the run.
 
-    It is a warm-up and a cosine, and another one for the last part. The network is at rest when it is calibrated, as it
+    It is a warm-up and a cosine, and another cosine for the last part. The rate is almost 0 at the calibration, as it
     is at the end.
     """
     if share < FINISH:
@@ -233,11 +232,13 @@ def schedule(share: float) -> float:
 
 
 def _cosine(share: float) -> float:
-    """Return a cosine from 1 down to nearly 0."""
+    """Return a cosine from 1 down to almost 0."""
     return 1e-3 + (0.5 + 0.5 * math.cos(math.pi * share))
 
 
-def _learn(state: State, batch: tuple[pictures.Batch, ...], rate: float, run: TrainingRun, half: Any) -> float:
+def _learn(
+    state: State, batch: tuple[pictures.Batch, ...], rate: float, run: TrainingRun, half: torch.dtype | None
+) -> float:
     import torch  # pyright: ignore[reportMissingImports]
 
     state.network.train()
@@ -270,7 +271,7 @@ def _learn(state: State, batch: tuple[pictures.Batch, ...], rate: float, run: Tr
 def _evaluate(state: State, run: TrainingRun, calibrates: bool) -> None:
     """Judge the network by the validation pictures.
 
-    `calibrates` fits the calibration, too: at the end of the first part, when they have not been learned from.
+    calibrates: fit the calibration, too, at the end of the first part, before the network learns from these pictures.
     """
     indices = run.split["validation"]
     if not run.labels.labelled[indices].any():
@@ -354,27 +355,29 @@ def _resumed(run: TrainingRun, out: Path) -> State:
     return dataclasses.replace(state, **{name: content[name] for name in _PLAIN})
 
 
-# -- what a training run tells about itself ----------------------------------------------------------------------------
+# -- the report of a training run --------------------------------------------------------------------------------------
 
 WORST = 6
 LEAST_WIDTH_PX = 560
-"""Smaller pictures are enlarged."""
+"""Least width of the pictures; smaller ones are enlarged."""
 LABEL, LINE = (255, 255, 255), (60, 60, 230)
 FAR, APART = 0.2, 0.15
-"""Body lengths from which on a label stands out: from the network's point, from the others."""
+"""Body lengths from which a label is suspicious: from the network's point, and from the other labels."""
 REASONS = {
     "network": "body lengths from where the network sees it",
     "others": "body lengths farther from every other label than usual",
 }
 LEARNED = 5.0
-"""Times a keypoint's median distance that the network's point must be away, too: it has to know the keypoint."""
+"""A suspicious label is also further from the network's point than this multiple of its keypoint's median distance, so
+that the network has learned the keypoint.
+"""
 USUAL = 0.95
-"""A distance between two keypoints is usual up to this quantile of it."""
+"""Quantile of the distance between two keypoints up to which it counts as usual."""
 MOST = 30
 
 
 def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[str, Any]:
-    """Write the report of a run into an existing folder, and return what stands in training.json."""
+    """Write the report of a run into an existing folder, and return the content of training.json."""
     spec, split, history = dataclasses.replace(run.spec, calibration=state.calibration), run.split, state.history
     trained = net.TrainedNetwork(spec, state.average, run.device)
     errors, raw, xy_px = judge(trained, run, np.arange(len(run.labels.images)))
@@ -385,9 +388,9 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
             length_px = length_px if np.isfinite(length_px) else spec.body_length_px
             points = spec.names, xy_px[indices], likelihood[indices], truth, length_px
             judged[name] = data.evaluate_2d(*points, tolerance_px=spec.tolerance_px)
-    # Of the network as it was calibrated: before it learned from the validation pictures.
+    # The network as it was calibrated, before it learned from the validation pictures.
     reliability_before = data.reliability(np.array(state.judged[0]), np.array(state.judged[1], bool))
-    # Elsewhere, that the network disagrees says more about the network.
+    # In other pictures a disagreement says more about the network.
     learned = np.concatenate([split["train"], split["validation"]])
     learned_points = np.full_like(xy_px, np.nan)
     learned_points[learned] = xy_px[learned]
@@ -517,8 +520,8 @@ def run_training(
 ) -> dict[str, Any]:
     """Carry out `recon train`, and return the training report.
 
-    `out` gets the network, a checkpoint and the report. `options` are device, threads, resume and overwrite, as of the
-    command. Raise InputError, with every problem, before anything is written.
+    out: the folder that gets the network, a checkpoint and the report. options: device, threads, resume and overwrite,
+    as in the command. Raises InputError, with every problem, before anything is written.
     """
     training_settings = picked(source, *data.LabelSource.infos()) | picked(settings, *TrainSettings.infos())
     s = TrainRunSettings(out=out, **training_settings, **options)

@@ -1,15 +1,15 @@
-"""Chains from Denavit-Hartenberg parameters, in both conventions, and what `recon robot` answers of chains and bodies.
+"""Make chains from Denavit-Hartenberg parameters in both conventions, and answer `recon robot`.
 
-modified (Craig):  T_{i-1, i} = Rx(alpha_{i-1}) Tx(a_{i-1}) Rz(theta_i) Tz(d_i)
-standard:          T_{i-1, i} = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)
+modified (Craig):  T_{i-1, i} = Rx(alpha_{i-1}) Tx(a_{i-1}) Rz(theta_i) Tz(d_i) standard:          T_{i-1, i} =
+Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)
 
-A joint that turns adds q to theta, one that slides to d. A row of the modified convention holds a and alpha of the link
-before the joint, of the standard one those of the link after it, as the tables in print do.
+A joint that turns adds q to theta, one that slides adds it to d. A row of the modified convention holds a and alpha of
+the link before the joint, a row of the standard one those of the link after it, as in printed tables.
 
-Each answer is what `--json` prints: metres and radians. What is asked is as typed, in degrees. All configurations of a
-chain that put its end in one place are found from many fixed random starts, by MINPACK's Levenberg-Marquardt with the
-exact Jacobian: every start that ends on the target counts, and equal ends count once. More starts can find more: that
-there is no other solution is not proven.
+Each answer is what `--json` prints, in metres and radians. Questions are typed in degrees. All configurations of a
+chain that put its end at one position are found from many fixed random starts, by MINPACK's Levenberg-Marquardt with
+the exact Jacobian. Every start that ends on the target counts, and equal solutions count once. More starts can find
+more solutions: it is not proven that there are no others.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from recon.robotics.quadruped import LEGS, Length, Limits, body_pose, leg_target
 
 Convention = Literal["modified", "standard"]
 _PARALLEL = 1e-9
-"""The sine of an angle between axes, or a distance in metres, that is none."""
+"""Sine of an angle between axes, or distance in metres, that counts as 0."""
 
 
 @dataclass(frozen=True)
 class DHRow:
-    """One link of a table of Denavit and Hartenberg."""
+    """Hold one link of a table of Denavit and Hartenberg."""
 
     __pydantic_config__ = FileTable.model_config
     a_m: Length = 0.0
@@ -54,7 +54,7 @@ class DHRow:
     theta_rad: Length = 0.0
     """The angle about the joint's axis, with q = 0."""
     slides: StrictBool = False
-    """q adds to d, not to theta."""
+    """Whether q adds to d instead of theta."""
     limits: Limits | None = None
     """The limits of q."""
 
@@ -71,14 +71,17 @@ def load_dh(path: Path) -> tuple[SerialChain, Convention, list[DHRow]]:
 
 
 def dh_chain(rows: Sequence[DHRow], convention: Convention) -> SerialChain:
-    """Return the chain of the rows from the base; raise ValueError for no rows or an unknown convention."""
+    """Return the chain of the rows, from the base.
+
+    Raises ValueError for an unknown convention, and without rows.
+    """
     if convention not in ("modified", "standard") or not rows:
         raise ValueError(f"rows and the convention, modified or standard, expected, got {len(rows)}, {convention!r}")
     link = [_along("x", row.a_m, row.alpha_rad) for row in rows]
     joint = [_along("z", row.d_m, row.theta_rad) for row in rows]
     nothing = RigidTransform.identity()
-    before, tool = (link, nothing) if convention == "modified" else ([nothing, *link[:-1]], link[-1])
-    frames = [*accumulate((a * b for a, b in zip(before, joint, strict=True)), lambda here, step: here * step)]
+    links, tool = (link, nothing) if convention == "modified" else ([nothing, *link[:-1]], link[-1])
+    frames = [*accumulate((a * b for a, b in zip(links, joint, strict=True)), lambda frame, step: frame * step)]
     end = frames[-1] * tool
     steps = np.diff([np.zeros(3), *(T.translation for T in frames), end.translation], axis=0)
     return joint_chain(
@@ -94,9 +97,9 @@ def dh_chain(rows: Sequence[DHRow], convention: Convention) -> SerialChain:
 def dh_table(chain: SerialChain) -> tuple[RigidTransform, tuple[DHRow, ...], RigidTransform]:
     """Return any chain as base * rows * tool.
 
-    The rows are modified (Craig), with a_m and alpha_rad 0 in the first: base and tool are what the parameters leave
-    out. z goes along each joint's axis, x along the common normal to the next; where axes are parallel, through the
-    previous origin.
+    The rows are modified (Craig), with a_m and alpha_rad 0 in the first; base and tool hold what the parameters cannot.
+    z goes along each joint's axis, x along the common normal to the next axis, or through the previous origin if the
+    axes are parallel.
     """
     zero = np.zeros(chain.n)
     axes, positions = chain.joint_axes(zero), chain.positions(zero)
@@ -125,7 +128,7 @@ def dh_table(chain: SerialChain) -> tuple[RigidTransform, tuple[DHRow, ...], Rig
 
 
 def _row(step: RigidTransform, slides: bool) -> DHRow:
-    """Return the parameters of a step Rx(alpha) Tx(a) Rz(theta) Tz(d), read off its matrix."""
+    """Return the parameters of a step Rx(alpha) Tx(a) Rz(theta) Tz(d), from its matrix."""
     T = step.as_matrix()
     alpha = np.arctan2(-T[1, 2], T[2, 2])
     d = -np.sin(alpha) * T[1, 3] + np.cos(alpha) * T[2, 3]
@@ -133,7 +136,7 @@ def _row(step: RigidTransform, slides: bool) -> DHRow:
     return DHRow(float(T[0, 3]), float(alpha), float(d), float(theta), bool(slides))
 
 
-def _transform(R: Any, p: Array) -> RigidTransform:
+def _transform(R: Array, p: Array) -> RigidTransform:
     return RigidTransform.from_components(p, Rotation.from_matrix(R))
 
 
@@ -143,7 +146,7 @@ def _nearest_on_axis(origin: Array, z: Array, point: Array) -> Array:
 
 
 def _across(z: Array) -> Array:
-    """Return a unit vector at right angles to z: x where z is not along it."""
+    """Return a unit vector at right angles to z: along x, unless z is."""
     x = np.eye(3)[0 if abs(z[0]) < 0.9 else 1]
     x = x - (x @ z) * z
     return x / np.linalg.norm(x)
@@ -155,7 +158,7 @@ def _along(axis: Literal["x", "z"], distance_m: float, angle_rad: float) -> Rigi
     return RigidTransform.from_components(shift, Rotation.from_euler(axis, angle_rad))
 
 
-_split = BeforeValidator(lambda given: tuple(given.split(",")) if isinstance(given, str) else given)
+_split = BeforeValidator(lambda value: tuple(value.split(",")) if isinstance(value, str) else value)
 _Three = Annotated[tuple[Number, Number, Number], _split]
 _THREE = Option(expected="3 numbers with commas, as in 0.1,-20,3", metavar="X,Y,Z")
 
@@ -195,9 +198,9 @@ class TableSettings(Settings):
 ENDLESS = "the joints can move on without moving the end: one of endlessly many"
 STARTS = 100
 SAME = 1e-4
-"""rad or m: configurations that differ by less are one."""
+"""rad or m: configurations that differ by less count as one."""
 REACHED = 1e-7
-"""Error of a solution, of the chain's length."""
+"""Largest error of a solution, relative to the chain's length."""
 
 
 def pose_of(settings: PoseSettings) -> dict[str, Any]:
@@ -222,7 +225,7 @@ def pose_of(settings: PoseSettings) -> dict[str, Any]:
 
 
 def chain_of(settings: TableSettings) -> dict[str, Any]:
-    """Return what `recon robot dh` answers.
+    """Return the answer of `recon robot dh`.
 
     The chain is that of a table of parameters (TOML), a leg of a robot, or a chain of a URDF or MJCF file, by default
     to its only leaf.
@@ -264,8 +267,8 @@ def _numbers(option: str, text: str) -> list[float]:
 def _chain(source: str, tip: str | None) -> tuple[SerialChain, dict[str, Any] | None]:
     """Return a chain, and its table if it was read from one.
 
-    It is a robot's leg, whose label is `tip`; the chain of a URDF or MJCF file to a link, by default its only leaf; or
-    that of a table.
+    The chain is a robot's leg with the label `tip`; the chain of a URDF or MJCF file to a link, by default its only
+    leaf; or that of a table.
     """
     if tip in LEGS:
         return load_robot(source).legs[tip].chain, None
@@ -294,7 +297,7 @@ def _pose_answer(transform: RigidTransform) -> dict[str, Any]:
 
 
 def _in_limits(chain: SerialChain, q: Array) -> Array:
-    """Return angles changed by whole turns, to nearest the middle of the joints' limits, if they have any."""
+    """Return angles changed by whole turns, nearest to the middle of the joints' limits, if there are any."""
     bounded = np.isfinite(chain.lower_rad) & np.isfinite(chain.upper_rad) & ~chain.sliding
     middle = np.where(bounded, (np.where(bounded, chain.lower_rad, 0) + np.where(bounded, chain.upper_rad, 0)) / 2, q)
     return np.where(bounded, middle + (q - middle + np.pi) % (2 * np.pi) - np.pi, q)
@@ -332,7 +335,7 @@ def all_solutions(
     turns = ~np.asarray(chain.sliding, bool)
 
     def equations(q: Array) -> tuple[Array, Array]:
-        """Return residuals (12 + n,) and their derivatives; the last n are 0, to be no fewer than joints."""
+        """Return residuals (12 + n,) and their derivatives; the last n are 0, so that there are at least n."""
         R, p = chain.pose(q)
         J = chain.geometric_jacobian(q)
         error, slope = np.zeros(12 + chain.n), np.zeros((12 + chain.n, chain.n))

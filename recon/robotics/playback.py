@@ -1,9 +1,9 @@
-"""Playback of a robot's motion, with the animal that it follows beside it, as a rerun recording.
+"""Write a robot's motion, next to the animal that it follows, as a rerun recording.
 
-Entities: `world/robot`, its legs and body, and `world/robot/feet`, those that stand; `world/animal`, scaled to the
-robot's size, with a view of its own; `world/support`, the polygon of three or more feet that stand; `world/ground`,
-`world/path`, `world/step` (static); `world/followed` and `world/animal/followed`, invisible; `angles/<leg>` in degrees;
-`<leg>`, when it stands. Timelines: `frame`, the sample, and `time`, the robot's.
+Entities: `world/robot`, its legs and body; `world/robot/feet`, the standing feet; `world/animal`, scaled to the robot's
+size, with a view of its own; `world/support`, the polygon of three or more standing feet; `world/ground`, `world/path`,
+`world/step` (static); `world/followed` and `world/animal/followed`, invisible; `angles/<leg>` in degrees; `<leg>`, in
+stance. Timelines: `frame`, the sample, and `time`, the robot's.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from recon.show.view import laid_out, scene, state_rows, time_view
 ROBOT = scene.DETECTION
 STEP = (58, 62, 72)
 GRID_LINES = 60
-"""Across the path, at most."""
+"""Most lines of the grid across the path."""
 
 
 def write_robot(
@@ -33,7 +33,7 @@ def write_robot(
     path: Path,
     companion: tuple[Array, Motion] | None = None,
     step: tuple[float, float] | None = None,
-    more: Sequence[scene.TimePlot] = (),
+    plots: Sequence[scene.TimePlot] = (),
     title: str = "",
 ) -> None:
     """Write the recording of a robot's motion.
@@ -45,23 +45,25 @@ def write_robot(
     path : Path
         The file.
     companion : tuple, optional
-        The animal to show next to the robot: its points (N, J, 3) in the robot's world and of its size, and its body.
+        The animal next to the robot: its points (N, J, 3) in the robot's world and scaled to its size, and its motion.
     step : tuple, optional
-        A step across the way, along which x is forwards: the position of its edge, and its height.
-    more
-        Plots before those of the angles, which share one panel then.
+        A step across the path, which goes along x: the position of its edge, and its height.
+    plots : sequence of TimePlot
+        Plots before those of the angles, which then share one panel.
+    title : str
+        By default the robot's title.
     """
     series, size = [_angles(motion, label) for label in LEGS], motion.robot.stand_m
     # The middle of what is to be seen, near the ground, and half its size: of the robot, and of the animal.
     middle, half = motion.pose.translation * (1.0, 1.0, 0.1), 1.2 * size
-    clouds, beside = [motion.feet_m.reshape(-1, 3), motion.pose.translation], middle
+    clouds, animal_middle = [motion.feet_m.reshape(-1, 3), motion.pose.translation], middle
     if step is not None:
         middle[:, 2] += step[1]
         half += 0.7 * step[1]
     if companion is not None:
         points = companion[0]
         clouds.append(points.reshape(-1, 3))
-        beside = np.column_stack([(points.min(axis=1) + points.max(axis=1))[:, :2] / 2, middle[:, 2]])
+        animal_middle = np.column_stack([(points.min(axis=1) + points.max(axis=1))[:, :2] / 2, middle[:, 2]])
     level = np.concatenate(clouds)[:, :2]
     low, high = level.min(axis=0) - 1.5 * size, level.max(axis=0) + 1.5 * size
 
@@ -72,10 +74,10 @@ def write_robot(
     if companion is not None:
         animal_tree = f"{companion[1].title}, at {motion.scale:.2f} of its size"
         of_robot = ["shapes", "world/robot", "world/support", "world/path", "world/step"]
-        shown = rrb.Horizontal(shown, _scene(animal_tree, "world/animal/followed", beside[0], half, of_robot))
+        shown = rrb.Horizontal(shown, _scene(animal_tree, "world/animal/followed", animal_middle[0], half, of_robot))
     angles = [time_view(s) for s in series]
-    angles = [rrb.Tabs(*angles)] if more else angles
-    below = rrb.Horizontal(*(time_view(s) for s in more), *angles, state_rows(LEGS, "Feet that stand"))
+    angles = [rrb.Tabs(*angles)] if plots else angles
+    below = rrb.Horizontal(*(time_view(s) for s in plots), *angles, state_rows(LEGS, "Feet that stand"))
     fps = min(len(motion.time_s) / float(motion.time_s[-1]), len(motion.time_s) / 4)
     with scene.recording(path, laid_out(rrb.Vertical(shown, below, row_shares=[3, 2]), fps)) as stream:
         stream.send_recording_name(encodable(f"{motion.robot.name} {path.stem}"))
@@ -88,8 +90,8 @@ def write_robot(
             colours = [scene.SIDE_COLOURS[animal.limb_sides[limb]] for limb in animal.limbs]
             columns = scene.limb_strips(points, animal.limbs, np.ones(len(motion.time_s), bool))
             log.draw("world/animal", rr.LineStrips3D, columns, colors=colours, radii=0.02 * size)
-            log.follow("world/animal/followed", beside, half)
-        for s in [*more, *series]:
+            log.follow("world/animal/followed", animal_middle, half)
+        for s in [*plots, *series]:
             log.plot(s)
         spacing = 0.1
         while np.max(high - low) / spacing > GRID_LINES:
@@ -147,7 +149,7 @@ def _angles(motion: RobotMotion, label: str) -> scene.TimePlot:
 
 
 def _scene(name: str, followed: str, middle_m: Array, half_m: float, hidden: Sequence[str]) -> rrb.Spatial3DView:
-    """Return a view from the right and ahead, going along."""
+    """Return a view from the right and ahead that follows an entity."""
     eye = rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital,
         position=middle_m + half_m * np.array([0.5, -2.0, 0.9]),

@@ -1,26 +1,26 @@
-"""Four-legged robots: hips, and legs with their joints' names, limits and rates.
+"""Describe four-legged robots: hips, and legs with their joints' names, limits and rates.
 
-Files describe them: TOML with dimensions and limits (docs/robot.md), URDF or MJCF. Built-in robots are the files of
-`robots`.
+They are read from files: TOML with dimensions and limits (docs/robot.md), URDF or MJCF. Built-in robots are the files
+of `robots`.
 
 Body axes: x forwards, y left, z up. Legs are LF, RF, LH, RH (left or right, fore or hind). Joint angles are the robot's
-own: of the bundled robots, and of others described by their dimensions, those of the closed form with signs;
-of URDF and MJCF files, the file's. World: z up. Yaw, pitch and roll turn about z, y and x in this order, so that a
-positive pitch puts the nose down.
+own: those of the closed form with signs for the built-in robots and others described by their dimensions, and those of
+the file for URDF and MJCF. World: z up. Yaw, pitch and roll turn about z, y and x in this order, so that a positive
+pitch puts the nose down.
 
-Legs of three joints have a closed form: swing, flap and knee, with offsets at the knee and the foot.
-Leg axes, at the hip: x lateral (outwards), y forward, z up, written for the right front leg; the others mirror x, y or
-both, and keep the same angles. a swing, b flap, s knee; l1 thigh, l2 shin, uo offset at the knee, lo at the foot. In
-the plane of the leg the foot lies P forward and Q below the hip,
+Legs of three joints have a closed form: swing, flap and knee, with offsets at the knee and the foot. Leg axes, at the
+hip: x lateral (outwards), y forward, z up, written for the right front leg. The other legs mirror x, y or both, and
+keep the same angles. a swing, b flap, s knee; l1 thigh, l2 shin, uo offset at the knee, lo at the foot. In the plane of
+the leg the foot lies P forward and Q below the hip,
 
     P = lo cos s + l2 sin s + uo        Q = l1 + l2 cos s - lo sin s
 
-With the swing joint first, the flap joint on it (the Sony Aibo's):
+With the swing joint first and the flap joint on it (the Sony Aibo's):
 
-    x = Q sin b        y = Q cos b sin a + P cos a        z = P sin a - Q cos b cos a
+    x = Q sin b        y = Q cos b sin a + P cos a        z = P sin a - Q cos a cos b
 
-With the flap joint first and the swing joint `lateral_m` = d further out (most robots of today), Y and Z the place in
-the plane that the flap joint turns:
+With the flap joint first and the swing joint `lateral_m` = d further out (most robots of today), Y and Z the position
+in the plane that the flap joint turns:
 
     Y = Q sin a + P cos a        Z = P sin a - Q cos a
     x = d cos b - Z sin b        y = Y        z = d sin b + Z cos b
@@ -30,9 +30,9 @@ The inverse starts with the knee, from P^2 + Q^2 = n^2, the squared distance of 
     s = atan2(q, p) -+ acos(-r / sqrt(p^2 + q^2))
     p = 2 (uo lo + l1 l2)    q = 2 (l2 uo - l1 lo)    r = lo^2 + l2^2 + uo^2 + l1^2 - n^2
 
-The two signs are the two ways to bend the knee; taken is the one beyond the stretched leg, atan2(q, p), so the knee is
-never bent backwards. The other angles follow from linear pairs. Of the two flaps that reach a foot, the leg pointing
-down or up, taken is the one within 90 degrees of down.
+The two signs are the two ways to bend the knee. The sign beyond the stretched leg, atan2(q, p), is taken, so that the
+knee never bends backwards. The other angles follow from linear pairs. Two flaps reach a foot, with the leg pointing
+down or up; the one within 90 degrees of down is taken.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from types import ModuleType
+from typing import Annotated, Any, Literal, TypeAlias
 from xml.etree import ElementTree
 
 import numpy as np
@@ -59,17 +60,21 @@ from recon.ik.chain import MAX_RATE_RAD_S, SerialChain, joint_chain
 from recon.ik.drive import drive_to
 from recon.ik.methods import LeastNorm
 
+MjModel: TypeAlias = Any
+MjSpec: TypeAlias = Any
+"""MuJoCo's model and description of a robot, whose package has no types."""
 LEGS = ("LF", "RF", "LH", "RH")
 IK_TOLERANCE_M = 1e-5
 _BISECTIONS = 12
 
 
-# -- a leg in closed form --------------------------------------------------------------------------------------------
+# -- a leg in closed form ----------------------------------------------------------------------------------------------
 
 LEG_ANGLES = ("swing", "flap", "knee")
 Length = Annotated[float, Field(strict=True, gt=-1e6, lt=1e6, allow_inf_nan=False)]
 PositiveLength = Annotated[float, Field(strict=True, gt=1e-6, lt=1e6, allow_inf_nan=False)]
-"""Numbers in the file of a robot or a recipe, mostly metres or radians; more, or less, can only be damage."""
+"""Numbers in the file of a robot or a recipe, mostly metres or radians; a number outside these limits can only be
+damage."""
 
 
 def _ordered(limits: tuple[float, float]) -> tuple[float, float]:
@@ -86,7 +91,7 @@ _ROUNDING = 1e-12
 
 @dataclass(frozen=True)
 class Leg:
-    """A leg with a thigh and a shin; feet are (..., 3) in leg axes, angles swing, flap and knee (..., 3)."""
+    """Describe a leg with a thigh and a shin; feet are (..., 3) in leg axes, angles swing, flap and knee (..., 3)."""
 
     __pydantic_config__ = FileTable.model_config
     first: Literal["swing", "flap"]
@@ -98,7 +103,7 @@ class Leg:
     foot_offset_m: Length = 0.0
     """Forwards, at right angles to the shin."""
     lateral_m: Length = 0.0
-    """From the flap joint out to the swing joint, where the flap joint is the first."""
+    """Distance from the flap joint out to the swing joint, if the flap joint is the first."""
     mirror: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """1 or -1 for each axis, 1 for the right front leg."""
 
@@ -146,7 +151,7 @@ class Leg:
         return self.chain.end(np.asarray(angles_rad, float)[..., self.order]) * self.mirror
 
     def inverse(self, feet_m: ArrayLike) -> Array:
-        """Return angles of feet, whatever the limits; NaN out of reach."""
+        """Return the angles of feet regardless of the limits; NaN out of reach."""
         x, y, z = np.moveaxis(np.asarray(feet_m, float) * self.mirror, -1, 0)
         d, swing_first = self.lateral_m, self.first == "swing"
         z2 = x * x + z * z - d * d
@@ -170,13 +175,16 @@ class Leg:
         return np.where(reached[..., None], np.stack([a, b, s], axis=-1), np.nan)
 
     def slack_m(self, feet_m: Array) -> Array:
-        """Return how far feet are within the reach of a leg with the swing joint first (...), negative outside."""
-        distance, (least, most) = np.linalg.norm(feet_m, axis=-1), self.distances_m
+        """Return the distance of feet from the edge of the reach (...), negative outside.
+
+        For a leg with the swing joint first.
+        """
+        distance, (shortest, longest) = np.linalg.norm(feet_m, axis=-1), self.distances_m
         p, q, r_plus_n2 = self._pqr
         bend = np.arccos(np.clip((distance**2 - r_plus_n2) / np.hypot(p, q), -1.0, 1.0))
         # A bent leg does not come nearer to the axis of its swing joint than P.
-        aside = np.hypot(feet_m[..., 1], feet_m[..., 2]) - np.abs(self.in_plane(self.stretched_rad + bend)[0])
-        return np.minimum(np.minimum(distance - least, most - distance), aside)
+        beyond_axis = np.hypot(feet_m[..., 1], feet_m[..., 2]) - np.abs(self.in_plane(self.stretched_rad + bend)[0])
+        return np.minimum(np.minimum(distance - shortest, longest - distance), beyond_axis)
 
 
 def _wrapped(angle: Array) -> Array:
@@ -184,23 +192,23 @@ def _wrapped(angle: Array) -> Array:
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
-# -- legs and robots -------------------------------------------------------------------------------------------------
+# -- legs and robots ---------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class RobotLeg:
-    """A leg of n joints, in their order from the hip down; feet are points in body axes."""
+    """Describe a leg of n joints, in their order from the hip down; feet are points in body axes."""
 
     chain: SerialChain
-    """Joint by joint in body axes, with names and limits, its end effector the foot."""
+    """The leg joint by joint in body axes, with names and limits; its end effector is the foot."""
     neutral_m: Array
     """(3,): the foot of the standing leg."""
     home_rad: Array | None = None
-    """(n,): the standing leg, from where a leg without a closed form is solved; None for one that cannot stand."""
+    """(n,): angles of the standing leg, from which a leg without a closed form is solved; None if it cannot stand."""
     closed: Leg | None = None
-    """Its closed form, in leg axes."""
+    """The leg's closed form, in leg axes."""
     signs: Array | None = None
-    """(n,): of the joints' own angles against those of the closed form."""
+    """(n,): signs of the joints' own angles relative to those of the closed form."""
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -213,22 +221,22 @@ class RobotLeg:
         return self.chain.positions(np.zeros(self.chain.n))[0]
 
     def margins(self, angles_rad: Array) -> Array:
-        """Return how far each angle is within its limits (..., n), negative outside, NaN without an angle."""
+        """Return the distance of each angle from its nearer limit (..., n), negative outside, NaN without an angle."""
         return np.minimum(angles_rad - self.chain.lower_rad, self.chain.upper_rad - angles_rad)
 
     def closed_angles(self, feet_m: Array) -> Array:
-        """Return angles (T, n) of feet (T, 3) in closed form, whatever the limits; NaN out of reach."""
+        """Return angles (T, n) of feet (T, 3) in closed form, regardless of the limits; NaN out of reach."""
         assert self.closed is not None
         assert self.signs is not None
         return self.closed.inverse(_to_leg_axes(feet_m - self.hip_m))[..., self.closed.order] * self.signs
 
     def slack_m(self, feet_m: Array) -> Array:
-        """Return how far feet (T, 3) are within the reach of the closed form (T,), negative outside."""
+        """Return the distance of feet (T, 3) from the edge of the closed form's reach (T,), negative outside."""
         assert self.closed is not None
         return self.closed.slack_m(_to_leg_axes(feet_m - self.hip_m))
 
     def angles(self, feet_m: Array) -> Array:
-        """Return angles (T, n) of feet (T, 3) that follow each other; NaN where none is within the limits."""
+        """Return angles (T, n) of feet (T, 3), each near the previous ones; NaN if none is within the limits."""
         if self.closed is not None:
             solved = self.closed_angles(feet_m)
             return np.where(np.all(self.margins(solved) >= 0, axis=-1)[..., None], solved, np.nan)
@@ -246,7 +254,7 @@ class RobotLeg:
 
 @dataclass(frozen=True)
 class Masses:
-    """A robot's masses and its motors' torques; links and torques of a leg in the order of its joints."""
+    """Hold a robot's masses and its motors' torques, those of a leg in the order of its joints."""
 
     __pydantic_config__ = FileTable.model_config
     body_kg: PositiveLength
@@ -258,17 +266,17 @@ class Masses:
 
 @dataclass(frozen=True, eq=False)
 class Quadruped:
-    """A robot with four legs."""
+    """Describe a robot with four legs."""
 
     name: str
     title: str
     legs: Mapping[str, RobotLeg]
-    """By LF, RF, LH, RH, in this order."""
+    """Legs by LF, RF, LH, RH, in this order."""
     stand_m: float
-    """The height that its hips stand at."""
+    """Standing height of the hips."""
     source: str = ""
     masses: Masses | None = None
-    """The masses of a robot that is described by its dimensions."""
+    """Masses of a robot that is described by its dimensions."""
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -309,12 +317,12 @@ class Quadruped:
 
     @cached_property
     def ground_m(self) -> float:
-        """Return the ground of the standing robot in body axes: the mean of the feet."""
+        """Return the height of the ground in body axes when the robot stands: the mean of the feet."""
         return float(np.mean([leg.neutral_m[2] for leg in self.legs.values()]))
 
     @cached_property
     def folding_m(self) -> Array:
-        """Return how high (4,) the legs lift their feet straight up from standing, in the order of `LEGS`."""
+        """Return the height (4,) to which each leg can lift its foot from standing, in the order of `LEGS`."""
         heights = []
         for leg in self.legs.values():
             reached_m, unreached = 0.0, -float(leg.neutral_m[2])
@@ -327,7 +335,7 @@ class Quadruped:
 
 
 def reach(chain: SerialChain, q: Array, foot_m: Array) -> Array | None:
-    """Return angles (n,) within the limits that put the end effector at a foot, from nearby ones; None if not found."""
+    """Return angles (n,) within the limits that put the end effector at a foot; None if none are found from q."""
     # Rates do not limit a single place: an iteration is given the time that the slowest joint takes for a turn.
     interval = 2 * np.pi / float(chain.max_rate_rad_s.min())
     run = drive_to(chain, q, foot_m, LeastNorm(), IK_TOLERANCE_M, max_iterations=200, interval_s=interval)
@@ -335,7 +343,10 @@ def reach(chain: SerialChain, q: Array, foot_m: Array) -> Array | None:
 
 
 def standing(chain: SerialChain, foot_m: Array) -> Array | None:
-    """Return angles (n,) of the standing leg, reached from the middle of the limits, or from random angles in them."""
+    """Return angles (n,) of the standing leg.
+
+    They are solved from the middle of the limits, or else from random angles within them.
+    """
     turns = _turns(chain)
     starts = [turns.mean(axis=0), *np.random.default_rng(0).uniform(turns[0], turns[1], (30, chain.n))]
     candidates = (reach(chain, q, foot_m) for q in starts)
@@ -346,7 +357,7 @@ def _to_leg_axes(v: Array) -> Array:
     return np.stack([-v[..., 1], v[..., 0], v[..., 2]], axis=-1)
 
 
-# -- the body on its feet --------------------------------------------------------------------------------------------
+# -- the body on its feet ----------------------------------------------------------------------------------------------
 
 
 def body_pose(position_m: ArrayLike, roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> RigidTransform:
@@ -374,14 +385,14 @@ def feet_in_world(pose: RigidTransform, hips_m: ArrayLike, targets_m: ArrayLike)
 # -- robot files: TOML with dimensions and limits, URDF or MJCF --------------------------------------------------------
 
 STAND = 0.7
-"""Height of the hips of a robot from a URDF or MJCF file, of the stretched leg's length."""
+"""Standing height of the hips of a robot from a URDF or MJCF file, as a share of the stretched leg's length."""
 SHORTEST_M = 1e-3
-"""Below which a leg of a URDF is none."""
+"""Least length of a leg in a URDF file."""
 SUFFIXES = (".urdf", ".xml")
 LARGEST = 1e6
-"""The largest length or angle: more can only be damage."""
+"""The largest length or angle; larger ones can only be damage."""
 LEAST_MASS_KG, LEAST_INERTIA_KG_M2 = 1e-6, 1e-9
-"""Mass and inertia of links whose file does not say: their places do not depend on it."""
+"""Mass and inertia of links whose file states none: their positions do not depend on them."""
 
 
 class _Joint(FileTable):
@@ -426,9 +437,9 @@ def builtin_robots() -> tuple[str, ...]:
 
 
 def load_robot(robot: str | Path) -> Quadruped:
-    """Return a built-in robot by name, or one of a file: .toml, .urdf or .xml (MJCF).
+    """Return a built-in robot by name, or one from a file: .toml, .urdf or .xml (MJCF).
 
-    Raise InputError, also for a robot that cannot stand, and for joints named twice.
+    Raises InputError, also for a robot that cannot stand, and for joints that share a name.
     """
     if (path := Path(robot)).suffix.lower() in SUFFIXES:
         robot_of_file = _quadruped_of_model(path)
@@ -484,11 +495,11 @@ def _cannot_stand(source: str, label: str) -> Problem:
 
 
 def _quadruped_of_model(path: Path) -> Quadruped:
-    """Return a robot of the four chains of at least three moving joints that end in a leaf.
+    """Return a robot whose legs are the four chains of at least three moving joints that end in a leaf.
 
-    The legs are told from each other by the positions of their hips. If several leaves hang on the same joints, the
-    farthest down is the foot. The hips stand at `STAND` of the stretched legs' length, each foot below the leg's second
-    joint. Raise InputError for another number of chains.
+    The positions of the hips say which leg is which. If several leaves hang on the same joints, the lowest is the foot.
+    The hips stand at `STAND` of the stretched legs' length, each foot below the leg's second joint. Raises InputError
+    for another number of chains.
     """
     model = read_model(path)
     names, chain_of_leaf = body_names(model), {}
@@ -524,14 +535,14 @@ def _quadruped_of_model(path: Path) -> Quadruped:
 
 
 def _turns(chain: SerialChain) -> Array:
-    """Return limits (2, n); a joint without limits has half a turn each way."""
+    """Return limits (2, n); a joint without limits gets half a turn each way."""
     return np.array([np.maximum(chain.lower_rad, -np.pi), np.minimum(chain.upper_rad, np.pi)])
 
 
-# -- what MuJoCo reads (extra robots); meshes are left out: they need files beside it, and no kinematics needs them ----
+# -- models read by MuJoCo (extra robots), without meshes, which need further files and do not affect kinematics -------
 
 
-def the_mujoco(source: str | Path) -> Any:
+def require_mujoco(source: str | Path) -> ModuleType:
     """Return the module mujoco; raise InputError about `source` if it is not installed."""
     try:
         import mujoco
@@ -541,12 +552,13 @@ def the_mujoco(source: str | Path) -> Any:
     return mujoco
 
 
-def read_model(path: str | Path, free: bool = False) -> Any:
-    """Return a file as MuJoCo's model (`MjModel`), with its fixed joints.
+def read_model(path: str | Path, free: bool = False) -> MjModel:
+    """Return a file as MuJoCo's model, with its fixed joints.
 
-    `free` lets its root move freely in the world. Raise InputError for a file of another kind, and without MuJoCo.
+    free: lets its root move freely in the world. Raises InputError for any other kind of file, and without MuJoCo.
     """
-    path, mujoco = Path(path), the_mujoco(path)
+    path = Path(path)
+    mujoco = require_mujoco(path)
     if not path.is_file():
         raise InputError(Problem(path, "file", "no such file", "a URDF or MJCF file"))
     name = utf8_path(path)
@@ -574,9 +586,9 @@ def read_model(path: str | Path, free: bool = False) -> Any:
 
 
 def rates_of(path: Path) -> dict[str, float]:
-    """Return the joints' fastest rates that a URDF file states, which MuJoCo does not keep.
+    """Return the joints' fastest rates from a URDF file, which MuJoCo does not keep.
 
-    MJCF has none. Raise InputError for limits that are not numbers.
+    MJCF has none. Raises InputError for limits that are not numbers.
     """
     try:
         stated = {j.get("name", ""): j.find("limit") for j in ElementTree.parse(path).getroot().iter("joint")}
@@ -594,27 +606,27 @@ def rates_of(path: Path) -> dict[str, float]:
     return rates
 
 
-def body_names(model: Any) -> list[str]:
-    """Return the names of all bodies but the world; a body without a name is called by its number, as body 3."""
+def body_names(model: MjModel) -> list[str]:
+    """Return the names of all bodies but the world; a body without a name is named by its number, as body 3."""
     return [model.body(k).name or f"body {k}" for k in range(1, model.nbody)]
 
 
-def root_of(model: Any) -> int:
-    """Return the body that moves freely in the world, or the first that hangs on it."""
+def root_of(model: MjModel) -> int:
+    """Return the index of the body that moves freely in the world, or of the first body."""
     free = [int(model.jnt_bodyid[j]) for j in range(model.njnt) if model.jnt_type[j] == 0]
     return free[0] if free else 1
 
 
-def leaves_of(model: Any) -> list[int]:
-    """Return the bodies on which none hangs."""
+def leaves_of(model: MjModel) -> list[int]:
+    """Return the indices of the bodies without a child."""
     return [k for k in range(1, model.nbody) if k not in model.body_parentid[1:]]
 
 
-def foot_of(model: Any, leaf: int) -> Array:
+def foot_of(model: MjModel, leaf: int) -> Array:
     """Return the position (3,) of a foot in the leaf's axes.
 
-    It is the leaf's origin, or, if a joint moves the leaf, as MJCF files end their legs, the middle of the farthest
-    sphere on it, or else of the farthest shape.
+    It is the leaf's origin, unless a joint moves the leaf, as at the legs' ends in MJCF files: then it is the middle of
+    the farthest sphere on the leaf, or of the farthest shape without a sphere.
     """
     shapes = [g for g in range(model.ngeom) if model.geom_bodyid[g] == leaf]
     shapes = [g for g in shapes if model.geom_type[g] == 2] or shapes
@@ -623,8 +635,8 @@ def foot_of(model: Any, leaf: int) -> Array:
     return np.array(max((model.geom_pos[g] for g in shapes), key=np.linalg.norm))
 
 
-def way_to(model: Any, tip: int) -> list[int]:
-    """Return the bodies after the root as far as `tip`; empty where the tip does not hang on the root."""
+def way_to(model: MjModel, tip: int) -> list[int]:
+    """Return the bodies after the root up to `tip`; empty if the tip does not hang on the root."""
     bodies, root = [], root_of(model)
     while tip not in (root, 0):
         bodies.append(tip)
@@ -632,17 +644,17 @@ def way_to(model: Any, tip: int) -> list[int]:
     return bodies[::-1] if tip == root else []
 
 
-def moving(model: Any, bodies: list[int]) -> list[int]:
+def moving(model: MjModel, bodies: list[int]) -> list[int]:
     """Return the joints of bodies, in their order."""
     return [j for k in bodies for j in range(model.body_jntadr[k], model.body_jntadr[k] + model.body_jntnum[k])]
 
 
-def model_chain(model: Any, path: Path, tip: str, end_m: ArrayLike = (0.0, 0.0, 0.0)) -> SerialChain:
+def model_chain(model: MjModel, path: Path, tip: str, end_m: ArrayLike = (0.0, 0.0, 0.0)) -> SerialChain:
     """Return the chain from the root to a body, with its limits; fixed joints are part of the links.
 
-    It is in the axes of the root, its end effector at `end_m` (3,) in those of the tip, its joints those that move.
-    Joints without limits of their angle turn freely, those without a rate as fast as `MAX_RATE_RAD_S`. Raise InputError
-    for joints of another kind.
+    It is in the axes of the root. Its end effector is at `end_m` (3,) in the axes of the tip. Its joints are those that
+    move. Joints without limits of their angle turn freely, those without a rate as fast as `MAX_RATE_RAD_S`. Raises
+    InputError for joints of another kind.
     """
     names, start = body_names(model), root_of(model)
     if tip not in names:
@@ -654,7 +666,7 @@ def model_chain(model: Any, path: Path, tip: str, end_m: ArrayLike = (0.0, 0.0, 
         raise InputError(Problem(path, "chain", detail, "a link that joints move"))
     unlike = [model.joint(j).name for j in joints if model.jnt_type[j] not in (2, 3)]  # slide, hinge
     raise_problems(Problem(path, f"joint {name}", "another kind", "joints that turn or slide") for name in unlike)
-    mujoco = the_mujoco(path)
+    mujoco = require_mujoco(path)
     mujoco.mj_kinematics(model, data := mujoco.MjData(model))  # all joints at 0
     root_axes, tip_axes = (data.xmat[body].reshape(3, 3) for body in (start, last))
     end = data.xpos[last] + tip_axes @ np.asarray(end_m, dtype=float)

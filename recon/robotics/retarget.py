@@ -1,33 +1,31 @@
-"""An animal's motion as a reference for a legged machine, and the reference on a quadruped.
-
-The second part finds footholds, the body's pose and joint angles, and says how well they do.
+"""Turn an animal's motion into a reference for a legged machine, and put the reference on a quadruped.
 
 The reference has the animal's own size and time. World: z up, the ground at 0, x along the travel. The base is the
-middle of the trunk. Its height, pitch and roll are deviations from their means, since a machine stands as it stands;
-roll is that of the lines between hips and between shoulders. They and the heading
-are smoothed over `SMOOTH_S`, as a fit's errors last a few frames and a body is heavy.
+middle of the trunk. Its height, pitch and roll are deviations from their means, since a machine has a standing pose of
+its own. Roll is that of the lines between hips and between shoulders. Height, angles and heading are smoothed over
+`SMOOTH_S`, since a fit's errors last a few frames and a body is heavy.
 
-Feet are in heading axes (x forwards, y left, level) from the base, less each foot's middle place: halfway between
-foremost and rearmost, and the mean to the side. Their heights are above the ground, less the mean height while they
-stand, for a marker lies above the sole.
+Feet are in heading axes (x forwards, y left, level) from the base, relative to each foot's middle position: halfway
+between foremost and rearmost, and the mean to the side. Heights of feet are above the ground, less the mean height in
+stance, because a marker lies above the sole.
 
-One factor, the scale, turns the animal's lengths into the robot's. The robot's base goes where the scaled animal's
-does; it stands at its own height, to which the scaled deviations of height, pitch and roll are added, held within
-`LIFT`, `PITCH_RAD` and `ROLL_RAD` by a tanh. A foot is at its neutral place under the hip, moved by the scaled way of
-the animal's foot from its middle place, and plants itself where the animal's does.
-It is lifted as high as the scaled animal's, but held by a tanh within `CLEARANCE` of what the leg can be folded by.
+One factor, the scale, turns the animal's lengths into the robot's. The robot's base follows the scaled path of the
+animal. It stands at its own height; the scaled deviations of height, pitch and roll are added, limited to `LIFT`,
+`PITCH_RAD` and `ROLL_RAD` by a tanh. A foot is at its neutral position under the hip, plus the scaled displacement of
+the animal's foot from its middle position, and stands when the animal's does. It is lifted as high as the scaled
+animal's foot, limited by a tanh to the share `CLEARANCE` of the height by which the leg can be folded.
 
-Unless it is given, the scale is the largest up to stand_m / leg_m at which all feet, of the clip and of the stride that
-repeats, are within the legs' reach and the joints' limits; and the motion is as slow as the joints' rates ask for, but
-not faster than the animal's. With a given scale, a foot out of reach is drawn towards its neutral place until it is
-not.
+Unless it is given, the scale is the largest up to stand_m / leg_m at which all feet, in the clip and in the stride that
+repeats, are within the legs' reach and the joints' limits. Unless it is given, the pace is as slow as the limits of the
+joints' rates require, and never faster than the animal's. With a given scale, a foot out of reach is drawn towards its
+neutral position until it is in reach.
 
-In a stance a foot stays at the stance's mean place, on the ground. Over a swing its path is shifted from that of the
-stance before to that of the next, and it leaves its foothold for this path, and comes back to one, within the share
-`EASE` of the swing, so that its acceleration does not jump where it lifts off and lands.
+In stance a foot stays at the stance's mean position, on the ground. During a swing its path is shifted from that of the
+previous stance to that of the next. The foot leaves its foothold for this path, and returns to a foothold, within the
+share `EASE` of the swing, so that its acceleration does not jump at lift-off and touch-down.
 
-An animal with a back that bends gathers its feet so far in a gallop that on a rigid body fore and hind legs would meet.
-Hind feet go outside of the fore feet then, as a cheetah's do: by the least of `SPREADS` that keeps the legs' lines
+An animal with a flexible back gathers its feet so far in a gallop that fore and hind legs would meet on a rigid body.
+Hind feet then pass outside the fore feet, as a cheetah's do: by the smallest of `SPREADS` that keeps the legs' lines
 `LEGS_APART` from each other.
 """
 
@@ -53,14 +51,14 @@ from recon.robotics.quadruped import LEGS, Quadruped, RobotLeg, body_pose, feet_
 
 SMOOTH_S = 0.02
 MIN_SAMPLES = 40
-"""Four frames."""
+"""Fewest samples of a reference: four frames."""
 HARMONICS = 8
-"""What a closed stride consists of: the seam where it was cut is smooth then."""
+"""Number of harmonics in a closed stride, which smooths the seam where it was cut."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What a robot is to follow, at N times, evenly spaced."""
+    """Hold the motion that a robot follows, at N evenly spaced times."""
 
     time_s: Array
     """(N,)"""
@@ -73,46 +71,47 @@ class Reference:
     standing: Bools
     """(N, 4)"""
     leg_m: float
-    """The animal's length of leg."""
+    """Length of the animal's legs."""
     advance_m: Array | None = None
-    """(2,): of a closed stride, the way from its first to its last sample, which are one and the same otherwise;
-    None for a clip."""
+    """(2,): for a closed stride, the displacement from its first to its last sample, which agree otherwise; None for a
+    clip."""
 
 
 @dataclass(frozen=True)
 class StrideWindow:
-    """A stride as samples of a reference, first and last."""
+    """Hold the first and the last sample of a stride in a reference."""
 
     first: int
     last: int
-    how: str
-    """One of "given", "stride", a complete one of a foot, or "return", where all feet come back nearest to where they
-    began."""
+    source: str
+    """Origin of the stride: "given"; "stride", a complete one of a foot; or "return", where all feet come back nearest
+    to their starting positions.
+    """
     gap_percent: float
-    """How far apart its ends are, of the paths' extent, the mean over the feet."""
+    """Distance between its ends, in percent of the extent of the feet's paths, mean over the feet."""
 
 
 @dataclass(frozen=True, eq=False)
 class Animal:
-    """An animal's motion, and the reference that was made of it."""
+    """Hold an animal's motion, and the reference that was made from it."""
 
     reference: Reference
     analysis: ClipAnalysis
     gait: Gait
     rotation: Rotation
-    """Takes the upright frame to the reference's world, with origin_m."""
+    """Together with origin_m, takes the upright frame to the reference's world."""
     origin_m: Array
     rows: Index
-    """(N,), samples of the analysis' fine grid that the reference is made from."""
+    """(N,): the samples of the analysis' fine grid that the reference is made from."""
 
 
 # -- the clip --------------------------------------------------------------------------------------------------------
 
 
 def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) -> Animal:
-    """Return the reference of an animal's motion; `stride_s` as for `analyse`.
+    """Return the reference of an animal's motion.
 
-    Raise InputError where the clip shows no feet, or too few frames of all of them.
+    stride_s: as for `analyse`. Raises InputError if the clip shows no feet, or too few frames with all feet.
     """
     analysis = analyse(motion, stride_s=stride_s)
     if (gait := analysis.gait) is None or not {*LEGS} <= {*motion.foot_names}:
@@ -123,7 +122,7 @@ def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) ->
     rear, front = (analysis.moved(name).series.value for name in motion.forward_names)
     columns = np.column_stack([tracks.foot_m.reshape(n, -1), tracks.body_m, front - rear])
     ranges = frame_ranges(np.flatnonzero(np.isfinite(columns).all(axis=1)))
-    rows = np.arange(*max(ranges, key=lambda one: one[1] - one[0], default=(0, 0)))
+    rows = np.arange(*max(ranges, key=lambda stretch: stretch[1] - stretch[0], default=(0, 0)))
     if len(rows) < MIN_SAMPLES:
         detail = f"{len(rows) // 10} frames in a row with all feet and the trunk"
         raise InputError(Problem(motion.file, "frames", detail, f"at least {MIN_SAMPLES // 10}"))
@@ -147,8 +146,8 @@ def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) ->
     feet = np.stack([heading.apply(to_world.apply(tracks.foot_m[rows, k] - body)) for k in order], axis=1)
     standing, heights = np.zeros((len(time), len(LEGS)), bool), tracks.height_m[rows][:, order]
     for stance in gait.stances:
-        within = (time >= stance.start_s - 1e-9) & (time <= stance.end_s + 1e-9)
-        standing[within, LEGS.index(stance.foot)] = True
+        is_stance = (time >= stance.start_s - 1e-9) & (time <= stance.end_s + 1e-9)
+        standing[is_stance, LEGS.index(stance.foot)] = True
     feet[..., 0] -= (feet[..., 0].min(axis=0) + feet[..., 0].max(axis=0)) / 2
     feet[..., 1] -= feet[..., 1].mean(axis=0)
     for k, stands in enumerate(standing.T):
@@ -188,15 +187,15 @@ def _angles(analysis: ClipAnalysis, rows: Index, to_world: Rotation, trunk: Arra
 
 
 def stride_window(animal: Animal) -> StrideWindow:
-    """Return the stride that was given, or a complete one, or the nearest return of all feet.
+    """Return the given stride, or a complete one, or the nearest return of all feet.
 
-    A complete stride is the first one of the foot with the most. If no foot has landed twice, a stride takes at least
-    the time from the first touch-down to the end of the clip.
+    The complete stride is the first of the foot with the most strides. If no foot has landed twice, a stride lasts at
+    least from the first touch-down to the end of the clip.
     """
     feet, time = animal.reference.feet_m, animal.reference.time_s
-    within = [s for s in animal.gait.strides if time[0] - 1e-9 <= s.start_s and s.end_s <= time[-1] + 1e-9]
-    of_feet = [s.foot for s in within]
-    source, stride = "stride", min(within, key=lambda s: (-of_feet.count(s.foot), s.start_s), default=None)
+    complete = [s for s in animal.gait.strides if time[0] - 1e-9 <= s.start_s and s.end_s <= time[-1] + 1e-9]
+    of_feet = [s.foot for s in complete]
+    source, stride = "stride", min(complete, key=lambda s: (-of_feet.count(s.foot), s.start_s), default=None)
     if (window_given := animal.analysis.given) is not None:
         source, stride = "given", window_given
     if stride is not None:
@@ -223,8 +222,8 @@ def stride_window(animal: Animal) -> StrideWindow:
 def closed_stride(animal: Animal, window: StrideWindow) -> Reference:
     """Return the window as a stride that repeats and goes straight on.
 
-    Gaps are spread evenly over it, and `HARMONICS` kept. A foot that does not stand in the window stands when it does
-    so one stride before or after.
+    Gaps are spread evenly over the stride, and `HARMONICS` are kept. A foot without stance in the window stands when it
+    stands one stride earlier or later.
     """
     whole = animal.reference
     n = window.last - window.first
@@ -265,25 +264,28 @@ def closed_stride(animal: Animal, window: StrideWindow) -> Reference:
 
 PITCH_RAD, ROLL_RAD = 0.25, 0.15
 LIFT = 0.15
-"""How high a swinging foot rises, as a share of the height that the hips stand at."""
+"""Largest rise of the body, as a share of the standing height of the hips."""
 CLEARANCE = 0.7
 SPREADS = (0.0, 0.1, 0.2, 0.3, 0.4)
 LEGS_APART = 0.15
-"""Both of the height that the hips stand at; legs are about as thick."""
+"""Distance of the legs' lines, and the spreads above, as shares of the standing height of the hips; legs are about as
+thick.
+"""
 SCALES = 0.97 ** np.arange(76)
-"""Shares of the largest scale that are tried."""
+"""Scales that are tried, as shares of the largest."""
 _EVERY = 5
-"""Samples from one to the next that a scale is tried on; half a frame."""
+"""Samples between those on which a scale is tried first; half a frame."""
 _BISECTIONS = 25
 CLEAR = 0.05
-"""The height within which swinging feet are bent away from the ground, as a share of the standing height."""
+"""Height within which paths of swinging feet are bent away from the ground, as a share of the standing height."""
 EASE, SOFT = 0.28, 0.1
-"""Shares of a swing's time, and of the foot's height within which its path is bent to stay above the ground."""
+"""Shares of a swing's duration, and of the height of a foot's path within which the path is bent to stay above the
+ground."""
 
 
 @dataclass(frozen=True, eq=False)
 class KeptMotion:
-    """A robot's motion at N times as plain arrays.
+    """Hold a robot's motion at N times as plain arrays.
 
     Its 4 legs are in the order of `LEGS`, its joints in that of robot.joints.
     """
@@ -291,7 +293,7 @@ class KeptMotion:
     scale: float
     slower: float
     time_s: Array
-    """(N,): the robot's."""
+    """(N,): the robot's times."""
     angles_rad: Array
     """(N, joints)"""
     position_m: Array
@@ -299,18 +301,18 @@ class KeptMotion:
     quaternion_xyzw: Array
     """(N, 4): of the body in the world."""
     feet_m: Array
-    """(N, 4, 3): where the feet should be, in the world."""
+    """(N, 4, 3): the feet's intended positions in the world."""
     standing: Bools
     """(N, 4)"""
     short: Bools
     """(N, 4): feet that were out of reach."""
     advance_m: Array | None = None
-    """As of the reference."""
+    """As in `Reference`."""
 
 
 @dataclass(frozen=True, eq=False)
 class RobotMotion(KeptMotion):
-    """The arrays of a robot's motion, and the robot."""
+    """Hold the arrays of a robot's motion, and the robot."""
 
     robot: Quadruped = field(kw_only=True)
 
@@ -326,7 +328,7 @@ class RobotMotion(KeptMotion):
 
     @cached_property
     def _spline(self) -> CubicSpline:
-        """Return a spline through the states of `Quadruped.tree`, less the way of a stride that repeats."""
+        """Return a spline through the states of `Quadruped.tree`, less the displacement of a stride that repeats."""
         turn = np.unwrap(self.pose.rotation.as_euler("ZYX"), axis=0)
         states = np.hstack([self.position_m, turn, self.angles_rad])
         if self.advance_m is None:
@@ -337,7 +339,7 @@ class RobotMotion(KeptMotion):
     def states(self, time_s: Array, derivative: int = 0) -> Array:
         """Return the states (K, 6 + joints) of `Quadruped.tree` at times (K,), or their derivatives.
 
-        They are those of cubic splines through the samples, ten for each of the clip's frames.
+        They come from cubic splines through the samples, ten for each of the clip's frames.
         """
         states = self._spline(time_s, derivative)
         if self.advance_m is not None and derivative < 2:
@@ -379,7 +381,7 @@ class RobotMotion(KeptMotion):
 
     @cached_property
     def slip_m(self) -> Array:
-        """Return how far each foot (4,) slips in any stance, by the joints' angles at and between samples.
+        """Return the largest slip of each foot (4,) in any stance, from the joints' angles at and between samples.
 
         It is 0 for a foot that never stands.
         """
@@ -390,22 +392,22 @@ class RobotMotion(KeptMotion):
 
     @cached_property
     def closing_percent(self) -> float:
-        """Return, for a stride that repeats, the largest difference of an angle between its ends, % of its range."""
+        """Return the largest difference of an angle between the ends of a repeating stride, % of its range."""
         return 100 * float(np.max(np.abs(self.angles_rad[-1] - self.angles_rad[0]) / np.ptp(self.angles_rad, axis=0)))
 
 
 @dataclass(frozen=True, eq=False)
 class Retargeting:
-    """A robot's motion after an animal's."""
+    """Hold a robot's motion that follows an animal's."""
 
     animal: Animal
     window: StrideWindow
     clip: RobotMotion
-    """The whole of it."""
+    """The whole clip."""
     stride: RobotMotion
-    """One that repeats."""
+    """A stride that repeats."""
     spread_m: float
-    """How far outside of its neutral place each hind foot goes."""
+    """Distance of each hind foot outside its neutral position."""
 
 
 def retarget(
@@ -417,8 +419,18 @@ def retarget(
 ) -> Retargeting:
     """Return an animal's motion on a robot.
 
-    `scale` is the factor of lengths; None: the largest that fits. `slower` is the factor of times; None: as the rates
-    ask for. `window` is the stride; None: one that is found.
+    Parameters
+    ----------
+    animal : Animal
+        The motion and its reference.
+    robot : Quadruped
+        The robot.
+    scale : float, optional
+        Factor of lengths; by default the largest that fits.
+    slower : float, optional
+        Factor of times; by default as the joints' rates require.
+    window : StrideWindow, optional
+        The stride; by default that of `stride_window`.
     """
     window = window or stride_window(animal)
     moved, repeats, spread = on_robot(animal.reference, closed_stride(animal, window), robot, scale, slower)
@@ -428,24 +440,24 @@ def retarget(
 def on_robot(
     clip: Reference, stride: Reference, robot: Quadruped, scale: float | None = None, slower: float | None = None
 ) -> tuple[RobotMotion, RobotMotion, float]:
-    """Return a clip and a stride of it as a robot's motions, and how far the hind feet go outside; see `retarget`."""
+    """Return a clip and a stride of it as a robot's motions, and the spread of the hind feet; see `retarget`."""
     tried: list[tuple[float, list[RobotMotion], float]] = []
     enough = LEGS_APART * robot.stand_m
     for share in SPREADS:
         spread = share * robot.stand_m
         chosen = largest_scale((clip, stride), robot, spread) if scale is None else scale
-        both = []
-        for one in (clip, stride):
-            moved = posed(robot, one.time_s - one.time_s[0], *place(one, robot, chosen, spread))
-            advance = None if one.advance_m is None else chosen * one.advance_m
-            both.append(replace(moved, scale=chosen, advance_m=advance))
-        tried.append((min(motion.apart_m for motion in both), both, spread))
+        motions = []
+        for reference in (clip, stride):
+            moved = posed(robot, reference.time_s - reference.time_s[0], *place(reference, robot, chosen, spread))
+            advance = None if reference.advance_m is None else chosen * reference.advance_m
+            motions.append(replace(moved, scale=chosen, advance_m=advance))
+        tried.append((min(motion.apart_m for motion in motions), motions, spread))
         if tried[-1][0] >= enough:
             break
-    _, both, spread = max(tried, key=lambda one: min(one[0], enough))
+    _, motions, spread = max(tried, key=lambda reference: min(reference[0], enough))
     if slower is None:
-        slower = max(1.0, *(float(motion.rate_share.max()) for motion in both))
-    moved, repeats = (slowed(motion, slower) for motion in both)
+        slower = max(1.0, *(float(motion.rate_share.max()) for motion in motions))
+    moved, repeats = (slowed(motion, slower) for motion in motions)
     return moved, repeats, spread
 
 
@@ -455,8 +467,8 @@ def slowed(motion: RobotMotion, factor: float) -> RobotMotion:
 
 
 def largest_scale(references: tuple[Reference, ...], robot: Quadruped, spread_m: float = 0.0) -> float:
-    """Return the largest scale at which every foot is in reach; if none of `SCALES` is, half of the largest."""
-    most = robot.stand_m / references[0].leg_m
+    """Return the largest scale at which every foot is in reach; half of the largest if none of `SCALES` is."""
+    largest = robot.stand_m / references[0].leg_m
 
     def fits(scale: float, every: int) -> bool:
         for reference in references:
@@ -466,14 +478,14 @@ def largest_scale(references: tuple[Reference, ...], robot: Quadruped, spread_m:
                 return False
         return True
 
-    scales = (float(scale) for scale in most * SCALES)
-    return next((scale for scale in scales if fits(scale, _EVERY) and fits(scale, 1)), most / 2)
+    scales = (float(scale) for scale in largest * SCALES)
+    return next((scale for scale in scales if fits(scale, _EVERY) and fits(scale, 1)), largest / 2)
 
 
 def place(
     reference: Reference, robot: Quadruped, scale: float, spread_m: float = 0.0
 ) -> tuple[RigidTransform, Array, Bools]:
-    """Return T_world_body (N), the feet in the world (N, 4, 3) with their footholds, and which stand (N, 4)."""
+    """Return T_world_body (N), the feet in the world (N, 4, 3) with their footholds, and which of them stand (N, 4)."""
     roll, pitch, yaw = reference.roll_pitch_yaw_rad.T
     position = scale * reference.base_m
     position[:, 2] = _within(position[:, 2], LIFT * robot.stand_m) - robot.ground_m
@@ -500,15 +512,14 @@ def place(
 def posed(robot: Quadruped, time_s: Array, pose: RigidTransform, feet_m: Array, standing: Bools) -> RobotMotion:
     """Return the motion of a robot from poses and feet.
 
-    `pose` is T_world_body (N), the feet are (N, 4, 3) in the world, and `standing` (N, 4). Feet out of reach are drawn
-    in.
+    pose: T_world_body (N). feet_m: (N, 4, 3), in the world. standing: (N, 4). Feet out of reach are drawn in.
     """
     targets = leg_targets(pose, np.zeros(3), feet_m)
     solved = [drawn_in(leg, targets[:, k]) for k, leg in enumerate(robot.legs.values())]
     angles = np.concatenate([angles for angles, _ in solved], axis=1)
     short = np.stack([short for _, short in solved], axis=1)
-    place, turned = pose.translation, pose.rotation.as_quat()
-    return RobotMotion(1.0, 1.0, time_s, angles, place, turned, feet_m, standing, short, robot=robot)
+    position, quaternion = pose.translation, pose.rotation.as_quat()
+    return RobotMotion(1.0, 1.0, time_s, angles, position, quaternion, feet_m, standing, short, robot=robot)
 
 
 def drawn_in(leg: RobotLeg, feet_m: Array) -> tuple[Array, Bools]:
@@ -520,11 +531,11 @@ def drawn_in(leg: RobotLeg, feet_m: Array) -> tuple[Array, Bools]:
     short = ~np.asarray(np.isfinite(angles).all(axis=1))
     if not short.any():
         return angles, short
-    away = feet_m[short] - leg.neutral_m
-    shares, step = np.zeros(len(away)), 0.5
+    to_target = feet_m[short] - leg.neutral_m
+    shares, step = np.zeros(len(to_target)), 0.5
     angles[short] = leg.angles(leg.neutral_m[None])
     for _ in range(_BISECTIONS):
-        tried = leg.angles(leg.neutral_m + (shares + step)[:, None] * away)
+        tried = leg.angles(leg.neutral_m + (shares + step)[:, None] * to_target)
         good = np.isfinite(tried).all(axis=1)
         angles[np.flatnonzero(short)[good]] = tried[good]
         shares, step = shares + step * good, step / 2
@@ -546,7 +557,7 @@ def stances(standing: Bools) -> list[tuple[int, int]]:
 def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | None = None) -> Array:
     """Return a path (N, 3) with footholds where a foot stands (N,), nowhere below the ground, z = 0.
 
-    `advance_m` (2,) is, for a stride that repeats, how far its last sample is ahead of its first.
+    advance_m: (2,), for a stride that repeats, the displacement from its first to its last sample.
     """
     if advance_m is not None:
         n, period, ahead = len(time_s) - 1, time_s[-1] - time_s[0], np.append(advance_m, 0.0)
@@ -555,28 +566,28 @@ def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | No
         out = planted(time, path, np.concatenate([standing[:-1], standing[:-1], standing]))[n : 2 * n + 1]
         out[-1] = out[0] + ahead
         return out
-    place, ends = np.zeros_like(path_m), []
+    footholds, ends = np.zeros_like(path_m), []
     for first, last in stances(standing):
-        place[first : last + 1, :2] = path_m[first : last + 1, :2].mean(axis=0)
+        footholds[first : last + 1, :2] = path_m[first : last + 1, :2].mean(axis=0)
         ends += [first, last]
     knots = np.unique(ends or [0])
     moving = path_m.copy()
     if len(knots) > 1:
-        shift = CubicHermiteSpline(time_s[knots], (place - path_m)[knots], np.zeros((len(knots), 3)))
+        shift = CubicHermiteSpline(time_s[knots], (footholds - path_m)[knots], np.zeros((len(knots), 3)))
         moving += shift(np.clip(time_s, time_s[knots[0]], time_s[knots[-1]]))
     moving[:, 2] = (moving[:, 2] + np.hypot(moving[:, 2], SOFT * np.ptp(path_m[:, 2]))) / 2
     if not ends:
         return moving
     last_standing, next_standing, since, until, lasts = _swings(time_s, standing)
     share = np.minimum(np.minimum(since, until) / (EASE * lasts), 1.0)[:, None]
-    hold = place[np.where(since <= until, last_standing, np.minimum(next_standing, len(time_s) - 1))]
+    hold = footholds[np.where(since <= until, last_standing, np.minimum(next_standing, len(time_s) - 1))]
     return hold + share**2 * (6 - 8 * share + 3 * share**2) * (moving - hold)
 
 
 def _swings(time_s: Array, standing: Bools) -> tuple[Array, Array, Array, Array, Array]:
-    """Return the standing samples around each sample (N,), and the times to them.
+    """Return the standing samples before and after each sample (N,), the times to them, and the duration of the swing.
 
-    These are the last before it and the first after it, the times since and until then, and how long the swing lasts.
+    These are the last standing sample before it and the first after it, the times since the one and until the other.
     """
     samples = np.arange(len(time_s))
     last_standing = np.maximum.accumulate(np.where(standing, samples, -1))
@@ -589,7 +600,7 @@ def _swings(time_s: Array, standing: Bools) -> tuple[Array, Array, Array, Array,
 
 
 def swinging(motion: RobotMotion) -> Array:
-    """Return weights (N, 4), 0 where a foot stands, 1 in the middle of its swings, and smooth between."""
+    """Return weights (N, 4) that are 0 in stance, 1 in the middle of a swing, and smooth in between."""
     time, standing, n = motion.time_s, motion.standing, len(motion.time_s) - 1
     if motion.advance_m is not None:
         lasts = time[-1] - time[0]
@@ -603,13 +614,13 @@ def swinging(motion: RobotMotion) -> Array:
     return weights if motion.advance_m is None else weights[n : 2 * n + 1]
 
 
-def moved_by(motion: RobotMotion, off: Array, robot: Quadruped | None = None) -> RobotMotion:
-    """Return a motion with its base moved by `off` (N, 6): its position, yaw, pitch and roll.
+def moved_by(motion: RobotMotion, shifts: Array, robot: Quadruped | None = None) -> RobotMotion:
+    """Return a motion with its base moved by `shifts` (N, 6): its position, yaw, pitch and roll.
 
-    Standing feet stay where they are, swinging feet go with the base. `robot` is the same robot with other limits.
+    Standing feet stay in place, swinging feet move with the base. robot: the same robot with other limits.
     """
-    yaw, pitch, roll = motion.pose.rotation.as_euler("ZYX").T + off[:, 3:].T
-    pose, loose = body_pose(motion.pose.translation + off[:, :3], roll, pitch, yaw), swinging(motion)[..., None]
+    yaw, pitch, roll = motion.pose.rotation.as_euler("ZYX").T + shifts[:, 3:].T
+    pose, loose = body_pose(motion.pose.translation + shifts[:, :3], roll, pitch, yaw), swinging(motion)[..., None]
     along = feet_in_world(pose, np.zeros(3), leg_targets(motion.pose, np.zeros(3), motion.feet_m))
     feet = motion.feet_m + loose * (along - motion.feet_m)
     feet[..., 2] = (feet[..., 2] + np.hypot(feet[..., 2], CLEAR * motion.robot.stand_m * loose[..., 0])) / 2

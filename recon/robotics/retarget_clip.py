@@ -1,17 +1,17 @@
-"""A reconstruction on a quadruped robot: joint angles, base, footholds, report, playback, and an ensemble.
+"""Write a reconstruction on a quadruped robot: joint angles, base, footholds, report, playback, and an ensemble.
 
-Every draw of an ensemble is a whole clip from the posterior (`recon.fit.posterior`), put on the robot at the scale
-and the pace of the fit's own motion. One file each in the layout of `--format`, and all of them stacked in
-`samples.npz`: `time_s` (N,), of K draws `base_position` (K, N, 3), `base_quaternion_wxyz` (K, N, 4), `joint_positions`
-(K, N, joints) and `contacts` (K, N, 4), the names, and what the fit's verdict is.
+Every sample of an ensemble is a whole clip drawn from the posterior (`recon.fit.posterior`), put on the robot at the
+scale and the pace of the fitted motion. Each is one file in the layout of `--format`, and all are stacked in
+`samples.npz`: `time_s` (N,); for K samples `base_position` (K, N, 3), `base_quaternion_wxyz` (K, N, 4),
+`joint_positions` (K, N, joints) and `contacts` (K, N, 4); the names; and the verdict on the fit.
 
-Programs that train policies read a motion sampled at a rate of one's own, with velocities, all of it worked out from
-the states of the robot's tree and from their derivatives (`RobotMotion.states`), so that velocities
-belong exactly to what is written.
+Programs that train policies read a motion sampled at a rate of their own, with velocities. Everything is computed from
+the states of the robot's tree and their derivatives (`RobotMotion.states`), so that velocities fit the positions
+exactly.
 
-Bodies are the base, the links, called as the joint that moves them (without "_joint"), and the feet; a link's frame is
-at its joint, and turned as the base where all angles are 0. World: z up, the ground at 0. Frames last exactly a share
-of the whole, the rate being the nearest to the one asked for; the last frame of a stride is its first, a stride on.
+Bodies are the base, the links, named after the joint that moves them (without "_joint"), and the feet. A link's frame
+is at its joint, and turned like the base when all angles are 0. World: z up, the ground at 0. A whole number of frames
+fills the duration, at the rate nearest to the one asked for. The last frame of a stride is its first, one stride later.
 
 Layouts: AMP's JSON is that of A. Escontrela et al., Adversarial Motion Priors Make Good Substitutes for Complex Reward
 Functions, 2022: 61 numbers a frame, legs in the order RF, LF, RH, LH, quaternions xyzw, velocities and toes in the
@@ -47,7 +47,7 @@ from recon.gait.gait import doubtful_text
 from recon.ik.drive import control_columns
 from recon.io.writing import write_rows
 from recon.robotics import physics
-from recon.robotics.quadruped import LEGS, Quadruped, builtin_robots, load_robot
+from recon.robotics.quadruped import LEGS, MjModel, Quadruped, builtin_robots, load_robot
 from recon.robotics.retarget import LEGS_APART, KeptMotion, Retargeting, RobotMotion, reference_of, retarget
 from recon.show.plain import picked, to_json
 from recon.show.plots.style import save
@@ -76,7 +76,7 @@ class RetargetSettings(Settings):
     samples: Annotated[
         Annotated[Integer, Field(ge=2, le=MOST_SAMPLES)] | None, Option(expected=f"a number from 2 to {MOST_SAMPLES}")
     ] = None
-    """Beside it, so many motions as the animal's may have been, drawn from the fit's posterior, as in 32."""
+    """Number of further motions, drawn from the fit's posterior, as in 32."""
     check: bool = False
     """By MuJoCo (the extra robots), frame by frame: limits, torques, forces on the ground, legs that meet: table,
     figure, and what to change."""
@@ -90,15 +90,18 @@ class RetargetSettings(Settings):
 
 REPORT, STACKED = "report.json", "samples.npz"
 REPEATS = 3
-"""How often the stride is repeated in its playback."""
+"""Number of strides in the playback of a stride."""
 SLIP_M = 0.002
-"""What a robot's stance is allowed without a note."""
+"""Slip in a stance from which there is a note."""
 
 
 def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any]]:
-    """Carry out `recon retarget`: write tables, report and playback into a folder, and return report.json."""
+    """Carry out `recon retarget`: write tables, report and playback into a folder.
+
+    Returns the motions, and report.json.
+    """
     out, folder = settings.out, settings.folder
-    names = [f"{of}{table}.csv" for of in ("", "stride_") for table in ("joints", "base", "feet")]
+    names = [f"{start}{table}.csv" for start in ("", "stride_") for table in ("joints", "base", "feet")]
     names += [REPORT, KEPT, "motion.rrd", "stride.rrd", files.MANIFEST]
     output = outputs.Output(
         out,
@@ -119,65 +122,69 @@ def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any
         output.require(names)
         done = retarget(animal, machine, settings.scale, settings.slower)
         model = physics.simulated(machine) if settings.check or settings.fit_limits else None
-        before: dict[str, Any] = {}
+        earlier: dict[str, Any] = {}
         if settings.fit_limits:
-            before = {"before": checked(done, model)}
-            done, before["changed"] = within_limits(done, model)
+            earlier = {"before": checked(done, model)}
+            done, earlier["changed"] = within_limits(done, model)
         report: dict[str, Any] = report_of(done) | {
             "scale_found": settings.scale is None,
             "slower_found": settings.slower is None,
         }
         report["animal"]["results"] = files.seen_from(out, folder)
         report["robot"]["source"] = files.name_seen_from(out, machine.source)
-        said = {k: report[k] for k in ("verdict", "robot", "animal", "scale", "slower")}
+        origin = {k: report[k] for k in ("verdict", "robot", "animal", "scale", "slower")}
         with output.staged() as staging:
             if settings.samples is not None:
                 motions = drawn(done, settings, settings.samples, model if settings.fit_limits else None)
-                report["samples"] = write_ensemble(motions, settings, staging, said)
+                report["samples"] = write_ensemble(motions, settings, staging, origin)
                 if model is not None:
-                    report["samples"]["keep_every_rule"] = sum(physics.least_share(one, model) == 1 for one in motions)
+                    report["samples"]["keep_every_rule"] = sum(
+                        physics.least_share(sample, model) == 1 for sample in motions
+                    )
             if model is not None:
-                report["check"] = said["check"] = checked(done, model, staging) | before
+                report["check"] = origin["check"] = checked(done, model, staging) | earlier
             _write(done, report, staging)
-            keep(done.clip, done.stride, report["robot"]["source"], said, staging / KEPT)
+            keep(done.clip, done.stride, report["robot"]["source"], origin, staging / KEPT)
             if settings.format is not None:
                 for motion, prefix in ((done.clip, ""), (done.stride, "stride_")):
                     path = staging / f"{prefix}{FORMATS[settings.format][0]}"
-                    write_for_trainer(motion, settings.format, settings.rate, path, said)
+                    write_for_trainer(motion, settings.format, settings.rate, path, origin)
     return done, report
 
 
-def within_limits(done: Retargeting, model: Any) -> tuple[Retargeting, dict[str, Any]]:
-    """Return clip and stride, their bases moved, with the first of `physics.CHANGES` that keeps every rule.
+def within_limits(done: Retargeting, model: MjModel) -> tuple[Retargeting, dict[str, Any]]:
+    """Return clip and stride with moved bases and the first change that keeps every rule, and this change.
 
-    If none does, it is the change that keeps most. The change is returned, too.
+    Changes are those of `physics.CHANGES`. If none keeps every rule, it is the one that keeps most.
     """
     tried: list[tuple[float, Retargeting, Retargeting]] = []
     for slower, scale in physics.CHANGES:
-        own = done.stride
-        again = retarget(done.animal, own.robot, scale * own.scale, slower * own.slower, done.window)
-        moved = replace(again, stride=physics.carried(again.stride, model)[0])
+        given_stride = done.stride
+        unmoved = retarget(
+            done.animal, given_stride.robot, scale * given_stride.scale, slower * given_stride.slower, done.window
+        )
+        moved = replace(unmoved, stride=physics.carried(unmoved.stride, model)[0])
         share = physics.least_share(moved.stride, model)
         if share == 1:
-            moved = replace(moved, clip=physics.carried(again.clip, model)[0])
+            moved = replace(moved, clip=physics.carried(unmoved.clip, model)[0])
             share += physics.least_share(moved.clip, model)
-        tried.append((share, again, moved))
+        tried.append((share, unmoved, moved))
         if share == 2:
             break
-    _, again, moved = max(tried, key=lambda one: one[0])
-    if moved.clip is again.clip:
-        moved = replace(moved, clip=physics.carried(again.clip, model)[0])
-    clip, pairs = moved.clip, ((again.clip, moved.clip), (again.stride, moved.stride))
+    _, unmoved, moved = max(tried, key=lambda trial: trial[0])
+    if moved.clip is unmoved.clip:
+        moved = replace(moved, clip=physics.carried(unmoved.clip, model)[0])
+    clip, pairs = moved.clip, ((unmoved.clip, moved.clip), (unmoved.stride, moved.stride))
     changed = {name: getattr(clip, name) / getattr(done.clip, name) for name in ("slower", "scale")} | {
-        "height": 1 + float((clip.position_m - again.clip.position_m)[:, 2].mean()) / clip.robot.stand_m,
+        "height": 1 + float((clip.position_m - unmoved.clip.position_m)[:, 2].mean()) / clip.robot.stand_m,
         "base_moved_m": max(float(np.linalg.norm(b.position_m - a.position_m, axis=1).max()) for a, b in pairs),
         "base_turned_rad": max(float((b.pose.rotation * a.pose.rotation.inv()).magnitude().max()) for a, b in pairs),
     }
     return moved, changed
 
 
-def checked(done: Retargeting, model: Any, folder: Path | None = None) -> dict[str, Any]:
-    """Return what MuJoCo says of clip and stride, for the report; `folder` is where tables and figures go."""
+def checked(done: Retargeting, model: MjModel, folder: Path | None = None) -> dict[str, Any]:
+    """Return MuJoCo's check of clip and stride for the report, and write its tables and figures into a folder."""
     answers = {}
     for name, motion, prefix in (("clip", done.clip, ""), ("stride", done.stride, "stride_")):
         time, margins = physics.check(motion, model)
@@ -189,17 +196,21 @@ def checked(done: Retargeting, model: Any, folder: Path | None = None) -> dict[s
     return answers
 
 
-# -- the report ------------------------------------------------------------------------------------------------------
+# -- the report --------------------------------------------------------------------------------------------------------
 
 
 def report_of(done: Retargeting) -> dict[str, Any]:
-    """Return what report.json says of a retargeting."""
+    """Return the report of a retargeting."""
     animal, window, robot = done.animal, done.window, done.clip.robot
     fitted, time = animal.analysis.motion, animal.reference.time_s
     limits = zip(robot.joints, *(numbers.tolist() for numbers in robot.limits()), strict=True)
     joints = {n: {"lower_rad": low, "upper_rad": up, "max_rate_rad_s": rate} for n, low, up, rate in limits}
     times_s = {"start_s": float(time[window.first]), "end_s": float(time[window.last])}
-    stride = picked(window, "how", "gap_percent") | {"closing_percent": done.stride.closing_percent} | times_s
+    stride = (
+        {"how": window.source, "gap_percent": window.gap_percent}
+        | {"closing_percent": done.stride.closing_percent}
+        | times_s
+    )
     return {
         "schema": {"name": "recon.retarget", "version": 1},
         "verdict": verdict_fields(fitted),
@@ -233,7 +244,7 @@ def _figures(motion: RobotMotion) -> dict[str, Any]:
 def _notes(done: Retargeting) -> list[str]:
     window = done.window
     notes = [doubtful_text(doubt) for doubt in done.animal.gait.doubtful]
-    if window.how == "return":
+    if window.source == "return":
         notes.append(
             "the clip holds no complete stride: the one that repeats is made of the nearest return of all feet, "
             f"whose ends are {window.gap_percent:.0f} % of the feet's paths apart, closed"
@@ -262,7 +273,7 @@ def _notes(done: Retargeting) -> list[str]:
     return notes
 
 
-# -- what is written -------------------------------------------------------------------------------------------------
+# -- files -------------------------------------------------------------------------------------------------------------
 
 
 def _write(done: Retargeting, report: dict[str, Any], folder: Path) -> None:
@@ -295,13 +306,13 @@ def _table(path: Path, columns: list[str], *parts: Array) -> None:
 
 
 def companion(done: Retargeting) -> tuple[Array, Motion]:
-    """Return the animal, of the robot's size, to the left of the robot, at the samples of the clip."""
+    """Return the animal, scaled to the robot's size, to the left of the robot, at the samples of the clip."""
     animal, motion = done.animal, done.clip
     fitted = animal.analysis.motion
     points = np.stack([animal.analysis.moved(name).series.value[animal.rows] for name in fitted.names], axis=1)
     hips = np.array([motion.points(label)[0, 0] for label in LEGS])
-    beside = np.ptp(hips[:, 1]) + 2 * motion.robot.stand_m
-    placed = motion.scale * (points - animal.origin_m) @ animal.rotation.as_matrix().T + [0.0, beside, 0.0]
+    offset_m = np.ptp(hips[:, 1]) + 2 * motion.robot.stand_m
+    placed = motion.scale * (points - animal.origin_m) @ animal.rotation.as_matrix().T + [0.0, offset_m, 0.0]
     return placed, fitted
 
 
@@ -311,50 +322,50 @@ def repeated(stride: RobotMotion, times: int) -> RobotMotion:
     n = len(stride.time_s) - 1
     step, period = np.append(stride.advance_m, 0.0), stride.time_s[-1]
     at = np.arange(times * n + 1)
-    turn, within = at // n, at % n
+    turn, sample = at // n, at % n
     ahead = turn[:, None] * step
     return replace(
         stride,
-        time_s=stride.time_s[within] + turn * period,
-        angles_rad=stride.angles_rad[within],
-        position_m=stride.position_m[within] + ahead,
-        quaternion_xyzw=stride.quaternion_xyzw[within],
-        feet_m=stride.feet_m[within] + ahead[:, None],
-        standing=stride.standing[within],
-        short=stride.short[within],
+        time_s=stride.time_s[sample] + turn * period,
+        angles_rad=stride.angles_rad[sample],
+        position_m=stride.position_m[sample] + ahead,
+        quaternion_xyzw=stride.quaternion_xyzw[sample],
+        feet_m=stride.feet_m[sample] + ahead[:, None],
+        standing=stride.standing[sample],
+        short=stride.short[sample],
         advance_m=times * stride.advance_m,
     )
 
 
-# -- an ensemble of what the animal's motion may have been ------------------------------------------------------------
+# -- an ensemble of what the animal's motion may have been -------------------------------------------------------------
 
 
-def drawn(own: Retargeting, settings: RetargetSettings, count: int, model: Any = None) -> list[RobotMotion]:
-    """Return clips as the animal's may have been, at the same scale and pace.
+def drawn(done: Retargeting, settings: RetargetSettings, count: int, model: MjModel | None = None) -> list[RobotMotion]:
+    """Return clips drawn from the posterior of the animal's motion, at the same scale and pace.
 
-    With MuJoCo's model of the robot, stances are those of the clip, and bases are moved as `physics.carried` does.
-    Raise InputError as `problem_of`.
+    With MuJoCo's model of the robot, stances are those of the clip, and bases are moved as `physics.carried` does. The
+    errors raised are those of `problem_of`.
     """
-    fitted, robot = own.animal.analysis.motion, own.clip.robot
+    fitted, robot = done.animal.analysis.motion, done.clip.robot
     problem = problem_of(fitted, settings.folder)
     assert isinstance(fitted.solution, TrajectorySolution)
-    every = (replace(fitted, solution=one) for one in draws(problem, fitted.solution, count, 0))
-    animals = (reference_of(one, settings.stride) for one in every)
-    given = robot, own.clip.scale, own.clip.slower, own.window
+    every = (replace(fitted, solution=item) for item in draws(problem, fitted.solution, count, 0))
+    animals = (reference_of(item, settings.stride) for item in every)
+    placement = robot, done.clip.scale, done.clip.slower, done.window
     if model is None:
-        return [retarget(one, *given).clip for one in animals]
-    stands = own.animal.reference.standing
-    alike = (replace(one, reference=replace(one.reference, standing=stands)) for one in animals)
-    return [physics.carried(retarget(one, *given).clip, model, np.inf)[0] for one in alike]
+        return [retarget(item, *placement).clip for item in animals]
+    stands = done.animal.reference.standing
+    standing_alike = (replace(item, reference=replace(item.reference, standing=stands)) for item in animals)
+    return [physics.carried(retarget(item, *placement).clip, model, np.inf)[0] for item in standing_alike]
 
 
 def write_ensemble(
-    motions: list[RobotMotion], settings: RetargetSettings, out: Path, said: Mapping[str, Any]
+    motions: list[RobotMotion], settings: RetargetSettings, out: Path, origin: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Write the files of an ensemble into an existing folder, and return how far the draws differ.
+    """Write the files of an ensemble into an existing folder, and return the spread of the samples.
 
-    These are standard deviations of the base's position (m, by axis) and of the joints' angles (rad), medians over the
-    clip, for the report.
+    The spread is standard deviations of the base's position (m, by axis) and of the joints' angles (rad), medians over
+    the clip, for the report.
     """
     first = motions[0]
     places = np.stack([motion.position_m for motion in motions])
@@ -363,18 +374,18 @@ def write_ensemble(
         out / STACKED,
         time_s=first.time_s,
         base_position=places,
-        base_quaternion_wxyz=np.stack([one.pose.rotation.as_quat(scalar_first=True) for one in motions]),
+        base_quaternion_wxyz=np.stack([motion.pose.rotation.as_quat(scalar_first=True) for motion in motions]),
         joint_positions=angles,
         joint_names=np.array(first.robot.joints),
-        contacts=np.stack([one.standing for one in motions]),
+        contacts=np.stack([motion.standing for motion in motions]),
         contact_names=np.array(LEGS),
-        source=np.array(json.dumps(said)),
+        source=np.array(json.dumps(origin)),
     )
     if settings.format is not None:
         for number, motion in enumerate(motions, start=1):
-            own = dict(said) | {"sample": number}
+            sample_origin = dict(origin) | {"sample": number}
             path = out / f"sample_{number:02d}_{FORMATS[settings.format][0]}"
-            write_for_trainer(motion, settings.format, settings.rate, path, own)
+            write_for_trainer(motion, settings.format, settings.rate, path, sample_origin)
     base, joint = (np.median(values.std(axis=0), axis=0).tolist() for values in (places, angles))
     return {
         "count": len(motions),
@@ -388,16 +399,16 @@ def write_ensemble(
 KEPT, SCHEMA = "robot.npz", {"name": "recon.robot", "version": 1}
 AMP_LEGS = ("RF", "LF", "RH", "LH")
 AMP_JOINTS = 3
-"""The joints of a leg, in the layout."""
+"""Number of joints of a leg in the layout."""
 STEP_S = 1e-6
-"""Between the places whose difference is a velocity; they are on a tangent, so that it is exact to round-off."""
+"""Time between positions whose difference is a velocity; they are on a tangent, so that it is exact to round-off."""
 
 
 class RobotSamples:
-    """A motion at the rate nearest to `rate_hz` of which a whole number of frames fits.
+    """Sample a motion at the rate nearest to `rate_hz` that gives a whole number of frames.
 
-    It has K frames, evenly spaced; the robot's joints in its own order; B bodies, the base first. Raise InputError
-    about the option where fewer than two frames fit.
+    There are K evenly spaced frames, the robot's joints in its own order, and B bodies, the base first. Raises
+    InputError about the option if fewer than two frames fit.
     """
 
     def __init__(self, motion: RobotMotion, rate_hz: float, option: str = "--rate") -> None:
@@ -416,9 +427,10 @@ class RobotSamples:
         straight = tree.orientations(np.zeros((1, tree.n_state)))[0].transpose(0, 2, 1)
         segment = [[s.name for s in tree.segments].index(marker.segment) for marker in tree.markers]
         # Along the tangent, so that what is written of the joints and what is written of the bodies belong together.
-        here, before, after = (states + step * changes for step in (0.0, -STEP_S, STEP_S))
+        present, previous, following = (states + step * changes for step in (0.0, -STEP_S, STEP_S))
         (self.position_m, p, q), (turned, A, B) = (  # (K, B, 3)
-            [of(s) for s in (here, before, after)] for of in (lambda s: tree.pose(s).points_m, tree.orientations)
+            [pose_of(s) for s in (present, previous, following)]
+            for pose_of in (lambda s: tree.pose(s).points_m, tree.orientations)
         )
         spin = np.einsum("ksij,kslj->ksil", B - A, turned) / (2 * STEP_S)
         self.turned = (turned @ straight)[:, segment]  # (K, B, 3, 3), T_world_body
@@ -427,7 +439,7 @@ class RobotSamples:
 
     @property
     def quaternions(self) -> Array:
-        """Return quaternions (K, B, 4), xyzw, each near to the previous one."""
+        """Return quaternions (K, B, 4), xyzw, each with the sign nearer to the previous one."""
         flat = Rotation.from_matrix(self.turned.reshape(-1, 3, 3)).as_quat(canonical=True)
         quaternions = flat.reshape(len(self.time_s), len(self.bodies), 4)
         flips = np.sign(np.sum(quaternions[1:] * quaternions[:-1], axis=2))
@@ -436,49 +448,49 @@ class RobotSamples:
 
 
 def _bodies(robot: Quadruped) -> tuple[list[str], list[int]]:
-    """Return the names of all bodies, and which of them are the feet, in the order of `LEGS`.
+    """Return the names of all bodies, and the indices of the feet, in the order of `LEGS`.
 
-    A foot is FL_foot where the leg's joints are called FL_hip_joint and so on.
+    A foot is named FL_foot if the leg's joints are named FL_hip_joint and so on.
     """
     names, feet = ["base"], []
     for label, leg in robot.legs.items():
         head = leg.joints[0].split("_")[0]
-        alike = all(name.startswith(f"{head}_") for name in leg.joints)
+        has_common_head = all(name.startswith(f"{head}_") for name in leg.joints)
         feet.append(len(names) + len(leg.joints))
-        names += [*(name.removesuffix("_joint") for name in leg.joints), f"{head if alike else label}_foot"]
+        names += [*(name.removesuffix("_joint") for name in leg.joints), f"{head if has_common_head else label}_foot"]
     return names, feet
 
 
-# -- files -----------------------------------------------------------------------------------------------------------
+# -- files -------------------------------------------------------------------------------------------------------------
 
 
-def _amp(found: RobotSamples, path: Path, said: Mapping[str, Any]) -> None:
-    robot = found.robot
+def _amp(samples: RobotSamples, path: Path, origin: Mapping[str, Any]) -> None:
+    robot = samples.robot
     if any(len(leg.joints) != AMP_JOINTS for leg in robot.legs.values()):
         expected = f"a robot with {AMP_JOINTS} joints a leg, or another format"
         raise InputError(Problem(robot.name, "joints for amp", f"{len(robot.joints)}", expected))
     order = [joint for label in AMP_LEGS for joint in robot.legs[label].joints]
     columns = [robot.joints.index(joint) for joint in order]
-    feet = [found.feet[LEGS.index(label)] for label in AMP_LEGS]
-    v, w = found.velocity_m_s[:, :1], found.angular_velocity_rad_s[:, :1]
-    arms = found.position_m[:, feet] - found.position_m[:, :1]
-    relative = found.velocity_m_s[:, feet] - v - np.cross(w, arms)
+    feet = [samples.feet[LEGS.index(label)] for label in AMP_LEGS]
+    v, w = samples.velocity_m_s[:, :1], samples.angular_velocity_rad_s[:, :1]
+    arms = samples.position_m[:, feet] - samples.position_m[:, :1]
+    relative = samples.velocity_m_s[:, feet] - v - np.cross(w, arms)
 
     def in_base(vectors: Array) -> Array:
-        return np.einsum("kbc,kcd->kbd", vectors, found.turned[:, 0]).reshape(len(vectors), -1)
+        return np.einsum("kbc,kcd->kbd", vectors, samples.turned[:, 0]).reshape(len(vectors), -1)
 
-    angles, rates = found.angles_rad[:, columns], found.rates_rad_s[:, columns]
-    parts = [found.position_m[:, 0], found.quaternions[:, 0], angles, in_base(arms), in_base(v), in_base(w), rates]
+    angles, rates = samples.angles_rad[:, columns], samples.rates_rad_s[:, columns]
+    parts = [samples.position_m[:, 0], samples.quaternions[:, 0], angles, in_base(arms), in_base(v), in_base(w), rates]
     text = {
-        "LoopMode": "Wrap" if found.loops else "Clamp",
-        "FrameDuration": 1 / found.rate_hz,
+        "LoopMode": "Wrap" if samples.loops else "Clamp",
+        "FrameDuration": 1 / samples.rate_hz,
         "EnableCycleOffsetPosition": True,
         "EnableCycleOffsetRotation": True,
         "MotionWeight": 1.0,
         "JointNames": order,
-        "FootNames": [found.bodies[k] for k in feet],
-        "Contacts": found.feet_stand[:, [LEGS.index(label) for label in AMP_LEGS]].astype(int).tolist(),
-        "Source": dict(said),
+        "FootNames": [samples.bodies[k] for k in feet],
+        "Contacts": samples.feet_stand[:, [LEGS.index(label) for label in AMP_LEGS]].astype(int).tolist(),
+        "Source": dict(origin),
         "Frames": np.concatenate([*parts, in_base(relative)], axis=1).tolist(),
     }
     path.write_text(json.dumps(text, indent=None) + "\n", encoding="utf-8")
@@ -494,36 +506,37 @@ _NPZ = {
         *("body_lin_vel_w", "body_ang_vel_w"),
     ),
 }
-"""What the layouts call names, angles and rates of the joints, and places, quaternions, velocities and angular
-velocities of the bodies."""
+"""By layout, the names of the arrays: joints' names, angles and rates; bodies' positions, quaternions, velocities and
+angular velocities.
+"""
 
 
-def _npz(layout: str, found: RobotSamples, path: Path, said: Mapping[str, Any]) -> None:
+def _npz(layout: str, samples: RobotSamples, path: Path, origin: Mapping[str, Any]) -> None:
     arrays = (
-        *(np.array(found.robot.joints), found.angles_rad, found.rates_rad_s, found.position_m),
-        *(found.quaternions[..., [3, 0, 1, 2]], found.velocity_m_s, found.angular_velocity_rad_s),
+        *(np.array(samples.robot.joints), samples.angles_rad, samples.rates_rad_s, samples.position_m),
+        *(samples.quaternions[..., [3, 0, 1, 2]], samples.velocity_m_s, samples.angular_velocity_rad_s),
     )
     named: dict[str, Any] = dict(zip(_NPZ[layout], arrays, strict=True))
     np.savez(
         path,
-        fps=np.array(found.rate_hz),
-        body_names=np.array(found.bodies),
-        contacts=found.feet_stand,
-        contact_names=np.array([found.bodies[k] for k in found.feet]),
-        source=np.array(json.dumps(said)),
+        fps=np.array(samples.rate_hz),
+        body_names=np.array(samples.bodies),
+        contacts=samples.feet_stand,
+        contact_names=np.array([samples.bodies[k] for k in samples.feet]),
+        source=np.array(json.dumps(origin)),
         **named,
     )
 
 
-def _mjlab_csv(found: RobotSamples, path: Path, said: Mapping[str, Any]) -> None:
+def _mjlab_csv(samples: RobotSamples, path: Path, origin: Mapping[str, Any]) -> None:
     """Write a table without a header, as its readers expect: x y z, qx qy qz qw, joints.
 
-    A description stands in a file with the same name.
+    A JSON file of the same name describes it.
     """
-    table = np.concatenate([found.position_m[:, 0], found.quaternions[:, 0], found.angles_rad], axis=1)
+    table = np.concatenate([samples.position_m[:, 0], samples.quaternions[:, 0], samples.angles_rad], axis=1)
     np.savetxt(path, table, delimiter=",", fmt="%.17g")
-    beside = {"fps": found.rate_hz, "joint_names": found.robot.joints, "source": dict(said)}
-    path.with_suffix(".json").write_text(json.dumps(beside) + "\n", encoding="utf-8")
+    description = {"fps": samples.rate_hz, "joint_names": samples.robot.joints, "source": dict(origin)}
+    path.with_suffix(".json").write_text(json.dumps(description) + "\n", encoding="utf-8")
 
 
 FORMATS: dict[str, tuple[str, Callable[[RobotSamples, Path, Mapping[str, Any]], None]]] = {
@@ -532,19 +545,18 @@ FORMATS: dict[str, tuple[str, Callable[[RobotSamples, Path, Mapping[str, Any]], 
     "mjlab": ("mjlab.npz", partial(_npz, "mjlab")),
     "mjlab-csv": ("mjlab.csv", _mjlab_csv),
 }
-"""By name, the file's and what writes it."""
+"""By name, the file's name and the function that writes it."""
 
 
 def write_for_trainer(
-    motion: RobotMotion, name: str, rate_hz: float, path: Path, said: Any, option: str = "--rate"
+    motion: RobotMotion, name: str, rate_hz: float, path: Path, origin: Mapping[str, Any], option: str = "--rate"
 ) -> float:
-    """Write a file of one of `FORMATS`, and return its rate.
+    """Write a file in one of `FORMATS`, and return its rate.
 
-    The file says where it comes from. Raise InputError as `RobotSamples`, and for a robot that the format has no room
-    for.
+    The file states its origin. Raises InputError as `RobotSamples` does, and for a robot that the format cannot hold.
     """
     samples = RobotSamples(motion, rate_hz, option)
-    FORMATS[name][1](samples, path, said)
+    FORMATS[name][1](samples, path, origin)
     return samples.rate_hz
 
 
@@ -554,20 +566,22 @@ def write_for_trainer(
 @dataclass(frozen=True, eq=False)
 class _Kept:
     robot: str
-    """The name, or the file, seen from the folder."""
+    """Name of the robot, or path of its file relative to the folder."""
     said: Mapping[str, Any]
     clip: KeptMotion
     stride: KeptMotion
 
 
-def keep(clip: RobotMotion, stride: RobotMotion, robot: str, said: Mapping[str, Any], path: Path) -> None:
-    """Write both motions as they are, from which `convert` makes files of any of `FORMATS`, at any rate."""
-    names = [one.name for one in fields(KeptMotion)]
-    save_record(_Kept(robot, said, *(KeptMotion(**picked(of, *names)) for of in (clip, stride))), path, SCHEMA)
+def keep(clip: RobotMotion, stride: RobotMotion, robot: str, origin: Mapping[str, Any], path: Path) -> None:
+    """Write both motions as they are, so that `convert` can make files in any of `FORMATS` at any rate."""
+    names = [field.name for field in fields(KeptMotion)]
+    save_record(
+        _Kept(robot, origin, *(KeptMotion(**picked(motion, *names)) for motion in (clip, stride))), path, SCHEMA
+    )
 
 
 def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any]]:
-    """Return the clip, the stride, and what files of them say of their origin; raise InputError."""
+    """Return the clip, the stride, and their origin as files state it; raise InputError."""
     arrays = load_record(_Kept, path, SCHEMA, "motions of a robot, as `recon retarget` writes them")
     named = arrays.robot if arrays.robot in builtin_robots() else str(path.parent / arrays.robot)
     robot = load_robot(named)
@@ -592,17 +606,16 @@ def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any
 
 
 def convert(folder: Path, out: Path, name: str, rate_hz: float | None, output: outputs.Output) -> str:
-    """Carry out `recon convert` of a folder of `recon retarget`, and return what to say of it.
+    """Carry out `recon convert` for a folder of `recon retarget`, and return a sentence about the files.
 
-    The clip goes into `out`, the stride that repeats into a file next to it, both or none. `name` is one of `FORMATS`.
-    Raise InputError.
+    The clip goes into `out`, the stride that repeats into a file next to it, both or none. name: one of `FORMATS`.
     """
     stride = out.with_name(f"stride_{out.name}")
     names = out.name, stride.name
-    (*motions, said), _ = collect_problems(lambda: kept_motions(folder / KEPT), lambda: output.require(names))
+    (*motions, origin), _ = collect_problems(lambda: kept_motions(folder / KEPT), lambda: output.require(names))
     with output.staged(adds=True) as staging:
         rates = [
-            write_for_trainer(motion, name, rate_hz or RATE_HZ, staging / path.name, said, "--fps")
+            write_for_trainer(motion, name, rate_hz or RATE_HZ, staging / path.name, origin, "--fps")
             for motion, path in zip(motions, (out, stride), strict=True)
         ]
     hz = " and ".join(f"{rate:.4g}" for rate in rates)

@@ -35,7 +35,7 @@ def pose3d(motion: Motion, path: Path) -> None:
 def pose3d_sigma(motion: Motion, path: Path) -> None:
     """Write standard deviations in metres along the axes of the frame of reference for each joint.
 
-    Of its position, and of its position relative to the mean of all joints.
+    There is one for the joint's position, and one for its position relative to the mean of all joints.
     """
     coords = ("x_sigma", "y_sigma", "z_sigma", "x_rel", "y_rel", "z_rel")
     _write_points(path, motion, coords, np.concatenate((motion.joint_sigma_m, motion.relative_sigma_m), axis=2))
@@ -143,7 +143,7 @@ def _write_points(path: Path, motion: Motion, coords: Sequence[str], values: np.
     write_table(path, header, motion.frames, values.reshape(len(motion.frames), -1))
 
 
-# -- of an analysis ----------------------------------------------------------------------------------------------------
+# -- tables of an analysis ---------------------------------------------------------------------------------------------
 
 Rows = Iterable[Sequence[Any]]
 Table = tuple[Sequence[str], Rows]

@@ -22,7 +22,7 @@ Joints = dict[str, Array]
 """Positions (T, 3) by name, metres, y up."""
 
 
-# -- OpenSim ---------------------------------------------------------------------------------------------------------
+# -- OpenSim -----------------------------------------------------------------------------------------------------------
 
 
 def read_mot(path: Path) -> dict[str, list[float]]:
@@ -104,7 +104,7 @@ def read_trc_with_opensim(path: Path) -> Joints:
     }
 
 
-# -- glTF ------------------------------------------------------------------------------------------------------------
+# -- glTF --------------------------------------------------------------------------------------------------------------
 
 
 def read_gltf_as_json(path: Path) -> Joints:
@@ -159,13 +159,13 @@ def read_gltf_with_blender(path: Path) -> Joints:
     return _read_with_blender(path, lambda blender: blender.ops.import_scene.gltf(filepath=str(path)), first_frame=0)
 
 
-# -- BVH -------------------------------------------------------------------------------------------------------------
+# -- BVH ---------------------------------------------------------------------------------------------------------------
 
 
 def read_bvh_with_bvhio(path: Path) -> Joints:
     """Return the joints, by bvhio."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of its dependencies
+        warnings.simplefilter("ignore")  # its dependencies' warnings
         import bvhio
 
         root, count = bvhio.readAsHierarchy(str(path)), bvhio.readAsBvh(str(path)).FrameCount
@@ -203,7 +203,7 @@ def _read_with_blender(path: Path, read: Callable[..., object], first_frame: int
     return {name: np.array(positions) for name, positions in joints.items()}
 
 
-# -- all -------------------------------------------------------------------------------------------------------------
+# -- all ---------------------------------------------------------------------------------------------------------------
 
 FPS = 60
 READERS: dict[str, tuple[tuple[str, Callable[[Path], Joints]], ...]] = {

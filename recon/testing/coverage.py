@@ -10,7 +10,7 @@ from recon.fit.posterior import DEGREES_OF_FREEDOM, radius, sigmas
 
 
 def cumulative(deviations: float) -> float:
-    """Return the share of one quantity's distribution below so many standard deviations from its middle."""
+    """Return the share of one quantity's distribution below a number of standard deviations from its middle."""
     nu = DEGREES_OF_FREEDOM
     return float(stdtr(nu, deviations * np.sqrt(nu / (nu - 2))))
 

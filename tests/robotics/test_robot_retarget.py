@@ -86,7 +86,7 @@ def whole(whole_results):
 def test_a_stride_of_ones_own(whole_results):
     animal = reference_of(Motion.load(whole_results), (0.31, 0.62))
     window, time = stride_window(animal), animal.reference.time_s
-    assert window.how == "given"
+    assert window.source == "given"
     assert (time[window.first], time[window.last]) == (pytest.approx(0.31, abs=2e-3), pytest.approx(0.62, abs=2e-3))
 
 
@@ -112,7 +112,7 @@ def test_reference_of_a_whole_animal(whole):
 
 def test_stride_of_a_whole_animal_is_complete_and_closes(whole):
     window = stride_window(whole)
-    assert window.how == "stride"
+    assert window.source == "stride"
     stride = closed_stride(whole, window)
     for values in (stride.feet_m, stride.roll_pitch_yaw_rad, stride.base_m[:, 2], stride.standing):
         np.testing.assert_allclose(values[-1], values[0], atol=1e-12)

@@ -347,7 +347,9 @@ def _linearised(camera: Camera, rays: Array, seen_px: Array, orientation: Orient
     from_focus = orientation.zoom * (pixels - focus_px(camera))
     x, y, z = camera_rays.T
     zero = np.zeros_like(x)
-    by_turn = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)  # of exp(w) p, that is w x p
+    by_turn = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(
+        -1, 3, 3
+    )  # derivative of exp(w) p, that is w x p
     jacobian = np.concatenate([orientation.zoom * by_point @ by_turn, from_focus[:, :, None]], axis=2)
     is_known = np.isfinite(from_focus[:, :1])
     return np.where(is_known, seen_px - focus_px(camera) - from_focus, 1e9), np.where(
@@ -361,7 +363,7 @@ def expected_px(camera: Camera, rays: Array, orientation: Orientation) -> tuple[
     return pixels, valid & camera.in_image(np.where(valid[:, None], pixels, -1e9))
 
 
-# -- which way is up --------------------------------------------------------------------------------------------------
+# -- which way is up ---------------------------------------------------------------------------------------------------
 
 COLUMNS = ("kind", "frame", "x1", "y1", "x2", "y2")
 EXPECTED = f"a table (.csv) with the columns {', '.join(COLUMNS)}: horizon or vertical, and two points of it, px"
@@ -384,7 +386,7 @@ def as_level(orientations: Sequence[Orientation], up: Array | None) -> tuple[Ori
     if up is None:
         reference = Rotation.from_matrix([turn.rotation for turn in orientations]).mean().as_matrix()
         up = tilted(0.0)
-    level = level_from_camera(up) @ reference  # of the old world
+    level = level_from_camera(up) @ reference  # from the old world
     return tuple(replace(orientation, rotation=orientation.rotation @ level.T) for orientation in orientations)
 
 

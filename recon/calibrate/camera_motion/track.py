@@ -248,7 +248,7 @@ class Tracker:
         agreement = turning.agreed_turn(self.camera, *points, zoom, self.solve_zoom, 2 * self._limit_px)
         return None if agreement is None else agreement.orientation
 
-    # -- what is learnt --
+    # -- learning the background --
 
     def _learn(self, agreement: AgreedOrientation, seen: _Seen) -> bool:
         """Learn which points are background, and return whether the background has come apart."""
@@ -444,7 +444,7 @@ def _adjust(
             log_zoom = log_zoom + step[:, 3]
     assert information is not None
     assert factor is not None
-    # of keyframes from the inverse; of a frame that is none, its own and its keyframes' on average
+    # keyframes: from the inverse; other frames: their own and the mean of their keyframes'
     variance = np.full((n, p), np.nan)
     for k in np.unique(key).tolist():
         variance[k] = np.diag(factor.solve(np.eye(n * p, p, -k * p))[k * p : (k + 1) * p])
@@ -459,7 +459,7 @@ def _adjust(
     return adjusted, np.hypot(np.sqrt((sigma[:, :3] ** 2).mean(axis=1)), floor_rad), sigma_zoom
 
 
-# -- the focal length: points that a turn takes across the picture keep their angles at one length only ---------------
+# -- the focal length: points that a turn takes across the picture keep their angles at one length only ----------------
 
 
 class _TurnedPair(NamedTuple):
@@ -538,7 +538,7 @@ def _weights(left_px: Array) -> Array:
     return turning.tukey(size, max(4 * float(np.median(size)), 1.0))
 
 
-# -- the panorama: longitude to the right, latitude upward, in the level world ----------------------------------------
+# -- the panorama: longitude to the right, latitude upward, in the level world -----------------------------------------
 
 WIDTH_PX, HEIGHT_PX = 1920, 1080
 """Largest size of the panorama."""

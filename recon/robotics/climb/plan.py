@@ -1,8 +1,8 @@
-"""A climb frame by frame: the feet follow their paths, fields carry the torso, and what the plan keeps away from.
+"""Plan a climb frame by frame: feet follow their paths, fields carry the torso, and rules say what to keep away from.
 
-Before each footfall the torso shifts over the three other feet, all four planted, at the pace of its caps; then the
-foot rises, crosses and sinks at the speeds of the phases, while the torso stays in the equilibrium of its fields. Where
-the caps of a frame hold the torso back, the foot waits.
+Before each footfall the torso shifts over the three other feet, all four planted, at the pace of its caps. Then the
+foot rises, crosses and sinks at the speeds of the phases, while the torso stays in the equilibrium of its fields. The
+foot waits where the caps of a frame hold the torso back.
 
 r is a leg's vector from hip to foot in body axes, X and Y the lateral and the forward axis. Every leg has three fields
 of one form, the slope of a well of its coordinate q:
@@ -17,11 +17,11 @@ gain tanh(sharpness d).
 The publication (D. Cohen, SUNFEST, University of Pennsylvania, 2005) leaves open how an angle's force is divided by
 the length of the leg, and what it does to the torso's rotation. Here each field is the gradient of one energy in all of
 the torso's degrees of freedom, so that there is a minimum: the force of an angle is slope (X x r) / |X x r|^2, and its
-moment that of the same force at the foot.
+moment is that of the same force at the foot.
 
-In the file of a recipe, legs are numbered left front, left rear, right front, right rear, as the published footfalls
-are; places are given to the right and forwards. In Python legs stand in the order of `LEGS`, and x is forwards, y left,
-z up.
+In the file of a recipe legs are numbered left front, left rear, right front, right rear, as the published footfalls
+are, and positions are given to the right and forwards. In Python legs are in the order of `LEGS`, and x is forwards, y
+left, z up.
 """
 
 from __future__ import annotations
@@ -51,41 +51,41 @@ from recon.robotics.playback import write_robot
 from recon.robotics.quadruped import LEGS, Length, PositiveLength, Quadruped, leg_targets, load_robot
 from recon.robotics.retarget import RobotMotion, posed
 from recon.robotics.retarget_clip import write_tables
-from recon.show.plain import picked, to_json
+from recon.show.plain import to_json
 from recon.show.plots.style import COLOURS, GREY, PALE, SMALL, add_legend, drawing, save
 from recon.show.view.scene import LIMB_COLOURS, TimePlot
 
 NONE = -1
-"""The lifted leg where all are planted."""
+"""The lifted leg when all are planted."""
 AROUND = (0, 2, 3, 1)
-"""The legs counterclockwise, seen from above."""
+"""The legs in counterclockwise order, seen from above."""
 LEFT = np.array([1.0 if label[0] == "L" else -1.0 for label in LEGS])
 MAX_WAIT = 400
-"""Frames."""
+"""Most frames that a foot waits."""
 MAX_EVALUATIONS = 100
-"""How often the fields are evaluated in one frame, at most."""
+"""Most evaluations of the fields in one frame."""
 NUDGE, SETTLED = 1e-6, 1e-8
-"""Metres and radians: between wrenches whose difference is a stiffness; a last step so short."""
+"""Metres and radians: change of the torso by which the stiffness is computed; length of a step that ends the search."""
 NEWTON_REACH_M, TRUST_RAD = 0.03, 0.5
 """Longest step of Newton's method."""
 SHIN_POINTS = (0.25, 0.5, 0.75)
-"""Shares of the way from foot to knee, where a shin must not touch the ground or the step."""
+"""Points of a shin that must not touch the ground or the step, as shares of the way from foot to knee."""
 ROUNDING_M = 1e-9
-"""A planted foot may be this far under the surface that it stands on."""
+"""Depth by which a planted foot may be under the surface that it stands on."""
 RECIPES = Path(__file__).parent / "recipes"
 IN_FILES = (0, 2, 1, 3)
-"""Index into `LEGS` of the legs of a file, and the other way round."""
+"""Indices into `LEGS` of the legs of a file, and the reverse."""
 PLANAR, SPATIAL = (0, 1, 2, 4), (0, 1, 2, 3, 4, 5)
-"""Degrees of freedom of a torso: x, y, z and pitch, or roll and yaw too."""
+"""Degrees of freedom of a torso: x, y, z and pitch, or roll and yaw as well."""
 
 
 Gain = Annotated[float, Field(strict=True, gt=0, lt=1e9, allow_inf_nan=False)]
-"""What a recipe weighs by, of any size above 0: more can only be damage."""
+"""A weight of a recipe, of any size above 0; a larger one can only be damage."""
 
 
-def _all_legs(given: Any) -> Any:
-    """Return one number for all legs, or two, of the front and of the rear legs, as numbers by leg."""
-    front, rear = given if isinstance(given, list) and len(given) == 2 else (given, given)
+def _all_legs(value: object) -> tuple[object, object, object, object]:
+    """Return one number for all legs, or two for the front and the rear legs, as a number per leg."""
+    front, rear = value if isinstance(value, list) and len(value) == 2 else (value, value)
     return (front, front, rear, rear)
 
 
@@ -94,7 +94,7 @@ _PositiveLegs = Annotated[tuple[Gain, Gain, Gain, Gain], BeforeValidator(_all_le
 
 
 class _Well(FileTable):
-    """A potential of a coordinate q of each leg, with a wall at either end; raise ValueError."""
+    """Describe a potential of a coordinate q of each leg, with a wall at either end; raise ValueError."""
 
     gain: _PositiveLegs
     """Slope per unit of q."""
@@ -116,13 +116,13 @@ class _Well(FileTable):
         return self
 
     def slope(self, q: Array) -> Array:
-        """Return the slope at q (legs,): almost flat between least and most (the dead zone), and steep beyond."""
-        off, above, below = (q - np.array(of) for of in (self.natural, self.most, self.least))
-        return np.array(self.gain) * off * (np.exp(self.high * above) + np.exp(-np.array(self.low) * below))
+        """Return the slope at q (legs,): almost flat between least and most (the dead zone), and steep outside."""
+        deviation, above, below = (q - np.array(bounds) for bounds in (self.natural, self.most, self.least))
+        return np.array(self.gain) * deviation * (np.exp(self.high * above) + np.exp(-np.array(self.low) * below))
 
 
 class _Balance(FileTable):
-    """The field that pulls the torso over its feet."""
+    """Describe the field that pulls the torso over its feet."""
 
     gain: Gain
     """Force far from the centroid."""
@@ -131,7 +131,7 @@ class _Balance(FileTable):
 
 
 class Fields(FileTable):
-    """The wells of the legs, and the field that balances the torso."""
+    """Hold the wells of the legs, and the field that balances the torso."""
 
     radial: _Well
     swing: _Well
@@ -140,25 +140,25 @@ class Fields(FileTable):
 
 
 class Step(FileTable):
-    """A step across the way: the ground is level at 0 as far as edge_m forward (x), and at height_m beyond."""
+    """Describe a step across the path: the ground is level at 0 up to edge_m forward (x), and at height_m beyond."""
 
     edge_m: Length
     height_m: Length
 
     def distance_m(self, points_m: Array) -> Array:
-        """Return distances (...) of points (..., 3) to the ground or the step, whichever is nearer, negative inside."""
+        """Return distances (...) of points (..., 3) from the surface of ground and step, negative inside."""
         x, z = points_m[..., 0] - self.edge_m, points_m[..., 2] - self.height_m
-        away = np.hypot(np.maximum(-x, 0), np.maximum(z, 0))
-        return np.minimum(points_m[..., 2], np.where((x > 0) & (z < 0), -np.minimum(x, -z), away))
+        outside = np.hypot(np.maximum(-x, 0), np.maximum(z, 0))
+        return np.minimum(points_m[..., 2], np.where((x > 0) & (z < 0), -np.minimum(x, -z), outside))
 
     def corner_m(self, points_m: Array) -> Array:
-        """Return distances (...) of points (..., 3) to the step's edge, negative inside the step."""
+        """Return distances (...) of points (..., 3) from the step's edge, negative inside the step."""
         x, z = points_m[..., 0] - self.edge_m, points_m[..., 2] - self.height_m
         return np.where((x > 0) & (z < 0), -1.0, 1.0) * np.hypot(x, z)
 
 
 class _Footfall(FileTable):
-    """A step that one leg takes."""
+    """Describe one footfall."""
 
     leg: Annotated[int, Field(strict=True, ge=1, le=4), AfterValidator(lambda number: IN_FILES[number - 1])]
     """Index into `LEGS`."""
@@ -173,19 +173,19 @@ class _Footfall(FileTable):
 
 
 class _Primitive(FileTable):
-    """Footfalls in the same fields."""
+    """Group footfalls that share their fields."""
 
     name: str
     rise_rad: PositiveLength
-    """Angle of the feet's paths."""
+    """Slope of the feet's rising paths."""
     lower_rad: PositiveLength
-    """Angle of the feet's paths."""
+    """Slope of the feet's sinking paths."""
     footfalls: Annotated[tuple[_Footfall, ...], Field(min_length=1)]
     fields: Fields
 
 
 class _Swing(FileTable):
-    """The swing of a foot: its path's clearance above the higher end, and its speeds by phase."""
+    """Describe the swing of a foot: its path's clearance above the higher end, and its speeds by phase."""
 
     clearance_m: PositiveLength
     rise_m_s: PositiveLength
@@ -194,28 +194,28 @@ class _Swing(FileTable):
 
 
 class _Pace(FileTable):
-    """The largest move of the torso in a frame."""
+    """Limit the torso's movement in a frame."""
 
     max_step_m: PositiveLength
     max_turn_rad: PositiveLength
 
 
 class Recipe(FileTable):
-    """The recipe that a climb is planned from."""
+    """Hold the recipe of a climb."""
 
     robot: str
-    """Name of its description."""
+    """Name of the robot."""
     dofs: Literal[4, 6]
-    """How many the torso has."""
+    """Number of the torso's degrees of freedom."""
     fps: Gain
     stance_m: Annotated[tuple[tuple[Length, Length], ...], Field(min_length=4, max_length=4)]
-    """Where the feet stand at first, right and forward, in the order of the file."""
+    """Initial positions of the feet, right and forward, in the order of the file."""
     step: Step
     swing: _Swing
     motion: _Pace
     primitives: Annotated[tuple[_Primitive, ...], Field(min_length=1)]
     about: str = ""
-    """What it is for, and where its numbers are from."""
+    """Purpose of the recipe, and source of its numbers."""
 
     @property
     def free(self) -> tuple[int, ...]:
@@ -224,7 +224,7 @@ class Recipe(FileTable):
 
     @property
     def feet_m(self) -> Array:
-        """Return the positions (4, 3) of the feet at the start."""
+        """Return the initial positions (4, 3) of the feet."""
         right, forward = np.array(self.stance_m)[list(IN_FILES)].T
         return np.column_stack([forward, -right, np.zeros(4)])
 
@@ -235,14 +235,14 @@ def bundled() -> list[str]:
 
 
 def load_recipe(recipe: str | Path) -> Recipe:
-    """Return a bundled recipe by name, or that of a file; raise InputError."""
+    """Return a recipe that comes with the package by name, or one from a file; raise InputError."""
     path = RECIPES / f"{recipe}.toml" if str(recipe) in bundled() else Path(recipe)
     table = read_toml(path, f"a recipe of a climb: a TOML file, or one of {', '.join(bundled())}")
     return validated(Recipe, table, path)
 
 
 def raised(recipe: Recipe, height_m: float) -> Recipe:
-    """Return a recipe for a step of another height: all heights in proportion."""
+    """Return a recipe for a step of another height, with all heights in proportion."""
     ratio = height_m / recipe.step.height_m
 
     def higher(primitive: _Primitive) -> _Primitive:
@@ -253,7 +253,7 @@ def raised(recipe: Recipe, height_m: float) -> Recipe:
     return recipe.model_copy(update={"step": step, "primitives": tuple(map(higher, recipe.primitives))})
 
 
-# -- a climb ---------------------------------------------------------------------------------------------------------
+# -- a climb -----------------------------------------------------------------------------------------------------------
 
 
 RULES = {
@@ -270,18 +270,18 @@ RULES = {
 
 @dataclass(frozen=True, eq=False)
 class Climb:
-    """A planned climb of T frames. World: x forward, y left, z up."""
+    """Hold a planned climb of T frames. World: x forward, y left, z up."""
 
     recipe: Recipe
     motion: RobotMotion
     lifted: Integers
-    """(T,): the leg that is up, or `NONE`."""
+    """(T,): the lifted leg, or `NONE`."""
     footfall: Integers
-    """(T,): index, counted through the recipe; the last for the final shift."""
+    """(T,): index of the footfall within the recipe; the last also for the final shift."""
     evaluations: Integers
-    """(T,), of the fields."""
+    """(T,): evaluations of the fields."""
     settled: Bools
-    """(T,): whether the equilibrium was found."""
+    """(T,): whether the equilibrium was reached."""
 
     @property
     def pitch_rad(self) -> Array:
@@ -290,7 +290,10 @@ class Climb:
 
     @cached_property
     def margins(self) -> dict[str, Array]:
-        """Return the least distance from each rule by frame (T,): negative where it is broken, infinite without one."""
+        """Return the least margin of each rule by frame (T,).
+
+        It is negative where the rule is broken, infinite where it does not apply.
+        """
         step, feet, robot = self.recipe.step, self.motion.feet_m, self.motion.robot
         targets, places = leg_targets(self.motion.pose, np.zeros(3), feet), [self.motion.points(x) for x in LEGS]
         hips, knees = (np.stack([of_leg[:, k] for of_leg in places], axis=1) for k in (0, 2))
@@ -299,7 +302,7 @@ class Climb:
         legs = list(enumerate(robot.legs.values()))
         # Where a foot is out of reach, its leg has no angles; that it is out of reach is said already.
         limits = [np.nan_to_num(leg.margins(leg.closed_angles(targets[:, k])), nan=np.inf) for k, leg in legs]
-        up = self.lifted[:, None] == np.arange(4)
+        is_lifted = self.lifted[:, None] == np.arange(4)
         margins = {
             "reach": np.column_stack([leg.slack_m(targets[:, k]) for k, leg in legs]),
             "limits": np.concatenate(limits, axis=1),
@@ -307,28 +310,28 @@ class Climb:
             "knees": step.distance_m(knees),
             "shins": step.distance_m(shins),
             "hips": step.distance_m(hips),
-            "corner": np.where(up, step.corner_m(feet), np.inf),
-            "footing": np.where(up, np.inf, edge),
+            "corner": np.where(is_lifted, step.corner_m(feet), np.inf),
+            "footing": np.where(is_lifted, np.inf, edge),
         }
         return {name: values.min(axis=1) for name, values in margins.items()}
 
     @property
     def least(self) -> dict[str, tuple[float, int]]:
-        """Return the least margin of each rule, in its unit, and the frame."""
+        """Return the least margin of each rule, in its unit, and its frame."""
         frames = {name: int(values.argmin()) for name, values in self.margins.items()}
         return {name: (float(self.margins[name][k]) * RULES[name].per_unit, k) for name, k in frames.items()}
 
     def problems(self) -> list[str]:
-        """Return what is wrong, in words; empty for a valid climb."""
+        """Return in words what is wrong; empty for a valid climb."""
         step, feet = self.recipe.step, self.motion.feet_m
-        least = ((RULES[name], *of) for name, of in self.least.items())
-        found = [f"{rule.what}: {value:.2f} {rule.unit} in frame {k}" for rule, value, k in least if not value >= 0]
+        least = ((RULES[name], *margin_and_frame) for name, margin_and_frame in self.least.items())
+        problems = [f"{rule.title}: {value:.2f} {rule.unit} in frame {k}" for rule, value, k in least if not value >= 0]
         deepest = -float(step.distance_m(feet).min())
         if deepest > ROUNDING_M:
-            found.append(f"a foot is {1000 * deepest:.2f} mm under the surface")
+            problems.append(f"a foot is {1000 * deepest:.2f} mm under the surface")
         if not np.all((feet[-1, :, 0] > step.edge_m) & (np.abs(feet[-1, :, 2] - step.height_m) < ROUNDING_M)):
-            found.append("not all feet end on top of the step")
-        return found
+            problems.append("not all feet end on top of the step")
+        return problems
 
 
 def support_m(centre_m: Array, feet_m: Array, lifted: Integers) -> Array:
@@ -341,21 +344,21 @@ def support_m(centre_m: Array, feet_m: Array, lifted: Integers) -> Array:
     distances = []
     for separations in (1, 2):
         a, b = feet, np.roll(feet, -separations, axis=-2)
-        way, there = b - a, centre_m[..., None, :] - a
+        side, to_centre = b - a, centre_m[..., None, :] - a
         # The legs go round counterclockwise: inside is on the left of every side.
-        left = (way[..., 0] * there[..., 1] - way[..., 1] * there[..., 0]) / np.linalg.norm(way, axis=-1)
+        left = (side[..., 0] * to_centre[..., 1] - side[..., 1] * to_centre[..., 0]) / np.linalg.norm(side, axis=-1)
         applies = ~(up | np.roll(up, -1, axis=-1)) if separations == 1 else np.roll(up, -1, axis=-1)
         distances.append(np.where(applies, left, np.inf))
     return np.concatenate(distances, axis=-1)
 
 
-# -- planning --------------------------------------------------------------------------------------------------------
+# -- planning ----------------------------------------------------------------------------------------------------------
 
 
 def plan(robot: Quadruped, recipe: Recipe) -> Climb:
-    """Return the climb of a recipe; its `problems` say whether it is valid.
+    """Return the climb of a recipe, whose `problems` say whether it is valid.
 
-    Raise InputError for legs of another kind than swing, flap, knee in closed form.
+    Raises InputError unless the legs are swing, flap and knee in closed form.
     """
     if any(leg.closed is None or leg.closed.first != "swing" for leg in robot.legs.values()):
         expected = "a robot whose legs are given by dimensions, their swing joint first (aibo is one)"
@@ -368,7 +371,10 @@ def plan(robot: Quadruped, recipe: Recipe) -> Climb:
     rows: list[tuple] = []
 
     def settle(fields: Fields, without: int, *label: int) -> None:
-        """Add a frame in the fields without a leg, and more while the caps hold the torso back and the feet wait."""
+        """Add a frame in the fields without one leg, and more while the caps hold the torso back.
+
+        The feet wait in these further frames.
+        """
         nonlocal torso, goal
         for _ in range(MAX_WAIT):
             goal, count, settled = equilibrium(fields, hips, feet, without, goal, recipe.free)
@@ -397,10 +403,10 @@ def plan(robot: Quadruped, recipe: Recipe) -> Climb:
 
 
 def wrench(fields: Fields, hips_m: Array, feet_m: Array, without: int, torso: Array) -> Array:
-    """Return force in world axes and moment about the centre of mass in body axes (N, 6) on torsos.
+    """Return force in world axes and moment about the centre of mass in body axes (N, 6) for torsos.
 
-    `torso` is T_world_body (N, 4, 4). Balance pulls to the feet without that of one leg, or `NONE`. `hips_m` (4, 3) are
-    in body axes, `feet_m` (4, 3) in the world.
+    torso: T_world_body (N, 4, 4). hips_m: (4, 3), in body axes. feet_m: (4, 3), in the world. without: the leg whose
+    foot the balance field leaves out, or `NONE`.
     """
     rotation, place_m = torso[:, :3, :3], torso[:, :3, 3]
     arm = (feet_m - place_m[:, None]) @ rotation
@@ -413,30 +419,29 @@ def wrench(fields: Fields, hips_m: Array, feet_m: Array, without: int, torso: Ar
         [radial * x - swing * z, radial * y - flap * LEFT * z, radial * z + swing * x + flap * outwards], axis=-1
     )
     force, moment = (rotation @ forces.sum(axis=1)[..., None])[..., 0], np.cross(arm, forces).sum(axis=1)
-    away = feet_m[np.arange(4) != without, :2].mean(axis=0) - place_m[:, :2]
-    distance, balance = np.maximum(np.linalg.norm(away, axis=1), 1e-12)[:, None], fields.balance
-    force[:, :2] += balance.gain * np.tanh(balance.sharpness * distance) / distance * away
+    to_feet = feet_m[np.arange(4) != without, :2].mean(axis=0) - place_m[:, :2]
+    distance, balance = np.maximum(np.linalg.norm(to_feet, axis=1), 1e-12)[:, None], fields.balance
+    force[:, :2] += balance.gain * np.tanh(balance.sharpness * distance) / distance * to_feet
     return np.concatenate([force, moment], axis=1)
 
 
 def equilibrium(
     fields: Fields, hips_m: Array, feet_m: Array, without: int, start: Array, free: tuple[int, ...]
 ) -> tuple[Array, int, bool]:
-    """Return the torso of the least energy next to the start.
+    """Return the torso of the least energy near the start, the number of evaluations, and whether the search converged.
 
-    It is found by Newton's method on forces and moments, with the magnitudes of the stiffness. The number of
-    evaluations of the fields is returned, too, and whether it converged. `free` says which of x, y, z, roll, pitch, yaw
-    are free; the other parameters are those of `wrench`.
+    Newton's method on forces and moments, with the magnitudes of the stiffness. free: the indices of those of x, y, z,
+    roll, pitch, yaw that are free; the other parameters are those of `wrench`.
     """
-    picked, n, torso = list(free), len(free), start
+    columns, n, torso = list(free), len(free), start
     nudges = np.zeros((2 * n + 1, 6))
-    nudges[1:, picked] = NUDGE * np.concatenate([np.eye(n), -np.eye(n)])
+    nudges[1:, columns] = NUDGE * np.concatenate([np.eye(n), -np.eye(n)])
     for count in range(1, MAX_EVALUATIONS):
-        solution = wrench(fields, hips_m, feet_m, without, _moved(torso, nudges))[:, picked]
+        solution = wrench(fields, hips_m, feet_m, without, _moved(torso, nudges))[:, columns]
         stiffness = (solution[n + 1 :] - solution[1 : n + 1]) / (2 * NUDGE)
         values, vectors = np.linalg.eigh((stiffness + stiffness.T) / 2)
         step = np.zeros(6)
-        step[picked] = vectors @ (vectors.T @ solution[0] / np.abs(values))
+        step[columns] = vectors @ (vectors.T @ solution[0] / np.abs(values))
         torso = _moved(torso, capped(step, NEWTON_REACH_M, TRUST_RAD))
         if np.linalg.norm(step) < SETTLED:
             return torso, count, True
@@ -463,9 +468,8 @@ def path_corners(start_m: Array, end_m: Array, clearance_m: float, rise_rad: flo
     """Return the corners (4, 3) of a foot's path from start_m (3,) to end_m (3,), like a trapezoid.
 
     The foot rises at rise_rad above the forward direction (more than a right angle: leaning back) and sinks at
-    lower_rad above the backward direction, in the plane of forward (x) and up. Between them it crosses, sideways too,
-    clearance_m above the higher end. Where both slopes take up more than the length of the path, they are steeper, and
-    meet.
+    lower_rad above the backward direction, in the plane of forward (x) and up. Between them it crosses, also sideways,
+    clearance_m above the higher end. If both slopes need more than the length of the path, they are steeper, and meet.
     """
     top = max(start_m[2], end_m[2]) + clearance_m
     ahead, back = (top - start_m[2]) / np.tan(rise_rad), (top - end_m[2]) / np.tan(lower_rad)
@@ -492,7 +496,7 @@ class ClimbSettings(Settings):
     height: Annotated[Annotated[Number, Field(gt=0, le=10)] | None, Option(expected="metres, as in 0.045")] = None
     """Height of the step, metres; the footfalls' heights are in proportion. (default: the recipe's)"""
     figures: bool = True
-    """PNG and SVG beside the tables."""
+    """Write figures, as PNG and SVG, too."""
     overwrite: bool = False
     """Replace earlier ones."""
 
@@ -501,7 +505,7 @@ class ClimbSettings(Settings):
 
 REPORT, PLAYBACK = "report.json", "climb.rrd"
 FILES = ("joints.csv", "base.csv", "feet.csv", "margins.csv", REPORT, PLAYBACK, MANIFEST)
-"""What every climb gets, besides figures."""
+"""Files of every climb, besides figures."""
 _COLUMNS = 4
 
 
@@ -526,7 +530,7 @@ def _report(climb: Climb, settings: ClimbSettings) -> dict[str, Any]:
     recipe, time_s = climb.recipe, climb.motion.time_s
     name = name_seen_from(settings.out, settings.recipe)
     least = {
-        rule: picked(RULES[rule], "what", "unit")
+        rule: {"what": RULES[rule].title, "unit": RULES[rule].unit}
         | {"value": value, "at_s": float(time_s[k]), "lifted": _lifted(climb, k) or "none"}
         for rule, (value, k) in climb.least.items()
     }
@@ -549,7 +553,7 @@ def _report(climb: Climb, settings: ClimbSettings) -> dict[str, Any]:
 
 
 def _lifted(climb: Climb, frame: int) -> str:
-    """Return the leg that is lifted, empty where none is."""
+    """Return the label of the lifted leg; empty if there is none."""
     leg = int(climb.lifted[frame])
     return "" if leg == NONE else LEGS[leg]
 
@@ -570,7 +574,7 @@ def _write(climb: Climb, report: dict[str, Any], folder: Path) -> None:
         climb.motion,
         folder / PLAYBACK,
         step=(climb.recipe.step.edge_m, climb.recipe.step.height_m),
-        more=curves,
+        plots=curves,
         title=_title(climb),
     )
 
@@ -579,7 +583,7 @@ def _title(climb: Climb) -> str:
     return f"{climb.motion.robot.name} climbs a step of {1000 * climb.recipe.step.height_m:.0f} mm"
 
 
-# -- figures ---------------------------------------------------------------------------------------------------------
+# -- figures -----------------------------------------------------------------------------------------------------------
 
 
 def climb_footfalls(climb: Climb) -> Figure:

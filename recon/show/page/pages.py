@@ -86,7 +86,7 @@ def _data(kind: str, content: bytes) -> str:
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
-# -- of one result -----------------------------------------------------------------------------------------------------
+# -- page of one result ------------------------------------------------------------------------------------------------
 
 SECTION_CHARACTERS = 600_000
 """Largest size of a section's vector graphics; three sections and the stills are below 3 MB."""
@@ -164,7 +164,7 @@ def _subtitle(motion: Motion) -> str:
     return f"frames {frames[0]} to {frames[-1]}, {times}{cameras_text} · {motion.title}"
 
 
-# -- words ------------------------------------------------------------------------------------------------------------
+# -- words -------------------------------------------------------------------------------------------------------------
 
 
 def _words(report: Mapping[str, Any], analysis: ClipAnalysis | None) -> Iterator[str]:
@@ -183,7 +183,7 @@ def doubtful_frames(motion: Motion) -> Iterator[tuple[int, str, str]]:
         yield row, (f"{first}" if first == last else f"{first} to {last}"), ", ".join(flags)
 
 
-# -- figures ----------------------------------------------------------------------------------------------------------
+# -- figures -----------------------------------------------------------------------------------------------------------
 
 
 def _group(heading: str, text: str, figures: Sequence[Figure], width: str = "wide") -> dict[str, Any]:
@@ -261,7 +261,7 @@ def _angles(motion: Motion) -> dict[str, dict[str, AngleCurve]]:
     return panels
 
 
-# -- of a batch --------------------------------------------------------------------------------------------------------
+# -- page of a batch ---------------------------------------------------------------------------------------------------
 
 FIRST = ("failed", "unsolved", "pending")
 """Statuses listed above all others."""

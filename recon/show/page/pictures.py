@@ -26,7 +26,7 @@ LADDER = ((960, 55), (800, 50), (640, 50), (640, 35), (480, 35))
 MARGIN = 0.2
 """Room about the animal's boxes, relative to them."""
 SMALL_PX, WINDOW = 150.0, 2.6
-"""An animal shorter than this in the picture of all its path is followed by a window so many times its box."""
+"""An animal shorter than this in the picture of its whole path is followed by a window of this many times its box."""
 WINDOW_PX = 640
 SMOOTH_S = 0.2
 MIME = "image/webp"

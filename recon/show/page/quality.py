@@ -12,7 +12,7 @@ from recon.base.arrays import Array, median
 from recon.fit.motion import Motion, Picture
 
 STUCK_PX, STUCK_LEAST = 3.0, 5
-"""Outliers of a keypoint that lie within so many pixels of one point are stuck there if there are so many frames."""
+"""Outliers of a keypoint within this many pixels of one point, in at least this many frames, are stuck there."""
 SWAPS = ("left_right_swap", "left_right_swap_possible", "left_right_swap_mended", "clip_swapped_back")
 """Codes of findings on left-right swaps."""
 NEEDS_LOOK = 0.1

@@ -34,7 +34,7 @@ from recon.gait.kinematics import JointKinematics, Series
 from recon.gait.phase import Closure, LinkField, Portrait, field_means
 from recon.show.plots import style
 
-# -- stances and forces -----------------------------------------------------------------------------------------------
+# -- stances and forces ------------------------------------------------------------------------------------------------
 
 ROWS = ("LH", "RH", "RF", "LF")
 """The feet's rows from the top."""
@@ -172,7 +172,7 @@ def forces(d: Dynamics, gait: Gait) -> Figure:
     return figure
 
 
-# -- speed ------------------------------------------------------------------------------------------------------------
+# -- speed -------------------------------------------------------------------------------------------------------------
 
 BAND_ROOM = 3.0
 """Largest height of the axis relative to the highest curve, which leaves a third of the panel to the curve: from one
@@ -249,7 +249,7 @@ def _limit(axes: Axes, series: list[tuple[Array, Array]]) -> None:
     axes.set_ylim(0, 1.06 * top if top > 0 else 1.0)
 
 
-# -- angles -----------------------------------------------------------------------------------------------------------
+# -- angles ------------------------------------------------------------------------------------------------------------
 
 ANGLES_MM = (62.0, 36.0)
 """Width and height: three are a page wide."""
@@ -371,7 +371,7 @@ def _draw(axes: Axes, portrait: Portrait, colours: tuple[ListedColormap, Normali
     if np.isfinite(portrait.angle_sigma_rad).any():
         sigma = np.degrees(np.column_stack([portrait.angle_sigma_rad, portrait.rate_sigma_rad_s]))
         _band(axes, path[rows], style.REACH * sigma[rows])
-    # What does not move should not look as if it did.
+    # A constant angle should not look as if it moved.
     middle = (path[rows].min(axis=0) + path[rows].max(axis=0)) / 2
     axes.update_datalim([middle - _LEAST, middle + _LEAST])
     axes.autoscale_view()
@@ -402,7 +402,7 @@ def _percent(value: float, sigma: float) -> str:
     return f"{value:.0f}±{style.REACH * sigma:.0f}" if np.isfinite(sigma) else f"{value:.0f}"
 
 
-# -- vector fields ----------------------------------------------------------------------------------------------------
+# -- vector fields -----------------------------------------------------------------------------------------------------
 
 ARROWS = 45
 """Largest number of arrows in a row."""

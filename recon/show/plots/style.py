@@ -20,6 +20,7 @@ from typing import Any
 import matplotlib as mpl
 import matplotlib.style as mpl_style
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -135,7 +136,7 @@ def legend_shape(labels: Sequence[str], width_mm: float = WIDTH_MM) -> tuple[int
     return columns, 3.9 * -(-len(labels) // columns)
 
 
-def add_legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str], width_mm: float = WIDTH_MM) -> None:
+def add_legend(figure: Figure, handles: Sequence[Artist], labels: Sequence[str], width_mm: float = WIDTH_MM) -> None:
     """Add a legend below everything else."""
     figure.legend(handles, labels, loc="outside lower left", ncols=legend_shape(labels, width_mm)[0])
 

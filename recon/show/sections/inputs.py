@@ -37,7 +37,7 @@ def verdict_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     yield from (("assumed", sentence(finding)) for finding in up_from_feet)
 
 
-# -- the clip ---------------------------------------------------------------------------------------------------------
+# -- the clip ----------------------------------------------------------------------------------------------------------
 
 
 def clip_data(motion: Motion) -> dict[str, Any]:
@@ -79,7 +79,7 @@ def note_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
         yield "note", note
 
 
-# -- the skeleton and the detector ------------------------------------------------------------------------------------
+# -- the skeleton and the detector -------------------------------------------------------------------------------------
 
 
 def skeleton_data(motion: Motion) -> dict[str, Any]:
@@ -117,7 +117,7 @@ def detector_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     yield "detector", f"{data['name']}: {data['reason']}{offer}"
 
 
-# -- what was assumed -------------------------------------------------------------------------------------------------
+# -- assumptions -------------------------------------------------------------------------------------------------------
 
 
 def assumptions_data(motion: Motion) -> dict[str, Any]:

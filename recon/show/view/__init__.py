@@ -240,7 +240,7 @@ def fitting_eye(points_m: Array, axes: Array, margin_m: float = 0.0) -> tuple[Ar
     return target_m + (1.1 * distance_m + margin_m) * back, target_m
 
 
-# -- the viewer -------------------------------------------------------------------------------------------------------
+# -- the viewer --------------------------------------------------------------------------------------------------------
 
 
 def open_viewer(path: Path) -> None:
@@ -290,7 +290,7 @@ def _plot(
     return TimePlot(entity, title, [*lines], line_colours, np.stack([*lines.values()], axis=1), tab)
 
 
-# -- of every motion ----------------------------------------------------------------------------------------------
+# -- views of every motion ---------------------------------------------------------------------------------------------
 
 
 def angle_plots(motion: Motion) -> Iterator[TimePlot]:
@@ -355,7 +355,7 @@ def other_plots(motion: Motion) -> Iterator[TimePlot]:
     yield _plot("uncertainty", "One sigma (m)", lines, colours=(scenes.LIMB_COLOURS[1], scenes.LINK))
 
 
-# -- of an analysis -----------------------------------------------------------------------------------------------
+# -- views of an analysis ----------------------------------------------------------------------------------------------
 
 
 def analysis_plots(analysis: ClipAnalysis) -> Iterator[TimePlot]:
@@ -380,7 +380,7 @@ def analysis_plots(analysis: ClipAnalysis) -> Iterator[TimePlot]:
         quantities.append(("spine", "Flexion of the spine (°)", bent, sigma))
     for entity, title, values, sigma in quantities:
         lines = {entity: values[::every]}
-        if np.isfinite(sigma).any() and entity != "acceleration":  # whose deviations are many times as large as it is
+        if np.isfinite(sigma).any() and entity != "acceleration":  # its standard deviations are many times its values
             _, low, high = interval_of(values, sigma)
             lines |= {"90 %: from": low[::every], "90 %: to": high[::every]}
         yield _plot(f"analysis/{entity}", title, lines, "Kinematics", (scenes.TRAIL, scenes.LINK, scenes.LINK))

@@ -30,6 +30,7 @@ from recon.clip import frame_ranges
 from recon.fit.motion import Motion, Picture
 from recon.fit.result import MotionSegment
 from recon.geometry.frames import level_from_camera
+from recon.io.video import Image
 
 Colour = tuple[int, int, int]
 
@@ -228,7 +229,7 @@ def lines(ends: Array, counts: Integers, **columns: Any) -> rr.ComponentColumnLi
     return _strips(ends.reshape(-1, ends.shape[-1]), np.full(len(ends), 2), **columns).partition(counts)
 
 
-def _strips(points: Array, counts: Sequence[int] | Integers, **columns: Any) -> Any:
+def _strips(points: Array, counts: Sequence[int] | Integers, **columns: Any) -> rr.ComponentColumnList:
     """Return strips of `counts` points each from points (N, 2 or 3), in rerun's final layout.
 
     rerun's own conversion makes an object of every strip, which takes longer than the fit of a long clip.
@@ -454,7 +455,7 @@ def write_video(motion: Motion, log: Log, video: Path, first_frame: int = 0, num
 
     from recon.show.overlay import clip_frames
 
-    def jpeg(image: Any) -> rr.ComponentColumnList:
+    def jpeg(image: Image) -> rr.ComponentColumnList:
         content = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
         return rr.EncodedImage.columns(blob=[content], media_type=["image/jpeg"])
 
