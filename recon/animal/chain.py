@@ -33,6 +33,7 @@ from recon.base import documents
 from recon.base.arrays import Array, Index
 from recon.base.documents import FileTable, Number, Sigma, unknown, validated
 from recon.base.errors import InputError, Problem, raise_problems
+from recon.base.numbers import percent
 from recon.geometry.kinematics import PITCH, ROLL, Joint, Marker, Segment, Tree
 
 _SKELETONS = "animal/skeletons"
@@ -332,4 +333,4 @@ def facing_side(rear_px: Array, front_px: Array) -> tuple[Side, str]:
         return "right", "no frame shows both ends of the trunk: right by default"
     side: Side = "right" if np.median(forward_px) > 0 else "left"
     agree = np.mean((forward_px > 0) == (side == "right"))
-    return side, f"the animal faces the {side} of the picture in {agree:.0%} of {len(forward_px)} frames"
+    return side, f"the animal faces the {side} of the picture in {percent(agree)} of {len(forward_px)} frames"

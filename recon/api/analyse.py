@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from recon.api.settings import ANYWAY, STRIDE, StrideTimes
 from recon.base.arrays import mean, median
 from recon.base.locks import sole_writer
+from recon.base.numbers import percent
 from recon.base.outputs import Output, ReadResults
 from recon.base.progress import Progress, silent
 from recon.base.settings import Option, Positive, Settings, input_paths
@@ -158,7 +159,7 @@ def notes(found: ClipAnalysis) -> Iterator[str]:
     if count := len(found.not_measured):
         yield (
             f"{count} of {len(found.skeleton_angles)} angles are mostly expected, not seen (less than "
-            f"{MEASURED_SHARE:.0%} of their precision from the pixels), and grey in figures: "
+            f"{percent(MEASURED_SHARE)} of their precision from the pixels), and grey in figures: "
             f"{', '.join(found.not_measured)}."
         )
     if gait is not None and len(motion.foot_names) < 4:

@@ -13,6 +13,7 @@ from pydantic import Field
 from recon.animal.prior import load_prior
 from recon.animal.skeleton_file import load_skeleton
 from recon.base.errors import Problem, raise_problems
+from recon.base.numbers import percent
 from recon.base.outputs import Output
 from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Settings, input_paths
@@ -40,8 +41,8 @@ def in_sentences(found: Sequence[Advice]) -> Iterator[str]:
         share, sigma = (float(values[advice.best]) for values in (advice.share, advice.sigma))
         yield (
             f"Put {camera} {where(*advice.place)}, {advice.distance_m * np.sin(advice.place[1]):.2g} m above its "
-            f"middle and {advice.distance_m:.3g} m away: {share:.0%} of the precision of {advice.target} comes from "
-            f"the pixels, ±{in_words(sigma, advice.unit)}."
+            f"middle and {advice.distance_m:.3g} m away: {percent(share)} of the precision of {advice.target} comes "
+            f"from the pixels, ±{in_words(sigma, advice.unit)}."
         )
     worst = np.unravel_index(int(np.argmax(found[0].sigma)), found[0].sigma.shape)
     place = AZIMUTHS_RAD[worst[1]], ELEVATIONS_RAD[worst[0]]

@@ -16,6 +16,7 @@ from recon.api.settings import FIRST_FRAME, FitSettings
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import write_bytes
+from recon.base.numbers import percent
 from recon.base.outputs import Output, require_suffix
 from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Option, Settings
@@ -161,7 +162,7 @@ def _require_turning(s: CameraMotionSettings, motion: TurningMotion, lens: Camer
     if not len(motion.frames) or len(motion.lost) > MAX_LOST * number:
         found = f"too little background that can be followed in {len(motion.lost)} of {number} frames: blurred, "
         found += "without structure, or hidden"
-        raise InputError(Problem(s.video, "background", found, f"no more than {MAX_LOST:.0%} of such frames"))
+        raise InputError(Problem(s.video, "background", found, f"no more than {percent(MAX_LOST)} of such frames"))
 
 
 def _require_same_frames(s: CameraMotionSettings, points: dict[int, Array], times_s: Array) -> None:

@@ -31,7 +31,7 @@ from recon.api.skeleton_check import LARGEST_ANIMAL_M
 from recon.base.arrays import Array
 from recon.base.documents import builtin_file
 from recon.base.errors import InputError, Problem, collect_problems
-from recon.base.numbers import length_text
+from recon.base.numbers import length_text, percent
 from recon.base.outputs import output_file
 from recon.base.settings import File, OneOrMore, Option, Positive, Settings, input_paths
 from recon.check.agreement import points_m
@@ -238,7 +238,9 @@ def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, sourc
     same_m = max(NOISE * float(np.median(nearest_m)), RIGID * long_m)  # nearly every point is on a body with another
     if same_m > TOO_MUCH * long_m:
         found = f"distances between neighbours change by {1000 * same_m / NOISE:.1f} mm in an animal of {long_m:.3g} m"
-        expected = f"by {TOO_MUCH / NOISE:.0%} or less of its length; more or nearer cameras tell what bends from noise"
+        expected = (
+            f"by {percent(TOO_MUCH / NOISE)} or less of its length; more or nearer cameras tell what bends from noise"
+        )
         raise InputError(Problem(source, "keypoints", found, expected))
     of = fcluster(linkage(squareform(changes_m, checks=False), "complete"), same_m, "distance")
     bodies = [np.flatnonzero(of == i).tolist() for i in np.unique(of)]

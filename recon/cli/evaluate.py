@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from recon.api.settings import ANYWAY
+from recon.base.numbers import percent
 from recon.base.settings import Option, Settings
 from recon.cli.answers import Answer, table_of, verdict_texts
 from recon.gait.evaluation import LEVELS, Evaluation, evaluate_files
@@ -48,8 +49,8 @@ def _table(result: Evaluation) -> Table:
     scores, shares = (result.mpjpe_m, result.mpe_m, result.scale_mpjpe_m, result.pa_mpjpe_m), dict(result.pck)
 
     def row(name: str, of: Callable[[Any], float]) -> list[str]:
-        cells = [f"{1000 * of(one):.1f}" for one in scores] + [f"{of(one):.0%}" for one in shares.values()]
-        return [name, *(cell.replace("nan%", "-").replace("nan", "-") for cell in cells)]
+        cells = [f"{1000 * of(one):.1f}" for one in scores] + [percent(of(one)) for one in shares.values()]
+        return [name, *(cell.replace("nan %", "-").replace("nan", "-") for cell in cells)]
 
     numbers = ("MPJPE", "MPE", "scaled", "PA", *(f"PCK {1000 * t:g}" for t in shares))
     table = table_of("errors in mm", numbers=numbers, rows=[row("all", lambda one: one.mean)])

@@ -8,6 +8,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
+from recon.base.numbers import percent
 from recon.cli.answers import Answer, table_of
 from recon.keypoint_net.labels import PCK_PX, PCK_RELATIVE, Evaluate2DSettings, evaluate_2d_files
 from recon.show.plain import picked
@@ -23,12 +24,12 @@ def evaluate_2d_command(settings: Evaluate2DSettings) -> Answer:
 
 
 def _error_table(result: dict[str, Any]) -> Table:
-    pck = (*(f"{t:g}px" for t in PCK_PX), *(f"{t:.0%}" for t in PCK_RELATIVE))
+    pck = (*(f"{t:g}px" for t in PCK_PX), *map(percent, PCK_RELATIVE))
     table = table_of("errors in px", numbers=("n", "found", "RMSE", "median", *pck), padding=(0, 1, 0, 0))
 
     def add_row(name: str, score: dict[str, Any], last: bool = False) -> None:
-        cells = [str(score["points"]), f"{score['found']:.0%}", f"{score['rmse_px']:.2f}", f"{score['median_px']:.2f}"]
-        cells += [f"{share:.0%}" for share in (*score["pck_px"].values(), *score["pck_relative"].values())]
+        cells = [str(score["points"]), percent(score["found"]), f"{score['rmse_px']:.2f}", f"{score['median_px']:.2f}"]
+        cells += [percent(share) for share in (*score["pck_px"].values(), *score["pck_relative"].values())]
         row = (cell.replace("nan%", "-").replace("nan", "-") for cell in cells)
         table.add_row(Text(name), *row, end_section=last)
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from rich.table import Table
 
+from recon.base.numbers import percent
 from recon.cli.answers import Answer, table_of, verdict_texts
 from recon.ik.clip import IkSettings, run_ik
 
@@ -87,6 +88,6 @@ def _ik_lines(summary: dict[str, Any], out: Path) -> Iterator[str | Table]:
     if driven or along:
         yield "limits: the first joint that one stopped, and how many more"
     parameters = summary["parameters"]
-    explained = ", ".join(f"{name} {fit['explained']:.0%}" for name, fit in parameters["fitted"].items())
+    explained = ", ".join(f"{name} {percent(fit['explained'])}" for name, fit in parameters["fitted"].items())
     yield f"parameters: {parameters['used']}. Fitted to the clip, they explain of its joint rates: {explained}"
     yield f"Tables and figures are in {out}."

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from recon.base.numbers import percent
 from recon.base.progress import Progress
 from recon.cli.answers import Answer, stop
 from recon.keypoint_net.network import LIKELY, PredictSettings, run_prediction
@@ -40,7 +41,7 @@ def _training_lines(report: dict[str, Any], out: Path) -> Iterator[str]:
             yield "Train longer (--minutes), or label more."
     if "test" in report["errors"]:
         score = report["errors"]["test"]["all"]
-        yield f"Test pictures: median error {score['median_px']:.2f} px, {score['pck_px']['5.0']:.0%} within 5 px."
+        yield f"Test pictures: median error {score['median_px']:.2f} px, {percent(score['pck_px']['5.0'])} within 5 px."
     suspects = report["suspicious_labels"]
     if suspects:
         first = suspects[0]
@@ -60,7 +61,7 @@ def predict_command(settings: PredictSettings, progress: Progress) -> Answer:
     sure = float((keypoints.confidence >= LIKELY).mean())
     drawn = f", drawn on the video in {settings.overlay}" if settings.overlay else ""
     speed = f"{frames} frames in {seconds:.1f} s ({frames / seconds:.0f} a second)"
-    likely = f"{sure:.0%} of the points have a likelihood of {LIKELY:g} or more"
+    likely = f"{percent(sure)} of the points have a likelihood of {LIKELY:g} or more"
     sentence = f"{speed}; {likely}. They are in {settings.out}{drawn}."
     data = {**picked(settings, "out", "overlay"), "frames": frames, "seconds": seconds, "likely_share": sure}
     return Answer(data | {"notes": keypoints.notes}, [sentence], notes=keypoints.notes)

@@ -10,6 +10,7 @@ import numpy as np
 
 from recon.animal.body import Body
 from recon.base.arrays import Array, Bools, Brief
+from recon.base.numbers import percent
 from recon.clip import View
 
 Severity = Literal["error", "warning", "note"]
@@ -83,7 +84,7 @@ class Verdict(Brief):
         verdict_line = f"{self.level}: {self.reason}"
         if self.pose_m is None or self.pose_of_trunk is None or self.position_m is None:
             return (verdict_line,)
-        share = f"{self.pose_of_trunk.expected:.0%} of the trunk's length"
+        share = f"{percent(self.pose_of_trunk.expected)} of the trunk's length"
         prefix = "apart from that, " if self.warned else ""
         return (
             verdict_line,

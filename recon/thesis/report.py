@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from recon.base.arrays import median
+from recon.base.numbers import percent
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import ClipAnalysis
 from recon.gait.gait import interval_text
@@ -33,7 +34,7 @@ def assumptions(motion: Motion) -> dict[str, Any]:
     base = _base_length(motion)
     scale = "It is not measured: distances, speeds and sizes scale with it."
     if base["measured"]:
-        scale = f"The pixels give {base['data_share']:.0%} of its precision."
+        scale = f"The pixels give {percent(base['data_share'])} of its precision."
     sentences = [
         f"The scale: the base length has a prior of {base['nominal_m']:g} m with a standard deviation of "
         f"{base['sigma_m']:g} m. {scale}",
@@ -118,9 +119,9 @@ def travel_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 def size_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield the summary's line on the base length."""
     base = _base_length(motion)
-    share = number(base["data_share"], ".0%").lstrip("-")
+    share = number(100 * base["data_share"], ".0f").lstrip("-")
     expected = f"expected {base['nominal_m']:.3f} ± {base['sigma_m']:.3f} m"
-    yield "size", f"base length {number(data['mean'], '.3f')} m; {expected}; {share} of its precision from pixels"
+    yield "size", f"base length {number(data['mean'], '.3f')} m; {expected}; {share} % of its precision from pixels"
 
 
 _OWN = {

@@ -339,7 +339,7 @@ def test_bad_input_is_one_clear_message(tmp_path):
     other = Camera.from_hfov(60, (640, 360))
     film_refused(tmp_path, still, ("film.avi", "size", "320x180", "640x360"), other)
     blurred = [cv2.GaussianBlur(picture, (0, 0), 15) for picture in still]
-    film_refused(tmp_path, blurred, ("film.avi", "background", ["too little", "3 of 3 frames"], "50%"))
+    film_refused(tmp_path, blurred, ("film.avi", "background", ["too little", "3 of 3 frames"], "50 %"))
     x, y = np.meshgrid(np.arange(320.0), np.arange(180.0))
     film_refused(tmp_path, [*still, sampled(x, y, seed=3)], ("film.avi", "video", ["a cut", "frame 3"]))
     points = tmp_path / "points.csv"

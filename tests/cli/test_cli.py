@@ -27,6 +27,7 @@ from recon import FitSettings, Motion, evaluate_files, read_settings
 from recon.animal.body import MIN_JOINTS
 from recon.api.clip_results import OUTPUT_FILES
 from recon.base.arrays import to_plain
+from recon.base.numbers import percent
 from recon.base.outputs import RECORD, Output
 from recon.check.verdict import verdict_lines
 from recon.cli.answers import error_text, say, table_of, terminal
@@ -786,9 +787,9 @@ def test_evaluate_prints_the_numbers_of_the_function(fitted):
     rows = {line.split()[0]: line.split()[1:] for line in lines if line}
     scores = (result.mpjpe_m, result.mpe_m, result.scale_mpjpe_m, result.pa_mpjpe_m)
     shares = [score for _, score in result.pck]
-    assert rows["all"] == [*(f"{1000 * s.mean:.1f}" for s in scores), *(f"{s.mean:.0%}" for s in shares)]
+    assert rows["all"] == [*(f"{1000 * s.mean:.1f}" for s in scores), *(percent(s.mean) for s in shares)]
     for j, name in enumerate(result.names):
-        expected = [*(f"{1000 * s.per_joint[j]:.1f}" for s in scores), *(f"{s.per_joint[j]:.0%}" for s in shares)]
+        expected = [*(f"{1000 * s.per_joint[j]:.1f}" for s in scores), *(percent(s.per_joint[j]) for s in shares)]
         assert rows[name] == expected
     assert "Compared: 30 frames, 9 joints." in lines
     assert any(says(line, "reference: l_front_knee, ") for line in lines)
@@ -816,7 +817,7 @@ def test_evaluate_names_what_could_not_be_compared(tmp_path):
     ended = run("evaluate", tmp_path / "pose.csv", tmp_path / "truth.csv")
     assert ended.code == 0
     rows = {line.split()[0]: line.split()[1:] for line in ended.out.splitlines() if line.split()}
-    assert rows["[b]"] == ["0.0", "0.0", "0.0", "-", "100%", "100%", "100%"]
+    assert rows["[b]"] == ["0.0", "0.0", "0.0", "-", "100 %", "100 %", "100 %"]
     assert rows["c"] == ["-"] * 7
     assert "Compared: 1 frames, 3 joints." in ended.out
     assert says(ended.out, "only in the reconstruction: 2\n", "only in the reference: 4\n", "known on both sides: 1\n")
