@@ -29,7 +29,7 @@ help:
 	@echo 'make test       ruff, pyright and the tests'
 	@echo 'make test-quick  the tests of files, commands, fits and pages, without types and style'
 	@echo 'make test-lowest  the same with the lowest versions that pyproject.toml allows'
-	@echo 'make lint       ruff and pyright only'
+	@echo 'make lint       ruff, the rules on names and types, pyright'
 	@echo 'make format     let ruff fix and format the code'
 	@echo 'make docs       the documentation site into site/'
 	@echo 'make docs-version SITES=folder  the same, beside the sites of earlier versions'
@@ -70,6 +70,7 @@ test-lowest: $(BIN)/python
 lint: $(DEV)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python benchmarks/house.py --check
 	$(BIN)/pyright
 
 format: $(DEV)

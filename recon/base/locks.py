@@ -202,8 +202,8 @@ def require_usable(out: Path) -> None:
     """Raise InputError unless `out` is a folder that can be written to, or can become one."""
     existing = next(path for path in (out, *out.absolute().parents) if os.path.lexists(path))
     if not existing.exists():
-        found = f"{existing}, a link that points to nothing"
-        raise InputError(Problem("--out", "folder", found, "a folder, which is made if need be: remove the link"))
+        target = f"{existing}, a link that points to nothing"
+        raise InputError(Problem("--out", "folder", target, "a folder, which is made if need be: remove the link"))
     if not existing.is_dir():
         raise InputError(Problem("--out", "folder", f"the file {existing}", "a folder, which is made if need be"))
     if not os.access(existing, os.W_OK | os.X_OK):

@@ -116,7 +116,7 @@ def clip_page(
     analysis = ClipAnalysis(motion) if has_pose.sum() >= MIN_POINTS else None
     doubtful, reason = list(doubtful_frames(motion)), "" if motion.verdict is None else motion.verdict.reason
     findings = list(enumerate(report["findings"]))
-    told = [(number, item) for number, item in findings if item["text"] not in reason]
+    further = [(number, item) for number, item in findings if item["text"] not in reason]
     return rendered(
         "report.html",
         title=", ".join(dict.fromkeys(_base(camera["keypoints"]) for camera in report["cameras"])),
@@ -126,8 +126,8 @@ def clip_page(
         expected=verdict_lines(motion.verdict)[1:],
         to_do="" if motion.verdict is None else TO_DO.get(motion.verdict.level, ""),
         verdict_finding=next((number for number, item in findings if reason and item["text"] in reason), None),
-        warnings=[(number, item["text"]) for number, item in told if item["severity"] != "note"],
-        notes=[(number, item["text"]) for number, item in told if item["severity"] == "note"],
+        warnings=[(number, item["text"]) for number, item in further if item["severity"] != "note"],
+        notes=[(number, item["text"]) for number, item in further if item["severity"] == "note"],
         stills=stills,
         behind=video,
         camera=motion.cameras[number].name if len(motion.cameras) > 1 else "the camera",
@@ -266,8 +266,8 @@ def _angles(motion: Motion) -> dict[str, dict[str, AngleCurve]]:
 FIRST = ("failed", "unsolved", "pending")
 """Statuses listed above all others."""
 NUMBERS = {
-    "pose_mm": ("pose off by, mm (90%)", ".0f"),
-    "position_m": ("position off by, m (90%)", ".2f"),
+    "pose_mm": ("pose off by, mm (90 %)", ".0f"),
+    "position_m": ("position off by, m (90 %)", ".2f"),
     "frames": ("frames", ".0f"),
     "outliers": ("outliers", ".0f"),
     "mean_reprojection_px": ("mean reprojection, px", ".1f"),

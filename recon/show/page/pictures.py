@@ -109,8 +109,8 @@ def cut_of(points_px: Array, fps: float, picture_px: tuple[int, int]) -> Cut:
     return Cut(corners, (int(size[0]), int(size[1])), WINDOW_PX)
 
 
-def _even(size: Array, most: Array) -> Array:
-    return np.minimum(2 * np.ceil(size / 2), most)
+def _even(size: Array, limit_px: Array) -> Array:
+    return np.minimum(2 * np.ceil(size / 2), limit_px)
 
 
 def encode_strip(pictures: Iterable[tuple[int, Image]], count: int, cut: Cut) -> PictureStrip:

@@ -175,7 +175,7 @@ def _camera_pose(motion: Motion, number: int) -> dict[str, Any]:
     }
 
 
-def _number(value: Any) -> float | None:
+def _number(value: float) -> float | None:
     return round(float(value), 6) if np.isfinite(value) else None
 
 
@@ -198,14 +198,14 @@ def _cameras(motion: Motion, number: int) -> Iterator[dict[str, Any]]:
 
 
 def _detections(picture: Picture) -> dict[str, Any]:
-    far_px = 2.0 * max(picture.camera.image_size_px)  # what lies further off is drawn nowhere
-    within = [np.where(np.abs(xy) < far_px, xy, np.nan) for xy in (picture.detected_px, picture.reprojected_px)]
+    far_px = 2.0 * max(picture.camera.image_size_px)  # points further off are not drawn
+    near_px = [np.where(np.abs(xy) < far_px, xy, np.nan) for xy in (picture.detected_px, picture.reprojected_px)]
     # A detector that has an offset of its own is compared with where it would see the joint.
     states = np.where(picture.present, FITS, MISSING)
     states[picture.outliers] = OUTLIER
     return {
-        "detected_px": packed(within[0], 0.01),
-        "reprojected_px": packed(within[1], 0.01),
+        "detected_px": packed(near_px[0], 0.01),
+        "reprojected_px": packed(near_px[1], 0.01),
         "state": packed_states(states),
         "likelihood": packed_shares(np.where(picture.present, picture.source.keypoints.confidence, np.nan)),
         "weight": packed_shares(picture.weight),
