@@ -35,40 +35,30 @@ def read_subject(table: dict[str, Any], source: str) -> _SubjectFile:
     return validated(_SubjectFile, table, source)
 
 
-class Row(Protocol):
+class _Row(Protocol):
     """A segment or a marker in the table of a skeleton."""
 
     @property
-    def name(self) -> str:
-        """Its name."""
-
-    def model_copy(self, *, update: Mapping[str, Any] | None = None) -> Self:
-        """Return a copy with other values of some fields."""
+    def name(self) -> str: ...
+    def model_copy(self, *, update: Mapping[str, Any] | None = None) -> Self: ...
 
 
-class SkeletonTable(Protocol):
+class _SkeletonTable(Protocol):
     """The table of a skeleton (`recon.animal.skeleton_file`), as far as a subject changes it."""
 
     @property
-    def name(self) -> str:
-        """The skeleton's name."""
-
+    def name(self) -> str: ...
     @property
-    def segments(self) -> Sequence[Row]:
-        """The segments, the root first."""
-
+    def segments(self) -> Sequence[_Row]: ...
     @property
-    def markers(self) -> Sequence[Row]:
-        """The markers."""
-
-    def model_copy(self, *, update: Mapping[str, Any] | None = None) -> Self:
-        """Return a copy with other values of some fields."""
+    def markers(self) -> Sequence[_Row]: ...
+    def model_copy(self, *, update: Mapping[str, Any] | None = None) -> Self: ...
 
 
-_Table = TypeVar("_Table", bound=SkeletonTable)
+_Table = TypeVar("_Table", bound=_SkeletonTable)
 
 
-def subject_problems(animal: _SubjectFile, file: SkeletonTable, source: str) -> Iterator[Problem]:
+def subject_problems(animal: _SubjectFile, file: _SkeletonTable, source: str) -> Iterator[Problem]:
     """Yield what keeps a subject from fitting a skeleton's table (`recon.animal.skeleton_file`)."""
     if animal.skeleton != file.name:
         yield Problem(source, "skeleton", repr(animal.skeleton), f"{file.name!r}, the skeleton that it is used with")
@@ -84,7 +74,7 @@ def subject_problems(animal: _SubjectFile, file: SkeletonTable, source: str) -> 
 def with_subject(animal: _SubjectFile, file: _Table) -> _Table:
     """Return a skeleton's table with an animal's lengths and keypoint offsets; the root stays."""
 
-    def changed(item: Row) -> Row:
+    def changed(item: _Row) -> _Row:
         measured = {"at_m": animal.at_m, "keypoint_offset_m": animal.keypoint_offset_m}
         return item.model_copy(
             update={field: values[item.name] for field, values in measured.items() if item.name in values}

@@ -149,7 +149,7 @@ def new_names(names: Sequence[str], name_map: NameMap, source: str) -> tuple[lis
         raise InputError(Problem(name_map.source, "names", detail, f"some of {', '.join(names)}"))
     olds: dict[str, list[str]] = {}
     for name in names:
-        olds.setdefault(name_map.get(name) if name in known else name, []).append(name)
+        olds.setdefault(name_map.get(name, name) if name in known else name, []).append(name)
     left_out = olds.pop("", [])
     problems = [
         Problem(name_map.source, "names", f"{new!r} for {', '.join(several)}", "it for one of them only")

@@ -110,7 +110,7 @@ def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> lis
     """
     summary_output(out).require((SUMMARY, SUMMARY_PAGE))
     record = Record(out / RECORD)
-    return collect_problems(*(partial(_planned, clip, out / clip.name, record, overwrite) for clip in clips))
+    return [*collect_problems(*(partial(_planned, clip, out / clip.name, record, overwrite) for clip in clips))]
 
 
 def _planned(clip: Clip, out: Path, record: Record, overwrite: bool) -> ClipPlan:

@@ -20,7 +20,7 @@ from importlib import resources
 from importlib.resources.abc import Traversable
 from io import BytesIO
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TypeAlias, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
@@ -28,6 +28,8 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from recon.base.errors import InputError, Problem
 from recon.base.file_names import encodable
 
+Json: TypeAlias = Any
+"""The content of a JSON text: dictionaries, lists, texts, numbers, truth values and None."""
 MAX_BYTES = 1 << 28
 MAX_TOML_BYTES = 1 << 23
 """Largest TOML file, as the parser is slow. A skeleton has some ten thousand bytes."""
@@ -115,7 +117,7 @@ def _kind_of(path: Path) -> str:
     return "a link that points to nothing" if path.is_symlink() else "no such file"
 
 
-def read_json(path: Path, expected: str) -> object:
+def read_json(path: Path, expected: str) -> Json:
     """Return the content of a JSON file; raise InputError for anything else."""
     return parse_json(read_text(path, expected), path, expected)
 
@@ -125,7 +127,7 @@ def read_toml(path: Path, expected: str = "a TOML file") -> dict[str, Any]:
     return parse_toml(read_text(path, expected, MAX_TOML_BYTES), path, expected)
 
 
-def parse_json(text: str, source: str | Path, expected: str = "JSON") -> object:
+def parse_json(text: str, source: str | Path, expected: str = "JSON") -> Json:
     """Return the content of a text in JSON; raise InputError for anything else."""
     with damage_named(source, expected):
         return json.loads(text)

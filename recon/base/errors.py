@@ -78,6 +78,7 @@ def problems_of(read: Callable[[], Any]) -> tuple[Problem, ...]:
 _A = TypeVar("_A")
 _B = TypeVar("_B")
 _C = TypeVar("_C")
+_D = TypeVar("_D")
 
 
 @overload
@@ -91,7 +92,18 @@ def collect_problems(
 
 
 @overload
-def collect_problems(*reads: Callable[[], _A]) -> tuple[_A, ...]: ...
+def collect_problems(
+    first: Callable[[], _A],
+    second: Callable[[], _B],
+    third: Callable[[], _C],
+    fourth: Callable[[], _D],
+    /,
+    *checks: Callable[[], object],
+) -> tuple[_A, _B, _C, _D, *tuple[object, ...]]: ...
+
+
+@overload
+def collect_problems(first: Callable[[], _A], /, *reads: Callable[[], _B]) -> tuple[_A, *tuple[_B, ...]]: ...
 
 
 def collect_problems(*reads: Callable[[], object]) -> tuple[object, ...]:

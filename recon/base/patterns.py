@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from re import _constants as codes  # type: ignore[attr-defined]
 from re import _parser as parser  # type: ignore[attr-defined]
+from typing import Any, TypeAlias
 
+_Part: TypeAlias = Any
+"""A part of a parsed pattern, of which the library publishes no types."""
 MAX_REPEATS = 3
 """Most repeats in a pattern: time grows with the length of the text to the power of their number."""
 MAX_OPTIONS = 6
@@ -32,14 +35,14 @@ def slow_part(pattern: str) -> str | None:
     return f"{options} optional parts" if options > MAX_OPTIONS else None
 
 
-def _variable_repeats(part: object, inside: bool) -> list[int] | None:
+def _variable_repeats(part: _Part, inside: bool) -> list[int] | None:
     """Return the largest count of each repeat of variable length; None if one, or a choice, is within a repeat.
 
     inside: whether the part itself is repeated.
     """
-    operation, argument = part if isinstance(part, tuple) and len(part) == 2 else (None, None)
+    operation = part[0] if isinstance(part, tuple) and len(part) == 2 else None
     if any(operation is repeat for repeat in _REPEATS):
-        smallest, largest, repeated = argument
+        smallest, largest, repeated = part[1]
         is_variable = smallest != largest
         if inside and is_variable:
             return None

@@ -481,7 +481,7 @@ def calibrate(views: BoardViews, model: str, name: str = "cam1") -> Calibration:
     return Calibration(camera, views.board, tuple(all_views[view.name] for view in views.views), tuple(sigma.tolist()))
 
 
-_Solution = tuple[MatLike, Array, Sequence[MatLike], Sequence[MatLike]]
+_Solution = tuple[MatLike, MatLike, Sequence[MatLike], Sequence[MatLike]]
 """Camera matrix, distortion, and rotation vectors and translations of the views."""
 
 
@@ -490,13 +490,14 @@ def _solve(views: BoardViews, model: str, name: str) -> tuple[Camera, list[_Fitt
     try:
         solve = _solve_fisheye if lens.opencv == "fisheye" else _solve_standard
         matrix, distortion, rotations, translations = solve(views.views, points, size, lens.calibrated)
-        camera = Camera(name, np.asarray(matrix, dtype=float), distortion, model, size)
+        camera = Camera(name, np.asarray(matrix, dtype=float), np.asarray(distortion, dtype=float), model, size)
     except (cv2.error, ValueError) as error:
         expected = "boards tilted in different ways, over the whole picture"
         raise InputError(Problem("pictures", f"{model} model", "no solution", expected)) from error
     fitted = []
     for view, rotation_vector, translation_vector in zip(views.views, rotations, translations, strict=True):
-        rotation, translation = np.asarray(cv2.Rodrigues(rotation_vector)[0], dtype=float), np.ravel(translation_vector)
+        rotation = np.asarray(cv2.Rodrigues(rotation_vector)[0], dtype=float)
+        translation = np.asarray(translation_vector, dtype=float).ravel()
         projected, valid = camera.project(points[view.ids] @ rotation.T + translation)
         # Where the lens model folds there is no projection: as wrong as can be, and finite.
         residual = np.where(valid[:, None], projected - view.xy_px, math.hypot(*size))

@@ -340,7 +340,7 @@ def jobs_of(run: _RunSettings, given: Mapping[str, Any]) -> list[_Job]:
         keypoints = None if run.keypoints is None else keypoints_of(video, run.keypoints)
         return job_of(replace(run, video=video, out=run.out / names[video], keypoints=keypoints), given)
 
-    return collect_problems(*(partial(job, video) for video in videos))
+    return [*collect_problems(*(partial(job, video) for video in videos))]
 
 
 def keypoints_of(video: Path, folder: Path) -> Path:

@@ -5,23 +5,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from recon.animal.body import Body
-from recon.base.arrays import Array, Bools, Integers
+from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.base.files import MANIFEST, read_manifest
 from recon.base.records import load_record
-from recon.clip import Source
-from recon.fit.result import SHAPES, Solution, TrajectorySolution, Verdict
-from recon.geometry.camera import Camera
+from recon.fit.result import SHAPES, TrajectorySolution
 from recon.geometry.kinematics import YAW
-from recon.io.common import Pose3D
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -66,55 +62,11 @@ _CLASSES_BY_PATH = {
 }
 
 
-class _MotionData(Protocol):
-    """Describe what these functions read of a `Motion`, which imports this module and cannot be imported here."""
-
-    @property
-    def file(self) -> str: ...
-    @property
-    def title(self) -> str: ...
-    @property
-    def body(self) -> Body: ...
-    @property
-    def sources(self) -> tuple[Source, ...]: ...
-    @property
-    def cameras(self) -> tuple[Camera, ...]: ...
-    @property
-    def solution(self) -> Solution: ...
-    @property
-    def verdict(self) -> Verdict | None: ...
-    @property
-    def frames(self) -> Integers: ...
-    @property
-    def time_s(self) -> Array: ...
-    @property
-    def fps(self) -> float: ...
-    @property
-    def clip_frames(self) -> int: ...
-    @property
-    def solved(self) -> Bools: ...
-    @property
-    def flags(self) -> tuple[tuple[str, ...], ...]: ...
-    @property
-    def joints(self) -> tuple[str, ...]: ...
-    @property
-    def names(self) -> tuple[str, ...]: ...
-    @property
-    def limbs(self) -> Mapping[str, Sequence[int]]: ...
-    @property
-    def foot_names(self) -> Mapping[str, str]: ...
-    @property
-    def forward_names(self) -> tuple[str, str]: ...
-    @property
-    def upright(self) -> Pose3D: ...
-    @property
-    def upright_sigma_m(self) -> Array: ...
+Motion: TypeAlias = Any
+"""`recon.fit.motion.Motion`, which imports this module and cannot be imported here."""
 
 
-_Motion = TypeVar("_Motion", bound=_MotionData)
-
-
-def load(motion_class: type[_Motion], folder: Path) -> _Motion:
+def load(motion_class: type[Motion], folder: Path) -> Motion:
     """Return the motion, of the given class, in a folder. Raise InputError as `Motion.load` says."""
     path = folder / MOTION
     if not path.is_file():
@@ -133,7 +85,7 @@ def load(motion_class: type[_Motion], folder: Path) -> _Motion:
     return motion
 
 
-def _misfits(motion: _MotionData) -> list[tuple[str, str, str]]:
+def _misfits(motion: Motion) -> list[tuple[str, str, str]]:
     """Return the arrays whose shapes do not fit each other, as name, shape and expected shape."""
     sizes = {"T": len(motion.frames), "J": len(motion.joints), "V": len(motion.sources), "D": motion.body.n_state}
     sizes |= {"F": len(motion.body.feet), "A": motion.body.n_state - YAW, "2": 2, "3": 3, "4": 4}
@@ -173,7 +125,7 @@ def _no_motion(folder: Path) -> Problem:
 # -- for other programs and people -------------------------------------------------------------------------------------
 
 
-def table_of(motion: _MotionData, wide: bool) -> pd.DataFrame:
+def table_of(motion: Motion, wide: bool) -> pd.DataFrame:
     """Return the table that `Motion.to_dataframe` gives."""
     import pandas as pd
 
@@ -188,7 +140,7 @@ def table_of(motion: _MotionData, wide: bool) -> pd.DataFrame:
     return table.assign(flags=np.repeat([", ".join(names) for names in motion.flags], J))
 
 
-def dataset_of(motion: _MotionData) -> xr.Dataset:
+def dataset_of(motion: Motion) -> xr.Dataset:
     """Return the data set that `Motion.to_xarray` gives."""
     from recon.io import hdf5_poses
 
@@ -199,7 +151,7 @@ def dataset_of(motion: _MotionData) -> xr.Dataset:
     return dataset.assign_attrs(verdict_attributes | {"source_file": motion.file})
 
 
-def html_of(motion: _MotionData) -> str:
+def html_of(motion: Motion) -> str:
     """Return what a notebook shows: the verdict, the expected errors, and the poses from the side."""
     verdict_texts = () if motion.verdict is None else motion.verdict.lines
     rows: dict[str, str] = dict(zip(("verdict", "expected"), verdict_texts, strict=False))

@@ -283,7 +283,7 @@ class Gait(Brief):
 _Value = TypeVar("_Value", float, Array)
 
 
-def interval_of(value: _Value, sigma: _Value) -> tuple[_Value, _Value, _Value]:
+def interval_of(value: _Value, sigma: _Value | float) -> tuple[_Value, _Value, _Value]:
     """Return a value and the ends of its interval, which covers `INTERVAL`.
 
     Parameters

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import tomli_w
 
-from recon.base.documents import parse_json, parse_toml
+from recon.base.documents import Json, parse_json, parse_toml
 from recon.base.errors import InputError, Problem
 from recon.base.files import write_text
 from recon.geometry.camera import Camera
@@ -337,7 +337,7 @@ def _block(value: object) -> object:
     return value["data"] if isinstance(value, Mapping) and "data" in value else [] if value is None else value
 
 
-def _of_file_storage(path: Path, text: str) -> object:
+def _of_file_storage(path: Path, text: str) -> Json:
     """Return OpenCV's FileStorage as plain dictionaries, lists, strings and numbers."""
     import cv2  # slow to import
 
@@ -366,7 +366,7 @@ def _nesting(text: str) -> int:
     return max(len(re.findall(r"[\[{]", text)), len(re.findall(r"<[^/?!]", text)), inline * len(indents))
 
 
-def _plain_node(node: cv2.FileNode) -> object:
+def _plain_node(node: cv2.FileNode) -> Json:
     if node.isMap():
         return {key: _plain_node(node.getNode(key)) for key in node.keys()}  # noqa: SIM118 (not a dict)
     if node.isSeq():

@@ -172,7 +172,7 @@ def scale_of(scale: h5py.Dataset, dataset: h5py.Dataset) -> list[int]:
     members = [kind.get_member_class(i) for i in range(kind.get_nmembers())]
     if members != [h5t.REFERENCE, h5t.INTEGER]:
         return []
-    listed = scale.attrs["REFERENCE_LIST"].ravel().tolist()
+    listed = np.asarray(scale.attrs["REFERENCE_LIST"]).ravel().tolist()
     return [int(axis) for reference, axis in listed if reference and scale.file[reference] == dataset]
 
 
@@ -316,7 +316,7 @@ def _require_short_texts(dataset: h5py.Dataset) -> None:
         return
     with Path(dataset.file.filename).open("rb") as file:
         file.seek(start)
-        stored = file.read(16 * int(dataset.size))
+        stored = file.read(16 * int(dataset.size or 0))
         size = file.seek(0, 2)
     lengths = np.frombuffer(stored[: len(stored) // 16 * 16], "<u4")[::4]
     if len(lengths) != dataset.size or (lengths > size).any():

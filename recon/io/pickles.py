@@ -5,7 +5,10 @@ from __future__ import annotations
 import io
 import pickle
 import pickletools
+from typing import Any, TypeAlias
 
+Plain: TypeAlias = Any
+"""A plain value: texts, numbers, lists, tuples and dictionaries."""
 MAX_PICKLE_BYTES = 1 << 24
 PLAIN_PICKLES = {
     *("INT", "BININT", "BININT1", "BININT2", "LONG", "LONG1", "LONG4", "FLOAT", "BINFLOAT"),
@@ -22,7 +25,7 @@ _SCALARS = {
 """NumPy's functions that make single numbers, which are allowed among plain values if asked for."""
 
 
-def plain_pickle(content: bytes) -> object:
+def plain_pickle(content: bytes) -> Plain:
     """Return the value of a pickle of plain values.
 
     It is run only if all its instructions are in `PLAIN_PICKLES`. Raises ValueError that names any other instruction.
@@ -38,7 +41,7 @@ def plain_pickle(content: bytes) -> object:
         raise ValueError("a damaged pickle") from None
 
 
-def plain_pickle_with_scalars(content: bytes) -> object:
+def plain_pickle_with_scalars(content: bytes) -> Plain:
     """Return the value of a pickle of plain values and NumPy's numbers; raise ValueError for anything else."""
     _require_small(content)
     try:

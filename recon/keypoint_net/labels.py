@@ -417,8 +417,8 @@ def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str
     if not len(rows_t):
         first, last = truth.frames[[0, -1]]
         expected = f"some of the labels' frames {first} to {last} that are asked for; --first-frame"
-        predicted_px = f"frames {numbers[0]} to {numbers[-1]}, in the labels' numbers"
-        problems.append(Problem(predicted, "frames", predicted_px, expected))
+        numbers_text = f"frames {numbers[0]} to {numbers[-1]}, in the labels' numbers"
+        problems.append(Problem(predicted, "frames", numbers_text, expected))
     raise_problems(problems)
     rows_g = pd.Index(numbers).get_indexer(truth.frames[rows_t])
     g, t = [guess.names.index(n) for n in common], [truth.names.index(n) for n in common]

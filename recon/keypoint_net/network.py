@@ -218,7 +218,7 @@ def stages(network: torch.nn.Module) -> tuple[torch.nn.Module, ...]:
 
 def on_device(network: torch.nn.Module, device: torch.device) -> torch.nn.Module:
     """Return a network on a device, in the layout in which convolutions are fastest."""
-    return network.to(device).to(memory_format=require_torch().channels_last)
+    return network.to(device).to(memory_format=require_torch().channels_last)  # pyright: ignore[reportCallIssue]
 
 
 def as_input(pictures: NDArray[np.uint8], background: Image | None, device: torch.device) -> torch.Tensor:

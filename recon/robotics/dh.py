@@ -136,7 +136,7 @@ def _row(step: RigidTransform, slides: bool) -> DHRow:
     return DHRow(float(T[0, 3]), float(alpha), float(d), float(theta), bool(slides))
 
 
-def _transform(R: Array, p: Array) -> RigidTransform:
+def _transform(R: ArrayLike, p: Array) -> RigidTransform:
     return RigidTransform.from_components(p, Rotation.from_matrix(R))
 
 

@@ -30,7 +30,6 @@ from recon.clip import frame_ranges
 from recon.fit.motion import Motion, Picture
 from recon.fit.result import MotionSegment
 from recon.geometry.frames import level_from_camera
-from recon.io.video import Image
 
 Colour = tuple[int, int, int]
 
@@ -455,7 +454,7 @@ def write_video(motion: Motion, log: Log, video: Path, first_frame: int = 0, num
 
     from recon.show.overlay import clip_frames
 
-    def jpeg(image: Image) -> rr.ComponentColumnList:
+    def jpeg(image: np.ndarray) -> rr.ComponentColumnList:
         content = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
         return rr.EncodedImage.columns(blob=[content], media_type=["image/jpeg"])
 
