@@ -302,7 +302,9 @@ def _chain_problems(file: _ChainFile, source: str) -> Iterator[Problem]:
     names = [link.name for link in file.links]
     yield from unknown(source, [(f"length_m.{name}", name) for name in file.length_m], sorted(names))
     if len(names) + 1 < MIN_JOINTS:
-        yield Problem(source, "links", f"{len(names)}", f"at least {MIN_JOINTS - 1}: fewer joints do not place it")
+        yield Problem(
+            source, "links", f"{len(names)}", f"at least {MIN_JOINTS - 1}: fewer joints do not determine a pose"
+        )
     if not any(link.theta is None and link.start == file.root for link in file.links):
         expected = f"one from {file.root} without theta and phi: the body's forward axis lies along it"
         yield Problem(source, "links", "none without angles from the root", expected)

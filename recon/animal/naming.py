@@ -152,7 +152,7 @@ def new_names(names: Sequence[str], name_map: NameMap, source: str) -> tuple[lis
         olds.setdefault(name_map.get(name, name) if name in known else name, []).append(name)
     left_out = olds.pop("", [])
     problems = [
-        Problem(name_map.source, "names", f"{new!r} for {', '.join(several)}", "it for one of them only")
+        Problem(name_map.source, "names", f"{new!r} for {', '.join(several)}", "this name for one of them")
         for new, several in olds.items()
         if len(several) > 1
     ]

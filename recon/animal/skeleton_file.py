@@ -196,7 +196,7 @@ def _body_problems(file: _BodyFile, source: str) -> Iterator[Problem]:
             yield Problem(source, f"markers[{i}].segment", repr(marker.segment), "the name of a segment")
         markers.append(marker.name)
     if len(markers) < MIN_JOINTS:
-        yield Problem(source, "markers", f"{len(markers)}", f"at least {MIN_JOINTS}: fewer do not place it")
+        yield Problem(source, "markers", f"{len(markers)}", f"at least {MIN_JOINTS}: fewer do not determine a pose")
     named = {"forward": file.forward, "feet": file.feet.values()} | {f"limbs.{k}": v for k, v in file.limbs.items()}
     named |= {f"anatomy.{joint}": joint_markers for joint, joint_markers in file.anatomy.items()}
     yield from anatomy_problems(file.anatomy, source)

@@ -181,7 +181,7 @@ def _not_usable(path: Path) -> InputError:
             fault = f"a lock file of another user ({_name_of(state.st_uid)}), whose run was perhaps killed"
         else:
             fault = "a file or link that is no lock file of recon"
-    expected = "this file to be removed, if no run is still writing to the folder; or another folder"
+    expected = "no lock file: remove it if no run is still writing to the folder, or choose another folder"
     return InputError(Problem(path, "lock", fault, expected))
 
 

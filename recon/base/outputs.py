@@ -86,8 +86,8 @@ def read_record(folder: Path) -> _Written:
     except (FileNotFoundError, NotADirectoryError):
         return {}
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        expected = "the record of what recon wrote into the folder: move it away"
-        raise InputError(Problem(path, "content", "something else", expected)) from None
+        expected = "recon's record of the files that it wrote: move this file away"
+        raise InputError(Problem(path, "content", "another kind of file", expected)) from None
 
 
 def _entry(**stored: Any) -> WrittenFile:
@@ -156,7 +156,11 @@ class ReadResults:
         """Raise InputError if the folder has other results than those that were read."""
         if _manifest_sha256(self.folder) != self.manifest:
             change = "other results than were read: another run has replaced them meanwhile"
-            raise InputError(Problem(self.folder, "results", change, "the command to be run again"))
+            raise InputError(
+                Problem(
+                    self.folder, "results", change, "results that do not change during the run: run the command again"
+                )
+            )
 
 
 def _manifest_sha256(folder: Path) -> str | None:

@@ -158,7 +158,9 @@ class _Process:
             with _alone():
                 self._process.start()
         except OSError as error:
-            raise InputError(Problem("processes", "start", str(error), "a system that can start another one")) from None
+            raise InputError(
+                Problem("processes", "start", str(error), "a system that can start another process")
+            ) from None
         theirs.close()
         self.pid, self.tasks_left = self._process.pid, TASKS_PER_PROCESS
 

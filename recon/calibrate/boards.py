@@ -158,7 +158,7 @@ def parse_board(text: str) -> Board:
     board = Board(int(columns), int(rows), float(square) * UNITS_M[unit])
     problems = []
     if min(board.columns, board.rows) < 3 or not board.square_m > 0:
-        problems = [Problem("--board", "size", repr(text), "three or more columns and rows, of some size")]
+        problems = [Problem("--board", "size", repr(text), "three or more columns and rows, of a size above 0")]
     if markers:
         size, unit, dictionary, legacy = markers
         marker_m = float(size) * UNITS_M[unit]
@@ -330,7 +330,7 @@ def _mixed_sizes(sizes: dict[str, tuple[int, int]]) -> Problem:
     found_sizes = "; ".join(
         f"{width}x{height} ({', '.join(names[:3])})" for (width, height), names in names_of_size.items()
     )
-    expected = "one size, that of the clips, and all upright or all lying: a calibration holds for one resolution"
+    expected = "one size, that of the clips, and one orientation: a calibration is valid for one resolution"
     return Problem("pictures", "size", found_sizes, expected)
 
 

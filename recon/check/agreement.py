@@ -619,7 +619,7 @@ def solve_time_offsets(
     names = [source.camera.name for source in sources_apart]
     unmatched = [name for name, frames in zip(names, search_result, strict=True) if np.isnan(frames)]
     if unmatched:
-        expected = "keypoints that it sees together with another camera, in 30 or more points"
+        expected = "30 or more points that it sees together with another camera"
         raise InputError(Problem("--set find-offsets", f"camera {name}", "too few", expected) for name in unmatched)
     offsets = offsets + search_result
     sources = align_cameras(sources_apart, offsets.tolist())
@@ -637,8 +637,10 @@ def solve_time_offsets(
 def _problems(names: Sequence[str], offsets: Array, rest_frames: Array, sigmas: Array) -> Iterator[Problem]:
     for name, frames, lag, sigma in zip(names, offsets, rest_frames, sigmas, strict=True):
         if sigma > MAX_SIGMA_FRAMES or abs(lag) > MAX_SIGMA_FRAMES:
-            lag_text = f"{frames + lag:.1f} ± {max(sigma, abs(lag)):.1f} frames later, from a motion that hardly tells"
-            expected = f"a clip that tells it to {MAX_SIGMA_FRAMES:g}, or --set offset-s as measured otherwise"
+            lag_text = (
+                f"{frames + lag:.1f} ± {max(sigma, abs(lag)):.1f} frames later, as this motion hardly determines it"
+            )
+            expected = f"a clip that determines it to {MAX_SIGMA_FRAMES:g}, or --set offset-s, measured in another way"
             yield Problem("--set find-offsets", f"camera {name}", lag_text, expected)
 
 

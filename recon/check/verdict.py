@@ -197,7 +197,7 @@ def usable(motion: Motion, folder: Path | str, anyway: bool) -> Motion:
     verdict = motion.verdict
     if verdict is not None and verdict.level == "do not use" and not anyway:
         verdict_text = f"do not use: {verdict.reason.rstrip('.')}"
-        raise InputError(Problem(folder, "verdict", verdict_text, "a clip to be used, or --anyway"))
+        raise InputError(Problem(folder, "verdict", verdict_text, "a clip whose result is usable, or --anyway"))
     return motion
 
 

@@ -116,7 +116,7 @@ def _no_motion(folder: Path) -> Problem:
     expected = "the folder of results that `recon fit` wrote"
     if (folder / _REPORT).is_file() and (folder / _CONFIG).is_file():
         content = f"no {MOTION}: results of an earlier version"
-        return Problem(folder, "folder", content, f"results of this one: make them again by {_again(folder)}")
+        return Problem(folder, "folder", content, f"results of this version: make them again by {_again(folder)}")
     clips = sorted(path.parent for path in folder.glob(f"*/{MOTION}")) if folder.is_dir() else []
     content = f"no {MOTION}" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
     return Problem(folder, "folder", content, f"that of one clip, as in {clips[0]}" if clips else expected)

@@ -257,7 +257,7 @@ def _positions(
     if not path.is_dir():
         return read_pose3d(path, unit=unit, up=up), None, None
     if unit is not None or up is not None:
-        raise InputError(Problem(path, "unit, up", "results of recon fit, which say both", "no --unit and no --up"))
+        raise InputError(Problem(path, "unit, up", "results of recon fit, which state both", "no --unit and no --up"))
     if (path / TRIANGULATED).is_file() and not (path / MOTION).exists():
         return read_pose3d(path / POSE3D), None, None
     motion = usable(Motion.load(path), path, anyway)

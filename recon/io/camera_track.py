@@ -173,7 +173,9 @@ def _checked_track(
             (SIGMA, f"0 to {MAX_SIGMA_DEG:g} degrees", (sigma >= 0) & (sigma <= MAX_SIGMA_DEG)),
         )
     wrong = [(kind, [*compress(places, np.logical_not(right))], expected) for kind, expected, right in checks]
-    raise_problems(Problem(path, kind, f"others in {_some(rows)}", expected) for kind, rows, expected in wrong if rows)
+    raise_problems(
+        Problem(path, kind, f"other values in {_some(rows)}", expected) for kind, rows, expected in wrong if rows
+    )
     order = np.argsort(frames)
     poses = rigid(_rotations(quaternion[order]), translation[order])
     zooms = zoom[order] if INTRINSICS[0] in columns else None
@@ -251,7 +253,7 @@ def _read_shots(path: Path) -> CameraTrack:
             turn, translation = (np.array(shot[key], dtype=float).reshape(3) for key in ("rotation", "translation"))
         if frame is None or not np.isfinite([turn, translation]).all() or np.abs(turn).max() > MAX_ROTATION_RAD:
             expected = "rotation and translation of 3 numbers each, and the frame's number last in the name"
-            problems.append(Problem(path, f"shots.{name[:60]}", "others", expected))
+            problems.append(Problem(path, f"shots.{name[:60]}", "other values", expected))
             continue
         rotation = Rotation.from_rotvec(turn)
         if features is not None:  # places, not translations

@@ -188,7 +188,7 @@ def read_long(path: Path, individual: str | None = None, columns: Mapping[str, s
         by_name.setdefault(name, column)
     meaning = _by_name if columns is None else _by_map(columns)
     twice = [name for name, same in repeated.items() if not same and meaning(name)]
-    expected = "it once: two columns of that name have different cells"
+    expected = "it once: the columns of that name have different cells"
     raise_problems(Problem(path, "header", f"column '{name}' more than once", expected) for name in twice)
     stored = gathered(path, by_name, individual, columns)
     notes = tuple(f"Column '{name}' stands in the table more than once: the first is read." for name in repeated)
@@ -284,7 +284,7 @@ def gathered(path: Path, table: Columns, individual: str | None, column_map: Map
         point_of, repeated = row_of, row_of
     if len(first := np.unique(repeated, return_index=True)[1]) < len(rows):
         line = rows[np.setdiff1d(np.arange(len(rows)), first)[0]] + 2
-        problems.append(Problem(path, f"line {line}", "a second row of a frame or of a point in it", "one"))
+        problems.append(Problem(path, f"line {line}", "a second row for the same frame and point", "one"))
     common.require_span(len(distinct), len(index), path)
     coords = ("x", "y", "z") if any(role == "z" for _, role in columns) else ("x", "y")
     values = np.full((len(distinct), len(index), len(coords) + 1), np.nan)

@@ -455,7 +455,9 @@ def read_nwb(path: Path, individual: str | None = None) -> StoredPoints:
             expected = f"{values[0].shape}, as in {first}"
             problems.append(Problem(path, f"{name}/{point}", f"{positions.shape} positions", expected))
         elif not np.allclose(point_times_s, times_s[0], rtol=0, atol=1e-6):
-            problems.append(Problem(path, f"{name}/{point}", f"other times than in {first}", "one time line"))
+            problems.append(
+                Problem(path, f"{name}/{point}", f"other times than in {first}", "the same times for all points")
+            )
     raise_problems(problems)
     links = tuple((nodes[a], nodes[b]) for a, b in edges) if {*nodes} == {*points} else ()
     extra: dict[str, Any] = {"scorer": scorer, "unit": unit, "up": "z" if z_up else None, "edges": links}

@@ -227,7 +227,9 @@ def read_openpose(path: Path, individual: str | None = None) -> StoredPoints:
     """
     own_name = _FILE_NAME.fullmatch(path.name)
     if own_name is None:
-        raise InputError(Problem(path, "file", "a name without a number", "a frame's, as run_000012_keypoints.json"))
+        raise InputError(
+            Problem(path, "file", "a name without a number", "the frame's number, as in run_000012_keypoints.json")
+        )
     named = {path: own_name} | {
         file_beside: match for file_beside in path.parent.iterdir() if (match := _FILE_NAME.fullmatch(file_beside.name))
     }

@@ -91,7 +91,7 @@ def read_easymocap(path: Path, individual: str | None = None) -> list[CameraReco
     """Return the cameras of EasyMocap's lenses, with the poses of the file beside it; raise InputError."""
     document = document_of(path)
     if not any(key.startswith("K_") for key in document):
-        expected = "the file of lenses, intri.yml, beside which this one is read"
+        expected = "the file of lenses, intri.yml, in the same folder"
         raise InputError(Problem(path, "camera", "EasyMocap's file of poses", expected))
     poses_file = path.with_name(path.name.replace("intri", "extri"))
     poses = document_of(poses_file) if poses_file != path and poses_file.is_file() else {}

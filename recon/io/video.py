@@ -194,7 +194,7 @@ def video_writer(path: str | Path, size_px: tuple[int, int], fps: float) -> Iter
         written = 0
         try:
             if not writer.isOpened():
-                detail = f"an OpenCV without an encoder for {codec} of {size_px[0]}x{size_px[1]} px"
+                detail = f"no encoder in this OpenCV for {codec} of {size_px[0]}x{size_px[1]} px"
                 raise InputError(Problem(path, "video", detail, "one of the suffixes " + ", ".join(CODECS)))
 
             def write(image: Image) -> None:

@@ -507,7 +507,7 @@ def load_model(folder: Path, device: torch.device) -> TrainedNetwork:
     except InputError:
         raise
     except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-        damage = f"a network with parts missing or altered ({' '.join(str(error).split())[:100]})"
+        damage = f"a network with missing or altered parts ({' '.join(str(error).split())[:100]})"
         raise InputError(Problem(path, "model", damage, "one as `recon train` wrote it")) from None
     return TrainedNetwork(spec, on_device(network, device).eval(), device, fast_half(device))
 

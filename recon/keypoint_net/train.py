@@ -343,7 +343,7 @@ def _resumed(run: TrainingRun, out: Path) -> State:
         if to_plain(value) != to_plain(was):
             problems.append(Problem(path, f"setting {name}", str(was), f"{value}, as now given"))
     if not problems and content["split"] != data.frames_by_part(run.labels, run.split):
-        problems.append(Problem(path, "pictures", "another split of them", "the labels and split of the run so far"))
+        problems.append(Problem(path, "pictures", "a different split", "the labels and split of the run so far"))
     state = _begin(run)
     same = content["network"].keys() == state.network.state_dict().keys() and {*_PLAIN} <= content.keys()
     if not problems and not same:

@@ -449,7 +449,7 @@ def load_robot(robot: str | Path) -> Quadruped:
         robot_of_file = _quadruped(str(robot), table)
     problems = []
     if len({*robot_of_file.joints}) < len(robot_of_file.joints):
-        problems.append(Problem(robot_of_file.source, "joints", "one name for several", "a name for each"))
+        problems.append(Problem(robot_of_file.source, "joints", "a name that several joints share", "a name for each"))
     for label, leg in robot_of_file.legs.items():
         if not np.isfinite(leg.angles(leg.neutral_m[None])).all():
             problems.append(_cannot_stand(robot_of_file.source, label))
@@ -548,7 +548,7 @@ def require_mujoco(source: str | Path) -> ModuleType:
         import mujoco
     except ImportError:
         expected = f"the package mujoco: {install_command('robots')}"
-        raise InputError(Problem(source, "robot", "no MuJoCo to read or to simulate it", expected)) from None
+        raise InputError(Problem(source, "robot", "no MuJoCo, which reads and simulates it", expected)) from None
     return mujoco
 
 
@@ -581,7 +581,7 @@ def read_model(path: str | Path, free: bool = False) -> MjModel:
         raise InputError(Problem(path, "content", detail, "a URDF or MJCF file")) from None
     for quantity, numbers in {"links": model.body_pos, "limits": model.jnt_range}.items():
         if not (np.abs(numbers) < LARGEST).all():
-            raise InputError(Problem(path, quantity, "numbers that are none of a robot", "metres and radians"))
+            raise InputError(Problem(path, quantity, "numbers that no robot has", "metres and radians"))
     return model
 
 
@@ -674,8 +674,8 @@ def model_chain(model: MjModel, path: Path, tip: str, end_m: ArrayLike = (0.0, 0
     axes, turns = data.xaxis[joints] @ root_axes, model.body_quat[way]
     if not np.isfinite([*steps, *axes]).all() or not (axes.any(axis=1).all() and turns.any(axis=1).all()):
         # the numbers of a file are beyond those of floats
-        lost = f"a joint on the way to {tip} without an axis or a place"
-        raise InputError(Problem(path, "chain", lost, "axes of joints, and places in metres"))
+        lost = f"a joint between the root and {tip} without an axis or a position"
+        raise InputError(Problem(path, "chain", lost, "axes of joints, and positions in metres"))
     rates = rates_of(path)
     limits = np.where(model.jnt_limited[joints, None], model.jnt_range[joints], [-np.inf, np.inf])
     called = tuple(model.joint(j).name or f"joint {j}" for j in joints)

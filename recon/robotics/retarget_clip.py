@@ -599,7 +599,7 @@ def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any
                 expected = f"finite numbers {shape}, {joints} joints as in {named}"
                 raise InputError(Problem(path, name, f"{values.shape}", expected))
         if n < 2 or not (np.diff(kept.time_s) > 0).all() or not kept.quaternion_xyzw.any(axis=1).all():
-            raise InputError(Problem(path, "content", "no motion", "times that go on, and rotations"))
+            raise InputError(Problem(path, "content", "no motion", "increasing times, and rotations"))
         return RobotMotion(**vars(kept), robot=robot)
 
     return restored(arrays.clip), restored(arrays.stride), arrays.said

@@ -169,7 +169,7 @@ def test_a_manifest_that_names_files_elsewhere_is_none(tmp_path, name):
     record = json.loads((out / RECORD).read_text())
     record["files"][name] = record["files"]["a.csv"]
     (out / RECORD).write_text(json.dumps(record))
-    with refusal((out / RECORD, "content", "something else", "move it away")):
+    with refusal((out / RECORD, "content", "another kind of file", "move it away")):
         written(out, a="2")
     assert (tmp_path / "thesis.tex").read_text() == "mine"
     assert (out / "a.csv").read_text() == "1"
@@ -183,7 +183,7 @@ def test_a_record_that_is_none_is_left_alone(tmp_path):
         '{"schema": {"name": "recon.files", "version": 1}, "files": {"a": [1]}}',
     ):
         (tmp_path / RECORD).write_text(text)
-        with refusal((tmp_path / RECORD, "content", "something else", "move it away")):
+        with refusal((tmp_path / RECORD, "content", "another kind of file", "move it away")):
             written(tmp_path, a="1")
         assert (tmp_path / RECORD).read_text() == text
 
@@ -194,7 +194,9 @@ def test_a_pipe_in_place_of_a_file_is_not_waited_for(tmp_path, name):
     written(tmp_path, a="1", b="1")
     (tmp_path / name).unlink()
     os.mkfifo(tmp_path / name)
-    with refusal((tmp_path / name, *{RECORD: ("content", "something else")}.get(name, ("file", "did not write")))):
+    with refusal(
+        (tmp_path / name, *{RECORD: ("content", "another kind of file")}.get(name, ("file", "did not write")))
+    ):
         written(tmp_path, a="2")
     assert ReadResults.of(tmp_path).manifest is None or name != MANIFEST
     assert (tmp_path / "b.csv").read_text() == "1"

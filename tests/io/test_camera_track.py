@@ -101,7 +101,7 @@ def test_poses_of_opendronemap(name, tmp_path):
     np.testing.assert_allclose(track.T_camera_world, poses, atol=1e-9)
     refuses("[]", path, ("shots", "0 reconstructions"))
     longer = json.dumps(document).replace('"rotation": [', '"rotation": [1, ', 1)
-    refuses(longer, path, ("shots.DJI_0004_00007.jpg", "others", "3 numbers"))
+    refuses(longer, path, ("shots.DJI_0004_00007.jpg", "other values", "3 numbers"))
 
 
 def test_a_table_in_another_order_with_other_columns_and_semicolons(tmp_path):

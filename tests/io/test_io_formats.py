@@ -299,7 +299,11 @@ def test_nwb_problems(tmp_path):
     def shift(behavior):
         behavior["a/tail/starting_time"][()] = 7.0
 
-    refuses(nwb_file(tmp_path / "a.nwb", shift), ("a/tail", ["times", "nose"], "one time line"), individual="a")
+    refuses(
+        nwb_file(tmp_path / "a.nwb", shift),
+        ("a/tail", ["times", "nose"], "the same times for all points"),
+        individual="a",
+    )
 
     def explode(behavior):
         behavior["a/nose/data"][2] = np.inf

@@ -423,7 +423,7 @@ def up_by_marks(
     _, size, directions = np.linalg.svd(A, full_matrices=True)
     sigma = math.sqrt(np.sum(size[:2] ** -2.0)) if len(size) > 1 and size[1] > 0 else math.inf
     if sigma > MAX_SIGMA_RAD:
-        found_text = "marks that leave the upward direction open"
+        found_text = "marks that do not determine the upward direction"
         raise InputError(
             Problem(source, "marks", found_text, "two points of the horizon, or verticals far from each other")
         )
