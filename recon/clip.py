@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
 CORNER_PX, CONSTANT_SHARE, CONSTANT_KEYPOINTS = 1.0, 0.005, 3
-"""A point stands for missing ones this near the corner, if this share of all points and this many keypoints lie exactly
-there.
+"""Distance from the corner, share of all points, and number of keypoints from which one exact point is taken to stand
+for
+missing ones.
 """
 
 
@@ -280,7 +281,7 @@ def leave_out(
         return keypoints, report
     lost_points = dict(zip(keypoints.names, points.sum(axis=0).tolist(), strict=True))
     counts = {}
-    for name, counted in report.keypoints.items():  # those of the file; the clip may have more
+    for name, counted in report.keypoints.items():  # the names in the file; the clip may have more
         used, lost = counted["used"] - lost_points.get(name, 0), lost_points.get(name, 0)
         unknown = min(counted["likelihood_unknown"], used)
         counts[name] = {**counted, "used": used, "rejected": counted["rejected"] + lost, "likelihood_unknown": unknown}

@@ -616,7 +616,7 @@ class _CalibrationCheck:
 LIMITS = (
     # three determine the matrix, two more the lens; with six an error of one can still be seen in the others
     ("images", "pictures used", "", 10, 6, True, "take more pictures"),
-    # one in four is no exception any more: the median itself is uncertain
+    # with one in four outliers the median itself is uncertain
     ("dropped", "pictures left out as outliers", "%", 10, 25, False, "look for a board that bends, or moves"),
     # corners are found to 0.05-0.3 px; more is a wrong lens model or board. Relative to the width above 1920
     ("rms", "reprojection error", "px of 1920", 0.5, 1.0, False, "check the board's numbers, flatness, and --model"),

@@ -532,11 +532,12 @@ def _best_shifted(sight: _Sight, points: _Points, fps: float, wide: bool) -> tup
 
 
 def search_offsets(views: Sequence[View], fps: float, sigma_px: float, keypoint_sigma_m: float) -> Array:
-    """Return how many whole frames later than said each camera's pictures were taken, relative to the first, (V,).
+    """Return the time offset of each camera from the first, in whole frames beyond the stated offset, (V,).
 
     Views have the same T frames; the noise is as in `agreement_findings`. Each camera in turn gets the offset at which
-    its rays pass those of the cameras before it most closely, then, a few times, those of all others. It is 0 where
-    nothing else is clearly better, and NaN where a camera sees too little together with the others to compare.
+    its
+    rays pass those of the cameras before it most closely, then, a few times, those of all others. It is 0 if no other
+    offset is clearly better, and NaN if a camera sees too few points together with the others to compare.
     """
     sights = _sights(views, sigma_px, keypoint_sigma_m)
     T = len(views[0].xy_px)

@@ -129,9 +129,9 @@ class _SwapTrial:
 
 
 def contradicts(undone_baseline: Baseline, best: _SwapTrial, rival: _SwapTrial) -> bool:
-    """Return whether another stretch that makes the clip likelier may be exchanged in place of the best one.
+    """Return whether another stretch could be exchanged instead of the best one and also make the clip likelier.
 
-    It is one next to it, or one that gains nothing once the best is undone, but not one that is nearly the same.
+    It lies next to the best one, or gains nothing once the best one is undone, and it is not nearly the same stretch.
     """
     (a, best_mask), (b, rival_mask) = (
         (trial.stretch.rows, trial.stretch.mask(len(undone_baseline.states))) for trial in (best, rival)

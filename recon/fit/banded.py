@@ -245,8 +245,7 @@ def factored(blocks: Array, damping: float | Array = 0.0, bounded: bool = False)
     damping
         (T, D), (D,) or one number: added to the diagonal.
     bounded
-        Hold an unknown that nothing determines so weakly that its variance is that of nothing known, in place of an
-        error.
+        Give an unknown that nothing determines a very large variance, instead of raising an error.
 
     Raises
     ------

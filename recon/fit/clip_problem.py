@@ -337,11 +337,13 @@ def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Gr
 
 
 def _stance_by_size(clip: ClipProblem, points_m: Array, size: float, slow: Array) -> Array:
-    """Return how the velocities of feet follow the size (T - 1, F, 3), if one moving camera sees the animal.
+    """Return the derivatives of the feet's velocities by the size (T - 1, F, 3), if one moving camera sees the animal.
 
-    Standing feet show the size: if the animal were of another size, they would move as the camera does. Swinging feet
-    do not. The more the camera moves along with the animal, whose feet it then sees move both ways, the more all feet
-    count.
+    Standing feet show the size: with a wrong size they would appear to move with the camera, and swinging feet move in
+    any
+    case. If the camera moves along with the animal, feet appear to move both forwards and backwards, and all of them
+    count
+    the more.
     """
     camera = np.diff(clip.views[0].centre_m, axis=0)[:, None]
     body = (

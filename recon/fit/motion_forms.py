@@ -77,7 +77,7 @@ def load(motion_class: type[Motion], folder: Path) -> Motion:
     motion = load_record(motion_class, path, SCHEMA, EXPECTED + hint, CLASSES | _CLASSES_BY_PATH, OLDER_VERSIONS)
     try:
         faults = _misfits(motion)
-        _ = motion.limbs, motion.foot_names, motion.forward_names  # names of joints that there are
+        _ = motion.limbs, motion.foot_names, motion.forward_names  # a missing joint raises KeyError
     except (KeyError, ValueError, IndexError) as error:
         raise InputError(Problem(path, "solution.body", f"a joint {error}", EXPECTED)) from None
     if faults:

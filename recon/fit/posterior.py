@@ -173,11 +173,13 @@ def _bias_variance_factor(S: Array, g: Array, columns: slice, variance: Array, v
 
 
 def with_noise_about_bias(problem: LeastSquares, estimate: Estimate, variance_factor: float) -> LeastSquares:
-    """Return the problem of several cameras with the noise that detections have about their keypoint bias.
+    """Return the problem of several cameras with the noise of detections about their keypoint bias.
 
-    A solution takes the bias for zero, so that its residuals hold both, and as noise the bias would be counted twice.
-    The noise's variance is the likeliest one: the squared residuals that are left by the bias they ask for, over the
-    number of detections less those that determine the bias.
+    A solution assumes a bias of 0, so that its residuals contain bias and noise, and the bias would count twice if all
+    of
+    them were taken for noise. The variance of the noise is the likeliest one: the squared residuals that remain after
+    the
+    best bias, divided by the number of detections less those that determine the bias.
     """
     if COMMON_KEYPOINT_BIAS not in [unknown.name for unknown in problem.nuisance]:
         return problem

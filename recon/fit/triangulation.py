@@ -241,8 +241,8 @@ def _estimate_noise(result: Triangulation, sigma: Array, expected_px: float) -> 
     overall = float(np.median(everything))
     estimates = np.empty(len(sigma))
     for j in range(len(sigma)):
-        own = square[:, :, j][is_counted[:, :, j]]
-        estimates[j] = np.median(own) if len(own) >= _LEAST_OF_KEYPOINT else overall
+        joint_squares = square[:, :, j][is_counted[:, :, j]]
+        estimates[j] = np.median(joint_squares) if len(joint_squares) >= _LEAST_OF_KEYPOINT else overall
     return np.clip(np.sqrt(estimates), SIGMAS_PX[0], max(SIGMAS_PX[1], 2 * expected_px))
 
 

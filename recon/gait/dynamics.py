@@ -267,7 +267,7 @@ def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
     stride_s, stride_sigma_s = np.array([gait.stride_time(s.start_s, s.end_s) for s in stances]).reshape(count, 2).T
     period = np.maximum(stride_s + stride_sigma_s * normal(1), 0.2 * stride_s)
     foot_rows = np.array([feet.index(s.foot) for s in stances], dtype=int)
-    # How long a stance lasts is known by its ends, and by the others of its strides.
+    # The duration of a stance is known from its ends, and from the other stances of the foot.
     is_whole, drawn_s, noise = (
         np.array([s.begins and s.ends for s in stances], dtype=bool),
         ends - starts,
@@ -351,7 +351,7 @@ def off_gravity(flights: pd.DataFrame) -> pd.Series:
 
 
 def findings_of_dynamics(motion: Motion, result: Dynamics) -> tuple[Finding, ...]:
-    """Return a finding if the flight furthest from free fall is so beyond its uncertainty."""
+    """Return a finding if the flight furthest from free fall is far beyond its uncertainty."""
     deviation = off_gravity(result.flights).abs()
     if not (deviation > OFF_GRAVITY).any():
         return ()

@@ -412,7 +412,7 @@ def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str
         expected = f"some of: {', '.join(truth.names)}; --rename with a file of these lines, completed"
         lines = tuple(map_to_write(guess.names, truth.names))
         problems.append(Problem(predicted, "keypoints", ", ".join(guess.names), expected, lines))
-    numbers = guess.frames + o.first_frame  # as the labels count
+    numbers = guess.frames + o.first_frame  # in the labels' numbers
     rows_t = np.flatnonzero(np.isin(truth.frames, numbers))
     if not len(rows_t):
         first, last = truth.frames[[0, -1]]
@@ -420,7 +420,7 @@ def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str
         numbers_text = f"frames {numbers[0]} to {numbers[-1]}, in the labels' numbers"
         problems.append(Problem(predicted, "frames", numbers_text, expected))
     raise_problems(problems)
-    rows_g = pd.Index(numbers).get_indexer(truth.frames[rows_t])
+    rows_g = pd.Index(numbers).get_indexer(pd.Index(truth.frames[rows_t]))
     g, t = [guess.names.index(n) for n in common], [truth.names.index(n) for n in common]
     predicted_px, likelihood, label_px = guess.xy_px[rows_g][:, g], guess.confidence[rows_g][:, g], truth.xy_px[rows_t]
     limits = picked(o, "likelihood_min", "tolerance_px")

@@ -137,7 +137,7 @@ def _row(step: RigidTransform, slides: bool) -> DHRow:
 
 
 def _transform(R: ArrayLike, p: Array) -> RigidTransform:
-    return RigidTransform.from_components(p, Rotation.from_matrix(R))
+    return RigidTransform.from_components(p, Rotation.from_matrix(np.asarray(R, dtype=float)))
 
 
 def _nearest_on_axis(origin: Array, z: Array, point: Array) -> Array:

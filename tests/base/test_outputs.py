@@ -169,7 +169,7 @@ def test_a_manifest_that_names_files_elsewhere_is_none(tmp_path, name):
     record = json.loads((out / RECORD).read_text())
     record["files"][name] = record["files"]["a.csv"]
     (out / RECORD).write_text(json.dumps(record))
-    with refusal((out / RECORD, "content", "another kind of file", "move it away")):
+    with refusal((out / RECORD, "content", "another kind of file", "move this file away")):
         written(out, a="2")
     assert (tmp_path / "thesis.tex").read_text() == "mine"
     assert (out / "a.csv").read_text() == "1"
@@ -183,7 +183,7 @@ def test_a_record_that_is_none_is_left_alone(tmp_path):
         '{"schema": {"name": "recon.files", "version": 1}, "files": {"a": [1]}}',
     ):
         (tmp_path / RECORD).write_text(text)
-        with refusal((tmp_path / RECORD, "content", "another kind of file", "move it away")):
+        with refusal((tmp_path / RECORD, "content", "another kind of file", "move this file away")):
             written(tmp_path, a="1")
         assert (tmp_path / RECORD).read_text() == text
 

@@ -450,7 +450,7 @@ def write_video(motion: Motion, log: Log, video: Path, first_frame: int = 0, num
     from key frame to key frame without ffmpeg. In rerun the corner of the top left pixel is at (0, 0), in keypoints its
     centre: the whole picture lies half a pixel to the right and below.
     """
-    import cv2  # which takes long, and most playbacks are without a video
+    import cv2  # slow to import, and most playbacks are without a video
 
     from recon.show.overlay import clip_frames
 
