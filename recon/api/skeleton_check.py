@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from recon.animal.body import Body, other_side
+from recon.animal.bones import bones_of
 from recon.animal.chain import load_chain
 from recon.animal.prior import load_prior
 from recon.animal.skeleton_file import load_skeleton
 from recon.base.numbers import length_text
+from recon.fit.shape import LENGTH_SIGMA
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES
 from recon.show.plain import picked
 
@@ -37,6 +39,7 @@ def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) 
         "prior": load_prior(None, body).name,
         "feet": body.feet_by_label(),
         "remarks": [*_remarks(body)],
+        "bones": [*_bones(body)],
         "parts": [*_segments(body)],
         **_published(name_or_path, body),
         "markers": [{"name": m.name, "segment": m.segment, "at_m": m.offset_m} for m in body.tree.markers],
@@ -53,6 +56,13 @@ def _published(name_or_path: str | Path, body: Body) -> dict[str, Any]:
         for link in chain.links
     ]
     return {"base_length_m": chain.nominal_base_length_m, "links": links, "unknown_names": chain.unknown_names}
+
+
+def _bones(body: Body) -> Iterator[dict[str, Any]]:
+    """Yield the bones by name, with what they connect, and the spread of their lengths that a fit expects."""
+    for bone in bones_of(body):
+        sigma_m = bone.length_m * float(np.hypot(body.size_sigma, LENGTH_SIGMA))
+        yield {"bone": bone.name, "connects": list(bone.connects), "length_m": bone.length_m, "sigma_m": sigma_m}
 
 
 def _segments(body: Body) -> Iterator[dict[str, Any]]:

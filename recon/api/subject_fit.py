@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from recon.animal.bones import bones_of
 from recon.animal.measured import detector_toml, subject_toml
 from recon.animal.skeleton_file import NONE
 from recon.api.clip_inputs import prepare
@@ -22,7 +23,9 @@ from recon.base.settings import OneOrMore, Option, Settings, input_paths
 from recon.clip import views_of
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.points import MIN_MARKERS, solve_points
+from recon.fit.posterior import radius
 from recon.fit.shape import POSED_OFFSET_SIGMA_M, Shape, ShapeFit, fit_shape
+from recon.gait.gait import INTERVAL
 from recon.io.common import Pose3D
 from recon.io.positions import read_pose3d
 
@@ -30,17 +33,33 @@ LEAST_SIZE_SIGMA = 0.01
 """The least size_sigma of a measured animal: its lengths are known no better than a keypoint's place on it is."""
 
 
-def _rows(fit: ShapeFit) -> Iterator[dict[str, Any]]:
+def _rows(fit: ShapeFit, size_sigma: float) -> Iterator[dict[str, Any]]:
     """What was measured: lengths in metres, offsets in millimetres."""
     shape, values, sigma = fit.shape, fit.values, fit.sigma
-    body = shape.applied(shape.body, values)
-    items = {item.name: item for item in (*body.tree.segments, *body.tree.markers)}
-    for name, s in zip(shape.lengths, sigma, strict=False):
-        length = float(np.linalg.norm(items[name].offset_m))
-        yield {"name": name, "value": length, "sigma": float(length * s), "unit": "m"}
+    for name in shape.lengths:
+        length_m, sigma_m, _ = fit.length_of((name,), size_sigma)
+        yield {"name": name, "value": length_m, "sigma": sigma_m, "unit": "m"}
     first = len(shape.lengths)
     for name, value, s in zip(shape.names[first:], values[first:], sigma[first:], strict=True):
         yield {"name": name, "value": 1e3 * float(value), "sigma": 1e3 * float(s), "unit": "mm"}
+
+
+def _bones(fit: ShapeFit, size_sigma: float) -> Iterator[dict[str, Any]]:
+    """Yield the bones by name, with what they connect, their interval, and the share of it that the pixels give."""
+    for bone in bones_of(fit.shape.body):
+        if not {*bone.offsets} <= {*fit.shape.lengths}:
+            continue
+        length_m, sigma_m, data_share = fit.length_of(bone.offsets, size_sigma)
+        reach_m = radius(INTERVAL) * sigma_m
+        yield {
+            "bone": bone.name,
+            "connects": list(bone.connects),
+            "offsets": list(bone.offsets),
+            "length_m": length_m,
+            "sigma_m": sigma_m,
+            "interval_m": [length_m - reach_m, length_m + reach_m],
+            "data_share": data_share,
+        }
 
 
 class SubjectFitSettings(Settings):
@@ -93,7 +112,7 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
     if settings.offsets:
         fits = [replace(one, detector=NONE) for one in fits]
     each = zip(fits, settings.clips, known or (None,) * len(settings.clips), strict=True)
-    given = collect_problems(*(partial(_problem, *of) for of in each))
+    given = collect_problems(*(partial(clip_problem, *of) for of in each))
     shape = Shape.of_body(given[0].body, settings.lengths, settings.offsets)
     if known:
         shape = replace(shape, offset_sigma_m=POSED_OFFSET_SIGMA_M)
@@ -107,8 +126,10 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
         size = float(np.exp(fit.values[:n].mean()))
         sigma = max(float(np.sqrt(fit.covariance[:n, :n].mean())), LEAST_SIZE_SIGMA)
     frames = sum(int((one.present().sum(axis=1) > 0).sum()) for one in given)
-    rows = list(_rows(fit))
+    prior_sigma = given[0].size_sigma
+    rows = list(_rows(fit, prior_sigma))
     body = replace(shape.applied(shape.body, fit.values), size_sigma=sigma)
+    bones = [*_bones(fit, prior_sigma)] if n else []
     notes = ["{name}: {value:.4g} ± {sigma:.2g} {unit}".format(**row) for row in rows]
     count = f"measured in {len(settings.clips)} clip{'s' * (len(settings.clips) > 1)}"
     if settings.lengths:
@@ -119,7 +140,7 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
         text = detector_toml(fit.seen(shape.body), settings.title or f"a detector, {count}", notes)
     output.write(settings.out.name, text)
     counts = {"clips": len(settings.clips), "frames": frames, "converged": fit.converged}
-    return {**counts, "size": size, "size_sigma": sigma, "values": rows}
+    return {**counts, "size": size, "size_sigma": sigma, "bones": bones, "values": rows}
 
 
 def _require_one_skeleton(settings: Sequence[FitSettings], clips: Sequence[Path]) -> None:
@@ -129,8 +150,8 @@ def _require_one_skeleton(settings: Sequence[FitSettings], clips: Sequence[Path]
         raise InputError(Problem("CLIPS", "skeleton", found, "clips of the same skeleton"))
 
 
-def _problem(settings: FitSettings, path: Path, pose: Pose3D | None) -> ClipProblem:
-    """A clip from which the animal can be measured. Raises InputError for others."""
+def clip_problem(settings: FitSettings, path: Path, pose: Pose3D | None) -> ClipProblem:
+    """Return a clip from which the animal can be measured; raise InputError for others."""
     if settings.method != "trajectory":
         raise InputError(Problem(path, "method", settings.method, "the trajectory method"))
     given = prepare(settings)

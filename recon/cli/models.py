@@ -81,6 +81,12 @@ def _skeleton_lines(check: dict[str, Any]) -> Iterator[str | Table]:
         f"{length_text(check['length_m'])} long and {length_text(check['height_m'])} high in its expected pose "
         f"(size ± {100 * check['size_sigma']:.0f} %, keypoints within {length_text(check['keypoint_sigma_m'])})."
     )
+    if bones := check["bones"]:
+        rows = [
+            (bone["bone"], " to ".join(bone["connects"]), f"{bone['length_m']:.3f} ± {bone['sigma_m']:.3f}")
+            for bone in bones
+        ]
+        yield table_of("bone", "connects", numbers=("length m",), rows=rows)
     names = ("yaw", "pitch", "roll")
     rows = []
     for part in check["parts"]:
@@ -174,9 +180,22 @@ def subject_fit(settings: SubjectFitSettings) -> Answer:
 
 def _subject_lines(found: dict[str, Any], out: Path) -> Iterator[str | Table]:
     lengths, offsets = ([row for row in found["values"] if row["unit"] == unit] for unit in ("m", "mm"))
-    if lengths:
-        rows = ((row["name"], f"{row['value']:.3f}", f"{row['sigma']:.3f}") for row in lengths)
-        yield table_of("length of", numbers=("m", "±"), rows=rows)
+    if bones := found["bones"]:
+        rows = [
+            (
+                bone["bone"],
+                " to ".join(bone["connects"]),
+                f"{bone['length_m']:.3f} ± {bone['sigma_m']:.3f}",
+                "{:.3f} to {:.3f}".format(*bone["interval_m"]),
+                f"{100 * bone['data_share']:.0f} %",
+            )
+            for bone in bones
+        ]
+        yield table_of("bone", "connects", numbers=("length m", "90 %", "from pixels"), rows=rows)
+    named = {offset for bone in found["bones"] for offset in bone["offsets"]}
+    if others := [row for row in lengths if row["name"] not in named]:
+        rows = ((row["name"], f"{row['value']:.3f}", f"{row['sigma']:.3f}") for row in others)
+        yield table_of("offset of" if named else "length of", numbers=("m", "±"), rows=rows)
     if offsets:
         rows = []
         for three in zip(offsets[::3], offsets[1::3], offsets[2::3], strict=True):

@@ -119,6 +119,11 @@ def test_command(runs, tmp_path):
     said = json.loads(ended.out)
     assert (said["clips"], said["frames"]) == (1, 40)
     assert {row["unit"] for row in said["values"]} == {"m", "mm"}
+    bones = {bone["bone"]: bone for bone in said["bones"]}
+    (low, high), length_m = bones["trunk"]["interval_m"], bones["trunk"]["length_m"]
+    assert low < length_m < high
+    assert (length_m - low) / bones["trunk"]["sigma_m"] == pytest.approx(1.645, rel=0.1)
+    assert 0.3 < bones["trunk"]["data_share"] < 1
     found = load_skeleton("cheetah-24", out)
     # What was filmed is the animal of `phantom`, smaller than the skeleton.
     assert said["size"] == pytest.approx(_mean_factor(body()), abs=0.03)
@@ -128,6 +133,7 @@ def test_command(runs, tmp_path):
     table = run("subject", "fit", config, "--out", out, "--overwrite", "--no-lengths", "--offsets")
     assert "off its marker" in table.out
     assert "length of" not in table.out
+    assert "upper arm" not in table.out
     poses = tmp_path / "poses.csv"
     xyz_m = truth_m()
     write_csv(Pose3D(BODY.markers, xyz_m, np.arange(len(xyz_m))), poses)

@@ -1,0 +1,115 @@
+"""Name the bones of an animal and what they connect, by the skeleton's `[anatomy]`.
+
+A bone is the rigid distance between two joints of a limb or of the trunk: the offset of a segment, or of a marker, from
+the segment that it turns with. Which offset starts where is the skeleton file's matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from recon.animal.anatomy import joint_and_side
+from recon.animal.body import Body, Side
+
+NAMES: dict[tuple[str, str], str] = {
+    ("shoulder", "elbow"): "upper arm",
+    ("elbow", "carpus"): "forearm",
+    ("carpus", "fetlock"): "metacarpus",
+    ("carpus", "foot"): "forefoot",
+    ("fetlock", "foot"): "front digit",
+    ("hip", "stifle"): "thigh",
+    ("stifle", "hock"): "shank",
+    ("hock", "hind fetlock"): "metatarsus",
+    ("hock", "foot"): "hind foot",
+    ("hind fetlock", "foot"): "hind digit",
+    ("tail base", "spine"): "rear trunk",
+    ("spine", "neck base"): "front trunk",
+    ("neck base", "nose"): "head and neck",
+}
+"""Bones by the joints that they connect, from the trunk outwards."""
+CHAINS = (("shoulder", "elbow", "carpus", "fetlock"), ("hip", "stifle", "hock", "hind_fetlock"))
+"""Joints of the fore and the hind limb, from the trunk outwards."""
+
+
+@dataclass(frozen=True)
+class Bone:
+    """One bone, or several in line: the trunk."""
+
+    name: str
+    """Anatomical name, such as upper arm."""
+    connects: tuple[str, str]
+    """Joints at both ends, such as shoulder and elbow."""
+    offsets: tuple[str, ...]
+    """Segments or markers whose offsets are its length, end to end."""
+    length_m: float
+    side: Side | None = None
+
+    @property
+    def title(self) -> str:
+        """Return the bone with what it connects: upper arm, shoulder to elbow."""
+        return f"{self.name}, {self.connects[0]} to {self.connects[1]}"
+
+
+def bones_of(body: Body) -> tuple[Bone, ...]:
+    """Return the bones of the left or only side and of the trunk, from head to tail; none without an `[anatomy]`."""
+    bones = [*_trunk(body), *_limbs(body)]
+    return tuple(bone for bone in bones if bone.length_m > 0)
+
+
+def _limbs(body: Body) -> Iterator[Bone]:
+    by_joint = {}
+    for name, markers in body.anatomy.items():
+        joint, side = joint_and_side(name)
+        if side != "right":
+            by_joint[joint] = (markers, side)
+    trunk = {body.tree.segments[0].name, *(_carrier(body, end) for end in body.forward)}
+    for chain in CHAINS:
+        joints = [joint for joint in chain if joint in by_joint]
+        for joint, following in zip(joints, [*joints[1:], "foot"], strict=False):
+            (_, _, below), side = by_joint[joint]
+            connects = (joint.replace("_", " "), following.replace("_", " "))
+            if connects in NAMES and _carrier(body, below) not in trunk:
+                yield _bone(body, connects, below, side)
+
+
+def _trunk(body: Body) -> Iterator[Bone]:
+    """Yield the two parts of the trunk that meet in the spine, the whole of it, and what is ahead of it."""
+    if "spine" in body.anatomy:
+        rear, _, front = body.anatomy["spine"]
+        parts = _bone(body, ("tail base", "spine"), rear, None), _bone(body, ("spine", "neck base"), front, None)
+        yield from parts
+        if all(part.length_m > 0 for part in parts):
+            offsets = (*parts[0].offsets, *parts[1].offsets)
+            yield Bone("trunk", ("tail base", "neck base"), offsets, parts[0].length_m + parts[1].length_m)
+    if "neck" in body.anatomy:
+        _, base, tip = body.anatomy["neck"]
+        begin, end = _origin_carrier(body, base), _carrier(body, tip)
+        parents = {segment.name: segment.parent for segment in body.tree.segments}
+        if begin == end:
+            yield _bone(body, ("neck base", "nose"), tip, None)
+        elif begin is not None and parents[end] == begin:
+            lengths = {segment.name: float(np.linalg.norm(segment.offset_m)) for segment in body.tree.segments}
+            yield Bone("neck", ("neck base", "head"), (end,), lengths[end])
+
+
+def _bone(body: Body, connects: tuple[str, str], marker: str, side: Side | None) -> Bone:
+    """Return the bone that ends in a marker: its offset, or that of the segment at whose origin it lies."""
+    offsets = {item.name: np.array(item.offset_m) for item in (*body.tree.segments, *body.tree.markers)}
+    name = marker
+    if not offsets[marker].any():
+        name = _carrier(body, marker)
+    length_m = float(np.linalg.norm(offsets[name]))
+    return Bone(NAMES[connects], connects, (name,), length_m, side)
+
+
+def _carrier(body: Body, marker: str) -> str:
+    return next(item.segment for item in body.tree.markers if item.name == marker)
+
+
+def _origin_carrier(body: Body, marker: str) -> str | None:
+    """Return the segment at whose origin a marker lies, if it lies at one."""
+    item = next(item for item in body.tree.markers if item.name == marker)
+    return None if any(item.offset_m) else item.segment
