@@ -22,10 +22,11 @@ from markdown_table import print_table
 from recordings import recordings
 
 from recon import FitSettings, Motion, Pose3D, evaluate, fit_clip, read_pose3d
+from recon.cli.analyse import ACCELERATION_KNOWN_M_S2
 from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis
 from recon.gait.gait import INTERVAL
-from recon.gait.kinematics import frame_times, series_kinematics
+from recon.gait.kinematics import frame_times, net_acceleration, series_kinematics
 from recon.thesis.solution import frame_solution
 
 WITHIN = 0.3
@@ -61,6 +62,9 @@ def view_row(run: Path, camera: int, meta: dict[str, Any], options: dict[str, An
         "peak_m_s": path.peak_speed_m_s,
         "sigma_m_s": path.peak_speed_sigma_m_s,
         "speed_stated": analysis.why_no_speed is None,
+        "true_acceleration_m_s2": true_acceleration_m_s2(motion, truth),
+        "acceleration_m_s2": analysis.net_acceleration_m_s2[0],
+        "acceleration_sigma_m_s2": analysis.net_acceleration_m_s2[1],
         "mpjpe_mm": error_mm,
         "low_mm": 1000 * stated.low if stated else np.nan,
         "high_mm": 1000 * stated.high if stated else np.nan,
@@ -76,6 +80,28 @@ def true_peak_m_s(motion: Motion, truth: Pose3D) -> float:
     time_s = frame_times(truth.frames, motion.fps)
     rate = series_kinematics(time_s, truth.xyz_m[:, joint], oversampling=1).rate
     return float(np.nanmax(np.linalg.norm(rate, axis=1)))
+
+
+def true_acceleration_m_s2(motion: Motion, truth: Pose3D) -> float:
+    """Return the acceleration of the reference joint along the way, over the frames that the fit has."""
+    joint = truth.names.index(motion.reference)
+    rows = np.isin(truth.frames, motion.frames[motion.solved])
+    time_s = frame_times(truth.frames[rows], motion.fps)
+    return net_acceleration(time_s, truth.xyz_m[rows, joint])[0]
+
+
+def acceleration_lines(table: pd.DataFrame) -> list[str]:
+    """Return sentences on the intervals of the acceleration along the way."""
+    off = (table["acceleration_m_s2"] - table["true_acceleration_m_s2"]).abs()
+    sigma = table["acceleration_sigma_m_s2"]
+    stated = sigma <= ACCELERATION_KNOWN_M_S2
+    holds = off <= radius(INTERVAL) * sigma
+    return [
+        f"Acceleration along the way: stated in {stated.sum()} of {len(table)} views (standard deviation of at most "
+        f"{ACCELERATION_KNOWN_M_S2:g} m/s2); its 90 % interval holds in {holds[stated].mean():.0%} of these and in "
+        f"{holds.mean():.0%} of all; off by {off[stated].median():.1f} m/s2 (median), stated standard deviation "
+        f"{sigma[stated].median():.1f}."
+    ]
 
 
 def summary(table: pd.DataFrame) -> list[str]:
@@ -139,6 +165,8 @@ def main() -> None:
     for run in runs if len(runs) > 1 else ():
         lines.append([f"without {run[:26]}", *summary(table[table["run"] != run])])
     print_table(names.split(", "), lines)
+    print()
+    print("\n".join(acceleration_lines(table)))
 
 
 if __name__ == "__main__":

@@ -179,6 +179,13 @@ class FitSettings(Settings):
     """The body's rotation: free, or fixed to the first frame's."""
     path: Annotated[Literal["smooth", "free"], _FRAME] = "smooth"
     """Path of the reference joint: as smooth as an animal moves, or every frame by itself."""
+    start_angles: Annotated[str | None, _FRAME] = None
+    """Angles of the first frame's start, measured by hand, in degrees, as in th6=55,th7=97,xi=-3. (default: the mean
+    pose along the direction of travel)"""
+    initial_damping: Annotated[Positive | None, _FRAME] = None
+    """First damping of the search in a frame, as in 0.01. (default: MINPACK finds its own)"""
+    damping_factor: Annotated[Annotated[Number, Field(gt=1)], _FRAME] = 10.0
+    """Factor by which that damping falls after a step that lowers the cost, and grows after each other one."""
     base_length_m: Annotated[Positive | None, _FRAME] = None
     """Base length of the chain in metres, as in 0.203. (default: the skeleton's)"""
     base_sigma_m: Annotated[Positive | None, _FRAME] = None

@@ -24,7 +24,7 @@ import typer
 from typer.core import TyperCommand
 
 from recon.base.errors import InputError, Problem, raise_problems
-from recon.base.settings import SettingInfo, Settings, on_command_line, unknown_setting
+from recon.base.settings import Option, SettingInfo, Settings, on_command_line, unknown_setting
 from recon.cli.answers import Answer, progress_bar, terminal
 
 _JSON = typer.Option("--json", help="Print what there is to say as JSON.")
@@ -32,6 +32,8 @@ _QUIET = typer.Option("--quiet", "-q", help="Print errors only.")
 HELP = {"help_option_names": ["-h", "--help"]}
 _RATES = ("framerate", "frame-rate")
 """What others call --fps."""
+_METHOD = "recon frame, which is the published method, or --set method=VALUE"
+"""In place of --method."""
 _SET = "set_"
 """Name of the parameter of --set."""
 
@@ -44,14 +46,18 @@ class OptionsOf:
     settings: type[Settings]
     names: tuple[str, ...] = ()
     panel: str | None = None
+    promoted: tuple[str, ...] = ()
+    """Settings that are options of this command, though others set them with --set."""
 
     @property
     def infos(self) -> dict[str, SettingInfo]:
         infos = self.settings.infos()
         return {
-            name: replace(infos[name], option=replace(infos[name].option, panel=infos[name].option.panel or self.panel))
-            for name in self.names or infos
+            name: replace(infos[name], option=self._option(name, infos[name].option)) for name in self.names or infos
         }
+
+    def _option(self, name: str, option: Option) -> Option:
+        return replace(option, panel=option.panel or self.panel, common=option.common or name in self.promoted)
 
 
 class SettingsCommand(TyperCommand):
@@ -63,6 +69,8 @@ class SettingsCommand(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         rare = {info.on_command_line: info.field for info in self.infos.values() if not info.option.common}
         meant = {written[6:]: (field, f"{written}=VALUE") for written, field in rare.items()}
+        if "method" in meant:
+            meant["method"] = meant["method"][0], _METHOD
         meant |= dict.fromkeys(_RATES, ("fps", "--fps")) if "fps" in self.infos else {}
         options = (word.partition("=")[0] for word in args if word.startswith("--"))
         wrong = {option: meant.get(option[2:].removeprefix("no-")) for option in options}

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from math import degrees
+from functools import partial
+from math import degrees, isnan
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,14 @@ from rich.table import Table
 from recon.base.numbers import percent
 from recon.cli.answers import Answer, table_of, verdict_texts
 from recon.ik.clip import IkSettings, run_ik
+from recon.ik.cost_study import GROWTH, TURNS
 
 WIDE_GAP_PERCENT = 25
 CLOSES_PERCENT = 90
-"""Above what the joints' paths of a stride close to of methods that no limit stops."""
+"""Least closure of every joint's angle along a stride that counts as closed."""
+LEAST_CLOSURE = "least_closure_angle_percent"
+OFF_PATH_M = 0.02
+"""Distance of the foot from the stride's path from which a method has failed to follow it."""
 
 
 def ik(settings: IkSettings) -> Answer:
@@ -29,65 +34,122 @@ def ik(settings: IkSettings) -> Answer:
 
 
 def _ik_lines(summary: dict[str, Any], out: Path) -> Iterator[str | Table]:
-    stride, driven, along = (summary[name] for name in ("stride", "to_target", "along_stride"))
-    how = {
+    stride = summary["stride"]
+    origin = {
         "given": "as given",
         "gait": "from touchdown to touchdown",
         "end effector": "from one rearmost point of the foot to the next, as in recon analyse",
-        "return": "the clip has no complete one: the nearest return of the foot to the same place",
+        "return": "the clip has no complete one: the nearest return of the foot to the same position",
         "whole clip": "the clip has no complete one: the whole clip",
     }[stride["how"]]
     yield f"{summary['foot']}: {len(summary['joints'])} joints, {summary['dimensions']}D ({summary['base_frame']})"
     if summary["misfit_m"]:
         yield f"the chain's end lies {1000 * summary['misfit_m']:.0f} mm from the foot's projection (median)"
     gap = f"gap {1000 * stride['gap_m']:.0f} mm ({stride['gap_percent']:.1f} % of its extent), closed"
-    yield f"stride: {stride['start_s']:.3f} to {stride['end_s']:.3f} s, {how}; {gap}"
+    yield f"stride: {stride['start_s']:.3f} to {stride['end_s']:.3f} s, {origin}; {gap}"
     yield from (f"note: {note}" for note in stride["notes"])
     if stride["gap_percent"] > WIDE_GAP_PERCENT:
         yield "note: so wide a gap is not of one stride: a touchdown was missed, or the clip is too short"
-
-    def table(rows: dict[str, Any], title: str, columns: dict[str, Callable[[Any], str]]) -> Table:
-        every = ([name, *(cell(row) for cell in columns.values())] for name, row in rows.items())
-        return table_of("method", numbers=columns, title=title, rows=every)
-
-    def limits(row: dict[str, Any]) -> str:
-        first, *others = row["limits_hit"] or ["-"]
-        return first + (f" +{len(others)}" if others else "")
-
-    def each(row: dict[str, Any]) -> str:
-        return "-" if row["us_per_step"] is None else f"{row['us_per_step']:.0f}"
-
+    driven, along = summary["to_target"], summary["along_stride"]
     if driven:
-        columns = {
-            "reached": lambda row: "yes" if row["reached"] else "no",
-            "steps": lambda row: str(row["iterations"]),
-            "µs each": each,
-            "path m": lambda row: f"{row['length_m']:.2f}",
-            "limits": limits,
-        }
-        yield table(driven, f"to ({', '.join(f'{x:.3f}' for x in summary['target_m'])}) m", columns)
-        yield from (f"{name}: {row['reason']}" for name, row in driven.items() if not row["reached"])
+        yield from _target_lines(driven, summary["target_m"])
     if along:
-        least = [f"least_closure_{kind}_percent" for kind in ("angle", "plane")]
-        columns = {
-            "worst mm": lambda row: f"{1000 * row['worst_error_m']:.1f}",
-            "µs each": each,
-            "off °": lambda row: f"{degrees(row['joints_off_rad']):.0f}",
-            "limits": limits,
-            "closure %": lambda row: "/".join(f"{row[kind]:.1f}" for kind in least),
-        }
-        yield table(along, f"along the stride, turns: {summary['turns']}", columns)
-        yield from (f"{name}: {row['note']}" for name, row in along.items() if row["note"])
-        for name, row in along.items():
-            if row["limits_hit"] and row[least[0]] < CLOSES_PERCENT:
-                also = f"; then {', '.join(row['limits_hit'][1:])}" if row["limits_hit"][1:] else ""
-                yield f"{name} does not close, stopped by {row['first_limit']}{also}"
-        if any(row["limits_hit"] for row in along.values()):
-            yield "What a method does without the limits of the joints: --no-limits."
-        yield "closure: the least of any joint, of its angle/of angle and rate; off: the joints from the animal's"
+        yield from _stride_lines(along, summary)
     if driven or along:
         yield "limits: the first joint that one stopped, and how many more"
+    if summary["costs"]:
+        yield from _cost_lines(summary["costs"])
     parameters = summary["parameters"]
     explained = ", ".join(f"{name} {percent(fit['explained'])}" for name, fit in parameters["fitted"].items())
     yield f"parameters: {parameters['used']}. Fitted to the clip, they explain of its joint rates: {explained}"
     yield f"Tables and figures are in {out}."
+
+
+def _table(rows: dict[str, Any], title: str, columns: dict[str, Callable[[Any], str]], head: str = "method") -> Table:
+    cells = ([name, *(cell(row) for cell in columns.values())] for name, row in rows.items())
+    return table_of(head, numbers=columns, title=title, rows=cells)
+
+
+def _short(joint: str) -> str:
+    return joint.replace("theta_", "th").replace("phi_", "ph")
+
+
+def _limits(row: dict[str, Any]) -> str:
+    first, *more_joints = row["limits_hit"] or ["-"]
+    return _short(first) + (f" +{len(more_joints)}" if more_joints else "")
+
+
+def _step_time(row: dict[str, Any]) -> str:
+    return "-" if row["us_per_step"] is None else f"{row['us_per_step']:.0f}"
+
+
+def _target_lines(driven: dict[str, Any], target_m: list[float]) -> Iterator[str | Table]:
+    columns: dict[str, Callable[[Any], str]] = {
+        "reached": lambda row: "yes" if row["reached"] else "failed",
+        "steps": lambda row: str(row["iterations"]),
+        "left mm": lambda row: f"{1000 * row['left_m']:.1f}",
+        "µs each": _step_time,
+        "path m": lambda row: f"{row['length_m']:.2f}",
+        "limits": _limits,
+    }
+    yield _table(driven, f"to ({', '.join(f'{x:.3f}' for x in target_m)}) m", columns)
+    yield from (f"{name} failed: {row['reason']}" for name, row in driven.items() if not row["reached"])
+
+
+def _result(row: dict[str, Any]) -> str:
+    """Return in a word what a method did along the stride."""
+    if row["worst_error_m"] > OFF_PATH_M:
+        return "off-path"
+    if row["note"].startswith("singular"):
+        return "singular"
+    if row[LEAST_CLOSURE] >= CLOSES_PERCENT:
+        return "closes"
+    return "limited" if row["limits_hit"] else "drifts"
+
+
+def _stride_lines(along: dict[str, Any], summary: dict[str, Any]) -> Iterator[str | Table]:
+    columns: dict[str, Callable[[Any], str]] = {
+        "result": _result,
+        "worst mm": lambda row: f"{1000 * row['worst_error_m']:.1f}",
+        "µs each": _step_time,
+        "off °": lambda row: f"{degrees(row['joints_off_rad']):.0f}",
+        "limits": _limits,
+        "closure %": lambda row: f"{row[LEAST_CLOSURE]:.1f}",
+    }
+    yield _table(along, f"along the stride, turns: {summary['turns']}", columns)
+    yield from (f"{name}: {row['note']}" for name, row in along.items() if row["note"])
+    for name, row in along.items():
+        if row["limits_hit"] and row[LEAST_CLOSURE] < CLOSES_PERCENT:
+            later = f"; then {', '.join(row['limits_hit'][1:])}" if row["limits_hit"][1:] else ""
+            yield f"{name} does not close, stopped by {row['first_limit']}{later}"
+    if any(row["limits_hit"] for row in along.values()):
+        yield "What a method does without the limits of the joints: --no-limits."
+    yield (
+        f"result: closes from {CLOSES_PERCENT} % for every joint; off-path from {1000 * OFF_PATH_M:.0f} mm; limited: "
+        "does not close, and a joint rests on its limit. "
+        "closure: the least of any joint's angle; off: the joints from the animal's"
+    )
+    sources = {"animal": summary["animal"]} | along
+    joints = {_short(joint): partial(_closure_cell, joint=joint) for joint in summary["joints"]}
+    yield _table(sources, "degree of closure by joint, angle and rate, %", joints)
+
+
+def _closure_cell(row: dict[str, Any], joint: str) -> str:
+    value = row["closure_plane_percent"][joint]
+    return "-" if value is None or isnan(value) else f"{value:.0f}"
+
+
+def _cost_lines(costs: dict[str, Any]) -> Iterator[str | Table]:
+    columns: dict[str, Callable[[Any], str]] = {
+        "result": lambda row: row["outcome"],
+        "starts at": lambda row: row["stationary"].split(":")[0],
+        "drift °": lambda row: f"{degrees(row['drift_rad']):.1f}",
+        "growth": lambda row: f"{row['growth']:.1g}",
+        "singular": lambda row: str(row["singular_steps"]),
+        "limits": _limits,
+    }
+    yield _table(costs, f"extended Jacobian by cost, {TURNS} turns of the stride", columns, "cost")
+    yield (
+        "growth: of the distance between two starts a millionth of a radian apart; chaotic from "
+        f"{GROWTH:g} times. singular: number of steps at which the extended matrix has no inverse."
+    )

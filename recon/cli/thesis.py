@@ -18,7 +18,7 @@ _OPTIONS = tuple(name for name, info in SETTINGS.items() if name != "method" and
 
 def frame(
     settings: FitRunSettings,
-    given: Annotated[dict[str, Any], OptionsOf(FitSettings, _OPTIONS)],
+    given: Annotated[dict[str, Any], OptionsOf(FitSettings, _OPTIONS, promoted=("start_angles",))],
     console: Console,
     progress: Progress,
 ) -> Answer:

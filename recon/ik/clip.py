@@ -22,13 +22,17 @@ from recon.base.settings import Integer, Number, Option, Settings, input_paths
 from recon.base.tables import write_frame
 from recon.check.verdict import usable, verdict_fields
 from recon.fit.motion import Motion
-from recon.gait.phase import Closure, Portrait
+from recon.gait.phase import Closure, Portrait, closure
+from recon.ik.cost_study import CostOutcome, cost_outcome
 from recon.ik.drive import Run, control_columns, drive_to
-from recon.ik.figures import joint_space, task_space
+from recon.ik.figures import joint_space, parameter_series, task_space
 from recon.ik.limb import (
+    COSTS,
     EXTENDED,
     LAST,
+    SLOWER,
     Limb,
+    animal_portraits,
     cost_of,
     fit_parameter_series,
     fit_parameters,
@@ -52,7 +56,7 @@ STRIDE_MAX = "stride-max"
 
 
 class IkSettings(Settings):
-    """What `recon ik` is told."""
+    """The settings of `recon ik`."""
 
     folder: Annotated[Path, Option(argument="DIR")]
     """Folder of results, as in results/clip."""
@@ -65,8 +69,8 @@ class IkSettings(Settings):
         ),
     ] = "damped"
     target: str | None = None
-    """Drive the foot there: stride-max, its foremost place in the stride, from its rearmost; or x,y,z in metres from
-    the chain's base, as in 0.8,0.1,-0.5."""
+    """Drive the foot there: stride-max, its foremost position in the stride, from its rearmost; or x,y,z in metres
+    from the chain's base, as in 0.8,0.1,-0.5."""
     follow: Literal["stride"] | None = None
     """Follow a path with the foot: stride, one of its own, closed."""
     compare: bool = False
@@ -87,6 +91,9 @@ class IkSettings(Settings):
     cost: str | None = None
     """Cost of the methods extended and gradient-projection: differences, energy, harmonic, pose (distance from the
     clip's mean pose), or a sum with weights, as in energy,differences=0.1."""
+    costs: bool = False
+    """What the extended Jacobian does with each cost over ten turns of the stride: convergent, drifting, singular or
+    chaotic."""
     alpha: Annotated[Literal["step"] | Number | None, Option(expected="step, or a number other than 0")] = None
     """Factor on the joints' rates of every method: a number, or step, at every step the one with which the foot moves
     nearest to what is asked for. (default: none)"""
@@ -101,8 +108,8 @@ class IkSettings(Settings):
     @property
     def methods(self) -> tuple[str, ...]:
         """The names of the methods that are run."""
-        own = () if self.cost is None else (EXTENDED,)
-        return (*METHODS, *own) if self.compare else (self.method,)
+        extended = () if self.cost is None else (EXTENDED,)
+        return (*METHODS, *extended) if self.compare else (self.method,)
 
     @property
     def parameters(self) -> str:
@@ -110,7 +117,7 @@ class IkSettings(Settings):
         return "refitted at every frame" if self.online else "fitted to the clip" if self.fitted else "standard"
 
     @property
-    def both(self) -> bool:
+    def has_no_job(self) -> bool:
         """Whether no single job is asked for."""
         return self.target is None and self.follow is None
 
@@ -121,8 +128,8 @@ class IkSettings(Settings):
 
     def problems(self) -> Iterator[Problem]:
         """Yield what does not go together."""
-        if self.both and not self.compare:
-            yield Problem("options", "job", "none", "--target, --follow stride or --compare")
+        if self.has_no_job and not (self.compare or self.costs):
+            yield Problem("options", "job", "none", "--target, --follow stride, --compare or --costs")
         if self.method == EXTENDED and self.cost is None:
             yield Problem("settings", "method", repr(EXTENDED), self.infos()["method"].expected())
         if self.alpha == 0:
@@ -133,8 +140,8 @@ SUMMARY = "ik.json"
 
 
 @dataclass(frozen=True, eq=False)
-class _IKRun:
-    """A chain, its methods and their runs."""
+class IkRun:
+    """Hold a chain, its methods and their runs."""
 
     settings: IkSettings
     motion: Motion
@@ -148,6 +155,11 @@ class _IKRun:
     """Fitted to the clip, by method."""
     series: pd.DataFrame | None
     """Fitted to each frame of the stride by itself (`fit_parameter_series`); None where not asked for."""
+
+    portraits: Mapping[str, Portrait]
+    """Of the animal's own joints over the stride, by joint."""
+    costs: Mapping[str, CostOutcome]
+    """What the extended Jacobian does with each cost on the stride, by cost, empty where not asked for."""
 
     @property
     def begins_s(self) -> float:
@@ -177,20 +189,38 @@ class _IKRun:
             "to_target": {name: run.measures() for name, run in self.runs["target"].items()},
             "turns": settings.turns if self.runs["follow"] else None,
             "along_stride": {name: self._along_stride(run) for name, run in self.runs["follow"].items()},
+            "animal": {
+                f"closure_{kind}_percent": by_name(limb.chain.names, values.tolist())
+                for kind, values in self.animal_closures.items()
+            },
+            "costs": {name: picked(outcome, *CostOutcome.__dataclass_fields__) for name, outcome in self.costs.items()},
         }
+
+    @cached_property
+    def animal_closures(self) -> dict[str, Array]:
+        """Degrees of closure (n,) of the animal's own joints over the stride, as `Run.closures`; NaN with gaps."""
+        kinds = "angle", "plane", "unscaled"
+        closures = {kind: np.full(self.limb.chain.n, np.nan) for kind in kinds}
+        for joint, portrait in enumerate(self.portraits.values()):
+            if len(portrait.time_s) > 1 and np.isfinite(portrait.rate_rad_s).all():
+                degrees = closure(portrait)
+                for kind in kinds:
+                    closures[kind][joint] = getattr(degrees, kind)
+        return closures
 
     def _along_stride(self, run: Run) -> dict[str, Any]:
-        closed, own = run.closures(), self.stride.q
-        off_rad = run.q[::OVERSAMPLING][: len(own)] - own
+        closures, animal_q = run.closures(), self.stride.q
+        names = self.limb.chain.names
+        off_rad = run.q[::OVERSAMPLING][: len(animal_q)] - animal_q
         return {
             **run.measures(),
-            **{f"least_closure_{kind}_percent": float(np.fmin.reduce(of)) for kind, of in closed.items()},
+            **{f"least_closure_{kind}_percent": float(np.fmin.reduce(values)) for kind, values in closures.items()},
             "joints_off_rad": float(np.sqrt(np.nanmean(off_rad**2))),
-            **{f"closure_{kind}_percent": by_name(self.limb.chain.names, of.tolist()) for kind, of in closed.items()},
+            **{f"closure_{kind}_percent": by_name(names, values.tolist()) for kind, values in closures.items()},
         }
 
 
-def run_ik(settings: IkSettings) -> _IKRun:
+def run_ik(settings: IkSettings) -> IkRun:
     """Write the tables and figures of `recon ik` into a folder.
 
     Parameters that are fitted to the clip are also fitted to each frame of the stride. Raises InputError.
@@ -202,7 +232,7 @@ def run_ik(settings: IkSettings) -> _IKRun:
         output.require((SUMMARY,))
         limb = limb_of(motion, settings.foot, 2 if settings.dim == 2 else 3, settings.limits)
         chain, cost = limb.chain, None if settings.cost is None else cost_of(limb, settings.cost)
-        target = STRIDE_MAX if settings.both else settings.target
+        target = STRIDE_MAX if settings.has_no_job and settings.compare else settings.target
         goal = _coordinates(target, chain.dim) if target not in (None, STRIDE_MAX) else None
         with threadpool_limits(1, user_api="blas"):
             stride, parameters = stride_of(motion, limb, settings.stride), fit_parameters(limb, cost)
@@ -214,16 +244,28 @@ def run_ik(settings: IkSettings) -> _IKRun:
             start, foremost = farthest_reach(chain, stride.q)
             goal = foremost if target == STRIDE_MAX else goal
             drives = {} if goal is None else {n: drive_to(chain, start, goal, m) for n, m in methods.items()}
-            followed = methods if settings.both or settings.follow is not None else {}
-            each = {n: refitted.get(n, ()) if settings.online else () for n in followed}
-            follows = {n: follow_stride(chain, stride, m, settings.turns, each[n]) for n, m in followed.items()}
-        solved = _IKRun(settings, motion, limb, stride, goal, {"target": drives, "follow": follows}, parameters, series)
+            is_followed = settings.follow is not None or (settings.has_no_job and settings.compare)
+            followed = methods if is_followed else {}
+            by_frame = {n: refitted.get(n, ()) if settings.online else () for n in followed}
+            follows = {n: follow_stride(chain, stride, m, settings.turns, by_frame[n]) for n, m in followed.items()}
+            costs = _cost_outcomes(limb, stride) if settings.costs else {}
+        runs, portraits = {"target": drives, "follow": follows}, animal_portraits(motion, limb, stride)
+        solved = IkRun(settings, motion, limb, stride, goal, runs, parameters, series, portraits, costs)
         with output.staged() as staging:
             _write(solved, staging)
         if settings.figures:  # after the tables, which are there whatever befalls them
             with output.staged(adds=True) as staging:
                 write_figures(solved, staging)
     return solved
+
+
+def _cost_outcomes(limb: Limb, stride: StridePath) -> dict[str, CostOutcome]:
+    """Return what the extended Jacobian does with each cost of `COSTS` on the stride."""
+    interval_s = SLOWER * stride.interval_s
+    return {
+        name: cost_outcome(limb.chain, stride.q[0], stride.path_m, cost(limb), interval_s)
+        for name, cost in COSTS.items()
+    }
 
 
 def _coordinates(target: str, dim: int) -> Array:
@@ -237,7 +279,7 @@ def _coordinates(target: str, dim: int) -> Array:
     return values
 
 
-def _write(solved: _IKRun, folder: Path) -> None:
+def _write(solved: IkRun, folder: Path) -> None:
     summary, names = solved.summary, solved.limb.chain.names
     tables: dict[str, pd.DataFrame] = {}
     for file, rows in (("target.csv", summary["to_target"]), ("follow.csv", summary["along_stride"])):
@@ -245,8 +287,12 @@ def _write(solved: _IKRun, folder: Path) -> None:
             cells = [{k: _cell(v) for k, v in row.items() if not isinstance(v, dict)} for row in rows.values()]
             tables[file] = pd.DataFrame(cells, pd.Index(rows, name="method"))
     if follows := solved.runs["follow"]:
-        closed = {f"{name}_{kind}": of for name, run in follows.items() for kind, of in run.closures().items()}
-        tables["closures.csv"] = pd.DataFrame(closed, pd.Index(names, name="joint"))
+        by_source = {"animal": solved.animal_closures} | {name: run.closures() for name, run in follows.items()}
+        closures = {f"{source}_{kind}": values for source, kinds in by_source.items() for kind, values in kinds.items()}
+        tables["closures.csv"] = pd.DataFrame(closures, pd.Index(names, name="joint"))
+    if costs := summary["costs"]:
+        rows = [{name: _cell(value) for name, value in outcome.items()} for outcome in costs.values()]
+        tables["costs.csv"] = pd.DataFrame(rows, pd.Index(costs, name="cost"))
     if solved.series is not None:
         tables["parameters.csv"] = solved.series.set_index("time_s")
     ends = [f"end_{axis}_m" for axis in solved.limb.base[: solved.limb.chain.dim]]
@@ -262,22 +308,31 @@ def _write(solved: _IKRun, folder: Path) -> None:
     (folder / SUMMARY).write_text(to_json(summary), encoding="utf-8")
 
 
-def _cell(value: object) -> Any:
+def _cell(value: object) -> object:
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return " ".join(value) if isinstance(value, list) else value
+    return " ".join(map(str, value)) if isinstance(value, list | tuple) else value
 
 
-def write_figures(solved: _IKRun, folder: Path) -> None:
-    """Paths in task and joint space, and phase portraits with closures by method, PNG and SVG."""
+def write_figures(solved: IkRun, folder: Path) -> None:
+    """Write paths in task and joint space, phase portraits with closures by method, and parameters, as PNG and SVG."""
     limb, aims = solved.limb, {"target": solved.target_m, "follow": solved.stride.path_m}
     for job, runs in solved.runs.items():
         if runs:
             style.save(task_space(runs, limb.chain, aims[job], limb.base), folder, f"{job}_task_space")
             style.save(joint_space(runs, limb.chain.names), folder, f"{job}_joint_space")
     for name, run in solved.runs["follow"].items():
-        of_joints = zip(run.q.T, run.control[0].T, strict=True)
-        portraits = [Portrait(solved.begins_s + run.time_s, angle, rate) for angle, rate in of_joints]
-        closed = [Closure(*one) for one in zip(*run.closures().values(), strict=True)]
-        figure = phase_portraits(by_name(limb.chain.names, portraits), by_name(limb.chain.names, closed), name)
-        style.save(figure, folder, f"follow_phase_{name}")
+        joints = zip(run.q.T, run.control[0].T, strict=True)
+        portraits = [Portrait(solved.begins_s + run.time_s, angle, rate) for angle, rate in joints]
+        _save_portraits(by_name(limb.chain.names, portraits), run.closures(), name, folder)
+    if solved.runs["follow"]:
+        _save_portraits(dict(solved.portraits), solved.animal_closures, "animal", folder)
+    if solved.series is not None:
+        style.save(parameter_series(solved.series, limb.chain.names), folder, "parameters")
+
+
+def _save_portraits(portraits: dict[str, Portrait], closures: Mapping[str, Array], source: str, folder: Path) -> None:
+    """Write the phase portraits of a method, or of the animal itself, with closures (n,) by kind."""
+    pairs = zip(closures["angle"].tolist(), closures["plane"].tolist(), strict=True)
+    by_joint = by_name([*portraits], [Closure(*pair) for pair in pairs])
+    style.save(phase_portraits(portraits, by_joint, source), folder, f"follow_phase_{source}")

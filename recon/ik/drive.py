@@ -119,23 +119,26 @@ class Run:
     def closures(self) -> dict[str, Array]:
         """Return degrees of closure (n,), in percent, of each joint from the first configuration to the last.
 
-        "angle" is that of the angle, "plane" that of the path in the (angle, rate) plane. NaN for a joint that does
-        not move.
+        "angle" is that of the angle, "plane" that of the path in the (angle, rate) plane, whose axes are divided by
+        their ranges, "unscaled" that in the plane of rad and rad/s, as published. NaN for a joint that does not move.
         """
         planes = [np.column_stack(path) for path in zip(self.q.T, self.dq.T, strict=True)]
         return {
             "angle": np.array([degree_of_closure(plane[:, 0]) for plane in planes]),
             "plane": np.array([degree_of_closure(plane) for plane in planes]),
+            "unscaled": np.array([degree_of_closure(plane, is_scaled=False) for plane in planes]),
         }
 
     def measures(self) -> dict[str, Any]:
         """Return the numbers of the run for the tables."""
         if self.driven:
-            outcome = {"reached": self.reached, "reason": self.reason, "iterations": self.iterations}
+            left_m = float(self.distance_m[-1])
+            outcome = {"reached": self.reached, "reason": self.reason, "iterations": self.iterations, "left_m": left_m}
         else:
             outcome = {"worst_error_m": float(self.distance_m.max()), "note": self.note}
         return outcome | {
             "us_per_step": 1e6 * float(np.median(self.solve_s)) if len(self.solve_s) else None,
+            "solve_ms": 1e3 * float(self.solve_s.sum()),
             "length_m": self.length_m,
             "roughness_rad2": self.roughness_rad2,
             "least_manipulability": float(self.manipulability.min()),
@@ -270,15 +273,17 @@ def _moved(
     )
 
 
-def degree_of_closure(path: Array) -> float:
+def degree_of_closure(path: Array, is_scaled: bool = True) -> float:
     """Return D = 100 (1 - d / d_max) in percent: d from start to end, d_max the path's diameter; NaN without motion.
 
-    path: an angle (K,), or (angle, rate) (K, 2), whose axes are divided by their ranges. An angle that stays within
-    `STILL_RAD` does not move.
+    path: an angle (K,), or (angle, rate) (K, 2), whose axes are divided by their ranges unless `is_scaled` is False. An
+    angle that stays within `STILL_RAD` does not move.
     """
     if np.ptp(path if path.ndim == 1 else path[:, 0]) <= STILL_RAD:
         return math.nan
-    return phase.degree_of_closure(path[:, None] if path.ndim == 1 else phase.scaled(path))
+    if path.ndim == 1:
+        return phase.degree_of_closure(path[:, None])
+    return phase.degree_of_closure(phase.scaled(path) if is_scaled else path)
 
 
 def _one_interval(

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 
 from recon.base.arrays import Array
@@ -19,6 +20,15 @@ VIEWS = {
 }
 """The views of the base frames of `recon.ik.chain`: name, coordinates, and what the axes are called."""
 _ROOM = 0.06
+_VECTORS = ("constant-vector", "gradient-projection")
+"""Methods whose vector g is drawn."""
+_SINGLE = {
+    "damped_lambda_m": "lambda (m)",
+    "selectively-damped_gamma_max_rad": "gamma_max (rad)",
+    "gradient-projection_k_1_s": "k, differences",
+    "transpose_alpha_1_m2": "transpose",
+}
+"""What the legend calls single parameters."""
 
 
 def task_space(
@@ -88,6 +98,51 @@ def joint_space(moves: Mapping[str, Run], names: Sequence[str]) -> Figure:
         figure.supylabel("angle (deg)", fontsize=8)
         style.add_legend(figure, panels[0].get_lines(), labels)
     return figure
+
+
+def parameter_series(series: pd.DataFrame, joints: Sequence[str]) -> Figure:
+    """Draw the parameters of `fit_parameter_series` by configuration, over the time of the stride.
+
+    Panels: the damping lambda and gamma_max, weights of the joints, the vector g, k and alpha of the transpose, and the
+    factor alpha of every method, the extended Jacobian's too. A panel without values is left out.
+    """
+    alphas = [name for name in series if name.endswith("_best_alpha")]
+    panels = {
+        "damping": (("damped_lambda_m", "selectively-damped_gamma_max_rad"), True),
+        "weights w,\nmean 1": (tuple(f"weighted_{joint}" for joint in joints), True),
+        "vector g\n(rad/s)": (tuple(f"{kind}_{joint}" for kind in _VECTORS for joint in joints), False),
+        "k (1/s)": (("gradient-projection_k_1_s",), False),
+        "alpha (1/m²)": (("transpose_alpha_1_m2",), False),
+        "alpha, factor\non all rates": (tuple(alphas), False),
+    }
+    shown = {
+        label: ([name for name in names if name in series and series[name].notna().any()], is_log)
+        for label, (names, is_log) in panels.items()
+    }
+    shown = {label: panel for label, panel in shown.items() if panel[0]}
+    with style.drawing(36 * len(shown) + 8) as figure:
+        rows = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, (label, (names, is_log)) in zip(rows, shown.items(), strict=True):
+            for k, name in enumerate(names):
+                axes.plot(series["time_s"], series[name], **style.look(k), label=_parameter_label(name))
+            if is_log:
+                axes.set_yscale("log")
+                style.plain_logarithm(axes.yaxis)
+            axes.set_ylabel(label)
+            axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=style.SMALL - 1, frameon=False)
+        rows[-1].set_xlabel("time (s)")
+        figure.align_ylabels()
+    return figure
+
+
+def _parameter_label(column: str) -> str:
+    """Return what the legend calls a column of the table of parameters."""
+    if column in _SINGLE:
+        return _SINGLE[column]
+    label = column.removesuffix("_best_alpha")
+    for prefix in ("weighted_", *(f"{kind}_" for kind in _VECTORS)):
+        label = label.removeprefix(prefix)
+    return label
 
 
 def _outcome(move: Run) -> str:

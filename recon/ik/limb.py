@@ -16,7 +16,8 @@ from recon.base.errors import InputError, Problem, raise_problems
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, limb_chains, stride_given
 from recon.gait.gait import AGREE, Gait, doubtful_text
-from recon.gait.kinematics import MIN_POINTS
+from recon.gait.kinematics import MIN_POINTS, angle_kinematics, jitter_errors
+from recon.gait.phase import Portrait, phase_portrait
 from recon.ik.animal_chain import (
     body_chain,
     body_chain_angles,
@@ -28,7 +29,7 @@ from recon.ik.animal_chain import (
 from recon.ik.chain import SerialChain
 from recon.ik.costs import Cost, harmonic_map, joint_differences, pose_distance, rotational_energy, weighted_sum
 from recon.ik.drive import Run, follow
-from recon.ik.methods import STANDARD, ExtendedJacobian, GradientProjection, Method
+from recon.ik.methods import STANDARD, ExtendedJacobian, GradientProjection, Method, best_scale
 from recon.ik.null_space import to_null_space_optimum
 from recon.ik.parameters import PARAMETERS, PULL, Frames, ParameterFit, explained_by, fits, rates_of
 from recon.ik.stride import OVERSAMPLING, StridePath, find_stride
@@ -41,6 +42,9 @@ SLOWER = 10
 
 Rate limits are those expected of its joints, and would hold back a method that moves other joints than the animal does.
 Closures do not depend on the factor."""
+CONSTANT_VECTOR = "constant-vector"
+"""Gradient projection along a constant vector g, in tables of parameters."""
+EXTENDED_COSTS = ("extended-differences", "extended-energy", "extended-harmonic")
 LAST = 3
 """Frames before each that parameters are refitted to on the way."""
 
@@ -167,13 +171,17 @@ def fit_parameter_series(
     Returns the methods, and a table with a row for each frame: time_s in the clip, and for every method its parameter
     (`PARAMETERS`; one for each joint if there are as many), <method>_best_alpha, and <method>_explained, the share of
     the frame's own rates. cost: of gradient projection; the default for single frames is the joint differences, with k
-    fitted. Raises InputError as `fit_parameters`.
+    fitted. Single frames also have the smallest constant g (`CONSTANT_VECTOR`) and, of the extended Jacobian, which has
+    no parameter, the factor alpha. Raises InputError as `fit_parameters`.
     """
     frames, at_s = _rates_of(limb)
     first, stop = np.searchsorted(at_s, [stride.start_s - 1e-6, stride.end_s + 1e-6]).tolist()
     costs = (cost or joint_differences(limb.chain),) if cost is not None or not last else ()
     columns, methods = {"time_s": limb.first_s + at_s[first:stop]}, {}
-    for name, fit in fits(costs, PULL).items():
+    every = fits(costs, PULL)
+    if costs:
+        every[CONSTANT_VECTOR] = fits()["gradient-projection"]
+    for name, fit in every.items():
         rows = [slice(max(t - last, 0), max(t, 1)) if last else slice(t, t + 1) for t in range(first, stop)]
         fitted = [fit(frames[window]) for window in rows]
         methods[name] = [result.method for result in fitted]
@@ -185,7 +193,25 @@ def fit_parameter_series(
         columns[f"{name}_explained"] = np.array(
             [explained_by(rates_of(method, frame), frame.dq) for method, frame in by_frame]
         )
+    for name in EXTENDED_COSTS:
+        method = ExtendedJacobian(COSTS[name.removeprefix("extended-")](limb))
+        rates = [rates_of(method, frames[t : t + 1]) for t in range(first, stop)]
+        measured = [frames[t : t + 1].dq for t in range(first, stop)]
+        pairs = list(zip(rates, measured, strict=True))
+        columns[f"{name}_best_alpha"] = np.array([best_scale(*pair) for pair in pairs])
+        columns[f"{name}_explained"] = np.array([explained_by(*pair) for pair in pairs])
     return pd.DataFrame(columns), methods
+
+
+def animal_portraits(motion: Motion, limb: Limb, stride: StridePath) -> dict[str, Portrait]:
+    """Return phase portraits of the animal's own joints over a stride, smoothed as in the analysis."""
+    time_s = limb.first_s + np.arange(len(limb.q)) / limb.fps
+    ends = limb.first_s + stride.start_s, limb.first_s + stride.end_s
+    portraits = {}
+    for name, angle in zip(limb.chain.names, limb.q.T, strict=True):
+        errors = jitter_errors(angle) if motion.jitters else ()
+        portraits[name] = phase_portrait(angle_kinematics(time_s, angle, errors, smooth=motion.jitters), *ends)
+    return portraits
 
 
 def _rates_of(limb: Limb) -> tuple[Frames, Array]:

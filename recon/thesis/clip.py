@@ -23,6 +23,7 @@ from recon.thesis.chain import load_chain
 from recon.thesis.inspect import TABLES, read_solver
 from recon.thesis.objectives import FrameOptions
 from recon.thesis.solver import solve_frames
+from recon.thesis.start import parse_start_angles
 
 
 def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
@@ -38,6 +39,8 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     clip, chain, plain = prepare(settings), load_chain(settings.skeleton_name), settings.plain()
     (view,), T = views_of(clip.sources), len(clip.sources[0].keypoints.frames)
     options = FrameOptions.from_settings(plain)
+    if options.start_angles is not None:
+        parse_start_angles(options.start_angles, chain)
     solution = solve_frames(view, chain, clip.fps, options, lambda count: progress("frames", count / T))
     return add_verdict(Motion(clip.sources, clip.side, clip.side_reason, solution, chain=chain, settings=plain))
 

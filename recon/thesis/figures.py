@@ -18,6 +18,8 @@ _LEAST = 1e-12
 """The smallest value that is drawn on a logarithmic axis."""
 _DECADES = 1e-6
 """Lower end of a logarithmic axis, as a share of its upper end: smaller values hardly matter."""
+_CONFIGURATIONS = 12
+"""Most frames of which configurations are drawn."""
 _UNDAMPED = 1e-8
 """Steps with a smaller damping are Gauss-Newton steps."""
 
@@ -185,10 +187,36 @@ def reference_path(record: SolverRecord) -> Figure:
     return figure
 
 
+def configurations(record: SolverRecord) -> Figure:
+    """Draw the pose in the picture, true (detected, grey) beside reprojected (coloured), in up to twelve frames."""
+    motion, picture = record.motion, record.motion.pictures[0]
+    solved = np.flatnonzero(motion.solved)
+    rows = solved[np.unique(np.linspace(0, len(solved) - 1, min(len(solved), _CONFIGURATIONS)).astype(int))]
+    n_columns = 4
+    n_rows = -(-len(rows) // n_columns)
+    with style.drawing(42 * n_rows + 14) as figure:
+        panels = np.ravel(figure.subplots(n_rows, n_columns, squeeze=False))
+        for axes, row in zip(panels, rows.tolist(), strict=False):
+            for along in motion.limbs.values():
+                joints = [*along]
+                axes.plot(*picture.detected_px[row, joints].T, "-o", color=style.GREY, lw=2.0, ms=3.0, gid="detected")
+                axes.plot(*picture.reprojected_px[row, joints].T, "-o", color=style.look(1)["color"], lw=1.0, ms=1.8)
+            axes.set_title(f"frame {motion.frames[row]}: {mean(picture.distance_px[row]):.1f} px", fontsize=style.SMALL)
+            axes.set_aspect("equal", adjustable="datalim")
+            axes.invert_yaxis()
+            axes.tick_params(labelsize=style.SMALL - 2)
+        for axes in panels[len(rows) :]:
+            axes.set_axis_off()
+        figure.supxlabel("x (px)\ngrey: detected   coloured: reprojected", fontsize=8)
+        figure.supylabel("y (px)", fontsize=8)
+    return figure
+
+
 FIGURES = (
     solver_search,
     solver_unknowns,
     image_errors,
+    configurations,
     solver_frame,
     solver_matrices,
     solver_gradient,

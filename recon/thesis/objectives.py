@@ -57,6 +57,12 @@ class FrameOptions:
     """Residuals of this many standard deviations count half."""
     path: Literal["smooth", "free"] = "smooth"
     """The reference joint's path as smooth as an animal moves (`recon.thesis.path`), or every frame by itself."""
+    start_angles: str | None = None
+    """Angles of the first frame's start, measured by hand (`recon.thesis.start.parse_start_angles`)."""
+    initial_damping: float | None = None
+    """First damping of a search (`recon.thesis.levenberg`); None: MINPACK finds its own."""
+    damping_factor: float = 10.0
+    """Factor by which that damping changes."""
     tolerance: float = 1e-8
     """Relative change of cost, step and gradient at which a search ends."""
     max_evaluations: int = 400

@@ -25,10 +25,11 @@ from recon.base.arrays import Array, Index
 from recon.clip import View
 from recon.geometry.camera import Camera
 from recon.thesis.chain import ChainPose, UnknownsChain
+from recon.thesis.levenberg import minimise
 from recon.thesis.objectives import FrameOptions, JointReprojection, Objective, base_length, frame_objectives
 from recon.thesis.path import Path, PathTie, path_of
 from recon.thesis.solution import FrameSolution, _FrameReport, in_world
-from recon.thesis.start import estimate_travel, geometric_start
+from recon.thesis.start import estimate_travel, geometric_start, parse_start_angles
 
 CONVERGED = (1, 2, 3, 4)
 """Status values of scipy's least_squares that name a tolerance that was met."""
@@ -336,7 +337,10 @@ class FrameSolver:
     # -- starts ------------------------------------------------------------------------------------------------------
 
     def _first_starts(self, rays: Array, heading: Array) -> list[Array]:
-        """Return the mean pose along the direction of travel, and turned to either side of it."""
+        """Return the mean pose along the direction of travel, and turned to either side; or the one set by hand."""
+        if self.options.start_angles is not None:
+            angles = parse_start_angles(self.options.start_angles, self.chain)
+            return [geometric_start(self.camera, self.chain, rays, heading, angles)]
         across = np.cross(self.camera.up, heading)
         return [
             geometric_start(self.camera, self.chain, rays, np.cos(turn) * heading + np.sin(turn) * across)
@@ -404,7 +408,7 @@ class FrameSolver:
         return self._minimise(approach.x, problem, self.options.tolerance).after(approach)
 
     def _minimise(self, start: Array, problem: FrameProblem, tolerance: float) -> FrameSearch:
-        """Return MINPACK's search from one start; a fixed rotation is taken out of the unknowns."""
+        """Return the search from one start; a fixed rotation is taken out of the unknowns."""
         free = np.ones(self.chain.n_state, dtype=bool)
         if self.options.camera_rotation == "fixed" and (problem.previous is not None or self.starts is not None):
             free[self.chain.euler_slice] = False
@@ -420,7 +424,7 @@ class FrameSolver:
             return last[1]
 
         def jacobian(y: Array) -> Array:
-            # MINPACK asks for the Jacobian at accepted points only: their differences are the steps taken.
+            # The Jacobian is asked for at accepted points only: their differences are the steps taken.
             steps.append(y.copy())
             counts.append(evaluations)
             if not np.array_equal(last[0], y):
@@ -428,17 +432,22 @@ class FrameSolver:
             return last[2][:, free]
 
         tolerance = max(tolerance, float(np.finfo(float).eps))  # less is the same to MINPACK
-        result = least_squares(
-            residual,
-            start[free],
-            jacobian,  # type: ignore[arg-type]  # the stubs want a function of any array type
-            method="lm",
-            x_scale="jac",
-            ftol=tolerance,
-            xtol=tolerance,
-            gtol=tolerance,
-            max_nfev=self.options.max_evaluations,
-        )
+        options = self.options
+        if options.initial_damping is not None:
+            damping = options.initial_damping, options.damping_factor
+            result = minimise(residual, jacobian, start[free], tolerance, options.max_evaluations, *damping)
+        else:
+            result = least_squares(
+                residual,
+                start[free],
+                jacobian,  # type: ignore[arg-type]  # the stubs want a function of any array type
+                method="lm",
+                x_scale="jac",
+                ftol=tolerance,
+                xtol=tolerance,
+                gtol=tolerance,
+                max_nfev=options.max_evaluations,
+            )
         if not np.array_equal(steps[-1], result.x):
             steps.append(result.x)
             counts.append(evaluations)

@@ -6,6 +6,8 @@ heading is chosen whose chain fits and agrees with the path that it implies.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,9 +15,10 @@ import numpy as np
 from recon.animal.body import MIN_JOINTS
 from recon.animal.chain import upright_rotation
 from recon.base.arrays import Array
+from recon.base.errors import Problem, raise_problems
 from recon.fit.starts import constant_velocity, position_on_rays
 from recon.geometry.camera import Camera
-from recon.geometry.frames import level_axes
+from recon.geometry.frames import euler_rotation, level_axes
 from recon.thesis.chain import UnknownsChain, euler_angles, mean_pose
 
 _HEADINGS = 36
@@ -87,13 +90,50 @@ def _stretch_travel(headings: Array, shapes: Array, up: Array, rays: Array, time
     return np.append(heading, speeds[best] if moves else np.nan)
 
 
-def geometric_start(camera: Camera, chain: UnknownsChain, rays: Array, heading: Array) -> Array:
-    """Return the state (D,) of the mean pose facing `heading` (3,), put on one frame's rays (J, 3)."""
+def parse_start_angles(text: str, chain: UnknownsChain) -> dict[int, float]:
+    """Return angles in rad by their index in the state, from text as in "th6=55,th7=97,xi=-3", degrees.
+
+    Names are those of `variables.csv` (th6, ph6, xi, psi, zeta) or of `angles.csv` (theta_6).
+
+    Raises
+    ------
+    InputError
+        For names that the chain lacks and for values that are no numbers.
+    """
+    angle_columns = [*range(2 * chain.n_angles), *range(chain.n_state)[chain.euler_slice]]
+    index = {name: k for names in (chain.unknown_names, chain.state_names) for k, name in enumerate(names)}
+    allowed = [chain.unknown_names[k] for k in angle_columns]
+    angles, problems = {}, []
+    for part in text.split(","):
+        name, _, value = (word.strip() for word in part.partition("="))
+        try:
+            degrees = float(value)
+        except ValueError:
+            degrees = math.nan
+        if index.get(name) not in angle_columns or not math.isfinite(degrees):
+            expected = f"name=degrees, as in th6=55, with a name of {', '.join(allowed)}"
+            problems.append(Problem("--start-angles", "angle", repr(part.strip()), expected))
+        else:
+            angles[index[name]] = math.radians(degrees)
+    raise_problems(problems)
+    return angles
+
+
+def geometric_start(
+    camera: Camera, chain: UnknownsChain, rays: Array, heading: Array, angles: Mapping[int, float] | None = None
+) -> Array:
+    """Return the state (D,) of the mean pose facing `heading` (3,), put on one frame's rays (J, 3).
+
+    angles: rad by their index in the state, in place of those of the mean pose and of the heading.
+    """
     state = mean_pose(chain)
     rotation = upright_rotation(heading, camera.up)
+    state[chain.euler_slice] = euler_angles(rotation)
+    if angles:
+        state[[*angles]] = [*angles.values()]
+        rotation = euler_rotation(state[chain.euler_slice])
     position = position_on_rays(chain.local_joints(state[None])[0] @ rotation.T, rays[None])
     # Contradictory rays can meet behind the camera; the solver needs a start that is in view.
     in_front = position[0] if position[0, 2] > 0 else -position[0]
     state[chain.position_slice] = rotation.T @ in_front
-    state[chain.euler_slice] = euler_angles(rotation)
     return state

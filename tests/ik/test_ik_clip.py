@@ -19,7 +19,17 @@ from recon.gait.clip import ClipAnalysis
 from recon.gait.gait import pose_gait
 from recon.ik.clip import METHODS, IkSettings, run_ik
 from recon.ik.drive import drive_to
-from recon.ik.limb import cost_of, fit_parameters, follow_stride, limb_of, methods_of, stride_lasts_s, stride_of
+from recon.ik.figures import parameter_series
+from recon.ik.limb import (
+    cost_of,
+    fit_parameter_series,
+    fit_parameters,
+    follow_stride,
+    limb_of,
+    methods_of,
+    stride_lasts_s,
+    stride_of,
+)
 from recon.ik.methods import LeastNorm, damped_least_squares, weighted_least_norm
 from recon.ik.parameters import PULL, RANGE, Frames, explained_by, fits, rates_of
 from recon.io.common import Pose3D
@@ -386,3 +396,38 @@ def test_earlier_results_are_kept(folder):
     first = run("ik", folder, "--target", "stride-max", "--no-figures")
     assert first.code == 0
     refused(["ik", folder, "--target", "stride-max", "--no-figures"], ("--out", "folder", folder / "ik", "--overwrite"))
+
+
+def test_costs_and_closures_of_the_animal(frame_results, tmp_path):
+    """Appendices B and C: the distance from a pose closes, the harmonic map is singular or worse within limits."""
+    options = {"costs": True, "follow": "stride", "dim": 2, "figures": False, "out": tmp_path / "a"}
+    solved = run_ik(IkSettings(folder=frame_results, **options))
+    costs = pd.read_csv(tmp_path / "a" / "costs.csv", index_col="cost")
+    assert list(costs.index) == ["differences", "energy", "harmonic", "pose"]
+    assert costs.loc["pose", "outcome"] == "convergent"
+    assert costs.loc["harmonic", "outcome"] in ("singular", "chaotic")
+    assert costs.loc["harmonic", "growth"] > 1e3 > costs.loc["pose", "growth"]
+    closures = pd.read_csv(tmp_path / "a" / "closures.csv", index_col="joint")
+    stride = ClipAnalysis(solved.motion)
+    for joint in ("theta_1", "theta_4"):
+        assert closures.loc[joint, "animal_angle"] == pytest.approx(stride.closures[joint].angle, abs=10)
+    assert {"animal_unscaled", "damped_unscaled"} <= {*closures.columns}
+
+
+def test_one_frame_has_its_own_parameters_and_the_extended_jacobian_an_alpha(frame_results):
+    results = Motion.load(frame_results)
+    limb = limb_of(results, dim=2)
+    series, _ = fit_parameter_series(limb, stride_of(results, limb))
+    joints = limb.chain.names
+    vector = series[[f"constant-vector_{joint}" for joint in joints]].to_numpy()
+    assert np.isfinite(vector).all()
+    assert np.ptp(vector) > 1
+    assert series["extended-energy_explained"].max() <= 1
+    assert series["extended-energy_best_alpha"].std() > 0
+    figure = parameter_series(series, joints)
+    assert [axes.get_ylabel().split("\n")[0] for axes in figure.axes][:4] == [
+        "damping",
+        "weights w,",
+        "vector g",
+        "k (1/s)",
+    ]

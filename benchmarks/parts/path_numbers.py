@@ -1,0 +1,142 @@
+"""The numbers of the path that ties the frame method's frames, chosen on all runs but one and tried on that one.
+
+    python benchmarks/parts/path_numbers.py [FOLDER]
+
+Every view of every run is solved once, frame by frame (`path=free`). Paths with other accelerations and correlation
+times are estimated from these solutions, which is quick. A choice is scored by the peak speed of the path against the
+true one: the share of views within `WITHIN`, less the distance of the 90 % intervals' coverage from 90 %. Each run is
+left out in turn: the best choice on the others, and what it and the method's own numbers give on the one left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+from frame_method import WITHIN, true_peak_m_s
+from markdown_table import print_table
+from recordings import recordings
+
+from recon import FitSettings, fit_clip, read_pose3d
+from recon.fit.posterior import radius
+from recon.gait.gait import INTERVAL
+from recon.thesis import path
+from recon.thesis.chain import UnknownsChain
+from recon.thesis.solution import frame_solution
+
+ACCELERATIONS_M_S2 = (6.0, 9.0, 12.0, 16.0)
+LASTS_S = (0.05, 0.1, 0.2)
+ERRORS_LAST_S = (0.03, 0.06, 0.12)
+SIZE_SIGMA = 0.1
+"""Of the animal's size, which scales every speed."""
+CHOICES = tuple(product(ACCELERATIONS_M_S2, LASTS_S, ERRORS_LAST_S))
+OWN = (path.ACCELERATION_M_S2, path.ACCELERATION_LASTS_S, path.ERRORS_LAST_S)
+
+
+@dataclass(frozen=True)
+class SolvedView:
+    """One view, solved frame by frame."""
+
+    run: str
+    chain: UnknownsChain
+    states: np.ndarray
+    covariance: np.ndarray
+    fps: float
+    true_peak_m_s: float
+
+    def peak(self, choice: tuple[float, float, float]) -> tuple[float, float]:
+        """Return the path's peak speed and its standard deviation for one choice of the numbers."""
+        names = ("ACCELERATION_M_S2", "ACCELERATION_LASTS_S", "ERRORS_LAST_S")
+        with mock.patch.multiple(path, **dict(zip(names, choice, strict=True))):
+            smooth = path.path_of(self.chain, self.states, self.covariance, self.fps)
+        assert smooth is not None
+        speed = np.linalg.norm(smooth.velocity_m_s, axis=1)
+        t = int(np.argmax(speed))
+        along = smooth.velocity_m_s[t] / speed[t]
+        variance = along @ smooth.covariance[t, 3:, 3:] @ along
+        return float(speed[t]), float(np.hypot(np.sqrt(variance), SIZE_SIGMA * speed[t]))
+
+
+def solve(run: Path, camera: int, fps: float) -> SolvedView:
+    """Solve one view as `recon frame --set path=free` does, with the covariances that the path reads."""
+    from recon.thesis import solver
+
+    covariances: list[np.ndarray] = []
+    solve_all = solver._solve_all
+
+    def kept(*given):
+        covariance, reports = solve_all(*given)
+        covariances.append(covariance)
+        return covariance, reports
+
+    settings = FitSettings(
+        keypoints=(run / f"cam{camera}.csv",),
+        camera=(run / "scene.json",),
+        camera_name=(f"cam{camera}",),
+        fps=fps,
+        method="frame",
+        skeleton="cheetah-8u",
+        path="free",
+    )
+    with (
+        mock.patch.object(solver, "_solve_all", kept),
+        mock.patch.object(
+            solver, "with_tolerance", lambda options, least=1e-3: solver.replace(options, tolerance=least)
+        ),
+    ):
+        motion = fit_clip(settings)
+    solution = frame_solution(motion)
+    truth = read_pose3d(run / "truth.csv")
+    return SolvedView(
+        run.name, solution.chain, solution.chain_states, covariances[0], fps, true_peak_m_s(motion, truth)
+    )
+
+
+def score(peaks: np.ndarray, true_m_s: np.ndarray) -> tuple[float, float, float]:
+    """Return the share near the truth, the coverage of the 90 % intervals, and the score, for peaks (V, 2)."""
+    peak, sigma = peaks.T
+    near = float(np.mean(np.abs(peak / true_m_s - 1) <= WITHIN))
+    covered = float(np.mean(np.abs(peak - true_m_s) <= radius(INTERVAL) * sigma))
+    return near, covered, near - abs(covered - INTERVAL)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, nargs="?", default=recordings("cheetah-runs"))
+    folder = parser.parse_args().folder
+    views = []
+    for run in sorted(meta.parent for meta in folder.glob("*/meta.json")):
+        meta = json.loads((run / "meta.json").read_text())
+        views += [solve(run, camera, meta["fps"]) for camera in meta["cameras"]]
+    if not views:
+        parser.exit(message=f"no runs in {folder}: nothing measured\n")
+    true_m_s = np.array([view.true_peak_m_s for view in views])
+    names = np.array([view.run for view in views])
+    peaks = {choice: np.array([view.peak(choice) for view in views]) for choice in {*CHOICES, OWN}}
+
+    def cells(choice: tuple[float, float, float], rows: np.ndarray) -> list[str]:
+        near, covered, _ = score(peaks[choice][rows], true_m_s[rows])
+        return [f"{near:.0%}", f"{covered:.0%}"]
+
+    def words(choice: tuple[float, float, float]) -> str:
+        return ", ".join(f"{number:g}" for number in choice)
+
+    every = np.ones(len(views), bool)
+    lines = []
+    for run in dict.fromkeys(names):
+        out = names == run
+        best = max(CHOICES, key=lambda choice: score(peaks[choice][~out], true_m_s[~out])[2])
+        lines.append([run[:26], str(out.sum()), words(best), *cells(best, out), *cells(OWN, out)])
+    best = max(CHOICES, key=lambda choice: score(peaks[choice], true_m_s)[2])
+    lines.append(["none", str(len(views)), words(best), *cells(best, every), *cells(OWN, every)])
+    heads = "run left out, views, chosen on the others (m/s2; s; s), near, 90 % hold"
+    print_table([*heads.split(", "), f"own ({words(OWN)}): near", "90 % hold"], lines)
+
+
+if __name__ == "__main__":
+    main()

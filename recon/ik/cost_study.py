@@ -1,0 +1,74 @@
+"""What the extended Jacobian does with each cost, on a closed path followed many times.
+
+Appendices B and C of C. van der Leek, MSc(Eng), University of Cape Town, 2022, try costs on the joint angles that make
+the method singular or its paths chaotic. A cost is "convergent" if the angles after every turn are those at its
+beginning, "singular" if the extended matrix was singular on the way, "chaotic" if two starts that are `NEAR_RAD` apart
+end `GROWTH` times as far apart, and "drifting" otherwise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from recon.base.arrays import Array
+from recon.ik.chain import SerialChain
+from recon.ik.costs import Cost
+from recon.ik.drive import follow
+from recon.ik.methods import ExtendedJacobian
+from recon.ik.null_space import to_null_space_optimum
+
+NEAR_RAD = 1e-6
+"""Distance of two starts in every joint."""
+CLOSED_RAD = 1e-3
+"""Largest change of a joint over a turn on a path that closes."""
+GROWTH = 1e3
+"""Factor by which the distance of two starts grows on a chaotic path."""
+TURNS = 10
+
+
+@dataclass(frozen=True)
+class CostOutcome:
+    """Hold what the extended Jacobian does with one cost on a closed path."""
+
+    outcome: str
+    """Convergent, singular, chaotic or drifting."""
+    stationary: str
+    """Kind of the stationary point that it starts from, or why none was reached."""
+    drift_rad: float
+    """Largest change of a joint from the start to the end of any turn."""
+    growth: float
+    """Factor by which the distance of two near starts grows."""
+    singular_steps: int
+    worst_error_m: float
+    """Largest distance of the end effector from the path."""
+    limits_hit: tuple[str, ...]
+    """Joints that a limit stopped."""
+
+
+def cost_outcome(
+    chain: SerialChain, q0: Array, path_m: Array, cost: Cost, interval_s: float, turns: int = TURNS
+) -> CostOutcome:
+    """Return what the extended Jacobian does with a cost on a closed path (K, dim), from the optimum next to q0."""
+    method = ExtendedJacobian(cost)
+    start, stationary = to_null_space_optimum(chain, q0, cost)
+    run = follow(chain, start, path_m, method, turns, interval_s)
+    near = follow(chain, start + NEAR_RAD, path_m, method, turns, interval_s)
+    drift_rad = float(np.nanmax(np.abs(run.q[:: len(path_m) - 1] - run.q[0])))
+    growth = float(np.nanmax(np.abs(near.q[-1] - run.q[-1]))) / NEAR_RAD
+    if drift_rad < CLOSED_RAD:
+        outcome = "convergent"
+    elif run.singular.any():
+        outcome = "singular"
+    else:
+        outcome = "chaotic" if growth > GROWTH else "drifting"
+    return CostOutcome(
+        outcome=outcome,
+        stationary=stationary,
+        drift_rad=drift_rad,
+        growth=growth,
+        singular_steps=int(run.singular.sum()),
+        worst_error_m=float(run.distance_m.max()),
+        limits_hit=tuple(run.limits),
+    )

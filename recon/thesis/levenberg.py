@@ -1,0 +1,77 @@
+"""Levenberg-Marquardt with a damping that is set: its first value, and the factor by which it changes.
+
+MINPACK, which the frame method uses otherwise, has a trust region and finds its damping by itself. The publication's
+solver has a first damping. It is divided by a factor after each step that lowers the cost, and multiplied by the factor
+after each other one. A step solves (J'J + lambda S) step = -J'r. S has the largest squared norms that columns of J have
+had, so that the damping has no unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from recon.base.arrays import Array
+
+_LARGEST = 1e12
+"""A damping above leads nowhere."""
+
+
+class Minimum(NamedTuple):
+    """Hold where a search ended, with the names of scipy's result."""
+
+    x: Array
+    cost: float
+    """Half the squared residuals."""
+    status: int
+    """As of scipy: 0 evaluations used up, 1 gradient small, 2 cost settled, 3 step small."""
+    nfev: int
+    njev: int
+
+
+def minimise(
+    residual: Callable[[Array], Array],
+    jacobian: Callable[[Array], Array],
+    start: Array,
+    tolerance: float,
+    max_evaluations: int,
+    initial_damping: float,
+    factor: float,
+) -> Minimum:
+    """Return the minimum of half the squared residuals that a start (n,) leads to.
+
+    The Jacobian is asked for at accepted points only. tolerance: relative change of the cost and of the step, and
+    largest component of the gradient relative to the norms of its column and of the residuals.
+    """
+    x, r, damping, scale = start.copy(), residual(start), initial_damping, np.zeros(len(start))
+    nfev, njev, status = 1, 0, 0
+    while nfev < max_evaluations and status == 0:
+        J = jacobian(x)
+        njev += 1
+        scale = np.maximum(scale, np.sum(J**2, axis=0))
+        weight = np.where(scale > 0, scale, 1.0)
+        gradient, hessian = J.T @ r, J.T @ J
+        size = np.linalg.norm(r) * np.linalg.norm(J, axis=0)
+        if not (np.abs(gradient) > tolerance * size).any():
+            status = 1
+            break
+        while nfev < max_evaluations:
+            step = np.linalg.solve(hessian + damping * np.diag(weight), -gradient)
+            new_r = residual(x + step)
+            nfev += 1
+            squares, new_squares = float(r @ r), float(new_r @ new_r)
+            is_small = np.linalg.norm(np.sqrt(weight) * step) <= tolerance * np.linalg.norm(np.sqrt(weight) * x)
+            if new_squares < squares:
+                x, r, damping = x + step, new_r, damping / factor
+                if squares - new_squares <= tolerance * squares:
+                    status = 2
+                elif is_small:
+                    status = 3
+                break
+            damping *= factor
+            if is_small or damping > _LARGEST:
+                status = 3
+                break
+    return Minimum(x, 0.5 * float(r @ r), status, nfev, njev)
