@@ -55,7 +55,7 @@ def audit(settings: _AuditSettings) -> Answer:
     """
     output = None
     if settings.out is not None:
-        made_from = ReadResults.of(settings.source) if (settings.source / MOTION).is_file() else None
+        made_from = ReadResults.read(settings.source) if (settings.source / MOTION).is_file() else None
         output = Output(settings.out, "audit", settings.overwrite, input_paths(settings), made_from, content="an audit")
         output.require((TABLE, PAGE))
     result = audit_file(

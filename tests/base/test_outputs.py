@@ -198,7 +198,7 @@ def test_a_pipe_in_place_of_a_file_is_not_waited_for(tmp_path, name):
         (tmp_path / name, *{RECORD: ("content", "another kind of file")}.get(name, ("file", "did not write")))
     ):
         written(tmp_path, a="2")
-    assert ReadResults.of(tmp_path).manifest is None or name != MANIFEST
+    assert ReadResults.read(tmp_path).manifest is None or name != MANIFEST
     assert (tmp_path / "b.csv").read_text() == "1"
 
 

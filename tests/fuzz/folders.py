@@ -164,7 +164,7 @@ def _written_folder(root: Path) -> None:
     with Output(out, "fit", has_manifest=True).staged() as staging:
         for name in ("a.csv", "b.csv", "c.csv"):
             (staging / name).write_text(OWN)
-    with Output(out / "analysis", "analyse", made_from=ReadResults.of(out)).staged() as staging:
+    with Output(out / "analysis", "analyse", made_from=ReadResults.read(out)).staged() as staging:
         (staging / "e.csv").write_text(OWN)
     (root / "precious.csv").write_text(OWN)
     (out / "b.csv").write_text("changed")
@@ -203,7 +203,7 @@ def write_after(path: Path) -> object:
                 (staging / name).write_text("new")
 
     def analyse() -> None:
-        with Output(out / "analysis", "analyse", True, made_from=ReadResults.of(out)).staged(adds=True) as staging:
+        with Output(out / "analysis", "analyse", True, made_from=ReadResults.read(out)).staged(adds=True) as staging:
             (staging / "e.csv").write_text("new")
 
     refusals = []
