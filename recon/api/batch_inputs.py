@@ -39,6 +39,8 @@ OPTION = "--cameras-by"
 SEPARATORS = "-_. "
 """Characters next to the camera's name in a file's name."""
 _MANIFEST = "a CSV table with columns keypoints, camera and fps"
+MOST_BYTES = 240
+"""Longest name of a clip: file systems take 255 bytes, and a number may come behind it."""
 _UNFIT = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 """Characters that some file systems refuse in names."""
 BETWEEN = "|"
@@ -623,7 +625,8 @@ def _names(drafts: Sequence[_Draft]) -> list[str]:
     names = []
     for draft in drafts:
         tags = (str(draft.row[key]).replace(":", "-") for key in ("individual", "frames") if key in draft.row)
-        plain = _UNFIT.sub("_", encodable("-".join((file_name[draft.title], *tags)))).strip(". ") or "clip"
+        plain = _UNFIT.sub("_", encodable("-".join((file_name[draft.title], *tags))))
+        plain = plain.encode()[:MOST_BYTES].decode(errors="ignore").strip(". ") or "clip"
         free = (name for i in counting(1) if (name := f"{plain}-{i}" if i > 1 else plain).casefold() not in taken)
         names.append(draft.name or next(free))
         taken.add(names[-1].casefold())

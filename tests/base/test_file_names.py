@@ -87,6 +87,20 @@ def test_a_batch_goes_on_with_a_name_that_is_not_utf_8(latin_1, tmp_path):
     assert {clip["action"] for clip in json.loads(again.out)["clips"]} == {"done"}
 
 
+def test_a_clip_s_folder_has_a_name_that_file_systems_take(tmp_path):
+    """Codes of bytes are longer than the bytes, and two long names may begin alike."""
+    names = [os.fsdecode(b"\xe9" * 240 + b"-%d.csv" % number) for number in range(2)] + ["ä" * 120 + ".csv"]
+    try:
+        for name in names:
+            shutil.copy(SAMPLES / "whole.csv", tmp_path / name)
+    except (OSError, UnicodeError):
+        pytest.skip("names are Unicode here")
+    clips, _ = find_clips([tmp_path], {"camera": SAMPLES / "camera.toml", "fps": 60})
+    assert len({clip.name for clip in clips}) == 3
+    for clip in clips:
+        (tmp_path / clip.name).mkdir()
+
+
 def test_a_video_with_such_a_name_is_refused(tmp_path):
     """OpenCV crashes at it."""
     from recon.io.video import probe
