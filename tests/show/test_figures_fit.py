@@ -21,7 +21,7 @@ from recon.gait.clip import ClipAnalysis, analyse
 from recon.show.plots import style
 from recon.show.plots.configurations import angle_ranges, camera_advice, views
 from recon.show.plots.flexion import joint_flexion
-from recon.show.plots.over_time import angle_over_time, footfall, speeds
+from recon.show.plots.over_time import footfall, speeds
 
 ROOT = Path(__file__).parents[2]
 
@@ -41,13 +41,10 @@ def test_a_text_that_is_cut_off_is_found():
 def test_figures_of_several_clips_and_of_the_page_have_all_their_text(whole):
     moved = {name: whole.joints[name] for name in ("spine", "l_front_paw", "nose")}
     motion = whole.motion
-    angle = {"l_fore_lower_pitch": (motion.posture_rad[:, 3], motion.posture_sigma_rad[:, 3], True)}
-    doubtful = np.zeros(len(motion.frames), dtype=bool)
     figures = {
         "speeds": speeds(moved, "three joints"),
         "narrow speeds": speeds(moved, width_mm=style.COLUMN_MM),
         "gaits": footfall({"by one camera": whole.gait, "by another camera": whole.gait}, motion.fps, "two gaits"),
-        "angle": angle_over_time(motion.time_s, "fore lower pitch", angle, doubtful),
         "flexion of some": joint_flexion(whole.flexion_curves[:4], "four joints"),
     }
     assert {name: texts for name, figure in figures.items() if (texts := cut_off(figure))} == {}

@@ -28,8 +28,7 @@ from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.io.video import video_writer
 from recon.show.console import TO_DO
-from recon.show.page.pages import _angles, _sections, _without_unseen, clip_page, doubtful_frames, inline
-from recon.show.plots.over_time import angle_over_time
+from recon.show.page.pages import _sections, _without_unseen, clip_page, doubtful_frames, inline
 from recon.show.plots.style import drawing
 from recon.show.report import build_report
 
@@ -135,19 +134,19 @@ def test_a_page_says_what_the_report_says(page, folder):
     assert "left and right" not in page.text  # no frame has that flag
     assert list(doubtful_frames(results)) == [(3, "13", "no data"), (5, "15", "data poor, ambiguous depth")]
     headings = re.findall(r"<h2>(.*?)</h2>", page.html)
-    assert headings[:4] == [
+    assert headings[:6] == [
         "From the side, from above and from ahead",
         "Speed",
         "Footfalls",
         "Angles over time",
+        "Doubtful frames",
+        "Keypoints",
     ]
     # A picture comes before the words.
     assert page.html.index("<img") < page.html.index("Frames: 8 of 8")
     assert len(page.attributes("img", "src")) == 8
     assert set(page.attributes("img", "alt")) == {f"frame {frame}, with the fitted pose" for frame in range(10, 18)}
-    panels = _angles(results)
-    assert len(panels) == 18
-    assert page.html.count("<svg") == 3 + len(panels)
+    assert page.html.count("<svg") == 3
     assert set(page.attributes("a", "href")) == set(read_manifest(folder).files)
 
 
@@ -270,24 +269,6 @@ def test_figures_stand_in_a_page_as_vectors_or_where_those_are_large_as_pixels()
     assert "<script" not in svg
     assert "<style" not in svg  # it would be the page's
     assert inline(figure, 1000).startswith('<img alt="" src="data:image/png;base64,')
-
-
-def test_angles_of_both_sides_share_a_figure(small_trajectory):
-    found = _angles(small_trajectory)
-    assert [*found["l/r hind shin pitch"]] == ["l_hind_shin_pitch", "r_hind_shin_pitch"]
-    assert [*found["head yaw"]] == ["head_yaw"]
-    assert sorted(name for both in found.values() for name in both) == sorted(small_trajectory.posture_names)
-    time_s, ones = np.arange(5) / 10.0, np.ones(5)
-    curves = {"l_hip_pitch": (0.1 * ones, 0.01 * ones, True), "r_hip_pitch": (0.2 * ones, 0.02 * ones, False)}
-    doubtful = np.array([False, True, True, False, True])
-    (axes,) = angle_over_time(time_s, "hips", curves, doubtful).axes
-    left, right = axes.lines
-    np.testing.assert_allclose(left.get_ydata(), np.degrees(0.1))
-    np.testing.assert_allclose(right.get_ydata(), np.degrees(0.2))
-    assert (left.get_color(), right.get_color()) == ("#0072B2", "#666666")
-    spans = [patch.get_extents().transformed(axes.transData.inverted()) for patch in axes.patches]
-    np.testing.assert_allclose([(span.x0, span.x1) for span in spans], [(0.05, 0.25), (0.35, 0.45)])
-    assert axes.get_title(loc="left") == "hips (°)"
 
 
 # -- a batch ----------------------------------------------------------------------------------------------------------

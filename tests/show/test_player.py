@@ -90,6 +90,18 @@ def test_curves_and_stances_are_those_of_the_analysis(whole_results):
     assert [stance["foot"] for stance in data["stances"]] == [stance.foot for stance in analysis.gait.stances]
 
 
+def test_angles_of_both_sides_share_a_panel(small_trajectory):
+    panels = player_data.posture_panels(small_trajectory)
+    assert len(panels) == 18
+    assert [*panels["l/r hind shin pitch"]] == ["left", "right"]
+    assert [*panels["head yaw"]] == [None]
+    index = small_trajectory.posture_names.index("r_hind_shin_pitch")
+    degrees, sigma, measured = panels["l/r hind shin pitch"]["right"]
+    np.testing.assert_allclose(degrees, np.degrees(small_trajectory.posture_rad[:, index]))
+    np.testing.assert_allclose(sigma, np.degrees(small_trajectory.posture_sigma_rad[:, index]))
+    assert measured
+
+
 def test_numbers_that_are_not_known_stay_unknown():
     values = np.array([np.nan, -1.0, 3.0, np.inf])
     np.testing.assert_allclose(unpacked(player_data.packed(values)), [np.nan, -1, 3, np.nan], atol=1e-4)

@@ -18,13 +18,12 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.figure import Figure
 
-from recon.animal.naming import both_sides
 from recon.base.arrays import Array
 from recon.base.errors import InputError, printable
 from recon.base.package import version
 from recon.check.codes import FLAGS
 from recon.check.verdict import NOTHING_AGAINST, verdict_lines
-from recon.fit.motion import MEASURED_SHARE, Motion
+from recon.fit.motion import Motion
 from recon.fit.result import LEVELS
 from recon.gait.clip import ClipAnalysis
 from recon.gait.kinematics import MIN_POINTS, JointKinematics
@@ -37,7 +36,7 @@ from recon.show.page.quality import quality_tables
 from recon.show.page.scripts import script, style
 from recon.show.plots.configurations import composites
 from recon.show.plots.flexion import joint_flexion
-from recon.show.plots.over_time import AngleCurve, angle_over_time, footfall, forces, speeds
+from recon.show.plots.over_time import footfall, forces, speeds
 from recon.show.plots.style import png_of, svg_of
 from recon.show.report import build_report
 from recon.show.sentences import result_sentences
@@ -114,6 +113,7 @@ def clip_page(
     report = build_report(motion)
     has_pose = np.isfinite(motion.upright.xyz_m).all(axis=(1, 2))
     analysis = ClipAnalysis(motion) if has_pose.sum() >= MIN_POINTS else None
+    player = player_data(motion, analysis, number, pictures) if has_pose.any() else None
     doubtful, reason = list(doubtful_frames(motion)), "" if motion.verdict is None else motion.verdict.reason
     findings = list(enumerate(report["findings"]))
     further = [(number, item) for number, item in findings if item["text"] not in reason]
@@ -131,7 +131,8 @@ def clip_page(
         stills=stills,
         behind=video,
         camera=motion.cameras[number].name if len(motion.cameras) > 1 else "the camera",
-        player=player_data(motion, analysis, number, pictures) if has_pose.any() else None,
+        player=player,
+        has_angles=player is not None and any(panel["group"] != "speed" for panel in player["curves"]),
         player_style=style("player"),
         player_script=script("main"),
         quality=quality_tables(motion),
@@ -189,7 +190,7 @@ def doubtful_frames(motion: Motion) -> Iterator[tuple[int, str, str]]:
 def _group(heading: str, text: str, figures: Sequence[Figure], width: str = "wide") -> dict[str, Any]:
     """Return figures with a heading and a text.
 
-    width: several small figures share a line, wide ones scroll on a phone, narrow ones do neither.
+    width: wide figures scroll on a phone, narrow ones do not.
     """
     drawn = [inline(figure, SECTION_CHARACTERS // len(figures)) for figure in figures]
     return {"heading": heading, "text": text, "figures": drawn, "width": width}
@@ -229,14 +230,6 @@ def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
                 f"with the masses of {motion.body.mass_source}. Validated on galloping cheetahs."
             )
             yield _group("Vertical forces", text, [forces(dynamics, gait)])
-    doubtful = np.array([bool(flags) for flags in motion.flags])
-    yield _group(
-        "Angles over time",
-        "Angles of the model's joints with 90 % bands. Left: blue and dashed; right: orange; middle: black; grey "
-        "curves come mostly from the prior. Doubtful frames have a grey background.",
-        [angle_over_time(motion.time_s, *panel, doubtful) for panel in _angles(motion).items()],
-        "small",
-    )
 
 
 def _stretches(motion: Motion, path: JointKinematics) -> Iterator[Array]:
@@ -250,15 +243,6 @@ def _stretches(motion: Motion, path: JointKinematics) -> Iterator[Array]:
         part = np.full_like(joints_m, np.nan)
         part[rows] = joints_m[rows]
         yield part
-
-
-def _angles(motion: Motion) -> dict[str, dict[str, AngleCurve]]:
-    """Return each angle with its counterpart of the other side, by title."""
-    shares, panels = motion.data_shares, dict[str, dict[str, AngleCurve]]()
-    for name, angle, sigma in zip(motion.posture_names, motion.posture_rad.T, motion.posture_sigma_rad.T, strict=True):
-        panel = panels.setdefault(both_sides(name).replace("_", " "), {})
-        panel[name] = angle, sigma, not shares[name] < MEASURED_SHARE
-    return panels
 
 
 # -- page of a batch ---------------------------------------------------------------------------------------------------

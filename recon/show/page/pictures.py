@@ -85,7 +85,7 @@ def cut_of(points_px: Array, fps: float, picture_px: tuple[int, int]) -> Cut:
     """
     picture = np.array(picture_px)
     corners = np.zeros((len(points_px), 2), dtype=int)
-    known = np.isfinite(points_px).all(axis=2).any(axis=1)
+    known = np.isfinite(points_px.sum(axis=2)).any(axis=1)
     if not known.any():
         return Cut(corners, picture_px, LADDER[0][0])
     low, high = np.nanmin(points_px[known], axis=1), np.nanmax(points_px[known], axis=1)
@@ -103,7 +103,8 @@ def cut_of(points_px: Array, fps: float, picture_px: tuple[int, int]) -> Cut:
     centres[known] = (low + high) / 2
     filled = pd.DataFrame(centres).interpolate(limit_direction="both").to_numpy()
     half = min(round(SMOOTH_S * fps / 2), len(filled) - 1)
-    padded = np.pad(filled, ((half, half), (0, 0)), "reflect", reflect_type="odd")  # goes on as it went at the ends
+    before, after = 2 * filled[0] - filled[half:0:-1], 2 * filled[-1] - filled[-2 : -half - 2 : -1]
+    padded = np.concatenate([before, filled, after])  # goes on as it went at the ends
     smooth = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0).mean(axis=-1)
     corners = np.clip(np.round(smooth - size / 2), 0, picture - size).astype(int)
     return Cut(corners, (int(size[0]), int(size[1])), WINDOW_PX)

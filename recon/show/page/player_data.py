@@ -14,7 +14,7 @@ import numpy as np
 
 from recon.animal.body import side_of
 from recon.animal.naming import both_sides
-from recon.base.arrays import Array
+from recon.base.arrays import Array, Integers
 from recon.check.codes import sentences
 from recon.fit.motion import MEASURED_SHARE, Motion, Picture
 from recon.fit.posterior import radius
@@ -27,7 +27,9 @@ LARGEST, NOTHING = 32_000, -32_768
 LARGEST_BYTE, NO_BYTE = 254, 255
 CAMERA_BYTES = 1_800_000
 """Largest size of the cameras' detections in a page before base64; the chosen camera is always there."""
-POSTURE_BYTES = 700_000
+SPREADS = 600
+"""Frames whose uncertainty is in a page, evenly chosen: it changes slowly."""
+POSTURE_BYTES = 400_000
 """Largest size of the curves of the model's own angles, which a skeleton with anatomy has besides its flexions."""
 MISSING, FITS, OUTLIER = 0, 1, 2
 """State of a detection."""
@@ -105,7 +107,7 @@ def packed_shares(values: Array) -> dict[str, Any]:
     return {"type": "u1", "unit": 1 / LARGEST_BYTE, "offset": 0.0, "data": data}
 
 
-def packed_integers(values: Array) -> dict[str, Any]:
+def packed_integers(values: Integers) -> dict[str, Any]:
     """Return an array of whole numbers as 32-bit ones in base64."""
     data = base64.b64encode(np.asarray(values).astype("<i4").tobytes()).decode()
     return {"type": "i4", "unit": 1, "offset": 0, "data": data}
@@ -123,10 +125,12 @@ def _scene(motion: Motion) -> dict[str, Any]:
     """Return joints, uncertainty, ground and cameras in the frame of `Motion.upright`, metres, z up."""
     joints_m = motion.upright.xyz_m
     posed_m = joints_m[motion.solved]
+    every = -(-len(joints_m) // SPREADS)
     lengths_m = np.nanmax(np.ptp(posed_m, axis=1), axis=1) if len(posed_m) else np.ones(1)
     return {
         "joints_m": packed(joints_m, 1e-5),
-        "spread_m": packed(_spreads(motion.solution.relative_covariance_m2), 1e-6),
+        "spread_m": packed(_spreads(motion.solution.relative_covariance_m2[every // 2 :: every]), 1e-6),
+        "spread_every": every,
         "radius_90": radius(INTERVAL, 2),
         "length_m": float(np.nanmedian(lengths_m)),
         "ground": list(_grounds(motion)),
@@ -136,12 +140,12 @@ def _scene(motion: Motion) -> dict[str, Any]:
 
 def _spreads(covariance_m2: Array) -> Array:
     """Return the lower Cholesky factors of covariances (T, J, 3, 3), (T, J, 6): xx, yx, yy, zx, zy, zz."""
-    known = np.isfinite(covariance_m2).all(axis=(2, 3))
-    regular = np.where(known[..., None, None], covariance_m2, 0.0) + 1e-12 * np.eye(3)
+    known = np.isfinite(covariance_m2.sum(axis=(2, 3), keepdims=True))
+    regular = np.where(known, covariance_m2, 0.0) + 1e-12 * np.eye(3)
     values, vectors = np.linalg.eigh(regular)  # rounding can leave a variance just below 0
     regular = (vectors * np.maximum(values, 1e-12)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
     factors = np.linalg.cholesky(regular)[..., [0, 1, 1, 2, 2, 2], [0, 0, 1, 0, 1, 2]]
-    return np.where(known[..., None], factors, np.nan)
+    return np.where(known[..., 0], factors, np.nan)
 
 
 def _grounds(motion: Motion) -> Iterator[dict[str, Any]]:
@@ -221,8 +225,8 @@ def _curves(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
     if analysis.why_no_speed is None:
         series = analysis.reference_motion.series
         values = (analysis.reference_motion.speed_m_s, analysis.reference_motion.speed_sigma_m_s)
-        at_frames = [_at(motion.time_s, series.time_s, x) for x in values]
-        yield _panel(f"speed of {motion.reference}", "m/s", "speed", {None: (*at_frames, True)}, least=0.0)
+        speed, sigma = (_at(motion.time_s, series.time_s, x) for x in values)
+        yield _panel(f"speed of {motion.reference}", "m/s", "speed", {None: (speed, sigma, True)}, least=0.0)
     by_joint: dict[str, dict[Any, tuple[Array, Array, bool]]] = {}
     for flexion in analysis.flexions:
         curves = by_joint.setdefault(flexion.joint, {})

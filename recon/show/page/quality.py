@@ -58,8 +58,8 @@ def swapped_frames(motion: Motion, picture: Picture) -> Array:
         if item.code in SWAPS and item.camera in (None, picture.name):
             first, stop = item.frames or (motion.frames[0], motion.frames[-1] + 1)
             rows = (motion.frames >= first) & (motion.frames < stop)
-            names = [motion.names.index(name) for name in item.names("keypoints") if name in motion.names]
-            swapped[np.ix_(rows, names)] = True
+            for name in {*item.names("keypoints")} & {*motion.names}:
+                swapped[rows, motion.names.index(name)] = True
     return swapped
 
 

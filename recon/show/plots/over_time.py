@@ -23,10 +23,8 @@ from matplotlib.path import Path
 from matplotlib.quiver import Quiver
 from matplotlib.ticker import MaxNLocator
 
-from recon.animal.body import side_of
 from recon.base.arrays import Array, Bools
 from recon.base.numbers import length_text, percent, plus_minus
-from recon.clip import frame_ranges
 from recon.fit.motion import MEASURED_SHARE
 from recon.gait.dynamics import Dynamics
 from recon.gait.gait import Gait, Stance
@@ -247,46 +245,6 @@ def _limit(axes: Axes, series: list[tuple[Array, Array]]) -> None:
     tops = [np.nanmax(v + style.REACH * s) for v, s in series if np.isfinite(v + s).any()]
     top = min(np.max(tops, initial=highest), BAND_ROOM * highest)
     axes.set_ylim(0, 1.06 * top if top > 0 else 1.0)
-
-
-# -- angles ------------------------------------------------------------------------------------------------------------
-
-ANGLES_MM = (62.0, 36.0)
-"""Width and height: three are a page wide."""
-_BOX = (0.12, 0.24, 0.85, 0.61)
-
-
-AngleCurve = tuple[Array, Array, bool]
-"""One angle of a clip of T frames: (T,) rad, NaN if unknown, its standard deviation (T,), and whether most of its
-precision comes from the pixels."""
-
-
-def angle_over_time(time_s: Array, title: str, curves: Mapping[str, AngleCurve], doubtful: Bools) -> Figure:
-    """Draw angles in degrees with 90 % bands.
-
-    The left side is blue, the right side orange, and angles mostly from the prior grey. time_s (T,); doubtful (T,):
-    frames with a grey background.
-    """
-    width, height = ANGLES_MM
-    with style.drawing(height, width) as figure:
-        figure.set_layout_engine("none")  # which takes longer than all the rest
-        axes = figure.add_axes(_BOX)
-        for name, (angle_rad, sigma_rad, measured) in curves.items():
-            side = side_of(name)
-            colour = {"left": style.COLOURS[0], "right": style.COLOURS[1], None: "k"}[side] if measured else style.GREY
-            degrees = np.degrees(angle_rad)
-            axes.plot(time_s, degrees, color=colour, lw=1.0, linestyle=(0, (4, 1.2)) if side == "left" else "-")
-            style.draw_band(axes, time_s, degrees, np.degrees(sigma_rad), colour, least=-np.inf)
-        half = 0.5 * float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.5
-        for first, stop in frame_ranges(np.flatnonzero(doubtful)):
-            ends = float(time_s[first]) - half, float(time_s[stop - 1]) + half
-            axes.axvspan(*ends, color=style.PALE, alpha=0.4, lw=0, zorder=0)
-        axes.set_xlim(time_s[0] - half, time_s[-1] + half)
-        axes.locator_params(axis="y", nbins=5)
-        axes.locator_params(axis="x", nbins=6)
-        axes.set_xlabel("time (s)", fontsize=style.SMALL, labelpad=1)
-        axes.set_title(f"{title} (°)", loc="left", pad=3)
-    return figure
 
 
 # -- phase space: phase portraits, the rate of an angle over it, and vector fields along time --------------------------

@@ -4,7 +4,8 @@ const ARRAYS = { i2: [Int16Array, -32768], u1: [Uint8Array, 255], i4: [Int32Arra
 
 /** Return a packed array as numbers, NaN where nothing is known. */
 export function unpacked(packed) {
-  const bytes = Uint8Array.from(atob(packed.data), (c) => c.charCodeAt(0));
+  const text = atob(packed.data), bytes = new Uint8Array(text.length);
+  for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
   const [Kind, nothing] = ARRAYS[packed.type];
   const units = new Kind(bytes.buffer); // little-endian, as every machine with a browser is
   if (packed.type === "i4") return units;
@@ -105,6 +106,7 @@ export class Clip {
     const scene = raw.scene;
     this.xyz = unpacked(scene.joints_m);
     this.spread = unpacked(scene.spread_m);
+    this.spreadEvery = scene.spread_every;
     this.radius90 = scene.radius_90;
     this.length = scene.length_m;
     this.ground = scene.ground;

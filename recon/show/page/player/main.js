@@ -10,8 +10,8 @@ import { CurveStrip, ErrorStrip, FlagStrip, FootStrip } from "./strips.js";
 
 const player = document.querySelector(".player");
 
-/** Add a strip under the pictures and return its canvas and the place of its value. */
-function addStrip(name, height) {
+/** Make an empty strip: its canvas and the places of its name and value. */
+function newStrip(name, height) {
   const strip = document.createElement("div"), head = document.createElement("div");
   const title = document.createElement("span"), output = document.createElement("output"), canvas = document.createElement("canvas");
   [strip.className, head.className, title.textContent] = ["strip", "strip-head", name];
@@ -20,8 +20,14 @@ function addStrip(name, height) {
   output.setAttribute("aria-live", "off");
   head.append(title, output);
   strip.append(head, canvas);
-  player.querySelector(".strips").append(strip);
-  return { canvas, title, output };
+  return { strip, canvas, title, output };
+}
+
+/** Add a strip under the pictures. */
+function addStrip(name, height) {
+  const made = newStrip(name, height);
+  player.querySelector(".strips").append(made.strip);
+  return made;
 }
 
 /** Add a strip whose curve is chosen from a list. */
@@ -34,6 +40,23 @@ function addChoice(clip, cursor, panels, chosen) {
   const strip = new CurveStrip(canvas, clip, cursor, output, panels[chosen]);
   select.addEventListener("change", () => { strip.setPanel(panels[select.selectedIndex]); strip.draw(); });
   return strip;
+}
+
+/** Draw every angle by itself, side by side. */
+function addPanels(clip, cursor, panels, strips) {
+  const section = document.querySelector(".angles");
+  if (!section || !panels.length) return;
+  section.hidden = false;
+  for (const panel of panels) {
+    const { strip, canvas, output } = newStrip(panel.title, 96);
+    section.querySelector(".small").append(strip);
+    strips.push(new CurveStrip(canvas, clip, cursor, output, panel));
+  }
+}
+
+/** Show the keypoints of one camera in the table. */
+function showTable(camera) {
+  for (const body of document.querySelectorAll("tbody[data-camera]")) body.hidden = Number(body.dataset.camera) !== camera;
 }
 
 function start() {
@@ -71,20 +94,32 @@ function start() {
   }
   strips.push(map);
 
-  // All views in one go, at most once for each refresh of the screen.
+  addPanels(clip, cursor, angles, strips);
+
+  // All views in one go, at most once for each refresh of the screen. Strips outside the screen wait.
   let due = false, all = false;
-  const draw = () => {
-    due = false;
+  const draw = (always = false) => {
     const whole = all;
-    all = false;
+    [due, all] = [false, false];
     picture.draw();
     scene.draw();
-    for (const strip of strips) if (whole) strip.refresh(); else strip.draw();
+    for (const strip of strips) {
+      strip.stale = strip.stale || whole;
+      strip.draw(always);
+    }
   };
   const plan = (whole) => {
     all = all || whole;
-    if (!due) { due = true; requestAnimationFrame(draw); }
+    if (!due) { due = true; requestAnimationFrame(() => draw()); }
   };
+  const seen = new IntersectionObserver((entries) => {
+    for (const { target, isIntersecting } of entries) strips.find(({ canvas }) => canvas === target).visible = isIntersecting;
+    plan(false);
+  }, { rootMargin: "100px" });
+  for (const strip of strips) {
+    strip.visible = false;
+    seen.observe(strip.canvas);
+  }
   let { camera } = cursor;
   const followCamera = () => {
     if (camera === cursor.camera) return false;
@@ -93,20 +128,27 @@ function start() {
     picture.length = picture.animalLength;
     return true;
   };
-  for (const body of document.querySelectorAll("tbody[data-camera]")) body.hidden = Number(body.dataset.camera) !== camera;
+  showTable(camera);
   cursor.on("row", () => { picture.seek(); plan(false); });
   cursor.on("state", () => {
     const changed = followCamera();
-    if (changed) for (const body of document.querySelectorAll("tbody[data-camera]")) body.hidden = Number(body.dataset.camera) !== camera;
+    if (changed) {
+      showTable(camera);
+      for (const strip of strips) if (strip.cameraChanged) strip.cameraChanged();
+    }
     plan(changed);
   });
   const controls = new Controls(player, clip, cursor, picture, scene);
   linkText(clip, cursor, player);
-  new ResizeObserver(() => plan(true)).observe(player);
+  let wide = player.clientWidth;
+  new ResizeObserver(() => {
+    if (wide !== player.clientWidth) plan(true);
+    wide = player.clientWidth;
+  }).observe(player);
   for (const query of ["(prefers-color-scheme: dark)", "print"]) {
-    window.matchMedia(query).addEventListener("change", () => { all = true; draw(); });
+    window.matchMedia(query).addEventListener("change", () => { all = true; draw(query === "print"); });
   }
-  window.addEventListener("beforeprint", () => { all = true; draw(); });
+  window.addEventListener("beforeprint", () => { all = true; draw(true); });
   const posed = clip.frames.findIndex((_, row) => clip.hasPose(row));
   cursor.row = Math.max(0, posed);
   scene.preset("side");

@@ -38,13 +38,15 @@ export class KeypointMap extends Strip {
 
   /** Return the error at which the scale ends: the 98th percentile, so that one outlier does not hide the rest. */
   limits(camera) {
+    if (this.limitsOf && this.limitsOf.camera === camera) return this.limitsOf.ends;
     const errors = [];
     for (let row = 0; row < this.clip.count; row++) {
       for (let j = 0; j < this.clip.joints; j++) { const error = camera.error(row, j); if (error >= 0) errors.push(error); }
     }
     errors.sort((a, b) => a - b);
     const high = errors.length ? errors[Math.floor(0.98 * (errors.length - 1))] : 1;
-    return [Math.max(0.2, high / 100), Math.max(1, high)];
+    this.limitsOf = { camera, ends: [Math.max(0.2, high / 100), Math.max(1, high)] };
+    return this.limitsOf.ends;
   }
 
   drawFlagged() {}

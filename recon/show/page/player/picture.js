@@ -49,9 +49,12 @@ export class PictureView {
   /** Return the picture of a row, or the nearest one: its number, or -1. */
   pictureOf(row) {
     const { rows } = this.pictures;
-    let best = -1;
-    for (let i = 0; i < rows.length; i++) if (best < 0 || Math.abs(rows[i] - row) < Math.abs(rows[best] - row)) best = i;
-    return best;
+    let low = 0, high = rows.length - 1;
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (rows[middle] < row) low = middle + 1; else high = middle;
+    }
+    return low > 0 && row - rows[low - 1] <= Math.abs(rows[low] - row) ? low - 1 : low;
   }
 
   image(number) {

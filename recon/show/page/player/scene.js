@@ -207,8 +207,9 @@ export class SceneView {
   /** Ellipses that hold a joint with 90 %, relative to the pose: the factor of its covariance, seen from here. */
   drawUncertainty(pen, paint) {
     const { clip, cursor } = this, { right, up, scale } = this.axes;
+    const at = Math.min(Math.floor(cursor.row / clip.spreadEvery), clip.spread.length / 6 / clip.joints - 1);
     for (let j = 0; j < clip.joints; j++) {
-      const i = 6 * (cursor.row * clip.joints + j), s = clip.spread;
+      const i = 6 * (at * clip.joints + j), s = clip.spread;
       if (Number.isNaN(s[i])) continue;
       const columns = [[s[i], s[i + 1], s[i + 3]], [0, s[i + 2], s[i + 4]], [0, 0, s[i + 5]]];
       let [xx, xy, yy] = [0, 0, 0];

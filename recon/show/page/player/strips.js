@@ -6,7 +6,7 @@ const DASHES = { left: [5, 3], right: [], middle: [] };
 
 export class Strip {
   constructor(canvas, clip, cursor, output = null) {
-    Object.assign(this, { canvas, clip, cursor, output, still: document.createElement("canvas"), stale: true });
+    Object.assign(this, { canvas, clip, cursor, output, still: document.createElement("canvas"), stale: true, visible: true });
     const scrub = (event) => {
       const box = canvas.getBoundingClientRect();
       this.clicked(event.clientX - box.left, event.clientY - box.top, event.type === "pointerdown");
@@ -42,9 +42,10 @@ export class Strip {
     this.draw();
   }
 
-  draw() {
+  /** Draw it if it is on the screen; `always` for paper. */
+  draw(always = false) {
     const { canvas, still } = this;
-    if (!canvas.clientWidth) return;
+    if (!canvas.clientWidth || !(this.visible || always)) return;
     const { pen, wide, high } = penOf(canvas), paint = colours(canvas);
     if (this.stale || still.width !== canvas.width || still.height !== canvas.height) {
       [still.width, still.height] = [canvas.width, canvas.height];
@@ -124,8 +125,7 @@ export class CurveStrip extends Strip {
       pen.setLineDash(DASHES[curve.side]);
       pen.beginPath();
       let on = false;
-      for (let row = 0; row < this.clip.count; row++) {
-        const value = curve.values[row];
+      for (const [row, value] of this.thinned(curve.values, wide)) {
         if (Number.isNaN(value)) { on = false; continue; }
         pen[on ? "lineTo" : "moveTo"](this.x(row), this.y(value, high));
         on = true;
@@ -135,8 +135,25 @@ export class CurveStrip extends Strip {
     }
   }
 
+  /** Return the points to draw, row and value: of a long clip the least and the greatest of each half pixel. */
+  thinned(values, wide) {
+    const every = Math.floor(this.clip.count / (2 * wide)), points = [];
+    if (every < 2) { values.forEach((value, row) => points.push([row, value])); return points; }
+    for (let row = 0; row < values.length; row += every) {
+      let [low, high] = [row, row];
+      for (let i = row; i < Math.min(row + every, values.length); i++) {
+        if (Number.isNaN(values[i])) { low = high = i; break; }
+        if (values[i] < values[low]) low = i;
+        if (values[i] > values[high]) high = i;
+      }
+      points.push([Math.min(low, high), values[Math.min(low, high)]]);
+      if (low !== high) points.push([Math.max(low, high), values[Math.max(low, high)]]);
+    }
+    return points;
+  }
+
   drawBand(pen, curve, high, paint) {
-    const { values, band } = curve;
+    const { values, band } = curve, every = Math.max(1, Math.floor(this.clip.count / this.canvas.clientWidth));
     pen.save();
     pen.globalAlpha = 0.16;
     pen.fillStyle = curve.measured ? paint[curve.side] : paint.soft;
@@ -145,8 +162,8 @@ export class CurveStrip extends Strip {
       while (stop < this.clip.count && !Number.isNaN(values[stop]) && !Number.isNaN(band[stop])) stop++;
       if (stop > row) {
         pen.beginPath();
-        for (let i = row; i < stop; i++) pen.lineTo(this.x(i), clamp(this.y(values[i] + band[i], high), high));
-        for (let i = stop - 1; i >= row; i--) pen.lineTo(this.x(i), clamp(this.y(values[i] - band[i], high), high));
+        for (let i = row; i < stop; i += every) pen.lineTo(this.x(i), clamp(this.y(values[i] + band[i], high), high));
+        for (let i = stop - 1; i >= row; i -= every) pen.lineTo(this.x(i), clamp(this.y(values[i] - band[i], high), high));
         pen.fill();
       }
       row = Math.max(stop, row + 1);
@@ -188,9 +205,8 @@ export class ErrorStrip extends CurveStrip {
     super(canvas, clip, cursor, output, errorPanel(clip.cameras[cursor.camera], clip));
   }
 
-  refresh() {
+  cameraChanged() {
     this.setPanel(errorPanel(this.clip.cameras[this.cursor.camera], this.clip));
-    super.refresh();
   }
 }
 

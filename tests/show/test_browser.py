@@ -1,0 +1,290 @@
+"""Pages in a real browser: nothing is cut or off the screen, controls do what they say, all views show one frame.
+
+They need Chromium and the package playwright (`apt-get install chromium`), and skip without.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from motions import with_first
+
+from recon import FitSettings, write_clip
+from recon.check.codes import finding
+from recon.cli.look import PageSettings, report
+from recon.fit.motion import Motion
+from recon.fit.result import Verdict
+from recon.io.video import video_writer
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), "")
+EVIL = '<img src=x onerror="alert(1)">&\'.csv'
+VIEWS = {"desk": (1280, "light"), "phone": (390, "light"), "night": (1280, "dark")}
+PLAYER = "document.querySelector('.player').reconPlayer"
+CUT = """() => {
+  const texts = "h1, h2, p, li, td, th, button, label, select, figcaption, output, canvas, img";
+  const out = ({ left, right }) => right > document.documentElement.clientWidth + 1 || left < -1;
+  return [...document.querySelectorAll(texts)]
+    .filter((e) => e.getClientRects().length && !e.closest(".scroll, .wide, .stills") && out(e.getBoundingClientRect()))
+    .map((e) => `${e.tagName} ${e.textContent.slice(0, 40)}`);
+}"""
+"""Elements that stick out of the page, except in boxes that scroll."""
+UNNAMED = """() => [...document.querySelectorAll("button, input, select, canvas, img, [role=img]")]
+  .filter((e) => !(e.getAttribute("aria-label") || e.alt || e.textContent.trim() || (e.labels && e.labels.length)))
+  .map((e) => e.outerHTML.slice(0, 80))"""
+"""Controls and pictures without a name for those who do not see them."""
+CONTRAST = """() => {
+  const style = getComputedStyle(document.body);
+  const linear = (x) => (x <= 0.03928 ? x / 12.92 : ((x + 0.055) / 1.055) ** 2.4);
+  const light = (name) => {
+    const whole = style.getPropertyValue(`--${name}`).trim().replace(/^#(.)(.)(.)$/, "#$1$1$2$2$3$3").slice(1);
+    const [r, g, b] = whole.match(/../g).map((x) => linear(parseInt(x, 16) / 255));
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  const paper = light("paper"), names = "left right middle grid strong ink soft link warn bad good".split(" ");
+  const ratio = (at) => (Math.max(at, paper) + 0.05) / (Math.min(at, paper) + 0.05);
+  return Object.fromEntries(names.map((name) => [name, ratio(light(name))]));
+}"""
+"""Contrast of each colour of lines and texts with the ground."""
+DRAWN = """() => [...document.querySelectorAll(".player .views canvas")].map((canvas) =>
+  new Set(canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data).size)"""
+"""Shades in the picture and in the scene."""
+SHOWN = """(row) => {
+  const { picture, draw } = PLAYER, image = picture.image(picture.pictureOf(row));
+  if (!image.complete || !image.naturalWidth) return false;
+  draw();
+  return true;
+}"""
+"""Whether the picture of a row is on the canvas."""
+LEVEL = """() => {
+  const { picture } = PLAYER, [x, y] = picture.clip.pictures.corners_px[0];
+  return picture.canvas.getContext("2d").getImageData(...picture.place([x + 8, y + 8]), 1, 1).data[0];
+}"""
+"""Brightness of the picture near its corner."""
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    sync_api = pytest.importorskip("playwright.sync_api", reason="pages in a browser: without the package playwright")
+    if not CHROMIUM:
+        pytest.skip("pages in a browser: without Chromium (apt-get install chromium)")
+    with sync_api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def opened(chromium) -> Iterator[Callable[..., Any]]:
+    """Opens a page in a view: the browser has nothing to say about it, and fetches nothing but the page itself."""
+    contexts, said, fetched = [], [], []
+
+    def open_page(path: Path, view: str = "desk", address: str = "") -> Any:
+        width, scheme = VIEWS[view]
+        context = chromium.new_context(
+            viewport={"width": width, "height": 900}, color_scheme=scheme, reduced_motion="reduce"
+        )
+        contexts.append(context)
+        page = context.new_page()
+        page.on("console", lambda message: said.append(message.text))
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.on("request", lambda request: fetched.append(request.url))
+        page.goto(path.as_uri() + address)
+        page.wait_for_function("!document.querySelector('.player') || document.querySelector('.player').reconPlayer")
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert [text for text in said if not text.startswith("Canvas2D: Multiple readback")] == []  # the tests read
+    assert [url for url in fetched if not url.startswith(("file:", "data:", "blob:"))] == []
+
+
+def level_at(page: Any, row: int) -> float:
+    """Show a row, wait for its picture, and return its brightness."""
+    page.evaluate(f"{PLAYER}.cursor.go({row})")
+    page.wait_for_function(SHOWN.replace("PLAYER", PLAYER), arg=row)
+    return page.evaluate(LEVEL.replace("PLAYER", PLAYER))
+
+
+@pytest.fixture(scope="module")
+def pages(small_trajectory, two_cameras, whole_results, tmp_path_factory) -> dict[str, Path]:
+    """Pages: with a video and names that are HTML, of two cameras, of a whole run, and of a result not to be used."""
+    folder = tmp_path_factory.mktemp("browser")
+    settings = {"camera": Path("camera.toml"), "fps": 30}
+    source = small_trajectory.sources[0]
+    evil = with_first(small_trajectory, keypoints=replace(source.keypoints, source=f"/tmp/{EVIL}"))
+    findings = (
+        finding("keypoints_do_not_fit", keypoints=("nose",), share=0.5, used=7),
+        finding("left_right_swap", (12, 15), source.camera.name, part="the fore legs", keypoints=("l_front_paw",)),
+    )
+    write_clip(replace(evil, findings=findings), FitSettings(keypoints=Path(EVIL), **settings), folder / "film")
+    video = folder / "run.avi"
+    with video_writer(video, (1920, 1080), 30.0) as write:
+        for number in range(18):
+            write(np.full((1080, 1920, 3), 10 * number, np.uint8))
+    files = (Path("run_cam1.csv"), Path("run_cam2.csv"))
+    write_clip(two_cameras, FitSettings(keypoints=files, **settings), folder / "several")
+    verdict = Verdict("do not use", "The animal runs upside down.")
+    refused = replace(small_trajectory, verdict=verdict)
+    write_clip(refused, FitSettings(keypoints=Path("run.csv"), **settings), folder / "refused")
+    shutil.copytree(whole_results, folder / "whole", ignore=shutil.ignore_patterns("motion.rrd"))
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("whole", "film", "several", "refused"):
+            if name != "whole":  # whose figures are looked at
+                patch.setattr("recon.show.page.pages.svg_of", lambda figure: "<svg></svg>")
+            report(PageSettings(folder=folder / name, video=video if name == "film" else None))
+    return {name: folder / name / "report.html" for name in ("film", "several", "refused", "whole")}
+
+
+@pytest.mark.parametrize("name", ["film", "several", "refused", "whole"])
+def test_nothing_is_off_the_screen_or_too_pale_or_without_a_name(pages, opened, name):
+    page = opened(pages[name])
+    assert page.evaluate(UNNAMED) == []
+    for view, (width, scheme) in VIEWS.items():
+        page.set_viewport_size({"width": width, "height": 900})
+        page.emulate_media(color_scheme=scheme)
+        page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        assert page.evaluate("document.documentElement.scrollWidth") <= width, view
+        assert page.evaluate(CUT) == [], view
+        assert {colour: ratio for colour, ratio in page.evaluate(CONTRAST).items() if ratio < 3} == {}, view
+        assert min(page.evaluate(DRAWN)) > 20, view
+
+
+def test_every_view_shows_the_frame_of_the_cursor(pages, opened):
+    page = opened(pages["film"])
+    levels = [level_at(page, row) for row in (0, 4, 7)]
+    np.testing.assert_allclose(levels, [100, 140, 170], atol=8)  # frames 10, 14 and 17: each within half a frame
+    assert page.locator(".status").text_content() == "frame 17, 0.567 s"
+    x = page.evaluate(f"{PLAYER}.strips.map((strip) => Math.abs(strip.x(7) - (strip.canvas.clientWidth - 10)))")
+    assert max(x) < 1.5
+    assert page.evaluate(f"{PLAYER}.picture.shownRow") == 7
+    assert page.title().startswith(EVIL)
+
+
+def test_keys_and_buttons_move_the_cursor(pages, opened):
+    page = opened(pages["film"])
+    row = lambda: page.evaluate(f"{PLAYER}.cursor.row")  # noqa: E731
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowLeft")
+    assert row() == 1
+    page.click("[data-do=next]")
+    assert row() == 2
+    page.keyboard.press("d")
+    assert (row(), page.locator(".status").text_content()) == (3, "frame 13, 0.433 s, no data")
+    page.click("[data-do=doubtful]")
+    assert row() == 5
+    page.locator(".player input[type=range]").focus()
+    page.keyboard.press("ArrowLeft")
+    assert row() == 4
+    assert page.get_attribute(".player input[type=range]", "aria-valuetext") == "frame 14, 0.467 s"
+    page.locator("h1").click()
+    page.keyboard.press("<")
+    page.keyboard.press("<")
+    assert page.input_value("[data-choose=speed]") == "0.125"
+    page.select_option("[data-choose=speed]", "1")
+    page.locator("h1").click()
+    page.evaluate(f"{PLAYER}.cursor.go(0)")
+    page.keyboard.press(" ")
+    assert page.locator("[data-do=play]").text_content() == "Pause"
+    page.wait_for_function(f"{PLAYER}.cursor.row >= 2")
+    page.keyboard.press(" ")
+    assert page.locator("[data-do=play]").text_content() == "Play"
+
+
+def test_the_scene_is_turned_zoomed_and_seen_from_all_sides(pages, opened):
+    page = opened(pages["whole"])
+    looks = set()
+    state = f"(({{angle, tilt, zoomed, panned}}) => JSON.stringify([angle, tilt, zoomed, panned]))({PLAYER}.scene)"
+    for do in ("side", "front", "top", "camera", "closer"):
+        page.click(f"[data-do={do}]")
+        looks.add(page.evaluate(state))
+    page.locator("canvas.scene").focus()
+    page.keyboard.press("ArrowLeft")
+    looks.add(page.evaluate(state))
+    box = page.locator("canvas.scene").bounding_box()
+    page.mouse.move(box["x"] + 100, box["y"] + 100)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 160, box["y"] + 120, steps=3)
+    page.mouse.up()
+    looks.add(page.evaluate(state))
+    assert len(looks) == 7
+    assert page.evaluate(f"{PLAYER}.cursor.row") == 0  # arrows in the scene turn it
+    before = page.locator("canvas.scene").screenshot()
+    for name in ("trail", "uncertainty", "ground", "cameras"):
+        page.click(f"[data-show={name}]")
+        page.wait_for_timeout(50)
+        after = page.locator("canvas.scene").screenshot()
+        assert after != before or name == "cameras"  # the camera may be behind the reader
+        before = after
+
+
+def test_text_curves_and_the_address_lead_to_their_frames(pages, opened):
+    page = opened(pages["film"], address="#t=0.4667")
+    state = lambda: page.evaluate(f"[{PLAYER}.cursor.row, {PLAYER}.cursor.named]")  # noqa: E731
+    nose, paw = (page.evaluate(f"{PLAYER}.clip.keypoints.indexOf({name!r})") for name in ("nose", "l_front_paw"))
+    assert state()[0] == 4
+    page.click("[data-finding='0'] button")
+    assert state() == [4, [nose]]  # its largest error
+    page.click("[data-finding='1'] button")
+    assert page.locator("[data-finding='1'] button").text_content() == "Show frame 12, l_front_paw"
+    assert state() == [2, [paw]]
+    page.click("[data-row='5'] button")
+    assert state()[0] == 5
+    page.click(f"[data-keypoint='{nose}'] button")
+    assert state() == [4, [nose]]
+    page.evaluate(f"{PLAYER}.cursor.go(0)")
+    box = page.locator(".strips canvas").first.bounding_box()
+    page.mouse.click(box["x"] + box["width"] - 12, box["y"] + 20)
+    assert state()[0] == 7
+    page.click("[data-do=link]")
+    assert page.url.endswith("#t=0.5667")
+    page.click("input[value=likelihood]")
+    assert page.locator(".scale").text_content().startswith("likelihood 1")
+
+
+def test_each_camera_has_its_detections_and_table(pages, opened):
+    page = opened(pages["several"])
+    tables = "[...document.querySelectorAll('tbody[data-camera]')].map((body) => body.hidden)"
+    assert page.evaluate(tables) == [False, True]
+    page.select_option("[data-choose=camera]", "1")
+    assert page.evaluate(tables) == [True, False]
+    camera, joint = f"{PLAYER}.clip.cameras[1]", page.evaluate(f"{PLAYER}.clip.keypoints.indexOf('tail_base')")
+    assert page.evaluate(f"{camera}.error(5, {joint})") == pytest.approx(200, abs=1)
+    assert page.evaluate(f"[5, 0].map((row) => {camera}.stateOf(row, {joint}))") == [2, 0]  # an outlier, and missing
+
+
+def test_a_page_prints_with_pictures_and_without_buttons(pages, opened):
+    page = opened(pages["whole"], "night")
+    page.emulate_media(media="print", color_scheme="dark")
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    assert page.locator(".stills img").first.is_visible()
+    assert not page.locator(".player .controls").is_visible()
+    page.set_viewport_size({"width": 690, "height": 1000})  # A4 within its margins
+    assert page.evaluate(CUT) == []
+
+
+def test_a_page_without_scripts_has_its_pictures(pages, chromium):
+    context = chromium.new_context(java_script_enabled=False)
+    page = context.new_page()
+    page.goto(pages["refused"].as_uri())
+    assert page.locator(".stills img").first.is_visible()
+    assert not page.locator(".player").is_visible()
+    assert page.locator(".verdict").text_content().startswith("do not use")
+    context.close()
+
+
+def test_numbers_of_the_page_are_those_of_the_result(pages, opened):
+    """Read through the script, as what is drawn is."""
+    page = opened(pages["whole"])
+    motion = Motion.load(pages["whole"].parent)
+    got = page.evaluate(f"(({{clip}}) => [clip.joint(30, 5), clip.cameras[0].error(30, 5), clip.count])({PLAYER})")
+    np.testing.assert_allclose(got[0], motion.upright.xyz_m[30, 5], atol=1e-3)
+    assert got[1] == pytest.approx(motion.pictures[0].distance_px[30, 5], abs=0.3)
+    assert got[2] == len(motion.frames)
