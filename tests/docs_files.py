@@ -101,6 +101,14 @@ def _filmed_twice(folder: Path, name: str) -> None:
         (folder / f"{name}-{camera}.csv").write_text("".join(lines[:18]))
 
 
+def _in_mm(path: Path) -> None:
+    """The truth of the sample as another program triangulates it."""
+    write_csv(replace(pose(), xyz_m=1000 * pose().xyz_m), path)
+    _, *rest = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    names = len(rest[0].split(",")) - 1
+    path.write_text("".join(["scorer" + ",DLC" * names + "\n", *rest]), encoding="utf-8")
+
+
 def _sleap(path: Path) -> None:
     write_sleap(keypoints(), path)
 
@@ -226,6 +234,7 @@ FILES: dict[str, Callable[[Path], None]] = {
     "clip.csv": sample("whole.csv"),
     "camera.toml": sample("camera.toml"),
     "truth.csv": sample("whole_truth.csv"),
+    "poses.csv": sample("whole_truth.csv"),
     "clips": _clips,
     "clip.analysis.h5": _sleap,
     "pair.h5": _two_animals,
@@ -252,6 +261,7 @@ OF_PAGE: dict[str, dict[str, Callable[[Path], None]]] = {
         "recordings": lambda path: _filmed_twice(path, "walk"),
         "scene.json": sample("whole_scene.json"),
     },
+    "how-to/audit.md": {"poses.csv": _in_mm},
     "how-to/moving-camera.md": {"clip.csv": _first(30)},
     "how-to/scale.md": {"clip.csv": _first(30)},
     "how-to/uncalibrated.md": {"clip.csv": _first(30)},

@@ -9,6 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import refusal, refused, run
+from figure_texts import cut_off
+from matplotlib.figure import Figure
 from scipy.sparse import load_npz
 
 from recon.base.outputs import RECORD
@@ -78,19 +80,24 @@ def test_tables(frame, tmp_path):
     assert np.abs(paths["z_fixed_m"] - paths["z_free_m"]).max() > 0.01
 
 
-def test_figures(frame):
-    cost, *others = solver_plots.solver_search(frame).axes
+@pytest.fixture(scope="module")
+def figures(frame) -> dict[str, Figure]:
+    return {draw.__name__: draw(frame) for draw in solver_plots.FIGURES}
+
+
+def test_figures(frame, figures):
+    cost, *others = figures["solver_search"].axes
     assert len(others) == 4
     np.testing.assert_array_equal(cost.lines[0].get_ydata(), frame.cost["reprojection"])
-    rows = solver_plots.solver_rotation(frame).axes
+    rows = figures["solver_rotation"].axes
     assert [axes.get_ylabel() for axes in rows[:4]] == ["xi (°)", "psi (°)", "zeta (°)", "base length (m)"]
     np.testing.assert_allclose(rows[2].lines[0].get_ydata(), np.degrees(frame.solution.unknown("zeta")))
-    heat, _ = solver_plots.image_errors(frame).axes
+    heat, _ = figures["image_errors"].axes
     shown = np.ma.filled(heat.images[0].get_array(), np.nan)
     np.testing.assert_array_equal(shown, frame.image_error_px.T)
     assert heat.images[0].get_extent()[:2] == [frame.motion.frames[0] - 0.5, frame.motion.frames[-1] + 0.5]
     assert heat.xaxis.get_major_ticks()[0].tick1line.get_markersize() > 0
-    gradient, norm = solver_plots.solver_unknowns(frame).axes
+    gradient, norm = figures["solver_unknowns"].axes
     np.testing.assert_allclose(norm.lines[0].get_xdata(), np.median(frame.column_norm, axis=0))
     assert [label.get_text() for label in gradient.get_yticklabels()] == [*frame.unknowns]
 
@@ -122,8 +129,14 @@ def test_the_frame_that_is_looked_into_has_a_pose(frame_results, whole_results):
         read_solver(Motion.load(whole_results), whole_results)
 
 
-def test_figures_of_the_frame_method(frame):
-    figures = {draw.__name__: draw(frame) for draw in solver_plots.FIGURES}
+def test_figures_are_drawn_with_all_their_text(figures, tmp_path):
+    assert {name: texts for name, figure in figures.items() if (texts := cut_off(figure))} == {}
+    for name, figure in figures.items():
+        figure.savefig(tmp_path / f"{name}.svg")
+        assert (tmp_path / f"{name}.svg").stat().st_size > 5000
+
+
+def test_figures_of_the_frame_method(frame, figures):
     bars = figures["solver_search"].axes[3].containers
     spent = frame.solution.reported("function_evaluations")
     assert sum(bar.get_height() for one in bars for bar in one) == spent.sum()
@@ -137,7 +150,7 @@ def test_figures_of_the_frame_method(frame):
     assert shown == pytest.approx(np.nanmean([np.nanmean(of_frame) for of_frame in frame.image_error_px]))
 
 
-def test_command_writes_all_of_it(frame_results, small_pictures, tmp_path):
+def test_command_writes_all_of_it(frame_results, undrawn, tmp_path):
     out = tmp_path / "solver"
     ended = run("solver", frame_results, "--out", out)
     assert ended.code == 0, ended.err
