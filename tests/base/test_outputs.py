@@ -329,7 +329,7 @@ def test_nothing_is_written_of_results_that_are_replaced_meanwhile(tmp_path):
     written(out, a="1")
     for folder in (out, tmp_path / "analysis"):
         with (
-            refusal((out, "results", "another run has replaced them meanwhile", "run again")),
+            refusal((out, "results", "another run has replaced them meanwhile", "run the command again")),
             Output(folder, "analyse", True, made_from=ReadResults.read(out)).staged() as staging,
         ):
             (staging / "b.csv").write_text("of the earlier ones")
@@ -354,7 +354,7 @@ def test_a_lock_that_is_something_else_is_left_alone(tmp_path, kind):
         "fifo": lambda: os.mkfifo(lock),
     }
     make[kind]()
-    with refusal((lock, "lock", "no lock file of recon", "removed")), sole_writer(lock.parent):
+    with refusal((lock, "lock", "no lock file of recon", "remove it")), sole_writer(lock.parent):
         pass
     assert precious.read_text() == "1234\n" * 100
     assert os.path.lexists(lock)

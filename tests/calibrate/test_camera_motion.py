@@ -212,7 +212,7 @@ def test_marks_tell_which_way_is_up(tmp_path, lines):
 def test_marks_that_do_not_tell_are_refused(tmp_path):
     orientations = {t + 3: Orientation(R) for t, R in enumerate(pan(9, 10.0))}
     path = marked(tmp_path, POSTS[:1])
-    with refusal((path, "marks", ["leave", "upward direction"])):
+    with refusal((path, "marks", ["determine", "upward direction"])):
         up_by_marks(path, read_marks(path), FISHEYE, orientations)
     with refusal((path, "frame", 4)):
         up_by_marks(path, read_marks(path), FISHEYE, {3: Orientation(np.eye(3))})
