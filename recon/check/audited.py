@@ -111,10 +111,10 @@ class Measure:
 
 def resolution_of(values: Array) -> float:
     """Return the smallest step between numbers, 0 where they have all digits."""
-    some = values[np.isfinite(values)]
-    some = some[:: max(1, len(some) // 4000)]
+    sample = values[np.isfinite(values)]
+    sample = sample[:: max(1, len(sample) // 4000)]
     for decimals in range(DECIMALS + 1):
-        scaled = some * 10.0**decimals
+        scaled = sample * 10.0**decimals
         if np.abs(scaled - np.round(scaled)).max(initial=0.0) < 1e-9 * max(1.0, np.abs(scaled).max(initial=0.0)):
             return 10.0**-decimals
     return 0.0

@@ -80,9 +80,9 @@ def rigid_pairs(points: AuditedPoints) -> list[tuple[int, int]]:
         deviation = np.nanmedian(np.abs(lengths - median), axis=0)
         is_bone = (counts >= max(FEWEST, LEAST_KNOWN * len(values))) & (median > 0.02 * points.extent)
         spread[i, i + 1 :] = np.where(is_bone, deviation + NEAR * median, 0.0)
-    other = opposites(points.names)
-    standing = np.flatnonzero((other != np.arange(K)) & points.stands)
-    spread[standing, other[standing]] = 0.0  # a left and a right foot are never connected
+    partners = opposites(points.names)
+    standing = np.flatnonzero((partners != np.arange(K)) & points.stands)
+    spread[standing, partners[standing]] = 0.0  # a left and a right foot are never connected
     tree = minimum_spanning_tree(spread).tocoo()
     return [(int(i), int(j)) for i, j in zip(tree.row, tree.col, strict=True)]
 
@@ -180,9 +180,9 @@ def _exchanged_sides(points: AuditedPoints) -> Iterator[Measure]:
     left_of = _left(points)
     if left_of is None:
         return
-    other = opposites(points.names)
-    left = [k for k in range(len(other)) if other[k] != k and side_of(points.names[k]) == "left"]
-    across = np.sum((points.positions[:, left] - points.positions[:, other[left]]) * left_of[:, None], axis=2)
+    partners = opposites(points.names)
+    left = [k for k in range(len(partners)) if partners[k] != k and side_of(points.names[k]) == "left"]
+    across = np.sum((points.positions[:, left] - points.positions[:, partners[left]]) * left_of[:, None], axis=2)
     signs = across[np.isfinite(across) & (np.abs(across) > 0.02 * points.extent)]
     if len(signs) >= FEWEST:
         yield Measure("sides_exchanged", float(np.mean(signs < 0)), None, {"share": float(np.mean(signs < 0))})
@@ -243,8 +243,8 @@ def _gravity(points: AuditedPoints) -> Iterator[Measure]:
     weights = 1 / np.array(variances)
     mean = float(np.sum(weights * accelerations) / weights.sum())
     sigma = float(np.sqrt(1 / weights.sum()))
-    off = -mean - GRAVITY_M_S2
-    nearest_m_s2 = GRAVITY_M_S2 + np.copysign(max(abs(off) - SIGMAS * sigma, 0.0), off)
+    excess = -mean - GRAVITY_M_S2
+    nearest_m_s2 = GRAVITY_M_S2 + np.copysign(max(abs(excess) - SIGMAS * sigma, 0.0), excess)
     value = abs(float(np.log(max(nearest_m_s2, 1e-2) / GRAVITY_M_S2) / np.log(RATIO)))
     numbers = {
         "acceleration_m_s2": -mean,

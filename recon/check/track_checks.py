@@ -63,17 +63,17 @@ def _identical_points(points: AuditedPoints) -> Iterator[Measure]:
     values, T = points.positions, len(points.frames)
     worst: tuple[float, int, int, Bools] | None = None
     for i in range(len(points.names)):
-        others = np.arange(i + 1, len(points.names))
-        identical = (values[:, i, None] == values[:, others]).all(axis=2)
+        later = np.arange(i + 1, len(points.names))
+        identical = (values[:, i, None] == values[:, later]).all(axis=2)
         counts = identical.sum(axis=0)
-        in_both = (points.known[:, i, None] & points.known[:, others]).sum(axis=0)
-        for j in others[counts >= FEWEST]:
+        in_both = (points.known[:, i, None] & points.known[:, later]).sum(axis=0)
+        for j in later[counts >= FEWEST]:
             same = identical[:, j - i - 1]
             is_other_side = side_of(points.names[i]) != side_of(points.names[j])
             if counts[j - i - 1] >= STRUCTURAL * in_both[j - i - 1] and not is_other_side:
                 continue
-            apart = np.linalg.norm(values[~same, i] - values[~same, j], axis=1)
-            is_near = bool(np.isfinite(apart).any()) and np.nanmedian(apart) < APART * points.resolution
+            distances = np.linalg.norm(values[~same, i] - values[~same, j], axis=1)
+            is_near = bool(np.isfinite(distances).any()) and np.nanmedian(distances) < APART * points.resolution
             value = float(same.sum() / max(FEWEST, IDENTICAL_SHARE * T))
             if not is_near and (worst is None or value > worst[0]):
                 worst = value, i, int(j), same
@@ -163,11 +163,13 @@ def _missing_frames(points: AuditedPoints) -> Iterator[Measure]:
 
 def _swapped_sides(points: AuditedPoints) -> Iterator[Measure]:
     """Yield the clearest swap of left and right, of all points or of one pair of limbs."""
-    other = opposites(points.names)
-    left = np.array([k for k in range(len(other)) if other[k] != k and side_of(points.names[k]) == "left"], dtype=int)
+    partners = opposites(points.names)
+    left = np.array(
+        [k for k in range(len(partners)) if partners[k] != k and side_of(points.names[k]) == "left"], dtype=int
+    )
     if len(left) < LEAST_PAIRS:
         return
-    gains = _reversal_gains(points, points.positions[:, left] - points.positions[:, other[left]])
+    gains = _reversal_gains(points, points.positions[:, left] - points.positions[:, partners[left]])
     best: tuple[float, str, Index, int, Array] | None = None
     for part, pairs in _parts(points, left).items():
         total = gains[:, pairs].sum(axis=1)
@@ -177,10 +179,10 @@ def _swapped_sides(points: AuditedPoints) -> Iterator[Measure]:
     assert best is not None
     value, part, pairs, t, total = best
     stop = len(total)
-    others = np.flatnonzero(total > 0.5 * value)
-    others = others[others != t]
-    if len(others):
-        nearest = int(others[np.argmin(np.abs(others - t))])
+    rivals = np.flatnonzero(total > 0.5 * value)
+    rivals = rivals[rivals != t]
+    if len(rivals):
+        nearest = int(rivals[np.argmin(np.abs(rivals - t))])
         first, stop = sorted((t, nearest))
     else:
         first, stop = (0, t) if t < len(total) / 2 else (t, len(total))

@@ -50,12 +50,12 @@ NEEDS_NOTHING = (
 def _row(item: Finding, first: int, last: int) -> Mapping[str, object]:
     start, stop = item.frames or (first, last + 1)
     span = max(last + 1 - first, 1)
-    where = "the whole file" if item.frames is None else f"frames {start} to {stop - 1}"
+    frames_text = "the whole file" if item.frames is None else f"frames {start} to {stop - 1}"
     return {
         "severity": item.severity,
         "code": item.code,
         "text": sentence(item),
-        "where": where,
+        "where": frames_text,
         "left": f"{100 * (start - first) / span:.2f}",
         "width": f"{100 * (stop - start) / span:.2f}",
     }
