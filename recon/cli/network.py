@@ -4,25 +4,29 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
+
 from recon.base.numbers import percent
 from recon.base.progress import Progress
-from recon.cli.answers import Answer, stop
+from recon.cli.answers import Answer, say, stop
 from recon.keypoint_net.network import LIKELY, PredictSettings, run_prediction
-from recon.keypoint_net.train import CHECKPOINT_FILE, TrainRunSettings, run_training
+from recon.keypoint_net.train import CHECKPOINT_FILE, FITS, TrainRunSettings, run_training
 from recon.show.plain import picked
 
 
-def train_command(settings: TrainRunSettings, progress: Progress) -> Answer:
+def train_command(settings: TrainRunSettings, console: Console, progress: Progress) -> Answer:
     """Train a small keypoint network on a few labels in DeepLabCut's layout.
 
     Example: recon train run.mp4 --labels CollectedData_me.csv --out models/run
     """
     out, options = settings.out, picked(settings, "device", "threads", "resume", "overwrite")
     try:
-        report = run_training(settings, settings, out, **options, progress=progress)
+        announce = partial(say, console)
+        report = run_training(settings, settings, out, **options, progress=progress, announce=announce)
     except KeyboardInterrupt:
         message = "the same command with --resume goes on from the last checkpoint"
         if not (out / CHECKPOINT_FILE).is_file():
@@ -42,6 +46,11 @@ def _training_lines(report: dict[str, Any], out: Path) -> Iterator[str]:
     if "test" in report["errors"]:
         score = report["errors"]["test"]["all"]
         yield f"Test pictures: median error {score['median_px']:.2f} px, {percent(score['pck_px']['5.0'])} within 5 px."
+    if not report["labels_judged"]:
+        yield (
+            f"The labels were not judged: the network is off by {report['learned_median_px']:.1f} px (median) in the "
+            f"pictures that it learned from, and fits them from {FITS * report['tolerance_px']:.1f} px."
+        )
     suspects = report["suspicious_labels"]
     if suspects:
         first = suspects[0]

@@ -15,6 +15,7 @@ import copy
 import dataclasses
 import math
 import time
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
@@ -25,6 +26,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import cv2
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 from pydantic import Field
 
 from recon.base.arrays import Array, Bools, Integers, mean, median, to_plain
@@ -42,12 +44,13 @@ from recon.keypoint_net import network as net
 from recon.keypoint_net import pictures
 from recon.show.overlay import draw_circle, draw_line, draw_text
 from recon.show.plain import picked, to_json
+from recon.show.plots import style
 
 if TYPE_CHECKING:
     import torch  # pyright: ignore[reportMissingImports]
 
 CHECKPOINT_FILE = "checkpoint.pt"
-REPORT_FILES = ("training.json", "suspicious.csv", "worst.png")
+REPORT_FILES = ("training.json", "suspicious.csv", "worst.png", "training.png", "training.svg")
 TOLERANCE = 0.04
 """Distance within which a point counts as right for its likelihood, relative to the body length."""
 LEARNING_RATE, WEIGHT_DECAY = 2e-3, 0.05
@@ -371,6 +374,12 @@ LEARNED = 5.0
 """A suspicious label is also further from the network's point than this multiple of its keypoint's median distance, so
 that the network has learned the keypoint.
 """
+FITS = 2.0
+"""A network fits its labels if its median error in the pictures that it learned from is at most this multiple of the
+tolerance. Only such a network judges labels."""
+USUAL_MINUTES, USUAL_STEPS, USUAL_PICTURES = 15.0, 1000, 40
+"""A useful network takes about as long on two cores, as many steps, and as many labelled pictures (`python
+benchmarks/net.py --only circle`: 1.1 px after 1,000 steps with 40 pictures)."""
 USUAL = 0.95
 """Quantile of the distance between two keypoints up to which it counts as usual."""
 MOST = 30
@@ -394,7 +403,9 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
     learned = np.concatenate([split["train"], split["validation"]])
     learned_points = np.full_like(xy_px, np.nan)
     learned_points[learned] = xy_px[learned]
-    suspects = suspicious_labels(run.labels, learned_points, spec.body_length_px)
+    learned_px = median(errors[learned])
+    is_fit = bool(learned_px <= FITS * spec.tolerance_px)
+    suspects = suspicious_labels(run.labels, learned_points, spec.body_length_px) if is_fit else []
     held_out = [row for row in history if "validation_px" in row and "finishing" not in row]
     best = min(held_out, key=lambda row: row["validation_px"], default=None)
     first = [int(row["step"]) for row in history if "finishing" not in row]
@@ -418,6 +429,8 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
         "calibration": spec.calibration and dict(zip(("slope", "offset"), spec.calibration, strict=True)),
         "reliability_validation": reliability_before,
         "errors": judged,
+        "learned_median_px": learned_px,
+        "labels_judged": is_fit,
         "suspicious_labels": suspects,
         "history": history,
         "notes": list(run.labels.notes),
@@ -429,8 +442,52 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
         table[name] = ["" if np.isnan(value) else f"{value:.{decimals}f}" for value in table[name]]
     write_frame(table.assign(reasons=table["reasons"].map("; ".join)), folder / "suspicious.csv")
     unlearned = np.concatenate([split["validation"], split["test"]])
+    style.save(training_figure(history), folder, "training")
     _write_worst(run.labels, errors, xy_px, unlearned if len(unlearned) else split["train"], folder / "worst.png")
     return report
+
+
+def training_figure(history: Sequence[Mapping[str, float]]) -> Figure:
+    """Draw loss, learning rate and validation error over the steps of a training run."""
+    curves = (
+        ("loss", "loss", True),
+        ("rate", "learning rate", True),
+        ("validation_px", "validation\nerror (px)", False),
+    )
+    shown = [curve for curve in curves if any(curve[0] in row for row in history)]
+    with style.drawing(32 * max(len(shown), 1) + 8) as figure:
+        panels = figure.subplots(max(len(shown), 1), 1, sharex=True, squeeze=False)[:, 0]
+        for i, (axes, (name, label, is_log)) in enumerate(zip(panels, shown, strict=False)):
+            rows = [row for row in history if name in row]
+            steps, values = ([row[key] for row in rows] for key in ("step", name))
+            axes.plot(steps, values, **style.dots(len(rows), 2.5), **style.look(i))
+            if is_log:
+                axes.set_yscale("log")
+                style.plain_logarithm(axes.yaxis)
+            axes.set_ylabel(label)
+        panels[-1].set_xlabel("step")
+        figure.align_ylabels()
+    return figure
+
+
+def expectations(run: TrainingRun) -> list[str]:
+    """Return in sentences what a training run has, and what a useful network would take."""
+    settings, labels = run.settings, run.labels
+    labelled_count = int(labels.labelled.any(axis=1).sum())
+    planned = f"{settings.steps} steps" if settings.steps else f"{settings.minutes:g} minutes"
+    sentences = [
+        f"{labelled_count} labelled pictures of {len(labels.names)} keypoints; {planned} on {run.device}. "
+        f"A useful network takes about {USUAL_MINUTES:g} minutes on two cores (about {USUAL_STEPS} steps; less on a "
+        f"graphics card) and {USUAL_PICTURES} labelled pictures or more."
+    ]
+    is_short = settings.steps < USUAL_STEPS if settings.steps else settings.minutes < USUAL_MINUTES
+    if is_short and run.device.type == "cpu":
+        sentences.append(
+            f"{planned} may be too few: raise --{'steps' if settings.steps else 'minutes'} for a real use."
+        )
+    if labelled_count < USUAL_PICTURES:
+        sentences.append(f"{labelled_count} pictures may be too few: label more for a real use.")
+    return sentences
 
 
 def _write_worst(labels: data.Labels, errors: Array, xy_px: Array, indices: Integers, path: Path) -> None:
@@ -516,12 +573,19 @@ def _excess_distance_px(xy_px: Array) -> Array:
 
 
 def run_training(
-    source: data.LabelSource, settings: TrainSettings, out: Path, *, progress: Progress = silent, **options: Any
+    source: data.LabelSource,
+    settings: TrainSettings,
+    out: Path,
+    *,
+    progress: Progress = silent,
+    announce: Callable[[str], object] = lambda sentence: None,
+    **options: Any,
 ) -> dict[str, Any]:
     """Carry out `recon train`, and return the training report.
 
     out: the folder that gets the network, a checkpoint and the report. options: device, threads, resume and overwrite,
-    as in the command. Raises InputError, with every problem, before anything is written.
+    as in the command. announce: called with each sentence of `expectations` before the first step. Raises InputError,
+    with every problem, before anything is written.
     """
     training_settings = picked(source, *data.LabelSource.infos()) | picked(settings, *TrainSettings.infos())
     s = TrainRunSettings(out=out, **training_settings, **options)
@@ -532,6 +596,8 @@ def run_training(
         lambda: _check_folder(s),
     )
     run = prepare(labels, s, chosen)
+    for sentence in expectations(run):
+        announce(sentence)
     with sole_writer(out):
         _check_folder(s)
         output = dataclasses.replace(_output(s), overwrite=True)

@@ -24,7 +24,7 @@ from recon.keypoint_net import network as predict_module
 from recon.keypoint_net import train as train_module
 from recon.keypoint_net.labels import LabelSource
 from recon.keypoint_net.network import load_torch, run_prediction
-from recon.keypoint_net.train import TrainSettings, run_training, schedule
+from recon.keypoint_net.train import TrainSettings, run_training, schedule, training_figure
 
 SIZE, FRAMES = (96, 64), 20
 NAMES = ("nose", "l_paw", "r_paw")
@@ -69,8 +69,8 @@ def source(clip: Path, **changes: str) -> LabelSource:
 SHORT = TrainSettings(steps=9, batch=2, seed=3)
 
 
-def train_in(out: Path, clip: Path, settings: TrainSettings = SHORT, resume: bool = False) -> dict:
-    return run_training(source(clip), settings, out, device="cpu", threads=1, resume=resume)
+def train_in(out: Path, clip: Path, settings: TrainSettings = SHORT, resume: bool = False, **more: Any) -> dict:
+    return run_training(source(clip), settings, out, device="cpu", threads=1, resume=resume, **more)
 
 
 @pytest.fixture(scope="module")
@@ -221,8 +221,23 @@ def test_the_network_learns_the_blobs_and_the_report_says_so(clip, model):
     assert report["calibration"]["slope"] > 0
     assert report["reliability_validation"]["points"] > 0
     assert 0 < report["best_validation"]["step"] <= report["validation_in_training_from"]
-    files = {"worst.png", "suspicious.csv", "model.pt"}
+    files = {"worst.png", "suspicious.csv", "model.pt", "training.png", "training.svg"}
     assert files <= {file.name for file in model.iterdir()}
+    assert report["labels_judged"]
+    figure = training_figure(report["history"])
+    assert [axes.get_ylabel().split("\n")[0] for axes in figure.axes] == ["loss", "learning rate", "validation"]
+    assert len(figure.axes[0].lines[0].get_xdata()) == len(report["history"])
+
+
+def test_a_network_that_does_not_fit_judges_no_label_and_the_run_says_so_before(clip, quick, tmp_path):
+    said: list[str] = []
+    settings = TrainSettings(steps=2, batch=1)
+    report = train_in(tmp_path / "few", clip, settings, announce=said.append)
+    assert not report["labels_judged"]
+    assert report["suspicious_labels"] == []
+    assert report["learned_median_px"] > 2 * report["tolerance_px"]
+    assert "15 minutes on two cores" in said[0]
+    assert any("2 steps may be too few" in sentence for sentence in said)
 
 
 def test_predictions_have_deeplabcuts_layout(clip, model, tmp_path):
