@@ -64,6 +64,14 @@ def sole_writer(folder: str | Path, wait_s: float = 0.0) -> Iterator[None]:
 
 
 @contextmanager
+def sole_editor(file: Path) -> Iterator[None]:
+    """Keep other processes out of blocks like this for the same file. Raises InputError as `sole_writer`."""
+    require_usable(file.parent)
+    with gone_if_empty(file.parent), _exclusive(file.with_name(f".{file.name}{WRITING}"), 0.0):
+        yield
+
+
+@contextmanager
 def committing(folder: Path) -> Iterator[None]:
     """Keep other processes from moving files into or out of the folder during the block."""
     with _exclusive(folder / COMMITTING, COMMIT_WAIT_S):

@@ -100,6 +100,12 @@ def _convert() -> CommandFunction:
     return convert
 
 
+def _fix() -> CommandFunction:
+    from recon.cli.fix import fix
+
+    return fix
+
+
 def _overlay() -> CommandFunction:
     from recon.cli.look import overlay
 
@@ -238,6 +244,7 @@ COMMANDS = {
     "Look at it and use it": {
         "view": (_view, "The playback in the rerun viewer, with the plots of its analysis."),
         "report": (_report, "A page of a result, or of a batch, to look at and to pass on."),
+        "fix": (_fix, "Correct wrong keypoints in a browser, while the animal is fitted again."),
         "analyse": (_analyse, "Speeds, angles, gait, vector fields and phase portraits."),
         "compare": (_compare, "Strides and speeds of several clips, by group."),
         "audit": (_audit, "Check 2D keypoints or 3D poses of any program for faults."),

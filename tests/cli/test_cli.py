@@ -617,7 +617,7 @@ def test_results_are_not_replaced_unasked(tmp_path):
         refused(fit_args(tmp_path, *more, keypoints=tmp_path / "no.csv"), there)
         assert files(tmp_path) == {"angles.csv": b"mine"}
     write_old(tmp_path / "earlier")
-    named = f"pose3d.csv and 10 more in {tmp_path / 'earlier'}"
+    named = f"pose3d.csv and 11 more in {tmp_path / 'earlier'}"
     refused(fit_args(tmp_path / "earlier", keypoints=tmp_path / "no.csv"), ("--out", "folder", named, "--overwrite"))
 
 

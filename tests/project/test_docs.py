@@ -56,6 +56,7 @@ NOT_RUN = {
     r"recon (fit|calibrate extrinsics) run\d?_cam": "of several cameras; test_offsets.py, test_cameras.py",
     r"recon camera-motion ": "needs a video of a camera that turns; test_camera_motion.py",
     r"recon overlay ": "test_overlay.py",
+    r"recon fix ": "serves a page until it is stopped; test_correction_session.py",
     r"recon doctor": "looks at this machine; test_doctor.py",
 }
 """Commands, from their beginning, and why they are not run."""
@@ -169,6 +170,8 @@ def do(step: Step, workshop: Workshop) -> None:
             assert alike(printed) == alike(block.text), f"{where}:\n{printed}"
         elif block.language == "csv" and block.text.startswith("file,"):
             Path("names.csv").write_text(block.text, encoding="utf-8")
+        elif block.language == "csv" and block.text.startswith("frame,keypoint,was"):
+            Path("corrections.csv").write_text(block.text, encoding="utf-8")
         elif block.language == "csv":
             workshop.provide(block.text)
             Path("manifest.csv").write_text(block.text, encoding="utf-8")

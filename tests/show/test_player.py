@@ -193,8 +193,12 @@ def test_a_script_has_each_module_once_after_those_that_it_imports():
     content = script("main")
     assert "import " not in re.sub(r"//.*", "", content)
     assert not re.search(r"^export", content, re.MULTILINE)
-    starts = [(FOLDER / "player" / f"{name}.js").read_text(encoding="utf-8").split("\n")[0] for name in MODULES]
-    assert [content.count(start) for start in starts] == [1] * len(MODULES)
+    starts = [
+        (FOLDER / "player" / f"{name}.js").read_text(encoding="utf-8").split("\n")[0]
+        for name in MODULES
+        if name != "fix"
+    ]
+    assert [content.count(start) for start in starts] == [1] * len(starts)
     classes = re.findall(r"^class (\w+)", content, re.MULTILINE)
     assert classes.index("Strip") < classes.index("CurveStrip") < classes.index("KeypointMap")
     assert content.rindex("if (player) start();") > content.index("class KeypointMap")

@@ -1,0 +1,205 @@
+"""Correct detections by hand while the animal is fitted again: what `recon fix` edits, saves and shows."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from datetime import datetime
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from recon.animal.body import opposites
+from recon.api.clip import fit_clip
+from recon.api.clip_results import CONFIG, digest, read_config
+from recon.api.settings import FitSettings
+from recon.base.errors import InputError, Problem
+from recon.base.files import staged_file
+from recon.check.to_correct import to_correct
+from recon.check.verdict import verdict_lines
+from recon.fit.motion import Motion
+from recon.io.corrections import Correction, read_corrections, write_corrections
+from recon.show.page.player_data import player_data
+
+CORRECTIONS = "corrections.csv"
+MOST_CORRECTIONS = 100_000
+
+
+@dataclass(eq=False)
+class CorrectionSession:
+    """Hold the corrections of one result, which are saved with every change, and the fit with them.
+
+    The fit runs behind the editor: `changed` waits for the next one.
+    """
+
+    folder: Path
+    """The result that is corrected; nothing in it is changed."""
+    out: Path
+    """The file of the corrections. Those that it has are the first ones."""
+    motion: Motion
+    """The latest fit."""
+    camera: int = 0
+    """The camera whose video is shown."""
+    corrections: list[Correction] = field(default_factory=list)
+    version: int = 0
+    """Number of fits so far."""
+    problem: str = ""
+    """Why the latest corrections could not be fitted."""
+
+    @classmethod
+    def open(cls, folder: Path, out: Path, camera: int = 0) -> CorrectionSession:
+        """Return the session of a result of `recon fit`.
+
+        Raises
+        ------
+        InputError
+            If there is no result, if its input files are no more, or if `out` is no file of corrections.
+        """
+        session = cls(folder, out, Motion.load(folder), camera)
+        _ = session.settings
+        session.corrections = read_corrections(out) if out.exists() else []
+        session._saved = digest(out)
+        return session
+
+    def __post_init__(self) -> None:
+        self.before = _summary(self.motion)
+        self._saved = digest(self.out)
+        self._change = threading.Condition()
+        self._is_due, self._is_running = False, False
+
+    @cached_property
+    def settings(self) -> FitSettings:
+        """The settings of the fit, with the file of the corrections."""
+        return replace(read_config(self.folder / CONFIG, {}), corrections=None)
+
+    # -- what the editor reads ----------------------------------------------------------------------------------------
+
+    def state(self) -> dict[str, object]:
+        """Return the latest fit in JSON types: the player's data, what to correct, and the errors before and now."""
+        motion = self.motion
+        return {
+            "version": self.version,
+            "clip": player_data(motion, None, self.camera),
+            "later_frames": [source.later_frames for source in motion.sources],
+            "queue": [_json_numbers(asdict(point)) for point in to_correct(motion)],
+            "pairs": _pairs(motion),
+            "before": self.before,
+            "now": _summary(motion),
+            "corrections": [asdict(correction) for correction in self.corrections],
+            "file": str(self.out),
+            "problem": self.problem,
+        }
+
+    def changed(self, version: int, wait_s: float = 20.0) -> bool:
+        """Wait for a later fit than that version, and return whether there is one."""
+        with self._change:
+            return self._change.wait_for(lambda: self.version > version, wait_s)
+
+    # -- what the editor changes --------------------------------------------------------------------------------------
+
+    def save(self, rows: object) -> int:
+        """Save the corrections that an editor sends, all of them, and fit with them behind it. Return their number.
+
+        Raises
+        ------
+        InputError
+            If they are no corrections of this clip, or if another program has changed the file.
+        """
+        corrections = self._checked(rows)
+        with self._change:
+            if digest(self.out) != self._saved:
+                expected = "the file as it was saved last: close the other editor, and start again"
+                raise InputError(Problem(self.out, "content", "changed by another program", expected))
+            with staged_file(self.out) as staged:
+                write_corrections(corrections, staged)
+            self.corrections, self._saved, self._is_due = corrections, digest(self.out), True
+            if not self._is_running:
+                self._is_running = True
+                threading.Thread(target=self._fit, daemon=True).start()
+        return len(corrections)
+
+    def _checked(self, rows: object) -> list[Correction]:
+        if not isinstance(rows, list) or len(rows) > MOST_CORRECTIONS:
+            raise InputError(Problem("corrections", "rows", type(rows).__name__, f"at most {MOST_CORRECTIONS} rows"))
+        today = datetime.now().astimezone().isoformat(timespec="seconds")
+        known = {_key(row): row for row in self.corrections}
+        checked = []
+        for i, row in enumerate(rows, start=1):
+            correction = self._correction(row, i)
+            saved = known.get(_key(correction))
+            date = saved.date if saved is not None and saved.now_px == correction.now_px else today
+            checked.append(replace(correction, date=date))
+        return checked
+
+    def _correction(self, row: object, number: int) -> Correction:
+        cameras = [camera.name for camera in self.motion.cameras]
+        fault = InputError(
+            Problem("corrections", f"row {number}", repr(row)[:100], "a frame, camera and keypoint of this clip")
+        )
+        if not isinstance(row, Mapping) or row.get("camera") not in cameras:
+            raise fault
+        frame, keypoint, reason = row.get("frame"), row.get("keypoint"), row.get("reason", "")
+        source = self.motion.sources[cameras.index(row["camera"])]
+        if not isinstance(frame, int) or frame + source.later_frames not in self.motion.frames:
+            raise fault
+        if keypoint not in self.motion.names or not isinstance(reason, str) or len(reason) > 200:
+            raise fault
+        points = [row.get("was_px"), row.get("now_px")]
+        if not all(point is None or _is_point(point) for point in points):
+            raise fault
+        was_px, now_px = (None if point is None else (float(point[0]), float(point[1])) for point in points)
+        return Correction(frame, row["camera"], str(keypoint), was_px, now_px, reason)
+
+    def _fit(self) -> None:
+        """Fit with the saved corrections until none are left that were not fitted."""
+        while True:
+            with self._change:
+                self._is_running = self._is_due
+                if not self._is_due:
+                    return
+                self._is_due = False
+            try:
+                motion, problem = fit_clip(replace(self.settings, corrections=self.out)), ""
+            except InputError as error:
+                motion, problem = self.motion, str(error)
+            with self._change:
+                self.motion, self.problem, self.version = motion, problem, self.version + 1
+                self._change.notify_all()
+
+
+def _key(correction: Correction) -> tuple[int, str, str]:
+    return correction.frame, correction.camera, correction.keypoint
+
+
+def _is_point(value: object) -> bool:
+    if not isinstance(value, list) or len(value) != 2:
+        return False
+    return all(isinstance(x, int | float) and math.isfinite(x) and abs(x) < 1e6 for x in value)
+
+
+def _summary(motion: Motion) -> dict[str, object]:
+    """Return the verdict and the errors in words and numbers."""
+    verdict = motion.verdict
+    distances_px = np.concatenate([picture.distance_px.ravel() for picture in motion.pictures])
+    known_px = distances_px[np.isfinite(distances_px)]
+    outliers = int(sum(picture.outliers.sum() for picture in motion.pictures))
+    return {
+        "level": "" if verdict is None else verdict.level,
+        "lines": [*verdict_lines(verdict)],
+        "expected_mm": None if verdict is None or verdict.pose_m is None else 1000.0 * verdict.pose_m.expected,
+        "median_px": float(np.median(known_px)) if len(known_px) else None,
+        "outliers": outliers,
+    }
+
+
+def _pairs(motion: Motion) -> list[list[int]]:
+    """Return the keypoints of the left and the right side that belong together, as indices."""
+    return [[i, int(j)] for i, j in enumerate(opposites(motion.joints)) if i < j]
+
+
+def _json_numbers(row: dict[str, object]) -> dict[str, object]:
+    """Return a row with None for NaN."""
+    return {name: None if isinstance(x, float) and not math.isfinite(x) else x for name, x in row.items()}

@@ -1,0 +1,95 @@
+"""Corrections by hand: what the editor saves, the fit behind it, and what it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recon import InputError, Motion
+from recon.api.corrections import CorrectionSession
+from recon.base.locks import sole_editor
+from recon.io.corrections import read_corrections
+
+
+@pytest.fixture
+def session(whole_results: Path, tmp_path: Path) -> CorrectionSession:
+    return CorrectionSession.open(whole_results, tmp_path / "corrections.csv")
+
+
+def a_row(motion: Motion, frame: int = 20, **changes: object) -> dict[str, object]:
+    camera = motion.camera.name
+    return {"frame": frame, "camera": camera, "keypoint": "nose", "was_px": [1.0, 2.0], "now_px": [3.0, 4.0]} | changes
+
+
+def test_a_change_is_saved_and_fitted(session: CorrectionSession, whole_results: Path):
+    x, y = session.motion.pictures[0].reprojected_px[20, session.motion.names.index("nose")].tolist()
+    kept = (whole_results / "motion.npz").read_bytes()
+    assert session.save([a_row(session.motion, now_px=[x + 40.0, y])]) == 1
+    (saved,) = read_corrections(session.out)
+    assert (saved.frame, saved.keypoint, saved.was_px) == (20, "nose", (1.0, 2.0))
+    assert saved.date
+    assert session.changed(0, wait_s=60.0)
+    assert session.problem == ""
+    assert session.motion.keypoints.xy_px[20, session.motion.names.index("nose")] == pytest.approx([x + 40.0, y])
+    assert session.state()["version"] == 1
+    assert (whole_results / "motion.npz").read_bytes() == kept
+
+
+def test_an_unchanged_correction_keeps_its_date(session: CorrectionSession, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(session, "_fit", lambda: None)
+    session.save([a_row(session.motion)])
+    first = session.corrections[0]
+    session.corrections = [type(first)(**{**first.__dict__, "date": "2020-01-01T00:00:00+00:00"})]
+    session.save([a_row(session.motion), a_row(session.motion, frame=21)])
+    assert session.corrections[0].date == "2020-01-01T00:00:00+00:00"
+    assert session.corrections[1].date > "2026"
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"frame": 10_000},
+        {"frame": "1"},
+        {"keypoint": "horn"},
+        {"camera": "cam9"},
+        {"now_px": [1.0]},
+        {"now_px": [float("nan"), 1.0]},
+        {"now_px": ["1", "2"]},
+        {"reason": "x" * 1000},
+    ],
+)
+def test_what_is_no_correction_of_the_clip_is_not_saved(session: CorrectionSession, changes: dict[str, object]):
+    with pytest.raises(InputError, match="row 1"):
+        session.save([a_row(session.motion, **changes)])
+    assert not session.out.exists()
+
+
+def test_a_file_that_another_program_changed_stays(session: CorrectionSession, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(session, "_fit", lambda: None)
+    session.save([a_row(session.motion)])
+    session.out.write_text("mine")
+    with pytest.raises(InputError, match="another program"):
+        session.save([])
+    assert session.out.read_text() == "mine"
+
+
+def test_corrections_that_are_there_are_continued(
+    session: CorrectionSession, whole_results: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(session, "_fit", lambda: None)
+    session.save([a_row(session.motion, now_px=None, reason="=hidden")])
+    again = CorrectionSession.open(whole_results, session.out)
+    assert again.corrections == session.corrections
+    assert np.isfinite(again.motion.joints_m).any()
+
+
+def test_two_editors_of_one_file_are_refused(tmp_path: Path):
+    with (
+        sole_editor(tmp_path / "corrections.csv"),
+        pytest.raises(InputError, match="another process"),
+        sole_editor(tmp_path / "corrections.csv"),
+    ):
+        pass
+    assert not [*tmp_path.iterdir()]
