@@ -37,8 +37,8 @@ from recon.gait.clip import analyse
 from recon.io.video import Image, missing_note, probe, require_codec, size_problems, video_writer
 from recon.show import view as viewer
 from recon.show.overlay import SIDE_COLOURS, Overlay, canvas_size, clip_frames, draw_frame, draw_tiles
-from recon.show.page.own_page import PAGE
-from recon.show.page.pages import clip_page, jpeg
+from recon.show.page.own_page import PAGE, SUMMARY_PAGE
+from recon.show.page.pages import Neighbours, clip_page, jpeg
 from recon.show.page.pictures import PictureStrip, cut_of, encode_strip
 from recon.show.report import REPORT
 
@@ -249,9 +249,15 @@ def report(settings: PageSettings, progress: Progress = silent) -> Answer:
 
     Exit code 1: a page of a batch could not be made; the others are there.
     """
-    folder, page, video = settings.folder, settings.folder / PAGE, settings.video
+    folder, video = settings.folder, settings.video
     if (folder / SUMMARY).is_file() and not (folder / REPORT).is_file():
         return _pages_of_batch(folder, video, progress)
+    return _page_of_clip(settings, progress)
+
+
+def _page_of_clip(settings: PageSettings, progress: Progress, whole_batch: bool = False) -> Answer:
+    """Make the page of one result. whole_batch: those of all clips beside it are being made, too."""
+    folder, page, video = settings.folder, settings.folder / PAGE, settings.video
     output = Output(folder, "report", True, made_from=ReadResults.read(folder))
     motion, number = result_and_video(settings, lambda: output.require((PAGE,)) if folder.is_dir() else None)
     progress("pictures", 0.1)
@@ -265,7 +271,8 @@ def report(settings: PageSettings, progress: Progress = silent) -> Answer:
     stale = [name for name in beside if not is_current(folder / name, folder)]
     names = [*beside, *sorted(written.files if written else ())]
     files = [name for name in names if name not in [*changed, *stale] and (folder / name).is_file()]
-    html = clip_page(motion, shown, None if video is None else video.name, files, number, strip)
+    batch = neighbours(folder, whole_batch)
+    html = clip_page(motion, shown, None if video is None else video.name, files, number, strip, batch)
     output.write(PAGE, html)
     of_changed = f"missing, or not as the fit wrote it, so that the page has no link to it: {', '.join(changed)}"
     of_stale = f"not known to be of these results, so that the page has no link to it: {', '.join(stale)}"
@@ -273,6 +280,25 @@ def report(settings: PageSettings, progress: Progress = silent) -> Answer:
     notes = [*filter(None, said)]
     data = {"page": page, "failed": {}, "notes": notes}
     return Answer(data, [f"Open {page} in a browser."], files=[page], notes=notes)
+
+
+def neighbours(folder: Path, whole_batch: bool = False) -> Neighbours | None:
+    """Return the links to the pages of the batch that a result belongs to; None for a result of its own.
+
+    whole_batch: all of these pages will be there; otherwise only to those that are.
+    """
+    folder = folder.absolute()
+    out = folder.parent
+    if not (out / SUMMARY).is_file() or not (whole_batch or (out / SUMMARY_PAGE).is_file()):
+        return None
+    names = [path.parent.name for path in sorted(out.glob(f"*/{REPORT}"))]
+    at = names.index(folder.name) if folder.name in names else len(names)
+
+    def link(index: int) -> str | None:
+        there = 0 <= index < len(names) and (whole_batch or (out / names[index] / PAGE).is_file())
+        return f"../{names[index]}/{PAGE}" if there else None
+
+    return Neighbours(folder.name, f"../{SUMMARY_PAGE}", link(at - 1), link(at + 1))
 
 
 def page_pictures(
@@ -325,7 +351,7 @@ def _pages_of_batch(out: Path, video: Path | None, progress: Progress) -> Answer
 
 
 def _page_of(folder: Path, progress: Progress) -> dict[str, str]:
-    report(PageSettings(folder=folder), progress)
+    _page_of_clip(PageSettings(folder=folder), progress, whole_batch=True)
     return {"status": "done"}
 
 

@@ -5,6 +5,7 @@ They need Chromium and the package playwright (`apt-get install chromium`), and 
 
 from __future__ import annotations
 
+import csv
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -16,8 +17,10 @@ import pytest
 from motions import with_first
 
 from recon import FitSettings, write_clip
+from recon.api.batch import COLUMNS, write_summary_page
+from recon.base.progress import silent
 from recon.check.codes import finding
-from recon.cli.look import PageSettings, report
+from recon.cli.look import PageSettings, _page_of_clip
 from recon.fit.motion import Motion
 from recon.fit.result import Verdict
 from recon.io.video import video_writer
@@ -134,15 +137,23 @@ def pages(small_trajectory, two_cameras, whole_results, tmp_path_factory) -> dic
     refused = replace(small_trajectory, verdict=verdict)
     write_clip(refused, FitSettings(keypoints=Path("run.csv"), **settings), folder / "refused")
     shutil.copytree(whole_results, folder / "whole", ignore=shutil.ignore_patterns("motion.rrd"))
+    verdicts = {"film": "check", "several": "use", "refused": "do not use", "whole": "use"}
+    with (folder / "summary.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, restval="")
+        writer.writeheader()
+        for number, (name, level) in enumerate(verdicts.items()):
+            row = {"clip": name, "status": "done", "verdict": level, "pose_mm": 40 + 10 * number, "mean_speed_m_s": 9.0}
+            writer.writerow(row | {"frames": 8, "reason": "why not"})
     with pytest.MonkeyPatch.context() as patch:
         for name in ("whole", "film", "several", "refused"):
             if name != "whole":  # whose figures are looked at
                 patch.setattr("recon.show.page.pages.svg_of", lambda figure: "<svg></svg>")
-            report(PageSettings(folder=folder / name, video=video if name == "film" else None))
-    return {name: folder / name / "report.html" for name in ("film", "several", "refused", "whole")}
+            chosen = PageSettings(folder=folder / name, video=video if name == "film" else None)
+            _page_of_clip(chosen, silent, whole_batch=True)
+    return {name: folder / name / "report.html" for name in verdicts} | {"batch": write_summary_page(folder)}
 
 
-@pytest.mark.parametrize("name", ["film", "several", "refused", "whole"])
+@pytest.mark.parametrize("name", ["film", "several", "refused", "whole", "batch"])
 def test_nothing_is_off_the_screen_or_too_pale_or_without_a_name(pages, opened, name):
     page = opened(pages[name])
     assert page.evaluate(UNNAMED) == []
@@ -153,7 +164,7 @@ def test_nothing_is_off_the_screen_or_too_pale_or_without_a_name(pages, opened, 
         assert page.evaluate("document.documentElement.scrollWidth") <= width, view
         assert page.evaluate(CUT) == [], view
         assert {colour: ratio for colour, ratio in page.evaluate(CONTRAST).items() if ratio < 3} == {}, view
-        assert min(page.evaluate(DRAWN)) > 20, view
+        assert name == "batch" or min(page.evaluate(DRAWN)) > 20, view
 
 
 def test_every_view_shows_the_frame_of_the_cursor(pages, opened):
@@ -164,7 +175,7 @@ def test_every_view_shows_the_frame_of_the_cursor(pages, opened):
     x = page.evaluate(f"{PLAYER}.strips.map((strip) => Math.abs(strip.x(7) - (strip.canvas.clientWidth - 10)))")
     assert max(x) < 1.5
     assert page.evaluate(f"{PLAYER}.picture.shownRow") == 7
-    assert page.title().startswith(EVIL)
+    assert page.locator("header p").text_content().startswith(f"{EVIL} · frames 10 to 17")
 
 
 def test_keys_and_buttons_move_the_cursor(pages, opened):
@@ -258,6 +269,28 @@ def test_each_camera_has_its_detections_and_table(pages, opened):
     camera, joint = f"{PLAYER}.clip.cameras[1]", page.evaluate(f"{PLAYER}.clip.keypoints.indexOf('tail_base')")
     assert page.evaluate(f"{camera}.error(5, {joint})") == pytest.approx(200, abs=1)
     assert page.evaluate(f"[5, 0].map((row) => {camera}.stateOf(row, {joint}))") == [2, 0]  # an outlier, and missing
+
+
+def test_a_batch_is_sorted_and_filtered_and_leads_to_its_clips_and_back(pages, opened):
+    page = opened(pages["batch"])
+    clips = (
+        "[...document.querySelectorAll('tbody tr')].filter((row) => !row.hidden).map((row) => row.cells[1].dataset.v)"
+    )
+    assert page.evaluate(clips) == ["refused", "film", "whole", "several"]  # the worst first
+    page.click("th:nth-child(2) button")
+    assert page.evaluate(clips) == ["film", "refused", "several", "whole"]
+    page.select_option(".filter select", "use")
+    assert page.evaluate(clips) == ["several", "whole"]
+    page.fill(".filter input", "WHO")
+    assert page.evaluate(clips) == ["whole"]
+    assert page.locator(".filter output").text_content() == "1 of 4 clips"
+    assert page.locator(".dots circle:not(.faint)").count() == 3  # one in each distribution
+    page.click("tr:not([hidden]) td a")
+    assert page.title().startswith("whole")
+    page.click("a[rel=prev]")
+    assert page.title().startswith("several")
+    page.click("nav a >> nth=0")
+    assert page.locator("h1").text_content() == pages["batch"].parent.name
 
 
 def test_a_page_prints_with_pictures_and_without_buttons(pages, opened):

@@ -9,6 +9,7 @@ import base64
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.figure import Figure
 
-from recon.base.arrays import Array
+from recon.base.arrays import Array, finite
 from recon.base.errors import InputError, printable
 from recon.base.package import version
 from recon.check.codes import FLAGS
@@ -96,6 +97,17 @@ LENGTHS, POSES, STRETCHES = 4.0, 7, 3
 """Body lengths that an animal runs in one figure, poses in it, and largest number of figures."""
 
 
+@dataclass(frozen=True)
+class Neighbours:
+    """Hold the links from the page of a clip to those of its batch, relative to its folder, with forward slashes."""
+
+    clip: str
+    """The clip's own name."""
+    summary: str
+    before: str | None
+    after: str | None
+
+
 def clip_page(
     motion: Motion,
     stills: Sequence[tuple[str, str]],
@@ -103,14 +115,17 @@ def clip_page(
     files: Sequence[str],
     number: int = 0,
     pictures: PictureStrip | None = None,
+    batch: Neighbours | None = None,
 ) -> str:
     """Return the HTML of a motion.
 
     stills: frames' pictures, and the text if one is not shown, for paper and for browsers that run no scripts; video:
     name of the video behind the stills, None: a plain background; files: names of the files in the page's folder, with
-    forward slashes, for links; number: of the camera whose stills they are; pictures: of that video, for the player.
+    forward slashes, for links; number: of the camera whose stills they are; pictures: of that video, for the player;
+    batch: the pages of the batch that it belongs to.
     """
     report = build_report(motion)
+    files_read = ", ".join(dict.fromkeys(_base(camera["keypoints"]) for camera in report["cameras"]))
     has_pose = np.isfinite(motion.upright.xyz_m).all(axis=(1, 2))
     analysis = ClipAnalysis(motion) if has_pose.sum() >= MIN_POINTS else None
     player = player_data(motion, analysis, number, pictures) if has_pose.any() else None
@@ -119,8 +134,9 @@ def clip_page(
     further = [(number, item) for number, item in findings if item["text"] not in reason]
     return rendered(
         "report.html",
-        title=", ".join(dict.fromkeys(_base(camera["keypoints"]) for camera in report["cameras"])),
-        subtitle=_subtitle(motion),
+        title=files_read if batch is None else batch.clip,
+        subtitle=_subtitle(motion) if batch is None else f"{files_read} · {_subtitle(motion)}",
+        batch=batch,
         words=list(_words(report, analysis)),
         verdict=motion.verdict,
         expected=verdict_lines(motion.verdict)[1:],
@@ -254,12 +270,18 @@ NUMBERS = {
     "position_m": ("position off by, m (90 %)", ".2f"),
     "frames": ("frames", ".0f"),
     "outliers": ("outliers", ".0f"),
-    "mean_reprojection_px": ("mean reprojection, px", ".1f"),
+    "median_px": ("median keypoint error, px", ".1f"),
     "mean_speed_m_s": ("mean m/s", ".1f"),
     "peak_speed_m_s": ("peak m/s", ".1f"),
     "size": ("size", ".2f"),
 }
-"""Columns of summary.csv that the table has, with their headings and formats."""
+"""Columns of summary.csv that the table has, with their headings and formats; `median_px` is of the result itself, as
+one far keypoint makes the mean large.
+"""
+DOTS = {"pose_mm": "pose off by (mm)", "median_px": "median keypoint error (px)", "mean_speed_m_s": "mean speed (m/s)"}
+"""Columns whose distribution over the clips is drawn."""
+DOTS_PX = (300.0, 44.0)
+"""Size of a distribution."""
 THUMBNAIL_PX = (96, 60)
 FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:)?[/\\](?:[^/\\:]+[/\\])+")
 """Folders of a file that an error names, which readers of the page need not know."""
@@ -276,6 +298,11 @@ def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
         clips=clips,
         counts=", ".join(f"{count} {name}" for name, count in counts.items()),
         numbers=NUMBERS,
+        look=sum(clip["state"] != "use" for clip in clips),
+        states=list(dict.fromkeys(clip["state"] for clip in clips)),
+        dots=[dots for name, title in DOTS.items() if (dots := _dots(clips, name, title)) is not None],
+        dots_box=DOTS_PX,
+        script=script("table", "batch"),
         pages=any(clip["page"] for clip in clips),
         box=THUMBNAIL_PX,
     )
@@ -293,8 +320,11 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
     try:
         motion = Motion.load(folder)
         doubtful, thumbnail = sum(map(bool, motion.flags)), _thumbnail(motion)
+        errors_px = np.concatenate([finite(picture.distance_px) for picture in motion.pictures])
+        cells = {**cells, "median_px": f"{np.median(errors_px):.4g}" if len(errors_px) else ""}
     except (OSError, InputError):  # failed, or damaged since
         doubtful, thumbnail = None, []
+        cells = {**cells, "median_px": ""}
     state = cells["status"] if cells["status"] in FIRST else cells["verdict"]
     numbers = dict[str, list[str]]()
     for name, (_, spec) in NUMBERS.items():
@@ -311,6 +341,28 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
         "state": state,
         "rank": (order.index(state) if state in order else 0, -float(cells["pose_mm"] or 0)),
     }
+
+
+def _dots(clips: Sequence[Mapping[str, Any]], name: str, title: str) -> dict[str, Any] | None:
+    """Return a quantity's distribution over the clips: a dot for each; None for fewer than two clips."""
+    values = {clip["cells"]["clip"]: float(value) for clip in clips if (value := clip["cells"].get(name))}
+    if len(values) < 2:
+        return None
+    low, high = min(values.values()), max(values.values())
+    width, height = DOTS_PX
+    columns = Counter[int]()
+    dots = []
+    for clip in sorted(clips, key=lambda clip: values.get(clip["cells"]["clip"], 0.0)):
+        if (value := values.get(clip["cells"]["clip"])) is None:
+            continue
+        x = 8 + (width - 16) * ((value - low) / (high - low) if high > low else 0.5)
+        columns[column := round(x / 8)] += 1  # dots of about one value stand on each other
+        y = max(6.0, height - 8 - 7 * (columns[column] - 1))
+        label = f"{clip['cells']['clip']}: {value:.3g}"
+        dots.append({"x": f"{x:.0f}", "y": f"{y:.0f}", "label": label} | {k: clip[k] for k in ("page", "state")})
+        dots[-1]["clip"] = clip["cells"]["clip"]
+    middle = float(np.median([*values.values()]))
+    return {"title": title, "low": f"{low:.3g}", "high": f"{high:.3g}", "median": f"{middle:.3g}", "dots": dots}
 
 
 def _thumbnail(motion: Motion) -> list[tuple[str, str]]:
