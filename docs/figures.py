@@ -58,8 +58,16 @@ def main() -> None:
         clip = out / "clip"
         run_clip(FitSettings(keypoints=samples / "whole.csv", camera=samples / "camera.toml", fps=60), clip)
         result = Motion.load(clip)
-        analyse_command(AnalyseSettings(folder=clip))
-        for name in ("speed", "footfalls", "joint_flexion", "phase_portraits", "observability", "body_fixed"):
+        analyse_command(AnalyseSettings(folder=clip, all_figures=True))
+        for name in (
+            "speed",
+            "footfalls",
+            "side_view",
+            "joint_flexion",
+            "phase_portraits",
+            "observability",
+            "body_fixed",
+        ):
             save(clip / "analysis" / f"{name}.png", f"{name}.png", 900)
         plain_video(out / "clip.avi", result.camera.image_size_px, result.fps, len(result.frames))
         overlay(OverlaySettings(folder=clip, video=out / "clip.avi", out=out / "overlay.avi"))

@@ -54,7 +54,9 @@ class AnalyseSettings(Settings):
     belt_speed_m_s: Annotated[Positive | None, Option(name="--belt-speed")] = None
     """Speed of a treadmill's belt in m/s, as in 1.4, if the fit did not have it."""
     figures: bool = True
-    """PNG and SVG beside the tables."""
+    """PNG and SVG beside the tables: side view, joint angles, footfalls, speed."""
+    all_figures: bool = False
+    """All figures: also poses, vector fields, phase portraits, information, forces, the body's own frame."""
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: bool = False
     """Replace an earlier analysis."""
@@ -105,7 +107,7 @@ def run_analysis(settings: AnalyseSettings, progress: Progress = silent) -> Writ
             names = [path.name for path in staging.iterdir()]
         if settings.figures:  # after the tables, which are there whatever befalls the figures
             with output.staged(adds=True) as staging:
-                write_figures(analysis, staging, progress)
+                write_figures(analysis, staging, progress, settings.all_figures)
                 names += [path.name for path in staging.iterdir()]
     return WrittenAnalysis(analysis, summary, [out / name for name in sorted(names)])
 
@@ -225,12 +227,15 @@ def _gait_summary(gait: Gait) -> dict[str, Any]:
 # -- figures ---------------------------------------------------------------------------------------------------------
 
 
-def write_figures(found: ClipAnalysis, folder: Path, progress: Progress) -> None:
-    """PNG and SVG of composites, speed, footfalls, vector fields by limb, phase portraits, what the pixels say of the
-    angles, and the stride's configurations in the animal's own frame."""
+DEFAULT_FIGURES = ("side_view", "joint_flexion", "footfalls", "speed")
+"""Figures that a paper prints; all others by name (`recon figure`) or with --all-figures."""
+
+
+def write_figures(found: ClipAnalysis, folder: Path, progress: Progress, is_complete: bool = False) -> None:
+    """Write PNG and SVG of the figures of `DEFAULT_FIGURES`, or of all."""
     from recon.show.plots.style import save
 
-    drawn = figures_of(found)
+    drawn = {name: draw for name, draw in figures_of(found).items() if is_complete or name in DEFAULT_FIGURES}
     for done, (name, draw) in enumerate(drawn.items()):
         progress(f"figures: {name}", FIGURES_BEGIN + (1.0 - FIGURES_BEGIN) * done / len(drawn))
         save(draw(), folder, name)
@@ -241,6 +246,7 @@ def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
     from recon.show.plots.configurations import body_fixed, composites, in_body, observability
     from recon.show.plots.flexion import joint_flexion
     from recon.show.plots.over_time import footfall, forces, phase_portraits, speeds, vector_fields
+    from recon.show.plots.side_view import side_view
 
     motion, time_s, during, gait = found.motion, found.motion.time_s, found.during_stride, found.gait
     joints_m = in_body(motion.body, motion.states[during], motion.size, motion.reference_joint)
@@ -252,6 +258,7 @@ def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
     moved, unknown = {found.reference: found.reference_motion}, found.why_no_speed is not None
     why_not = found.reference_motion.why_no_acceleration
     drawn: dict[str, Callable[[], Figure]] = {
+        "side_view": partial(side_view, found.pose.xyz_m, limbs, sides, during, time_s, ground),
         "composites": partial(composites, found.pose.xyz_m, limbs, time_s, ground, sides=sides),
         "speed": partial(speeds, moved, why_not, unknown=unknown, acceleration=not why_not),
         "phase_portraits": lambda: phase_portraits(found.portraits, found.closures, title, motion.data_shares),

@@ -82,6 +82,12 @@ def _compare() -> CommandFunction:
     return compare
 
 
+def _figure() -> CommandFunction:
+    from recon.cli.figure import figure_command
+
+    return figure_command
+
+
 def _audit() -> CommandFunction:
     from recon.cli.audit import audit
 
@@ -246,6 +252,7 @@ COMMANDS = {
         "report": (_report, "A page of a result, or of a batch, to look at and to pass on."),
         "fix": (_fix, "Correct wrong keypoints in a browser, while the animal is fitted again."),
         "analyse": (_analyse, "Speeds, angles, gait, vector fields and phase portraits."),
+        "figure": (_figure, "Figures of a result for a paper: PDF, SVG or PNG, with a caption."),
         "compare": (_compare, "Strides and speeds of several clips, by group."),
         "audit": (_audit, "Check 2D keypoints or 3D poses of any program for faults."),
         "evaluate": (_evaluate, "Compare a result with a reference."),

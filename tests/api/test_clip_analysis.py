@@ -16,7 +16,7 @@ from figure_texts import cut_off
 from scipy.spatial.transform import Rotation
 
 from recon import ClipAnalysis, analyse
-from recon.api.analyse import figures_of, notes, summarise
+from recon.api.analyse import DEFAULT_FIGURES, figures_of, notes, summarise
 from recon.fit import constants
 from recon.fit.motion import Motion
 from recon.gait.clip import POSE_LASTS, lasts_s, limb_chains
@@ -278,6 +278,7 @@ FIGURES = (
     "joint_flexion",
     "observability",
     "phase_portraits",
+    "side_view",
     "speed",
     "vector_field_head",
     "vector_field_left_front_leg",
@@ -333,7 +334,7 @@ def test_command_writes_tables_figures_and_plots(of_results, whole_results, monk
     assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == results
     assert f"with: recon view {folder}\n" in printed
     assert {name for name in written if name.endswith((".png", ".svg"))} == {
-        f"{figure}.{suffix}" for figure in FIGURES for suffix in ("png", "svg")
+        f"{figure}.{suffix}" for figure in DEFAULT_FIGURES for suffix in ("png", "svg")
     }
     summary = json.loads((folder / "analysis" / "analysis.json").read_text(encoding="utf-8"))
     assert summary["gait"]["name"] == "transverse gallop"

@@ -16,7 +16,8 @@ from recon.gait.flexion import PERCENT, StrideCurve
 from recon.gait.gait import interval_of
 from recon.show.plots import style
 
-COLUMNS = 3
+COLUMNS, NARROW_COLUMNS, NARROW_MM = 3, 2, 120.0
+"""Panels in a row, on the width of a page and of a column, and the width between the two."""
 _PANEL_MM, _AROUND_MM = 42.0, 24.0
 """Height of a panel with its stance bars, and of everything around the panels."""
 _BARS = 0.16
@@ -32,11 +33,12 @@ def joint_flexion(curves: Sequence[StrideCurve], title: str = "") -> Figure:
     stands. 0 % is its touch-down.
     """
     names = [joint for joint in FLEXES_CAUDALLY if any(curve.joint == joint for curve in curves)]
-    rows = -(-len(names) // COLUMNS)
+    columns = COLUMNS if style.page_width_mm() > NARROW_MM else NARROW_COLUMNS
+    rows = -(-len(names) // columns)
     with style.drawing(rows * _PANEL_MM + _AROUND_MM, title=title or None) as figure:
         if not names:
             return figure
-        panels = figure.subplots(rows, COLUMNS, squeeze=False, sharex=True).ravel()
+        panels = figure.subplots(rows, columns, squeeze=False, sharex=True).ravel()
         for axes, joint in zip(panels, names, strict=False):
             curves_of_joint = [curve for curve in curves if curve.joint == joint]
             for curve in curves_of_joint:
@@ -49,9 +51,9 @@ def joint_flexion(curves: Sequence[StrideCurve], title: str = "") -> Figure:
             axes.set_axis_off()
         for i, axes in enumerate(panels[: len(names)]):
             axes.tick_params(labelbottom=True)
-            if i % COLUMNS == 0:
+            if i % columns == 0:
                 axes.set_ylabel("flexion (°)")
-            if i + COLUMNS >= len(names):
+            if i + columns >= len(names):
                 axes.set_xlabel("stride (%)")
         _add_legend(figure, curves)
     return figure

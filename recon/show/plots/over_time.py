@@ -49,7 +49,7 @@ def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
     the edges are the 90 % intervals of touch-downs, above, and lift-offs, below; thin lines with ticks are complete
     strides. Below: the name of each gait and its criterion.
     """
-    captions = [_caption(name, gait) for name, gait in gaits.items()]
+    captions = [] if style.is_printing() else [_caption(name, gait) for name, gait in gaits.items()]
     lines = sum(caption.count("\n") + 1 for caption in captions)
     other_feet = [foot for gait in gaits.values() for foot in gait.tracks.feet if foot not in ROWS]
     feet = [foot for foot in ROWS if any(foot in g.tracks.feet for g in gaits.values())] + list(
@@ -76,7 +76,9 @@ def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
         times = np.concatenate([g.tracks.time_s for g in gaits.values()])
         margin_s = 0.02 * float(np.ptp(times)) or 0.5 / fps
         axes.set_xlim(times.min() - margin_s, times.max() + margin_s)
-        axes.set_xlabel("time (s)\n\n" + "\n".join(captions), loc="left", fontsize=style.SMALL)
+        axes.set_xlabel(
+            "\n\n".join(["time (s)", "\n".join(captions)][: 1 + bool(captions)]), loc="left", fontsize=style.SMALL
+        )
         frames = axes.secondary_xaxis("top", functions=(lambda t: np.multiply(t, fps), lambda f: np.divide(f, fps)))
         frames.set_xlabel("frame")
         frames.xaxis.set_major_locator(MaxNLocator("auto", integer=True, steps=[1, 2, 5, 10]))

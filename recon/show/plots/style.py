@@ -14,6 +14,8 @@ import io
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +40,7 @@ PAGE_MM = 235.0
 """Height of a page within its margins."""
 MM = 1 / 25.4
 """Inches."""
-PNG_DPI = 200
+PNG_DPI, PRINT_DPI = 200, 600
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
@@ -51,16 +53,59 @@ SMALL = 7.0
 _SHEET = Path(__file__).with_name("recon.mplstyle")
 
 
+@dataclass(frozen=True)
+class Print:
+    """How figures are drawn for a paper: width, small letters, and no titles."""
+
+    width_mm: float
+    panel: Any = None
+    """Part of a figure of several into which the next one is drawn; None: a figure of its own."""
+
+
+_PRINT: ContextVar[Print | None] = ContextVar("print", default=None)
+PRINT_POINTS = 7.0
+_PRINT_SIZES = (
+    *("font.size", "axes.titlesize", "axes.labelsize", "figure.titlesize", "xtick.labelsize", "ytick.labelsize"),
+    "legend.fontsize",
+)
+
+
+@contextmanager
+def printing(width_mm: float, panel: Any = None) -> Iterator[None]:
+    """Draw the figures of this block for a paper: so wide, all text `PRINT_POINTS` high, without titles."""
+    token = _PRINT.set(Print(width_mm, panel))
+    try:
+        yield
+    finally:
+        _PRINT.reset(token)
+
+
+def page_width_mm() -> float:
+    """Return the width of figures that are as wide as the page: `WIDTH_MM`, or that of the block of `printing`."""
+    printed = _PRINT.get()
+    return WIDTH_MM if printed is None else printed.width_mm
+
+
+def is_printing() -> bool:
+    """Return whether figures are drawn for a paper, whose caption has what is said below them otherwise."""
+    return _PRINT.get() is not None
+
+
 @contextmanager
 def drawing(height_mm: float, width_mm: float = WIDTH_MM, title: str | None = None) -> Iterator[Figure]:
     """Yield a new figure to draw on, which is laid out at the end of the block.
 
     title: above everything; None leaves no room.
     """
+    printed = _PRINT.get()
     with _settings():
+        if printed is not None and printed.panel is not None:
+            yield printed.panel
+            return
+        width_mm = width_mm if printed is None else printed.width_mm
         figure = Figure(figsize=(width_mm * MM, height_mm * MM), layout="constrained")
         FigureCanvasAgg(figure)
-        if title is not None:
+        if title is not None and printed is None:
             figure.suptitle(title)
         yield figure
         if not figure.axes:
@@ -92,16 +137,23 @@ def png_of(figure: Figure, dpi: float = PNG_DPI, transparent: bool = False) -> b
     return _content(figure, "png", dpi=dpi, transparent=transparent)
 
 
-def _content(figure: Figure, kind: str, **options: Any) -> bytes:
+def printed_content(figure: Figure, kind: str) -> bytes:
+    """Return a figure for a paper: PDF with embedded fonts, SVG with letters as outlines, or PNG of `PRINT_DPI`."""
+    return _content(figure, kind, fonts="path", **({"dpi": PRINT_DPI} if kind == "png" else {}))
+
+
+def _content(figure: Figure, kind: str, fonts: str = "none", **options: Any) -> bytes:
     """Return the file of a figure without metadata that changes from run to run."""
-    content, left_out = io.BytesIO(), {"png": ("Software",), "svg": ("Date", "Creator")}[kind]
-    with _settings():
+    left_out = {"png": ("Software",), "svg": ("Date", "Creator"), "pdf": ("CreationDate", "Creator", "Producer")}[kind]
+    content = io.BytesIO()
+    with _settings(), mpl.rc_context({"svg.fonttype": fonts, "pdf.fonttype": 42}):
         figure.savefig(content, format=kind, metadata=dict.fromkeys(left_out), **options)
     return content.getvalue()
 
 
 def _settings() -> AbstractContextManager[None]:
-    return mpl_style.context(["default", _SHEET])
+    sizes = {} if _PRINT.get() is None else dict.fromkeys(_PRINT_SIZES, PRINT_POINTS)
+    return mpl_style.context(["default", _SHEET, sizes])
 
 
 def look(i: int) -> dict[str, Any]:
@@ -138,6 +190,7 @@ def legend_shape(labels: Sequence[str], width_mm: float = WIDTH_MM) -> tuple[int
 
 def add_legend(figure: Figure, handles: Sequence[Artist], labels: Sequence[str], width_mm: float = WIDTH_MM) -> None:
     """Add a legend below everything else."""
+    width_mm = min(width_mm, page_width_mm())
     figure.legend(handles, labels, loc="outside lower left", ncols=legend_shape(labels, width_mm)[0])
 
 

@@ -1,0 +1,136 @@
+"""Draw figures of a result for a paper: chosen by name, one below the other, with a caption."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from recon.base.errors import InputError, Problem
+from recon.base.numbers import counted
+from recon.base.package import version
+from recon.fit.result import TrajectorySolution
+from recon.gait.clip import ClipAnalysis
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+CITATION = "The recon developers. recon: metric 3D motion of a running animal from one camera and DeepLabCut keypoints."
+CAPTIONS: Mapping[str, str] = {
+    "side_view": "Side view of the animal at even steps of one stride, which runs to the right; grey: the ground.",
+    "joint_flexion": (
+        "Joint angles over the stride: flexion from a straight joint, 0 % at the touch-down of the limb's foot. Lines: "
+        "means over strides; shaded: 90 % between strides; thin lines: 90 % by the uncertainty of the fit; bars: the "
+        "foot stands."
+    ),
+    "footfalls": "Stances of the feet over time; thin lines: 90 % of their ends; lines with ticks: complete strides.",
+    "speed": "Speed and acceleration over time; bands: 90 %.",
+    "composites": "Configurations over the clip from the side, from above and from ahead, coloured by time.",
+    "phase_portraits": "Phase portraits: angle against angular rate.",
+    "observability": "Share of the information on each angle that comes from the pixels.",
+    "end_effector": "Motion of the chain's end effector, with the ends of strides.",
+    "forces": "Vertical forces of the feet in body weights; bands: 90 %.",
+}
+"""Captions by figure; names that begin with body_fixed or vector_field have one of their own below."""
+_BY_START: Mapping[str, str] = {
+    "body_fixed": "Configurations over one stride in the animal's own frame.",
+    "vector_field": "Velocities of the limb's links in the animal's own frame.",
+}
+
+
+@dataclass(frozen=True)
+class PrintedFigure:
+    """A figure for a paper, and its caption."""
+
+    figure: Figure
+    caption: str
+    width_mm: float
+
+
+def draw_for_print(analysis: ClipAnalysis, names: Sequence[str], width_mm: float, results: str = "") -> PrintedFigure:
+    """Draw figures of an analysis for a paper, several with letters one below the other.
+
+    Parameters
+    ----------
+    analysis : ClipAnalysis
+        Of `recon.analyse`.
+    names : sequence of str
+        Figures, as `figure_names` has them.
+    width_mm : float
+        Width on paper, as 89 for a column and 183 for a page.
+    results : str
+        Name of the folder of results, for the caption.
+
+    Raises
+    ------
+    InputError
+        For a name that the analysis does not have.
+    """
+    from recon.api.analyse import figures_of
+
+    drawn = figures_of(analysis)
+    wrong = [name for name in names if name not in drawn]
+    if wrong:
+        raise InputError(Problem("NAME", "figure", name, f"one of {', '.join(drawn)}") for name in wrong)
+    draw = [drawn[name] for name in names]
+    if not draw:
+        raise InputError(Problem("NAME", "figure", "none", f"one or more of {', '.join(drawn)}"))
+    figure = _single(draw[0], width_mm) if len(draw) == 1 else _stacked(draw, width_mm)
+    return PrintedFigure(figure, caption_of(analysis, names, results), width_mm)
+
+
+def _single(draw: Callable[[], Figure], width_mm: float) -> Figure:
+    from recon.show.plots.style import printing
+
+    with printing(width_mm):
+        return without_titles(draw())
+
+
+def _stacked(draw: Sequence[Callable[[], Figure]], width_mm: float) -> Figure:
+    """Return one figure with the others below each other, each as high as alone, with letters."""
+    from recon.show.plots.style import MM, drawing, printing
+
+    heights_mm = [_single(one_draw, width_mm).get_figheight() / MM for one_draw in draw]
+    with printing(width_mm), drawing(sum(heights_mm)) as figure:
+        parts = figure.subfigures(len(draw), 1, height_ratios=heights_mm, squeeze=False)[:, 0]
+        for letter, part, one_draw in zip("abcdefghijklmnopqrstuvwxyz", parts, draw, strict=False):
+            with printing(width_mm, part):
+                one_draw()
+            part.suptitle(letter, x=0.005, ha="left", fontweight="bold")
+    return figure
+
+
+def without_titles(figure: Figure) -> Figure:
+    """Return a figure without a title above everything; panels keep the names of what they show."""
+    if figure.get_suptitle():
+        figure.suptitle("")
+    return figure
+
+
+def caption_of(analysis: ClipAnalysis, names: Sequence[str], results: str = "") -> str:
+    """Return the caption of figures: what they show, n, what bands are, how they were made, and the citation."""
+    motion, gait = analysis.motion, analysis.gait
+    several = len(names) > 1
+    texts = [
+        f"({letter}) {_caption(name, analysis)}" if several else _caption(name, analysis)
+        for letter, name in zip("abcdefghijklmnopqrstuvwxyz", names, strict=False)
+    ]
+    strides = 0 if gait is None else len(gait.strides)
+    by_foot = {} if gait is None else {foot: sum(s.foot == foot for s in gait.strides) for foot in gait.tracks.feet}
+    feet = ", ".join(f"{foot} {count}" for foot, count in by_foot.items() if count)
+    n = f"n = 1 animal, 1 clip, {counted(strides, 'complete stride')}" + (f" ({feet})" if feet else "")
+    frames = f"{counted(len(motion.frames), 'frame')} at {motion.fps:g} Hz"
+    cameras = counted(len(motion.sources), "camera")
+    made = f"Made with recon {version()} from {results or 'a result'}: {frames}, {cameras}, skeleton {motion.body.name}"
+    prior = motion.solution.prior if isinstance(motion.solution, TrajectorySolution) else None
+    method = f", prior {prior}." if prior and prior != "none" else ", no motion prior."
+    sides = "Blue: left; orange: right; black: the middle."
+    return "\n".join([*texts, sides, f"{n}.", made + method, f"Cite: {CITATION} Version {version()}.", ""])
+
+
+def _caption(name: str, analysis: ClipAnalysis) -> str:
+    start = next((text for begin, text in _BY_START.items() if name.startswith(begin)), name.replace("_", " "))
+    text = CAPTIONS.get(name, start)
+    if name == "footfalls" and analysis.gait is not None:
+        text += f" Gait: {analysis.gait.name.name}, since {analysis.gait.name.criterion}."
+    return text

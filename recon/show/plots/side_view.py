@@ -1,0 +1,124 @@
+"""Draw the animal from the side at even steps of one stride, as a paper shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from recon.animal.body import Side
+from recon.base.arrays import Array, Bools, Index
+from recon.gait.gait import Plane
+from recon.show.plots import style
+from recon.show.plots.configurations import SIDE_COLOURS, run_frame
+
+POSES, NARROW_POSES = 6, 3
+"""Poses in a row, on the width of a page and of a column."""
+NARROW_MM = 120.0
+_APART = 1.1
+"""Distance of the poses in a row, relative to the longest one."""
+_WIDTHS: Mapping[Side | None, float] = {"left": 1.0, "right": 1.0, None: 1.4}
+
+
+def side_view(
+    joints_m: Array,
+    limbs: Mapping[str, Sequence[int]],
+    sides: Mapping[str, Side | None],
+    during: Bools,
+    time_s: Array,
+    grounds: Sequence[tuple[slice, Plane]] | None = None,
+) -> Figure:
+    """Draw `POSES` configurations at even steps of the stride, side by side, the animal running to the right.
+
+    Parameters
+    ----------
+    joints_m : ndarray
+        Positions (T, J, 3), metres, upright, z up.
+    limbs, sides : mapping
+        Joints along each limb, by name, and the limbs' sides: left blue and dashed, right orange, the middle black.
+    during : ndarray
+        Frames of the stride, (T,); of the whole clip, if it has none.
+    time_s : ndarray
+        Times, shape (T,).
+    grounds : sequence, optional
+        Planes of the ground, each with the rows that it lies under; without one, a line touches the lowest foot.
+    """
+    drawn = sorted({joint for joints in limbs.values() for joint in joints})
+    known = during & (np.isfinite(joints_m[:, drawn]).all(axis=2).mean(axis=1) >= 0.5)
+    rows = np.flatnonzero(known)
+    if len(rows) < 2:
+        with style.drawing(40) as figure:
+            return figure
+    width_mm = style.page_width_mm()
+    per_line = POSES if width_mm > NARROW_MM else NARROW_POSES
+    start_s, end_s = time_s[rows[0]], time_s[rows[-1]]
+    wanted_s = start_s + np.arange(POSES) / POSES * (end_s - start_s)
+    chosen = rows[[int(np.argmin(np.abs(time_s[rows] - at_s))) for at_s in wanted_s]]
+    R, origin = run_frame(joints_m, rows)
+    poses = (joints_m[chosen] - origin) @ R.T
+    low_x, high_x = np.nanmin(poses[:, drawn, 0], axis=1), np.nanmax(poses[:, drawn, 0], axis=1)
+    step_m = _APART * float((high_x - low_x).max())
+    ground_m = _ground_m(joints_m, poses, chosen, drawn, grounds)
+    tall_m = float(np.nanmax(poses[:, drawn, 2] - ground_m[:, None]))
+    lines = -(-POSES // per_line)
+    panel_mm = (width_mm - 4) / per_line * tall_m / step_m + 9
+    with style.drawing(lines * panel_mm + 8) as figure:
+        panels = figure.subplots(lines, 1, squeeze=False)[:, 0]
+        for line, axes in enumerate(panels):
+            for column in range(per_line):
+                i = line * per_line + column
+                shift = np.array([column * step_m - 0.5 * (low_x[i] + high_x[i]), -ground_m[i]])
+                for limb, joints in limbs.items():
+                    side = sides.get(limb)
+                    look = {"color": SIDE_COLOURS[side], "lw": _WIDTHS[side], "zorder": 2 if side == "left" else 3}
+                    points = poses[i][list(joints)][:, [0, 2]] + shift
+                    axes.plot(*points.T, linestyle=(0, (3, 1)) if side == "left" else "-", **look)
+                text = f"{100 * i / POSES:.0f} %"
+                axes.text(column * step_m, -0.06 * tall_m, text, ha="center", va="top", fontsize=style.SMALL)
+            axes.axhline(0, color=style.GREY, lw=0.8, zorder=1)
+            axes.set_xlim(-0.5 * step_m, (per_line - 0.5) * step_m)
+            axes.set_ylim(-0.4 * tall_m, 1.05 * tall_m)
+            axes.set_aspect("equal")
+            axes.axis("off")
+        _scale_bar(panels[-1], step_m, per_line, tall_m)
+        present = {sides.get(limb) for limb in limbs}
+        names: dict[Side | None, str] = {"left": "left", "right": "right", None: "trunk, head and tail"}
+        handles = [
+            Line2D([], [], color=SIDE_COLOURS[side], lw=_WIDTHS[side], label=label, linestyle=dashes)
+            for (side, label), dashes in zip(names.items(), ((0, (3, 1)), "-", "-"), strict=True)
+            if side in present
+        ]
+        style.add_legend(figure, handles, [str(handle.get_label()) for handle in handles])
+    return figure
+
+
+def _ground_m(
+    joints_m: Array,
+    poses: Array,
+    chosen: Index,
+    drawn: Sequence[int],
+    grounds: Sequence[tuple[slice, Plane]] | None,
+) -> Array:
+    """Return the height of the ground below each pose, (N,)."""
+    heights = np.nanmin(poses[:, drawn, 2], axis=1)
+    lowest = heights.copy()
+    for i, row in enumerate(chosen):
+        for part, plane in grounds or ():
+            first, stop, _ = part.indices(len(joints_m))
+            if first <= row < stop:
+                below = np.append(np.nanmean(joints_m[row, :, :2], axis=0), 0.0)
+                heights[i] = -float(plane.above(below[None])[0])
+    # A foot that is drawn below the ground would be cut by it: noise, or a part of the clip without a plane.
+    return np.minimum(heights, lowest + 0.02)
+
+
+def _scale_bar(axes: Axes, step_m: float, per_line: int, tall_m: float) -> None:
+    """Draw a scale bar of a round length at the right end, between the poses' labels and the edge."""
+    length_m = style.round_below(0.35 * step_m)
+    end = (per_line - 0.5) * step_m - 0.02 * step_m
+    y = -0.1 * tall_m
+    axes.plot([end - length_m, end], [y, y], color="k", lw=1.2, solid_capstyle="butt")
+    axes.text(end - 0.5 * length_m, y - 0.04 * tall_m, f"{length_m:g} m", ha="center", va="top", fontsize=style.SMALL)
