@@ -16,7 +16,6 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import json
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -25,6 +24,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+from arguments import parser_of, runs_or_exit
 from markdown_table import print_table
 
 from recon import FitSettings, load_skeleton
@@ -107,12 +107,8 @@ def named(findings: Sequence[Finding], views: Sequence[View]) -> set[tuple[str, 
 
 
 def main() -> None:
-    shared = os.environ.get("RECON_SHARED_DATA", Path(__file__).resolve().parents[3] / "shared" / "data")
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(shared) / "cheetah-runs"
-    runs = sorted(path for path in folder.iterdir() if (path / "meta.json").is_file()) if folder.is_dir() else []
-    if not runs:
-        print(f"no runs in {folder}")
-        return
+    parser = parser_of(__doc__, kind="cheetah-runs")
+    runs = runs_or_exit(parser, parser.parse_args().folder)
     unchanged, right, total, seconds = [], {}, {}, {"as it is": [], "changed": []}
     for run in runs:
         views, fps = views_of_run(run)

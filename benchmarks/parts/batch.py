@@ -7,7 +7,6 @@ Linux only: memory is read from /proc. Dask's part needs the extra `cluster`, an
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
 import os
@@ -22,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from arguments import parser_of
 from markdown_table import print_table
 
 from recon.api.batch import RECORD
@@ -281,7 +281,7 @@ def on_dask(clips: Path, work: Path, total: int, broken: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--clips", type=int, default=500)
     parser.add_argument("--broken", type=int, default=10)
     options = parser.parse_args()

@@ -12,7 +12,6 @@ measured where there are none.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -20,8 +19,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from arguments import parser_of
 from markdown_table import print_table
-from recordings import recordings
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
@@ -194,8 +193,7 @@ HEADER = (
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, nargs="?", default=recordings("still-videos"))
+    parser = parser_of(__doc__, kind="still-videos")
     parser.add_argument("--case", action="append", choices=CASES, help="only these")
     arguments = parser.parse_args()
     videos = sorted(arguments.folder.glob("*.mp4"))

@@ -15,16 +15,15 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+from arguments import parser_of, runs_or_exit
 from changed_constants import options_with
 from markdown_table import print_table
-from recordings import recordings
 from trajectory import SKELETON, body_of, meta_of, prior_of, truth_of
 
 from recon import Body, FitSettings
@@ -86,13 +85,8 @@ def run_of(folder: Path) -> Run:
 
 def runs_given(about: str | None) -> list[Run]:
     """The runs of the folder that the command line names. about: the text of its help."""
-    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", nargs="?", type=Path, default=recordings("cheetah-runs"))
-    folder = parser.parse_args().folder
-    runs = [run_of(path.parent) for path in sorted(folder.resolve().glob("*/meta.json"))]
-    if not runs:
-        raise SystemExit(f"no runs in {folder}")
-    return runs
+    parser = parser_of(about, kind="cheetah-runs")
+    return [run_of(run) for run in runs_or_exit(parser, parser.parse_args().folder.resolve())]
 
 
 def most_different(run: Run) -> int:

@@ -10,14 +10,13 @@ FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data.
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from recordings import recordings
+from arguments import parser_of, runs_or_exit, settings_of
 
 from recon import FitSettings, InputError, Motion, Pose3D, evaluate, fit_clip, read_pose3d
 from recon.animal.skeleton_file import builtin_names
@@ -132,17 +131,9 @@ def print_table(rows: list[dict], title: str) -> None:
 
 
 def main() -> None:
-    default = recordings("cheetah-runs")
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, nargs="?", default=default)
-    parser.add_argument("--csv", type=Path, help="write all rows here")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of every fit")
+    parser = parser_of(__doc__, "--csv", "--set", kind="cheetah-runs")
     arguments = parser.parse_args()
-    changed = dict(item.split("=", 1) for item in arguments.set)
-    runs = sorted(p.parent for p in arguments.folder.glob("*/meta.json"))
-    if not runs:
-        parser.exit(message=f"no runs in {arguments.folder}: nothing measured\n")
-
+    changed, runs = settings_of(arguments), runs_or_exit(parser, arguments.folder)
     tables: dict[str, list[dict]] = {"published link ratios": [], "measured lengths": [], "without Gaussian priors": []}
     for run in runs:
         meta = json.loads((run / "meta.json").read_text())

@@ -7,13 +7,13 @@ One core, warm. Tables in Markdown, as in docs/climb.md; --recipe: the one that 
 
 from __future__ import annotations
 
-import argparse
 import os
 import time
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from arguments import parser_of
 from markdown_table import print_table
 
 from recon.robotics.climb.plan import IN_FILES, RULES, Climb, bundled, load_recipe, plan
@@ -58,7 +58,7 @@ def time_table(robot: Quadruped, name: str) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--recipe", default="published-50", help=f"of {', '.join(bundled())}")
     arguments = parser.parse_args()
     robot = load_robot("aibo")

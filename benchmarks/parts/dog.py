@@ -18,7 +18,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 import json
 import tempfile
 from collections.abc import Sequence
@@ -28,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from recordings import recordings
+from arguments import parser_of
 from trajectory import print_table
 
 from recon import Body, Camera, FitSettings, fit_clip, load_skeleton, write_camera
@@ -308,10 +307,7 @@ def _median(rows: Rows) -> dict:
 
 
 def main() -> None:
-    default = recordings("dog-mocap")
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, nargs="?", default=default)
-    parser.add_argument("--only", choices=("lengths", "expectations", "accuracy"), help="one kind of table")
+    parser = parser_of(__doc__, kind="dog-mocap", only=("lengths", "expectations", "accuracy"))
     parser.add_argument("--write-prior", type=Path, help="fit a prior to all clips and write it here; no tables")
     arguments = parser.parse_args()
 
@@ -321,15 +317,15 @@ def main() -> None:
     if arguments.write_prior:
         print(f"written: {write_prior(clips, arguments.write_prior)}")
         return
-    if arguments.only in (None, "lengths"):
+    if "lengths" in arguments.only:
         print_table("lengths", lengths(clips))
-    if arguments.only == "lengths":
+    if arguments.only == ["lengths"]:
         return
     solved = solve(clips)
-    if arguments.only in (None, "expectations"):
+    if "expectations" in arguments.only:
         print_table("the skeleton's misfit to the clips", misfits(solved))
         print_table("expectations of the angles", expectations(solved))
-    if arguments.only in (None, "accuracy"):
+    if "accuracy" in arguments.only:
         for title, rows in accuracy(clips, solved).items():
             print_table(title, rows)
 

@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from arguments import runs_of
 from dog import Clip, read_clips, write_view
 from markdown_table import print_table
 from recordings import recordings
@@ -131,7 +132,7 @@ def cheetahs() -> tuple[list[ClipAnalysis], list[float]]:
     """Every view of the cheetah-runs; and the share of a run's frames in which what turns about the centre of mass lies
     in the view's intervals, by all cameras of the run: the internal energy, each part of the angular momentum."""
     found, held = [], []
-    for run in sorted(path.parent for path in recordings("cheetah-runs").glob("*/meta.json")):
+    for run in runs_of(recordings("cheetah-runs")):
         about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
         of_run = []
         for cameras in (about["cameras"], *([camera] for camera in about["cameras"])):

@@ -11,15 +11,14 @@ each run left out: the numbers of the method stand or fall with all of them.
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from arguments import parser_of, runs_of, settings_of
 from markdown_table import print_table
-from recordings import recordings
 
 from recon import FitSettings, Motion, Pose3D, evaluate, fit_clip, read_pose3d
 from recon.cli.analyse import ACCELERATION_KNOWN_M_S2
@@ -125,26 +124,22 @@ def summary(table: pd.DataFrame) -> list[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, nargs="?", default=recordings("cheetah-runs"))
+    parser = parser_of(__doc__, "--quick", "--set", "--csv", kind="cheetah-runs")
     parser.add_argument("--only", nargs="+", default=[], metavar="RUN", help="runs whose names begin so")
-    parser.add_argument("--quick", action="store_true", help="the named camera of each run only")
-    parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of every fit")
-    parser.add_argument("--csv", type=Path, help="write all rows here")
-    given = parser.parse_args()
-    options = dict(item.split("=", 1) for item in given.set)
+    arguments = parser.parse_args()
+    options = settings_of(arguments)
     rows = []
-    for run in sorted(path.parent for path in given.folder.glob("*/meta.json")):
-        if given.only and not run.name.startswith(tuple(given.only)):
+    for run in runs_of(arguments.folder):
+        if arguments.only and not run.name.startswith(tuple(arguments.only)):
             continue
         meta = json.loads((run / "meta.json").read_text())
-        cameras = [meta["monocular_camera"]] if given.quick else meta["cameras"]
+        cameras = [meta["monocular_camera"]] if arguments.quick else meta["cameras"]
         rows += [view_row(run, camera, meta, options) for camera in cameras]
     if not rows:
-        parser.exit(message=f"no runs in {given.folder}: nothing measured\n")
+        parser.exit(message=f"no runs in {arguments.folder}: nothing measured\n")
     table = pd.DataFrame(rows)
-    if given.csv:
-        table.to_csv(given.csv, index=False)
+    if arguments.csv:
+        table.to_csv(arguments.csv, index=False)
     cells = [
         [
             *(str(row.run)[:26], f"{row.camera}{' *' if row.named else ''}", row.verdict, f"{row.true_peak_m_s:.1f}"),

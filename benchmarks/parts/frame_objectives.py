@@ -11,16 +11,15 @@ mean. Jitter: of the thetas from frame to frame, degrees, median. A quarter of a
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
 import numpy as np
+from arguments import parser_of, runs_or_exit
 from cheetah_runs import PUBLISHED, best_90_px
 from markdown_table import print_header, print_row
-from recordings import recordings
 
 from recon import FitSettings, Pose3D, evaluate, fit_clip, read_pose3d
 from recon.gait.kinematics import frame_jitter_m
@@ -102,10 +101,8 @@ def measured(run: Path, kept: tuple[str, ...], options: dict[str, Any]) -> tuple
 
 
 def main() -> None:
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else recordings("cheetah-runs")
-    runs = sorted(path.parent for path in folder.glob("*/meta.json"))
-    if not runs:
-        sys.exit(f"no runs in {folder}: nothing measured")
+    parser = parser_of(__doc__, kind="cheetah-runs")
+    runs = runs_or_exit(parser, parser.parse_args().folder)
     print_header(["objectives", "pixels", "MPJPE, mm (by run)", "share", "jitter"])
     for name, (kept, options) in CASES.items():
         pixels, mpjpe, share, jitter = np.array([measured(run, kept, options) for run in runs]).T

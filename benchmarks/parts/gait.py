@@ -15,7 +15,6 @@ by its markers and by one camera beside it; and the horse-side, labels by hand.
 
 from __future__ import annotations
 
-import argparse
 import json
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -24,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from arguments import parser_of
 from dog import Clip, read_clips, write_view
 from markdown_table import print_table
 from recordings import recordings
@@ -325,9 +325,7 @@ def print_rows(rows: list[dict]) -> None:
 
 
 def main() -> None:
-    default = recordings("cheetah-runs")
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, nargs="?", default=default)
+    parser = parser_of(__doc__, kind="cheetah-runs")
     parser.add_argument(
         "--held-out", action="store_true", help="choose SPEED_ERROR by other recordings, and nothing else"
     )

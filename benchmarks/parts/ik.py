@@ -9,7 +9,6 @@ warm. Tables in Markdown, as in docs/ik.md. The last four need real runs: each i
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 from collections.abc import Callable, Sequence
@@ -23,8 +22,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import time
 
 import numpy as np
+from arguments import parser_of
 from markdown_table import print_header, print_row, print_table
-from recordings import recordings
 from scipy.interpolate import CubicSpline
 
 from recon import Pose3D, read_pose3d
@@ -528,13 +527,10 @@ def held_out_row(
 
 
 def main() -> None:
-    default = recordings("cheetah-runs")
     tables = {"steps": print_steps, "targets": print_targets, "alphas": print_alphas, "circle": print_circle}
     tables |= {"costs": print_costs}
     real = {"strides": print_strides, "fits": print_fits, "held-out": print_held_out, "online": print_online}
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, nargs="?", default=default)
-    parser.add_argument("--only", nargs="+", choices=[*tables, *real], default=[*tables, *real])
+    parser = parser_of(__doc__, kind="cheetah-runs", only=[*tables, *real])
     arguments = parser.parse_args()
     for name, table in tables.items():
         if name in arguments.only:

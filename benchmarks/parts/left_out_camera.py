@@ -22,7 +22,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -30,9 +29,9 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+from arguments import parser_of
 from cameras import run_of
 from markdown_table import print_header, print_row
-from recordings import recordings
 from trajectory import PRIOR, SKELETON, prior_of
 
 from recon import Body, load_skeleton
@@ -190,16 +189,13 @@ def simulated_clips(quick: bool) -> Iterator[Clip]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", nargs="?", type=Path, default=recordings("cheetah-runs"))
-    parser.add_argument("--only", nargs="+", default=["runs", "simulated"])
+    parser = parser_of(__doc__, "--quick", kind="cheetah-runs", only=("runs", "simulated"))
     parser.add_argument("--cameras", nargs="+", default=["all", "two", "one"])
     parser.add_argument("--detectors", nargs="+", default=["none", "acinoset"])
     parser.add_argument("--runs", nargs="+", type=int, help="numbers of the runs, from 0")
     parser.add_argument("--frames", type=int, help="only so many frames, the middle ones")
     parser.add_argument("--outs", type=int, help="only so many cameras are left out")
     parser.add_argument("--no-anipose", action="store_true")
-    parser.add_argument("--quick", action="store_true")
     given = parser.parse_args()
     clips: list[Clip] = []
     if "runs" in given.only:

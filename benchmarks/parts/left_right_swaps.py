@@ -17,7 +17,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -29,6 +28,7 @@ from typing import Any
 import dog
 import numpy as np
 import pandas as pd
+from arguments import parser_of, runs_of
 from markdown_table import print_header, print_row
 from recordings import recordings
 from trajectory import GROUPS, PRIOR, body_of, meta_of, prior_of, view_of
@@ -449,7 +449,7 @@ def print_others(table: pd.DataFrame) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__, "--csv")
     both = [recordings("cheetah-runs"), recordings("plate-trials")]
     parser.add_argument("folder", type=Path, nargs="*", default=both)
     parser.add_argument("--views", type=int, default=1, help="every so many views")
@@ -457,9 +457,8 @@ def main() -> None:
     parser.add_argument("--only", help="cases whose name has this in it")
     parser.add_argument("--folds", action="store_true", help="choose the margin, leaving runs out")
     parser.add_argument("--others", action="store_true", help="what is named in clips of other animals")
-    parser.add_argument("--csv", type=Path, help="write all rows here")
     arguments = parser.parse_args()
-    runs = sorted(p.parent for folder in arguments.folder for p in folder.glob("*/meta.json"))
+    runs = sorted(run for folder in arguments.folder for run in runs_of(folder))
     if not runs:
         parser.exit(message=f"no runs in {', '.join(map(str, arguments.folder))}: nothing measured\n")
     if arguments.others:

@@ -18,7 +18,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -27,6 +26,7 @@ from pathlib import Path
 import dog
 import numpy as np
 import trajectory
+from arguments import parser_of, runs_of
 from recordings import recordings
 
 from recon import Body, Camera
@@ -195,18 +195,16 @@ def _from_the_side(segment: tuple[str, np.ndarray, float], body: Body) -> Case:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", choices=("dog", "cheetah", "segments"), help="one part")
-    only = parser.parse_args().only
+    only = parser_of(__doc__, only=("dog", "cheetah", "segments")).parse_args().only
     clips, poses, real = (recordings(name) for name in ("dog-mocap", "cheetah-poses", "cheetah-runs"))
-    runs = sorted(path.parent for path in real.glob("*/meta.json"))
-    if only in (None, "dog") and clips.is_dir():
+    runs = runs_of(real)
+    if "dog" in only and clips.is_dir():
         dogs(clips)
     if poses.is_dir() and runs:
         segments = segments_of(poses)
-        if only in (None, "cheetah"):
+        if "cheetah" in only:
             cheetahs(runs, segments)
-        if only in (None, "segments"):
+        if "segments" in only:
             gallops(segments)
 
 

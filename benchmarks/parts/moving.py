@@ -16,16 +16,14 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
+from arguments import parser_of, runs_or_exit
 from cameras import PRIOR, Run, errors, run_of
 from changed_constants import options_with
 from markdown_table import print_header, print_row
-from recordings import recordings
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 from trajectory import body_of, prior_of
@@ -233,14 +231,8 @@ def print_summary(rows: Sequence[dict]) -> None:
 
 
 def main() -> None:
-    default = recordings("cheetah-runs")
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, nargs="?", default=default)
-    arguments = parser.parse_args()
-    folders = sorted(path.parent for path in arguments.folder.glob("*/meta.json"))
-    if not folders:
-        parser.exit(message=f"no runs in {arguments.folder}: nothing measured\n")
-    runs = [run_of(folder) for folder in folders]
+    parser = parser_of(__doc__, kind="cheetah-runs")
+    runs = [run_of(folder) for folder in runs_or_exit(parser, parser.parse_args().folder)]
     print("### A camera that pans\n")
     print_summary(print_rows(row for run in runs for row in pan_rows(run)))
     print("### A camera that pans, its poses known with errors\n")

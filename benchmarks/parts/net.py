@@ -25,6 +25,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from arguments import parser_of
 from markdown_table import print_header, print_row
 from net_circle import run_circle
 from net_large import run_large, write_large_film
@@ -50,7 +51,7 @@ FIRST = 50
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("what", choices=("circle", "large", "speed", "horse"))
     parser.add_argument("--minutes", type=float, default=15.0)
     parser.add_argument("--steps", type=int)

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from arguments import parser_of
 from markdown_table import print_header, print_row
 from startup import SAMPLES, seconds
 
@@ -39,7 +40,7 @@ CHROMIUM = next(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("what", choices=("pages", "summary", "run"))
     parser.add_argument("--clips", type=int, default=500)
     parser.add_argument("--model", type=Path)

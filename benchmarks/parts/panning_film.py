@@ -12,11 +12,11 @@ drawn.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from pathlib import Path
 
 import numpy as np
+from arguments import parser_of
 from markdown_table import print_header, print_row
 from net_circle import Circle, run_circle
 from scipy.spatial.transform import Rotation
@@ -49,7 +49,7 @@ def row(name: str, seed: int, circle: Circle, truth: np.ndarray | None, out: Pat
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--device", default="auto")

@@ -10,7 +10,6 @@ left out in turn: the best choice on the others, and what it and the method's ow
 
 from __future__ import annotations
 
-import argparse
 import json
 from dataclasses import dataclass
 from itertools import product
@@ -18,9 +17,9 @@ from pathlib import Path
 from unittest import mock
 
 import numpy as np
+from arguments import parser_of, runs_or_exit
 from frame_method import WITHIN, true_peak_m_s
 from markdown_table import print_table
-from recordings import recordings
 
 from recon import FitSettings, fit_clip, read_pose3d
 from recon.fit.posterior import radius
@@ -106,15 +105,11 @@ def score(peaks: np.ndarray, true_m_s: np.ndarray) -> tuple[float, float, float]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, nargs="?", default=recordings("cheetah-runs"))
-    folder = parser.parse_args().folder
+    parser = parser_of(__doc__, kind="cheetah-runs")
     views = []
-    for run in sorted(meta.parent for meta in folder.glob("*/meta.json")):
+    for run in runs_or_exit(parser, parser.parse_args().folder):
         meta = json.loads((run / "meta.json").read_text())
         views += [solve(run, camera, meta["fps"]) for camera in meta["cameras"]]
-    if not views:
-        parser.exit(message=f"no runs in {folder}: nothing measured\n")
     true_m_s = np.array([view.true_peak_m_s for view in views])
     names = np.array([view.run for view in views])
     peaks = {choice: np.array([view.peak(choice) for view in views]) for choice in {*CHOICES, OWN}}

@@ -13,7 +13,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 import json
 import tempfile
 import time
@@ -21,6 +20,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from arguments import parser_of
 
 from recon import FitSettings
 from recon.api.clip_results import run_clip
@@ -100,9 +100,7 @@ def row(clip: str, solved: Retargeting, seconds: float) -> list[str]:
 
 
 def main() -> None:
-    default = Path(os.environ.get("RECON_SHARED_DATA", ROOT.parent / "shared" / "data")) / "cheetah-runs"
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, nargs="?", default=default)
+    parser = parser_of(__doc__, kind="cheetah-runs")
     parser.add_argument("--robot", action="append", help="a1, aibo, or a file; several times for several")
     parser.add_argument("--picture", type=Path)
     arguments = parser.parse_args()

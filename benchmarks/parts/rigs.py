@@ -18,11 +18,11 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from arguments import parser_of
 from markdown_table import print_header, print_row
 
 from recon import load_skeleton
@@ -74,7 +74,7 @@ def print_refined(animals: Sequence[str], seeds: Sequence[int]) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--animals", nargs="+", default=["mouse-top", "dog-27", "human-25"])
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--first-seed", type=int, default=0)

@@ -27,7 +27,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 import multiprocessing
 from collections.abc import Sequence
 from contextlib import suppress
@@ -36,6 +35,7 @@ from functools import cache, partial
 
 import dog
 import numpy as np
+from arguments import parser_of
 from cameras import PRIOR, run_of, states_of
 from markdown_table import print_table
 from recordings import recordings
@@ -256,7 +256,7 @@ _SHARES = ("pose 90", "pose 50", "tail 90", "place 90", "place 50")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--clips", type=int, default=200)
     parser.add_argument("--skeleton", default="cheetah-24")
     parser.add_argument("--seed", type=int, default=0)

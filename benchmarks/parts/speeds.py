@@ -11,12 +11,10 @@ the whole clip, of fit and reference over the same frames.
 from __future__ import annotations
 
 import json
-import sys
-from pathlib import Path
 
 import numpy as np
+from arguments import parser_of, runs_or_exit
 from markdown_table import print_table
-from recordings import recordings
 
 from recon import FitSettings, Motion, Pose3D, fit_clip, read_pose3d
 from recon.fit.posterior import radius
@@ -46,10 +44,8 @@ def measured(motion: Motion, truth: Pose3D) -> tuple[float, float, float, float,
 
 
 def main() -> None:
-    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else recordings("cheetah-runs")
-    runs = sorted(path.parent for path in folder.glob("*/meta.json"))
-    if not runs:
-        sys.exit(f"no runs in {folder}: nothing measured")
+    parser = parser_of(__doc__, kind="cheetah-runs")
+    runs = runs_or_exit(parser, parser.parse_args().folder)
     rows = []
     for method, options in METHODS.items():
         by_run = {}

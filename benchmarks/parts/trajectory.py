@@ -14,7 +14,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 import json
 import multiprocessing
 import resource
@@ -27,9 +26,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from arguments import parser_of, runs_of
 from changed_constants import options_with
 from cheetah_runs import PUBLISHED, view_row
-from recordings import recordings
 
 from recon import Body, Camera, load_skeleton, read_camera, read_keypoints, read_pose3d
 from recon.animal.body import other_side
@@ -717,14 +716,9 @@ SIMULATED: dict[str, Callable[[], dict[str, Rows]]] = {"robustness": long_hole, 
 
 
 def main() -> None:
-    default = recordings("cheetah-runs")
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, nargs="?", default=default)
-    parser.add_argument("--only", choices=sorted({*REAL, *SIMULATED}), help="one kind of table")
-    parser.add_argument("--csv", type=Path, help="write all rows here")
-    arguments = parser.parse_args()
-
-    runs = sorted(p.parent for p in arguments.folder.resolve().glob("*/meta.json"))
+    names = list(dict.fromkeys((*REAL, *SIMULATED)))
+    arguments = parser_of(__doc__, "--csv", kind="cheetah-runs", only=names).parse_args()
+    runs = runs_of(arguments.folder.resolve())
     if not runs:
         print(f"no runs in {arguments.folder}: simulated clips only")
     print_table(
@@ -733,9 +727,9 @@ def main() -> None:
         + [{"hyper-parameter": name, "value": str(value)} for name, value in vars(constants).items() if name.isupper()],
     )
     written: Rows = []
-    for name in dict.fromkeys((*REAL, *SIMULATED)):
+    for name in names:
         tables: dict[str, Rows] = {}
-        if arguments.only in (None, name):
+        if name in arguments.only:
             tables |= REAL[name](runs) if runs and name in REAL else {}
             tables |= SIMULATED[name]() if name in SIMULATED else {}
         for title, rows in tables.items():

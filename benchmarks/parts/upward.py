@@ -19,6 +19,7 @@ from itertools import combinations
 from unittest.mock import patch
 
 import numpy as np
+from arguments import runs_of
 from cameras import run_of
 from markdown_table import print_table
 from recordings import recordings
@@ -36,12 +37,12 @@ BODY, SIGMA_PX = load_skeleton("cheetah-24"), TrajectoryOptions().sigma_px
 
 def clips() -> Iterator[tuple[str, Sequence[View], float]]:
     """What they are, their views, and the frame rate."""
-    for folder in sorted(path.parent for path in recordings("cheetah-runs").glob("*/meta.json")):
+    for folder in runs_of(recordings("cheetah-runs")):
         run = run_of(folder)
         yield "cheetah-runs, all cameras", [*run.views.values()], run.fps
         for two in combinations(run.views.values(), 2):
             yield "cheetah-runs, two cameras", two, run.fps
-    for folder in sorted(path.parent for path in recordings("plate-trials").glob("*/meta.json")):
+    for folder in runs_of(recordings("plate-trials")):
         about = meta_of(folder)
         files = [folder / f"cam{c}" for c in about["cameras"]]
         keypoints, cameras = (tuple(f.with_suffix(ending) for f in files) for ending in (".csv", ".toml"))

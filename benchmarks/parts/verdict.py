@@ -17,7 +17,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -27,6 +26,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from arguments import parser_of, runs_of
 from markdown_table import print_table
 from recordings import recordings
 from scipy.stats import spearmanr
@@ -93,7 +93,7 @@ WORSE = {
 
 def tasks() -> Iterator[tuple[Clip, str]]:
     for kind in ("cheetah-runs", "plate-trials"):
-        for run in sorted(path.parent for path in recordings(kind).glob("*/meta.json")):
+        for run in runs_of(recordings(kind)):
             names = cameras_of(run)
             views = [Clip(run, (name,)) for name in names]
             yield from ((view, "one") for view in views)
@@ -185,9 +185,7 @@ def figures(label: str, of: pd.DataFrame) -> list[Any]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--csv", type=Path, help="write all rows here")
+    parser = parser_of(__doc__, "--jobs", "--csv")
     arguments = parser.parse_args()
     with ProcessPoolExecutor(arguments.jobs) as pool:
         table = pd.DataFrame(pool.map(row, tasks(), chunksize=4))

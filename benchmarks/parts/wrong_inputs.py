@@ -19,7 +19,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 import json
 import tempfile
 import tomllib
@@ -33,6 +32,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from arguments import parser_of
 from markdown_table import print_table
 from recordings import recordings
 
@@ -619,11 +619,9 @@ def horse_as_cheetah() -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__, "--jobs", "--csv")
     parser.add_argument("--cases", help="those whose name has one of these in it, with commas between them")
     parser.add_argument("--views", type=int, default=1, help="every so many clips")
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--csv", type=Path, help="write all rows here")
     parser.add_argument("--findings", action="store_true", help="which findings each case has")
     arguments = parser.parse_args()
     wanted = [n for n in CASES if arguments.cases is None or any(part in n for part in arguments.cases.split(","))]

@@ -1,0 +1,54 @@
+"""The command line of a part: the arguments that several of them take, in one form."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from recordings import recordings
+
+COMMON: dict[str, dict[str, Any]] = {
+    "--csv": {"type": Path, "help": "write all rows here"},
+    "--jobs": {"type": int, "default": 1, "help": "processes"},
+    "--quick": {"action": "store_true", "help": "the named camera of each run only"},
+    "--set": {"action": "append", "default": [], "metavar": "NAME=VALUE", "help": "a setting of every fit"},
+}
+
+
+def parser_of(text: str | None, *options: str, kind: str = "", only: Sequence[str] = ()) -> argparse.ArgumentParser:
+    """Return a parser whose help is the script's text.
+
+    Parameters
+    ----------
+    options : names of `COMMON`
+    kind : recordings whose folder can be given, and by default is that of $RECON_SHARED_DATA
+    only : the parts among which --only chooses; by default all are measured
+    """
+    parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
+    if kind:
+        parser.add_argument("folder", type=Path, nargs="?", default=recordings(kind), help=f"default: {kind}")
+    if only:
+        parser.add_argument("--only", nargs="+", choices=[*only], default=[*only], metavar="PART", help=", ".join(only))
+    for option in options:
+        parser.add_argument(option, **COMMON[option])
+    return parser
+
+
+def settings_of(arguments: argparse.Namespace) -> dict[str, str]:
+    """Return the settings of --set by their names."""
+    return dict(item.split("=", 1) for item in arguments.set)
+
+
+def runs_of(folder: Path) -> list[Path]:
+    """Return the runs of a folder of recordings, by their names."""
+    return sorted(path.parent for path in folder.glob("*/meta.json"))
+
+
+def runs_or_exit(parser: argparse.ArgumentParser, folder: Path) -> list[Path]:
+    """Return the runs of a folder, or end the script where there are none."""
+    runs = runs_of(folder)
+    if not runs:
+        parser.exit(message=f"no runs in {folder}: nothing measured\n")
+    return runs
