@@ -48,7 +48,8 @@ def test_every_part_has_its_script(question, monkeypatch):
         else {}
     )
     for table in results.get("tables", {}).values():
-        assert {"measured", "command", "data"} <= table.keys()
+        source = results["runs"][table["run"]] if "run" in table else table
+        assert {"measured", "command", "data"} <= source.keys()
 
 
 def test_printed_tables_are_read(monkeypatch):

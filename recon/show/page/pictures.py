@@ -103,8 +103,8 @@ def cut_of(points_px: Array, fps: float, picture_px: tuple[int, int]) -> Cut:
     centres[known] = (low + high) / 2
     filled = pd.DataFrame(centres).interpolate(limit_direction="both").to_numpy()
     half = min(round(SMOOTH_S * fps / 2), len(filled) - 1)
-    before, after = 2 * filled[0] - filled[half:0:-1], 2 * filled[-1] - filled[-2 : -half - 2 : -1]
-    padded = np.concatenate([before, filled, after])  # goes on as it went at the ends
+    start, end = 2 * filled[0] - filled[half:0:-1], 2 * filled[-1] - filled[-2 : -half - 2 : -1]
+    padded = np.concatenate([start, filled, end])  # goes on as it went at the ends
     smooth = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0).mean(axis=-1)
     corners = np.clip(np.round(smooth - size / 2), 0, picture - size).astype(int)
     return Cut(corners, (int(size[0]), int(size[1])), WINDOW_PX)
