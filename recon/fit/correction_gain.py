@@ -26,6 +26,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from recon.animal.prior import MotionPrior
 from recon.base.arrays import Array
@@ -62,8 +63,9 @@ def correction_gain_m2(
     """
     clip = ClipProblem.from_views(solution.views, solution.body, prior, fps, options)
     gain_m2 = np.full(solution.weight.shape, np.nan)
-    for rows, segment_clip, problem, estimate in _problems_at(clip, solution):
-        gain_m2[:, rows] = _segment_gain(segment_clip, problem, estimate, solution, rows)
+    with threadpool_limits(1, user_api="blas"):  # as `solve_trajectory`: the matrices are small
+        for rows, segment_clip, problem, estimate in _problems_at(clip, solution):
+            gain_m2[:, rows] = _segment_gain(segment_clip, problem, estimate, solution, rows)
     return gain_m2 / max(int(solution.posed.sum()) * len(solution.body.markers), 1)
 
 
