@@ -218,7 +218,7 @@ class Output:
     content: str = "results"
     """Name of the files in messages."""
     option: str = "--out"
-    """Name of the folder, or of the file, in messages."""
+    """What a message calls the folder, or the file; empty where no option names another."""
 
     def require(self, names: Iterable[str] = ()) -> None:
         """Raise InputError if the folder cannot be written to, or a file of these names may not be replaced.
@@ -315,7 +315,7 @@ class Output:
         require_no_folders(self.folder, names)
         raise_problems(self._refused([name for name in names if self._is_input(name)], "an input of this run"))
         foreign = [name for name in names if not self._is_own(name, written)]
-        description = f"a file that `recon {self.kind}` did not write, or that was changed since"
+        description = f"a file that this version of `recon {self.kind}` did not write, or that was changed since"
         raise_problems(self._refused(foreign, description))
         if self.exact is not None and not self.overwrite:
             raise_problems(self._there_already(name) for name in names)
@@ -338,7 +338,8 @@ class Output:
             rest = (
                 f"; the same of {', '.join(listed)}{f' and {count - NAMED} more' * (count > NAMED)}" if listed else ""
             )
-            expected = f"another {self.option}, or the file moved away: recon would have to replace it"
+            other = f"another {self.option}, or " if self.option else ""
+            expected = f"{other}the file moved away: recon would have to replace it"
             yield Problem(self.folder / names[0], "file", description + rest, expected)
 
     # -- putting files there

@@ -258,7 +258,7 @@ def report(settings: PageSettings, progress: Progress = silent) -> Answer:
 def _page_of_clip(settings: PageSettings, progress: Progress, whole_batch: bool = False) -> Answer:
     """Make the page of one result. whole_batch: those of all clips beside it are being made, too."""
     folder, page, video = settings.folder, settings.folder / PAGE, settings.video
-    output = Output(folder, "report", True, made_from=ReadResults.read(folder))
+    output = Output(folder, "report", True, made_from=ReadResults.read(folder), option="")
     motion, number = result_and_video(settings, lambda: output.require((PAGE,)) if folder.is_dir() else None)
     progress("pictures", 0.1)
     drawn, rows, strip, pictures = page_pictures(motion, number, settings, STILLS)

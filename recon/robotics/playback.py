@@ -53,6 +53,7 @@ def write_robot(
     title : str
         By default the robot's title.
     """
+    scene.require_whole()
     series, size = [_angles(motion, label) for label in LEGS], motion.robot.stand_m
     # The middle of what is to be seen, near the ground, and half its size: of the robot, and of the animal.
     middle, half = motion.pose.translation * (1.0, 1.0, 0.1), 1.2 * size

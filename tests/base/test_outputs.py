@@ -481,6 +481,7 @@ def files_and_commands(clip: Path, inputs: Path, mine: Path) -> dict[str, tuple[
                 "a.osim": ("a.mot", "a.trc"),
             }.items()
         },
+        "audit": (("audit", SAMPLES / "whole.csv", "--fps", 60, *folder), ("audit.csv", "audit.html")),
         "overlay": (("overlay", clip, "--video", film, "--out", mine / "o.mp4"), ("o.mp4",)),
         "view": (("view", clip, "--out", mine / "x.rrd"), ("x.rrd",)),
         "skeleton from-keypoints": (

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from command_line import refusal, refused, run, says
 from networks import EVALUATIONS, narrow_networks
+from users_files import require_untouched
 
 from recon.testing.files import write_damaged_video
 
@@ -144,6 +145,16 @@ def test_the_video_is_never_written_over(clip, model, tmp_path):
         run_prediction(video, model, tmp_path / "p.csv", overlay=tmp_path / "." / "clip.avi", overwrite=True)
     assert video.read_bytes() == (clip / "clip.avi").read_bytes()
     assert not (tmp_path / "p.csv").exists()
+
+
+def test_no_file_of_a_user_s_is_replaced(clip, model, tmp_path):
+    """Under the names that the commands write; each is refused before any work."""
+    train_it = ("train", clip / "clip.avi", "--labels", clip / "labels.csv", "--first-frame", 50, "--steps", 3)
+    names = (predict_module.MODEL_FILE, train_module.CHECKPOINT_FILE, *train_module.REPORT_FILES)
+    require_untouched((*train_it, "--out", tmp_path / "net"), tmp_path / "net", names)
+    files = ("points.csv", "points.avi")
+    written = ("--out", tmp_path / "p" / files[0], "--overlay", tmp_path / "p" / files[1])
+    require_untouched(("predict", clip / "clip.avi", "--model", model, *written), tmp_path / "p", files)
 
 
 def test_ctrl_c_says_how_to_go_on(clip, tmp_path, monkeypatch):

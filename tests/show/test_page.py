@@ -212,7 +212,7 @@ def test_a_page_goes_with_its_results(small_trajectory, tmp_path):
     settings = FitSettings(keypoints=Path("run.csv"), camera=Path("camera.toml"), fps=30)
     write_clip(small_trajectory, settings, tmp_path)
     (tmp_path / "report.html").write_text("my own")
-    with refusal((tmp_path / "report.html", "file", "`recon report` did not write", "moved away")):
+    with refusal((tmp_path / "report.html", "file", "`recon report` did not write", "the file moved away")):
         report(PageSettings(folder=tmp_path))
     assert (tmp_path / "report.html").read_text() == "my own"
     (tmp_path / "report.html").unlink()

@@ -482,3 +482,16 @@ def test_viewer_is_rerun_of_this_python(tmp_path: Path, monkeypatch: pytest.Monk
     assert python == sys.executable
     assert rest[:2] == ["-m", "rerun"]
     assert rest[-1] == str(path)
+
+
+def test_a_playback_that_memory_was_short_for_is_none(small_motion, tmp_path, monkeypatch):
+    """By itself, rerun only warns of it, and leaves out what it could not make."""
+    from rerun.encodings import Utf8Batch
+
+    def short(*_: Any) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(Utf8Batch, "_native_to_pa_array", staticmethod(short))
+    with pytest.raises(MemoryError):
+        write(small_motion, tmp_path / "motion.rrd")
+    assert list(tmp_path.iterdir()) == []

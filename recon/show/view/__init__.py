@@ -71,6 +71,7 @@ def write(
     The viewer plays it in a loop, slowly if it is short. analysis: its plots get tabs of their own; video: behind the
     picture of a camera, by its number, with the number of the video's first frame.
     """
+    scenes.require_whole()
     scene, standing = Scene.from_motion(motion), (analysis or ClipAnalysis(motion)).standing
     plots = [*angle_plots(motion), *other_plots(motion), *(() if analysis is None else analysis_plots(analysis))]
     rows = states(motion, standing)

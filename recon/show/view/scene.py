@@ -481,6 +481,11 @@ def write_video(motion: Motion, log: Log, video: Path, first_frame: int = 0, num
 _AT_ONCE = 1 << 20
 
 
+def require_whole() -> None:
+    """Let rerun raise what it would only warn of: without memory, it leaves parts of a playback out."""
+    rr.set_strict_mode(True)
+
+
 @contextmanager
 def recording(path: Path, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
     """Yield a recording to log to, which is written to `path`; no file is left if the block raises.
