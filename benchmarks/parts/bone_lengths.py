@@ -19,8 +19,9 @@ from recordings import recordings
 from recon import FitSettings
 from recon.animal.bones import bones_of
 from recon.api.subject_fit import clip_problem
+from recon.fit.body_shape import Shape
 from recon.fit.posterior import radius
-from recon.fit.shape import MODEL_SIGMA, Shape, fit_shape
+from recon.fit.shape import MODEL_SIGMA, fit_shape
 from recon.gait.gait import INTERVAL
 
 Rows = list[tuple[str, float, float]]

@@ -30,10 +30,11 @@ from recon import Body, FitSettings
 from recon.animal.measured import detector_toml
 from recon.api.clip_inputs import prepare
 from recon.clip import Source, View, views_of
+from recon.fit.body_shape import Shape
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.points import solve_points
 from recon.fit.result import TrajectorySolution
-from recon.fit.shape import POSED_OFFSET_SIGMA_M, Shape, fit_shape
+from recon.fit.shape import POSED_OFFSET_SIGMA_M, fit_shape
 from recon.fit.trajectory import solve_trajectory
 from recon.geometry.kinematics import ROOT
 from recon.testing.coverage import coverage

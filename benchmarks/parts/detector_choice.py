@@ -30,8 +30,9 @@ from recon.animal.measured import detector_toml
 from recon.api.clip import fit_clip
 from recon.api.clip_inputs import prepare
 from recon.clip import align_cameras, views_of
+from recon.fit.body_shape import Shape
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
-from recon.fit.shape import Shape, fit_shape
+from recon.fit.shape import fit_shape
 from recon.gait.evaluation import evaluate
 
 WITH_LENGTHS = ("jules", "phantom")

@@ -150,6 +150,9 @@ class FitSettings(Settings):
     focal_sigma: Annotated[Positive | None, _RARE_TRAJECTORY] = None
     """How well focal lengths are known, relative, as in 0.1: one camera's makes the position less certain; several
     cameras' are found and go into cameras.toml. (default: exactly)"""
+    lengths_known: Annotated[bool, _RARE_TRAJECTORY] = False
+    """Take the lengths of the skeleton or subject, and where the detector's keypoints lie, for exact. (default: several
+    cameras find both with the fit)"""
     camera_fps: Annotated[OneOrMore[Positive] | None, _RARE_TRAJECTORY] = None
     """Frame rates of cameras that differ in it, once for each keypoint file; the first is the result's."""
     method: Annotated[Method, _RARE] = "trajectory"

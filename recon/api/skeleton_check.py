@@ -14,7 +14,7 @@ from recon.animal.chain import load_chain
 from recon.animal.prior import load_prior
 from recon.animal.skeleton_file import load_skeleton
 from recon.base.numbers import length_text
-from recon.fit.shape import LENGTH_SIGMA
+from recon.fit.body_shape import LENGTH_SIGMA
 from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES
 from recon.show.plain import picked
 

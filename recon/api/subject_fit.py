@@ -21,10 +21,11 @@ from recon.base.errors import InputError, Problem, collect_problems
 from recon.base.outputs import output_file, require_suffix
 from recon.base.settings import OneOrMore, Option, Settings, input_paths
 from recon.clip import views_of
+from recon.fit.body_shape import Shape
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.points import MIN_MARKERS, solve_points
 from recon.fit.posterior import radius
-from recon.fit.shape import POSED_OFFSET_SIGMA_M, Shape, ShapeFit, fit_shape
+from recon.fit.shape import POSED_OFFSET_SIGMA_M, ShapeFit, fit_shape
 from recon.gait.gait import INTERVAL
 from recon.io.common import Pose3D
 from recon.io.positions import read_pose3d

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -13,6 +13,7 @@ from recon.animal.prior import MotionPrior, prior_from_body
 from recon.base.arrays import Array, Bools, Index
 from recon.clip import View
 from recon.fit import constants, terms
+from recon.fit.body_shape import FreeShape
 from recon.fit.least_squares import LeastSquares, SharedUnknown, piece_of
 from recon.fit.result import Ground
 
@@ -43,6 +44,8 @@ class TrajectoryOptions:
     """Whether the poses of all cameras but the first are unknowns."""
     focal_sigma: float | None = None
     """Standard deviation of all cameras' focal lengths, relative, of several cameras; None: they are exact."""
+    lengths_known: bool = False
+    """Whether the body's lengths and the keypoints' offsets are as said; otherwise several cameras find them."""
 
     def keypoint_noise_m(self, body: Body) -> float:
         """Return the standard deviation of a body's keypoints about its markers."""
@@ -68,6 +71,12 @@ class ClipProblem:
     """See `MotionSegment.prior_weight`."""
     known_states: Array | None = None
     """(T, D): states whose heading and angles the animal has, NaN in frames where they are not known; None: nowhere."""
+    shape: FreeShape | None = None
+    """The shape of `body`, where it is an unknown."""
+    solves_shape: bool = True
+    """Whether the shape is solved for; otherwise it only adds to the uncertainty."""
+    shape_scale: tuple[float, float] = (1.0, 1.0)
+    """Factors on the expected standard deviations of lengths and of keypoint offsets, as wide as the animal's are."""
 
     @classmethod
     def from_views(
@@ -94,6 +103,36 @@ class ClipProblem:
         """Return the problem of some of the frames."""
         known = None if self.known_states is None else self.known_states[frames]
         return replace(self, views=tuple(view.part(frames) for view in self.views), known_states=known)
+
+    def with_free_shape(self) -> ClipProblem:
+        """Return the problem with the body's shape unknown, where several cameras can tell it."""
+        is_known = self.options.lengths_known or self.known_states is not None or len(self.views) == 1
+        if is_known:
+            return self
+        scale = constants.KNOWN_SHAPE_SCALE if self.detector_is_measured else constants.FIRST_SHAPE_SCALE
+        return replace(self, shape=FreeShape.of_body(self.body), shape_scale=scale)
+
+    @property
+    def detector_is_measured(self) -> bool:
+        """Return whether it is known where the detector's keypoints lie, and how noisy each is."""
+        return bool(self.body.keypoint_noise_m)
+
+    def with_likely_shape_spread(self, shared: Mapping[str, Array]) -> ClipProblem:
+        """Return the problem with lengths and offsets expected to spread as much as those of a solution do.
+
+        The expected spread counts as `SHAPE_COUNT` of them, and is never made less.
+        """
+        unknowns, _ = self.shared_unknowns()
+        least = constants.KNOWN_SHAPE_SCALE if self.detector_is_measured else (1.0, 1.0)
+        floors = dict(zip((terms.LENGTHS, terms.COMMON_KEYPOINT_BIAS), least, strict=True))
+        scales = dict(zip((terms.LENGTHS, terms.COMMON_KEYPOINT_BIAS), self.shape_scale, strict=True))
+        for unknown in unknowns:
+            if unknown.name in scales and unknown.name in shared:
+                sigma = unknown.sigma * np.sqrt(self.correlation_frames) / scales[unknown.name]
+                squares, floor = (shared[unknown.name] / sigma) ** 2, floors[unknown.name] ** 2
+                square = (squares.sum() + constants.SHAPE_COUNT * floor) / (len(squares) + constants.SHAPE_COUNT)
+                scales[unknown.name] = float(np.sqrt(max(square, floor)))
+        return replace(self, shape_scale=(scales[terms.LENGTHS], scales[terms.COMMON_KEYPOINT_BIAS]))
 
     def thinned(self, step: int) -> ClipProblem:
         """Return the problem of every step-th frame, which also counts for the frames left out."""
@@ -214,9 +253,18 @@ class ClipProblem:
         bias_m = np.array([self.body.keypoint_spread_m.get(m, self.keypoint_bias_m) for m in self.body.markers])
         own_m, common_m = np.repeat(bias_m * (1 - common) ** 0.5, 2), np.repeat(bias_m * common**0.5, 3)
         biases = [lasting(terms.keypoint_bias(i), own_m) for i in range(V)] if own_m.all() else []
-        biases += [lasting(terms.COMMON_KEYPOINT_BIAS, common_m)] if common_m.all() else []
+        common_biases = [lasting(terms.COMMON_KEYPOINT_BIAS, common_m)] if common_m.all() else []
         if V == 1:
-            return size, [*time_offsets, *biases]
+            return size, [*time_offsets, *biases, *common_biases]
+        shapes = []
+        if self.shape is not None:
+            length_scale, offset_scale = self.shape_scale
+            sigma = constants.LENGTH_SHARE * length_scale * self.body.size_sigma
+            offset_share = constants.OFFSET_SHARE * offset_scale if self.solves_shape else 1.0
+            shapes = [lasting(terms.LENGTHS, np.full(len(self.shape.lengths), sigma))]
+            shapes += [lasting(u, offset_share * common_m) for u in [terms.COMMON_KEYPOINT_BIAS] if common_m.all()]
+        if not self.solves_shape or self.shape is None:
+            shapes, biases = [], [*biases, *(shapes or common_biases)]
         sideslip = [lasting(terms.SIDESLIP, constants.SIDESLIP_RAD)] if len(self) > 1 else []
         shifts = [] if shifts_m is None or not options.refine_cameras else [*enumerate(shifts_m.tolist())][1:]
         rotation = [constants.CAMERA_ROTATION_RAD] * 3
@@ -226,7 +274,7 @@ class ClipProblem:
             if options.focal_sigma is None
             else [lasting(terms.focal_scale(i), options.focal_sigma) for i in range(V)]
         )
-        return [*size, *sideslip, *time_offsets, *corrections, *focals], biases
+        return [*size, *sideslip, *time_offsets, *corrections, *focals, *shapes], biases
 
     def shifts_m(self, around_m: Array, size: float) -> Array:
         """Return how far cameras may stand from their positions, (V,); a small rig is measured better."""
@@ -287,9 +335,8 @@ class ClipProblem:
             nonlinear.append(terms.KnownAngles(self.known_states))
         if T > 1:
             nonlinear.append(terms.Heading(rear, front, self.fps, constants.LATERAL_M_S))
-        return LeastSquares(
-            self.body.detected, linear, [*nonlinear, *contact_terms], shared, nuisance, piece_of(self.fps)
-        )
+        every_term, shape = [*nonlinear, *contact_terms], None if around_m is None else self.shape
+        return LeastSquares(self.body.detected, linear, every_term, shared, nuisance, piece_of(self.fps), shape)
 
 
 LOW_FEET = 0.1

@@ -18,8 +18,9 @@ import numpy as np
 
 from recon.base.arrays import Array
 from recon.fit.banded import Normal, add_normal, step
-from recon.fit.terms import COMMON_KEYPOINT_BIAS, Linear, Span, Term, TermRows
-from recon.geometry.kinematics import Tree
+from recon.fit.body_shape import FreeShape
+from recon.fit.terms import COMMON_KEYPOINT_BIAS, LENGTHS, MARKER_TERMS, Linear, Span, Term, TermRows
+from recon.geometry.kinematics import Tree, TreePose
 
 BANDS = 2
 """Number of frames before and after a frame that it is coupled with."""
@@ -76,6 +77,10 @@ class LeastSquares:
     piece: int = 2 * _FRAMES_AT_ONCE
     """Number of frames of a piece of a long clip, a multiple of `_FRAMES_AT_ONCE`; the window includes as many of the
     next.
+    """
+    shape: FreeShape | None = None
+    """The body's shape, where `LENGTHS` and `COMMON_KEYPOINT_BIAS` are unknowns of the solution; `tree` is that of
+    shape 0.
     """
 
     @cached_property
@@ -164,8 +169,9 @@ class LeastSquares:
                     first, last = np.searchsorted(at + offset, [start, stop])
                     gradient[at[first:last] + offset - start] += residual[first:last] @ slot
             while span is not None and span.first < stop:
+                by_shape = self._by_shape(span)
                 for term in self.terms:
-                    rows = term.evaluate(span, jacobian=True)
+                    rows = _with_shape(term, span, by_shape)
                     first = span.first - start
                     add_normal(blocks, gradient, first, term.stencil, rows.residual, rows.jacobian)
                     _add_shared(columns, border, corner, shared_gradient, first, term.stencil, rows)
@@ -214,20 +220,27 @@ class LeastSquares:
 
     def spans(self, states: Array, shared: Mapping[str, Array], jacobian: bool) -> Iterator[Span]:
         """Yield the clip in spans that overlap by one frame."""
-        pose = self.tree.pose_with_jacobian if jacobian else self.tree.pose
-        names = [segment.name for segment in self.tree.segments]
-        segment_of_marker = [names.index(marker.segment) for marker in self.tree.markers]
+        tree = self.tree if self.shape is None else self.shape.applied(shared).detected
+        pose = tree.pose_with_jacobian if jacobian else tree.pose
+        names = [segment.name for segment in tree.segments]
+        segment_of_marker = [names.index(marker.segment) for marker in tree.markers]
         for first in range(0, len(states), _FRAMES_AT_ONCE):
             span_states = states[first : first + _FRAMES_AT_ONCE + 1]
             last = first + len(span_states) == len(states)
             orientations = (
-                self.tree.orientations(span_states)[:, segment_of_marker]
-                if jacobian and COMMON_KEYPOINT_BIAS in shared
+                tree.orientations(span_states)[:, segment_of_marker]
+                if jacobian and COMMON_KEYPOINT_BIAS in shared and self.shape is None
                 else None
             )
             yield Span(first, span_states, pose(span_states), last, shared, orientations)
             if last:
                 return
+
+    def _by_shape(self, span: Span) -> Array | None:
+        """Return the derivatives of a span's markers by the shape, (n, J, 3, L + 3J); None where it is not unknown."""
+        if self.shape is None or LENGTHS not in self.columns:
+            return None
+        return self.shape.jacobian(span.shared, span.states)
 
     def _linear_blocks(self, start: int, T: int, blocks: Array) -> None:
         """Fill blocks (n, BANDS + 1, D, D) with the linear terms' curvature in frames from `start` of a clip of T."""
@@ -254,6 +267,19 @@ class LeastSquares:
                 for b, row in enumerate(term.stencil[a:], start=a):
                     blocks[term.frames(T) + column, row - column] += term.slots[b].T @ term.slots[a]
         return blocks
+
+
+def _with_shape(term: Term, span: Span, by_shape: Array | None) -> TermRows:
+    """Return what a term gives, with the derivatives by the shape, which moves the markers as the state does."""
+    if by_shape is None or not isinstance(term, MARKER_TERMS):
+        return term.evaluate(span, jacobian=True)
+    D = span.states.shape[1]
+    pose = TreePose(span.pose.points_m, np.concatenate([span.pose.jacobian, by_shape], axis=3))
+    rows = term.evaluate(replace(span, pose=pose), jacobian=True)
+    of_shape = rows.jacobian[..., D:].sum(axis=2)
+    count = by_shape.shape[3] - 3 * by_shape.shape[1]
+    by_shared = {LENGTHS: of_shape[..., :count], COMMON_KEYPOINT_BIAS: of_shape[..., count:]}
+    return replace(rows, jacobian=rows.jacobian[..., :D], by_shared={**rows.by_shared, **by_shared})
 
 
 def _add_shared(

@@ -48,15 +48,16 @@ from recon.animal.prior import ANGLES
 from recon.base.arrays import Array
 from recon.fit import constants
 from recon.fit.banded import Window, eliminated
+from recon.fit.body_shape import Shape
 from recon.fit.least_squares import Estimate, LeastSquares
-from recon.fit.terms import COMMON_KEYPOINT_BIAS, PRIOR_TERMS, SIZE, Reprojection, size_of
+from recon.fit.terms import COMMON_KEYPOINT_BIAS, LENGTHS, PRIOR_TERMS, SIZE, Reprojection, size_of
 from recon.geometry.kinematics import ROOT, YAW
 
 _FIXED = 1e8
 """Precision that fixes an unknown."""
 _NEARLY_FREE = 1e-3
 """Precision of a position and a heading of which next to nothing is known (1 / m^2, 1 / rad^2)."""
-_FRAMES_AT_ONCE = 256
+_FRAMES_AT_ONCE, _FRAMES_OF_SHAPE = 256, 32
 _BIAS_ROUNDS, _PRIOR_COUNT = 10, 8
 """Rounds of expectation and maximisation, and the number of unknowns that the expected variance counts for."""
 _NOISE_ROUNDS, _NOISE_FACTOR = 2, (0.05, 4.0)
@@ -112,6 +113,8 @@ class _Curvature:
     """(1 + P,): the prior part of the precision of each shared unknown."""
     pull: Array
     """(1 + P,): the gradient by the shared unknowns, with all else at its minimum."""
+    lengths: slice | None = None
+    """Which of the P are the lengths, where these are unknown."""
 
     def windows(self) -> Iterator[tuple[Window, Array, Array]]:
         """Yield the windows with the derivatives of their n frames by the shared unknowns.
@@ -141,7 +144,9 @@ def curvature(problem: LeastSquares, estimate: Estimate, variance_factor: float)
     prior_precision = np.concatenate([np.zeros(0), *(unknown.sigma**-2.0 for unknown in problem.shared)])
     if (bias_columns := problem.columns.get(COMMON_KEYPOINT_BIAS)) is not None:
         variance_m2 = 1.0 / prior_precision[bias_columns]
-        variance_scale = _bias_variance_factor(S, reduced[:, -1], bias_columns, variance_m2, variance_factor)
+        solved_bias = estimate.shared.get(COMMON_KEYPOINT_BIAS)
+        without_bias = reduced[:, -1] if solved_bias is None else reduced[:, -1] - S[:, bias_columns] @ solved_bias
+        variance_scale = _bias_variance_factor(S, without_bias, bias_columns, variance_m2, variance_factor)
         S[bias_columns, bias_columns] += np.diag((1.0 / variance_scale - 1.0) / variance_m2)
         prior_precision[bias_columns] /= variance_scale
         beyond_m2 = (variance_scale - 1.0) * variance_m2[::3]
@@ -151,8 +156,17 @@ def curvature(problem: LeastSquares, estimate: Estimate, variance_factor: float)
         others_by_size = -others_covariance @ S[1:, 0]
         size_known = float(S[0, 0] + S[0, 1:] @ others_by_size - problem.shared[0].sigma[0] ** -2)
     covariance_root = np.asarray(np.linalg.cholesky(others_covariance), dtype=float)
+    columns = problem.columns.get(LENGTHS)
     return _Curvature(
-        windows, covariance_root, others_by_size, S, max(size_known, 0.0), beyond_m2, prior_precision, reduced[:, -1]
+        windows,
+        covariance_root,
+        others_by_size,
+        S,
+        max(size_known, 0.0),
+        beyond_m2,
+        prior_precision,
+        reduced[:, -1],
+        None if columns is None else slice(columns.start - n_size, columns.stop - n_size),
     )
 
 
@@ -181,7 +195,7 @@ def with_noise_about_bias(problem: LeastSquares, estimate: Estimate, variance_fa
     the
     best bias, divided by the number of detections less those that determine the bias.
     """
-    if COMMON_KEYPOINT_BIAS not in [unknown.name for unknown in problem.nuisance]:
+    if COMMON_KEYPOINT_BIAS not in [unknown.name for unknown in (*problem.shared, *problem.nuisance)]:
         return problem
     for _ in range(_NOISE_ROUNDS):
         problem_curvature, detections = curvature(problem, estimate, variance_factor), problem.subset(("reprojection",))
@@ -224,8 +238,13 @@ def posterior(problem: LeastSquares, body: Body, estimate: Estimate, variance_fa
     state_by_size, angle_variance = np.empty((T, D)), np.empty((2, T, D - YAW))
     for window, by_others, window_by_size in solution.windows():  # one after the other: a window is large
         rows, state_covariance = window.rows, window.marginal_blocks()[:, 0]
-        _add_shared(state_covariance, by_others, solution.root)
-        joints = _joint_covariances(body, states[rows], state_covariance, size, window_by_size)
+        if solution.lengths is None:
+            _add_shared(state_covariance, by_others, solution.root)
+            joints = _joint_covariances(body, states[rows], state_covariance, size, window_by_size)
+        else:
+            joints = _joint_covariances(body, states[rows], state_covariance, size, window_by_size)
+            _add_shape(joints, solution, body, states[rows], by_others, size)
+            _add_shared(state_covariance, by_others, solution.root)
         absolute[rows], relative[rows], by_size[rows] = joints
         angle_variance[0, rows] = np.diagonal(state_covariance, axis1=1, axis2=2)[:, YAW:]
         state_by_size[rows] = window_by_size
@@ -251,6 +270,28 @@ def _add_shared(state_covariance: Array, by_others: Array, root: Array) -> None:
         rows = slice(first, first + _FRAMES_AT_ONCE)
         lasting = by_others[rows] @ root
         state_covariance[rows] += lasting @ lasting.swapaxes(1, 2)
+
+
+def _add_shape(
+    joints: tuple[Array, Array, Array], solution: _Curvature, body: Body, states: Array, by_others: Array, size: float
+) -> None:
+    """Add the uncertainty of the shared unknowns besides the size to the joints, which lengths move by themselves too.
+
+    joints: absolute and relative covariances (n, J, 3, 3), and how joints follow the size, (n, J, 3); in place.
+    """
+    absolute, relative, by_size = joints
+    shape = Shape.of_body(body)
+    for first in range(0, len(states), _FRAMES_OF_SHAPE):
+        rows = slice(first, first + _FRAMES_OF_SHAPE)
+        pose, by_length = body.tree.pose_with_jacobian(states[rows]), shape.jacobian(body, states[rows])
+        n, J, _, D = pose.jacobian.shape
+        by_shared = -(pose.jacobian.reshape(n, 3 * J, D) @ by_others[rows]).reshape(n, J, 3, -1)
+        by_shared[..., solution.lengths] += by_length
+        lasting = by_shared @ solution.root
+        absolute[rows] += lasting @ lasting.swapaxes(2, 3)
+        lasting -= lasting.mean(axis=1, keepdims=True)
+        relative[rows] += lasting @ lasting.swapaxes(2, 3)
+        by_size[rows] += size * by_length @ solution.others_by_size[solution.lengths]
 
 
 def _without_pixels(problem: LeastSquares, body: Body, estimate: Estimate) -> tuple[Array, Array]:

@@ -8,7 +8,11 @@ import numpy as np
 
 from recon.base.arrays import Array
 from recon.clip import View
+from recon.fit.posterior import radius
 from recon.fit.result import Solution
+
+LEVEL = 0.9
+"""Level of the regions that the detections of the solution's own views calibrate."""
 
 
 def predicted_keypoints(solution: Solution, view: View) -> tuple[Array, Array]:
@@ -29,12 +33,35 @@ def predicted_keypoints(solution: Solution, view: View) -> tuple[Array, Array]:
         Covariances of detections about them: of the keypoints in 3D, and the detections' noise in the solution's
         views, scaled to the distance from this one.
     """
+    scale = max(1.0, np.sqrt(_tail_factor(solution)))
+    return _predicted(solution, view, scale)
+
+
+def _predicted(solution: Solution, view: View, scale: float) -> tuple[Array, Array]:
     markers_m = solution.markers_m
     is_posed = np.isfinite(markers_m[..., 0])
     projected, by_point, valid = view.project_with_jacobian(view.shift_to_exposure(np.nan_to_num(markers_m)))
-    noise_px = _noise_m(solution)[..., None, None] * _px_per_m(view, markers_m)[..., None, None]
+    noise_px = scale * _noise_m(solution)[..., None, None] * _px_per_m(view, markers_m)[..., None, None]
     covariance = by_point @ solution.covariance_m2 @ by_point.swapaxes(-1, -2) + noise_px**2 * np.eye(2)
     return np.where((is_posed & valid)[..., None], projected, np.nan), covariance
+
+
+def _tail_factor(solution: Solution) -> float:
+    """Return the factor on the noise's variance with which 90 % regions hold 90 % of the detections of the views.
+
+    The noise of the fit is that of its robust loss, which leaves out the tails that detectors have.
+    """
+    squares = []
+    for view in solution.views:
+        projected, covariance = _predicted(solution, view, 1.0)
+        error = projected - view.xy_px
+        is_known = np.isfinite(error[..., 0]) & np.isfinite(covariance).all(axis=(-2, -1))
+        whitened = np.linalg.solve(covariance[is_known], error[is_known][..., None])[..., 0]
+        squares.append(np.sum(error[is_known] * whitened, axis=-1))
+    everything = np.concatenate(squares)
+    if not len(everything):
+        return 1.0
+    return float(np.quantile(everything, LEVEL)) / radius(LEVEL, 2) ** 2
 
 
 def _px_per_m(view: View, markers_m: Array) -> Array:

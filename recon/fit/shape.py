@@ -16,25 +16,18 @@ from functools import cached_property
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from recon.animal.body import Body, other_side, side_of
+from recon.animal.body import Body, other_side
 from recon.base.arrays import Array
 from recon.fit.banded import eliminated
+from recon.fit.body_shape import Shape, follows
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.terms import OnGround, Reprojection, Span, StanceVelocity
 from recon.fit.trajectory import SegmentFit, refined, solve_segments, with_solved_cameras
 from recon.geometry.kinematics import TreePose
 
-LENGTH_SIGMA = 0.05
-"""Relative standard deviation of single lengths of an animal about its size times the skeleton's."""
 MODEL_SIGMA = 0.04
 """Relative standard deviation of a measured length for all that a rigid skeleton cannot follow: shoulders that slide,
 keypoints off their joints. With it, intervals of 90 % hold 88 % of the lengths (`benchmarks/parts/bone_lengths.py`).
-"""
-OFFSET_SIGMA_M = 0.01
-"""Expected offset of a keypoint from its marker along each axis.
-
-Keypoints lie further off, but a body that is fitted to them adapts. Of the values tried, this one lets single cameras
-of runs that were left out find the published poses best (docs/benchmarks.md).
 """
 POSED_OFFSET_SIGMA_M = 0.02
 """Expected offset where the poses are known, and an offset cannot be another pose."""
@@ -44,87 +37,6 @@ _PRIOR_COUNT = 8
 """Number of views that the expected spread of a keypoint counts for."""
 ROUNDS, CLOSE_ENOUGH = 8, 0.05
 """Most rounds, and the step, in standard deviations, that ends them."""
-
-
-@dataclass(frozen=True, eq=False)
-class Shape:
-    """State the K unknowns of a body's shape: logarithms of factors on lengths, then offsets of keypoints (m)."""
-
-    body: Body
-    lengths: tuple[str, ...] = ()
-    """Segments and markers whose distance from their origin is unknown; the right side's follow the left's."""
-    offsets: tuple[str, ...] = ()
-    """Markers whose keypoints' offsets are unknown, each with x, y and z; the right side's are mirrored."""
-    offset_sigma_m: float = OFFSET_SIGMA_M
-
-    @classmethod
-    def of_body(cls, body: Body, lengths: bool = True, offsets: bool = False) -> Shape:
-        """Return the unknown shape of a body: all its lengths, or the offsets of all its keypoints, or both."""
-        items = (*body.tree.segments[1:], *body.tree.markers) if lengths else ()
-        named = (item.name for item in items if any(item.offset_m) and not _follows(item.name, body))
-        return cls(body, tuple(named), tuple(m for m in body.markers if offsets and not _follows(m, body)))
-
-    def __len__(self) -> int:
-        """Return K, the number of unknowns."""
-        return len(self.lengths) + 3 * len(self.offsets)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Return the names of the K unknowns."""
-        return (*self.lengths, *(f"{name}_{axis}" for name in self.offsets for axis in "xyz"))
-
-    def expected_precision(self, size_sigma: float) -> Array:
-        """Return the prior precision (K, K): lengths share the animal's size, and differ a little from it."""
-        n = len(self.lengths)
-        covariance = np.diag(np.repeat([LENGTH_SIGMA**2, self.offset_sigma_m**2], [n, len(self) - n]))
-        covariance[:n, :n] += size_sigma**2
-        return np.linalg.inv(covariance)
-
-    def applied(self, body: Body, values: Array) -> Body:
-        """Return a body of this kind with that shape, values (K,), on top of its own."""
-        factors = dict(zip(self.lengths, np.exp(values[: len(self.lengths)]), strict=True))
-        shifts = dict(zip(self.offsets, values[len(self.lengths) :].reshape(-1, 3), strict=True))
-
-        tree = body.tree.lengthened(lambda name: factors.get(self.leader(name), 1.0))
-        offsets = dict(body.keypoint_offset_m)
-        for name in self.body.markers:
-            if (leader := self.leader(name)) in shifts:
-                x, y, z = (float(v) for v in shifts[leader] * self._mirror(name))
-                given_offset = offsets.get(name, (0.0, 0.0, 0.0))
-                offsets[name] = (given_offset[0] + x, given_offset[1] + y, given_offset[2] + z)
-        return replace(body, tree=tree, keypoint_offset_m=offsets)
-
-    def jacobian(self, body: Body, states: Array) -> Array:
-        """Return the derivatives (N, J, 3, K) of the detected markers of a body by the shape, at nominal size."""
-        tree, n = body.tree, len(self.lengths)
-        R = tree.orientations(states)
-        frame = {segment.name: R[:, i] for i, segment in enumerate(tree.segments)}
-        segments = {segment.name: segment for segment in tree.segments}
-        by_shape = np.zeros((len(states), len(tree.markers), 3, len(self)))
-        for j, marker in enumerate(tree.markers):
-            name, offset_m, segment_name = marker.name, marker.offset_m, marker.segment
-            while segment_name is not None:
-                if (leader := self.leader(name)) in self.lengths:
-                    by_shape[:, j, :, self.lengths.index(leader)] += frame[segment_name] @ np.array(offset_m)
-                segment = segments[segment_name]
-                name, offset_m, segment_name = segment.name, segment.offset_m, segment.parent
-            if (leader := self.leader(marker.name)) in self.offsets:
-                first = n + 3 * self.offsets.index(leader)
-                by_shape[:, j, :, first : first + 3] = frame[marker.segment] * self._mirror(marker.name)
-        return by_shape
-
-    def leader(self, name: str) -> str:
-        """Return the name whose unknowns this one's follow."""
-        return other_side(name) if _follows(name, self.body) else name
-
-    def _mirror(self, name: str) -> Array:
-        return np.array([1.0, -1.0, 1.0]) if _follows(name, self.body) else np.ones(3)
-
-
-def _follows(name: str, body: Body) -> bool:
-    """Return whether a name is of the right side and has a counterpart on the left."""
-    names = {*body.markers, *(segment.name for segment in body.tree.segments)}
-    return side_of(name) == "right" and other_side(name) in names
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,7 +157,7 @@ def _spread_m(body: Body, solved: Sequence[tuple[ClipProblem, SegmentFit]]) -> d
     """
     clip = solved[0][0]
     expected_m = clip.keypoint_bias_m
-    squares: dict[str, list[float]] = {name: [] for name in body.markers if not _follows(name, body)}
+    squares: dict[str, list[float]] = {name: [] for name in body.markers if not follows(name, body)}
     for fitted_clip, segment in solved:
         part = with_solved_cameras(fitted_clip.part(segment.rows), segment)
         points_m = fitted_clip.markers(segment.estimate.states)
@@ -262,7 +174,7 @@ def _spread_m(body: Body, solved: Sequence[tuple[ClipProblem, SegmentFit]]) -> d
             shared_m = np.median(mean_m, axis=0) if len(seen_markers) else 0.0
             for j, own_m in zip(seen_markers, mean_m - shared_m, strict=True):
                 name = body.markers[j]
-                squares[other_side(name) if _follows(name, body) else name].append(float(own_m @ own_m) / 2)
+                squares[other_side(name) if follows(name, body) else name].append(float(own_m @ own_m) / 2)
     return {
         name: float(np.sqrt((sum(values) + _PRIOR_COUNT * expected_m**2) / (len(values) + _PRIOR_COUNT)))
         for name, values in squares.items()

@@ -32,6 +32,8 @@ SIZE = "size"
 COMMON_KEYPOINT_BIAS = "common keypoint bias"
 """Name of the shared unknowns (3J,): the bias that all cameras see, in the marker's segment, for the uncertainty only.
 """
+LENGTHS = "segment lengths"
+"""Name of the shared unknowns (L,): logarithms of factors on the lengths of segments and markers, left as right."""
 SIDESLIP = "sideslip"
 """Name of the shared unknown: the angle, to the left, between the animal's trunk and its direction of travel, rad."""
 _ONE, _ZERO = np.ones(1), np.zeros(1)
@@ -429,7 +431,7 @@ class Heading:
         r = scale * (mean[:, 0] * v[:, 1] - mean[:, 1] * v[:, 0])
         if not jacobian:
             return TermRows(0.5 * r**2)
-        D = span.states.shape[1]
+        D = span.pose.jacobian.shape[-1]
         rotation = span.pose.jacobian[:, self.front, :2] - span.pose.jacobian[:, self.rear, :2]  # (n + 1, 2, D)
         d_u = (rotation - u[..., None] * (u[:, None] @ rotation)) / length[..., None]
         rows = np.zeros((n, 1, 2, D))
@@ -534,3 +536,7 @@ class OnGround:
         if self.at is None or SIZE not in span.shared:
             return TermRows(cost, r, rows)
         return TermRows(cost, r, rows, {SIZE: (by_factor * root / self.at)[..., None]})
+
+
+MARKER_TERMS = (Reprojection, Heading, StanceVelocity, OnGround)
+"""The terms that read the markers, and not the state alone."""

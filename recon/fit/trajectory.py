@@ -37,12 +37,15 @@ from recon.base.progress import Progress, silent
 from recon.clip import BRIDGED_S, View, densest_window
 from recon.fit import constants
 from recon.fit.banded import eliminated
+from recon.fit.body_shape import FreeShape
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
 from recon.fit.least_squares import Estimate, LeastSquares, SharedUnknown
 from recon.fit.posterior import Posterior, PriorMisfit, posterior, prior_misfit_of, with_noise_about_bias, with_size
 from recon.fit.result import SHAPES, Ground, MotionSegment, SecondCamera, TrajectorySolution
 from recon.fit.starts import approach, interpolate_states
 from recon.fit.terms import (
+    COMMON_KEYPOINT_BIAS,
+    LENGTHS,
     SIDESLIP,
     SIZE,
     OnGround,
@@ -113,8 +116,9 @@ def solve_trajectory(
     """
     began = time.perf_counter()
     clip = ClipProblem.from_views(views, body, prior, fps, options or TrajectoryOptions(), ground_near_zero)
+    clip = clip.with_free_shape()
     with threadpool_limits(1, user_api="blas"):
-        solved = solve_segments(clip, progress)
+        clip, solved = _with_one_shape(clip, solve_segments(clip, progress))
         return _solution(clip, solved, began)
 
 
@@ -184,6 +188,39 @@ def solve_segments(clip: ClipProblem, progress: Progress = silent) -> list[Segme
     ]
 
 
+def with_solved_shape(clip: ClipProblem, solved: SegmentFit) -> ClipProblem:
+    """Return the problem with the body's lengths and keypoint offsets of a solution."""
+    if clip.shape is None or LENGTHS not in solved.estimate.shared:
+        return clip
+    return replace(clip, body=clip.shape.applied(solved.estimate.shared))
+
+
+def _with_one_shape(clip: ClipProblem, solved: list[SegmentFit]) -> tuple[ClipProblem, list[SegmentFit]]:
+    """Return the problem and the segments of one body, where each segment has found a shape: that of their mean."""
+    shaped = [segment for segment in solved if LENGTHS in segment.estimate.shared]
+    if clip.shape is None or len(shaped) < 2:
+        return clip, solved
+    counts = np.array([sum(view.present[segment.rows].sum() for view in clip.views) for segment in shaped], dtype=float)
+    shares = counts / counts.sum()
+    mean = {
+        name: np.sum(
+            [share * segment.estimate.shared[name] for share, segment in zip(shares, shaped, strict=True)], axis=0
+        )
+        for name in (LENGTHS, COMMON_KEYPOINT_BIAS)
+        if name in shaped[0].estimate.shared
+    }
+    body = clip.shape.applied(mean)
+    clip = replace(clip, body=body, shape=FreeShape.of_body(body), solves_shape=False)
+    return clip, [refined(clip, _without_shape(segment)) for segment in solved]
+
+
+def _without_shape(segment: SegmentFit) -> SegmentFit:
+    shared = {
+        name: values for name, values in segment.estimate.shared.items() if name not in (LENGTHS, COMMON_KEYPOINT_BIAS)
+    }
+    return replace(segment, estimate=replace(segment.estimate, shared=shared))
+
+
 def refined(clip: ClipProblem, solved: SegmentFit) -> SegmentFit:
     """Solve one more round from a solution, for a problem that may have changed a little."""
     return _solve_round(replace(clip.part(solved.rows), prior_weight=solved.prior_weight), solved, 1.0, whole=True)
@@ -192,7 +229,9 @@ def refined(clip: ClipProblem, solved: SegmentFit) -> SegmentFit:
 def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> SegmentFit:
     """Solve one segment: starts, approach, mixture of poses, rounds."""
     options, T = clip.options, len(clip)
-    rounds = 1 if options.fast else constants.NOISE_ROUNDS
+    rounds = constants.NOISE_ROUNDS
+    if options.fast:  # the noise of the first round is that about the expected shape
+        rounds = 1 if clip.shape is None or not clip.solves_shape else 2
     windows = _windows(clip, progress)
     iterations = sum(start.iterations for _, starts in windows for start in starts)
 
@@ -212,7 +251,11 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
     empty_problem = LeastSquares(clip.body.detected, [], [])
     solved = SegmentFit(rows, estimate, empty_problem, noise, np.zeros(0), np.zeros((T, len(clip.feet))), None)
     for i, (temperature, whole) in enumerate(stages):
-        solved, is_last = _solve_round(clip, solved, temperature, whole), i == len(stages) - 1
+        is_first, is_last = whole and (i == 0 or not stages[i - 1][1]), i == len(stages) - 1
+        keeps_shape = is_first and clip.detector_is_measured  # which is near the expected one
+        solved = _solve_round(replace(clip, shape=None) if keeps_shape else clip, solved, temperature, whole)
+        if LENGTHS in solved.estimate.shared:
+            clip = clip.with_likely_shape_spread(solved.estimate.shared)
         unsettled = solved.prior_misfit is None or (solved.prior_weight < 1 and not is_last)
         if whole and unsettled and clip.prior.name != NONE:
             misfit = prior_misfit_of(solved.problem, solved.estimate)
@@ -232,13 +275,13 @@ def _solve_round(clip: ClipProblem, solved: SegmentFit, temperature: float | Non
     """
     options = clip.options
     estimate, noise, contact, ground, contact_terms = solved.estimate, solved.noise, solved.contact, solved.ground, ()
-    points, size = clip.markers(estimate.states), solved.size
+    points, size = with_solved_shape(clip, solved).markers(estimate.states), solved.size
     if whole:
         noise = _noise_factors(with_solved_cameras(clip, solved), points, size, noise)
         if options.ground == "auto" and len(clip.feet) and len(clip) > 2:
             contact, ground, contact_terms = contacts(clip, points, size)
     noise_px = clip.noise_px(points, noise, size)
-    problem = clip.problem(noise_px, temperature, contact_terms, points, size)
+    problem = (clip if whole else replace(clip, shape=None)).problem(noise_px, temperature, contact_terms, points, size)
     tolerance = 1e-3 if not whole else (10 if options.fast else 1) * constants.TOLERANCE
     max_iterations = constants.MAX_ITERATIONS if whole else 8
     estimate = problem.minimise(estimate.states, tolerance, max_iterations, problem.expected() | dict(estimate.shared))
@@ -316,9 +359,13 @@ def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Arr
     """Return the variance of each joint's detections relative to the expected one, (V, J), under the robust loss.
 
     It is the mean of weight times squared residual per coordinate, with eight detections' worth of the expectation, and
-    lies between 1/4 and 6: a joint is neither followed blindly nor given up.
+    lies between 1/4 and 6: a joint is neither followed blindly nor given up. Where the body's shape is unknown, the
+    residuals are those of the shape that was found, and say more of the noise than what is expected of a detector that
+    was not measured.
     """
     world = clip.in_world(points_m, size)
+    is_expected = clip.shape is None or clip.detector_is_measured
+    least, count = (0.25, 8.0) if is_expected else (constants.LEAST_NOISE, constants.NOISE_COUNT)
     factors_of_views = []
     expected = clip.noise_px(points_m, np.ones_like(factors), size)
     for view, factor, expected_px in zip(clip.views, factors, expected, strict=True):
@@ -327,8 +374,8 @@ def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Arr
         q = np.where(seen, np.sum((projected - view.xy_px) ** 2, axis=-1) / expected_px**2, 0.0)
         for _ in range(10):
             weight = seen / (1.0 + q / factor / constants.ROBUST_C**2)
-            factor = (np.sum(weight * q, axis=0) / 2 + 8.0) / (seen.sum(axis=0) + 8.0)
-        factors_of_views.append(np.clip(factor, 0.25, 6.0))
+            factor = (np.sum(weight * q, axis=0) / 2 + count) / (seen.sum(axis=0) + count)
+        factors_of_views.append(np.clip(factor, least, 6.0))
     return np.array(factors_of_views)
 
 
@@ -337,10 +384,13 @@ def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Arr
 
 def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> TrajectorySolution:
     """Return the result of all segments together."""
-    correlation_frames = clip.correlation_frames
+    correlation_frames, unshaped = clip.correlation_frames, clip
+    clip = with_solved_shape(clip, solved[0]) if solved else clip
     posteriors = [
         posterior(
-            with_noise_about_bias(segment.problem, segment.estimate, correlation_frames),
+            with_noise_about_bias(
+                _with_expected_shape_spread(unshaped, segment.problem), segment.estimate, correlation_frames
+            ),
             clip.body,
             segment.estimate,
             correlation_frames,
@@ -391,7 +441,7 @@ def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> 
         data_share=np.sum(shares, axis=0) / posed if shares else np.full(len(clip.body.markers), np.nan),
         flags=flags,
         alternative_cost=alternative_cost if np.isfinite(alternative_cost) else np.nan,
-        segments=tuple(segment.in_world(clip, size) for segment in solved if not out_of_sight[segment.rows].all()),
+        segments=tuple(segment.in_world(unshaped, size) for segment in solved if not out_of_sight[segment.rows].all()),
         prior=clip.prior.name,
         status="converged" if solved and all(segment.estimate.converged for segment in solved) else "not_converged",
         cost_by_term={name: sum(segment_posterior.get(name, 0.0) for segment_posterior in costs) for name in names},
@@ -400,6 +450,24 @@ def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> 
         **shared,
         stage_s={"all": time.perf_counter() - began},
     )
+
+
+def _with_expected_shape_spread(clip: ClipProblem, problem: LeastSquares) -> LeastSquares:
+    """Return the problem with lengths and offsets at least as uncertain as expected.
+
+    They are solved for with less, so that the pose explains what it can.
+    """
+    if problem.shape is None:
+        return problem
+    _, unknowns = replace(clip, solves_shape=False, shape_scale=(1.0, 1.0)).shared_unknowns()
+    expected = {unknown.name: unknown.sigma for unknown in unknowns if unknown.name in (LENGTHS, COMMON_KEYPOINT_BIAS)}
+    shared = [
+        replace(unknown, sigma=np.maximum(unknown.sigma, expected[unknown.name]))
+        if unknown.name in expected
+        else unknown
+        for unknown in problem.shared
+    ]
+    return replace(problem, shared=shared)
 
 
 def _segment_arrays(
@@ -507,7 +575,8 @@ def _pair_problem(clip: ClipProblem, segment: SegmentFit) -> tuple[LeastSquares,
     """
     root_correlation, offset_name = clip.correlation_frames**0.5, time_offset(1)
     shared = {unknown.name: unknown for unknown in (*segment.problem.shared, *segment.problem.nuisance)}
-    shift_m = clip.part(segment.rows).shifts_m(clip.markers(segment.estimate.states), segment.size)[1]
+    markers_m = with_solved_shape(clip, segment).markers(segment.estimate.states)
+    shift_m = clip.part(segment.rows).shifts_m(markers_m, segment.size)[1]
     offset_sigma = root_correlation * shared[offset_name].sigma[0]
     usual_sigma = np.array([*np.repeat([constants.CALIBRATED_RAD, shift_m], 3), offset_sigma])
     counts = {extrinsic_correction(1): 6, offset_name: 1}

@@ -13,7 +13,7 @@ from recon.animal.prior import ANGLES
 from recon.animal.skeleton_file import load_skeleton
 from recon.base.arrays import Array
 from recon.clip import Keypoints, View, still_view
-from recon.fit.shape import Shape
+from recon.fit.body_shape import Shape
 from recon.geometry.camera import Camera
 from recon.io.camera_files import write_cameras
 from recon.io.common import Pose3D

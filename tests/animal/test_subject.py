@@ -11,9 +11,10 @@ from example_run import AHEAD, ASIDE, BODY, FPS, PRIOR, settings, truth_m, view_
 
 from recon import Body, SubjectFitSettings, load_skeleton, run_subject_fit
 from recon.fit import constants
+from recon.fit.body_shape import Shape
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.points import solve_points
-from recon.fit.shape import Shape, ShapeFit, fit_shape
+from recon.fit.shape import ShapeFit, fit_shape
 from recon.io.common import Pose3D
 from recon.io.deeplabcut import write_csv
 from tests.command_line import refusal, run

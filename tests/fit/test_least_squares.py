@@ -10,10 +10,12 @@ from scipy.optimize import least_squares
 from term_cases import BODY, FEET, FPS, PRIOR, T, detections, gradient, some_states, terms, to_dense, view
 
 from recon.fit import least_squares as module
+from recon.fit.body_shape import FreeShape
 from recon.fit.least_squares import Estimate, LeastSquares, SharedUnknown
 from recon.fit.posterior import posterior
 from recon.fit.terms import (
     COMMON_KEYPOINT_BIAS,
+    LENGTHS,
     SIDESLIP,
     SIZE,
     Heading,
@@ -112,9 +114,20 @@ def some_shared(problem: LeastSquares) -> dict[str, np.ndarray]:
     return {u.name: u.mean + 0.3 * u.sigma * rng.normal(size=len(u.mean)) for u in problem.shared}
 
 
-def test_shared_unknowns_have_the_gradient_of_the_cost():
+def with_shape() -> LeastSquares:
+    """The same with the body's lengths and keypoint offsets among the shared unknowns."""
+    problem, shape, J = seen_late(), FreeShape.of_body(BODY), len(BODY.markers)
+    unknown = [
+        SharedUnknown(LENGTHS, np.zeros(len(shape.lengths)), np.full(len(shape.lengths), 0.1)),
+        SharedUnknown(COMMON_KEYPOINT_BIAS, np.zeros(3 * J), np.full(3 * J, 0.02)),
+    ]
+    return replace(problem, shared=[*problem.shared, *unknown], shape=shape, tree=BODY.detected)
+
+
+@pytest.mark.parametrize("problem", [seen_late(), with_shape()], ids=["shared", "shape"])
+def test_shared_unknowns_have_the_gradient_of_the_cost(problem):
     """Central differences along random directions of states and shared unknowns together."""
-    problem, states = seen_late(), some_states()
+    states = some_states()
     shared, rng, h = some_shared(problem), np.random.default_rng(2), 1e-5
     normal = problem.normal(states, shared)
     for _ in range(10):

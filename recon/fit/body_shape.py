@@ -1,0 +1,164 @@
+"""State the unknown shape of a body: lengths of its segments, and offsets of its keypoints.
+
+`Shape` serves the fit of a subject, in which the right side follows the left. `FreeShape` serves the fit of a clip of
+several cameras, in which lengths and offsets are unknowns that all frames share (`recon.fit.least_squares`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from recon.animal.body import Body, other_side, side_of
+from recon.base.arrays import Array
+from recon.fit.terms import COMMON_KEYPOINT_BIAS, LENGTHS
+from recon.geometry.kinematics import Tree
+
+LENGTH_SIGMA = 0.05
+"""Relative standard deviation of single lengths of an animal about its size times the skeleton's."""
+OFFSET_SIGMA_M = 0.01
+"""Expected offset of a keypoint from its marker along each axis.
+
+Keypoints lie further off, but a body that is fitted to them adapts. Of the values tried, this one lets single cameras
+of runs that were left out find the published poses best (docs/benchmarks.md).
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """State the K unknowns of a body's shape: logarithms of factors on lengths, then offsets of keypoints (m)."""
+
+    body: Body
+    lengths: tuple[str, ...] = ()
+    """Segments and markers whose distance from their origin is unknown; the right side's follow the left's."""
+    offsets: tuple[str, ...] = ()
+    """Markers whose keypoints' offsets are unknown, each with x, y and z; the right side's are mirrored."""
+    offset_sigma_m: float = OFFSET_SIGMA_M
+
+    @classmethod
+    def of_body(cls, body: Body, lengths: bool = True, offsets: bool = False) -> Shape:
+        """Return the unknown shape of a body: all its lengths, or the offsets of all its keypoints, or both."""
+        items = (*body.tree.segments[1:], *body.tree.markers) if lengths else ()
+        named = (item.name for item in items if any(item.offset_m) and not follows(item.name, body))
+        return cls(body, tuple(named), tuple(m for m in body.markers if offsets and not follows(m, body)))
+
+    def __len__(self) -> int:
+        """Return K, the number of unknowns."""
+        return len(self.lengths) + 3 * len(self.offsets)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the K unknowns."""
+        return (*self.lengths, *(f"{name}_{axis}" for name in self.offsets for axis in "xyz"))
+
+    def expected_precision(self, size_sigma: float) -> Array:
+        """Return the prior precision (K, K): lengths share the animal's size, and differ a little from it."""
+        n = len(self.lengths)
+        covariance = np.diag(np.repeat([LENGTH_SIGMA**2, self.offset_sigma_m**2], [n, len(self) - n]))
+        covariance[:n, :n] += size_sigma**2
+        return np.linalg.inv(covariance)
+
+    def applied(self, body: Body, values: Array) -> Body:
+        """Return a body of this kind with that shape, values (K,), on top of its own."""
+        factors = dict(zip(self.lengths, np.exp(values[: len(self.lengths)]), strict=True))
+        shifts = dict(zip(self.offsets, values[len(self.lengths) :].reshape(-1, 3), strict=True))
+
+        tree = body.tree.lengthened(lambda name: factors.get(self.leader(name), 1.0))
+        offsets = dict(body.keypoint_offset_m)
+        for name in self.body.markers:
+            if (leader := self.leader(name)) in shifts:
+                x, y, z = (float(v) for v in shifts[leader] * self._mirror(name))
+                given_offset = offsets.get(name, (0.0, 0.0, 0.0))
+                offsets[name] = (given_offset[0] + x, given_offset[1] + y, given_offset[2] + z)
+        return replace(body, tree=tree, keypoint_offset_m=offsets)
+
+    def jacobian(self, body: Body, states: Array) -> Array:
+        """Return the derivatives (N, J, 3, K) of the detected markers of a body by the shape, at nominal size."""
+        tree, n = body.tree, len(self.lengths)
+        R = tree.orientations(states)
+        frame = {segment.name: R[:, i] for i, segment in enumerate(tree.segments)}
+        segments = {segment.name: segment for segment in tree.segments}
+        by_shape = np.zeros((len(states), len(tree.markers), 3, len(self)))
+        for j, marker in enumerate(tree.markers):
+            name, offset_m, segment_name = marker.name, marker.offset_m, marker.segment
+            while segment_name is not None:
+                if (leader := self.leader(name)) in self.lengths:
+                    by_shape[:, j, :, self.lengths.index(leader)] += frame[segment_name] @ np.array(offset_m)
+                segment = segments[segment_name]
+                name, offset_m, segment_name = segment.name, segment.offset_m, segment.parent
+            if (leader := self.leader(marker.name)) in self.offsets:
+                first = n + 3 * self.offsets.index(leader)
+                by_shape[:, j, :, first : first + 3] = frame[marker.segment] * self._mirror(marker.name)
+        return by_shape
+
+    def leader(self, name: str) -> str:
+        """Return the name whose unknowns this one's follow."""
+        return other_side(name) if follows(name, self.body) else name
+
+    def _mirror(self, name: str) -> Array:
+        return np.array([1.0, -1.0, 1.0]) if follows(name, self.body) else np.ones(3)
+
+
+def follows(name: str, body: Body) -> bool:
+    """Return whether a name is of the right side and has a counterpart on the left."""
+    names = {*body.markers, *(segment.name for segment in body.tree.segments)}
+    return side_of(name) == "right" and other_side(name) in names
+
+
+@dataclass(frozen=True, eq=False)
+class FreeShape:
+    """State the lengths and keypoint offsets of a body as unknowns that all frames share.
+
+    They are the L values `LENGTHS`, logarithms of factors on the lengths of segments and markers, left as right, and
+    the 3J values `COMMON_KEYPOINT_BIAS`, distances of keypoints from their markers in the markers' segments, metres.
+    """
+
+    body: Body
+    """The body whose shape is 0."""
+    lengths: Shape
+    _shaped: dict[bytes, Body] = field(default_factory=dict, repr=False)
+    """The last body that was asked for, by the values."""
+
+    @classmethod
+    def of_body(cls, body: Body) -> FreeShape:
+        """Return the unknown shape of a body."""
+        return cls(body, Shape.of_body(body))
+
+    def applied(self, shared: Mapping[str, Array]) -> Body:
+        """Return the body with the values among those of shared unknowns."""
+        lengths = np.asarray(shared.get(LENGTHS, np.zeros(len(self.lengths))))
+        offsets_m = np.asarray(shared.get(COMMON_KEYPOINT_BIAS, np.zeros(3 * len(self.body.markers)))).reshape(-1, 3)
+        key = lengths.tobytes() + offsets_m.tobytes()
+        if key not in self._shaped:
+            self._shaped.clear()
+            self._shaped[key] = self._with(lengths, offsets_m)
+        return self._shaped[key]
+
+    def _with(self, lengths: Array, offsets_m: Array) -> Body:
+        if not lengths.any() and not offsets_m.any():
+            return self.body
+        body = self.lengths.applied(self.body, lengths)
+        known_m = [body.keypoint_offset_m.get(marker, (0.0, 0.0, 0.0)) for marker in body.markers]
+        total_m = (np.array(known_m) + offsets_m).tolist()
+        offsets = {marker: (x, y, z) for marker, (x, y, z) in zip(body.markers, total_m, strict=True)}
+        return replace(body, keypoint_offset_m=offsets)
+
+    def jacobian(self, shared: Mapping[str, Array], states: Array) -> Array:
+        """Return the derivatives (N, J, 3, L + 3J) of the markers that the detector sees, for states (N, D)."""
+        body = self.applied(shared)
+        return np.concatenate([self.by_length(shared, states), by_offset(body.tree, states)], axis=3)
+
+    def by_length(self, shared: Mapping[str, Array], states: Array) -> Array:
+        """Return the derivatives (N, J, 3, L) of the markers by the lengths, for states (N, D)."""
+        return self.lengths.jacobian(self.applied(shared), states)
+
+
+def by_offset(tree: Tree, states: Array) -> Array:
+    """Return the derivatives (N, J, 3, 3J) of the markers of a tree by their keypoints' offsets, for states (N, D)."""
+    names, J = [segment.name for segment in tree.segments], len(tree.markers)
+    rotations = tree.orientations(states)[:, [names.index(marker.segment) for marker in tree.markers]]
+    derivatives, own = np.zeros((len(states), J, 3, J, 3)), np.arange(J)
+    derivatives[:, own, :, own] = rotations.swapaxes(0, 1)
+    return derivatives.reshape(len(states), J, 3, 3 * J)

@@ -1,0 +1,79 @@
+"""Lengths and keypoint offsets as unknowns of a fit of several cameras: of a simulated animal of other proportions."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from recon import load_skeleton
+from recon.animal.prior import prior_from_body
+from recon.fit.clip_problem import TrajectoryOptions
+from recon.fit.prediction import predicted_keypoints
+from recon.fit.result import TrajectorySolution
+from recon.fit.trajectory import solve_trajectory
+from recon.fit.triangulation import smoothed, triangulate_views
+from recon.gait.evaluation import aligned
+from recon.testing.coverage import coordinate_coverage
+from recon.testing.rigs import FPS, random_clip
+
+BODY = load_skeleton("human-25")
+VIEWS, TRUE_M = random_clip(BODY, 0.1, 4, 0)
+
+
+@cache
+def solved(count: int, known: bool) -> TrajectorySolution:
+    options = TrajectoryOptions(fast=True, lengths_known=known)
+    return solve_trajectory(VIEWS[:count], BODY, prior_from_body(BODY), FPS, options)
+
+
+def left_out_px(xy_px: np.ndarray) -> float:
+    """Return the median distance of predicted keypoints from the detections of the last camera."""
+    return float(np.nanmedian(np.linalg.norm(xy_px - VIEWS[3].xy_px, axis=-1)))
+
+
+def pose_error_m(solution: TrajectorySolution) -> float:
+    return float(np.linalg.norm(aligned(solution.joints_m, TRUE_M) - TRUE_M, axis=-1).mean())
+
+
+def test_a_camera_that_was_left_out_is_predicted_better_than_by_triangulation():
+    points_m = smoothed(triangulate_views(VIEWS[:3]), FPS).points_m
+    triangulated_px, _ = VIEWS[3].project(np.nan_to_num(points_m))
+    triangulated_px[np.isnan(points_m[..., 0])] = np.nan
+    free_px, known_px = (left_out_px(predicted_keypoints(solved(3, known), VIEWS[3])[0]) for known in (False, True))
+    assert free_px < left_out_px(triangulated_px)
+    assert free_px < 0.5 * known_px
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_poses_are_better_and_their_intervals_hold(count):
+    free = solved(count, False)
+    assert pose_error_m(free) < 0.7 * pose_error_m(solved(count, True))
+    assert coordinate_coverage(free.joints_m - TRUE_M, free.covariance_m2, 0.9) > 0.85
+    centred_m = aligned(free.joints_m, TRUE_M) - TRUE_M
+    assert coordinate_coverage(centred_m, free.relative_covariance_m2, 0.9) > 0.85
+
+
+def test_the_body_has_the_lengths_that_were_found():
+    free = solved(3, False)
+    states = free.states
+    np.testing.assert_allclose(free.body.tree.pose(states, free.size).points_m, free.joints_m, atol=1e-9)
+    length = {segment.name: np.linalg.norm(segment.offset_m) for segment in free.body.tree.segments}
+    nominal = {segment.name: np.linalg.norm(segment.offset_m) for segment in BODY.tree.segments}
+    assert length["l_shank"] == pytest.approx(length["r_shank"])
+    assert length["l_shank"] != pytest.approx(nominal["l_shank"], rel=1e-3)
+    assert BODY.keypoint_offset_m == {}
+    assert set(free.body.keypoint_offset_m) == set(BODY.markers)
+
+
+def test_one_camera_keeps_the_lengths():
+    free, known = (
+        solve_trajectory(
+            VIEWS[:1], BODY, prior_from_body(BODY), FPS, TrajectoryOptions(fast=True, lengths_known=is_known)
+        )
+        for is_known in (False, True)
+    )
+    assert np.array_equal(free.joints_m, known.joints_m)
+    assert np.array_equal(free.covariance_m2, known.covariance_m2)
+    assert free.body == BODY
