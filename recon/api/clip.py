@@ -59,8 +59,11 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     chain = load_chain(settings.skeleton_name) if inputs.body.one_sided else None
     as_motion = partial(_as_motion, inputs, settings, chain)
 
-    fit = _solve_first(inputs, settings.trajectory_options(), solve)
-    fit = _solve_again_with_fixed_cameras(fit, solve)
+    options = settings.trajectory_options()
+    if options.refine_cameras and len(inputs.sources) == 2:  # two cameras cannot tell a pose from the animal's shape
+        options = replace(options, lengths_known=True)
+    fit = _solve_first(inputs, options, solve)
+    fit = _solve_again_with_fixed_cameras(fit, solve, settings.lengths_known)
     began = time.perf_counter()
     fit = _solve_again_without_gross_outliers(fit, solve)
     fit = _check_inputs(fit, as_motion(fit), inputs, settings)
@@ -105,8 +108,11 @@ def _solve_with(solve: Solve, options: TrajectoryOptions, sources: tuple[Source,
     return solve(sources, options)
 
 
-def _solve_again_with_fixed_cameras(fit: _Fit, solve: Solve) -> _Fit:
-    """Take back cameras that were refined, where the poses of the camera file explain the keypoints as well."""
+def _solve_again_with_fixed_cameras(fit: _Fit, solve: Solve, lengths_known: bool) -> _Fit:
+    """Take back cameras that were refined, where the poses of the camera file explain the keypoints as well.
+
+    The animal's lengths, which two cameras that are refined do not find, are then known only if they are said to be.
+    """
     if not fit.options.refine_cameras:
         return fit
     from recon.check.agreement import why_not_refined
@@ -116,6 +122,9 @@ def _solve_again_with_fixed_cameras(fit: _Fit, solve: Solve) -> _Fit:
     unrefined = why_not_refined(fit.solution, fixed)
     if not unrefined:
         return fit
+    if options.lengths_known != lengths_known:
+        options = replace(options, lengths_known=lengths_known)
+        fixed = solve(fit.sources, options)
     return replace(fit, options=options, solution=fixed, findings=(*fit.findings, *unrefined))
 
 
