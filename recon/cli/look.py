@@ -115,7 +115,7 @@ class OverlaySettings(_ResultSettings):
     video: Path = Field()
     """The video that the keypoints came from, as in clip.mp4."""
     out: Path
-    """The new video, .mp4 (MPEG-4) or .avi (Motion JPEG), as in overlay.mp4."""
+    """The new video, .mp4 (MPEG-4), .webm (VP8, which browsers play) or .avi (Motion JPEG), as in overlay.mp4."""
     anyway: Annotated[bool, ANYWAY] = False
     speed: Annotated[Number, Field(gt=0, le=10)] | None = None
     """Speed of the playback, 1 is real time. (default: so that 30 frames are shown in a second)"""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,9 +26,9 @@ from recon.base.files import staged_file
 from recon.geometry.camera import Camera
 
 Image = npt.NDArray[np.uint8]
-CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
-"""Codecs that OpenCV's own wheels encode quickly: MPEG-4 part 2, which players show but browsers do not, and Motion
-JPEG. The wheels have no encoder for H.264, and VP9 takes half a second for a picture of 1920x1080.
+CODECS = {".mp4": "mp4v", ".avi": "MJPG", ".webm": "VP80"}
+"""Codecs that OpenCV's own wheels encode: MPEG-4 part 2, which players show but browsers do not, Motion JPEG, and VP8,
+which every browser plays and which takes a second for a picture of 1920x1380. The wheels have no encoder for H.264.
 """
 
 UNEVEN, STAMP_S = 0.3, 1e-3
@@ -190,7 +190,8 @@ def video_writer(path: str | Path, size_px: tuple[int, int], fps: float) -> Iter
     codec = require_codec(path)
     with staged_file(path) as staged, _quiet():
         staged.touch()  # raises an OSError with the reason, which OpenCV would not give
-        writer: Any = cv2.VideoWriter(_local(staged), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*codec), fps, size_px)
+        with _without_stderr() if codec == "VP80" else nullcontext():  # OpenCV warns that WebM has no tags
+            writer: Any = cv2.VideoWriter(_local(staged), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*codec), fps, size_px)
         written = 0
         try:
             if not writer.isOpened():
@@ -224,9 +225,24 @@ def _quiet() -> Iterator[None]:
         cv2.utils.logging.setLogLevel(level)
 
 
+@contextmanager
+def _without_stderr() -> Iterator[None]:
+    """Drop what libraries print on standard error past Python."""
+    kept, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(null)
+
+
 def _ends_as_it_says(path: Path) -> bool:
-    """Return whether an AVI (RIFF) or MP4 file is as long as its parts state."""
+    """Return whether an AVI (RIFF), MP4 or WebM file is as long as its parts state."""
     end, position = path.stat().st_size, 0
+    if path.suffix.lower() == ".webm":
+        return end == _webm_length(path)
     with path.open("rb") as file:
         while position < end:
             file.seek(position)
@@ -238,6 +254,18 @@ def _ends_as_it_says(path: Path) -> bool:
                 length = int.from_bytes(head[8:], "big") if length == 1 else length
             position += max(length, 8)
     return position == end
+
+
+def _webm_length(path: Path) -> int:
+    """Return the length that a WebM file states: of its head, and of the segment with all the rest."""
+    with path.open("rb") as file:
+        head = file.read(80)
+    position = 0
+    for _ in range(2):  # each: an identity of four bytes, the length's length as leading zeros, and the length
+        size_bytes = 9 - head[position + 4].bit_length() if len(head) > position + 12 else 1
+        size = int.from_bytes(head[position + 4 : position + 4 + size_bytes], "big") & ((1 << 7 * size_bytes) - 1)
+        position += 4 + size_bytes + size
+    return position
 
 
 def require_codec(path: Path) -> str:

@@ -562,7 +562,7 @@ class PredictSettings(Settings):
     out: Path
     """The keypoint file, .csv or .h5, in DeepLabCut's layout."""
     overlay: Path | None = None
-    """A new video with the points drawn, .mp4 (MPEG-4) or .avi (Motion JPEG)."""
+    """A new video with the points drawn, .mp4 (MPEG-4), .webm (VP8) or .avi (Motion JPEG)."""
     device: Annotated[str, DEVICE] = "auto"
     threads: Annotated[Count | None, THREADS] = None
     partial: bool = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgb
 
@@ -10,7 +11,7 @@ from recon.animal.body import Side
 from recon.animal.skeleton_file import load_skeleton
 from recon.geometry.kinematics import YAW
 from recon.show import plots
-from recon.show.plots.configurations import SIDE_COLOURS
+from recon.show.plots.configurations import SIDE_COLOURS, composites
 from recon.thesis.chain import load_chain
 
 LIMBS = {"trunk": (0, 1), "near leg": (0, 2), "off leg": (0, 3)}
@@ -100,3 +101,20 @@ def test_without_a_pose_there_is_nothing():
     figure = plots.body_fixed(np.full((5, 4, 3), np.nan), LIMBS, TIMES[:5], SIDES)
     texts = [text.get_text() for artist in (figure, *figure.axes) for text in artist.texts]
     assert "no data" in texts
+
+
+@pytest.mark.parametrize("drift_m", [(0, 0, 0), (9, 0, 20), (9, 30, 0), (0.1, 0, 8), (90, 0, 3)])
+def test_no_pose_is_cut_wherever_the_animal_goes(small_trajectory, drift_m):
+    """As in clips that are not to be used: the animal climbs, or runs off to the side."""
+    joints_m = small_trajectory.upright.xyz_m + np.linspace(0, 1, 8)[:, None, None] * np.array(drift_m)
+    figure = composites(joints_m, small_trajectory.limbs, small_trajectory.time_s)
+    figure.draw_without_rendering()
+    for axes in figure.axes[:3]:
+        drawn = np.concatenate([line.get_xydata() for line in axes.lines])
+        (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+        assert left <= drawn[:, 0].min()
+        assert drawn[:, 0].max() <= right
+        assert low <= drawn[:, 1].min()
+        assert drawn[:, 1].max() <= high
+    heights = [axes.get_position().height for axes in figure.axes[:3]]
+    assert heights[2] <= max(1.1 * heights[0], 30 / 90)  # the side view is the largest

@@ -31,7 +31,7 @@ from recon.cli.look import (
 from recon.cli.look import overlay as draw
 from recon.fit.motion import Motion
 from recon.fit.result import Finding
-from recon.io.video import missing_note, probe, read_frames, timed_frames, video_writer
+from recon.io.video import _ends_as_it_says, missing_note, probe, read_frames, timed_frames, video_writer
 from recon.show.overlay import (
     CLOSE_UP,
     DETECTION,
@@ -406,3 +406,17 @@ def test_frames_that_cannot_be_decoded_are_counted(tmp_path):
     note = missing_note(film, np.array([stamp_s for _, stamp_s, _ in timed_frames(film)]))
     assert note is not None
     assert f"states 30 frames, {decoded} can be decoded" in note
+
+
+def test_a_video_for_browsers_is_whole_or_an_error(tmp_path, capfd):
+    path = tmp_path / "run.webm"
+    with video_writer(path, (64, 48), 25.0) as write:
+        for level in range(0, 200, 20):
+            write(np.full((48, 64, 3), level, np.uint8))
+    assert path.read_bytes()[:4] == b"\x1a\x45\xdf\xa3"
+    assert (probe(path).stated_frames, probe(path).size_px) == (10, (64, 48))
+    np.testing.assert_allclose([picture.mean() for _, picture in read_frames(path)], range(0, 200, 20), atol=4)
+    assert _ends_as_it_says(path)
+    path.write_bytes(path.read_bytes()[:-20])
+    assert not _ends_as_it_says(path)
+    assert capfd.readouterr().err == ""

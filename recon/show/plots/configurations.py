@@ -43,9 +43,12 @@ STYLES: dict[Side | None, tuple[Any, float, str]] = {
     None: ("-", 1.6, "the rest"),
 }
 """Style of the limbs of each side: dashes, width, and label."""
+_SPARE = 1.1
+"""Length of the axis along the run, relative to what the poses need."""
 NO_SIDES: Mapping[str, Side | None] = MappingProxyType({})
-_WIDE_MM, _HEIGHT_MM, _FRONT_MM, _LABELS_MM = 160.0, 120.0, 45.0, 36.0
-"""Largest width and height of the side and top view together, the front view's height, and room for all labels."""
+_WIDE_MM, _HEIGHT_MM, _LEAST_FRONT_MM, _FRONT_MM, _LABELS_MM = 160.0, 120.0, 26.0, 45.0, 36.0
+"""Largest width and height of the side and top view together, least and largest height of the front view, which is no
+higher than the side view, and room for all labels."""
 
 
 def composites(
@@ -82,7 +85,8 @@ def composites(
     points = (joints_m[rows] - origin) @ R.T
     width_m, depth_m, z = np.nanmax(points, axis=(0, 1)) - np.nanmin(points, axis=(0, 1)) + 0.1
     scale = min(_WIDE_MM / width_m, _HEIGHT_MM / (depth_m + z))
-    heights = [max(scale * z, 16.0), max(scale * depth_m, 12.0), _FRONT_MM]
+    side_mm = max(scale * z, 16.0)
+    heights = [side_mm, max(scale * depth_m, 12.0), float(np.clip(side_mm, _LEAST_FRONT_MM, _FRONT_MM))]
     with style.drawing(sum(heights) + _LABELS_MM, title=title) as figure:
         cells = figure.subplot_mosaic([["side", "side"], ["top", "top"], ["front", "key"]], height_ratios=heights)
         panels = (cells["side"], 0, 2), (cells["top"], 0, 1), (cells["front"], 1, 2)
@@ -96,6 +100,9 @@ def composites(
                     axes.plot(*pose[list(joints)][:, [horizontal, vertical]].T, **line_style)
             axes.set_aspect("equal", adjustable="datalim")
             axes.locator_params(axis="y", nbins=4)
+        # The scale follows the shared axis: it is as long as the height needs, or poses would be cut.
+        ends = np.nanmin(points[..., 0]), np.nanmax(points[..., 0])
+        cells["side"].set_xlim(np.mean(ends) + _SPARE * np.array([-0.5, 0.5]) * _WIDE_MM / scale)
         for part, plane in ground or ():
             inside = np.isin(rows, np.arange(rows.max() + 1)[part])
             if inside.any():

@@ -156,6 +156,15 @@ function start() {
   controls.update();
   all = true;
   draw();
+  // Strips below the screen are drawn once when there is time, for pictures of the whole page.
+  const waiting = strips.filter((strip) => !strip.visible);
+  const drawNext = () => {
+    const strip = waiting.shift();
+    if (!strip) return;
+    strip.draw(true);
+    setTimeout(drawNext, 10);
+  };
+  setTimeout(drawNext, 500);
   player.reconPlayer = { clip, cursor, picture, scene, strips, map, draw };
 }
 
