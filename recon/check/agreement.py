@@ -149,9 +149,11 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
 def _without_exchange(
     views: Sequence[View], sights: list[_Sight], sigma_px: float, keypoint_sigma_m: float
 ) -> tuple[list[_Sight], tuple[int, ...], float]:
-    """Return the sights with two exchanged cameras put back, the two, () if there are none, and the largest level.
+    """Return the sights with two exchanged cameras put back, these two cameras, and the largest level.
 
-    That level is higher than `MAX_LEVEL` where the cameras that agree best are noisier than expected.
+    Without exchanged cameras the pair is (). The level is higher than `MAX_LEVEL` if the cameras that agree best are
+    noisier
+    than expected.
     """
     everyone = tuple(range(len(views)))
     levels = _levels(sights, everyone)
@@ -191,9 +193,11 @@ def swaps_by_effect(
 
 
 def _effect_m(sights: Sequence[_Sight], v: int, partners: Sequence[int]) -> dict[str, float]:
-    """Return by how much camera v moves the points that the others see: about their middle, and their middle.
+    """Return by how much camera v moves the points that the other cameras see, in metres.
 
-    Means over joints and frames; NaN where the others alone see too few points.
+    One number is about the points' middle, the other is the movement of this middle: means over joints and frames, NaN
+    if
+    the other cameras alone see too few points.
     """
     effects = dict.fromkeys(EFFECTS, np.nan)
     if len(partners) < 2:

@@ -183,7 +183,10 @@ def _parts(first: int, stop: int, T: int) -> list[tuple[int, int]]:
 
 
 def _part(view: View, rows: slice, fps: float) -> slice:
-    """Return the second around a stretch or an end of a longer one; of a whole clip the fullest one."""
+    """Return the rows of the second around a stretch, or around the end of a longer one.
+
+    For a stretch of the whole clip it is the second with the most detections.
+    """
     T, n = len(view.xy_px), max(round(likelihood.TESTED_S * fps), 4)
     inner = [edge for edge in (rows.start, rows.stop) if 0 < edge < T]
     if not inner:
