@@ -382,6 +382,7 @@ def test_settings_without_an_option_are_in_the_docs():
         (("--size-sigma", "0.1"), ("--size-sigma", "size_sigma", "no option", "--set size-sigma=VALUE")),
         (("--size-sigma=0.1",), ("--size-sigma", "size_sigma", "no option", "--set size-sigma=VALUE")),
         (("--framerate", "60"), ("--framerate", "fps", "no option", "--fps")),
+        (("--method", "frame"), ("--method", "method", "no option", "recon frame")),
         (("--no-fast",), ("--no-fast", "fast", "no option", "--set fast=VALUE")),
         (("--set", "sigma"), ("--set", "setting", "'sigma'", "name=value")),
         (("--set", "sigmapx=2"), ("--set", "sigmapx", "unknown", "perhaps sigma_px")),

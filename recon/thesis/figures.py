@@ -98,13 +98,14 @@ def solver_unknowns(record: SolverRecord) -> Figure:
 
 
 def solver_frame(record: SolverRecord) -> Figure:
-    """Draw the search within one frame: objective and damping from one accepted point to the next."""
+    """Draw the search within one frame: objective, damping and step from one accepted point to the next."""
     search = record.search
     title = f"frame {record.frame}: {len(search.damping)} steps, {search.evaluations_at[-1]} evaluations"
-    labels = ("objective (½σ²)", f"damping λ ({_UNDAMPED:g}: none)")
-    with style.drawing(80, title=title) as figure:
-        rows = figure.subplots(2, 1, sharex=True)
-        for i, (axes, values) in enumerate(zip(rows, (search.costs, search.damping.clip(_UNDAMPED)), strict=True)):
+    labels = ("objective (½σ²)", f"damping λ\n({_UNDAMPED:g}: none)", "step (rad, m)")
+    shown = search.costs, search.damping.clip(_UNDAMPED), search.step_norms.clip(_LEAST)
+    with style.drawing(110, title=title) as figure:
+        rows = figure.subplots(3, 1, sharex=True)
+        for i, (axes, values) in enumerate(zip(rows, shown, strict=True)):
             axes.plot(np.arange(len(values)), values, **style.dots(len(values), 3.0), **style.look(i))
             axes.set_yscale("log")
             style.plain_logarithm(axes.yaxis)

@@ -240,7 +240,7 @@ def test_the_network_learns_the_blobs_and_the_report_says_so(clip, model):
     assert len(figure.axes[0].lines[0].get_xdata()) == len(report["history"])
 
 
-def test_a_network_that_does_not_fit_judges_no_label_and_the_run_says_so_before(clip, quick, tmp_path):
+def test_a_network_that_does_not_fit_judges_no_label_and_the_run_says_so_before(clip, tmp_path):
     said: list[str] = []
     settings = TrainSettings(steps=2, batch=1)
     report = train_in(tmp_path / "few", clip, settings, announce=said.append)
