@@ -61,7 +61,7 @@ def test_a_name_of_bytes_and_of_texts_like_their_codes_is_read_again(tmp_path):
     assert existing_path(many) == many
 
 
-def test_a_name_that_is_not_utf_8_is_escaped_in_every_file(latin_1, tmp_path):
+def test_a_name_that_is_not_utf_8_is_escaped_in_every_file(latin_1, tmp_path, undrawn):
     out = tmp_path / "out"
     assert run("fit", latin_1, *FIT, "--out", out, "--quiet").code == 0
     config = tomllib.loads((out / "config.toml").read_text(encoding="utf-8"))
