@@ -6,6 +6,7 @@ import json
 import os
 import signal
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -25,6 +26,8 @@ from recon.io.video import video_writer
 from recon.show.page.own_page import PAGE
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
+ROUNDS = 8
+"""How often each of two processes writes."""
 CAMERA = ("--camera", SAMPLES / "camera.toml")
 QUICK = ("--fps", 60, "--frames", "0:8", "--set", "fast=true")
 
@@ -124,6 +127,25 @@ def test_what_a_killed_run_leaves_is_known_again(tmp_path):
         if not is_killed:
             break
     assert 10 < kill_at < 59
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="children are forked")
+def test_two_writers_leave_the_files_of_one(tmp_path):
+    """Each writes as often as it can, or is refused since the other one writes."""
+    children = []
+    for text in ("1", "2"):
+        child = os.fork()
+        if child == 0:
+            for _ in range(ROUNDS):
+                with suppress(InputError):
+                    written(tmp_path, **dict.fromkeys("abc", text))
+            os._exit(0)
+        children.append(child)
+    assert [os.waitpid(child, 0)[1] for child in children] == [0, 0]
+    assert read_manifest(tmp_path).changed() == []
+    left = contents(tmp_path)
+    assert {*left} == {"a.csv", "b.csv", "c.csv", MANIFEST}
+    assert len({left[name] for name in ("a.csv", "b.csv", "c.csv")}) == 1
 
 
 def _killed(function: Callable[..., object], count: list[int], last: int) -> Callable[..., object]:
