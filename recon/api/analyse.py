@@ -6,13 +6,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from recon.api.settings import ANYWAY, STRIDE, StrideTimes
 from recon.base.arrays import mean, median
+from recon.base.errors import Problem
 from recon.base.locks import sole_writer
 from recon.base.numbers import percent
 from recon.base.outputs import Output, ReadResults
@@ -26,6 +27,7 @@ from recon.gait.dynamics import OVER_STRIDE, Dynamics, findings_of_dynamics, ove
 from recon.gait.gait import Gait, Stride, doubtful_text, interval_of
 from recon.show.plain import picked, to_json
 from recon.show.tables import TABLES, write_analysis
+from recon.show.workbook import DICTIONARY, LONG, WORKBOOK, write_long, write_workbook
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -39,6 +41,10 @@ FIGURES_BEGIN = 0.5
 """The share of the progress at which the figures begin."""
 SHOWN = 3
 """How many strides that do not count are said one by one, by method."""
+
+
+MORE_TABLES = {"csv": (), "xlsx": (WORKBOOK,), "long": (LONG, DICTIONARY)}
+"""Files of --format."""
 
 
 class AnalyseSettings(Settings):
@@ -57,9 +63,19 @@ class AnalyseSettings(Settings):
     """PNG and SVG beside the tables: side view, joint angles, footfalls, speed."""
     all_figures: bool = False
     """All figures: also poses, vector fields, phase portraits, information, forces, the body's own frame."""
+    tables_format: Annotated[Literal["csv", "xlsx", "long"], Option(name="--format")] = "csv"
+    """Beside the tables: xlsx: analysis.xlsx, a workbook; long: analysis_long.csv, all numbers in one tidy table, with
+    its data dictionary."""
+    decimal_comma: bool = False
+    """Decimal commas, and semicolons between columns, in the table of --format long."""
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: bool = False
     """Replace an earlier analysis."""
+
+    def problems(self) -> Iterator[Problem]:
+        """Yield the problem of decimal commas in tables that have none."""
+        if self.decimal_comma and self.tables_format != "long":
+            yield Problem("--decimal-comma", "table", f"--format {self.tables_format}", "--format long beside it")
 
     @property
     def out_folder(self) -> Path:
@@ -94,7 +110,7 @@ def run_analysis(settings: AnalyseSettings, progress: Progress = silent) -> Writ
     motion = usable(motion, settings.folder, settings.anyway)
     output = Output(out, "analyse", settings.overwrite, input_paths(settings), made_from, content="an analysis")
     with sole_writer(out):
-        output.require((SUMMARY, *TABLES))
+        output.require((SUMMARY, *TABLES, *MORE_TABLES[settings.tables_format]))
         progress("analysis", 0.1)
         with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
             analysis = analyse(motion, settings.stride)
@@ -103,6 +119,10 @@ def run_analysis(settings: AnalyseSettings, progress: Progress = silent) -> Writ
         progress("tables", FIGURES_BEGIN - 0.1)
         with output.staged() as staging:
             write_analysis(analysis, staging)
+            if settings.tables_format == "xlsx":
+                write_workbook(analysis, settings.folder.absolute().name, staging / WORKBOOK)
+            elif settings.tables_format == "long":
+                write_long(analysis, staging, settings.decimal_comma)
             (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
             names = [path.name for path in staging.iterdir()]
         if settings.figures:  # after the tables, which are there whatever befalls the figures

@@ -1,0 +1,180 @@
+"""Write the tables of an analysis for Excel and R: a workbook, or one long table with its data dictionary.
+
+Every number stands in a row of its own with its variable and unit, beside what it is of: the joint or foot, the side,
+the frame, the time, the percent of the stride. The data dictionary says what each variable of each table is.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from recon.base.file_names import encodable
+from recon.base.package import version
+from recon.base.tables import guarded
+from recon.gait.clip import ClipAnalysis
+from recon.io.writing import formats_extra
+from recon.show.tables import TABLES
+
+WORKBOOK, LONG, DICTIONARY = "analysis.xlsx", "analysis_long.csv", "analysis_dictionary.csv"
+KEYS = ("time_s", "frame", "percent", "start_s")
+"""Columns of numbers that say where a value belongs, besides all columns of texts."""
+UNITS = {
+    "m_s2": "m/s²",
+    "rad_s2": "rad/s²",
+    "m_s": "m/s",
+    "rad_s": "rad/s",
+    "j_kg": "J/kg",
+    "w_kg": "W/kg",
+    "bw_s": "body weight × s",
+    "n_s": "N s",
+    "bw": "body weight",
+    "deg": "°",
+    "rad": "rad",
+    "hz": "Hz",
+    "m": "m",
+    "s": "s",
+    "n": "N",
+}
+"""Units by the end of a column's name."""
+_PARTS = (
+    (r"_?sigma$", "one standard deviation of {}"),
+    (r"_?low$", "lower end of the 90 % interval of {}"),
+    (r"_?high$", "upper end of the 90 % interval of {}"),
+)
+MOST_ROWS, MOST_COLUMNS = 1_000_000, 30
+"""Rows of a sheet of Excel, and columns of a table that has a sheet of its own."""
+
+
+def analysis_tables(analysis: ClipAnalysis) -> dict[str, pd.DataFrame]:
+    """Return every table of an analysis by name, as its CSV file has it."""
+    frames = {}
+    for file_name, make in TABLES.items():
+        content = make(analysis)
+        if isinstance(content, dict):
+            frame = pd.DataFrame(content)
+        else:
+            columns, rows = content
+            frame = pd.DataFrame([*rows], columns=[*columns])
+        frames[file_name.removesuffix(".csv")] = frame
+    return frames
+
+
+def unit_of(column: str) -> str:
+    """Return the unit that a column's name ends in; nothing for shares, counts and texts."""
+    for end, unit in UNITS.items():
+        if column == end or column.endswith(f"_{end}"):
+            return unit
+    return ""
+
+
+def meaning_of(column: str) -> str:
+    """Return a column's name in words, without its unit."""
+    end = next((end for end in UNITS if column.endswith(f"_{end}")), "")
+    name = column[: -len(end) - 1] if end else column
+    for pattern, words in _PARTS:
+        if re.search(pattern, name) and re.sub(pattern, "", name):
+            return words.format(re.sub(pattern, "", name).replace("_", " "))
+    return name.replace("_", " ")
+
+
+def dictionary(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
+    """Return the data dictionary: a row for each column of each table, with unit and meaning."""
+    rows = [
+        (name, column, unit_of(column), meaning_of(column), f"{name}.csv")
+        for name, table in tables.items()
+        for column in table.columns
+    ]
+    return pd.DataFrame(rows, columns=["table", "variable", "unit", "meaning", "file"])
+
+
+def long_table(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
+    """Return all numbers below each other: table, what they are of, time, frame, percent, variable, unit, value."""
+    parts = [part for name, table in tables.items() for part in _melted(name, table)]
+    columns = ["table", "of", *KEYS, "variable", "unit", "value"]
+    if not parts:
+        return pd.DataFrame(columns=columns)
+    return pd.concat(parts, ignore_index=True)[columns]
+
+
+def _melted(name: str, table: pd.DataFrame) -> Iterator[pd.DataFrame]:
+    if table.empty:
+        return
+    texts = [column for column in table.columns if not pd.api.types.is_numeric_dtype(table[column])]
+    keys = [column for column in KEYS if column in table.columns]
+    numbers = [column for column in table.columns if column not in (*texts, *keys)]
+    if not numbers:
+        return
+    labels = table[texts].astype(str).agg(" ".join, axis=1) if texts else pd.Series("", index=table.index)
+    given = table[[*keys, *numbers]].assign(of=labels)
+    part = given.melt(id_vars=["of", *keys], value_vars=numbers, var_name="variable", value_name="value")
+    part = part.assign(table=name, unit=part["variable"].map(unit_of))
+    for key in KEYS:
+        if key not in part:
+            part[key] = np.nan
+    yield part.dropna(subset="value")
+
+
+def write_long(analysis: ClipAnalysis, folder: Path, decimal_comma: bool = False) -> None:
+    """Write the long table and the data dictionary as CSV; with decimal commas, semicolons separate the columns."""
+    tables = analysis_tables(analysis)
+    separator, decimal = (";", ",") if decimal_comma else (",", ".")
+    for name, table in ((LONG, long_table(tables)), (DICTIONARY, dictionary(tables))):
+        texts = table.select_dtypes(exclude=["number"]).columns
+        safe = table.assign(**{column: table[column].map(guarded) for column in texts})
+        safe.to_csv(folder / name, index=False, sep=separator, decimal=decimal, lineterminator="\n")
+
+
+def write_workbook(analysis: ClipAnalysis, results: str, path: Path) -> None:
+    """Write a workbook: a README with the data dictionary, all numbers in one long sheet, and a sheet for each table.
+
+    Raises
+    ------
+    InputError
+        Where the package openpyxl is not installed.
+    """
+    with formats_extra(path):
+        import openpyxl
+    tables = analysis_tables(analysis)
+    book = openpyxl.Workbook(write_only=True)
+    motion = analysis.motion
+    verdict = motion.verdict.lines if motion.verdict else ()
+    front = [
+        [f"Analysis of {results} by recon {version()}"],
+        *([line] for line in verdict),
+        ["90 % intervals are 1.645 standard deviations on either side. Empty cells are not known."],
+        ["The sheet long has every number in a row of its own, also those of tables with many columns."],
+        [],
+    ]
+    _fill(book.create_sheet("README"), front, dictionary(tables))
+    _fill(book.create_sheet("long"), [], long_table(tables).head(MOST_ROWS))
+    for name, table in tables.items():
+        if len(table.columns) <= MOST_COLUMNS:
+            _fill(book.create_sheet(name[:31]), [], table.head(MOST_ROWS))
+    book.save(path)
+
+
+def _fill(sheet: object, front: list[list[str]], table: pd.DataFrame) -> None:
+    append: Callable[[list[object]], None] = sheet.append  # type: ignore[attr-defined]
+    for row in front:
+        append([_cell(value) for value in row])
+    append([_cell(column) for column in table.columns])
+    for row in table.itertuples(index=False):
+        append([_cell(value) for value in row])
+
+
+def _cell(value: object) -> object:
+    """Return a value as a cell can have it: no formulas, no NaN, plain numbers."""
+    if isinstance(value, str):
+        return guarded(encodable(re.sub(r"[\x00-\x08\x0b\x0c\x0e-\x1f]", " ", value)))
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    if isinstance(value, int | np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return None if value is None or value is pd.NA else str(value)

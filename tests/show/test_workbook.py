@@ -1,0 +1,83 @@
+"""Tables of an analysis for Excel and R: a workbook and one long table, each with its data dictionary."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from command_line import refused
+
+from recon.fit.motion import Motion
+from recon.gait.clip import ClipAnalysis, analyse
+from recon.show.workbook import (
+    DICTIONARY,
+    LONG,
+    analysis_tables,
+    long_table,
+    meaning_of,
+    unit_of,
+    write_long,
+    write_workbook,
+)
+
+
+@pytest.fixture(scope="module")
+def whole(whole_results: Path) -> ClipAnalysis:
+    return analyse(Motion.load(whole_results))
+
+
+@pytest.mark.parametrize(
+    ("column", "unit", "meaning"),
+    [
+        ("peak_speed_sigma_m_s", "m/s", "one standard deviation of peak speed"),
+        ("net_work_low_j_kg", "J/kg", "lower end of the 90 % interval of net work"),
+        ("ax_m_s2", "m/s²", "ax"),
+        ("left_elbow_deg", "°", "left elbow"),
+        ("duty_factor", "", "duty factor"),
+        ("frequency_hz", "Hz", "frequency"),
+        ("foot", "", "foot"),
+    ],
+)
+def test_units_and_meanings_follow_from_names(column: str, unit: str, meaning: str):
+    assert (unit_of(column), meaning_of(column)) == (unit, meaning)
+
+
+def test_the_long_table_has_every_number_with_its_unit(whole: ClipAnalysis):
+    tables = analysis_tables(whole)
+    long = long_table(tables)
+    strides = tables["strides"]
+    lengths = long[(long["table"] == "strides") & (long["variable"] == "length_m")]
+    assert lengths["value"].tolist() == strides["length_m"].tolist()
+    assert set(lengths["unit"]) == {"m"}
+    assert lengths["start_s"].tolist() == strides["start_s"].tolist()
+    assert lengths["of"].tolist() == [f"{foot} {at}" for foot, at in zip(strides["foot"], strides["at"], strict=True)]
+    assert not long["value"].isna().any()
+
+
+def test_decimal_commas_are_read_again(whole: ClipAnalysis, tmp_path: Path):
+    write_long(whole, tmp_path, decimal_comma=True)
+    read = pd.read_csv(tmp_path / LONG, sep=";", decimal=",")
+    np.testing.assert_allclose(read["value"], long_table(analysis_tables(whole))["value"])
+    assert "," in (tmp_path / LONG).read_text(encoding="utf-8").splitlines()[1]
+    listed = pd.read_csv(tmp_path / DICTIONARY, sep=";")
+    assert set(read["variable"]) <= set(listed["variable"])
+
+
+def test_a_workbook_has_a_readme_with_the_dictionary_and_the_tables(whole: ClipAnalysis, tmp_path: Path):
+    openpyxl = pytest.importorskip("openpyxl")
+    write_workbook(whole, "=clip", tmp_path / "a.xlsx")
+    book = openpyxl.load_workbook(tmp_path / "a.xlsx", read_only=True)
+    assert book.sheetnames[:2] == ["README", "long"]
+    assert {"strides", "stances", "joint_flexion_stride"} <= {*book.sheetnames}
+    readme = [*book["README"].iter_rows(values_only=True)]
+    assert ("strides", "length_m", "m", "length", "strides.csv") in [row[:5] for row in readme]
+    assert readme[0][0].startswith("Analysis of =clip by recon")
+    header, first = [*book["strides"].iter_rows(values_only=True)][:2]
+    row = dict(zip(header, first, strict=True))
+    assert row["length_m"] == pytest.approx(analysis_tables(whole)["strides"]["length_m"][0])
+
+
+def test_decimal_commas_belong_to_the_long_table(whole_results: Path):
+    refused(["analyse", whole_results, "--decimal-comma"], ("--decimal-comma", "table", "--format csv"))
