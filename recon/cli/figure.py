@@ -69,6 +69,6 @@ def figure_command(settings: FigureSettings, progress: Progress = silent) -> Ans
         write_bytes(staging / out.name, content)
         write_text(staging / caption_path.name, printed.caption)
     files = [out, caption_path]
-    said = f"{counted(len(settings.names), 'figure')}, {settings.width:g} mm wide: {out}. Caption: {caption_path}."
+    summary = f"{counted(len(settings.names), 'figure')}, {settings.width:g} mm wide: {out}. Caption: {caption_path}."
     data = {"out": out, "caption": printed.caption, "figures": settings.names, "width_mm": settings.width}
-    return Answer(data, [*verdict_texts(motion.verdict), said], files=files)
+    return Answer(data, [*verdict_texts(motion.verdict), summary], files=files)

@@ -110,8 +110,8 @@ def _melted(name: str, table: pd.DataFrame) -> Iterator[pd.DataFrame]:
     if not numbers:
         return
     labels = table[texts].astype(str).agg(" ".join, axis=1) if texts else pd.Series("", index=table.index)
-    given = table[[*keys, *numbers]].assign(of=labels)
-    part = given.melt(id_vars=["of", *keys], value_vars=numbers, var_name="variable", value_name="value")
+    selected = table[[*keys, *numbers]].assign(of=labels)
+    part = selected.melt(id_vars=["of", *keys], value_vars=numbers, var_name="variable", value_name="value")
     part = part.assign(table=name, unit=part["variable"].map(unit_of))
     for key in KEYS:
         if key not in part:
