@@ -112,7 +112,7 @@ def thick_lines(axes, least=0.85):
 def every_figure():
     t, ahead = times(31), np.tile([1.0, 0.0, 0.0], (31, 1))
     curves = {"fit": point_kinematics(times(21), path()), "noisy": point_kinematics(times(21), path() * 1.1)}
-    portraits = {f"l_fore_upper_pitch_{k}_rad": phase_portrait(angle_kinematics(t, np.sin(9 * t))) for k in range(10)}
+    portraits = {f"l_fore_upper_pitch_{k}_rad": phase_portrait(angle_kinematics(t, np.sin(9 * t))) for k in range(26)}
     (chain, target, found), (chain3, target3, found3) = drives(2), drives(3)
     circle = found["a"].end_m[0] + 0.05 * np.stack([np.cos(t) - 1, np.sin(t)], axis=1)
     turns = {"a": follow(chain, found["a"].q[0], circle, LeastNorm())}
