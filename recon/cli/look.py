@@ -292,13 +292,13 @@ def neighbours(folder: Path, whole_batch: bool = False) -> Neighbours | None:
     if not (out / SUMMARY).is_file() or not (whole_batch or (out / SUMMARY_PAGE).is_file()):
         return None
     names = [path.parent.name for path in sorted(out.glob(f"*/{REPORT}"))]
-    at = names.index(folder.name) if folder.name in names else len(names)
+    own_index = names.index(folder.name) if folder.name in names else len(names)
 
     def link(index: int) -> str | None:
-        there = 0 <= index < len(names) and (whole_batch or (out / names[index] / PAGE).is_file())
-        return f"../{names[index]}/{PAGE}" if there else None
+        exists = 0 <= index < len(names) and (whole_batch or (out / names[index] / PAGE).is_file())
+        return f"../{names[index]}/{PAGE}" if exists else None
 
-    return Neighbours(folder.name, f"../{SUMMARY_PAGE}", link(at - 1), link(at + 1))
+    return Neighbours(folder.name, f"../{SUMMARY_PAGE}", link(own_index - 1), link(own_index + 1))
 
 
 def page_pictures(
