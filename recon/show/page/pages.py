@@ -104,8 +104,8 @@ class Neighbours:
     clip: str
     """The clip's own name."""
     summary: str
-    before: str | None
-    after: str | None
+    previous: str | None
+    following: str | None
 
 
 def clip_page(
