@@ -338,8 +338,8 @@ class Output:
             rest = (
                 f"; the same of {', '.join(listed)}{f' and {count - NAMED} more' * (count > NAMED)}" if listed else ""
             )
-            other = f"another {self.option}, or " if self.option else ""
-            expected = f"{other}the file moved away: recon would have to replace it"
+            way_out = f"another {self.option}, or " if self.option else ""
+            expected = f"{way_out}the file moved away: recon would have to replace it"
             yield Problem(self.folder / names[0], "file", description + rest, expected)
 
     # -- putting files there

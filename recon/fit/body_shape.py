@@ -159,6 +159,6 @@ def by_offset(tree: Tree, states: Array) -> Array:
     """Return the derivatives (N, J, 3, 3J) of the markers of a tree by their keypoints' offsets, for states (N, D)."""
     names, J = [segment.name for segment in tree.segments], len(tree.markers)
     rotations = tree.orientations(states)[:, [names.index(marker.segment) for marker in tree.markers]]
-    derivatives, own = np.zeros((len(states), J, 3, J, 3)), np.arange(J)
-    derivatives[:, own, :, own] = rotations.swapaxes(0, 1)
+    derivatives, indices = np.zeros((len(states), J, 3, J, 3)), np.arange(J)
+    derivatives[:, indices, :, indices] = rotations.swapaxes(0, 1)
     return derivatives.reshape(len(states), J, 3, 3 * J)
