@@ -100,7 +100,8 @@ this those thus told too us very what when where which while who whose why with 
 FUNCTION_WORDS = frozenset(_WORDS.split())
 """Words that say nothing of a value, and are no names."""
 PUBLISHED = {
-    "recon/animal/prior_fit.py": {"apart"},  # the option of `recon fit-prior`
+    "recon/animal/prior_fit.py": {"apart"},  # the option of `recon prior fit`
+    "recon/api/prior_fit.py": {"apart"},  # its option
     "recon/base/errors.py": {"found"},  # the field of a problem, in "found ..., expected ..."
     "recon/gait/clip.py": {"given"},  # the stride of a `ClipAnalysis`
     "recon/robotics/climb/plan.py": {"most"},  # a key of recipes

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from recon.api.camera_motion import of_clip
+from recon.api.camera_motion import settings_for_clip
 from recon.api.clip_results import run_clip
 from recon.api.samples import samples_folder
 from recon.api.settings import FitSettings
@@ -91,7 +91,7 @@ def run_circle(
         )
         if turns:
             track = (out / f"{name}_track.csv").absolute()
-            camera_motion(of_clip(options, film, track, overwrite=True))
+            camera_motion(settings_for_clip(options, film, track, overwrite=True))
             options = replace(options, camera_track=(track,), tilt_deg=None)
         run_clip(options, out / name, overwrite=True)
         errors.append(evaluate_files(out / name / "pose3d.csv", samples / "rendered_truth.csv"))

@@ -34,13 +34,13 @@ if TYPE_CHECKING:
 
 SUMMARY = "analysis.json"
 FOLDER = "analysis"
-"""In the results' own, by default."""
+"""Folder of the analysis, in that of the results, by default."""
 PLAYBACK = "motion.rrd"
-"""What the fit wrote, and what goes with it."""
+"""The playback that the fit wrote."""
 FIGURES_BEGIN = 0.5
-"""The share of the progress at which the figures begin."""
+"""Share of the progress at which the figures begin."""
 SHOWN = 3
-"""How many strides that do not count are said one by one, by method."""
+"""Number of strides that do not count whose reasons are given one by one."""
 
 
 MORE_TABLES = {"csv": (), "xlsx": (WORKBOOK,), "long": (LONG, DICTIONARY)}
@@ -48,7 +48,7 @@ MORE_TABLES = {"csv": (), "xlsx": (WORKBOOK,), "long": (LONG, DICTIONARY)}
 
 
 class AnalyseSettings(Settings):
-    """The settings of `recon analyse`."""
+    """Settings of `recon analyse`."""
 
     folder: Annotated[Path, Option(argument="DIR")]
     """Folder of results, as in results/clip."""
@@ -135,36 +135,36 @@ def run_analysis(settings: AnalyseSettings, progress: Progress = silent) -> Writ
 # -- summary ---------------------------------------------------------------------------------------------------------
 
 
-def summarise(found: ClipAnalysis, results: str) -> dict[str, Any]:
-    """The figures of a clip in short; what they are is in docs/gait.md. results: what its folder is called."""
-    moved = found.reference_motion
-    net, net_sigma = found.net_acceleration_m_s2
-    run, by = found.motion.solution.constant_velocity_m_s, _origin(found.stride)
+def summarise(analysis: ClipAnalysis, results: str) -> dict[str, Any]:
+    """Return the figures of a clip, as docs/gait.md describes them. results: name of its folder."""
+    reference = analysis.reference_motion
+    net, net_sigma = analysis.net_acceleration_m_s2
+    run, by = analysis.motion.solution.constant_velocity_m_s, _origin(analysis.stride)
     return {
         "schema": {"name": "recon.analysis", "version": 1},
         "results": results,
-        "verdict": verdict_fields(found.motion),
-        "fps": found.motion.fps,
-        "frames": len(found.pose.frames),
-        "smoothed": found.motion.jitters,
-        "reference_joint": found.reference,
+        "verdict": verdict_fields(analysis.motion),
+        "fps": analysis.motion.fps,
+        "frames": len(analysis.pose.frames),
+        "smoothed": analysis.motion.jitters,
+        "reference_joint": analysis.reference,
         "speed": {
-            "distance_m": moved.distance_m,
-            "mean_m_s": moved.mean_speed_m_s,
-            "peak_m_s": moved.peak_speed_m_s,
-            "peak_sigma_m_s": None if np.isnan(moved.peak_speed_sigma_m_s) else moved.peak_speed_sigma_m_s,
-            "peak_time_s": moved.peak_speed_time_s,
-            "peak_acceleration_m_s2": moved.peak_acceleration_m_s2,
-            "doubt": found.why_no_speed,
+            "distance_m": reference.distance_m,
+            "mean_m_s": reference.mean_speed_m_s,
+            "peak_m_s": reference.peak_speed_m_s,
+            "peak_sigma_m_s": None if np.isnan(reference.peak_speed_sigma_m_s) else reference.peak_speed_sigma_m_s,
+            "peak_time_s": reference.peak_speed_time_s,
+            "peak_acceleration_m_s2": reference.peak_acceleration_m_s2,
+            "doubt": analysis.why_no_speed,
             **_with_interval("net_acceleration", "_m_s2", interval_of(net, net_sigma)),
             "straight_run_m_s": None if run is None else median(run[run > 0]),
         },
-        "spine_flexion_rad": found.angles["spine_flexion"].range_rad if "spine_flexion" in found.angles else None,
-        "angles": {"data_share": found.motion.data_shares, "not_measured": list(found.not_measured)},
-        "gait": None if found.gait is None else _gait_summary(found.gait),
-        "dynamics": _dynamics_summary(found),
-        "stride": None if found.stride is None else picked(found.stride, "foot", "start_s", "end_s") | {"by": by},
-        "notes": [*notes(found)],
+        "spine_flexion_rad": analysis.angles["spine_flexion"].range_rad if "spine_flexion" in analysis.angles else None,
+        "angles": {"data_share": analysis.motion.data_shares, "not_measured": list(analysis.not_measured)},
+        "gait": None if analysis.gait is None else _gait_summary(analysis.gait),
+        "dynamics": _dynamics_summary(analysis),
+        "stride": None if analysis.stride is None else picked(analysis.stride, "foot", "start_s", "end_s") | {"by": by},
+        "notes": [*notes(analysis)],
     }
 
 
@@ -173,67 +173,72 @@ def _origin(stride: Stride | None) -> str:
     return stride.at if stride is not None and stride.at in ("given", "end effector") else "gait"
 
 
-def notes(found: ClipAnalysis) -> Iterator[str]:
-    """What a reader should know before using the numbers."""
-    motion, gait = found.motion, found.gait
+def notes(analysis: ClipAnalysis) -> Iterator[str]:
+    """Yield notes to read before the numbers are used."""
+    motion, gait = analysis.motion, analysis.gait
     if motion.jitters:
         yield "Paths and angles are smoothed by their jitter from frame to frame."
-    if count := len(found.not_measured):
+    if count := len(analysis.not_measured):
         yield (
-            f"{count} of {len(found.skeleton_angles)} angles are mostly expected, not seen (less than "
+            f"{count} of {len(analysis.skeleton_angles)} angles are mostly expected, not seen (less than "
             f"{percent(MEASURED_SHARE)} of their precision from the pixels), and grey in figures: "
-            f"{', '.join(found.not_measured)}."
+            f"{', '.join(analysis.not_measured)}."
         )
     if gait is not None and len(motion.foot_names) < 4:
         yield f"Only the feet {', '.join(motion.foot_names)} were fitted: the gait has no name."
     doubtful = [] if gait is None else [doubtful_text(doubt) for doubt in gait.doubtful]
     yield from doubtful[:SHOWN]
-    if (more := len(doubtful) - SHOWN) > 0:
-        yield f"{more} more strides do not count, for reasons of the same kind"
-    if found.dynamics is not None:
+    if (count_more := len(doubtful) - SHOWN) > 0:
+        yield f"{count_more} more strides do not count, for reasons of the same kind"
+    if analysis.dynamics is not None:
         masses = f"Forces and energies rest on the masses of {motion.body.mass_source}"
         yield f"{masses}; forces are validated on galloping cheetahs, on level ground."
-        yield from (sentence(one, named=False) for one in findings_of_dynamics(motion, found.dynamics))
+        yield from (sentence(finding, named=False) for finding in findings_of_dynamics(motion, analysis.dynamics))
     elif motion.side is None and gait is not None:
         yield "The skeleton has no masses ([mass]): no centre of mass, energy or forces."
-    if gait is not None and found.stride is None:
+    if gait is not None and analysis.stride is None:
         yield "No complete stride in the clip: no stride figures, and phase portraits are of the whole clip."
 
 
-def _dynamics_summary(found: ClipAnalysis) -> dict[str, Any] | None:
-    if (d := found.dynamics) is None or found.gait is None:
+def _dynamics_summary(analysis: ClipAnalysis) -> dict[str, Any] | None:
+    dynamics = analysis.dynamics
+    if dynamics is None or analysis.gait is None:
         return None
-    # Errors of energies last: those of a mean over the clip may be as large as those at its instants.
-    sigma = {name: mean(of) for name, of in d.energy_sigma_j_kg.items()}
-    means = {name: interval_of(mean(of), sigma[name]) for name, of in d.energy_j_kg.items()}
+    # Errors of energies are correlated: the mean over the clip may be as uncertain as its instants.
+    sigma = {name: mean(values) for name, values in dynamics.energy_sigma_j_kg.items()}
+    means = {name: interval_of(mean(values), sigma[name]) for name, values in dynamics.energy_j_kg.items()}
     return {
-        "masses": found.motion.body.mass_source,
-        "body_mass_kg": found.body_mass_kg,
-        "stride_s": found.gait.stride_s,
-        "stride_sigma_s": found.gait.stride_sigma_s,
-        "mean_peak_bw": float(d.forces["peak_bw"].mean()) if len(d.forces) else None,
-        "mean_peak_interval_bw": d.forces[["peak_low_bw", "peak_high_bw"]].mean().tolist() if len(d.forces) else None,
-        "flights": d.flights[["start_s", "end_s", "up_m_s2", "sigma_m_s2"]].to_dict("records"),
-        **_with_interval("net_acceleration", "_m_s2", interval_of(*d.net_acceleration_m_s2)),
-        "strides": [_stride_energy(d, stride) for stride in found.gait.strides],
-        "findings": [one.code for one in findings_of_dynamics(found.motion, d)],
-        "energy_mean_j_kg": {name: mean for name, (mean, *_) in means.items()},
+        "masses": analysis.motion.body.mass_source,
+        "body_mass_kg": analysis.body_mass_kg,
+        "stride_s": analysis.gait.stride_s,
+        "stride_sigma_s": analysis.gait.stride_sigma_s,
+        "mean_peak_bw": float(dynamics.forces["peak_bw"].mean()) if len(dynamics.forces) else None,
+        "mean_peak_interval_bw": dynamics.forces[["peak_low_bw", "peak_high_bw"]].mean().tolist()
+        if len(dynamics.forces)
+        else None,
+        "flights": dynamics.flights[["start_s", "end_s", "up_m_s2", "sigma_m_s2"]].to_dict("records"),
+        **_with_interval("net_acceleration", "_m_s2", interval_of(*dynamics.net_acceleration_m_s2)),
+        "strides": [_stride_energy(dynamics, stride) for stride in analysis.gait.strides],
+        "findings": [finding.code for finding in findings_of_dynamics(analysis.motion, dynamics)],
+        "energy_mean_j_kg": {name: value for name, (value, *_) in means.items()},
         "energy_mean_interval_j_kg": {name: interval for name, (_, *interval) in means.items()},
     }
 
 
-def _stride_energy(d: Dynamics, stride: Stride) -> dict[str, Any]:
-    """What the animal's energy gains over a stride, per kilogram, and in the mean per second; its net acceleration, and
-    the exchange of its energies."""
+def _stride_energy(dynamics: Dynamics, stride: Stride) -> dict[str, Any]:
+    """Return the gain of energy over a stride, per kilogram and as a power.
+
+    The net acceleration and the exchange of energies come with it.
+    """
     row = picked(stride, "foot", "start_s", "end_s")
-    for name, known in over_stride(d, stride.start_s, stride.end_s).items():
-        row |= _with_interval(name, OVER_STRIDE[name], known)
+    for name, value_and_interval in over_stride(dynamics, stride.start_s, stride.end_s).items():
+        row |= _with_interval(name, OVER_STRIDE[name], value_and_interval)
     return row
 
 
-def _with_interval(name: str, unit: str, known: tuple[float, float, float]) -> dict[str, Any]:
-    """net_work_j_kg and net_work_interval_j_kg, and the like."""
-    value, *interval = known
+def _with_interval(name: str, unit: str, value_and_interval: tuple[float, float, float]) -> dict[str, Any]:
+    """Return a value and its interval with their names, such as net_work_j_kg and net_work_interval_j_kg."""
+    value, *interval = value_and_interval
     return {f"{name}{unit}": value, f"{name}_interval{unit}": interval}
 
 
@@ -251,55 +256,55 @@ DEFAULT_FIGURES = ("side_view", "joint_flexion", "footfalls", "speed")
 """Figures that a paper prints; all others by name (`recon figure`) or with --all-figures."""
 
 
-def write_figures(found: ClipAnalysis, folder: Path, progress: Progress, is_complete: bool = False) -> None:
+def write_figures(analysis: ClipAnalysis, folder: Path, progress: Progress, is_complete: bool = False) -> None:
     """Write PNG and SVG of the figures of `DEFAULT_FIGURES`, or of all."""
     from recon.show.plots.style import save
 
-    drawn = {name: draw for name, draw in figures_of(found).items() if is_complete or name in DEFAULT_FIGURES}
+    drawn = {name: draw for name, draw in figures_of(analysis).items() if is_complete or name in DEFAULT_FIGURES}
     for done, (name, draw) in enumerate(drawn.items()):
         progress(f"figures: {name}", FIGURES_BEGIN + (1.0 - FIGURES_BEGIN) * done / len(drawn))
         save(draw(), folder, name)
 
 
-def figures_of(found: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
-    """By file name, what draws it."""
+def figures_of(analysis: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
+    """Return the functions that draw the figures, by file name."""
     from recon.show.plots.configurations import body_fixed, composites, in_body, observability
     from recon.show.plots.flexion import joint_flexion
     from recon.show.plots.over_time import footfall, forces, phase_portraits, speeds, vector_fields
     from recon.show.plots.side_view import side_view
 
-    motion, time_s, during, gait = found.motion, found.motion.time_s, found.during_stride, found.gait
+    motion, time_s, during, gait = analysis.motion, analysis.motion.time_s, analysis.during_stride, analysis.gait
     joints_m = in_body(motion.body, motion.states[during], motion.size, motion.reference_joint)
-    title = f"one stride of {found.stride.foot}" if found.stride else "whole clip: no complete stride"
-    title = "the stride that was given" if found.given is not None else title
+    title = f"one stride of {analysis.stride.foot}" if analysis.stride else "whole clip: no complete stride"
+    title = "the stride that was given" if analysis.given is not None else title
     limbs, sides = motion.limbs, motion.limb_sides
-    own = {"time_s": time_s[during], "sides": sides, "title": title}
+    style_by_limb = {"time_s": time_s[during], "sides": sides, "title": title}
     shares, ground = motion.posture_data_share, None if gait is None else gait.tracks.grounds
-    moved, unknown = {found.reference: found.reference_motion}, found.why_no_speed is not None
-    why_not = found.reference_motion.why_no_acceleration
+    speed_by_joint, unknown = {analysis.reference: analysis.reference_motion}, analysis.why_no_speed is not None
+    why_not = analysis.reference_motion.why_no_acceleration
     drawn: dict[str, Callable[[], Figure]] = {
-        "side_view": partial(side_view, found.pose.xyz_m, limbs, sides, during, time_s, ground),
-        "composites": partial(composites, found.pose.xyz_m, limbs, time_s, ground, sides=sides),
-        "speed": partial(speeds, moved, why_not, unknown=unknown, acceleration=not why_not),
-        "phase_portraits": lambda: phase_portraits(found.portraits, found.closures, title, motion.data_shares),
+        "side_view": partial(side_view, analysis.pose.xyz_m, limbs, sides, during, time_s, ground),
+        "composites": partial(composites, analysis.pose.xyz_m, limbs, time_s, ground, sides=sides),
+        "speed": partial(speeds, speed_by_joint, why_not, unknown=unknown, acceleration=not why_not),
+        "phase_portraits": lambda: phase_portraits(analysis.portraits, analysis.closures, title, motion.data_shares),
         "observability": partial(observability, motion.body, shares[during], time_s[during], title, shares),
-        "body_fixed": partial(body_fixed, joints_m, limbs, **own),
+        "body_fixed": partial(body_fixed, joints_m, limbs, **style_by_limb),
     }
     parts: dict[str, dict[str, Sequence[int]]] = {}
-    for limb, along in limbs.items():
-        parts.setdefault("spine" if sides[limb] is None else limb, {})[limb] = along
-    for name, of_part in parts.items() if len(parts) > 1 else ():
-        drawn[f"body_fixed_{name.replace(' ', '_')}"] = partial(body_fixed, joints_m, of_part, **own)
-    for limb, fields in found.fields.items():
+    for limb, joints in limbs.items():
+        parts.setdefault("spine" if sides[limb] is None else limb, {})[limb] = joints
+    for name, part_limbs in parts.items() if len(parts) > 1 else ():
+        drawn[f"body_fixed_{name.replace(' ', '_')}"] = partial(body_fixed, joints_m, part_limbs, **style_by_limb)
+    for limb, fields in analysis.fields.items():
         drawn[f"vector_field_{limb.replace(' ', '_')}"] = partial(vector_fields, fields, time_s, limb)
-    if (effector := found.end_effector) is not None:
+    if (effector := analysis.end_effector) is not None:
         from recon.show.plots.end_effector import stride_boundaries
 
-        drawn["end_effector"] = partial(stride_boundaries, effector, found.stride)
+        drawn["end_effector"] = partial(stride_boundaries, effector, analysis.stride)
     if gait is not None:
         drawn["footfalls"] = partial(footfall, {"gait": gait}, motion.fps)
-        if found.flexion_curves:
-            drawn["joint_flexion"] = partial(joint_flexion, found.flexion_curves)
-        if found.dynamics is not None:
-            drawn["forces"] = partial(forces, found.dynamics, gait)
+        if analysis.flexion_curves:
+            drawn["joint_flexion"] = partial(joint_flexion, analysis.flexion_curves)
+        if analysis.dynamics is not None:
+            drawn["forces"] = partial(forces, analysis.dynamics, gait)
     return drawn

@@ -389,5 +389,5 @@ def _row(planned: ClipPlan, out: Path) -> dict[str, Any]:
     return row | earlier | ({"status": "done earlier"} if earlier.get("status") == "done" else {})
 
 
-def _hash(content: Any) -> str:
+def _hash(content: object) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from recon.base.errors import Problem, collect_problems, raise_problems
 from recon.base.files import write_bytes
@@ -18,14 +18,16 @@ from recon.geometry.lens import LENS_MODELS
 from recon.io.camera_files import write_camera
 from recon.show.plain import picked
 
+T = TypeVar("T")
 
-def _finite(value: Any) -> Any:
-    """JSON has no NaN, and no infinity."""
+
+def _finite(value: T) -> T | None:
+    """Return a value, None for NaN and infinity, which JSON does not have."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 class CalibrationSettings(Settings):
-    """The settings of `recon calibrate`."""
+    """Settings of `recon calibrate`."""
 
     inputs: Annotated[OneOrMore[Path], Option(argument="IMAGES|FOLDER|VIDEO")]
     """Pictures or folders of pictures of a board, or one video."""

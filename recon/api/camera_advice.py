@@ -34,33 +34,35 @@ HIGH_RAD = ((np.radians(15), "level with its middle"), (np.radians(45), "raised"
 ABOVE = "almost above it"
 
 
-def in_sentences(found: Sequence[Advice]) -> Iterator[str]:
-    """What to do: of one camera, or of the best first one and a second beside it."""
-    for number, advice in enumerate(found, start=1):
-        camera = "the camera" if len(found) == 1 else f"camera {number}"
+def in_sentences(advice_by_camera: Sequence[Advice]) -> Iterator[str]:
+    """Yield where to put the camera, or the best first one and a second."""
+    for number, advice in enumerate(advice_by_camera, start=1):
+        camera = "the camera" if len(advice_by_camera) == 1 else f"camera {number}"
         share, sigma = (float(values[advice.best]) for values in (advice.share, advice.sigma))
         yield (
-            f"Put {camera} {where(*advice.place)}, {advice.distance_m * np.sin(advice.place[1]):.2g} m above its "
-            f"middle and {advice.distance_m:.3g} m away: {percent(share)} of the precision of {advice.target} comes "
-            f"from the pixels, ±{in_words(sigma, advice.unit)}."
+            f"Put {camera} {direction_text(*advice.place)}, "
+            f"{advice.distance_m * np.sin(advice.place[1]):.2g} m above its "
+            f"middle and {advice.distance_m:.3g} m away: {percent(share)} of the precision of {advice.target} "
+            f"comes from the pixels, ±{in_words(sigma, advice.unit)}."
         )
-    worst = np.unravel_index(int(np.argmax(found[0].sigma)), found[0].sigma.shape)
+    worst = np.unravel_index(int(np.argmax(advice_by_camera[0].sigma)), advice_by_camera[0].sigma.shape)
     place = AZIMUTHS_RAD[worst[1]], ELEVATIONS_RAD[worst[0]]
-    sigma = float(found[0].sigma[worst])
-    said = f"±{in_words(sigma, found[0].unit)}" if np.isfinite(sigma) else "it is not in the picture"
-    yield f"The worst place for one camera is {where(*map(float, place))}: {said}."
-    if found[-1].share.max() < MEASURED_SHARE:
+    sigma = float(advice_by_camera[0].sigma[worst])
+    precision = f"±{in_words(sigma, advice_by_camera[0].unit)}" if np.isfinite(sigma) else "it is not in the picture"
+    yield f"The worst place for one camera is {direction_text(*map(float, place))}: {precision}."
+    if advice_by_camera[-1].share.max() < MEASURED_SHARE:
         yield "No place shows it well: what is expected of it says more than the pixels everywhere."
 
 
-def where(azimuth_rad: float, elevation_rad: float) -> str:
+def direction_text(azimuth_rad: float, elevation_rad: float) -> str:
+    """Return a direction from the animal in words, such as "on its left side, raised (90°)"."""
     direction = DIRECTIONS[round(azimuth_rad / (np.pi / 4)) % 8]
     height = next((text for limit, text in HIGH_RAD if elevation_rad < limit), ABOVE)
     return f"{direction}, {height} ({np.degrees(azimuth_rad):.0f}°)" if height != ABOVE else f"{ABOVE}, {direction}"
 
 
 class CameraAdviceSettings(Settings):
-    """The settings of `recon camera-advice`."""
+    """Settings of `recon camera-advice`."""
 
     skeleton: str
     """A built-in skeleton or a TOML file, as in cheetah-24."""
@@ -84,6 +86,7 @@ class CameraAdviceSettings(Settings):
     """Replace earlier advice."""
 
     def problems(self) -> Iterator[Problem]:
+        """Yield a problem if an angle and a joint are given."""
         if self.angle is not None and self.joint is not None:
             yield Problem("--angle", "value", "--joint as well", "one of the two, or neither for all joints")
 
@@ -91,10 +94,10 @@ class CameraAdviceSettings(Settings):
 def run_camera_advice(settings: CameraAdviceSettings, progress: Progress = silent) -> dict[str, Any]:
     """Find where to put a camera, or two, write the figure and the table, and return the report. Raises InputError."""
     body = load_skeleton(settings.skeleton, settings.subject)
-    given = {"angle": (settings.angle, body.state_names[4:]), "joint": (settings.joint, body.markers)}
+    targets = {"angle": (settings.angle, body.state_names[4:]), "joint": (settings.joint, body.markers)}
     raise_problems(
-        Problem(f"--{what}", "value", repr(name), f"one of {', '.join(names)}")
-        for what, (name, names) in given.items()
+        Problem(f"--{option}", "value", repr(name), f"one of {', '.join(names)}")
+        for option, (name, names) in targets.items()
         if name is not None and name not in names
     )
     motions = load_prior(settings.prior, body)
@@ -102,30 +105,33 @@ def run_camera_advice(settings: CameraAdviceSettings, progress: Progress = silen
     output.require((REPORT, TABLE, f"{FIGURE}.png", f"{FIGURE}.svg"))
     setup = picked(settings, "hfov_deg", "distance_m", "cameras")
     wanted = settings.angle or settings.joint
-    found = advise(body, motions, wanted, **setup, progress=lambda share: progress("cameras", share))
-    places = [_places(number, advice) for number, advice in enumerate(found, start=1)]
+    advice_by_camera = advise(body, motions, wanted, **setup, progress=lambda share: progress("cameras", share))
+    places = [_places(number, advice) for number, advice in enumerate(advice_by_camera, start=1)]
     table = pd.concat(places)
-    best = [advice.best[0] * len(AZIMUTHS_RAD) + advice.best[1] for advice in found]
+    best = [advice.best[0] * len(AZIMUTHS_RAD) + advice.best[1] for advice in advice_by_camera]
     report = {
         "schema": {"name": "recon.camera_advice", "version": 1},
         "skeleton": body.name,
         "prior": motions.name,
-        "of": found[0].target,
+        "of": advice_by_camera[0].target,
         "hfov_deg": settings.hfov_deg,
         "image_size_px": PICTURE_PX,
-        "distance_m": found[0].distance_m,
-        "cameras": [of.drop(columns="camera").iloc[at].to_dict() for of, at in zip(places, best, strict=True)],
-        "words": [*in_sentences(found)],
+        "distance_m": advice_by_camera[0].distance_m,
+        "cameras": [
+            camera_places.drop(columns="camera").iloc[row].to_dict()
+            for camera_places, row in zip(places, best, strict=True)
+        ],
+        "words": [*in_sentences(advice_by_camera)],
     }
     with output.staged() as staging:
         (staging / REPORT).write_text(to_json(report), encoding="utf-8")
         write_rows(staging / TABLE, [[*table.columns]], table.itertuples(index=False))
-        save(advice_figure(found), staging, FIGURE)
+        save(advice_figure(advice_by_camera), staging, FIGURE)
     return report
 
 
 def _places(number: int, advice: Advice) -> pd.DataFrame:
-    """A row for each place of a camera; without a sigma where the animal is not in the picture."""
+    """Return a row for each position of a camera; without a sigma where the animal is not in the picture."""
     elevation, azimuth = (at.ravel() for at in np.meshgrid(ELEVATIONS_RAD, AZIMUTHS_RAD, indexing="ij"))
     places = {"azimuth_rad": azimuth, "elevation_rad": elevation, "height_m": advice.distance_m * np.sin(elevation)}
     sigma = np.where(np.isfinite(advice.sigma), advice.sigma, np.nan).ravel()

@@ -32,10 +32,10 @@ from recon.io.writing import write_table
 from recon.show.plain import picked, to_json
 
 MIN_LIKELIHOOD = 0.3
-"""Keypoints that are less sure do not hide anything."""
+"""Least likelihood of keypoints whose surroundings are not taken for background."""
 MAX_LOST = 0.5
 MAX_FOCAL_OFF = 0.1
-"""A focal length that is further off makes turns wrong by as much."""
+"""Largest relative error of the focal length; turns are wrong by as much."""
 NOTES = (
     "the camera is taken to turn about its centre: its place is the world's origin in every frame",
     "a rolling shutter is not modelled: in a fast turn the rows of a picture were seen at different times",
@@ -44,7 +44,7 @@ NOTES = (
 
 
 class CameraMotionSettings(Settings):
-    """The settings of `recon camera-motion`."""
+    """Settings of `recon camera-motion`."""
 
     video: Annotated[Path, Option(argument="VIDEO")]
     """The video of a camera that turns, as in clip.mp4."""
@@ -69,16 +69,17 @@ class CameraMotionSettings(Settings):
     """Replace the track."""
 
     def problems(self) -> Iterator[Problem]:
+        """Yield a problem if the level is given in two ways."""
         if self.tilt_deg is not None and self.level_marks is not None:
             yield Problem("--tilt-deg", "level", f"{self.tilt_deg:g} beside {self.level_marks}", "one of the two")
 
 
-def of_clip(settings: FitSettings, video: Path, out: Path, **more: Any) -> CameraMotionSettings:
-    """For the one camera of a clip, which has a calibration. more: other fields."""
+def settings_for_clip(settings: FitSettings, video: Path, out: Path, **fields: Any) -> CameraMotionSettings:
+    """Return the settings for the one camera of a clip, which has a calibration, with further fields."""
     assert settings.camera is not None
-    of_first = {"camera": settings.camera[0], "keypoints": settings.keypoints[0]}
-    more |= of_first | {"camera_name": next(iter(settings.camera_name or ()), None)}
-    return CameraMotionSettings(video=video, out=out, **picked(settings, "individual", "tilt_deg"), **more)
+    clip_fields = {"camera": settings.camera[0], "keypoints": settings.keypoints[0]}
+    fields |= clip_fields | {"camera_name": next(iter(settings.camera_name or ()), None)}
+    return CameraMotionSettings(video=video, out=out, **picked(settings, "individual", "tilt_deg"), **fields)
 
 
 def motion_files(track: Path) -> tuple[str, str, str]:
@@ -131,7 +132,7 @@ def run_camera_motion(settings: CameraMotionSettings, output: Output, progress: 
 
 
 def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:
-    """Where the turns close with another focal length than the camera file's."""
+    """Return a note if the background turns as with another focal length than the camera file's."""
     if motion.focal is None or abs(motion.focal[0]) <= CLEARLY * motion.focal[1]:
         return None
     px = _focal_px(motion.focal, lens)
@@ -143,40 +144,42 @@ def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:
 
 
 def _require_turning(s: CameraMotionSettings, motion: TurningMotion, lens: Camera) -> None:
-    """Raises InputError for a cut, for too little background, and for a camera that did more than turn."""
+    """Raise InputError for a cut, for too little background, and for a camera that did more than turn."""
     if motion.cut is not None:
-        found = f"a cut, or a jump of the whole view, at frame {motion.cut + s.first_frame}"
-        raise InputError(Problem(s.video, "video", found, "one take: cut the video there"))
+        actual = f"a cut, or a jump of the whole view, at frame {motion.cut + s.first_frame}"
+        raise InputError(Problem(s.video, "video", actual, "one take: cut the video there"))
     note = _focal_note(motion, lens)
     if not motion.turned_only:
         grows, zoom = ("", "") if s.zoom else (", or it grows", " (--zoom if its focal length changes)")
-        found = f"a background that no turn explains: parts of it move against each other{grows}"
-        found += f"; {note}" if note else ""
+        actual = f"a background that no turn explains: parts of it move against each other{grows}"
+        actual += f"; {note}" if note else ""
         expected = f"a calibrated camera that turns about a fixed point{zoom}; of one that is carried or driven, "
         expected += "make the track with COLMAP, and give that to --camera-track"
-        raise InputError(Problem(s.video, "motion", found, expected))
+        raise InputError(Problem(s.video, "motion", actual, expected))
     if motion.focal is not None and abs(motion.focal[0]) > MAX_FOCAL_OFF and note:
         expected = "the lens that the video was filmed with, as it was set"
         raise InputError(Problem(s.camera, "focal length", note, expected))
     number = len(motion.frames) + len(motion.lost)
     if not len(motion.frames) or len(motion.lost) > MAX_LOST * number:
-        found = f"too little background that can be followed in {len(motion.lost)} of {number} frames: blurred, "
-        found += "without structure, or hidden"
-        raise InputError(Problem(s.video, "background", found, f"no more than {percent(MAX_LOST)} of such frames"))
+        actual = f"too little background that can be followed in {len(motion.lost)} of {number} frames: blurred, "
+        actual += "without structure, or hidden"
+        raise InputError(Problem(s.video, "background", actual, f"no more than {percent(MAX_LOST)} of such frames"))
 
 
 def _require_same_frames(s: CameraMotionSettings, points: dict[int, Array], times_s: Array) -> None:
-    """Raises InputError where the keypoint file counts otherwise than the video."""
+    """Raise InputError if keypoints have frames that the video does not have."""
     outside = [number for number in points if not 0 <= number < len(times_s)]
     if outside:
-        found = f"{len(outside)} of {len(points)} frames that {s.video} does not have ({len(times_s)} frames)"
+        actual = f"{len(outside)} of {len(points)} frames that {s.video} does not have ({len(times_s)} frames)"
         if note := missing_note(s.video, times_s, s.first_frame):
-            found += f"; {note}"
-        raise InputError(Problem(s.keypoints or "--keypoints", "frames", found, "the video's frames, or --first-frame"))
+            actual += f"; {note}"
+        raise InputError(
+            Problem(s.keypoints or "--keypoints", "frames", actual, "the video's frames, or --first-frame")
+        )
 
 
 def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
-    """By the frame's number in the video, of those with points: pixels (K, 2), NaN where unsure."""
+    """Return the pixels (K, 2) of frames with points by their number in the video, NaN where unsure."""
     pixels = np.where((keypoints.confidence < MIN_LIKELIHOOD)[..., None], np.nan, keypoints.xy_px)
     shown = np.asarray(np.isfinite(pixels).all(axis=2)).any(axis=1)
     return dict(zip((keypoints.frames[shown] - first_frame).tolist(), pixels[shown], strict=True))
@@ -188,7 +191,7 @@ def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
 def _up(
     s: CameraMotionSettings, motion: TurningMotion, lens: Camera, marks: Sequence[LevelMark]
 ) -> tuple[Array | None, str]:
-    """Up (3,) in the first frame's camera, None if the mean frame is to be level, and how that is known."""
+    """Return up (3,) in the first frame's camera, None if the mean frame is level, and how it is known."""
     if s.tilt_deg is not None:
         level = f"the first frame looks {s.tilt_deg:g} degrees down, as given, and its roll is taken as 0"
         return tilted(np.radians(s.tilt_deg)), level
@@ -203,12 +206,15 @@ def _up(
 
 
 def _write_track(path: Path, s: CameraMotionSettings, motion: TurningMotion, camera: Camera) -> None:
-    turns = Rotation.from_matrix(np.stack([one.rotation for one in motion.orientations]))
+    turns = Rotation.from_matrix(np.stack([orientation.rotation for orientation in motion.orientations]))
     q = turns.as_quat(canonical=True, scalar_first=True)
     poses = np.round(np.concatenate([q, np.zeros((len(q), 3))], axis=1), 9)
     if s.zoom:
-        K, zooms = camera.matrix, np.array([one.zoom for one in motion.orientations])[:, None]
-        lens = [zooms * [K[0, 0], K[1, 1]], np.tile(K[:2, 2], (len(q), 1))]
+        camera_matrix, zooms = (
+            camera.matrix,
+            np.array([orientation.zoom for orientation in motion.orientations])[:, None],
+        )
+        lens = [zooms * [camera_matrix[0, 0], camera_matrix[1, 1]], np.tile(camera_matrix[:2, 2], (len(q), 1))]
         poses = np.concatenate([poses, np.round(np.concatenate(lens, axis=1), 4)], axis=1)
     poses = np.concatenate([poses, np.round(np.degrees(motion.sigma_rad)[:, None], 5)], axis=1)
     write_table(path, [["frame", *POSE, *(INTRINSICS if s.zoom else ()), SIGMA]], motion.frames + s.first_frame, poses)
@@ -222,14 +228,17 @@ def _report(s: CameraMotionSettings, motion: TurningMotion, lens: Camera, level:
     roll = np.degrees(np.arctan2(down[:, 0], -down[:, 1]))
     rounded = {"pan_deg": pan, "tilt_deg": tilt, "roll_deg": roll, "sigma_deg": np.degrees(motion.sigma_rad)}
     if s.zoom:
-        rounded |= {"zoom": np.array([one.zoom for one in motion.orientations]), "sigma_zoom": motion.sigma_zoom}
+        rounded |= {
+            "zoom": np.array([orientation.zoom for orientation in motion.orientations]),
+            "sigma_zoom": motion.sigma_zoom,
+        }
     rounded["residual_px"] = motion.residual_px
-    more = filter(None, [missing_note(s.video, times_s, s.first_frame), _focal_note(motion, lens)])
+    video_notes = filter(None, [missing_note(s.video, times_s, s.first_frame), _focal_note(motion, lens)])
     return {
         "video": s.video.name,
         "camera": {"file": s.camera.name, "name": lens.name},
         "level": level,
-        "notes": [*NOTES, *(["the first frame has the camera file's focal length"] if s.zoom else []), *more],
+        "notes": [*NOTES, *(["the first frame has the camera file's focal length"] if s.zoom else []), *video_notes],
         "focal_px": None if motion.focal is None else _focal_px(motion.focal, lens),
         "frames": len(motion.frames) + len(motion.lost),
         "frames_missing": sum((missing_frames(times_s) or {}).values()),
@@ -247,7 +256,7 @@ def _report(s: CameraMotionSettings, motion: TurningMotion, lens: Camera, level:
 
 
 def _focal_px(focal: tuple[float, float], lens: Camera) -> dict[str, float]:
-    """The camera file's, and what the turns say."""
-    own = float(lens.matrix[0, 0])
-    found = own * float(np.exp(focal[0]))
-    return {"file": own, "found": found, "sigma": found * focal[1]}
+    """Return the focal length of the camera file, and that of the background's turns."""
+    file_px = float(lens.matrix[0, 0])
+    background_px = file_px * float(np.exp(focal[0]))
+    return {"file": file_px, "found": background_px, "sigma": background_px * focal[1]}

@@ -261,8 +261,10 @@ def _chosen_side(body: Body, keypoints: Keypoints, settings: FitSettings) -> tup
     facing, reason = facing_side(*ends)
     if settings.side != "auto":
         return settings.side, f"as given; {reason}"
-    far: Side = "left" if facing == "right" else "right"
-    facing_count, far_count = (int(arrange(keypoints, body.keypoint_names(s)).present.sum()) for s in (facing, far))
+    opposite: Side = "left" if facing == "right" else "right"
+    facing_count, far_count = (
+        int(arrange(keypoints, body.keypoint_names(s)).present.sum()) for s in (facing, opposite)
+    )
     if facing_count < far_count / 2:
-        return far, f"{reason}, but that side has {facing_count} points and the other {far_count}"
+        return opposite, f"{reason}, but that side has {facing_count} points and the other {far_count}"
     return facing, reason

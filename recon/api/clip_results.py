@@ -444,7 +444,6 @@ def problem_of(motion: Motion, folder: Path) -> ClipProblem:
     InputError
         For settings or a prior that are missing or changed, and for a motion of the frame method.
     """
-
     config = folder / CONFIG
     if not isinstance(motion.solution, TrajectorySolution):
         raise InputError(Problem(folder, "method", "frame by frame", "a fit of all frames at once"))

@@ -1,15 +1,16 @@
-"""Compare several clips: their strides and speeds beside each other, by group, with the uncertainty of each.
+"""Compare the strides and speeds of several clips by group, with the uncertainty of each.
 
-A clip's mean has a standard deviation s of its own: of its strides' scatter, and of what the fit does not know. Clips
-of a group differ by more than that, by tau. The group's mean weighs each clip by 1 / (s^2 + tau^2), with tau by the
-method of moments (DerSimonian and Laird 1986). The animal's size is no clip's own: where it is the species', its error
-is that of all clips and adds to the mean of lengths and speeds, however many clips there are.
+A clip's mean has a standard deviation s of its own, from the scatter of its strides and the uncertainty of the fit.
+Clips of a group differ by more than that, by tau. The group's mean weighs each clip by 1 / (s^2 + tau^2), with tau by
+the method of moments (DerSimonian and Laird 1986). If the animal's size is the species', its error is common to all
+clips and adds to the mean of lengths and speeds, however many clips there are.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from textwrap import fill
@@ -45,13 +46,13 @@ QUANTITIES = {
     "stride_frequency_hz": ("stride frequency (Hz)", False),
     "duty_factor": ("duty factor", False),
 }
-"""By column its title, and whether it goes with the animal's size."""
+"""Title by column, and whether the quantity is proportional to the animal's size."""
 ALL = "all"
-"""The group, where there is no column to go by."""
+"""Name of the group where there is no table."""
 
 
 class CompareSettings(Settings):
-    """The settings of `recon compare`."""
+    """Settings of `recon compare`."""
 
     folders: Annotated[OneOrMore[Path], Option(argument="DIR")]
     """Folders of results, or of batches."""
@@ -66,6 +67,7 @@ class CompareSettings(Settings):
     """Replace an earlier comparison."""
 
     def problems(self) -> Iterator[Problem]:
+        """Yield a problem if only one of --table and --by is given."""
         if (self.table is None) != (self.by is None):
             yield Problem("--by", "table", "one of --table and --by", "both: a table, and its column")
 
@@ -84,38 +86,45 @@ class Comparison:
 def run_compare(settings: CompareSettings, progress: Progress = silent) -> Comparison:
     """Compare the strides and speeds of several clips, and write the tables and the figure. Raises InputError."""
     out = settings.out
-    some = [path for path in settings.folders if not path.is_file()] or settings.folders  # all/* has files of the batch
+    paths = [
+        path for path in settings.folders if not path.is_file()
+    ] or settings.folders  # all/* has files of the batch
     folders = []
-    for given in some:  # the folder, or those in it, of a batch
-        inside = [given / MOTION] if (given / MOTION).is_file() else sorted(given.glob(f"*/{MOTION}"))
+    for path in paths:  # the folder, or those in it, of a batch
+        inside = [path / MOTION] if (path / MOTION).is_file() else sorted(path.glob(f"*/{MOTION}"))
         if not inside:
-            raise InputError(Problem(given, "folder", "no results", "a folder of results, or of a batch"))
+            raise InputError(Problem(path, "folder", "no results", "a folder of results, or of a batch"))
         folders += [path.parent for path in inside]
     names = [folder.absolute().name for folder in folders]
     raise_problems(
         Problem(n, "clip", f"{names.count(n)} folders of that name", "one") for n in {*names} if names.count(n) > 1
     )
-    of_clip = _groups(settings.table, settings.by, names)
+    group_by_clip = _groups(settings.table, settings.by, names)
     written = [name for table in (GROUPS, STRIDES, CLIPS) for name in (table, table.replace(".csv", ".parquet"))]
     output = Output(out, "compare", settings.overwrite, input_paths(settings), content="a comparison")
     output.require([*written, FIGURE])
     loaded = dict(zip(names, collect_problems(*(lambda path=path: Motion.load(path) for path in folders)), strict=True))
     levels = {name: motion.verdict.level if motion.verdict else "" for name, motion in loaded.items()}
-    usable_motions = {name: of for name, of in loaded.items() if settings.anyway or levels[name] != "do not use"}
+    usable_motions = {
+        name: motion for name, motion in loaded.items() if settings.anyway or levels[name] != "do not use"
+    }
     copies = _copies(usable_motions, dict(zip(names, folders, strict=True)))
-    motions = {name: of for name, of in usable_motions.items() if name not in copies}
-    if not motions:  # said of each
+    motions = {name: motion for name, motion in usable_motions.items() if name not in copies}
+    if not motions:  # refused with the reason for each
         collect_problems(
-            *(lambda at=at: usable(*at, anyway=False) for at in zip(loaded.values(), folders, strict=True))
+            *(
+                partial(usable, *motion_and_folder, anyway=False)
+                for motion_and_folder in zip(loaded.values(), folders, strict=True)
+            )
         )
     rows, clip_rows = [], []
     for i, (name, motion) in enumerate(motions.items()):
         progress("analysis", i / len(names))
-        found = analyse(motion)
-        head = {"group": of_clip[name], "clip": name, "verdict": levels[name]}
-        own = [head | row for row in _stride_rows(found)]
-        rows += own
-        clip_rows.append(head | _clip_row(found, own))
+        analysis = analyse(motion)
+        labels = {"group": group_by_clip[name], "clip": name, "verdict": levels[name]}
+        clip_strides = [labels | row for row in _stride_rows(analysis)]
+        rows += clip_strides
+        clip_rows.append(labels | _clip_row(analysis, clip_strides))
     clips = pd.DataFrame(clip_rows)
     groups, strides = _group_rows(clips), pd.DataFrame(rows, columns=None if rows else [*clip_rows[0]][:3])
     progress("tables", 0.95)
@@ -130,12 +139,14 @@ def run_compare(settings: CompareSettings, progress: Progress = silent) -> Compa
         notes.append(f"Left out, as they have the same keypoints and cameras as another result: {pairs}.")
     if left_out := [name for name in loaded if name not in usable_motions]:
         notes.append(f'Left out, as their verdict is "do not use": {names_text(left_out)}. With --anyway they count.')
-    seen = {name: _files_seen(motion, folder) for (name, motion), folder in zip(loaded.items(), folders, strict=True)}
+    seen = {
+        name: _files_by_camera(motion, folder) for (name, motion), folder in zip(loaded.items(), folders, strict=True)
+    }
     pairs = combinations(motions, 2)
-    if twice := [f"{a} and {b}" for a, b in pairs if _one_run(motions[a], motions[b], seen[a], seen[b])]:
+    if same_runs := [f"{a} and {b}" for a, b in pairs if _is_one_run(motions[a], motions[b], seen[a], seen[b])]:
         notes.append(
             f"Probably of one run, by their cameras' folder, frames and paths, and yet each counted as a clip: "
-            f"{names_text(twice)}. Give one result of each run, best that of all its cameras."
+            f"{names_text(same_runs)}. Give one result of each run, best that of all its cameras."
         )
     return Comparison(clips, groups, [*left_out, *copies], notes)
 
@@ -153,9 +164,11 @@ def _copies(motions: Mapping[str, Motion], folders: Mapping[str, Path]) -> dict[
         if files is None:
             continue
         key = *files, motion.keypoints.individual, tuple(source.camera.name for source in motion.sources)
-        same = (other for other in known.get(key, ()) if np.isin(motions[other].frames, motion.frames).any())
-        if (kept := next(same, None)) is not None:
-            copies[name] = kept
+        candidates = (
+            candidate for candidate in known.get(key, ()) if np.isin(motions[candidate].frames, motion.frames).any()
+        )
+        if (original := next(candidates, None)) is not None:
+            copies[name] = original
         else:
             known.setdefault(key, []).append(name)
     return {name: copies[name] for name in motions if name in copies}
@@ -172,30 +185,40 @@ def _input_digests(folder: Path) -> tuple[frozenset[str], frozenset[str]] | None
     return (keypoints, cameras) if keypoints else None
 
 
-_Seen = dict[tuple[Path, str], Path]
+_FilesByCamera = dict[tuple[Path, str], Path]
 
 
-def _files_seen(motion: Motion, folder: Path) -> _Seen:
-    """A result's keypoint files, each by the calibration file and the name of its camera."""
+def _files_by_camera(motion: Motion, folder: Path) -> _FilesByCamera:
+    """Return a result's keypoint files by the calibration file and the name of their camera."""
     cameras, files = (
-        [(folder / path).resolve() for path in ([given] if isinstance(given, str) else given or ())]
-        for given in map(motion.settings.get, ("camera", "keypoints"))
+        [(folder / path).resolve() for path in ([value] if isinstance(value, str) else value or ())]
+        for value in map(motion.settings.get, ("camera", "keypoints"))
     )
-    each = cameras * len(files) if len(cameras) == 1 else cameras
-    return {(path, of.camera.name): file for path, of, file in zip(each, motion.sources, files, strict=False)}
+    camera_by_file = cameras * len(files) if len(cameras) == 1 else cameras
+    return {
+        (path, source.camera.name): file
+        for path, source, file in zip(camera_by_file, motion.sources, files, strict=False)
+    }
 
 
-def _one_run(one: Motion, other: Motion, seen: _Seen, others: _Seen) -> bool:
-    """Whether two results are probably of one run: with calibrations of one folder, at the same time, and at one place
-    within what is expected of their positions. Other keypoints of one camera are of another run."""
-    places = {next(iter(of))[0].parent if of else None for of in (seen, others)}
-    high_m = [of.verdict.position_m.high for of in (one, other) if of.verdict and of.verdict.position_m]
-    differ = any(others.get(camera, file) != file for camera, file in seen.items())
-    if differ or None in places or len(places) > 1 or len(high_m) < 2 or one.fps != other.fps:
+def _is_one_run(first: Motion, second: Motion, first_files: _FilesByCamera, second_files: _FilesByCamera) -> bool:
+    """Return whether two results are probably of one run.
+
+    They have calibrations in one folder, frames in common, and positions that agree within their uncertainty. Two
+    keypoint files of one camera are of different runs.
+    """
+    folders = {next(iter(files))[0].parent if files else None for files in (first_files, second_files)}
+    high_m = [
+        motion.verdict.position_m.high for motion in (first, second) if motion.verdict and motion.verdict.position_m
+    ]
+    differ = any(second_files.get(camera, file) != file for camera, file in first_files.items())
+    if differ or None in folders or len(folders) > 1 or len(high_m) < 2 or first.fps != second.fps:
         return False
-    times, of_one, of_other = np.intersect1d(one.frames[one.solved], other.frames[other.solved], return_indices=True)
-    apart_m = one.root_m[one.solved][of_one] - other.root_m[other.solved][of_other]
-    return bool(len(times) and np.linalg.norm(apart_m, axis=1).mean() <= sum(high_m))
+    times, first_rows, second_rows = np.intersect1d(
+        first.frames[first.solved], second.frames[second.solved], return_indices=True
+    )
+    distance_m = first.root_m[first.solved][first_rows] - second.root_m[second.solved][second_rows]
+    return bool(len(times) and np.linalg.norm(distance_m, axis=1).mean() <= sum(high_m))
 
 
 def _groups(table: Path | None, by: str | None, names: Sequence[str]) -> dict[str, str]:
@@ -209,16 +232,18 @@ def _groups(table: Path | None, by: str | None, names: Sequence[str]) -> dict[st
     raise_problems(
         Problem(table, "column", f"no {c!r} ({columns})", "clip, and --by") for c in ("clip", by) if c not in rows
     )
-    found = dict(zip(rows["clip"], rows[by].astype(str), strict=True))
+    group_by_clip = dict(zip(rows["clip"], rows[by].astype(str), strict=True))
     raise_problems(
-        Problem(table, "clip", f"no row for {name}", "one for every clip") for name in names if name not in found
+        Problem(table, "clip", f"no row for {name}", "one for every clip")
+        for name in names
+        if name not in group_by_clip
     )
-    return {name: found[name] for name in names}
+    return {name: group_by_clip[name] for name in names}
 
 
-def _stride_rows(found: ClipAnalysis) -> Iterator[dict]:
-    moved = found.moved(found.reference, with_size=False)
-    for stride in () if found.gait is None else found.gait.strides:
+def _stride_rows(analysis: ClipAnalysis) -> Iterator[dict]:
+    moved = analysis.moved(analysis.reference, with_size=False)
+    for stride in () if analysis.gait is None else analysis.gait.strides:
         lasts_s = stride.duration_s
         events_s = stride.duty_sigma * lasts_s  # of two events, as of a stance's two
         speed = stride.length_m / lasts_s
@@ -226,7 +251,7 @@ def _stride_rows(found: ClipAnalysis) -> Iterator[dict]:
             "foot": stride.foot,
             "start_s": stride.start_s,
             "speed_m_s": speed,
-            "speed_m_s_sigma": _speed_sigma(found, moved, stride.start_s, stride.end_s),
+            "speed_m_s_sigma": _speed_sigma(analysis, moved, stride.start_s, stride.end_s),
             "stride_length_m": stride.length_m,
             "stride_length_m_sigma": speed * events_s,
             "stride_frequency_hz": 1 / lasts_s,
@@ -236,25 +261,28 @@ def _stride_rows(found: ClipAnalysis) -> Iterator[dict]:
         }
 
 
-def _speed_sigma(found: ClipAnalysis, moved: JointKinematics, start_s: float, end_s: float) -> float:
-    """The standard deviation of the mean speed in a time: errors of the path last on either side."""
+def _speed_sigma(analysis: ClipAnalysis, moved: JointKinematics, start_s: float, end_s: float) -> float:
+    """Return the standard deviation of the mean speed in an interval.
+
+    Errors of the path are correlated in time, so that only times further apart count as independent.
+    """
     sigma = moved.speed_sigma_m_s[(moved.series.time_s >= start_s) & (moved.series.time_s <= end_s)]
-    last_s = max(error.correlation_s for error in found.errors if error.correlation_s < np.inf)
+    last_s = max(error.correlation_s for error in analysis.errors if error.correlation_s < np.inf)
     independent = max(1.0, (end_s - start_s) / (2 * last_s))
     return float(np.sqrt(np.nanmean(sigma**2) / independent)) if np.isfinite(sigma).any() else np.nan
 
 
-def _clip_row(found: ClipAnalysis, strides: Sequence[dict]) -> dict:
-    """Means over the strides; of the speed, over the clip. The animal's size is taken as given."""
-    motion, table = found.motion, pd.DataFrame(strides)
+def _clip_row(analysis: ClipAnalysis, strides: Sequence[dict]) -> dict:
+    """Return the means over a clip's strides, and of its speed over the clip, with the animal's size taken as known."""
+    motion, table = analysis.motion, pd.DataFrame(strides)
     solution, row = motion.solution, dict[str, object]({"strides": len(strides)})
     row["size_sigma"] = solution.size_sigma / solution.size if isinstance(solution, TrajectorySolution) else np.nan
     for name in QUANTITIES:
         if name == "speed_m_s":
-            known = found.why_no_speed is None
-            moved = found.moved(found.reference, with_size=False)
+            known = analysis.why_no_speed is None
+            moved = analysis.moved(analysis.reference, with_size=False)
             value = moved.mean_speed_m_s if known else np.nan
-            sigma = _speed_sigma(found, moved, *motion.time_s[[0, -1]]) if known else np.nan
+            sigma = _speed_sigma(analysis, moved, *motion.time_s[[0, -1]]) if known else np.nan
         elif len(table):
             feet = table["foot"].nunique()
             scatter = table[name].std() / np.sqrt(len(table)) if len(table) > 1 else 0.0
@@ -266,8 +294,10 @@ def _clip_row(found: ClipAnalysis, strides: Sequence[dict]) -> dict:
 
 
 def _mean_of(values: Array, sigmas: Array, shared: float) -> tuple[float, float, float]:
-    """Mean, its standard deviation, and the spread between clips (one standard deviation). shared: relative standard
-    deviation of what all clips have in common."""
+    """Return the mean of clips, its standard deviation, and the spread between clips (one standard deviation).
+
+    shared: relative standard deviation of an error that all clips have in common.
+    """
     known = np.isfinite(values) & np.isfinite(sigmas)
     x, variance = values[known], np.maximum(sigmas[known], 1e-12) ** 2
     if not len(x):
@@ -284,38 +314,49 @@ def _mean_of(values: Array, sigmas: Array, shared: float) -> tuple[float, float,
 
 def _group_rows(clips: pd.DataFrame) -> pd.DataFrame:
     rows = []
-    for group, of in clips.groupby("group"):
-        row: dict[str, object] = {"group": group, "clips": len(of), "strides": of["strides"].sum()}
-        size = of["size_sigma"].to_numpy(float)
+    for group, group_clips in clips.groupby("group"):
+        row: dict[str, object] = {"group": group, "clips": len(group_clips), "strides": group_clips["strides"].sum()}
+        size = group_clips["size_sigma"].to_numpy(float)
         common = float(np.nanmin(size)) if np.isfinite(size).any() else 0.0
         for name, (_, with_size) in QUANTITIES.items():
             shared = common if with_size else 0.0
-            found = _mean_of(of[name].to_numpy(float), of[f"{name}_sigma"].to_numpy(float), shared)
-            row |= zip((name, f"{name}_sigma", f"{name}_spread"), found, strict=True)
+            values = _mean_of(group_clips[name].to_numpy(float), group_clips[f"{name}_sigma"].to_numpy(float), shared)
+            row |= zip((name, f"{name}_sigma", f"{name}_spread"), values, strict=True)
         rows.append(row)
     return pd.DataFrame(rows)
 
 
 def known_quantities(clips: pd.DataFrame) -> list[str]:
-    """The quantities that some clip has."""
+    """Return the quantities that some clip has."""
     return [name for name in QUANTITIES if clips[name].notna().any()]
 
 
 def _figure(clips: pd.DataFrame, groups: pd.DataFrame) -> Figure:
-    """Each clip with one standard deviation, and each group's mean with that of the mean, by quantity that is known."""
+    """Draw each clip with one standard deviation, and each group's mean with its own, by quantity."""
     with drawing(62.0) as figure:
-        known = known_quantities(clips)
-        panels = figure.subplots(1, max(len(known), 1), squeeze=False)[0]
-        for axes, name in zip(panels, known, strict=False):
-            for at, group in enumerate(groups["group"]):
-                own, colour = clips[clips["group"] == group], COLOURS[at % len(COLOURS)]
-                beside = at + np.linspace(-0.18, 0.18, len(own)) if len(own) > 1 else np.array([float(at)])
-                axes.errorbar(beside, own[name], own[f"{name}_sigma"], fmt="o", ms=3, lw=0.8, color=colour, alpha=0.7)
+        quantities = known_quantities(clips)
+        panels = figure.subplots(1, max(len(quantities), 1), squeeze=False)[0]
+        for axes, name in zip(panels, quantities, strict=False):
+            for x, group in enumerate(groups["group"]):
+                group_clips, colour = clips[clips["group"] == group], COLOURS[x % len(COLOURS)]
+                positions = (
+                    x + np.linspace(-0.18, 0.18, len(group_clips)) if len(group_clips) > 1 else np.array([float(x)])
+                )
+                axes.errorbar(
+                    positions,
+                    group_clips[name],
+                    group_clips[f"{name}_sigma"],
+                    fmt="o",
+                    ms=3,
+                    lw=0.8,
+                    color=colour,
+                    alpha=0.7,
+                )
                 mean, sigma = groups.loc[groups["group"] == group, [name, f"{name}_sigma"]].to_numpy(float)[0]
                 if np.isfinite(mean):
-                    wide = [at - 0.32, at + 0.32]
-                    axes.fill_between(wide, mean - sigma, mean + sigma, color=colour, alpha=0.25, lw=0)
-                    axes.plot(wide, [mean, mean], color=colour, lw=1.4)
+                    line = [x - 0.32, x + 0.32]
+                    axes.fill_between(line, mean - sigma, mean + sigma, color=colour, alpha=0.25, lw=0)
+                    axes.plot(line, [mean, mean], color=colour, lw=1.4)
             labels = [fill(name, 14) for name in groups["group"]]
             axes.set_xticks(range(len(labels)), labels, rotation=30 if len(labels) > 3 else 0)
             axes.set_title(QUANTITIES[name][0])

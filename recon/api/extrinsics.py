@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,21 +27,23 @@ from recon.geometry.frames import level_from_camera, rigid
 from recon.io.camera_files import write_cameras
 
 DISAGREEMENT = 16.0
-"""Squared deviations, of 6 unknowns, from which on a camera that stood still is unlikely (1 in 70)."""
-UNTOLD_DEG = 10.0
-"""A camera whose turn is known no better is not told by its clips: it may stand anywhere (benchmarks/cameras.py)."""
+"""Squared deviation of a camera's 6 unknowns above which it is unlikely that it stood still (1 in 70)."""
+MAX_TURN_SIGMA_DEG = 10.0
+"""Uncertainty of a camera's turn above which its clips do not determine its pose (benchmarks/cameras.py)."""
 LEAST_MOVED = 0.5
-"""The least way of an animal, in its lengths in the picture: on its feet it swings by less."""
+"""Least path of an animal in the picture, in its lengths: one that only swings on its feet moves less."""
 
 
 def clips_of(
-    inputs: Sequence[str | Path], given: Mapping[str, Any], cameras_by: str = AUTO
+    inputs: Sequence[str | Path], options: Mapping[str, Any], cameras_by: str = AUTO
 ) -> tuple[list[FitSettings], list[str]]:
-    """The clips that keypoint files, folders and manifests are, as in a batch, and notes; with the names of their
-    cameras beside them, files are one clip. Raises InputError."""
-    if given.get("camera_name") is not None:
-        return [read_settings(None, {**given, "keypoints": inputs})], []
-    clips, notes = find_clips(inputs, given, None, cameras_by, posed=False)
+    """Return the clips of keypoint files, folders and manifests, as in a batch, and notes.
+
+    If `camera_name` is among the options, all files are one clip. Raises InputError.
+    """
+    if options.get("camera_name") is not None:
+        return [read_settings(None, {**options, "keypoints": inputs})], []
+    clips, notes = find_clips(inputs, options, None, cameras_by, posed=False)
     return [clip.settings for clip in clips], notes
 
 
@@ -51,70 +54,95 @@ def run_extrinsics(
     level_rad: float = 0.0,
     progress: Progress = silent,
 ) -> tuple[tuple[Camera, ...], dict[str, Any]]:
-    """`recon calibrate extrinsics`: write `out`, which `recon.io.calibration.read_cameras` reads; the cameras, with
-    poses in a world with z up, the ground at z = 0, or that of the camera file if those are refined, and what `--json`
-    prints. There the sigmas of a camera are of its place beside the first (`Camera.corrected`), its height's is null
-    where the ground was not found, or is the camera file's, and offsets are as given or found.
+    """Find the poses of cameras from clips of the animal, and write `out`, a camera file.
 
-    level_rad: how far cameras are from level, or from the tilt that is said, 0: `LEVEL_RAD`. Poses in the
-    camera file are read where the clips' settings say that they are refined; these know which way is up. Raises
-    InputError, with every problem, for inputs that cannot be used.
+    The world has z up. The ground is at z = 0, or as in the camera file if its poses are refined; these are read if the
+    clips' settings say so, and know which way is up.
+
+    Parameters
+    ----------
+    clips
+        Settings of each clip.
+    out
+        The camera file, which `recon.io.calibration.read_cameras` reads.
+    overwrite
+        Whether it may be replaced.
+    level_rad
+        Largest angle of cameras from level, or from the tilt that is given; 0: `LEVEL_RAD`.
+    progress
+        Called with the stage and its share.
+
+    Returns
+    -------
+    tuple
+        The cameras, and the report that `--json` prints. A camera's sigmas there are those of its position relative to
+        the first (`Camera.corrected`); that of its height is None where the ground was not found, or is the camera
+        file's. Offsets are as given or found.
+
+    Raises
+    ------
+    InputError
+        With every problem, for inputs that cannot be used.
     """
     posed, tilt_deg = bool(clips[0].refine_cameras), clips[0].tilt_deg
     inputs = [path for clip in clips for path in input_files(clip).values()]
     output = output_file(out, "calibrate extrinsics", overwrite, inputs)
-    twice = "a value beside --set refine-cameras=true, whose file says it", "one of the two"
-    both = {"--tilt-deg": tilt_deg, "--level-deg": level_rad or None} if posed else {}
-    given, *_ = collect_problems(
-        lambda: collect_problems(*(lambda clip=clip: _each_alone(clip) for clip in clips)),
-        lambda: raise_problems(Problem(option, "up", *twice) for option, value in both.items() if value is not None),
+    conflict = "a value beside --set refine-cameras=true, whose file says it", "one of the two"
+    tilt_options = {"--tilt-deg": tilt_deg, "--level-deg": level_rad or None} if posed else {}
+    prepared, *_ = collect_problems(
+        lambda: collect_problems(*(lambda clip=clip: _prepared_by_camera(clip) for clip in clips)),
+        lambda: raise_problems(
+            Problem(option, "up", *conflict) for option, value in tilt_options.items() if value is not None
+        ),
         lambda: require_suffix(out, (".toml",)),
         lambda: output.require((out.name,)),
     )
-    cameras = _all_cameras(given)
+    cameras = _all_cameras(prepared)
     if posed:
-        if without := [camera.name for camera in cameras if not camera.has_extrinsics]:
+        if unposed := [camera.name for camera in cameras if not camera.has_extrinsics]:
             expected = "a camera file with the poses of all cameras"
-            raise InputError(Problem("--set refine-cameras", "poses", f"none of {', '.join(without)}", expected))
+            raise InputError(Problem("--set refine-cameras", "poses", f"none of {', '.join(unposed)}", expected))
         poses = camera_poses(cameras)
     else:  # each one's own level world
         tilt = {} if tilt_deg is None else {"tilt_rad": math.radians(tilt_deg)}
         cameras = [replace(camera, rotation=None, translation_m=None, **tilt) for camera in cameras]
         poses = [rigid(level_from_camera(camera.up).T, np.zeros(3)) for camera in cameras]
-    in_step = [_in_step(*of) for of in zip(clips, given, strict=True)]
+    aligned = [_aligned_sources(*problem_inputs) for problem_inputs in zip(clips, prepared, strict=True)]
     if not posed:
-        _require_motion(in_step)
-    firsts = [one[0] for one in given]
-    settings = [_setting(*of, cameras, poses) for of in zip(clips, firsts, in_step, strict=True)]
-    rig = solve_extrinsics(settings, posed, level_rad or LEVEL_RAD, progress)
+        _require_motion(aligned)
+    firsts = [inputs[0] for inputs in prepared]
+    problems = [
+        _clip_problem(*problem_inputs, cameras, poses) for problem_inputs in zip(clips, firsts, aligned, strict=True)
+    ]
+    rig = solve_extrinsics(problems, posed, level_rad or LEVEL_RAD, progress)
     expected = "clips in which the animal goes other ways through the view"
     raise_problems(
         Problem("KEYPOINTS", f"camera {camera.name}", f"a turn known to {turn_deg:.0f} degrees only", expected)
         for camera, turn_deg in zip(cameras, np.degrees(np.linalg.norm(rig.sigma[:, :3], axis=1)), strict=True)
-        if turn_deg > UNTOLD_DEG
+        if turn_deg > MAX_TURN_SIGMA_DEG
     )
     height_m = 0.0 if posed else -np.nan_to_num(rig.ground_m)
-    found = tuple(
+    posed_cameras = tuple(
         replace(camera, rotation=T[:3, :3], translation_m=T[:3, 3] - height_m * T[:3, 2], world_z_up=True, tilt_rad=0.0)
         for camera, T in zip(cameras, rig.T_camera_world, strict=True)
     )
     with output.staged_file() as staged:
-        write_cameras(found, staged)
-    names, rows = [camera.name for camera in found], []
-    each = zip(clips, in_step, given, rig.time_offset_frames, rig.disagreement, strict=True)
-    for clip, sources, of, late_frames, apart in each:
-        late_s = dict(zip(names, np.array(late_frames) / of[0].fps, strict=True))
+        write_cameras(posed_cameras, staged)
+    names, rows = [camera.name for camera in posed_cameras], []
+    by_clip = zip(clips, aligned, prepared, rig.time_offset_frames, rig.disagreement, strict=True)
+    for clip, sources, problem_inputs, late_frames, disagreement_by_camera in by_clip:
+        late_s = dict(zip(names, np.array(late_frames) / problem_inputs[0].fps, strict=True))
         began_s = np.array([source.offset_s + late_s[source.camera.name] for source in sources])
         offsets = {"offset_s": (began_s - began_s[0]).tolist(), "found_offsets": bool(clip.find_offsets)}
-        disagreement = dict(zip(names, apart.tolist(), strict=True))
+        disagreement = dict(zip(names, disagreement_by_camera.tolist(), strict=True))
         rows.append({"keypoints": [*map(str, clip.keypoints)], **offsets, "disagreement": disagreement})
-    known = zip(found, rig.sigma, rig.height_sigma_m, strict=True)
-    return found, {
+    by_camera = zip(posed_cameras, rig.sigma, rig.height_sigma_m, strict=True)
+    return posed_cameras, {
         "cameras": [
             camera.to_dict()
             | {"turn_sigma_rad": sigma[:3].tolist(), "shift_sigma_m": sigma[3:].tolist()}
-            | {"height_sigma_m": None if posed or math.isnan(high) else float(high)}
-            for camera, sigma, high in known
+            | {"height_sigma_m": None if posed or math.isnan(height_sigma_m) else float(height_sigma_m)}
+            for camera, sigma, height_sigma_m in by_camera
         ],
         "clips": rows,
         "converged": rig.converged,
@@ -123,18 +151,19 @@ def run_extrinsics(
 
 
 def _require_motion(clips: Sequence[Sequence[Source]]) -> None:
-    """Raises InputError for an animal that stays where it is in all pictures of all clips: where cameras stand beside
-    each other is told by where it goes."""
+    """Raise InputError for an animal that stays where it is in all pictures of all clips.
+
+    The path of the animal is what determines the poses of cameras relative to each other.
+    """
     moved = max(_lengths_moved(source.keypoints.xy_px) for sources in clips for source in sources)
     if moved < LEAST_MOVED:
-        found = f"an animal that moves by {moved:.1f} of its length in the pictures"
+        actual = f"an animal that moves by {moved:.1f} of its length in the pictures"
         expected = "clips in which it moves by its own length or more: one that stays cannot tell where cameras stand"
-        raise InputError(Problem("KEYPOINTS", "motion", found, expected))
+        raise InputError(Problem("KEYPOINTS", "motion", actual, expected))
 
 
 def _lengths_moved(xy_px: Array) -> float:
-    """How far the keypoints (T, K, 2) go through the picture, of the animal's extent in it; 0 where nothing tells."""
-
+    """Return how far keypoints (T, K, 2) move through the picture, in lengths of the animal; 0 if it is unknown."""
     known = np.isfinite(xy_px[..., 0])
     xy_px = xy_px[known.any(axis=1)][:, known.any(axis=0)]
     if not xy_px.size:
@@ -144,33 +173,35 @@ def _lengths_moved(xy_px: Array) -> float:
     return path_px / max(length_px, 1.0)
 
 
-def _in_step(clip: FitSettings, given: Sequence[ClipInputs]) -> tuple[Source, ...]:
-    """The sources of a clip on its frames, by the offsets that are given, or found to whole frames beside those."""
-    apart, fps = [one.sources[0] for one in given], given[0].fps
-    later = np.array(clip.offset_s or np.zeros(len(given))) * fps
-    sources = align_cameras(apart, (later - later[0]).tolist())
+def _aligned_sources(clip: FitSettings, prepared: Sequence[ClipInputs]) -> tuple[Source, ...]:
+    """Return the sources of a clip on its frames, by the offsets that are given, or found to whole frames."""
+    sources_apart, fps = [inputs.sources[0] for inputs in prepared], prepared[0].fps
+    later = np.array(clip.offset_s or np.zeros(len(prepared))) * fps
+    sources = align_cameras(sources_apart, (later - later[0]).tolist())
     if not clip.find_offsets:
         return sources
     cameras = [replace(source.camera, rotation=None, translation_m=None) for source in sources]
-    frames = search_offsets(_setting(clip, given[0], sources, cameras, [np.eye(4)] * len(cameras)))
-    lost = [camera.name for camera, lost in zip(cameras, np.isnan(frames), strict=True) if lost]
-    if lost:
-        found = f"no offset at which it sees the motion that {cameras[0].name} sees"
+    frames = search_offsets(_clip_problem(clip, prepared[0], sources, cameras, [np.eye(4)] * len(cameras)))
+    unmatched = [camera.name for camera, unmatched in zip(cameras, np.isnan(frames), strict=True) if unmatched]
+    if unmatched:
+        actual = f"no offset at which it sees the motion that {cameras[0].name} sees"
         expected = "clips that both see well, or --set offset-s in place of it"
-        raise InputError(Problem("--set find-offsets", f"camera {name}", found, expected) for name in lost)
-    return align_cameras(apart, (later - later[0] + frames).tolist())
+        raise InputError(Problem("--set find-offsets", f"camera {name}", actual, expected) for name in unmatched)
+    return align_cameras(sources_apart, (later - later[0] + frames).tolist())
 
 
-def _setting(
+def _clip_problem(
     clip: FitSettings, first: ClipInputs, sources: Sequence[Source], cameras: Sequence[Camera], poses: Sequence[Array]
 ) -> ClipProblem:
-    """A clip with a view of every camera; one that did not film it has seen nothing. first: as one of them prepared
-    it."""
+    """Return the problem of a clip with a view of every camera; the view of one that did not film it is empty.
+
+    first: the inputs of one of its cameras.
+    """
     by_name = {source.camera.name: source for source in sources}
-    nothing = np.full_like(sources[0].keypoints.xy_px, np.nan)
+    unseen_px = np.full_like(sources[0].keypoints.xy_px, np.nan)
     views = []
     for camera, pose in zip(cameras, poses, strict=True):
-        view = View(camera, pose, nothing, np.zeros(nothing.shape[:2]))
+        view = View(camera, pose, unseen_px, np.zeros(unseen_px.shape[:2]))
         if source := by_name.get(camera.name):
             points = source.keypoints
             view = View(camera, pose, points.xy_px, points.confidence, offset_frames=source.offset_frames)
@@ -179,31 +210,33 @@ def _setting(
     return ClipProblem.from_views(views, first.body, first.prior, first.fps, clip.trajectory_options(), knows_up)
 
 
-def _each_alone(settings: FitSettings) -> list[ClipInputs]:
-    """Each camera's keypoints, prepared as a clip of one camera."""
+def _prepared_by_camera(settings: FitSettings) -> list[ClipInputs]:
+    """Return each camera's keypoints, prepared as a clip of one camera."""
     names = settings.camera_name or (None,) * len(settings.keypoints)
-    alone = replace(settings, offset_s=None, refine_cameras=None, find_offsets=None, tilt_deg=None)
-    each = [
-        replace(alone, keypoints=(path,), camera_name=None if name is None else (name,))
+    single = replace(settings, offset_s=None, refine_cameras=None, find_offsets=None, tilt_deg=None)
+    settings_by_camera = [
+        replace(single, keypoints=(path,), camera_name=None if name is None else (name,))
         for path, name in zip(settings.keypoints, names, strict=True)
     ]
-    given = collect_problems(*(lambda one=one: prepare(one) for one in each))
-    rates = {one.fps for one in given}
+    prepared = collect_problems(*(partial(prepare, camera_settings) for camera_settings in settings_by_camera))
+    rates = {camera_settings.fps for camera_settings in prepared}
     if len(rates) > 1:
         expected = "one frame rate for all cameras, or --fps"
         raise InputError(Problem("KEYPOINTS", "fps", ", ".join(f"{rate:g}" for rate in sorted(rates)), expected))
-    found = [one.sources[0].camera.name for one in given]
-    if len(found) < 2 or len(set(found)) < len(found):
-        where = ", ".join(path.name for path in settings.keypoints)
-        raise InputError(Problem(where, "cameras", ", ".join(found), "two or more, each once"))
-    return list(given)
+    camera_names = [camera_settings.sources[0].camera.name for camera_settings in prepared]
+    if len(camera_names) < 2 or len(set(camera_names)) < len(camera_names):
+        files = ", ".join(path.name for path in settings.keypoints)
+        raise InputError(Problem(files, "cameras", ", ".join(camera_names), "two or more, each once"))
+    return list(prepared)
 
 
-def _all_cameras(given: Sequence[Sequence[ClipInputs]]) -> list[Camera]:
-    """The cameras of all clips, each once, those of the first clip first."""
+def _all_cameras(prepared: Sequence[Sequence[ClipInputs]]) -> list[Camera]:
+    """Return the cameras of all clips, each once, those of the first clip first."""
     cameras: dict[str, Camera] = {}
-    for one in (prepared.sources[0].camera for clip in given for prepared in clip):
-        if cameras.setdefault(one.name, one).to_dict() != one.to_dict():
+    for camera in (inputs.sources[0].camera for clip in prepared for inputs in clip):
+        if cameras.setdefault(camera.name, camera).to_dict() != camera.to_dict():
             expected = "the same in all clips"
-            raise InputError(Problem("KEYPOINTS", f"camera {one.name}", "two lenses or poses of that name", expected))
+            raise InputError(
+                Problem("KEYPOINTS", f"camera {camera.name}", "two lenses or poses of that name", expected)
+            )
     return list(cameras.values())

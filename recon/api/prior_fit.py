@@ -37,7 +37,7 @@ _Files = Mapping[Path, Mapping[str, Pose3D]]
 
 
 class PriorFitSettings(Settings):
-    """The settings of `recon prior fit`."""
+    """Settings of `recon prior fit`."""
 
     poses: Annotated[OneOrMore[Path], Option(argument="POSES")]
     """Results of recon fit, or 3D poses as in pose3d.csv: metres, world z up."""
@@ -69,22 +69,28 @@ class PriorFitSettings(Settings):
 
 
 def run_prior_fit(settings: PriorFitSettings) -> dict[str, Any]:
-    """`recon prior fit`: fit a prior to results of `recon fit`, which are folders, and to pose files, and write it.
+    """Fit a motion prior to results of `recon fit`, which are folders, and to pose files, and write it.
 
-    Gives, as plain types, the table of segments with the body's misfit to each (None for results, and where no frame
-    had enough markers), the `sizes` that the body's lengths were multiplied by for each pose file, the markers that no
-    pose file has (`lacking`), on how many `frames` it was fitted, how many frames of results have a flag or no pose
-    (`left_out`), and `held_out`: the mean log-likelihood per frame of segments that a prior was not fitted to, each
-    left out once, None if it was not asked for or no segment can be left out.
+    Frames of results without a pose or with a flag are left out.
 
-    Of results, frames without a pose or with a flag are left out. skeleton: None for that of the results. fps: of the
-    pose files, a number, or a JSON file with one for every piece of motion in their order; None without any. Raises
-    InputError for files and options that cannot be used, with the problems of all of them.
+    Returns
+    -------
+    dict
+        As plain types: the table of segments with the body's misfit to each (None for results, and where no frame had
+        enough markers); the `sizes` that the body's lengths were multiplied by for each pose file; the markers that no
+        pose file has (`lacking`); the number of `frames` that it was fitted to, and of frames of results that were
+        `left_out`; and `held_out`, the mean log-likelihood per frame of segments that a prior was not fitted to, each
+        left out once, None if it was not asked for or no segment can be left out.
+
+    Raises
+    ------
+    InputError
+        For files and options that cannot be used, with the problems of all of them.
     """
     output = output_file(settings.out, "prior fit", settings.overwrite, input_paths(settings))
     paths = list(dict.fromkeys(settings.poses))
     folders, tables = [path for path in paths if path.is_dir()], [path for path in paths if not path.is_dir()]
-    given, results, files, rates, *_ = collect_problems(
+    body_option, results, files, rates, *_ = collect_problems(
         lambda: _body(settings.skeleton, settings.subject, folders),
         lambda: collect_problems(*(partial(_motion, path, settings.anyway) for path in folders)),
         lambda: collect_problems(*(partial(read_pose_segments, path) for path in tables)),
@@ -93,41 +99,44 @@ def run_prior_fit(settings: PriorFitSettings) -> dict[str, Any]:
         lambda: output.require((settings.out.name,)),
     )
     results, files = dict(zip(folders, results, strict=True)), dict(zip(tables, files, strict=True))
-    body = _common_body(given, results)
+    body = _common_body(body_option, results)
     raise_problems(_problems_of_files(body, files, rates, settings.fps or "--fps"))
 
     names = file_names([*dict.fromkeys(path.absolute() for path in paths)])
-    of_results = [(names[path.absolute()], _sound_states(one), one.fps) for path, one in results.items()]
-    of_files, misfits_mm, sizes = _solved_segments(body, files, names, rates, settings.estimate_size)
-    segments = [*of_results, *of_files]
+    result_segments = [(names[path.absolute()], _sound_states(motion), motion.fps) for path, motion in results.items()]
+    file_segments, misfits_mm, sizes = _solved_segments(body, files, names, rates, settings.estimate_size)
+    segments = [*result_segments, *file_segments]
     frames = sum(_count(states) for _, states, fps in segments if mean_speed_m_s(states, fps) >= settings.min_speed_m_s)
     components = min(settings.components, max(frames // FRAMES_PER_COMPONENT, 1))
-    of, how = (settings.name or settings.out.stem, settings.source), picked(settings, "min_speed_m_s", "apart")
-    prior = fit_prior(body, segments, *of, components, **how)
+    name_and_source, options = (
+        (settings.name or settings.out.stem, settings.source),
+        picked(settings, "min_speed_m_s", "apart"),
+    )
+    prior = fit_prior(body, segments, *name_and_source, components, **options)
     held_out = _held_out(body, segments, prior) if settings.check else None
     with output.staged_file() as staged:
         save_prior(prior, staged)
-    rows = zip(prior.segments, (*(None for _ in of_results), *misfits_mm), strict=True)
-    there = {joint for pieces in files.values() for pose in pieces.values() for joint in pose.names}
+    rows = zip(prior.segments, (*(None for _ in result_segments), *misfits_mm), strict=True)
+    known_joints = {joint for pieces in files.values() for pose in pieces.values() for joint in pose.names}
     return {
         "segments": [asdict(row) | {"misfit_mm": misfit_mm} for row, misfit_mm in rows],
         "components": len(prior.weights),
         "components_asked": settings.components,
         "sizes": {str(path): size for path, size in sizes.items()},
-        "lacking": [marker for marker in body.markers if files and marker not in there],
+        "lacking": [marker for marker in body.markers if files and marker not in known_joints],
         "frames": frames,
-        "left_out": sum(int(np.isnan(states[:, 0]).sum()) for _, states, _ in of_results),
+        "left_out": sum(int(np.isnan(states[:, 0]).sum()) for _, states, _ in result_segments),
         "held_out": held_out,
     }
 
 
 def _count(states: Array) -> int:
-    """Frames with a pose."""
+    """Return the number of frames with a pose."""
     return int(np.isfinite(states).all(axis=1).sum())
 
 
 def _sound_states(motion: Motion) -> Array:
-    """(T, D), NaN in frames without a pose and in those that a flag calls doubtful."""
+    """Return the states (T, D), NaN in frames without a pose or with a flag."""
     flagged = np.array([bool(flags) for flags in motion.flags])
     return np.where(flagged[:, None], np.nan, motion.states)
 
@@ -135,32 +144,36 @@ def _sound_states(motion: Motion) -> Array:
 def _solved_segments(
     body: Body, files: _Files, names: Mapping[Path, str], rates: Sequence[float], estimate_size: bool
 ) -> tuple[list[Segment], list[float | None], dict[Path, float]]:
-    """The segments of pose files, between jumps of their frame numbers, called as their piece of motion, or as the file
-    of `names`, or both; the body's misfit to each (mm); and the factor on its lengths by file."""
+    """Fit the body to the segments of pose files, which end at jumps of their frame numbers.
+
+    Returns the segments, named after their piece of motion, their file of `names`, or both; the body's misfit to each,
+    mm; and the factor on its lengths by file.
+    """
     segments: list[Segment] = []
     misfits_mm: list[float | None] = []
     sizes: dict[Path, float] = {}
     rate = iter(rates if len(rates) > 1 else list(rates) * sum(map(len, files.values())))
-    for path, of_file in files.items():
-        points_m = np.concatenate([pose.of_joints(body.markers) for pose in of_file.values()])
+    for path, pieces in files.items():
+        points_m = np.concatenate([pose.of_joints(body.markers) for pose in pieces.values()])
         if not (np.isfinite(points_m).all(axis=2).sum(axis=1) >= MIN_MARKERS).any():
             raise InputError(Problem(path, "frames", "too few points in each", f"{MIN_MARKERS} markers in some frame"))
         states, rms_m, sizes[path] = solve_points(body, points_m, None if estimate_size else 1.0)
         first = 0
-        for piece, pose in of_file.items():
+        for piece, pose in pieces.items():
             fps, jumps = next(rate), (np.nonzero(np.diff(pose.frames) != 1)[0] + 1).tolist()
-            whole = names[path.absolute()] if piece == path.stem else f"{names[path.absolute()]} {piece}"
+            full_name = names[path.absolute()] if piece == path.stem else f"{names[path.absolute()]} {piece}"
             for start, stop in zip([0, *jumps], [*jumps, len(pose.frames)], strict=True):
-                own = slice(first + start, first + stop)
-                known = rms_m[own][np.isfinite(rms_m[own])]
+                rows_of_segment = slice(first + start, first + stop)
+                known = rms_m[rows_of_segment][np.isfinite(rms_m[rows_of_segment])]
                 misfits_mm.append(1e3 * float(np.sqrt(np.mean(known**2))) if len(known) else None)
-                name = (piece if len(names) == 1 else whole) + (f" from {pose.frames[start]}" if jumps else "")
-                segments.append((name, states[own], fps))
+                name = (piece if len(names) == 1 else full_name) + (f" from {pose.frames[start]}" if jumps else "")
+                segments.append((name, states[rows_of_segment], fps))
             first += len(pose.frames)
     return segments, misfits_mm, sizes
 
 
 def _held_out(body: Body, segments: Sequence[Segment], prior: MotionPrior) -> dict[str, float] | None:
+    """Return the log-likelihood of segments under a prior of the others; None if nothing can be left out."""
     used = [segment for segment, row in zip(segments, prior.segments, strict=True) if row.used]
     frames = [_count(states) for _, states, _ in used]
     scores, weights, fewest = [], [], len(prior.weights)
@@ -178,7 +191,7 @@ def _held_out(body: Body, segments: Sequence[Segment], prior: MotionPrior) -> di
 
 
 def _body(skeleton: str | None, subject: str | None, folders: Sequence[Path]) -> Body | None:
-    """As given; None where results have it."""
+    """Return the body that is asked for; None if it is that of the results."""
     if skeleton is None:
         if folders and subject is None:
             return None
@@ -190,11 +203,13 @@ def _body(skeleton: str | None, subject: str | None, folders: Sequence[Path]) ->
     return body
 
 
-def _common_body(given: Body | None, results: Mapping[Path, Motion]) -> Body:
-    bodies = ({} if given is None else {Path("--skeleton"): given}) | {path: one.body for path, one in results.items()}
+def _common_body(body_option: Body | None, results: Mapping[Path, Motion]) -> Body:
+    bodies = ({} if body_option is None else {Path("--skeleton"): body_option}) | {
+        path: motion.body for path, motion in results.items()
+    }
     if len({(body.name, body.state_names) for body in bodies.values()}) > 1:
-        found = ", ".join(f"{path}: {body.name}" for path, body in bodies.items())
-        raise InputError(Problem("POSES", "skeleton", found, "the same for all, with the same angles"))
+        actual = ", ".join(f"{path}: {body.name}" for path, body in bodies.items())
+        raise InputError(Problem("POSES", "skeleton", actual, "the same for all, with the same angles"))
     return next(iter(bodies.values()))
 
 
@@ -206,31 +221,31 @@ def _motion(folder: Path, anyway: bool) -> Motion:
 
 
 def _rates(fps: str | None, tables: Sequence[Path]) -> list[float]:
-    """The number, or those of a JSON file; none where there are no pose files."""
+    """Return the frame rate, or those of a JSON file; none without pose files."""
     expected = 'frames per second above 0, as in 120, or a JSON file with {"fps": [120, 90]}'
     if (fps is None) != (not tables):
-        wanted = expected if tables else "nothing: results have their own"
-        raise InputError(Problem("--fps", "frame rate", fps or "nothing", wanted))
+        no_rates = expected if tables else "nothing: results have their own"
+        raise InputError(Problem("--fps", "frame rate", fps or "nothing", no_rates))
     if fps is None:
         return []
-    where = Path(fps) if Path(fps).is_file() else None
+    source = Path(fps) if Path(fps).is_file() else None
     try:
-        rates = [float(rate) for rate in np.ravel(fps if where is None else read_json(where, expected)["fps"])]
+        rates = [float(rate) for rate in np.ravel(fps if source is None else read_json(source, expected)["fps"])]
     except (ValueError, KeyError, TypeError, OverflowError):
         rates = []
     if not rates or not all(0 < rate < math.inf for rate in rates):
-        raise InputError(Problem(where or "--fps", "frame rate", repr(fps), expected))
+        raise InputError(Problem(source or "--fps", "frame rate", repr(fps), expected))
     return rates
 
 
 def _problems_of_files(body: Body, files: _Files, rates: Sequence[float], fps: str) -> Iterator[Problem]:
-    """Too few markers, and rates that are not one or one a piece."""
+    """Yield problems of files with too few markers, and of frame rates that are not one, or one a piece."""
     for path, pieces in files.items():
         names = next(iter(pieces.values())).names
-        there = sum(marker in names for marker in body.markers)
-        if there < MIN_MARKERS:
+        count_known = sum(marker in names for marker in body.markers)
+        if count_known < MIN_MARKERS:
             expected = f"at least {MIN_MARKERS} markers of {body.name}: {', '.join(body.markers)}"
-            yield Problem(path, "joints", f"{there} of {len(body.markers)}: {', '.join(names)}", expected)
+            yield Problem(path, "joints", f"{count_known} of {len(body.markers)}: {', '.join(names)}", expected)
     count = sum(map(len, files.values()))
     if files and len(rates) not in (1, count):
         yield Problem(fps, "fps", f"{len(rates)} numbers", f"one, or {count}: one for every piece")

@@ -25,9 +25,16 @@ LARGEST_ANIMAL_M = 15.0
 
 
 def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> dict[str, Any]:
-    """What a skeleton's file describes: `length_m` and `height_m` are those of the expected pose, `unknowns` those of a
-    frame, `prior` is the one that a fit takes by default, and `remarks` say what is allowed, but looks like a mistake.
-    Raises InputError, naming every problem, for a file that describes no skeleton."""
+    """Return what a skeleton's file describes.
+
+    `length_m` and `height_m` are those of the expected pose, `unknowns` those of a frame, `prior` is the one that a fit
+    takes by default, and `remarks` name what is allowed but is probably wrong.
+
+    Raises
+    ------
+    InputError
+        Naming every problem, for a file that describes no skeleton.
+    """
     body = load_skeleton(name_or_path, subject)
     length, _, height = np.ptp(body.expected_points_m(), axis=0).tolist()
     return {
@@ -66,15 +73,15 @@ def _bones(body: Body) -> Iterator[dict[str, Any]]:
 
 
 def _segments(body: Body) -> Iterator[dict[str, Any]]:
-    """Each segment with what is expected of its angles: mean, ends of the range, and how quickly they change."""
+    """Yield each segment with the expected mean, range and acceleration of its angles."""
     expected = zip(*np.rad2deg([body.mean_rad, body.sigma_rad, body.acceleration_rad_s2]), strict=True)
     for segment in body.tree.segments:
         angles = []
         for axis in AXES[segment.joint][segment.parent is None :]:  # all but the root's heading
             mean, sigma, acceleration = map(float, next(expected))
             reach = REACH_SIGMAS * sigma
-            of = {"name": ANGLE_OF_AXIS[axis], "mean_deg": mean, "low_deg": mean - reach, "high_deg": mean + reach}
-            angles.append(of | {"rate": f"{acceleration:.0f} °/s²"})
+            ranges = {"name": ANGLE_OF_AXIS[axis], "mean_deg": mean, "low_deg": mean - reach, "high_deg": mean + reach}
+            angles.append(ranges | {"rate": f"{acceleration:.0f} °/s²"})
         yield {
             "name": segment.name,
             "parent": segment.parent or "",
@@ -86,25 +93,25 @@ def _segments(body: Body) -> Iterator[dict[str, Any]]:
 
 
 def _remarks(body: Body) -> Iterator[str]:
-    at = dict(zip(body.markers, body.expected_points_m(), strict=True))
-    rear, front = (at[marker] for marker in body.forward)
-    if (length_m := float(np.ptp([*at.values()], axis=0).max())) > LARGEST_ANIMAL_M:
+    point_m = dict(zip(body.markers, body.expected_points_m(), strict=True))
+    rear, front = (point_m[marker] for marker in body.forward)
+    if (length_m := float(np.ptp([*point_m.values()], axis=0).max())) > LARGEST_ANIMAL_M:
         yield f"lengths: the animal is {length_text(length_m)} long. Lengths are metres, not mm or cm."
     if front[0] <= rear[0]:
         yield f"forward: in the expected pose {body.forward[1]} is not ahead (x) of {body.forward[0]}."
     if not body.feet:
         yield "feet: none. Contacts with the ground and gait need them."
-    heights_m = {foot: at[foot][2] for foot in body.feet}
-    if high := [foot for foot, height_m in heights_m.items() if height_m >= min(rear[2], front[2])]:
-        yield f"feet: in the expected pose {', '.join(high)} not below {' and '.join(body.forward)}."
+    heights_m = {foot: point_m[foot][2] for foot in body.feet}
+    if too_high := [foot for foot, height_m in heights_m.items() if height_m >= min(rear[2], front[2])]:
+        yield f"feet: in the expected pose {', '.join(too_high)} not below {' and '.join(body.forward)}."
     for label, foot in body.feet_by_label().items():
-        fore = (at[foot] - (rear + front) / 2) @ (front - rear) > 0
-        if fore != (label[-1] == "F"):
-            there, said = ("before", "hind") if fore else ("behind", "fore")
-            yield f"feet: in the expected pose {foot} lies {there} the middle of the trunk, but is a {said} foot."
+        is_ahead = (point_m[foot] - (rear + front) / 2) @ (front - rear) > 0
+        if is_ahead != (label[-1] == "F"):
+            position, kind = ("before", "hind") if is_ahead else ("behind", "fore")
+            yield f"feet: in the expected pose {foot} lies {position} the middle of the trunk, but is a {kind} foot."
     sides = {marker: side for marker in body.markers if (side := body.side_of(marker)) is not None}
-    if wrong := [m for m, side in sides.items() if (at[m][1] < 0 if side == "left" else at[m][1] > 0)]:
-        yield f"markers: on the other side of the middle (y is to the left) {', '.join(wrong)}."
-    pairs = [(m, other_side(m)) for m, side in sides.items() if side == "left" and other_side(m) in at]
-    if uneven := [m for m, other in pairs if not np.allclose(at[m], at[other] * (1, -1, 1), atol=1e-6)]:
+    if wrong_side := [m for m, side in sides.items() if (point_m[m][1] < 0 if side == "left" else point_m[m][1] > 0)]:
+        yield f"markers: on the other side of the middle (y is to the left) {', '.join(wrong_side)}."
+    pairs = [(m, other_side(m)) for m, side in sides.items() if side == "left" and other_side(m) in point_m]
+    if uneven := [m for m, twin in pairs if not np.allclose(point_m[m], point_m[twin] * (1, -1, 1), atol=1e-6)]:
         yield f"markers: not the mirror image of the other side {', '.join(uneven)}."

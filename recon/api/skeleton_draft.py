@@ -31,10 +31,10 @@ from recon.api.skeleton_check import LARGEST_ANIMAL_M
 from recon.base.arrays import Array
 from recon.base.documents import builtin_file
 from recon.base.errors import InputError, Problem, collect_problems
-from recon.base.numbers import length_text, percent
+from recon.base.numbers import length_text
 from recon.base.outputs import output_file
 from recon.base.settings import File, OneOrMore, Option, Positive, Settings, input_paths
-from recon.check.agreement import points_m
+from recon.check.agreement import points_m as triangulated_m
 from recon.clip import Source, align_cameras, clean, views_of
 from recon.io.deeplabcut_project import bodyparts, find_project
 from recon.io.formats import read_keypoints
@@ -42,7 +42,7 @@ from recon.show.plain import by_name, picked
 
 BASE = "quadruped"
 REAR, FRONT = ("tail_base", "l_hip", "spine"), ("neck_base", "withers", "l_shoulder", "nose")
-"""Markers of it that `forward` may begin and end with, the best first."""
+"""Markers of the quadruped that `forward` may begin and end with, the best first."""
 FEWEST_FRAMES = 20
 RIGID, TOO_MUCH, NOISE = 0.01, 0.02, 2.0
 """Shares of the animal's length: a distance that changes by less (one standard deviation) stays the same; and of noisy
@@ -54,15 +54,15 @@ SWING_RAD, SWING_HZ = (0.2, 1.2), (0.5, 8.0)
 
 
 _ROUGHLY = {"croup": "tail_base", "rump": "tail_base"}
-"""Markers that are near enough for a draft, but not for a fit."""
+"""Keypoints whose markers are near enough for a draft, but not for a fit."""
 
 SkeletonDraft = tuple[dict[str, str], tuple[str, ...], str]
-"""A file's keypoints that have a place, and the quadruped's markers that they are taken for; those that have none yet;
-and the text of a skeleton file, to be completed."""
+"""The quadruped's markers by the keypoints that are placed on them; the keypoints that are not placed; and the text of
+a skeleton file, to be completed."""
 
 
 class SkeletonDraftSettings(Settings):
-    """What `recon skeleton from-keypoints` is told."""
+    """Settings of `recon skeleton from-keypoints`."""
 
     keypoints: Annotated[OneOrMore[Path], Option(argument="KEYPOINTS")]
     """Keypoint file, or DeepLabCut's project; with --camera one file for each."""
@@ -91,10 +91,10 @@ def run_skeleton_draft(settings: SkeletonDraftSettings) -> SkeletonDraft:
     output = output_file(out, "skeleton from-keypoints", settings.overwrite, input_paths(settings))
     output.require((out.name,))
     if settings.camera is not None:
-        draft = _of_geometry(settings)
+        draft = _draft_from_geometry(settings)
     elif len(settings.keypoints) > 1:
-        found = f"{len(settings.keypoints)} files without --camera"
-        raise InputError(Problem("KEYPOINTS", "files", found, "one, for its names; or --camera beside several"))
+        actual = f"{len(settings.keypoints)} files without --camera"
+        raise InputError(Problem("KEYPOINTS", "files", actual, "one, for its names; or --camera beside several"))
     else:
         project = find_project(source)
         names = bodyparts(project) if project else read_keypoints(source, settings.individual).names
@@ -103,28 +103,28 @@ def run_skeleton_draft(settings: SkeletonDraftSettings) -> SkeletonDraft:
     return draft
 
 
-def _of_geometry(settings: SkeletonDraftSettings) -> SkeletonDraft:
+def _draft_from_geometry(settings: SkeletonDraftSettings) -> SkeletonDraft:
     """Draft a skeleton from several cameras; raise InputError also for cameras without poses or direction up."""
     options = ("keypoints", "camera", "fps", "up", "individual", "camera_name", "camera_unit")
-    given = FitSettings(**picked(settings, *options))
-    files, cameras = collect_problems(lambda: read_clips(given), lambda: read_clip_cameras(given))
+    fit_settings = FitSettings(**picked(settings, *options))
+    files, cameras = collect_problems(lambda: read_clips(fit_settings), lambda: read_clip_cameras(fit_settings))
     first, source = files[0], settings.keypoints[0]
     assert first.fps is not None
     if len(files) < 2 or not all(camera.has_extrinsics for camera, _ in cameras):
         poses = [f"{camera.name} {'with' if camera.has_extrinsics else 'without'} a pose" for camera, _ in cameras]
         raise InputError(Problem("--camera", "poses", ", ".join(poses), "two or more cameras with poses"))
     if settings.up != FIRST_CAMERA and not all(camera.knows_up for camera, _ in cameras):
-        found = "poses that do not say which way is up"
-        raise InputError(Problem("--up", "up", found, f"an axis of their world, as in z or -y, or {FIRST_CAMERA}"))
+        actual = "poses that do not say which way is up"
+        raise InputError(Problem("--up", "up", actual, f"an axis of their world, as in z or -y, or {FIRST_CAMERA}"))
     sources = [
-        Source(camera, *clean(arrange(file, first.names), given.likelihood_min), file.names)
+        Source(camera, *clean(arrange(file, first.names), fit_settings.likelihood_min), file.names)
         for file, (camera, _) in zip(files, cameras, strict=True)
     ]
     views = views_of(align_cameras(sources, (0.0,) * len(sources)))
-    places_m = points_m(views, given.trajectory_options().sigma_px, 0.0)
-    _require_size(places_m, settings)
-    known, text = drafted(first.names, places_m, first.fps, settings.out.stem, source)
-    return {name: name for name in known}, tuple(n for n in first.names if n not in known), text
+    positions_m = triangulated_m(views, fit_settings.trajectory_options().sigma_px, 0.0)
+    _require_size(positions_m, settings)
+    labels, text = drafted(first.names, positions_m, first.fps, settings.out.stem, source)
+    return {name: name for name in labels}, tuple(n for n in first.names if n not in labels), text
 
 
 def _require_size(positions_m: Array, settings: SkeletonDraftSettings) -> None:
@@ -138,62 +138,69 @@ def _require_size(positions_m: Array, settings: SkeletonDraftSettings) -> None:
     smaller = {unit: size_m * UNITS_M[unit] / UNITS_M[settings.camera_unit] for unit in ("cm", "mm")}
     if size_m > LARGEST_ANIMAL_M:
         units = " or ".join(f"{unit} ({length_text(length)})" for unit, length in smaller.items() if length < size_m)
-        found = f"an animal of {length_text(size_m)}, with lengths of the calibration in {settings.camera_unit}"
-        raise InputError(Problem("--camera-unit", "camera_unit", found, f"the unit of the calibration: {units}"))
+        actual = f"an animal of {length_text(size_m)}, with lengths of the calibration in {settings.camera_unit}"
+        raise InputError(Problem("--camera-unit", "camera_unit", actual, f"the unit of the calibration: {units}"))
 
 
 def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDraft:
-    """Raises InputError where too few names are understood to place an animal, or none of either end of its trunk, and
-    for names of another built-in skeleton's points."""
+    """Draft a skeleton with the quadruped's segments, from the names of keypoints.
+
+    Raises
+    ------
+    InputError
+        For too few names that are understood, none at an end of the trunk, and names of another built-in skeleton.
+    """
     body = load_skeleton(BASE)
     known = _understood(names, body.markers)
     options, count = fitting_skeleton(names)
     if count > len(known):
         expected = f"a four-legged animal's: a draft is one; recon fit {options} takes {count} of these {len(names)}"
         raise InputError(Problem(source, "bodyparts", f"another animal's: {', '.join(names)}", expected))
-    called = {marker: name for name, marker in known.items()}
-    rear, front = (next((called[m] for m in ends if m in called), None) for ends in (REAR, FRONT))
+    name_of_marker = {marker: name for name, marker in known.items()}
+    rear, front = (next((name_of_marker[m] for m in ends if m in name_of_marker), None) for ends in (REAR, FRONT))
     if rear is None or front is None or len(known) < MIN_JOINTS:
-        found = f"{', '.join(names)}: of these, {', '.join(known) or 'none'} can be placed"
+        actual = f"{', '.join(names)}: of these, {', '.join(known) or 'none'} can be placed"
         expected = (
             f"at least {MIN_JOINTS}, one of them at the rear of the trunk ({', '.join(REAR)}) and one at its "
             f"front ({', '.join(FRONT)}); or clips of several cameras with --camera, or a skeleton by hand"
         )
-        raise InputError(Problem(source, "bodyparts", found, expected))
-    others = tuple(name for name in names if name not in known)
+        raise InputError(Problem(source, "bodyparts", actual, expected))
+    unplaced = tuple(name for name in names if name not in known)
     comments = [
         f"A draft for the keypoints of {toml_text(source.name)}: proportions and expectations are of the skeleton",
         f"{BASE}, which are no animal's, and its markers are called as the keypoints. Look at it with recon skeleton",
         "check, and replace the lengths by those of your animal. The fields are explained in docs/skeletons.md.",
-        *([f"Keypoints without a place yet: {', '.join(others)}"] if others else []),
+        *([f"Keypoints without a place yet: {', '.join(unplaced)}"] if unplaced else []),
     ]
     labels = {label: place for place, label in PLACES.items()}
-    feet = {labels[label]: called[foot] for label, foot in body.feet_by_label().items() if foot in called}
-    limbs = {limb: [called[m] for m in along if m in called] for limb, along in body.limbs.items()}
+    feet = {
+        labels[label]: name_of_marker[foot] for label, foot in body.feet_by_label().items() if foot in name_of_marker
+    }
+    limbs = {limb: [name_of_marker[m] for m in markers if m in name_of_marker] for limb, markers in body.limbs.items()}
     text = builtin_file("animal/skeletons", f"{BASE}.toml").read_text(encoding="utf-8")
     segments = text[text.index("[[segments]]") : text.index("[[markers]]")]
     renamed = {s.name: f"{s.name}_part" if s.name in names else s.name for s in body.tree.segments}
-    for name, other in renamed.items():
-        segments = segments.replace(f'"{name}"', f'"{other}"')
+    for name, new_name in renamed.items():
+        segments = segments.replace(f'"{name}"', f'"{new_name}"')
     parts = [head_text(comments, title, "the names", forward=[rear, front], **picked(body, *HEAD))]
     parts += [table_text("[feet]", feet), segments]
     for marker in body.tree.markers:
-        name, twin = called.get(marker.name), called.get(other_side(marker.name))
+        name, twin = name_of_marker.get(marker.name), name_of_marker.get(other_side(marker.name))
         paired = name is not None and twin == other_side(name) != name
         if name is not None and not (paired and side_of(name) == "right"):  # pairs are written once
-            of = {"name": name, "segment": renamed[marker.segment]} | ({"mirrored": True} if paired else {})
-            parts.append(table_text("[[markers]]", of | {"at_m": list(marker.offset_m)}))
-    parts.append(table_text("[limbs]", {limb: along for limb, along in limbs.items() if len(along) > 1}))
-    return known, others, "".join(parts)
+            marker_table = {"name": name, "segment": renamed[marker.segment]} | ({"mirrored": True} if paired else {})
+            parts.append(table_text("[[markers]]", marker_table | {"at_m": list(marker.offset_m)}))
+    parts.append(table_text("[limbs]", {limb: markers for limb, markers in limbs.items() if len(markers) > 1}))
+    return known, unplaced, "".join(parts)
 
 
 def _understood(names: Sequence[str], markers: Sequence[str]) -> dict[str, str]:
-    """Markers by keypoint: of the same name, of the built-in map that knows most of them, or a near miss."""
+    """Return markers by keypoint: of the same name, of the built-in map that knows most of them, or a near miss."""
     maps = fitting_maps(names, markers)
-    by = load_names(maps[0]) if maps else {}
+    marker_by_name = load_names(maps[0]) if maps else {}
     known: dict[str, str] = {}
     for name in names:
-        marker = by.get(name, name)
+        marker = marker_by_name.get(name, name)
         if marker in markers and marker not in known.values():
             known[name] = marker
     for name in names:
@@ -209,7 +216,7 @@ def _understood(names: Sequence[str], markers: Sequence[str]) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class _Part:
-    """A segment: its number, the point where it begins, its parent, its points, and the line to these from others."""
+    """A segment: its number, the point where it begins, its parent, its points, and the line of points along it."""
 
     number: int
     origin: int
@@ -218,139 +225,243 @@ class _Part:
     line: tuple[int, ...] = ()
 
     def name(self, labels: Sequence[str]) -> str:
+        """Return a name made of its number and the label of its first point."""
         return f"part_{self.number}_at_{labels[self.origin]}"
 
 
-def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, source: Path) -> tuple[list[str], str]:
-    """The keypoints that were seen often enough, and the text of a skeleton of them. points_m (T, K, 3): in a world
-    with z up, metres, NaN where missing. Raises InputError where too few are seen, or the animal hardly moves."""
-    seen = np.isfinite(points_m[..., 0])
-    kept = np.flatnonzero(seen.sum(axis=0) >= FEWEST_FRAMES)
-    if len(kept) < MIN_JOINTS or (seen[:, kept].T.astype(int) @ seen[:, kept]).min() < FEWEST_FRAMES:
-        found = f"{len(kept)} that two cameras see in {FEWEST_FRAMES} frames, not all of them together"
-        expected = f"{MIN_JOINTS} or more, each together with each other"
-        raise InputError(Problem(source, "keypoints", found, expected))
-    points, labels = points_m[:, kept], [names[k] for k in kept.tolist()]
-    apart = np.stack([np.linalg.norm(points - point[:, None], axis=2) for point in points.swapaxes(0, 1)], axis=1)
-    usual_m = np.nanmedian(apart, axis=0)
-    changes_m, long_m = 1.4826 * np.nanmedian(np.abs(apart - usual_m), axis=0), float(usual_m.max())
-    nearest_m = np.where(np.eye(len(kept), dtype=bool), np.inf, changes_m).min(axis=1)
-    same_m = max(NOISE * float(np.median(nearest_m)), RIGID * long_m)  # nearly every point is on a body with another
-    if same_m > TOO_MUCH * long_m:
-        found = f"distances between neighbours change by {1000 * same_m / NOISE:.1f} mm in an animal of {long_m:.3g} m"
-        expected = (
-            f"by {percent(TOO_MUCH / NOISE)} or less of its length; more or nearer cameras tell what bends from noise"
-        )
-        raise InputError(Problem(source, "keypoints", found, expected))
-    of = fcluster(linkage(squareform(changes_m, checks=False), "complete"), same_m, "distance")
-    bodies = [np.flatnonzero(of == i).tolist() for i in np.unique(of)]
-    root = min(range(len(bodies)), key=lambda i: (len(bodies[i]) < 3, usual_m[bodies[i]].min(axis=0).mean()))
-    middle = points[:, bodies[root]].mean(axis=1)
-    gone = np.gradient(middle[:, :2], axis=0)
-    path_m = float(np.nansum(np.linalg.norm(gone, axis=1)))
-    if len(bodies) == 1 or not path_m > long_m / 2:
-        found = f"an animal of {long_m:.3g} m that goes {path_m:.3g} m, with {len(bodies)} bodies that turn"
-        raise InputError(Problem(source, "motion", found, "half its length, to know its front, and two bodies or more"))
-    parts = _tree(bodies, root, np.maximum(changes_m, same_m / 2) + same_m * usual_m / long_m, same_m)
-    reach = np.nansum(np.sum((points - middle[:, None])[..., :2] * gone[:, None], axis=2), axis=0)
-    trunk = bodies[root] if len(bodies[root]) > 1 else range(len(kept))
-    rear, front = min(trunk, key=reach.__getitem__), max(trunk, key=reach.__getitem__)
+@dataclass(frozen=True)
+class _Distances:
+    """Distances between K keypoints over a clip, metres."""
 
-    x, y, z = np.moveaxis(points - points[:, [parts[0].origin]], 2, 0)
-    heading = np.arctan2(y[:, front] - y[:, rear], x[:, front] - x[:, rear])[:, None]
-    c, s = np.cos(heading), np.sin(heading)
-    turned = np.stack([c * x + s * y, c * y - s * x, z], axis=2)
-    typical = np.nanmedian(turned, axis=0)
-    off = np.linalg.norm(np.where(np.isfinite(turned), turned - typical, long_m), axis=2).mean(axis=1)
-    pose = np.where(np.isfinite(turned[off.argmin()]), turned[off.argmin()], typical)
-    along = pose - pose[:, None]  # from a point to another, of the length that it usually has
-    along *= (usual_m / np.linalg.norm(along, axis=2).clip(1e-9))[..., None]
+    usual_m: Array
+    """(K, K): median over the frames."""
+    changes_m: Array
+    """(K, K): standard deviation over the frames, from the median deviation."""
+    same_m: float
+    """Change below which a distance counts as fixed."""
+    length_m: float
+    """Largest usual distance: the animal's length."""
+
+
+def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, source: Path) -> tuple[list[str], str]:
+    """Draft a skeleton from where the keypoints are, whatever they are called.
+
+    Parameters
+    ----------
+    names
+        Of the K keypoints.
+    points_m
+        (T, K, 3): in a world with z up, metres, NaN where missing.
+    fps
+        Frames per second.
+    title
+        Name of the skeleton.
+    source
+        The keypoint file, for messages.
+
+    Returns
+    -------
+    tuple
+        The keypoints that were seen often enough, and the text of a skeleton file of them.
+
+    Raises
+    ------
+    InputError
+        For too few keypoints that are seen together, distances that are too noisy, and an animal that hardly moves.
+    """
+    points_m, labels = _often_seen(names, points_m, source)
+    distances = _distances(points_m, source)
+    bodies = _rigid_bodies(distances)
+    root = _root_body(bodies, distances)
+    centre_m = points_m[:, bodies[root]].mean(axis=1)
+    steps_m = np.gradient(centre_m[:, :2], axis=0)
+    _require_path(steps_m, distances.length_m, len(bodies), source)
+    parts = _tree(bodies, root, distances)
+    rear, front = _ends_of_trunk(points_m, centre_m, steps_m, bodies[root])
+    turned_m = _in_body_frame(points_m, parts[0].origin, rear, front)
+    offsets_m = _expected_offsets_m(turned_m, distances)
     comments = [
         f"A draft from the geometry of the keypoints of {toml_text(source.name)}: distances that change by less than",
-        f"{1000 * same_m:.1f} mm stay the same. Look at it with recon skeleton check, and give its segments names.",
+        f"{1000 * distances.same_m:.1f} mm stay the same. "
+        "Look at it with recon skeleton check, and give its segments names.",
     ]
-    head = [labels[rear], labels[front]], round(KEYPOINT_SHARE * long_m, 5), SIZE_SIGMA
+    head = [labels[rear], labels[front]], round(KEYPOINT_SHARE * distances.length_m, 5), SIZE_SIGMA
     text = head_text(comments, title, "the geometry", **by_name(("forward", *HEAD), head))
     text += table_text("[feet]", {})
     for part in parts:
-        text += table_text("[[segments]]", _segment(part, parts, labels, turned, along, fps))
+        text += table_text("[[segments]]", _segment(part, parts, labels, turned_m, offsets_m, fps))
     for part in parts:
         for point in part.points:
-            of = {"name": labels[point], "segment": part.name(labels)}
-            text += table_text("[[markers]]", of | {"at_m": _at(along[part.origin, point])})
+            marker = {"name": labels[point], "segment": part.name(labels)}
+            text += table_text("[[markers]]", marker | {"at_m": _at(offsets_m[part.origin, point])})
     limbs = {f"part_{part.number}": [labels[i] for i in part.line] for part in parts if len(part.line) > 1}
     return labels, text + table_text("[limbs]", limbs)
 
 
-def _tree(bodies: Sequence[list[int]], root: int, costs: Array, same_m: float) -> list[_Part]:
-    """Parents first. costs (K, K): of a joint between two points. A point that keeps its distances to all of another
-    body is the joint; where there is none, a link between two points."""
+def _often_seen(names: Sequence[str], points_m: Array, source: Path) -> tuple[Array, list[str]]:
+    """Return the points that are seen in enough frames, and their names. Raises InputError if they are too few."""
+    seen = np.isfinite(points_m[..., 0])
+    kept = np.flatnonzero(seen.sum(axis=0) >= FEWEST_FRAMES)
+    frames_together = seen[:, kept].T.astype(int) @ seen[:, kept]
+    if len(kept) < MIN_JOINTS or frames_together.min() < FEWEST_FRAMES:
+        actual = f"{len(kept)} that two cameras see in {FEWEST_FRAMES} frames, not all of them together"
+        expected = f"{MIN_JOINTS} or more, each together with each other"
+        raise InputError(Problem(source, "keypoints", actual, expected))
+    return points_m[:, kept], [names[k] for k in kept.tolist()]
+
+
+def _distances(points_m: Array, source: Path) -> _Distances:
+    """Return the distances between points (T, K, 3). Raises InputError if noise hides which are fixed."""
+    by_point = [np.linalg.norm(points_m - point[:, None], axis=2) for point in points_m.swapaxes(0, 1)]
+    distances_m = np.stack(by_point, axis=1)
+    usual_m = np.nanmedian(distances_m, axis=0)
+    changes_m = 1.4826 * np.nanmedian(np.abs(distances_m - usual_m), axis=0)
+    length_m = float(usual_m.max())
+    steadiest_m = np.where(np.eye(len(usual_m), dtype=bool), np.inf, changes_m).min(axis=1)
+    # Nearly every point is on a body with another one, so that the median is the keypoints' noise.
+    same_m = max(NOISE * float(np.median(steadiest_m)), RIGID * length_m)
+    if same_m > TOO_MUCH * length_m:
+        noise_mm = f"{1000 * same_m / NOISE:.1f} mm"
+        actual = f"distances between neighbours change by {noise_mm} in an animal of {length_m:.3g} m"
+        expected = (
+            f"by {percent(TOO_MUCH / NOISE)} or less of its length; more or nearer cameras tell what bends from noise"
+        )
+        raise InputError(Problem(source, "keypoints", actual, expected))
+    return _Distances(usual_m, changes_m, same_m, length_m)
+
+
+def _rigid_bodies(distances: _Distances) -> list[list[int]]:
+    """Return the groups of points that keep all their distances."""
+    tree = linkage(squareform(distances.changes_m, checks=False), "complete")
+    body_of_point = fcluster(tree, distances.same_m, "distance")
+    return [np.flatnonzero(body_of_point == i).tolist() for i in np.unique(body_of_point)]
+
+
+def _root_body(bodies: Sequence[list[int]], distances: _Distances) -> int:
+    """Return the body that is nearest to all points, one of three points or more if there is one."""
+
+    def rank(i: int) -> tuple[bool, float]:
+        return len(bodies[i]) < 3, distances.usual_m[bodies[i]].min(axis=0).mean()
+
+    return min(range(len(bodies)), key=rank)
+
+
+def _require_path(steps_m: Array, length_m: float, body_count: int, source: Path) -> None:
+    """Raise InputError for an animal that hardly moves, whose front is not known, or that has one body only."""
+    path_m = float(np.nansum(np.linalg.norm(steps_m, axis=1)))
+    if body_count == 1 or not path_m > length_m / 2:
+        actual = f"an animal of {length_m:.3g} m that goes {path_m:.3g} m, with {body_count} bodies that turn"
+        expected = "half its length, to know its front, and two bodies or more"
+        raise InputError(Problem(source, "motion", actual, expected))
+
+
+def _ends_of_trunk(points_m: Array, centre_m: Array, steps_m: Array, root: Sequence[int]) -> tuple[int, int]:
+    """Return the points of the root body that are furthest back and ahead in the direction of travel."""
+    ahead = np.nansum(np.sum((points_m - centre_m[:, None])[..., :2] * steps_m[:, None], axis=2), axis=0)
+    trunk = root if len(root) > 1 else range(points_m.shape[1])
+    return min(trunk, key=ahead.__getitem__), max(trunk, key=ahead.__getitem__)
+
+
+def _in_body_frame(points_m: Array, origin: int, rear: int, front: int) -> Array:
+    """Return points (T, K, 3) from an origin, turned about z so that the trunk points along x."""
+    x, y, z = np.moveaxis(points_m - points_m[:, [origin]], 2, 0)
+    heading = np.arctan2(y[:, front] - y[:, rear], x[:, front] - x[:, rear])[:, None]
+    c, s = np.cos(heading), np.sin(heading)
+    return np.stack([c * x + s * y, c * y - s * x, z], axis=2)
+
+
+def _expected_offsets_m(turned_m: Array, distances: _Distances) -> Array:
+    """Return the vectors (K, K, 3) from each point to another in the expected pose, with their usual lengths.
+
+    The expected pose is that of the frame that is nearest to the median of all frames.
+    """
+    typical_m = np.nanmedian(turned_m, axis=0)
+    deviations_m = np.where(np.isfinite(turned_m), turned_m - typical_m, distances.length_m)
+    frame = np.linalg.norm(deviations_m, axis=2).mean(axis=1).argmin()
+    pose_m = np.where(np.isfinite(turned_m[frame]), turned_m[frame], typical_m)
+    offsets_m = pose_m - pose_m[:, None]
+    offsets_m *= (distances.usual_m / np.linalg.norm(offsets_m, axis=2).clip(1e-9))[..., None]
+    return offsets_m
+
+
+def _tree(bodies: Sequence[list[int]], root: int, distances: _Distances) -> list[_Part]:
+    """Join bodies to a tree of segments, parents first.
+
+    A point that keeps its distances to all of another body is the joint of the two; where there is none, a link
+    between two points joins them.
+    """
+    same_m = distances.same_m
+    # Cost (K, K) of a joint between two points: the change of their distance, and the distance itself.
+    costs = np.maximum(distances.changes_m, same_m / 2) + same_m * distances.usual_m / distances.length_m
 
     def joint(a: list[int], b: list[int]) -> tuple[float, int, int]:
-        of = costs[np.ix_(a, b)]
-        u, v = int(of.max(axis=1).argmin()), int(of.max(axis=0).argmin())
-        i, j = divmod(int(of.argmin()), len(b))
-        held = float(of[u].max()), float(of[:, v].max()), float(of[i, j]) + 0.5 * same_m
-        return min(zip(held, (a[u], b[v], a[i]), (a[u], b[v], b[j]), strict=True))
+        """Return the cost of the best joint of two bodies, and its point on each."""
+        pairs = costs[np.ix_(a, b)]
+        u, v = int(pairs.max(axis=1).argmin()), int(pairs.max(axis=0).argmin())
+        i, j = divmod(int(pairs.argmin()), len(b))
+        joint_costs = float(pairs[u].max()), float(pairs[:, v].max()), float(pairs[i, j]) + 0.5 * same_m
+        return min(zip(joint_costs, (a[u], b[v], a[i]), (a[u], b[v], b[j]), strict=True))
 
     n = len(bodies)
-    held = [[joint(a, b)[0] * (i != k) for k, b in enumerate(bodies)] for i, a in enumerate(bodies)]
-    joined = minimum_spanning_tree(np.array(held)).toarray()
+    body_costs = [[joint(a, b)[0] * (i != k) for k, b in enumerate(bodies)] for i, a in enumerate(bodies)]
+    joined = minimum_spanning_tree(np.array(body_costs)).toarray()
     origin = bodies[root][int(costs[np.ix_(bodies[root], bodies[root])].sum(axis=1).argmin())]
     parts = [_Part(1, origin, None, tuple(bodies[root]), tuple(bodies[root]))]
-    of_body, queue = {root: parts[0]}, [root]
+    part_of_body, queue = {root: parts[0]}, [root]
     for i in queue:
-        for k in (k for k in range(n) if joined[i, k] + joined[k, i] and k not in of_body):
-            _, here, there = joint(bodies[i], bodies[k])
-            if here != there:
-                parts.append(_Part(len(parts) + 1, here, of_body[i]))
-            parent = of_body[i] if here == there else parts[-1]
-            line = (here, *(p for p in bodies[k] if p != here))
-            of_body[k] = _Part(len(parts) + 1, there, parent, tuple(bodies[k]), line)
-            parts.append(of_body[k])
+        for k in (k for k in range(n) if joined[i, k] + joined[k, i] and k not in part_of_body):
+            _, parent_point, child_point = joint(bodies[i], bodies[k])
+            if parent_point != child_point:
+                parts.append(_Part(len(parts) + 1, parent_point, part_of_body[i]))
+            parent = part_of_body[i] if parent_point == child_point else parts[-1]
+            line = (parent_point, *(p for p in bodies[k] if p != parent_point))
+            part_of_body[k] = _Part(len(parts) + 1, child_point, parent, tuple(bodies[k]), line)
+            parts.append(part_of_body[k])
             queue.append(k)
     return parts
 
 
 def _segment(
-    part: _Part, parts: Sequence[_Part], labels: Sequence[str], turned: Array, along: Array, fps: float
+    part: _Part, parts: Sequence[_Part], labels: Sequence[str], turned_m: Array, offsets_m: Array, fps: float
 ) -> dict[str, Any]:
-    """The table of a segment, which swings as far and as often as the line to its farthest point did."""
-    found: dict[str, Any] = {"name": part.name(labels), "joint": "ball" if part.parent else "free"}
+    """Return the table of a segment, which swings as much and as often as the line to its farthest point did."""
+    table: dict[str, Any] = {"name": part.name(labels), "joint": "ball" if part.parent else "free"}
     if part.parent:
-        found |= {"parent": part.parent.name(labels), "at_m": _at(along[part.parent.origin, part.origin])}
+        table |= {"parent": part.parent.name(labels), "at_m": _at(offsets_m[part.parent.origin, part.origin])}
     ends = [*part.points, *(child.origin for child in parts if child.parent is part)]
-    far = max(ends, key=lambda p: np.linalg.norm(along[part.origin, p]))
-    to_m, usual_m = turned[:, far] - turned[:, part.origin], along[part.origin, far]
-    swings = (to_m[np.isfinite(to_m[:, 0])] - usual_m) / np.linalg.norm(usual_m).clip(1e-9)
-    main = (swings - swings.mean(axis=0)) @ np.linalg.svd(swings - swings.mean(axis=0), full_matrices=False)[2][0]
+    farthest = max(ends, key=lambda p: np.linalg.norm(offsets_m[part.origin, p]))
+    line_m, usual_m = turned_m[:, farthest] - turned_m[:, part.origin], offsets_m[part.origin, farthest]
+    swings = (line_m[np.isfinite(line_m[:, 0])] - usual_m) / np.linalg.norm(usual_m).clip(1e-9)
+    centred = swings - swings.mean(axis=0)
+    main_swing = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
     sigma = np.clip(np.sqrt(np.mean(np.sum(swings**2, axis=1))), *SWING_RAD)
-    hz = np.clip(np.sum(np.diff(np.sign(main)) != 0) * fps / 2 / len(main), *SWING_HZ)
-    quick = round(float(1.5 * sigma * (2 * np.pi * hz) ** 2))
-    expected = {"mean_rad": 0.0, "sigma_rad": round(float(sigma), 2), "acceleration_rad_s2": quick}
-    return found | dict.fromkeys(("yaw", "pitch", "roll")[0 if part.parent else 1 :], expected)
+    hz = np.clip(np.sum(np.diff(np.sign(main_swing)) != 0) * fps / 2 / len(main_swing), *SWING_HZ)
+    acceleration = round(float(1.5 * sigma * (2 * np.pi * hz) ** 2))
+    expected = {"mean_rad": 0.0, "sigma_rad": round(float(sigma), 2), "acceleration_rad_s2": acceleration}
+    return table | dict.fromkeys(("yaw", "pitch", "roll")[0 if part.parent else 1 :], expected)
 
 
-def _at(place_m: Array) -> list[float]:
-    return [round(float(x), 5) for x in place_m]
+def _at(position_m: Array) -> list[float]:
+    return [round(float(x), 5) for x in position_m]
 
 
 # -- a skeleton file ----------------------------------------------------------------------------------------------
 
 
-def head_text(comments: Iterable[str], title: str, of: str, **values: Any) -> str:
-    """What a skeleton file begins with. values: its other fields."""
-    values = {"name": title, "title": f"{title}, drafted from {of} of its keypoints", **values}
+def head_text(comments: Iterable[str], title: str, origin: str, **values: Any) -> str:
+    """Return the beginning of a skeleton file. origin: what it was drafted from; values: its other fields."""
+    values = {"name": title, "title": f"{title}, drafted from {origin} of its keypoints", **values}
     return table_text("\n".join(f"# {line}" for line in comments), values)
 
 
 def table_text(header: str, values: Mapping[str, Any]) -> str:
-    """A table of a TOML file, each value on a line, as people write it."""
+    """Return a table of a TOML file, each value on a line, as people write it."""
     names = {name: name if re.fullmatch(r"[\w-]+", name, re.ASCII) else toml_text(name) for name in values}
     return "\n".join([header, *(f"{names[name]} = {toml_text(value)}" for name, value in values.items())]) + "\n\n"
 
 
-def toml_text(value: Any) -> str:
+def toml_text(value: object) -> str:
+    """Return a value as TOML writes it."""
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{name} = {toml_text(one)}" for name, one in value.items()) + " }"
+        return "{ " + ", ".join(f"{name} = {toml_text(element)}" for name, element in value.items()) + " }"
     return json.dumps(value, ensure_ascii=False)

@@ -101,7 +101,7 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
     all of them.
     """
     output = output_file(settings.out, "subject fit", settings.overwrite, input_paths(settings))
-    fits, _, _, known = collect_problems(
+    fits, _, _, known_poses = collect_problems(
         lambda: collect_problems(*(partial(read_config, p / CONFIG if p.is_dir() else p, {}) for p in settings.clips)),
         lambda: require_suffix(settings.out, (".toml",)),
         lambda: output.require((settings.out.name,)),
@@ -109,28 +109,28 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
     )
     _require_one_skeleton(fits, settings.clips)
     if settings.lengths:  # those of a measured animal would be measured again
-        fits = [replace(one, subject=None) for one in fits]
+        fits = [replace(inputs, subject=None) for inputs in fits]
     if settings.offsets:
-        fits = [replace(one, detector=NONE) for one in fits]
-    each = zip(fits, settings.clips, known or (None,) * len(settings.clips), strict=True)
-    given = collect_problems(*(partial(clip_problem, *of) for of in each))
-    shape = Shape.of_body(given[0].body, settings.lengths, settings.offsets)
-    if known:
+        fits = [replace(inputs, detector=NONE) for inputs in fits]
+    fit_inputs = zip(fits, settings.clips, known_poses or (None,) * len(settings.clips), strict=True)
+    problems = collect_problems(*(partial(clip_problem, *fit_input) for fit_input in fit_inputs))
+    shape = Shape.of_body(problems[0].body, settings.lengths, settings.offsets)
+    if known_poses:
         shape = replace(shape, offset_sigma_m=POSED_OFFSET_SIGMA_M)
     try:
-        fit = fit_shape(shape, given)
+        fit = fit_shape(shape, problems)
     except ValueError as error:
         raise InputError(Problem(settings.clips[0], "clips", str(error), "clips that `recon fit` can solve")) from None
-    n = len(shape.lengths)
-    size, sigma = 1.0, given[0].size_sigma
-    if n:
-        size = float(np.exp(fit.values[:n].mean()))
-        sigma = max(float(np.sqrt(fit.covariance[:n, :n].mean())), LEAST_SIZE_SIGMA)
-    frames = sum(int((one.present().sum(axis=1) > 0).sum()) for one in given)
-    prior_sigma = given[0].size_sigma
+    length_count = len(shape.lengths)
+    size, sigma = 1.0, problems[0].size_sigma
+    if length_count:
+        size = float(np.exp(fit.values[:length_count].mean()))
+        sigma = max(float(np.sqrt(fit.covariance[:length_count, :length_count].mean())), LEAST_SIZE_SIGMA)
+    frames = sum(int((inputs.present().sum(axis=1) > 0).sum()) for inputs in problems)
+    prior_sigma = problems[0].size_sigma
     rows = list(_rows(fit, prior_sigma))
     body = replace(shape.applied(shape.body, fit.values), size_sigma=sigma)
-    bones = [*_bones(fit, prior_sigma)] if n else []
+    bones = [*_bones(fit, prior_sigma)] if length_count else []
     notes = ["{name}: {value:.4g} ± {sigma:.2g} {unit}".format(**row) for row in rows]
     count = f"measured in {len(settings.clips)} clip{'s' * (len(settings.clips) > 1)}"
     if settings.lengths:
@@ -145,10 +145,12 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
 
 
 def _require_one_skeleton(settings: Sequence[FitSettings], clips: Sequence[Path]) -> None:
-    names = {one.skeleton_name for one in settings}
+    names = {clip_settings.skeleton_name for clip_settings in settings}
     if len(names) > 1:
-        found = ", ".join(f"{path}: {one.skeleton_name}" for path, one in zip(clips, settings, strict=True))
-        raise InputError(Problem("CLIPS", "skeleton", found, "clips of the same skeleton"))
+        actual = ", ".join(
+            f"{path}: {clip_settings.skeleton_name}" for path, clip_settings in zip(clips, settings, strict=True)
+        )
+        raise InputError(Problem("CLIPS", "skeleton", actual, "clips of the same skeleton"))
 
 
 def clip_problem(settings: FitSettings, path: Path, pose: Pose3D | None) -> ClipProblem:

@@ -130,8 +130,8 @@ def triangulate(
         likely enough.
     """
     if len(keypoints) < 2 or len(keypoints) != len(cameras):
-        found = f"{len(keypoints)} keypoint files and {len(cameras)} cameras"
-        raise InputError(Problem("triangulate", "cameras", found, "two or more, and a camera for each"))
+        actual = f"{len(keypoints)} keypoint files and {len(cameras)} cameras"
+        raise InputError(Problem("triangulate", "cameras", actual, "two or more, and a camera for each"))
     fps = keypoints[0].fps
     if fps is None:
         raise InputError(Problem("triangulate", "fps", "keypoints without a frame rate", "frames per second"))
@@ -207,9 +207,9 @@ def run_triangulation(
     output.require((POINTS, COVARIANCES, SUMMARY))
     clip = triangulate_files(settings, smooth)
     if not np.isfinite(clip.points_m[..., 0]).any():
-        found = "no keypoint that two cameras saw in the same place and frame"
+        actual = "no keypoint that two cameras saw in the same place and frame"
         expected = "synchronised cameras with the poses of these clips (recon fit tells which one is off)"
-        raise InputError(Problem("KEYPOINTS", "points", found, expected))
+        raise InputError(Problem("KEYPOINTS", "points", actual, expected))
     header = [
         ["bodyparts", *(name for name in clip.names for _ in _COVARIANCE_COLUMNS)],
         ["coords", *(column for _ in clip.names for column in _COVARIANCE_COLUMNS)],

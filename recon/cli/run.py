@@ -20,7 +20,7 @@ from recon.api.analyse import FOLDER, AnalyseSettings
 from recon.api.analyse import SUMMARY as ANALYSIS
 from recon.api.batch import ClipPlan, OnEvent, Summary, results_of, summary_output, work_off
 from recon.api.batch_inputs import SUMMARY, Clip, file_names
-from recon.api.camera_motion import motion_files, of_clip
+from recon.api.camera_motion import motion_files, settings_for_clip
 from recon.api.clip_inputs import read_model_and_cameras
 from recon.api.clip_results import (
     FIT,
@@ -307,7 +307,9 @@ def _stages(job: _Job) -> dict[str, _Stage]:
         made_of = partial(identity_of, network, {})
         stages["detect"] = _Stage(detect, made_of, output("predict"), (keypoints.name,))
     if run.camera_motion is not None and given.camera is not None:
-        turning = of_clip(given, run.video, run.track, **first, zoom=run.camera_motion == "zooms", overwrite=True)
+        turning = settings_for_clip(
+            given, run.video, run.track, **first, zoom=run.camera_motion == "zooms", overwrite=True
+        )
         files = film | {"camera": given.camera[0], "keypoints": keypoints}
         how = first | {"motion": run.camera_motion} | picked(given, "camera_name", "tilt_deg", "individual")
         track = output("camera-motion")

@@ -11,7 +11,7 @@ from command_line import refused, run, says
 
 from recon.animal.prior import prior_from_body
 from recon.animal.skeleton_file import load_skeleton
-from recon.api.camera_advice import where
+from recon.api.camera_advice import direction_text
 from recon.calibrate.camera_advice import ELEVATIONS_RAD, advise, known, length_m, mean_stride, placed
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.geometry.camera import Camera
@@ -93,16 +93,16 @@ def test_advice_finds_the_least_deviation_and_a_second_camera_adds_to_the_first(
 
 
 def test_places_in_words():
-    assert where(0.0, 0.1) == "ahead of it, level with its middle (0°)"
-    assert where(np.radians(270), 0.5) == "on its right side, raised (270°)"
-    assert where(np.radians(120), np.radians(80)) == "almost above it, behind to its left"
+    assert direction_text(0.0, 0.1) == "ahead of it, level with its middle (0°)"
+    assert direction_text(np.radians(270), 0.5) == "on its right side, raised (270°)"
+    assert direction_text(np.radians(120), np.radians(80)) == "almost above it, behind to its left"
 
 
 def test_command(tmp_path):
     out = tmp_path / "advice"
     done = run("camera-advice", "--skeleton", "cheetah-8u", "--angle", "theta_6", "--out", out)
     assert done.code == 0
-    assert says(done.out, f"Put the camera {where(np.radians(120), 0.5)}", "1.8 m above")
+    assert says(done.out, f"Put the camera {direction_text(np.radians(120), 0.5)}", "1.8 m above")
     assert says(done.out, "worst place", "ahead of it")
     table, report = pd.read_csv(out / "camera_advice.csv"), json.loads((out / "camera_advice.json").read_text())
     assert len(table) == 48
