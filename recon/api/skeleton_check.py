@@ -19,7 +19,7 @@ from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES
 from recon.show.plain import picked
 
 REACH_SIGMAS = 2.0
-"""Ends of the expected range of an angle."""
+"""Ends of the expected range of an angle, in standard deviations."""
 LARGEST_ANIMAL_M = 15.0
 """No animal on legs is longer."""
 

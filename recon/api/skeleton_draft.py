@@ -31,7 +31,7 @@ from recon.api.skeleton_check import LARGEST_ANIMAL_M
 from recon.base.arrays import Array
 from recon.base.documents import builtin_file
 from recon.base.errors import InputError, Problem, collect_problems
-from recon.base.numbers import length_text
+from recon.base.numbers import length_text, percent
 from recon.base.outputs import output_file
 from recon.base.settings import File, OneOrMore, Option, Positive, Settings, input_paths
 from recon.check.agreement import points_m as triangulated_m

@@ -35,7 +35,7 @@ LEAST_SIZE_SIGMA = 0.01
 
 
 def _rows(fit: ShapeFit, size_sigma: float) -> Iterator[dict[str, Any]]:
-    """What was measured: lengths in metres, offsets in millimetres."""
+    """Yield what was measured: lengths in metres, offsets in millimetres."""
     shape, values, sigma = fit.shape, fit.values, fit.sigma
     for name in shape.lengths:
         length_m, sigma_m, _ = fit.length_of((name,), size_sigma)
@@ -64,7 +64,7 @@ def _bones(fit: ShapeFit, size_sigma: float) -> Iterator[dict[str, Any]]:
 
 
 class SubjectFitSettings(Settings):
-    """What `recon subject fit` is told."""
+    """Settings of `recon subject fit`."""
 
     clips: Annotated[OneOrMore[Path], Option(argument="CLIPS")]
     """Results of several cameras, or their config.toml."""
@@ -82,7 +82,7 @@ class SubjectFitSettings(Settings):
     """Replace the file."""
 
     def problems(self) -> Iterator[Problem]:
-        """What is to be measured has to be named, and poses have to be there for each clip."""
+        """Yield problems if there is nothing to measure, or poses are not there for each clip."""
         if not self.lengths and not self.offsets:
             yield Problem("--no-lengths", "unknowns", "nothing to fit", "--offsets with it, or without it")
         if self.poses and (self.lengths or not self.offsets):
@@ -92,13 +92,17 @@ class SubjectFitSettings(Settings):
 
 
 def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
-    """`recon subject fit`: measure an animal and its detector, and write the subject file; without lengths, the
-    detector file. What was found is given as plain types; its size is the lengths' mean factor on the skeleton's.
+    """Measure an animal and its detector in clips, and write the subject file; without lengths, the detector file.
 
-    clips: result folders of `recon fit`, or their config.toml. lengths: of the segments; offsets: of the keypoints from
-    the markers. poses: of each clip, its 3D poses in the cameras' world as another method knows them, and then the
-    offsets are those beside these. Raises InputError for clips and options that cannot be used, with the problems of
-    all of them.
+    Returns
+    -------
+    dict
+        The measured values as plain types; `size` is the mean factor of the lengths on the skeleton's.
+
+    Raises
+    ------
+    InputError
+        For clips and options that cannot be used, with the problems of all of them.
     """
     output = output_file(settings.out, "subject fit", settings.overwrite, input_paths(settings))
     fits, _, _, known_poses = collect_problems(
@@ -157,30 +161,32 @@ def clip_problem(settings: FitSettings, path: Path, pose: Pose3D | None) -> Clip
     """Return a clip from which the animal can be measured; raise InputError for others."""
     if settings.method != "trajectory":
         raise InputError(Problem(path, "method", settings.method, "the trajectory method"))
-    given = prepare(settings)
-    if given.body.one_sided:
+    inputs = prepare(settings)
+    if inputs.body.one_sided:
         expected = "a whole animal: a chain's lengths stand in its own skeleton file"
-        raise InputError(Problem(path, "skeleton", given.body.name, expected))
-    views, options = views_of(given.sources), settings.trajectory_options()
-    problem = ClipProblem.from_views(views, given.body, given.prior, given.fps, options)
+        raise InputError(Problem(path, "skeleton", inputs.body.name, expected))
+    views, options = views_of(inputs.sources), settings.trajectory_options()
+    problem = ClipProblem.from_views(views, inputs.body, inputs.prior, inputs.fps, options)
     if not problem.shows_size:
-        found = f"one camera that stands still, {given.sources[0].camera.name}"
-        raise InputError(Problem(path, "cameras", found, "several cameras, or a moving one: one cannot tell lengths"))
+        actual = f"one camera that stands still, {inputs.sources[0].camera.name}"
+        raise InputError(Problem(path, "cameras", actual, "several cameras, or a moving one: one cannot tell lengths"))
     if pose is None:
         return problem
-    return replace(problem, known_states=_states_known(problem, given.sources[0].keypoints.frames, pose))
+    return replace(problem, known_states=_known_states(problem, inputs.sources[0].keypoints.frames, pose))
 
 
-def _states_known(setting: ClipProblem, frames: Integers, pose: Pose3D) -> Array:
-    """(T, D): states of the setting's body, whose markers are nearest to a pose, NaN where it has none. Raises
-    InputError where it has no frame or too few of the markers."""
-    markers = setting.body.markers
-    _, mine, theirs = np.intersect1d(frames, pose.frames, return_indices=True)
+def _known_states(problem: ClipProblem, frames: Integers, pose: Pose3D) -> Array:
+    """Return the states (T, D) of the body whose markers are nearest to a pose, NaN where it has none.
+
+    Raises InputError if it has no frame of the clip, or too few of the markers.
+    """
+    markers = problem.body.markers
+    _, clip_rows, pose_rows = np.intersect1d(frames, pose.frames, return_indices=True)
     points_m = np.full((len(frames), len(markers), 3), np.nan)
-    points_m[mine] = pose.of_joints(markers)[theirs]
-    states, *_ = solve_points(setting.body, points_m)
+    points_m[clip_rows] = pose.of_joints(markers)[pose_rows]
+    states, *_ = solve_points(problem.body, points_m)
     if not np.isfinite(states).all(axis=1).any():
-        found = f"{len(mine)} of the clip's frames, {len({*markers} & {*pose.names})} of the skeleton's markers"
+        actual = f"{len(clip_rows)} of the clip's frames, {len({*markers} & {*pose.names})} of the skeleton's markers"
         expected = f"{MIN_MARKERS} or more of {', '.join(markers)} in frames of the clip, numbered as its keypoints are"
-        raise InputError(Problem(pose.source or "--poses", "poses", found, expected))
+        raise InputError(Problem(pose.source or "--poses", "poses", actual, expected))
     return states

@@ -17,11 +17,11 @@ from recon.gait.gait import interval_text
 from recon.show.sentences import result_sentences
 
 MOST_STANCES = 100
-"""How many stances are printed at most, of all feet."""
+"""Number of stances that are printed at most, of all feet."""
 
 
 def analyse_command(settings: AnalyseSettings, progress: Progress = silent) -> Answer:
-    """Kinematics, gait, vector fields and phase portraits of a reconstruction.
+    """Analyse a reconstruction: kinematics, gait, vector fields and phase portraits.
 
     Writes tables (CSV) and figures (PNG, SVG); recon view shows the plots beside the playback from then on.
 
@@ -38,31 +38,33 @@ ACCELERATION_KNOWN_M_S2 = 10.0
 """Standard deviation of an acceleration above which no number is given: animals hardly have more."""
 
 
-def _lines(found: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str | Text | Table]:
-    motion = found.motion
+def _lines(analysis: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str | Text | Table]:
+    motion = analysis.motion
     yield from verdict_texts(motion.verdict)
-    yield from result_sentences(motion, found.reference_motion, found.gait, found.why_no_speed)
-    net, sigma = found.net_acceleration_m_s2
+    yield from result_sentences(motion, analysis.reference_motion, analysis.gait, analysis.why_no_speed)
+    net, sigma = analysis.net_acceleration_m_s2
     if math.isfinite(net) and sigma > ACCELERATION_KNOWN_M_S2:
         yield "Acceleration along the way: this camera does not tell it."
     elif math.isfinite(net):
         yield f"Acceleration along the way, over the whole clip: {interval_text(net, sigma, 'm/s²', '+')}."
-    if "spine_flexion" in found.angles:
-        low, high = (math.degrees(angle) for angle in found.angles["spine_flexion"].range_rad)
+    if "spine_flexion" in analysis.angles:
+        low, high = (math.degrees(angle) for angle in analysis.angles["spine_flexion"].range_rad)
         yield f"Flexion of the spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)."
-    if (d := found.dynamics) is not None and len(d.forces):
-        peak, low, high = d.forces[["peak_bw", "peak_low_bw", "peak_high_bw"]].mean()
-        said = f"{peak:.1f} body weights (90 %: {low:.1f} to {high:.1f}), mean over the stances in forces.csv"
-        yield f"Peak vertical force of a foot: {said}."
-    if (stride := found.stride) is not None:
-        which = "as given" if found.given is not None else f"of {stride.foot}"
+    if (dynamics := analysis.dynamics) is not None and len(dynamics.forces):
+        peak, low, high = dynamics.forces[["peak_bw", "peak_low_bw", "peak_high_bw"]].mean()
+        peak_text = f"{peak:.1f} body weights (90 %: {low:.1f} to {high:.1f}), mean over the stances in forces.csv"
+        yield f"Peak vertical force of a foot: {peak_text}."
+    if (stride := analysis.stride) is not None:
+        origin = "as given" if analysis.given is not None else f"of {stride.foot}"
         if stride.at == "end effector":
-            which += ", from one rearmost point of the foot to the next"
-        yield f"Phase portraits: the stride from {stride.start_s:.3f} to {stride.end_s:.3f} s, {which}."
-    if found.gait is not None and len(found.gait.stances) <= MOST_STANCES:
+            origin += ", from one rearmost point of the foot to the next"
+        yield f"Phase portraits: the stride from {stride.start_s:.3f} to {stride.end_s:.3f} s, {origin}."
+    if analysis.gait is not None and len(analysis.gait.stances) <= MOST_STANCES:
         spans: dict[str, list[str]] = {foot: [] for foot in motion.foot_names}
-        for s in found.gait.stances:
+        for s in analysis.gait.stances:
             spans[s.foot].append(f"{'' if s.begins else '≤'}{s.start_s:.3f}-{s.end_s:.3f}{'' if s.ends else '+'}")
-        rows = ((f"{foot} {motion.foot_names[foot]}", ", ".join(of) or "none") for foot, of in spans.items())
+        rows = (
+            (f"{foot} {motion.foot_names[foot]}", ", ".join(foot_spans) or "none") for foot, foot_spans in spans.items()
+        )
         yield table_of("foot", f"stances, s (frame number / {motion.fps:g})", rows=rows)
     yield from (f"note: {note}" for note in summary["notes"])

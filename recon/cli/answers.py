@@ -1,4 +1,4 @@
-"""What a command answers, and how it is printed."""
+"""Define what a command answers, and print it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.segment import Segment
 from rich.table import Column, Table
@@ -21,13 +21,12 @@ from rich.text import Text
 
 from recon.base.errors import printable
 from recon.base.interrupts import EXIT_INTERRUPTED, MESSAGE, installed
+from recon.base.progress import Progress as ProgressFunction
 from recon.base.progress import silent
 
 if TYPE_CHECKING:
     from recon.fit.result import Verdict  # numpy is slow to import
 
-
-# -- what a command prints --------------------------------------------------------------------------------------------
 
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
@@ -35,23 +34,23 @@ EXIT_BAD_INPUT = 2
 
 @dataclass(frozen=True)
 class Answer:
-    """What a command has found, for people and for other programs."""
+    """The answer of a command, for people and for other programs."""
 
     data: Any
-    """What --json prints; a text as it is."""
+    """Content of --json; a text is printed as it is."""
     lines: Iterable[str | Text | Table] = ()
-    """What is printed without --json."""
+    """Lines that are printed without --json."""
     errors: Sequence[str] = ()
-    """What has failed: printed in any case, as errors are, and the exit code is 1."""
+    """Failures, which are printed in any case; the exit code is 1."""
     code: int = 0
-    """The exit code, where there are no errors."""
+    """Exit code if there are no errors."""
     files: Sequence[Path] = ()
-    """What was written, where a stage of `recon run` has to know it."""
+    """Files that were written, for the stages of `recon run`."""
     notes: Sequence[str] = ()
-    """What a reader should know before using it: printed behind the lines, and by `recon run` once for all stages."""
+    """Notes to read before the result is used: printed after the lines, by `recon run` once for all stages."""
 
     def show(self, console: Console, as_json: bool) -> None:
-        """Print it, and end with its exit code."""
+        """Print the answer, and end with its exit code."""
         if as_json:
             typer.echo(_shown_json(self.data if isinstance(self.data, str) else _json(self.data)), nl=False)
         for line in () if as_json else self.lines:
@@ -64,14 +63,14 @@ class Answer:
             raise typer.Exit(EXIT_UNSOLVED if self.errors else self.code)
 
 
-def _json(data: Any) -> str:
+def _json(data: object) -> str:
     from recon.show.plain import to_json  # numpy is slow to import, and recon doctor says where it cannot be
 
     return to_json(data)
 
 
 def _shown_json(text: str) -> str:
-    """Return JSON as standard output can have it: where that is ASCII, with JSON's own codes."""
+    """Return JSON as standard output can have it: with JSON's own codes if that is ASCII."""
     try:
         text.encode(sys.stdout.encoding or "utf-8")
     except UnicodeEncodeError:
@@ -79,13 +78,16 @@ def _shown_json(text: str) -> str:
     return text
 
 
-def terminal(**given: Any) -> Console:
-    """Where a command prints. Brackets and colons in names are no markup, and a terminal's commands are shown."""
-    return _Terminal(markup=False, emoji=False, **given)
+def terminal(**options: Any) -> Console:
+    """Return a console to print to.
+
+    Brackets and colons in names are no markup, and a terminal's commands are shown as codes.
+    """
+    return _Terminal(markup=False, emoji=False, **options)
 
 
 class _Terminal(Console):
-    def render(self, renderable: Any, options: Any = None) -> Iterator[Segment]:
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
         for segment in super().render(renderable, options):
             if segment.control or segment.text.isprintable():
                 yield segment
@@ -95,12 +97,12 @@ class _Terminal(Console):
 
 
 def say(console: Console, text: str | Text, style: str = "") -> None:
-    """One line, however long: no markup, and no breaks that a terminal would not make."""
+    """Print one line, however long: without markup, and without breaks that a terminal would not make."""
     console.print(Text(printable(text), style) if isinstance(text, str) else text, soft_wrap=True)
 
 
 def verdict_texts(verdict: Verdict | None) -> Iterator[Text]:
-    """The first lines of what is made of a clip; nothing of a motion that was not judged."""
+    """Yield the lines of a verdict, which come first; none for a motion without one."""
     from recon.show.console import STYLES
 
     for line in verdict.lines if verdict else ():
@@ -108,24 +110,34 @@ def verdict_texts(verdict: Verdict | None) -> Iterator[Text]:
         yield Text.assemble((level, STYLES.get(level, "")), line[len(level) :])
 
 
-def table_of(*texts: str, numbers: Iterable[str] = (), rows: Iterable[Iterable[str | Text]] = (), **more: Any) -> Table:
-    """A table: columns of texts, the first of which names the row, then of numbers. No word of a header is cut."""
-    first, *others = texts
-    columns = Column(first, no_wrap=True), *map(Column, others), *(Column(name, justify="right") for name in numbers)
+def table_of(
+    *texts: str, numbers: Iterable[str] = (), rows: Iterable[Iterable[str | Text]] = (), **options: Any
+) -> Table:
+    """Return a table: columns of texts, the first of which names the row, then of numbers.
+
+    No word of a header is cut.
+    """
+    first, *more_texts = texts
+    columns = (
+        Column(first, no_wrap=True),
+        *map(Column, more_texts),
+        *(Column(name, justify="right") for name in numbers),
+    )
     for column in columns:
         column.min_width = max(map(len, str(column.header).split()), default=None)
-    table = Table(*columns, box=SIMPLE_HEAD, title_justify="left", **more)
+    table = Table(*columns, box=SIMPLE_HEAD, title_justify="left", **options)
     for row in rows:
         table.add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in row))
     return table
 
 
 def error_text(message: str) -> Text:
+    """Return the line of an error."""
     return Text.assemble(("error:", "bold red"), " ", printable(message))
 
 
 def stop(message: str = MESSAGE) -> NoReturn:
-    """End a command at Ctrl-C: one line, and exit code 130."""
+    """End a command at Ctrl-C with one line and exit code 130."""
     interrupts = installed()
     if interrupts is not None:
         interrupts.said = True
@@ -134,8 +146,8 @@ def stop(message: str = MESSAGE) -> NoReturn:
 
 
 @contextmanager
-def progress_bar(console: Console) -> Iterator[Any]:
-    """Give a function of a stage and of the part of the work that is done (0 to 1), which draws a bar on a terminal."""
+def progress_bar(console: Console) -> Iterator[ProgressFunction]:
+    """Give a function of a stage and its share of the work (0 to 1), which draws a bar on a terminal."""
     if console.quiet or not console.is_terminal:  # some versions of rich end a bar that is disabled with an empty line
         yield silent
         return
@@ -145,16 +157,16 @@ def progress_bar(console: Console) -> Iterator[Any]:
         yield lambda stage, share: bar.update(task, description=stage, completed=share)
 
 
-def answer_of_fit(report: dict[str, Any], out: Path, page: Path | None = None, **more: Any) -> Answer:
-    """What there is to say of a fit. page: if there is one; more: fields for --json."""
+def answer_of_fit(report: dict[str, Any], out: Path, page: Path | None = None, **fields: Any) -> Answer:
+    """Return the answer of a fit. page: its page, if there is one; fields: further ones for --json."""
     from recon.show.console import console_summary
     from recon.show.report import is_unsolved
 
-    own = {name: report[name] for name in ("method", "summary", "findings")}
-    data = {"out": out, **own, "seconds": report["timing_s"]["solve_s"], **more}
+    report_fields = {name: report[name] for name in ("method", "summary", "findings")}
+    data = {"out": out, **report_fields, "seconds": report["timing_s"]["solve_s"], **fields}
     if is_unsolved(report):
         return Answer(data, [console_summary(report)], [f"no frame could be solved: see {out / 'report.json'}"])
-    folder, what = shlex.quote(str(out)), "pictures, figures and all numbers"
+    folder, contents = shlex.quote(str(out)), "pictures, figures and all numbers"
     playback = f"Results are in {out}. Watch them with: recon view {folder}"
-    more_to_see = f"Open {page} in a browser: {what}." if page else f"A page with {what}: recon report {folder}"
+    more_to_see = f"Open {page} in a browser: {contents}." if page else f"A page with {contents}: recon report {folder}"
     return Answer(data, [console_summary(report), playback, more_to_see])

@@ -8,7 +8,7 @@ import re
 import sys
 from collections.abc import Callable
 from dataclasses import MISSING
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.text import Text
@@ -21,7 +21,10 @@ from recon.base.settings import Option, Settings
 from recon.cli.answers import EXIT_BAD_INPUT, EXIT_UNSOLVED, Answer, error_text, stop, table_of, terminal
 from recon.cli.commands import HELP, SettingsCommand, make_command
 
-CommandFunction = Callable[..., Any]
+if TYPE_CHECKING:
+    from typer._click.core import Command, Context
+
+CommandFunction = Callable[..., Answer]
 
 
 def _fit() -> CommandFunction:
@@ -55,7 +58,7 @@ def _demo() -> CommandFunction:
 
 
 def _settings() -> CommandFunction:
-    return settings
+    return list_settings
 
 
 def _view() -> CommandFunction:
@@ -303,40 +306,44 @@ GROUPS = {
 class _Group(TyperGroup):
     """Commands by name, of which only the one that is called is imported. functions: what imports each function."""
 
-    def __init__(self, **more: Any) -> None:
-        super().__init__(**more)
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
         self.functions: dict[str, Callable[[], CommandFunction]] = {}
 
     def load(self, name: str) -> SettingsCommand:
-        """A command by its name, of one word or two."""
+        """Return a command by its name, of one word or two."""
         return make_command(name, self.functions[name]())
 
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        both = " ".join(args[:2])
-        name, command, rest = super().resolve_command(ctx, [both, *args[2:]] if both in self.commands else args)
+    def resolve_command(self, ctx: Context, args: list[str]) -> tuple[str | None, Command | None, list[str]]:
+        """Return the command that arguments call, of one word or two, and the other arguments."""
+        two_words = " ".join(args[:2])
+        name, command, rest = super().resolve_command(
+            ctx, [two_words, *args[2:]] if two_words in self.commands else args
+        )
         is_leaf = command is not None and not isinstance(command, _Group)
         return name, self.load(str(name)) if is_leaf else command, rest
 
 
 class _Commands(_Group):
-    """All commands of `COMMANDS`. Any of them ends at Ctrl-C with one line and exit code 130."""
+    """All commands of `COMMANDS`. Each ends at Ctrl-C with one line and exit code 130."""
 
-    def __init__(self, **more: Any) -> None:
-        super().__init__(**more)
-        entries = ((*entry, panel) for panel, of in COMMANDS.items() for entry in of.items())
-        for name, (function, help), panel in entries:
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        entries = ((*entry, panel) for panel, functions in COMMANDS.items() for entry in functions.items())
+        for name, (function, help_text), panel in entries:
             self.functions[name] = function
             first, _, rest = name.partition(" ")
             if first not in GROUPS:
-                self.add_command(TyperCommand(name, help=help, rich_help_panel=panel))
+                self.add_command(TyperCommand(name, help=help_text, rich_help_panel=panel))
                 continue
-            more = {"help": GROUPS[first], "rich_help_panel": panel, "no_args_is_help": True}
-            group = self.commands.setdefault(first, _Group(name=first, **more))
+            options = {"help": GROUPS[first], "rich_help_panel": panel, "no_args_is_help": True}
+            group = self.commands.setdefault(first, _Group(name=first, **options))
             assert isinstance(group, _Group)
             group.functions[rest] = function
-            group.add_command(TyperCommand(rest, help=help))
+            group.add_command(TyperCommand(rest, help=help_text))
 
-    def invoke(self, ctx: Any) -> Any:
+    def invoke(self, ctx: Context) -> object:
+        """Run the command that is called, and end it at Ctrl-C."""
         interrupts = installed() or Interrupts()
         try:
             interrupts.in_command = True
@@ -359,13 +366,13 @@ app = typer.Typer(
 
 
 def commands() -> dict[str, SettingsCommand]:
-    """All commands by name, each made."""
+    """Return all commands by name."""
     group = _Commands()
     return {name: group.load(name) for name in group.functions}
 
 
 class _ListedSettings(Settings):
-    """The settings of `recon settings`."""
+    """Settings of `recon settings`."""
 
     command: Annotated[str, Option(argument="COMMAND")] = "fit"
     """The command, as in fit."""
@@ -373,7 +380,7 @@ class _ListedSettings(Settings):
     """Print the JSON schema of config.toml in place of the list: editors complete and check by it."""
 
 
-def settings(settings: _ListedSettings) -> Answer:
+def list_settings(settings: _ListedSettings) -> Answer:
     """List all settings of a command: those that are options, and those that only --set and config.toml have.
 
     Example: recon settings fit
@@ -396,8 +403,8 @@ def settings(settings: _ListedSettings) -> Answer:
         for info in command.infos.values()
     ]
     cells = (
-        (r["written"], json.dumps(r["default"] if r["default"] is not None else "").strip('"'), r["meaning"])
-        for r in rows
+        (row["written"], json.dumps(row["default"] if row["default"] is not None else "").strip('"'), row["meaning"])
+        for row in rows
     )
     return Answer(rows, [table_of("setting", "default", "meaning", rows=cells)])
 
@@ -406,34 +413,36 @@ _NO_MEMORY = re.compile(
     r"(?i)(cannot|can't|could not) allocate|insufficient memory|out of memory|bad_alloc|failed to map segment"
     r"|can't start new thread|failed to spawn|error return without exception"
 )
-"""What libraries say where memory is short, in exceptions of many types: as they are loaded, too, and of threads."""
+"""Messages of libraries if memory is short, in exceptions of many types, also while they are loaded."""
 
 
 def main() -> None:
-    """Run the command line; a user's mistake ends with one message and exit code 2."""
+    """Run the command line. An error of the user ends with one message and exit code 2."""
     console = terminal(stderr=True, soft_wrap=True)
     try:
         app()
     except InputError as error:
         for problem in error.problems:
-            first, *more = problem.lines
-            console.print(error_text(first), *more, sep="\n")
+            first, *lines = problem.lines
+            console.print(error_text(first), *lines, sep="\n")
         sys.exit(EXIT_BAD_INPUT)
     except Exception as error:
-        said = " ".join(str(error).split())
-        if isinstance(error, MemoryError) or _NO_MEMORY.search(said):
-            said = f" ({said[:200]})" if said else ""
-            console.print(error_text(f"not enough memory{said}: try fewer frames at once (--frames)"))
+        message = " ".join(str(error).split())
+        if isinstance(error, MemoryError) or _NO_MEMORY.search(message):
+            message = f" ({message[:200]})" if message else ""
+            console.print(error_text(f"not enough memory{message}: try fewer frames at once (--frames)"))
             sys.stdout.flush()
             os._exit(EXIT_UNSOLVED)  # what libraries have made by half crashes when it is taken down
         if isinstance(error, UnicodeEncodeError) and encodable(error.object) != error.object:
-            found = Problem(error.object[:200], "name", "bytes that are not UTF-8", "a name in UTF-8: rename the file")
-            console.print(error_text(str(found)))
+            problem = Problem(
+                error.object[:200], "name", "bytes that are not UTF-8", "a name in UTF-8: rename the file"
+            )
+            console.print(error_text(str(problem)))
             sys.exit(EXIT_BAD_INPUT)
         if not isinstance(error, OSError):
             raise
-        where = f"{error.filename}: " if error.filename else ""
-        console.print(error_text(f"{where}{error.strerror or error}"))
+        origin = f"{error.filename}: " if error.filename else ""
+        console.print(error_text(f"{origin}{error.strerror or error}"))
         sys.exit(EXIT_BAD_INPUT)
 
 

@@ -29,15 +29,15 @@ from recon.show.page.own_page import SUMMARY_PAGE
 
 CANNOT = "cannot be fitted"
 NAMED = 3
-"""Clips with the same problem are named up to this number."""
+"""Number of clips with the same problem that are named."""
 _STYLES = {"unsolved": "red", "failed": "red", "pending": "yellow"}
-"""Styles of the statuses; what is done has a verdict."""
+"""Styles of the statuses; a clip that is done has the style of its verdict."""
 _COMMON, _WORK = "Settings of every clip", "How the work is done"
-_OfFits = Annotated[dict[str, Any], OptionsOf(FitSettings, OF_ANY_CLIP, _COMMON)]
+_FitOptions = Annotated[dict[str, Any], OptionsOf(FitSettings, OF_ANY_CLIP, _COMMON)]
 
 
 class _BatchSettings(Settings):
-    """The settings of `recon batch` beside those of every clip's fit."""
+    """Settings of `recon batch` besides those of every clip's fit."""
 
     inputs: Annotated[OneOrMore[str], Option(argument="INPUT")]
     """Keypoint files, quoted patterns as in 'clips/*.csv', folders, also projects of DeepLabCut and Anipose, or
@@ -65,7 +65,7 @@ class _BatchSettings(Settings):
     """Exit code 1 if any clip failed or is unsolved."""
 
 
-def batch(settings: _BatchSettings, given: _OfFits, console: Console) -> Answer:
+def batch(settings: _BatchSettings, options: _FitOptions, console: Console) -> Answer:
     """Reconstruct many clips in parallel. The same command again goes on where it was stopped.
 
     A clip is done when its folder holds results of the same keypoints, camera and other files (by their content), the
@@ -78,21 +78,21 @@ def batch(settings: _BatchSettings, given: _OfFits, console: Console) -> Answer:
     was done. 130: stopped with Ctrl-C; what is done is kept.
     """
     clips, notes = find_clips(
-        settings.inputs, given, settings.config, settings.cameras_by, recursive=settings.recursive
+        settings.inputs, options, settings.config, settings.cameras_by, recursive=settings.recursive
     )
     for note in notes:
         say(console, note, "yellow")
     plan = plan_batch(clips, settings.out, settings.overwrite)
     if settings.dry_run:
-        return _only_looked(plan, input_problems(clips), settings.strict)
+        return _dry_run_answer(plan, input_problems(clips), settings.strict)
     shared = repeated(input_problems(clips, shared_only=True))  # be it each with a file of its own
     raise_problems(problem for problem, places in shared if len(places) == len(clips))
     left = sum(planned.action != "done" for planned in plan)
     if left < len(plan):
         are = "clip is" if len(plan) == 1 else "clips are"
         console.print(f"{len(plan) - left} of {len(plan)} {are} done already.")
-    how = settings.jobs, settings.retries, settings.scheduler
-    answer = shown_batch(console, left, lambda tell: run_batch(plan, settings.out, *how, tell), PAGE_OF_A_CLIP)
+    work_options = settings.jobs, settings.retries, settings.scheduler
+    answer = shown_batch(console, left, lambda tell: run_batch(plan, settings.out, *work_options, tell), PAGE_OF_A_CLIP)
     failed = any(row["status"] in ("failed", "unsolved") for row in answer.data["clips"])
     return replace(answer, code=int(settings.strict and failed))
 
@@ -100,12 +100,23 @@ def batch(settings: _BatchSettings, given: _OfFits, console: Console) -> Answer:
 PAGE_OF_A_CLIP = "recon report {out}/CLIP, a page of one clip; "
 
 
-def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary], of_a_clip: str = "") -> Answer:
-    """Do what tells of its events, and say how it goes, a line a clip and a bar on a terminal; how it went. left: how
-    many clips there are to do. of_a_clip: the command that is next for one of them, with {out} for the folder."""
+def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary], clip_command: str = "") -> Answer:
+    """Work, print a line a clip and a bar on a terminal meanwhile, and return the answer.
+
+    Parameters
+    ----------
+    console
+        Where it prints.
+    left
+        Number of clips to do.
+    work
+        Does the work, and calls the function that it is given at each event.
+    clip_command
+        Command that is next for one of the clips, with {out} for the folder.
+    """
     summaries: list[Summary] = []
     began, ended = time.monotonic(), 0
-    # Trouble is said even where nothing else is.
+    # Failures are printed even if nothing else is.
     errors = terminal(stderr=True, soft_wrap=True) if console.quiet or not console.is_terminal else console
     try:
         with progress_bar(console) as progress:
@@ -117,27 +128,27 @@ def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary],
                     progress(f"{ended}/{left} {event.name}: {event.stage}", ended / max(left, 1))
                     return
                 ended, row = ended + 1, so_far.rows[event.name]
-                where = errors if row["status"] == "failed" else console
-                say(where, Text(f"[{ended}/{left}] ").append_text(_row_text(row)))
+                target = errors if row["status"] == "failed" else console
+                say(target, Text(f"[{ended}/{left}] ").append_text(_row_text(row)))
 
             summary = work(tell)
     except KeyboardInterrupt:
         counts = summaries[0].counts() if summaries else {}
-        said = ", ".join(f"{n} {status}" for status, n in counts.items()) or "nothing was done"
-        stop(f"Stopped: {said}. What is done is kept: the same command again goes on from here.")
+        status_text = ", ".join(f"{n} {status}" for status, n in counts.items()) or "nothing was done"
+        stop(f"Stopped: {status_text}. What is done is kept: the same command again goes on from here.")
     counts = summary.counts()
     parts = [Text(f"{n} {level}", STYLES[level]) for level, n in reversed(summary.verdicts().items())]
     parts += [Text(f"{n} {status}", style) for status, n in counts.items() if (style := _STYLES.get(status))]
     seconds = time.monotonic() - began
-    said = Text.assemble(Text(", ").join(parts), f" in {seconds:.0f} s. Summary: {summary.path}")
-    out, lines = summary.path.parent, [said, f"Open {summary.path.with_name(SUMMARY_PAGE)} in a browser."]
+    status_text = Text.assemble(Text(", ").join(parts), f" in {seconds:.0f} s. Summary: {summary.path}")
+    out, lines = summary.path.parent, [status_text, f"Open {summary.path.with_name(SUMMARY_PAGE)} in a browser."]
     if summary.verdicts():
-        lines.append(f"Next: {of_a_clip.format(out=out)}recon compare {out} --out FOLDER, all of them.")
+        lines.append(f"Next: {clip_command.format(out=out)}recon compare {out} --out FOLDER, all of them.")
     return Answer({"summary": summary.path, "counts": counts, "clips": [*summary.rows.values()]}, lines)
 
 
-def _only_looked(plan: Sequence[ClipPlan], problems: Sequence[Problems], strict: bool) -> Answer:
-    """What would be done with each clip, and what inputs lack."""
+def _dry_run_answer(plan: Sequence[ClipPlan], problems: Sequence[Problems], strict: bool) -> Answer:
+    """Return what would be done with each clip, and what inputs lack."""
     rows: list[dict[str, Any]] = [
         {
             "clip": planned.clip.name,
@@ -146,40 +157,40 @@ def _only_looked(plan: Sequence[ClipPlan], problems: Sequence[Problems], strict:
             "camera": planned.clip.settings.camera_text,
             "fps": planned.clip.settings.fps,
             "out": str(planned.out),
-            "action": planned.action if planned.action == "done" or not found else CANNOT,
+            "action": planned.action if planned.action == "done" or not clip_problems else CANNOT,
             "reason": planned.reason,
-            "problems": [str(problem) for problem in found],
+            "problems": [str(problem) for problem in clip_problems],
         }
-        for planned, found in zip(plan, problems, strict=True)
+        for planned, clip_problems in zip(plan, problems, strict=True)
     ]
     cells = []
     for row in rows:
-        what = row["action"] + f" ({row['reason']})" * bool(row["reason"])
+        action_text = row["action"] + f" ({row['reason']})" * bool(row["reason"])
         camera = ", ".join(row["cameras"] or [Path(row["camera"]).name or "--hfov-deg"])
         fps = "the file's" if row["fps"] is None else f"{row['fps']:g}"
-        cells.append((row["clip"], camera, fps, row["out"], what))
+        cells.append((row["clip"], camera, fps, row["out"], action_text))
     lines: list[str | Text | Table] = [table_of("clip", "camera", "fps", "out", "what", rows=cells)]
     if len(rows) > 1 and len({(row["camera"], row["fps"]) for row in rows}) == 1:
-        other = "Where they differ, give a CSV table with columns keypoints, camera and fps instead."
-        lines.append(f"All clips have the same --camera and --fps. {other}")
+        advice = "Where they differ, give a CSV table with columns keypoints, camera and fps instead."
+        lines.append(f"All clips have the same --camera and --fps. {advice}")
     for problem, places in repeated(problems):
         names = ", ".join(rows[place]["clip"] for place in places[:NAMED])
-        more = "" if len(places) <= NAMED else f" and {len(places) - NAMED} more clips"
-        lines.append(Text.assemble((f"{names}{more}: ", "bold red"), str(problem)))
-    of = Counter(row["action"] for row in rows)
-    bad = f", {of[CANNOT]} that {CANNOT}" if of[CANNOT] else ""
-    said = f"{of['new']} new, {of['refit']} to fit again, {of['done']} done{bad}"
-    lines.append(f"{counted(len(rows), 'clip')}: {said}")
+        more_clips = "" if len(places) <= NAMED else f" and {len(places) - NAMED} more clips"
+        lines.append(Text.assemble((f"{names}{more_clips}: ", "bold red"), str(problem)))
+    counts = Counter(row["action"] for row in rows)
+    bad = f", {counts[CANNOT]} that {CANNOT}" if counts[CANNOT] else ""
+    count_text = f"{counts['new']} new, {counts['refit']} to fit again, {counts['done']} done{bad}"
+    lines.append(f"{counted(len(rows), 'clip')}: {count_text}")
     return Answer({"clips": rows}, lines, code=int(strict and any(problems)))
 
 
 def _row_text(row: Mapping[str, Any]) -> Text:
-    """One clip's end in a line."""
+    """Return the end of one clip in a line."""
     level = row["verdict"] or ""
     text = Text.assemble((row["status"], _STYLES.get(row["status"], "")), f"  {row['clip']}")
     if row["error"]:
         return text.append(f": {row['error']}")
     pose = "" if row["pose_mm"] is None else f", pose off by {row['pose_mm']:.0f} mm"
-    why = "" if row["reason"] in (None, NOTHING_AGAINST) else f": {row['reason']}"
+    reason = "" if row["reason"] in (None, NOTHING_AGAINST) else f": {row['reason']}"
     text.append("  ").append(level, STYLES.get(level, ""))
-    return text.append(f"{pose}, {row['frames']} frames, {row['seconds']:.1f} s{why}")
+    return text.append(f"{pose}, {row['frames']} frames, {row['seconds']:.1f} s{reason}")

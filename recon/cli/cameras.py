@@ -42,8 +42,8 @@ def calibrate(settings: CalibrationSettings, progress: Progress) -> Answer:
     errors = []
     if report["written"] is None:
         errors = [f"refused: {check['text']}" for check in report["checks"] if check["verdict"] == "refused"]
-        what = f"mend that, or say --force. What there is: {report['picture']}"
-        errors.append(f"{settings.out} was not written: {what}")
+        advice = f"mend that, or say --force. What there is: {report['picture']}"
+        errors.append(f"{settings.out} was not written: {advice}")
     data = json.dumps(report, indent=1) + "\n"  # the camera to the last digit
     return Answer(data, _calibration_lines(report), errors)
 
@@ -59,10 +59,10 @@ def _calibration_lines(report: dict[str, Any]) -> Iterator[str | Text | Table]:
         for view in pictures
     )
     yield table_of("picture", numbers=("corners", "error px", "worst px", "tilt", "distance m", ""), rows=rows)
-    looked = f"{report['board']}: found in {report['found']} of {report['examined']} pictures"
+    examined = f"{report['board']}: found in {report['found']} of {report['examined']} pictures"
     if report["found"] > len(pictures):
-        looked += f", the {len(pictures)} sharpest and most different were taken"
-    yield looked
+        examined += f", the {len(pictures)} sharpest and most different were taken"
+    yield examined
     if report["without_board"]:
         yield f"Not found in: {names_text(report['without_board'])}"
     yield ""
@@ -78,7 +78,7 @@ def _calibration_lines(report: dict[str, Any]) -> Iterator[str | Text | Table]:
         yield f"Written: {written}, and what it rests on: {report['picture']}"
 
 
-# -- where cameras stand -----------------------------------------------------------------------------------------------
+# -- poses of cameras -----------------------------------------------------------------------------------------------
 
 _SETTINGS = (
     *("camera", "camera_name", "camera_unit", "image_size_px", "tilt_deg", "refine_cameras", "offset_s"),
@@ -86,12 +86,12 @@ _SETTINGS = (
     *("skeleton", "subject", "detector", "prior", "individual", "rename", "frames", "likelihood_min", "sigma_px"),
     "keypoint_sigma_m",
 )
-"""The settings of a fit that are read."""
+"""Settings of a fit that are read."""
 _OfClips = Annotated[dict[str, Any], OptionsOf(FitSettings, _SETTINGS)]
 
 
 class _ExtrinsicsSettings(Settings):
-    """The settings of `recon calibrate extrinsics` beside those of the clips."""
+    """Settings of `recon calibrate extrinsics` besides those of the clips."""
 
     inputs: Annotated[OneOrMore[str], Option(argument="INPUT")]
     """Keypoint files, quoted patterns, folders, or manifests, as for recon batch."""
@@ -105,8 +105,8 @@ class _ExtrinsicsSettings(Settings):
     """Replace the file."""
 
 
-def extrinsics(settings: _ExtrinsicsSettings, given: _OfClips, progress: Progress, console: Console) -> Answer:
-    """Find where cameras stand, from their lenses and clips of the animal: one tells it roughly, several well.
+def extrinsics(settings: _ExtrinsicsSettings, options: _OfClips, progress: Progress, console: Console) -> Answer:
+    """Find the poses of cameras from their lenses and clips of the animal, the better the more clips there are.
 
     With --set refine-cameras=true, the poses in the camera file are taken for as good as 2 degrees and 5 cm, and are
     refined.
@@ -115,7 +115,7 @@ def extrinsics(settings: _ExtrinsicsSettings, given: _OfClips, progress: Progres
 
     Exit code 0: written. 2: the input cannot be used.
     """
-    clips, notes = clips_of(settings.inputs, given, settings.cameras_by)
+    clips, notes = clips_of(settings.inputs, options, settings.cameras_by)
     for note in notes:
         say(console, note, "yellow")
     level_rad = math.radians(settings.level_deg or 0.0)
@@ -125,22 +125,23 @@ def extrinsics(settings: _ExtrinsicsSettings, given: _OfClips, progress: Progres
 
 
 def lines_of(cameras: Sequence[Camera], report: Mapping[str, Any]) -> Iterator[str]:
-    """Where the cameras stand, and what there is to say of the clips."""
+    """Yield where the cameras are, and what the clips say of them."""
     first = cameras[0].centre_world
-    for camera, known in zip(cameras, report["cameras"], strict=True):
-        turn, shift = (float(np.linalg.norm(known[name])) for name in ("turn_sigma_rad", "shift_sigma_m"))
-        sure = f", known to {math.degrees(turn):.1f}° and {length_text(shift)}" if turn or shift else ""
-        height = length_text(camera.centre_world[2], known["height_sigma_m"])
-        yield f"{camera.name}: {height} high, {length_text(math.dist(camera.centre_world, first))} from the first{sure}"
+    for camera, camera_report in zip(cameras, report["cameras"], strict=True):
+        turn, shift = (float(np.linalg.norm(camera_report[name])) for name in ("turn_sigma_rad", "shift_sigma_m"))
+        uncertainty = f", known to {math.degrees(turn):.1f}° and {length_text(shift)}" if turn or shift else ""
+        height = length_text(camera.centre_world[2], camera_report["height_sigma_m"])
+        distance = length_text(math.dist(camera.centre_world, first))
+        yield f"{camera.name}: {height} high, {distance} from the first{uncertainty}"
     for clip in report["clips"]:
         if clip["found_offsets"]:
             names, offsets = [Path(path).name for path in clip["keypoints"]], clip["offset_s"]
-            both = ", ".join(f"{name} {s:+.4f} s" for name, s in zip(names[1:], offsets[1:], strict=True))
-            yield f"After {names[0]}: {both}"
-    apart = [clip["disagreement"] for clip in report["clips"]]
-    most = {camera.name: max(of[camera.name] for of in apart) for camera in cameras}
-    if len(apart) > 1 and max(most.values()) > DISAGREEMENT:
-        name = max(most, key=most.__getitem__)
+            offset_texts = ", ".join(f"{name} {s:+.4f} s" for name, s in zip(names[1:], offsets[1:], strict=True))
+            yield f"After {names[0]}: {offset_texts}"
+    disagreements = [clip["disagreement"] for clip in report["clips"]]
+    largest = {camera.name: max(by_camera[camera.name] for by_camera in disagreements) for camera in cameras}
+    if len(disagreements) > 1 and max(largest.values()) > DISAGREEMENT:
+        name = max(largest, key=largest.__getitem__)
         yield f"The clips disagree on where the cameras stand, most on {name}: was one moved between them?"
     if not report["converged"]:
         yield "The search had not settled when it was ended: more clips, of other ways through the view, tell more."
@@ -159,14 +160,14 @@ def camera_motion(settings: CameraMotionSettings, progress: Progress = silent) -
 
 
 def camera_motion_answer(settings: CameraMotionSettings, output: Output, progress: Progress = silent) -> Answer:
-    """Find how a camera turned, and write its files to an output."""
+    """Find how a camera turned, write its files to an output, and answer the command."""
     report = run_camera_motion(settings, output, progress)
     paths = [settings.out.with_name(name) for name in motion_files(settings.out)]
-    lost, keyframes = len(report["frames_without_background"]), counted(len(report["keyframes"]), "keyframe")
-    lines = [f"{report['frames'] - lost} of {report['frames']} frames placed, {keyframes}."]
-    lines += [f"Too little background in {counted(lost, 'frame')}: no pose there."] if lost else []
-    fit, known = f"{report['residual_px']:.2f} px", f"{report['sigma_deg']:.3f}°"
-    lines.append(f"The background fits to {fit}; the camera's direction is known to ±{known}.")
+    lost_count, keyframes = len(report["frames_without_background"]), counted(len(report["keyframes"]), "keyframe")
+    lines = [f"{report['frames'] - lost_count} of {report['frames']} frames placed, {keyframes}."]
+    lines += [f"Too little background in {counted(lost_count, 'frame')}: no pose there."] if lost_count else []
+    residual, sigma = f"{report['residual_px']:.2f} px", f"{report['sigma_deg']:.3f}°"
+    lines.append(f"The background fits to {residual}; the camera's direction is known to ±{sigma}.")
     notes = report["notes"][len(NOTES) :]
     lines += [f"Note: {note}." for note in notes]
     lines.append(f"Level: {report['level']}. A rolling shutter is not modelled.")
@@ -177,7 +178,7 @@ def camera_motion_answer(settings: CameraMotionSettings, output: Output, progres
 
 
 def camera_advice(settings: CameraAdviceSettings, progress: Progress) -> Answer:
-    """Where to put a camera, or two, so that an angle or a joint is seen and not guessed.
+    """Advise where to put a camera, or two, so that an angle or a joint is seen and not guessed.
 
     Example: recon camera-advice --skeleton cheetah-24 --angle front_trunk_yaw --out advice
     """

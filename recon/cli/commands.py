@@ -5,7 +5,7 @@ them:
 
     def view(settings: ViewSettings, progress: Progress) -> Answer:
 
-settings: of the class that is annotated. given: what was given of another class, for example those of every fit of a
+settings: of the class that is annotated. options: what was given of another class, for example those of every fit of a
 batch, as a dictionary by name (annotated with `OptionsOf`). console, progress: where it prints, and the progress bar's
 function. Its docstring is the help, and its answer is printed as --json and --quiet say.
 """
@@ -18,7 +18,7 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperCommand
@@ -27,11 +27,15 @@ from recon.base.errors import InputError, Problem, raise_problems
 from recon.base.settings import Option, SettingInfo, Settings, on_command_line, unknown_setting
 from recon.cli.answers import Answer, progress_bar, terminal
 
+if TYPE_CHECKING:
+    from typer._click.core import Context
+    from typer._click.formatting import HelpFormatter
+
 _JSON = typer.Option("--json", help="Print what there is to say as JSON.")
 _QUIET = typer.Option("--quiet", "-q", help="Print errors only.")
 HELP = {"help_option_names": ["-h", "--help"]}
 _RATES = ("framerate", "frame-rate")
-"""What others call --fps."""
+"""Names that other programs have for --fps."""
 _METHOD = "recon frame, which is the published method, or --set method=VALUE"
 """In place of --method."""
 _SET = "set_"
@@ -40,17 +44,19 @@ _SET = "set_"
 
 @dataclass(frozen=True)
 class OptionsOf:
-    """Settings of another class that a command takes too. names: which of them, all if empty; panel: the heading in
-    the help under which they stand."""
+    """Settings of another class that a command takes too."""
 
     settings: type[Settings]
     names: tuple[str, ...] = ()
+    """Names of the settings; all if empty."""
     panel: str | None = None
+    """Heading in the help under which they stand."""
     promoted: tuple[str, ...] = ()
     """Settings that are options of this command, though others set them with --set."""
 
     @property
     def infos(self) -> dict[str, SettingInfo]:
+        """Return the settings by name, with their heading."""
         infos = self.settings.infos()
         return {
             name: replace(infos[name], option=self._option(name, infos[name].option)) for name in self.names or infos
@@ -66,18 +72,24 @@ class SettingsCommand(TyperCommand):
     infos: dict[str, SettingInfo]
     """All settings by name, those of another class first."""
 
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: Context, args: list[str]) -> list[str]:
+        """Parse arguments; raise InputError for settings that are no options, with the way to give them."""
         rare = {info.on_command_line: info.field for info in self.infos.values() if not info.option.common}
-        meant = {written[6:]: (field, f"{written}=VALUE") for written, field in rare.items()}
-        if "method" in meant:
-            meant["method"] = meant["method"][0], _METHOD
-        meant |= dict.fromkeys(_RATES, ("fps", "--fps")) if "fps" in self.infos else {}
+        field_by_option = {written[6:]: (field, f"{written}=VALUE") for written, field in rare.items()}
+        if "method" in field_by_option:
+            field_by_option["method"] = field_by_option["method"][0], _METHOD
+        field_by_option |= dict.fromkeys(_RATES, ("fps", "--fps")) if "fps" in self.infos else {}
         options = (word.partition("=")[0] for word in args if word.startswith("--"))
-        wrong = {option: meant.get(option[2:].removeprefix("no-")) for option in options}
-        raise_problems(Problem(option, of[0], "no option of this name", of[1]) for option, of in wrong.items() if of)
+        misplaced = {option: field_by_option.get(option[2:].removeprefix("no-")) for option in options}
+        raise_problems(
+            Problem(option, field_and_text[0], "no option of this name", field_and_text[1])
+            for option, field_and_text in misplaced.items()
+            if field_and_text
+        )
         return super().parse_args(ctx, args)
 
-    def format_help(self, ctx: Any, formatter: Any) -> None:
+    def format_help(self, ctx: Context, formatter: HelpFormatter) -> None:
+        """Write the help, which marks settings that have to be given."""
         for parameter in self.params:  # the parser never asks for what must be given, the help says it
             info = self.infos.get(str(parameter.name))
             parameter.required = info is not None and info.default is MISSING
@@ -85,32 +97,32 @@ class SettingsCommand(TyperCommand):
 
 
 def make_command(name: str, function: Callable[..., Answer]) -> SettingsCommand:
-    """The command of a function, see the text of the module."""
+    """Return the command of a function, as the module's text says."""
     takes = typing.get_type_hints(function, include_extras=True)
-    own: dict[str, SettingInfo] = takes["settings"].infos() if "settings" in takes else {}
-    of_others = takes["given"].__metadata__[0].infos if "given" in takes else {}
-    infos = of_others | own
-    parameters = [_parameter(info, name in of_others) for name, info in infos.items() if info.option.common]
+    own_infos: dict[str, SettingInfo] = takes["settings"].infos() if "settings" in takes else {}
+    other_infos = takes["options"].__metadata__[0].infos if "options" in takes else {}
+    infos = other_infos | own_infos
+    parameters = [_parameter(info, name in other_infos) for name, info in infos.items() if info.option.common]
     if len(parameters) < len(infos):
-        help = "Another setting, as in sigma-px=2, also several times. Listed by: recon settings"
-        parameters.append(_keyword(_SET, list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help=help)))
+        help_text = "Another setting, as in sigma-px=2, also several times. Listed by: recon settings"
+        parameters.append(_keyword(_SET, list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help=help_text)))
     parameters += [_keyword("as_json", bool, _JSON, False), _keyword("quiet", bool, _QUIET, False)]
 
     def call(as_json: bool, quiet: bool, **arguments: Any) -> None:
-        """Raises InputError with everything that is wrong with the command's own settings."""
+        """Run the function. Raises InputError with everything that is wrong with the command's own settings."""
         console = terminal(quiet=quiet, stderr=as_json)
-        more: dict[str, Any] = {"console": console} if "console" in takes else {}
+        keywords: dict[str, Any] = {"console": console} if "console" in takes else {}
         values = _values_of_set(arguments.pop(_SET, None) or [], infos)
         values |= {name: value for name, value in arguments.items() if value not in (None, [])}
-        if "given" in takes:
-            more["given"] = {name: value for name, value in values.items() if name not in own}
+        if "options" in takes:
+            keywords["options"] = {name: value for name, value in values.items() if name not in own_infos}
         if "settings" in takes:
             try:
-                more["settings"] = takes["settings"](**{name: values[name] for name in own if name in values})
+                keywords["settings"] = takes["settings"](**{name: values[name] for name in own_infos if name in values})
             except InputError as error:
-                raise InputError(on_command_line(problem, own) for problem in error.problems) from None
+                raise InputError(on_command_line(problem, own_infos) for problem in error.problems) from None
         with progress_bar(terminal(quiet=quiet, stderr=True)) if "progress" in takes else nullcontext() as progress:
-            answer = function(**more, **({"progress": progress} if progress else {}))
+            answer = function(**keywords, **({"progress": progress} if progress else {}))
         answer.show(console, as_json)
 
     call.__dict__["__signature__"] = inspect.Signature(parameters)
@@ -124,8 +136,8 @@ def make_command(name: str, function: Callable[..., Answer]) -> SettingsCommand:
 
 
 def _values_of_set(texts: list[str], infos: dict[str, SettingInfo]) -> dict[str, Any]:
-    """The values of --set. Raises InputError for those that are none."""
-    found: dict[str, Any] = {}
+    """Return the values of --set. Raises InputError for texts that are none."""
+    values: dict[str, Any] = {}
     problems = []
     for text in texts:
         name, equals, value = text.partition("=")
@@ -135,34 +147,38 @@ def _values_of_set(texts: list[str], infos: dict[str, SettingInfo]) -> dict[str,
         elif name not in infos:
             problems.append(unknown_setting("--set", name, infos))
         elif infos[name].is_many:
-            found.setdefault(name, []).append(value)
+            values.setdefault(name, []).append(value)
         else:
-            found[name] = value
+            values[name] = value
     raise_problems(problems)
-    return found
+    return values
 
 
-def _keyword(name: str, kind: Any, info: Any, default: Any = None) -> inspect.Parameter:
+def _keyword(name: str, kind: object, info: object, default: object = None) -> inspect.Parameter:
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, info])
 
 
 def _parameter(info: SettingInfo, overrules: bool) -> inspect.Parameter:
-    """An option or argument of typer's. Its value is text, or a path, which the settings check. overrules: whether it
-    may take back what a file says."""
+    """Return an option or argument as typer takes it. Its value is text, or a path, which the settings check.
+
+    overrules: whether it may take back what a file says.
+    """
     option, default = info.option, None if info.default is MISSING else info.default
-    kind: Any = bool if info.is_flag else Path if Path in info.parts else str
-    help = option.help
+    kind = bool if info.is_flag else Path if Path in info.parts else str
+    help_text = option.help
     if default not in (None, "", ()) and not info.is_flag:
-        help += f" (default: {default:g})" if info.is_number else f" (default: {default})"
+        help_text += f" (default: {default:g})" if info.is_number else f" (default: {default})"
     metavar = option.metavar or ("<number>" if info.is_number else "|".join(info.choices)) or None
-    more: dict[str, Any] = {"help": help, "show_default": False}
+    keywords: dict[str, Any] = {"help": help_text, "show_default": False}
     if info.choices:
-        more["autocompletion"] = lambda incomplete: [one for one in info.choices if one.startswith(incomplete)]
+        keywords["autocompletion"] = lambda incomplete: [
+            choice for choice in info.choices if choice.startswith(incomplete)
+        ]
     if option.argument:
-        typer_info = typer.Argument(metavar=option.argument, **more)
+        typer_info = typer.Argument(metavar=option.argument, **keywords)
     else:
         flag = info.on_command_line
         if info.is_flag and (default is not False or overrules):
             flag = f"{flag}/--no-{flag[2:]}"
-        typer_info = typer.Option(flag, metavar=metavar, rich_help_panel=option.panel, **more)
+        typer_info = typer.Option(flag, metavar=metavar, rich_help_panel=option.panel, **keywords)
     return _keyword(info.field, list[kind] | None if info.is_many else kind | None, typer_info)

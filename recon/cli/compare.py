@@ -16,7 +16,7 @@ from recon.cli.answers import Answer, table_of
 
 
 def compare(settings: CompareSettings, progress: Progress) -> Answer:
-    """Strides and speeds of several clips, by group: each with its uncertainty, and the groups' means and spreads.
+    """Compare strides and speeds of several clips by group: each with its uncertainty, the groups' means and spreads.
 
     Example: recon compare results/a results/b results/c --table animals.csv --by sex --out comparison
     """
@@ -28,24 +28,27 @@ def compare(settings: CompareSettings, progress: Progress) -> Answer:
 
 def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str | Table]:
     levels = clips["verdict"].value_counts()
-    yield f"{counted(len(clips), 'clip')}: " + ", ".join(f"{n} {level}" for level, n in levels.items())
+    yield f"{counted(len(clips), 'clip')}: " + ", ".join(f"{count} {level}" for level, count in levels.items())
     known = clips.groupby("group")[[*QUANTITIES]].count()
     rows = (
         (
-            *map(str, (fill(row["group"], 20), QUANTITIES[q][0], known.loc[row["group"], q], row["strides"])),
-            *_cells(row[q], row[f"{q}_sigma"], row[f"{q}_spread"]),
+            *map(
+                str,
+                (fill(row["group"], 20), QUANTITIES[quantity][0], known.loc[row["group"], quantity], row["strides"]),
+            ),
+            *_cells(row[quantity], row[f"{quantity}_sigma"], row[f"{quantity}_spread"]),
         )
         for row in groups.to_dict("records")
-        for q in QUANTITIES
+        for quantity in QUANTITIES
     )
     yield table_of("group", "quantity", numbers=("clips", "strides", "mean", "±", "spread"), rows=rows)
     yield "±: one standard deviation of the mean, with the size's; spread: one standard deviation between the clips."
-    if missing := [QUANTITIES[q][0] for q in QUANTITIES if q not in known_quantities(clips)]:
-        none = "No clip has a complete stride: no" if not groups["strides"].sum() else "No clip has a known"
-        yield f"{none} {', '.join(missing)}."
+    if missing := [QUANTITIES[quantity][0] for quantity in QUANTITIES if quantity not in known_quantities(clips)]:
+        reason = "No clip has a complete stride: no" if not groups["strides"].sum() else "No clip has a known"
+        yield f"{reason} {', '.join(missing)}."
     yield f"Rows by stride, clip and group (CSV and Parquet), and {FIGURE}, are in {out}."
 
 
 def _cells(mean: float, sigma: float, spread: float) -> tuple[str, ...]:
     shown = f"{mean:.3g}", f"{sigma:.2g}", f"{spread:.2g}"
-    return tuple("-" if one == "nan" else one for one in shown)
+    return tuple("-" if text == "nan" else text for text in shown)

@@ -28,7 +28,7 @@ ROBOT_FILE = "robot.npz"
 
 
 class ConvertSettings(Settings):
-    """The settings of `recon convert`."""
+    """Settings of `recon convert`."""
 
     source: Annotated[Path | None, Option(argument="IN")] = None
     """File, or folder of results, as in results/clip."""
@@ -71,16 +71,16 @@ def convert(settings: ConvertSettings) -> Answer:
         return Answer([by_name(names, row) for row in rows], [table_of(*names, rows=rows), first])
     source, out = settings.source, settings.out
     if source is None or out is None:
-        found = "nothing" if source is None else "one file"
-        raise InputError(Problem("recon convert", "files", found, "IN and OUT, as in recon convert clip.csv clip.nc"))
+        actual = "nothing" if source is None else "one file"
+        raise InputError(Problem("recon convert", "files", actual, "IN and OUT, as in recon convert clip.csv clip.nc"))
     made_from = ReadResults.read(source) if source.is_dir() else None
     output = output_file(out, "convert", settings.overwrite, input_paths(settings), made_from, "OUT")
     if (source / ROBOT_FILE).is_file():
         name = choose_format(out, settings.to, _robot_formats()).name
         from recon.robotics.retarget_clip import convert as convert_robot
 
-        said = convert_robot(source, out, name, settings.fps, output)
-        return Answer({"out": out, "format": name}, [said])
+        robot_note = convert_robot(source, out, name, settings.fps, output)
+        return Answer({"out": out, "format": name}, [robot_note])
     (data, motion), target, _ = collect_problems(
         lambda: read_any(source, settings),
         lambda: choose_format(out, settings.to),
@@ -89,11 +89,11 @@ def convert(settings: ConvertSettings) -> Answer:
     notes, content, wanted = data.notes, "2D keypoints" if isinstance(data, Keypoints) else "3D positions", ""
     written: Any = data
     if "bones" in target.writes and motion is not None:
-        beside = [out.with_suffix(extension) for extension in target.companions]
-        output.require([path.name for path in beside])
+        companions = [out.with_suffix(extension) for extension in target.companions]
+        output.require([path.name for path in companions])
         written = rig_of(motion, data.fps, settings.body_mass_kg)
         data, notes = written.pose, notes + written.notes
-        notes += (f"Beside it: {', '.join(map(str, beside))}.",) if beside else ()
+        notes += (f"Beside it: {', '.join(map(str, companions))}.",) if companions else ()
     elif "bones" in target.writes:
         wanted = f"a folder of results of recon fit: {target.title} has bones, which turn"
     elif isinstance(data, Keypoints):
@@ -110,16 +110,18 @@ def convert(settings: ConvertSettings) -> Answer:
         raise InputError(Problem(source, "content", content, wanted))
     with output.staged_file() as staged:
         target.write(written, staged)
-    what = f"{len(data.names)} keypoints, 2D" if isinstance(data, Keypoints) else f"{len(data.names)} joints, 3D"
+    content_text = (
+        f"{len(data.names)} keypoints, 2D" if isinstance(data, Keypoints) else f"{len(data.names)} joints, 3D"
+    )
     frames = f"frames {data.frames[0]} to {data.frames[-1]} ({len(data.frames)})"
     fps = "frame rate not known" if data.fps is None else f"{data.fps:g} frames per second"
-    lines = [*notes, f"{out}: {target.title}, {what}, {frames}, {fps}"]
+    lines = [*notes, f"{out}: {target.title}, {content_text}, {frames}, {fps}"]
     verdict = {} if motion is None else {"verdict": verdict_fields(motion)}
     return Answer({"out": out, "format": target.name, "notes": notes} | verdict, lines)
 
 
 def read_any(source: Path, settings: ConvertSettings) -> tuple[Keypoints | Pose3D, Motion | None]:
-    """2D keypoints or 3D positions, whichever the source holds, and the motion of results. Raises InputError."""
+    """Return 2D keypoints or 3D positions, whichever the source holds, and the motion of results. Raises InputError."""
     motion = None
     if source.is_dir() and ((source / "report.json").is_file() or not any(source.glob("[!.]*.json"))):
         motion = usable(Motion.load(source), source, settings.anyway)
@@ -127,9 +129,9 @@ def read_any(source: Path, settings: ConvertSettings) -> tuple[Keypoints | Pose3
         _require_none(settings, ("individual", "columns", "unit", "up"), source, "results of recon fit")
     else:
         by = None if settings.columns is None else parse_map(settings.columns)
-        found, stored = read_points(source, settings.individual, by=by, fps=settings.fps)
+        points, stored = read_points(source, settings.individual, by=by, fps=settings.fps)
         if stored.in_space:
-            data = in_metres(source, found, stored, settings.unit, settings.up)
+            data = in_metres(source, points, stored, settings.unit, settings.up)
         else:
             data = as_keypoints(source, stored)
             _require_none(settings, ("unit", "up"), source, "2D keypoints")
@@ -146,38 +148,40 @@ def read_any(source: Path, settings: ConvertSettings) -> tuple[Keypoints | Pose3
 
 
 def _require_none(settings: ConvertSettings, names: Sequence[str], source: Path, content: str) -> None:
-    """Raises InputError for options that say nothing about such content."""
-    given = [f"--{name}" for name in names if getattr(settings, name) is not None]
-    raise_problems([Problem(option, "IN", f"{content}, {source}", "to be left out") for option in given])
+    """Raise InputError for options that say nothing about such content."""
+    options = [f"--{name}" for name in names if getattr(settings, name) is not None]
+    raise_problems([Problem(option, "IN", f"{content}, {source}", "to be left out") for option in options])
 
 
 def _pose_of(motion: Motion) -> Pose3D:
-    """The joints of a fit, upright, with their frame rate and limbs."""
+    """Return the joints of a fit, upright, with their frame rate and limbs."""
     notes = verdict_lines(motion.verdict)
     if not motion.knows_up:
         notes += ("Positions are in the level frame, z up: the camera file does not say where the camera is.",)
-    flags = tuple(", ".join(some) for some in motion.flags)
+    flags = tuple(", ".join(frame_flags) for frame_flags in motion.flags)
     return replace(motion.upright, notes=notes, sigma_m=motion.upright_sigma_m, flags=flags)
 
 
 def _robot_formats() -> tuple[Format, ...]:
     from recon.robotics.retarget_clip import FORMATS
 
-    own = {"writes": ("robot",), "fps": "kept", "frames": "from 0", "axes": "m, z up"}
-    return tuple(Format(name, name, (Path(file).suffix,), **own) for name, (file, _) in FORMATS.items())
+    description = {"writes": ("robot",), "fps": "kept", "frames": "from 0", "axes": "m, z up"}
+    return tuple(Format(name, name, (Path(file).suffix,), **description) for name, (file, _) in FORMATS.items())
 
 
 def choose_format(out: Path, name: str | None, formats: Sequence[Format] = CONVERTED) -> Format:
-    """What to write, by the name of a format, if given, and the file's extension. Raises InputError for names and
-    extensions that are not there."""
+    """Return the format to write, by its name if given, and the file's extension.
+
+    Raises InputError for unknown names and extensions.
+    """
     names = tuple(dict.fromkeys(f.name for f in formats))
     if name is not None and name not in names:
-        of_robots = name in [f.name for f in _robot_formats()]
-        wanted = "IN to be a folder that `recon retarget` wrote" if of_robots else f"one of: {', '.join(names)}"
+        is_robot_format = name in [f.name for f in _robot_formats()]
+        wanted = "IN to be a folder that `recon retarget` wrote" if is_robot_format else f"one of: {', '.join(names)}"
         raise InputError(Problem("--to", "format", f"'{name}'", wanted))
     named = [f for f in formats if name in (None, f.name)]
-    found = next((f for f in named if out.suffix.lower() in f.suffixes), None)
-    if found is None:
+    chosen = next((f for f in named if out.suffix.lower() in f.suffixes), None)
+    if chosen is None:
         expected = ", ".join(dict.fromkeys(s for f in named for s in f.suffixes))
         raise InputError(Problem(out, "extension", f"'{out.suffix}'", f"one of: {expected}"))
-    return found
+    return chosen

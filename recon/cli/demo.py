@@ -21,7 +21,7 @@ from recon.show.sentences import result_sentences
 
 
 class _DemoSettings(Settings):
-    """The settings of `recon demo`."""
+    """Settings of `recon demo`."""
 
     out: Path = Path("demo-output")
     """Folder for the results."""
@@ -35,12 +35,12 @@ def demo(settings: _DemoSettings, progress: Progress) -> Answer:
     Example: recon demo --out demo-output
     """
     samples, out = samples_folder(), settings.out
-    of_sample = FitSettings(keypoints=(samples / "whole.csv",), camera=(samples / "camera.toml",), fps=60)
+    settings_of_sample = FitSettings(keypoints=(samples / "whole.csv",), camera=(samples / "camera.toml",), fps=60)
     Output(out, "report", True).require((PAGE,))
-    of_fit = run_clip(of_sample, out, settings.overwrite, progress)
+    fit_report = run_clip(settings_of_sample, out, settings.overwrite, progress)
     page = report(PageSettings(folder=out), progress).data["page"]
     mpjpe_mm = 1000 * evaluate_files(out / "pose3d.csv", samples / "whole_truth.csv").mpjpe_m.mean
-    answer, found = answer_of_fit(of_fit, out, page, mpjpe_mm=mpjpe_mm), ClipAnalysis(Motion.load(out))
+    answer, analysis = answer_of_fit(fit_report, out, page, mpjpe_mm=mpjpe_mm), ClipAnalysis(Motion.load(out))
     error = f"Error against the sample's truth: {mpjpe_mm:.0f} mm (MPJPE); what is expected is fitted to real clips"
-    said = result_sentences(found.motion, found.reference_motion, found.gait, found.why_no_speed)
-    return replace(answer, lines=[*answer.lines, error, *said])
+    sentences = result_sentences(analysis.motion, analysis.reference_motion, analysis.gait, analysis.why_no_speed)
+    return replace(answer, lines=[*answer.lines, error, *sentences])

@@ -1,4 +1,4 @@
-"""`recon doctor`: what a machine offers to recon: versions, optional parts, the viewer, and a fit of the sample."""
+"""Check what a machine offers to recon: versions, optional parts, the viewer, and a fit of the sample."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -32,27 +32,31 @@ EXTRAS = {
     "robots": "robots from URDF and MJCF files: ",
     "docs": "building this documentation: ",
 }
-"""Extras that a user may want, with what they are for."""
+"""Purpose of the extras that a user may want."""
 MODULES = {"opencv-python-headless": "cv2", "rerun-sdk": "rerun", "pytables": "tables"}
 """Modules of distributions that others may stand in for: opencv-python, or a build of one's own."""
 STYLES = {"ok": "green", "absent": "", "note": "yellow", "broken": "bold red"}
 SELF_TEST_MPJPE_MM = 100
-"""The sample is fitted to about half of this: more is a solver that does not work here."""
+"""Largest error of the sample, twice the usual one: above it the solver does not work here."""
 SELF_TEST_S = 300.0
 _MODULE = "import sys; from recon.cli.app import main; sys.exit(main())"
 
 
 @dataclass(frozen=True)
 class _Check:
-    """Something that was looked at."""
+    """A part of the installation that was checked."""
 
     name: str
     status: Literal["ok", "absent", "note", "broken"]
     """ok; absent: optional, and not there; note: works, with a limit; broken: recon cannot work here."""
-    found: str
-    """What was found, in words."""
+    state: str
+    """State that was found, in words."""
     hint: str = ""
-    """What to do unless the status is ok."""
+    """Advice unless the status is ok."""
+
+    def to_dict(self) -> dict[str, str]:
+        """Return the fields as --json has them."""
+        return {"name": self.name, "status": self.status, "found": self.state, "hint": self.hint}
 
 
 def doctor(progress: Progress) -> Answer:
@@ -65,15 +69,15 @@ def doctor(progress: Progress) -> Answer:
     checks, table = run_doctor(progress), Table.grid(padding=(0, 2))
     broken = [check.name for check in checks if check.status == "broken"]
     for check in checks:
-        found = check.found + (f"\n{check.hint}" if check.status != "ok" else "")
-        table.add_row(check.name, Text(check.status, STYLES[check.status]), Text(found, overflow="fold"))
-    data = {"ok": not broken, "checks": [asdict(check) for check in checks]}
-    said = f"Broken: {', '.join(broken)}" if broken else "recon works here."
-    return Answer(json.dumps(data, indent=1) + "\n", [table, said], code=int(bool(broken)))
+        state = check.state + (f"\n{check.hint}" if check.status != "ok" else "")
+        table.add_row(check.name, Text(check.status, STYLES[check.status]), Text(state, overflow="fold"))
+    data = {"ok": not broken, "checks": [check.to_dict() for check in checks]}
+    conclusion = f"Broken: {', '.join(broken)}" if broken else "recon works here."
+    return Answer(json.dumps(data, indent=1) + "\n", [table, conclusion], code=int(bool(broken)))
 
 
 def run_doctor(progress: Progress = silent) -> tuple[_Check, ...]:
-    """Every check; none of them raises for what it finds."""
+    """Return every check; none of them raises for a problem."""
     checks: list[_Check] = []
     for i, look in enumerate((versions, packages, viewer, self_test)):
         progress(look.__name__, i / 4)
@@ -85,55 +89,72 @@ def run_doctor(progress: Progress = silent) -> tuple[_Check, ...]:
 
 
 def versions() -> Iterator[_Check]:
-    """The versions of recon and of Python."""
+    """Check the versions of recon and of Python."""
     yield _Check("recon", "ok", f"{version()}, in {Path(__file__).parents[1]}")
     with suppress(metadata.PackageNotFoundError):  # the last that was installed has its files over the other's
-        found = f"the package recon {metadata.version('recon')} is here too, whose files have the same names"
+        state = f"the package recon {metadata.version('recon')} is here too, whose files have the same names"
         hint = f"{pip_command()} uninstall recon {DISTRIBUTION}, and install {DISTRIBUTION} again"
-        yield _Check("another recon", "broken", found, hint)
+        yield _Check("another recon", "broken", state, hint)
     yield _Check("python", "ok", f"{platform.python_version()}, {platform.system()} {platform.machine()}")
 
 
 def packages(requires: Sequence[str] | None = None) -> Iterator[_Check]:
-    """What recon cannot do without, and each extra that the distribution has and a user may want. requires: as in the
-    distribution's metadata."""
+    """Check the packages that recon needs, and each extra that the distribution has and a user may want.
+
+    requires: requirements as in the distribution's metadata.
+    """
     from packaging.requirements import Requirement  # matplotlib has it
 
     lines = (metadata.requires(DISTRIBUTION) or ()) if requires is None else requires
-    for extra, what in {"": "", **EXTRAS}.items():
-        of_extra = [one for one in map(Requirement, lines) if ("extra" in str(one.marker or "")) == bool(extra)]
-        wanted = [one for one in of_extra if one.marker is None or one.marker.evaluate({"extra": extra})]
-        states = {one: _installed(one.name, one.specifier) for one in wanted}
-        lacking = {one: lack for one, (lack, _) in states.items() if lack}
-        shown = lacking or {one: there for one, (_, there) in states.items()}
-        found = what + ", ".join(f"{one.name} {state}" for one, state in shown.items())
+    for extra, purpose in {"": "", **EXTRAS}.items():
+        of_extra = [
+            requirement
+            for requirement in map(Requirement, lines)
+            if ("extra" in str(requirement.marker or "")) == bool(extra)
+        ]
+        wanted = [
+            requirement
+            for requirement in of_extra
+            if requirement.marker is None or requirement.marker.evaluate({"extra": extra})
+        ]
+        states = {requirement: _installed(requirement.name, requirement.specifier) for requirement in wanted}
+        missing = {requirement: problem for requirement, (problem, _) in states.items() if problem}
+        shown = missing or {requirement: installed for requirement, (_, installed) in states.items()}
+        state = purpose + ", ".join(f"{requirement.name} {state}" for requirement, state in shown.items())
         if not extra:
-            hint = f"{pip_command()} install " + " ".join(quoted(f"{one.name}{one.specifier}") for one in lacking)
-            yield _Check("packages", "broken" if lacking else "ok", found, hint)
+            hint = f"{pip_command()} install " + " ".join(
+                quoted(f"{requirement.name}{requirement.specifier}") for requirement in missing
+            )
+            yield _Check("packages", "broken" if missing else "ok", state, hint)
         elif wanted:
-            yield _Check(extra, "absent" if lacking else "ok", found, install_command(extra))
+            yield _Check(extra, "absent" if missing else "ok", state, install_command(extra))
 
 
 def _installed(name: str, specifier: SpecifierSet) -> tuple[str, str]:
-    """What is wrong with a requirement, or nothing; and its version, or another distribution's with its module."""
+    """Return the problem of a requirement, empty for none, and its version.
+
+    The version may be that of another distribution with its module.
+    """
     try:
-        found = metadata.version(name)
+        installed_version = metadata.version(name)
     except metadata.PackageNotFoundError:
-        others = metadata.packages_distributions().get(MODULES.get(name, name.replace("-", "_")))
-        if not others:
+        distributions = metadata.packages_distributions().get(MODULES.get(name, name.replace("-", "_")))
+        if not distributions:
             return "not installed", ""
-        found = metadata.version(others[0])
-    return ("" if specifier.contains(found, prereleases=True) else f"{found}, not {specifier}"), found
+        installed_version = metadata.version(distributions[0])
+    return (
+        "" if specifier.contains(installed_version, prereleases=True) else f"{installed_version}, not {specifier}"
+    ), installed_version
 
 
 # -- the machine --------------------------------------------------------------------------------------------------
 
 
 def viewer(command: Sequence[str] = (sys.executable, "-m", "rerun")) -> Iterator[_Check]:
-    """The program that `recon view` starts, and whether it has a display."""
-    code, said = _run([*command, "--version"], 60.0)
-    found = said if code else " ".join(said.split()[:2])
-    yield _Check("viewer", "broken" if code else "ok", found, f"{pip_command()} install --force-reinstall rerun-sdk")
+    """Check the program that `recon view` starts, and whether it has a display."""
+    code, output = _output_of([*command, "--version"], 60.0)
+    state = output if code else " ".join(output.split()[:2])
+    yield _Check("viewer", "broken" if code else "ok", state, f"{pip_command()} install --force-reinstall rerun-sdk")
     if sys.platform in ("win32", "darwin") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
         yield _Check("display", "ok", "there is one")
     else:
@@ -142,37 +163,39 @@ def viewer(command: Sequence[str] = (sys.executable, "-m", "rerun")) -> Iterator
 
 
 def self_test() -> Iterator[_Check]:
-    """`recon demo` in a process of its own, so that a library that crashes is found and survived."""
+    """Run `recon demo` in a process of its own, so that a library that crashes is found and survived."""
     name = "fit of the sample"
     try:
         with tempfile.TemporaryDirectory() as folder:
             arguments = ["demo", "--out", str(Path(folder) / "demo"), "--json", "--quiet"]
-            code, said = _run([sys.executable, "-c", _MODULE, *arguments], SELF_TEST_S)
+            code, output = _output_of([sys.executable, "-c", _MODULE, *arguments], SELF_TEST_S)
     except OSError as error:
         hint = "free some space, or set TMPDIR to a folder that can be written to"
         yield _Check("temporary files", "broken", f"{error.filename}: {error.strerror}", hint)
         return
     if code:
-        yield _Check(name, "broken", said, "recon demo shows all of it")
+        yield _Check(name, "broken", output, "recon demo shows all of it")
         return
-    shown = json.loads(said)
+    shown = json.loads(output)
     frames, posed, error_mm = shown["summary"]["frames"], shown["summary"]["frames_with_pose"], shown["mpjpe_mm"]
-    found = f"{posed} of {frames} frames in {shown['seconds']:.1f} s, {error_mm:.0f} mm from the truth (MPJPE)"
-    well = error_mm <= SELF_TEST_MPJPE_MM and posed == frames
-    hint = "" if well else f"{SELF_TEST_MPJPE_MM} mm is the most: reinstall numpy and scipy, or report it"
-    yield _Check(name, "ok" if well else "broken", found, hint)
+    state = f"{posed} of {frames} frames in {shown['seconds']:.1f} s, {error_mm:.0f} mm from the truth (MPJPE)"
+    is_sound = error_mm <= SELF_TEST_MPJPE_MM and posed == frames
+    hint = "" if is_sound else f"{SELF_TEST_MPJPE_MM} mm is the most: reinstall numpy and scipy, or report it"
+    yield _Check(name, "ok" if is_sound else "broken", state, hint)
 
 
-def _run(command: Sequence[str], timeout_s: float) -> tuple[int, str]:
-    """A program's exit code, and what it printed, or of one that failed the last line; also for a program that is not
-    there, or does not end."""
+def _output_of(command: Sequence[str], timeout_s: float) -> tuple[int, str]:
+    """Return a program's exit code and output; of one that failed the last line.
+
+    A program that does not exist, or does not end, has failed.
+    """
     try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=timeout_s)
+        ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=timeout_s)
     except subprocess.TimeoutExpired:
         return 1, f"did not end within {timeout_s:.0f} s"
     except OSError as error:
         return 1, f"{command[0]}: {error.strerror or error}"
-    if done.returncode <= 0:
-        return done.returncode, done.stdout if done.returncode == 0 else f"ended by signal {-done.returncode}"
-    said = (done.stderr.strip() or done.stdout.strip()).splitlines()
-    return done.returncode, said[-1] if said else f"exit code {done.returncode}"
+    if ended.returncode <= 0:
+        return ended.returncode, ended.stdout if ended.returncode == 0 else f"ended by signal {-ended.returncode}"
+    output_lines = (ended.stderr.strip() or ended.stdout.strip()).splitlines()
+    return ended.returncode, output_lines[-1] if output_lines else f"exit code {ended.returncode}"

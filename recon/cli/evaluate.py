@@ -17,7 +17,7 @@ from recon.gait.evaluation import LEVELS, Evaluation, evaluate_files
 
 
 class _EvaluateSettings(Settings):
-    """The settings of `recon evaluate`."""
+    """Settings of `recon evaluate`."""
 
     pose3d: Annotated[Path, Option(argument="POSE3D")]
     """Results of recon fit, or a file of 3D positions, as pose3d.csv (m)."""
@@ -37,26 +37,28 @@ def evaluate(settings: _EvaluateSettings) -> Answer:
 
     Example: recon evaluate results/clip truth.csv
     """
-    given = settings.anyway, settings.unit, settings.up, settings.rename
-    result = evaluate_files(settings.pose3d, settings.truth, *given)
+    options = settings.anyway, settings.unit, settings.up, settings.rename
+    result = evaluate_files(settings.pose3d, settings.truth, *options)
     against = f"{result.pose} against the reference {result.truth}"
     notes = [*_table_notes(result), *(f"Look at this: {note}" for note in result.notes)]
     return Answer(result.to_dict(), [*verdict_texts(result.verdict), against, _table(result), *notes])
 
 
 def _table(result: Evaluation) -> Table:
-    """Errors in millimetres and shares of good points, over all and by joint."""
+    """Return the errors in millimetres and shares of good points, over all and by joint."""
     scores, shares = (result.mpjpe_m, result.mpe_m, result.scale_mpjpe_m, result.pa_mpjpe_m), dict(result.pck)
 
-    def row(name: str, of: Callable[[Any], float]) -> list[str]:
-        cells = [f"{1000 * of(one):.1f}" for one in scores] + [percent(of(one)) for one in shares.values()]
+    def row(name: str, value_of: Callable[[Any], float]) -> list[str]:
+        cells = [f"{1000 * value_of(error):.1f}" for error in scores] + [
+            f"{percent(value_of(error))}" for error in shares.values()
+        ]
         return [name, *(cell.replace("nan %", "-").replace("nan", "-") for cell in cells)]
 
     numbers = ("MPJPE", "MPE", "scaled", "PA", *(f"PCK {1000 * t:g}" for t in shares))
-    table = table_of("errors in mm", numbers=numbers, rows=[row("all", lambda one: one.mean)])
+    table = table_of("errors in mm", numbers=numbers, rows=[row("all", lambda error: error.mean)])
     table.add_section()
     for j, name in enumerate(result.names):
-        table.add_row(*map(Text, row(name, lambda one, j=j: one.per_joint[j])))
+        table.add_row(*map(Text, row(name, lambda error, j=j: error.per_joint[j])))
     return table
 
 
@@ -66,21 +68,23 @@ def _table_notes(result: Evaluation) -> Iterator[str]:
     yield "MPE     without centring"
     yield "scaled  centred, and scaled to the size of the reference"
     yield "PA      centred, scaled and turned onto the reference"
-    off = f"the mean of the joints is off by {1000 * result.position_m:.1f} mm"
-    yield f"Position: {off}. A verdict's position is an estimate of this, its pose one of MPJPE."
+    offset_text = f"the mean of the joints is off by {1000 * result.position_m:.1f} mm"
+    yield f"Position: {offset_text}. A verdict's position is an estimate of this, its pose one of MPJPE."
     yield f"PCK     share of the joints within {thresholds} mm, centred"
-    for what, shares in result.inside.items():
-        stated, held = (" and ".join(f"{100 * p:.0f}".replace("nan", "-") for p in of) for of in (LEVELS, shares))
-        of = {"place": "position"}.get(what, what)
-        yield f"Uncertainty of the {of}: intervals of {stated} % hold {held} % of the reference's coordinates"
+    for kind, shares in result.inside.items():
+        stated, contained = (
+            " and ".join(f"{100 * p:.0f}".replace("nan", "-") for p in name) for name in (LEVELS, shares)
+        )
+        name = {"place": "position"}.get(kind, kind)
+        yield f"Uncertainty of the {name}: intervals of {stated} % hold {contained} % of the reference's coordinates"
     yield f"Compared: {len(result.frames) - result.frames_not_scored} frames, {len(result.names)} joints."
-    for what, reconstruction, reference in (
+    for kind, reconstruction, reference in (
         ("Joints", result.joints_only_in_pose, result.joints_only_in_truth),
         ("Frames", _ranges(result.frames_only_in_pose), _ranges(result.frames_only_in_truth)),
     ):
-        for where, names in (("reconstruction", reconstruction), ("reference", reference)):
+        for place, names in (("reconstruction", reconstruction), ("reference", reference)):
             if names:
-                yield f"{what} only in the {where}: {', '.join(names)}"
+                yield f"{kind} only in the {place}: {', '.join(names)}"
     if result.frames_not_scored:
         yield f"Frames of both without a joint known on both sides: {result.frames_not_scored}"
 

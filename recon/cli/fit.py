@@ -17,7 +17,7 @@ from recon.cli.commands import OptionsOf
 
 
 class FitRunSettings(Settings):
-    """The settings of `recon fit`, and of `recon frame`, beside those of the fit itself."""
+    """Settings of `recon fit`, and of `recon frame`, besides those of the fit itself."""
 
     out: Path | None = None
     """Folder for the results, as in results/clip1."""
@@ -27,10 +27,10 @@ class FitRunSettings(Settings):
     """Replace results in the folder."""
 
 
-_OfFit = Annotated[dict[str, Any], OptionsOf(FitSettings)]
+_FitOptions = Annotated[dict[str, Any], OptionsOf(FitSettings)]
 
 
-def fit(settings: FitRunSettings, given: _OfFit, console: Console, progress: Progress) -> Answer:
+def fit(settings: FitRunSettings, options: _FitOptions, console: Console, progress: Progress) -> Answer:
     """Reconstruct one clip: keypoints and a camera in, 3D poses, angles, report and playback out.
 
     Example: recon fit clip.csv --camera scene.json --camera-name cam2 --fps 90 --out results/clip
@@ -43,14 +43,14 @@ def fit(settings: FitRunSettings, given: _OfFit, console: Console, progress: Pro
     out, config = settings.out, settings.config
     no_out = [Problem("--out", "folder", "nothing", "a folder for the results, as in results/clip1")]
     try:
-        fitted = read_settings(None, given) if config is None else read_config(config, given)
+        fitted = read_settings(None, options) if config is None else read_config(config, options)
     except InputError as error:
-        read = (partial(read_keypoints, path, given.get("individual")) for path in given.get("keypoints") or ())
+        read = (partial(read_keypoints, path, options.get("individual")) for path in options.get("keypoints") or ())
         raise InputError(
             (*problems_of(lambda: collect_problems(*read)), *error.problems, *([] if out else no_out))
         ) from None
     if out is None:
         raise InputError(no_out)
-    for path in [] if config is None else replaced_files(config, given, fitted):
+    for path in [] if config is None else replaced_files(config, options, fitted):
         say(console, f"note: {path} is not the file that {config} was written for: its content is another")
     return answer_of_fit(run_clip(fitted, out, settings.overwrite, progress), out)

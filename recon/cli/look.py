@@ -1,5 +1,4 @@
-"""A result to look at: `recon overlay` draws it on its video, `recon report` makes a page of it or of a batch, and
-`recon view` opens its playback."""
+"""Show a result: `recon overlay` on its video, `recon report` as a page, `recon view` in the viewer."""
 
 from __future__ import annotations
 
@@ -43,18 +42,18 @@ from recon.show.page.pictures import PictureStrip, cut_of, encode_strip
 from recon.show.report import REPORT
 
 SLOW_FPS = 30.0
-"""Every frame is shown, and no more than this many in a second, unless a speed is given."""
+"""Most frames a second of an overlay, unless a speed is given; every frame is shown."""
 RATE_SAME = 0.01
-"""Rates within this, relative, are the same, as 29.97 and 30."""
+"""Relative difference below which frame rates count as equal, as 29.97 and 30."""
 MIN_WIDTH_PX = 640
-"""Smaller videos are enlarged, by a whole number: the text would not be read."""
+"""Width up to which videos are enlarged, by a whole number, so that their text can be read."""
 STILLS = 9
 BESIDE = ("overlay.mp4", "analysis/analysis.json")
-"""Files that a page has links to, besides the fit's own, where they are there when it is made."""
+"""Files that a page links to, besides those of the fit, if they exist when it is made."""
 
 
 class _ResultSettings(Settings):
-    """A folder of results, and the video of one of its cameras."""
+    """Folder of results, and the video of one of its cameras."""
 
     folder: Annotated[Path, Option(argument="DIR")]
     """Folder of results, as in results/clip."""
@@ -66,8 +65,10 @@ class _ResultSettings(Settings):
 
 
 def result_and_video(settings: _ResultSettings, *checks: Callable[[], object]) -> tuple[Motion, int]:
-    """A result, and which of its cameras is meant; the video, if there is one, has to be of that camera. checks: of
-    what else was given. Raises InputError."""
+    """Return a result, and the number of the camera that is meant.
+
+    The video, if there is one, has to be of that camera. checks: of other options. Raises InputError.
+    """
     video = settings.video
 
     def opened() -> tuple[Motion, int]:
@@ -87,14 +88,19 @@ def result_and_video(settings: _ResultSettings, *checks: Callable[[], object]) -
 
 
 def first_in_clip(motion: Motion, number: int, settings: _ResultSettings) -> int:
-    """The number that the video's first frame has in the clip: a camera that began later or earlier than the first has
-    its own in its keypoint file."""
+    """Return the number that the video's first frame has in the clip.
+
+    A camera that began later or earlier than the first has its own numbers in its keypoint file.
+    """
     return settings.first_frame + math.floor(motion.sources[number].offset_s * (motion.fps or 0.0) + 1e-6)
 
 
 def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int:
-    """By name, or by the video's, which may contain it; without either the first. Raises InputError."""
-    names = [one.name for one in motion.cameras]
+    """Return a camera's number by its name, or by that of the video, which may contain it; without either the first.
+
+    Raises InputError.
+    """
+    names = [camera_of_clip.name for camera_of_clip in motion.cameras]
     if camera is None and video is not None and len(names) > 1:
         named = [*cameras_in(video.stem, names)]
         camera = named[0] if len(named) == 1 else None
@@ -102,15 +108,15 @@ def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int
         return names.index(camera)
     if camera is None and (len(names) == 1 or video is None):
         return 0
-    found = "nothing" if camera is None else camera
-    raise InputError(Problem("--camera-name", "camera", found, f"one of {', '.join(names)}, whose video it is"))
+    actual = "nothing" if camera is None else camera
+    raise InputError(Problem("--camera-name", "camera", actual, f"one of {', '.join(names)}, whose video it is"))
 
 
 # -- drawn on its video -----------------------------------------------------------------------------------------------
 
 
 class OverlaySettings(_ResultSettings):
-    """The settings of `recon overlay`."""
+    """Settings of `recon overlay`."""
 
     video: Path = Field()
     """The video that the keypoints came from, as in clip.mp4."""
@@ -149,26 +155,28 @@ def overlay(settings: OverlaySettings, progress: Progress = silent) -> Answer:
             enlarged = np.asarray(cv2.resize(picture, None, fx=zoom, fy=zoom), dtype=np.uint8)
             write(draw_frame(drawn, row, frame, enlarged))
             progress("drawing", len(stamps_s) / count)
-    before = first - start if len(stamps_s) == count else None
-    of_times = missing_note(video, np.array(stamps_s), first, before)
+    frames_before = first - start if len(stamps_s) == count else None
+    of_times = missing_note(video, np.array(stamps_s), first, frames_before)
     notes = [note for note in (first_frame_note(motion, settings), rate_note(video, motion.fps), of_times) if note]
-    said = f"{count} frames at {speed:.3g} times their speed ({fps:.4g} a second) are in {out}."
+    sentence = f"{count} frames at {speed:.3g} times their speed ({fps:.4g} a second) are in {out}."
     data = {"out": out, "frames": count, "fps": fps, "speed": speed, "notes": notes}
-    return Answer(data, [*verdict_texts(motion.verdict), said], files=[out], notes=notes)
+    return Answer(data, [*verdict_texts(motion.verdict), sentence], files=[out], notes=notes)
 
 
 def still_rows(motion: Motion, drawn: Overlay, count: int, start: int | None) -> Index:
-    """Return the rows of up to `count` frames with a pose, evenly spaced; with a video, of those from its first frame,
-    `start`."""
+    """Return the rows of up to `count` frames with a pose, evenly spaced.
+
+    start: with a video, the number of its first frame, from which on frames have a picture.
+    """
     filmed = True if start is None else motion.frames >= start
     posed = np.flatnonzero(np.isfinite(drawn.reprojected_px).any(axis=(1, 2)) & filmed)
     return posed[np.unique(np.round(np.linspace(0, len(posed) - 1, count)).astype(int))] if len(posed) else posed
 
 
 def overlay_of(motion: Motion, speed: float = 1.0, zoom: int = 1, number: int = 0) -> Overlay:
-    """What there is to draw of a result in a camera's picture, by its number, enlarged by zoom."""
-    picture, view = motion.pictures[number], motion.solution.views[number]
-    ahead = np.broadcast_to(view.T_camera_world[..., 2, :3], (len(motion.frames), 3))
+    """Return what to draw of a result in a camera's picture, by its number, enlarged by zoom."""
+    picture, camera_view = motion.pictures[number], motion.solution.views[number]
+    ahead = np.broadcast_to(camera_view.T_camera_world[..., 2, :3], (len(motion.frames), 3))
     return Overlay(
         frames=motion.frames,
         fps=motion.fps,
@@ -186,26 +194,26 @@ def overlay_of(motion: Motion, speed: float = 1.0, zoom: int = 1, number: int = 
 
 
 def _flags(motion: Motion, number: int) -> Iterator[list[str]]:
-    """By frame: what is doubtful about it in a camera's picture, without what is wrong with others' detections."""
-    own = [
-        (FLAG_OF[one.code], *(one.frames or (motion.frames[0], motion.frames[-1] + 1)))
-        for one in motion.findings
-        if one.code in FLAG_OF and one.camera in (None, motion.cameras[number].name)
+    """Yield the flags of each frame in a camera's picture, without those of other cameras' detections."""
+    flag_ranges = [
+        (FLAG_OF[finding.code], *(finding.frames or (motion.frames[0], motion.frames[-1] + 1)))
+        for finding in motion.findings
+        if finding.code in FLAG_OF and finding.camera in (None, motion.cameras[number].name)
     ]
     for frame, flags in zip(motion.frames.tolist(), motion.flags, strict=True):
-        here = {flag for flag, first, stop in own if first <= frame < stop}
-        yield [flag for flag in flags if flag in here or flag not in FLAG_OF.values()]
+        frame_flags = {flag for flag, first, stop in flag_ranges if first <= frame < stop}
+        yield [flag for flag in flags if flag in frame_flags or flag not in FLAG_OF.values()]
 
 
 def _enlarged(xy_px: Array, zoom: int) -> Array:
-    """Pixels' centres are whole numbers, before and after."""
+    """Return pixels enlarged by zoom; their centres are whole numbers, before and after."""
     return zoom * xy_px + 0.5 * (zoom - 1)
 
 
 def first_frame_note(motion: Motion, settings: _ResultSettings) -> str | None:
-    """What to say where a video goes on after the clip's last frame, and nobody says which frame it begins with."""
-    told = settings.first_frame or motion.settings.get("frames") is not None
-    if settings.video is None or told or any(one.offset_s for one in motion.sources):
+    """Return a note if a video goes on after the clip's last frame, and its first frame's number is not given."""
+    is_given = settings.first_frame or motion.settings.get("frames") is not None
+    if settings.video is None or is_given or any(source.offset_s for source in motion.sources):
         return None
     count, first, last = probe(settings.video).stated_frames or 0, int(motion.frames[0]), int(motion.frames[-1])
     if count <= last + 1:
@@ -218,8 +226,10 @@ def first_frame_note(motion: Motion, settings: _ResultSettings) -> str | None:
 
 
 def rate_note(video: Path, fps: float | None) -> str | None:
-    """What to say where a video states another frame rate than the clip has; it may well have been filmed faster than
-    it is played."""
+    """Return a note if a video states another frame rate than the clip has.
+
+    It may have been filmed faster than it is played.
+    """
     stated = probe(video).fps
     if fps is None or stated is None or abs(stated / fps - 1) < RATE_SAME:
         return None
@@ -233,14 +243,14 @@ def rate_note(video: Path, fps: float | None) -> str | None:
 
 
 class PageSettings(_ResultSettings):
-    """The settings of `recon report`."""
+    """Settings of `recon report`."""
 
     folder: Annotated[Path, Option(argument="DIR")]
     """Folder of results, as in results/clip, or of a batch."""
 
 
 def report(settings: PageSettings, progress: Progress = silent) -> Answer:
-    """Make a page of a result to look at and to pass on: report.html in its folder, one file that opens in any browser.
+    """Make a page of a result to look at and to pass on: report.html in its folder, which opens in any browser.
 
     In the folder of a batch, those of all clips, and summary.html with links to them. A page that was made before is
     replaced.
@@ -267,17 +277,17 @@ def _page_of_clip(settings: PageSettings, progress: Progress, whole_batch: bool 
     progress("figures", 0.4)
     written = read_manifest(folder) if (folder / MANIFEST).is_file() else None
     changed = [Path(problem.file).name for problem in written.changed()] if written else []
-    beside = [name for name in BESIDE if (folder / name).is_file()]
-    stale = [name for name in beside if not is_current(folder / name, folder)]
-    names = [*beside, *sorted(written.files if written else ())]
+    companions = [name for name in BESIDE if (folder / name).is_file()]
+    stale = [name for name in companions if not is_current(folder / name, folder)]
+    names = [*companions, *sorted(written.files if written else ())]
     files = [name for name in names if name not in [*changed, *stale] and (folder / name).is_file()]
     batch = neighbours(folder, whole_batch)
     html = clip_page(motion, shown, None if video is None else video.name, files, number, strip, batch)
     output.write(PAGE, html)
     of_changed = f"missing, or not as the fit wrote it, so that the page has no link to it: {', '.join(changed)}"
     of_stale = f"not known to be of these results, so that the page has no link to it: {', '.join(stale)}"
-    said = [first_frame_note(motion, settings), of_changed if changed else None, of_stale if stale else None]
-    notes = [*filter(None, said)]
+    possible_notes = [first_frame_note(motion, settings), of_changed if changed else None, of_stale if stale else None]
+    notes = [*filter(None, possible_notes)]
     data = {"page": page, "failed": {}, "notes": notes}
     return Answer(data, [f"Open {page} in a browser."], files=[page], notes=notes)
 
@@ -304,8 +314,10 @@ def neighbours(folder: Path, whole_batch: bool = False) -> Neighbours | None:
 def page_pictures(
     motion: Motion, number: int, settings: _ResultSettings, count: int
 ) -> tuple[Overlay, Index, PictureStrip | None, list[Image] | None]:
-    """Return the overlay, the rows of up to `count` stills, and from one pass over the video its pictures for the
-    player and those of the stills. Raises InputError for a frame that the video lacks."""
+    """Return the overlay, the rows of up to `count` stills, and the video's pictures for the player and the stills.
+
+    The video is read once. Raises InputError for a frame that it lacks.
+    """
     drawn, start = overlay_of(motion, number=number), first_in_clip(motion, number, settings)
     rows = still_rows(motion, drawn, count, start if settings.video else None)
     if settings.video is None or not len(rows):
@@ -327,7 +339,7 @@ def page_pictures(
 
 
 def _pages_of_batch(out: Path, video: Path | None, progress: Progress) -> Answer:
-    """The page of every result in the folder of a batch, in parallel, and the summary's page."""
+    """Make the page of every result in the folder of a batch, in parallel, and the summary's page."""
     if video is not None:
         raise InputError(Problem("--video", "file", f"{video} for many clips", "the folder of one clip's results"))
     failed: dict[str, str] = {}
@@ -359,7 +371,7 @@ def _page_of(folder: Path, progress: Progress) -> dict[str, str]:
 
 
 class _ViewSettings(_ResultSettings):
-    """The settings of `recon view`."""
+    """Settings of `recon view`."""
 
     video: Path | None = None
     """Show the frames of this video with it, as in clip.mp4."""
@@ -369,6 +381,7 @@ class _ViewSettings(_ResultSettings):
     """Replace the recording of --out."""
 
     def problems(self) -> Iterator[Problem]:
+        """Yield problems of options that need a video."""
         for name in ("first_frame", "camera_name"):
             if getattr(self, name) and self.video is None:
                 yield Problem("settings", name, "no --video", "one beside the other")
@@ -395,11 +408,11 @@ def view(settings: _ViewSettings, console: Console) -> Answer:
             motion, number = result_and_video(settings)
             if note := first_frame_note(motion, settings):
                 say(console, f"note: {note}")
-            found = analyse(motion) if analysed else None
+            analysis = analyse(motion) if analysed else None
             playback = Path(temporary) / PLAYBACK
             with staged_file(playback) if output is None else output.staged_file() as staged:
-                viewer.write(motion, staged, found, settings.video, first_in_clip(motion, number, settings), number)
+                viewer.write(motion, staged, analysis, settings.video, first_in_clip(motion, number, settings), number)
         if out is None:
             viewer.open_viewer(playback)
-    said = [] if out is None else [f"The recording is in {out}. Watch it with: rerun {shlex.quote(str(out))}"]
-    return Answer({"recording": folder / PLAYBACK if out is None else out}, said)
+    lines = [] if out is None else [f"The recording is in {out}. Watch it with: rerun {shlex.quote(str(out))}"]
+    return Answer({"recording": folder / PLAYBACK if out is None else out}, lines)

@@ -23,11 +23,11 @@ from recon.cli.answers import Answer, table_of
 # -- skeletons ---------------------------------------------------------------------------------------------------------
 
 STEMS = ("skeleton", "angles")
-"""Pictures, each as .png and .svg: the expected pose with names; every angle at both ends of its range."""
+"""Pictures, as .png and .svg: the expected pose with names; every angle at both ends of its range."""
 
 
 class _SkeletonCheckSettings(Settings):
-    """The settings of `recon skeleton check`."""
+    """Settings of `recon skeleton check`."""
 
     skeleton: Annotated[str, Option(argument="SKELETON")]
     """A TOML file, or the name of a built-in skeleton, as in my-dog.toml."""
@@ -44,10 +44,10 @@ def skeleton_list() -> Answer:
 
     Example: recon skeleton list
     """
-    shown = ("name", "kind", "markers", "unknowns", "title")
+    columns = ("name", "kind", "markers", "unknowns", "title")
     checks = map(check_skeleton, builtin_names())
-    found = [{name: c[name] for name in shown} | {"markers": len(c["markers"])} for c in checks]
-    return Answer(found, [table_of(*shown, rows=(map(str, row.values()) for row in found))])
+    rows = [{name: check[name] for name in columns} | {"markers": len(check["markers"])} for check in checks]
+    return Answer(rows, [table_of(*columns, rows=(map(str, row.values()) for row in rows))])
 
 
 def skeleton_check(settings: _SkeletonCheckSettings) -> Answer:
@@ -63,8 +63,8 @@ def skeleton_check(settings: _SkeletonCheckSettings) -> Answer:
         from recon.show.plots.style import save
 
         pictures = [f"{stem}{end}" for stem in STEMS for end in (".png", ".svg")]
-        given = input_paths(settings)
-        output = Output(out, "skeleton check", settings.overwrite, given, content="these pictures")
+        inputs = input_paths(settings)
+        output = Output(out, "skeleton check", settings.overwrite, inputs, content="these pictures")
         output.require(pictures)
         body, title = load_skeleton(settings.skeleton, settings.subject), f"{check['name']}: {check['title']}"
         figures = views(body, title), angle_ranges(body, REACH_SIGMAS, title)
@@ -110,18 +110,20 @@ def _skeleton_lines(check: dict[str, Any]) -> Iterator[str | Table]:
 
 
 def skeleton_from_keypoints(settings: SkeletonDraftSettings) -> Answer:
-    """Draft a skeleton for the keypoints of a file: the proportions of the quadruped, with markers called so; or, with
-    several calibrated cameras, whatever they are called, the bodies and joints that their distances show.
+    """Draft a skeleton for the keypoints of a file, by their names or their distances.
+
+    By their names it has the proportions of the quadruped, with markers called so. With several calibrated cameras it
+    has the bodies and joints that their distances show, whatever the keypoints are called.
 
     Example: recon skeleton from-keypoints clip.csv --out my-animal.toml
     """
-    out, (markers, others, _) = settings.out, run_skeleton_draft(settings)
-    other = [f"{name} as {marker}" for name, marker in markers.items() if name != marker]
-    lines = [f"{out}: {len(markers)} of {len(markers) + len(others)} keypoints have a place."]
-    lines += [f"Taken for the quadruped's: {', '.join(other)}."] if other else []
-    lines += [f"Without a place: {', '.join(others)}."] if others else []
+    out, (markers, unplaced, _) = settings.out, run_skeleton_draft(settings)
+    renamed_texts = [f"{name} as {marker}" for name, marker in markers.items() if name != marker]
+    lines = [f"{out}: {len(markers)} of {len(markers) + len(unplaced)} keypoints have a place."]
+    lines += [f"Taken for the quadruped's: {', '.join(renamed_texts)}."] if renamed_texts else []
+    lines += [f"Without a place: {', '.join(unplaced)}."] if unplaced else []
     look = f"Look at it with: recon skeleton check {shlex.quote(str(out))} --out pictures"
-    return Answer({"out": out, "keypoints": markers, "without_place": others}, [*lines, look])
+    return Answer({"out": out, "keypoints": markers, "without_place": unplaced}, [*lines, look])
 
 
 # -- measured animals and priors ---------------------------------------------------------------------------------------
@@ -132,13 +134,17 @@ def prior_fit(settings: PriorFitSettings) -> Answer:
 
     Example: recon prior fit results/run1 results/run2 --out my-cat.npz
     """
-    done = run_prior_fit(settings)
-    short = settings.check and done["held_out"] is None
-    note = [f"Nothing could be held out: --check needs two segments of {FRAMES_PER_COMPONENT} frames."] if short else []
-    return Answer({"out": settings.out, **done}, [*_prior_lines(done), *note, f"The prior is in {settings.out}."])
+    report = run_prior_fit(settings)
+    cannot_hold_out = settings.check and report["held_out"] is None
+    notes = (
+        [f"Nothing could be held out: --check needs two segments of {FRAMES_PER_COMPONENT} frames."]
+        if cannot_hold_out
+        else []
+    )
+    return Answer({"out": settings.out, **report}, [*_prior_lines(report), *notes, f"The prior is in {settings.out}."])
 
 
-def _prior_lines(done: dict[str, Any]) -> Iterator[str | Table]:
+def _prior_lines(report: dict[str, Any]) -> Iterator[str | Table]:
     columns = ("frames", "fps", "speed m/s", "misfit mm", "used")
     rows = (
         (
@@ -146,19 +152,19 @@ def _prior_lines(done: dict[str, Any]) -> Iterator[str | Table]:
             "-" if row["misfit_mm"] is None else f"{row['misfit_mm']:.1f}",
             "yes" if row["used"] else "no",
         )
-        for row in done["segments"]
+        for row in report["segments"]
     )
     yield table_of("segment", numbers=columns, rows=rows)
-    used, components, held_out = [row["used"] for row in done["segments"]], done["components"], done["held_out"]
-    yield f"Used: {sum(used)} of {len(used)} segments, {done['frames']} frames and their mirror images."
-    if components < done["components_asked"]:
-        place = f"{components} components in place of {done['components_asked']}"
-        yield f"{place}: each takes {FRAMES_PER_COMPONENT} frames."
-    if done["left_out"]:
-        yield f"{done['left_out']} frames of results have a flag or no pose: left out."
-    if done["lacking"]:
-        yield f"Markers that no file has: {', '.join(done['lacking'])}"
-    for path, size in done["sizes"].items():
+    used, components, held_out = [row["used"] for row in report["segments"]], report["components"], report["held_out"]
+    yield f"Used: {sum(used)} of {len(used)} segments, {report['frames']} frames and their mirror images."
+    if components < report["components_asked"]:
+        limit = f"{components} components in place of {report['components_asked']}"
+        yield f"{limit}: each takes {FRAMES_PER_COMPONENT} frames."
+    if report["left_out"]:
+        yield f"{report['left_out']} frames of results have a flag or no pose: left out."
+    if report["lacking"]:
+        yield f"Markers that no file has: {', '.join(report['lacking'])}"
+    for path, size in report["sizes"].items():
         if size != 1.0:
             yield f"{path}: {size:.3f} times the skeleton's lengths"
     if held_out is not None:
@@ -169,18 +175,20 @@ def _prior_lines(done: dict[str, Any]) -> Iterator[str | Table]:
 
 
 def subject_fit(settings: SubjectFitSettings) -> Answer:
-    """Measure one animal in clips that several cameras filmed, for `recon fit --subject`; without its lengths the
-    detector only, for `recon fit --set detector`, also from several measured animals.
+    """Measure one animal in clips that several cameras filmed, for `recon fit --subject`.
+
+    Without its lengths only the detector is measured, for `recon fit --set detector`, also from several measured
+    animals.
 
     Example: recon subject fit results/run1 results/run2 --offsets --out my-cat.toml
     """
-    found = run_subject_fit(settings)
-    return Answer({"out": settings.out, **found}, _subject_lines(found, settings.out))
+    report = run_subject_fit(settings)
+    return Answer({"out": settings.out, **report}, _subject_lines(report, settings.out))
 
 
-def _subject_lines(found: dict[str, Any], out: Path) -> Iterator[str | Table]:
-    lengths, offsets = ([row for row in found["values"] if row["unit"] == unit] for unit in ("m", "mm"))
-    if bones := found["bones"]:
+def _subject_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
+    lengths, offsets = ([row for row in report["values"] if row["unit"] == unit] for unit in ("m", "mm"))
+    if bones := report["bones"]:
         rows = [
             (
                 bone["bone"],
@@ -192,21 +200,21 @@ def _subject_lines(found: dict[str, Any], out: Path) -> Iterator[str | Table]:
             for bone in bones
         ]
         yield table_of("bone", "connects", numbers=("length m", "90 %", "from pixels"), rows=rows)
-    named = {offset for bone in found["bones"] for offset in bone["offsets"]}
-    if others := [row for row in lengths if row["name"] not in named]:
-        rows = ((row["name"], f"{row['value']:.3f}", f"{row['sigma']:.3f}") for row in others)
+    named = {offset for bone in report["bones"] for offset in bone["offsets"]}
+    if unnamed := [row for row in lengths if row["name"] not in named]:
+        rows = ((row["name"], f"{row['value']:.3f}", f"{row['sigma']:.3f}") for row in unnamed)
         yield table_of("offset of" if named else "length of", numbers=("m", "±"), rows=rows)
     if offsets:
         rows = []
-        for three in zip(offsets[::3], offsets[1::3], offsets[2::3], strict=True):
-            sigma = max(row["sigma"] for row in three)
-            values = (f"{row['value']:.0f}" for row in three)
-            rows.append((three[0]["name"].removesuffix("_x"), *values, f"{sigma:.0f}"))
+        for axes in zip(offsets[::3], offsets[1::3], offsets[2::3], strict=True):
+            sigma = max(row["sigma"] for row in axes)
+            values = (f"{row['value']:.0f}" for row in axes)
+            rows.append((axes[0]["name"].removesuffix("_x"), *values, f"{sigma:.0f}"))
         yield table_of("keypoint off its marker, mm", numbers=("forwards", "left", "up", "±"), rows=rows)
     if lengths:
-        yield f"Size: {found['size']:.3f} ± {found['size_sigma']:.3f} of the skeleton's lengths."
-    if not found["converged"]:
+        yield f"Size: {report['size']:.3f} ± {report['size_sigma']:.3f} of the skeleton's lengths."
+    if not report["converged"]:
         yield "The last step was not small yet: more frames would say more."
     kind, use = ("subject", "--subject ") if lengths else ("detector", "--set detector=")
-    yield f"From {counted(found['clips'], 'clip')}, {found['frames']} frames. The {kind} is in {out}."
+    yield f"From {counted(report['clips'], 'clip')}, {report['frames']} frames. The {kind} is in {out}."
     yield f"Use it with: recon fit {use}{out}"

@@ -40,12 +40,12 @@ def _retarget_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
             text += f"; its ends meet to {max(part['closing_percent'], 0.1):.1g} %"
         yield text
     if "samples" in report:
-        apart = report["samples"]
-        place, angle = (max(apart[name].values()) for name in ("base_sigma_m", "joint_sigma_rad"))
-        text = f"{apart['count']} motions that it may have been, in {out / 'samples.npz'}: the base is known to"
+        samples = report["samples"]
+        place, angle = (max(samples[name].values()) for name in ("base_sigma_m", "joint_sigma_rad"))
+        text = f"{samples['count']} motions that it may have been, in {out / 'samples.npz'}: the base is known to"
         yield f"{text} {place:.3f} m, joint angles to {angle:.2f} rad (one standard deviation, the worst)"
-        if "keep_every_rule" in apart:
-            yield f"{apart['keep_every_rule']} of these motions keep every rule below in every frame"
+        if "keep_every_rule" in samples:
+            yield f"{samples['keep_every_rule']} of these motions keep every rule below in every frame"
     if "check" in report:
         yield from _check_lines(report["check"])
     yield from (f"note: {note}" for note in report["notes"])
@@ -53,28 +53,32 @@ def _retarget_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
 
 
 def _check_lines(check: dict[str, Any]) -> Iterator[str | Table]:
-    before = check.get("before")
-    numbers = [*(["before, %"] if before else []), "clip, %", "stride, %", "least", ""]
+    earlier_check = check.get("before")
+    numbers = [*(["before, %"] if earlier_check else []), "clip, %", "stride, %", "least", ""]
     table, advice = table_of("frames that keep it", numbers=numbers), {}
     for name, rule in physics.RULES.items():
         clip, stride = check["clip"][name], check["stride"][name]
-        earlier = [f"{100 * min(before[part][name]['share'] for part in ('clip', 'stride')):.0f}"] if before else []
+        earlier_cells = (
+            [f"{100 * min(earlier_check[part][name]['share'] for part in ('clip', 'stride')):.0f}"]
+            if earlier_check
+            else []
+        )
         shares = [f"{100 * part['share']:.0f}" for part in (clip, stride)]
-        table.add_row(rule.title, *earlier, *shares, f"{min(clip['least'], stride['least']):.2f}", rule.unit)
+        table.add_row(rule.title, *earlier_cells, *shares, f"{min(clip['least'], stride['least']):.2f}", rule.unit)
         if min(clip["share"], stride["share"]) < 1:
             advice[rule.title] = rule.advice
     yield table
-    if before:
-        made = check["changed"]
+    if earlier_check:
+        changes = check["changed"]
         yield (
-            f"changed: time {made['slower']:.2f} times, stride {made['scale']:.2f} times, standing height "
-            f"{made['height']:.2f} times; the base moved by up to {1000 * made['base_moved_m']:.0f} mm and "
-            f"{degrees(made['base_turned_rad']):.0f}°"
+            f"changed: time {changes['slower']:.2f} times, stride {changes['scale']:.2f} times, standing height "
+            f"{changes['height']:.2f} times; the base moved by up to {1000 * changes['base_moved_m']:.0f} mm and "
+            f"{degrees(changes['base_turned_rad']):.0f}°"
         )
         if advice:
             yield "note: no change that was tried keeps every rule in every frame; this one comes nearest"
     else:
-        yield from (f"{what}: {change}" for what, change in advice.items())
+        yield from (f"{rule_text}: {change}" for rule_text, change in advice.items())
 
 
 def climb(settings: ClimbSettings) -> Answer:

@@ -1,7 +1,7 @@
-"""`recon run`: from a video to a page. Stages in their order, each left out if it has been done with the same inputs.
+"""Run everything from a video to a page.
 
-`run.jsonl` in the folder says of each stage what it was made from and what it wrote. A stage that has begun and not
-ended has written nothing down, and is done again. A folder of videos is a batch of it.
+Each stage is left out if it was done with the same inputs. `run.jsonl` in the folder has what each stage was made from,
+and what it wrote; a stage that has begun and not ended is done again. A folder of videos is a batch.
 """
 
 from __future__ import annotations
@@ -59,11 +59,11 @@ from recon.show.tables import TABLES
 RECORD = "run.jsonl"
 Stage = Literal["detect", "camera-motion", "fit", "analyse", "overlay", "page"]
 OVERLAY = "overlay.mp4"
-_OfFit = Annotated[dict[str, Any], OptionsOf(FitSettings, OF_ANY_CLIP, "Settings of the fit")]
+_FitOptions = Annotated[dict[str, Any], OptionsOf(FitSettings, OF_ANY_CLIP, "Settings of the fit")]
 
 
 class _RunSettings(Settings):
-    """What `recon run` is told besides the settings of the fit."""
+    """Settings of `recon run` besides those of the fit."""
 
     video: Annotated[Path, Option(argument="VIDEO")]
     """The video, as in run.mp4, or a folder of videos."""
@@ -86,49 +86,54 @@ class _RunSettings(Settings):
     """Replace what recon fit, analyse and others made in DIR; never a file that was changed since, or is your own."""
 
     def problems(self) -> Iterator[Problem]:
+        """Yield problems of the keypoints' source and of the first stage."""
         if (self.model is None) == (self.keypoints is None):
-            found = "nothing" if self.model is None else f"{self.keypoints} beside --model"
-            yield Problem("--keypoints", "keypoints", found, "a keypoint file, or --model with a network")
+            actual = "nothing" if self.model is None else f"{self.keypoints} beside --model"
+            yield Problem("--keypoints", "keypoints", actual, "a keypoint file, or --model with a network")
         if {"detect": self.model, "camera-motion": self.camera_motion}.get(self.start or "", ()) is None:
             yield Problem("--from", "stage", repr(self.start), "a stage that this run has")
 
     @property
     def track(self) -> Path:
-        """Where the camera's motion goes."""
+        """Return the file of the camera's motion."""
         return self.out / f"{self.video.stem}_camera.csv"
 
 
 @dataclass(frozen=True)
 class _Job:
-    """A video and what is to be done with it."""
+    """A video, and the settings of its run."""
 
     run: _RunSettings
-    given: FitSettings
-    """Its keypoints are those that were given, or where those that are found go."""
+    settings: FitSettings
+    """Settings of its fit; the keypoints are those that are given, or the file for those of the network."""
     threads: int | None = None
-    """How many threads the network uses."""
+    """Number of threads of the network."""
 
     @property
     def fit(self) -> FitSettings:
-        """With the track that is found, if the camera's motion is to be."""
-        return replace(self.given, camera_track=self.run.track, tilt_deg=None) if self.run.camera_motion else self.given
+        """Return the settings of the fit, with the camera's track if its motion is to be found."""
+        return (
+            replace(self.settings, camera_track=self.run.track, tilt_deg=None)
+            if self.run.camera_motion
+            else self.settings
+        )
 
 
 class _Stage(NamedTuple):
     """A part of the work."""
 
     work: Callable[[Progress], Answer]
-    """Does it, over what is there, and gives the files that it wrote, and notes on the video."""
+    """Does the work, and answers with the files that it wrote, and notes on the video."""
     identity: Callable[[], dict[str, Any]]
-    """What it is made from, once the stages before it are done."""
+    """Returns what it is made from, once the stages before it are done."""
     output: Output
-    """What it may replace."""
+    """Files that it may replace."""
     names: tuple[str, ...]
     """Files that it writes, as far as they are known."""
 
 
 class _StageOutcome(NamedTuple):
-    """What became of a stage."""
+    """Outcome of a stage."""
 
     stage: str
     status: Literal["done", "unchanged", "left out"]
@@ -136,70 +141,78 @@ class _StageOutcome(NamedTuple):
     files: tuple[str, ...] = ()
     """The files of the stage, relative to the folder."""
     notes: tuple[str, ...] = ()
-    """What is wrong with the video, as the stage found."""
+    """Notes on the video."""
 
 
-def run(settings: _RunSettings, given: _OfFit, console: Console) -> Answer:
-    """From a video to a page: find the keypoints, fit, analyse, draw the overlay, and write report.html.
+def run(settings: _RunSettings, options: _FitOptions, console: Console) -> Answer:
+    """Make a page from a video: find the keypoints, fit, analyse, draw the overlay, and write report.html.
 
-    What has been done with the same files and settings is not done again. The frame rate is the video's unless --fps is
-    given. The stages: detect, camera-motion, fit, analyse, overlay, page.
+    Stages that were done with the same files and settings are not done again. The frame rate is the video's unless
+    --fps is given. The stages: detect, camera-motion, fit, analyse, overlay, page.
 
     Example: recon run run.mp4 --camera camera.toml --model models/run --out results/run
 
     Exit code 0: done. 1: no frame could be solved. 2: the input cannot be used; what was done before stays.
     """
     if settings.video.is_dir():
-        plan = jobs_of(settings, given)
+        plan = jobs_of(settings, options)
         return shown_batch(console, len(plan), partial(run_folder, plan, settings.out, settings.jobs))
     with progress_bar(console) as progress:
-        job = job_of(settings, given)
-        done, found = run_video(job, progress, lambda stage: say(console, _line(stage)))
-    notes = [rate_note(settings.video, job.fit.fps), *(note for stage in done for note in stage.notes)]
+        job = job_of(settings, options)
+        outcomes, report_of_fit = run_video(job, progress, lambda stage: say(console, _outcome_line(stage)))
+    notes = [rate_note(settings.video, job.fit.fps), *(note for stage in outcomes for note in stage.notes)]
     for note in filter(None, dict.fromkeys(notes)):
         say(console, f"note: {note}")
-    stages = [{"stage": s.stage, "status": s.status, "seconds": round(s.seconds, 3)} for s in done]
-    return answer_of_fit(found, settings.out, settings.out / PAGE, stages=stages)
+    stages = [{"stage": s.stage, "status": s.status, "seconds": round(s.seconds, 3)} for s in outcomes]
+    return answer_of_fit(report_of_fit, settings.out, settings.out / PAGE, stages=stages)
 
 
-def _line(done: _StageOutcome) -> str:
-    names = done.files[0] if len(done.files) == 1 else f"{len(done.files)} files"
+def _outcome_line(outcome: _StageOutcome) -> str:
+    names = outcome.files[0] if len(outcome.files) == 1 else f"{len(outcome.files)} files"
     text = {
-        "done": f"{names}, {done.seconds:.1f} s",
+        "done": f"{names}, {outcome.seconds:.1f} s",
         "unchanged": f"{names}, as before",
         "left out": "left out: too few frames have a pose",
-    }[done.status]
-    return f"{done.stage:<14}{text}"
+    }[outcome.status]
+    return f"{outcome.stage:<14}{text}"
 
 
 def _model_file(path: Path) -> Path:
-    """Return the file of a network. It is imported where a job has one: no other job needs the package."""
+    """Return the file of a network.
+
+    It is imported only for a job that has a network, as no other job needs the package.
+    """
     from recon.keypoint_net.network import model_file
 
     return model_file(path)
 
 
-def job_of(run: _RunSettings, given: Mapping[str, Any]) -> _Job:
-    """given: settings of the fit by name. The frame rate is the video's own unless it is given. Raises InputError with
-    every problem."""
-    keypoints = run.keypoints or run.out / f"{run.video.stem}_keypoints.csv"
+def job_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> _Job:
+    """Return the job of a video.
+
+    options: settings of the fit by name; the frame rate is the video's unless it is given. Raises InputError with every
+    problem.
+    """
+    keypoints = run_settings.keypoints or run_settings.out / f"{run_settings.video.stem}_keypoints.csv"
     info, _, settings, _ = collect_problems(
-        lambda: probe(run.video),
-        lambda: None if run.model is None else _model_file(run.model),
-        lambda: read_settings(run.config, {**given, "keypoints": keypoints}),
-        lambda: raise_problems(_motion_problems(run, given)),
+        lambda: probe(run_settings.video),
+        lambda: None if run_settings.model is None else _model_file(run_settings.model),
+        lambda: read_settings(run_settings.config, {**options, "keypoints": keypoints}),
+        lambda: raise_problems(_motion_problems(run_settings, options)),
     )
     if settings.fps is None:
         if info.fps is None:
-            raise InputError(Problem("--fps", "fps", f"nothing, and {run.video} does not say", "frames per second"))
+            raise InputError(
+                Problem("--fps", "fps", f"nothing, and {run_settings.video} does not say", "frames per second")
+            )
         settings = replace(settings, fps=info.fps)
-    return _Job(run, settings)
+    return _Job(run_settings, settings)
 
 
-def _motion_problems(run: _RunSettings, given: Mapping[str, Any]) -> Iterator[Problem]:
-    if run.camera_motion is not None and given.get("camera") is None:
+def _motion_problems(run_settings: _RunSettings, options: Mapping[str, Any]) -> Iterator[Problem]:
+    if run_settings.camera_motion is not None and options.get("camera") is None:
         yield Problem("--camera-motion", "camera", "nothing", "--camera with the camera's lens")
-    if run.camera_motion is not None and given.get("camera_track"):
+    if run_settings.camera_motion is not None and options.get("camera_track"):
         yield Problem("--camera-motion", "motion", "a camera track beside it", "one of the two")
 
 
@@ -207,94 +220,106 @@ def _motion_problems(run: _RunSettings, given: Mapping[str, Any]) -> Iterator[Pr
 
 
 def run_video(
-    job: _Job, progress: Progress = silent, ended: Callable[[_StageOutcome], None] = lambda done: None
+    job: _Job, progress: Progress = silent, ended: Callable[[_StageOutcome], None] = lambda outcome: None
 ) -> tuple[list[_StageOutcome], dict[str, Any]]:
-    """All stages of a video, and the report of its fit; ended: told of each. Raises InputError where one cannot be
-    done; what was done before stays."""
-    out, found = job.run.out, {}
+    """Do all stages of a video, and return their outcomes and the report of its fit.
+
+    ended: called with the outcome of each stage. Raises InputError if one cannot be done; earlier ones stay.
+    """
+    out, report_of_fit = job.run.out, {}
     with sole_writer(out):
-        record, stages, dones, again = Record(out / RECORD), _stages(job), [], False
+        record, stages, outcomes, must_run = Record(out / RECORD), _stages(job), [], False
         for name, row in record.rows.items():  # version 0.2 had no other record of them
             if name in stages:
                 folder = stages[name].output.folder
-                own = {p: sha256 for p, sha256 in row.get("files", {}).items() if (out / p).parent == folder}
-                adopt(folder, stages[name].output.kind, {Path(p).name: sha256 for p, sha256 in own.items()})
+                digests_of_stage = {
+                    p: sha256 for p, sha256 in row.get("files", {}).items() if (out / p).parent == folder
+                }
+                adopt(
+                    folder, stages[name].output.kind, {Path(p).name: sha256 for p, sha256 in digests_of_stage.items()}
+                )
         for name, stage in stages.items():  # before any work
-            again = again or name == job.run.start
-            if again or record.look(name, stage.identity(), out)[0]:
-                _require_own(name, stage, job, record, again)
+            must_run = must_run or name == job.run.start
+            if must_run or record.look(name, stage.identity(), out)[0]:
+                _require_own(name, stage, job, record, must_run)
         record.tidy()
-        again = False
+        must_run = False
         for number, (name, stage) in enumerate(stages.items()):
-            again = again or name == job.run.start
+            must_run = must_run or name == job.run.start
 
-            def tell(what: str, share: float, number: int = number, name: str = name) -> None:
-                progress(f"{name}: {what}", (number + share) / len(stages))
+            def tell(text: str, share: float, number: int = number, name: str = name) -> None:
+                progress(f"{name}: {text}", (number + share) / len(stages))
 
-            if name in ("analyse", "overlay") and found["summary"]["frames_with_pose"] < MIN_POINTS:
-                done = _StageOutcome(name, "left out", 0.0)
+            if name in ("analyse", "overlay") and report_of_fit["summary"]["frames_with_pose"] < MIN_POINTS:
+                outcome = _StageOutcome(name, "left out", 0.0)
             else:
-                done = _carry_out(name, stage, job, record, again, tell)
+                outcome = _carry_out(name, stage, job, record, must_run, tell)
             if name == "fit":
-                found = build_report(Motion.load(out))
-            dones.append(done)
-            ended(done)
-        return dones, found
+                report_of_fit = build_report(Motion.load(out))
+            outcomes.append(outcome)
+            ended(outcome)
+        return outcomes, report_of_fit
 
 
-def _carry_out(name: str, stage: _Stage, job: _Job, record: Record, again: bool, progress: Progress) -> _StageOutcome:
-    began, known, out = time.perf_counter(), stage.identity(), job.run.out
-    why, _ = record.look(name, known, out)
-    status: Literal["done", "unchanged"] = "done" if why or again else "unchanged"
+def _carry_out(
+    name: str, stage: _Stage, job: _Job, record: Record, must_run: bool, progress: Progress
+) -> _StageOutcome:
+    began, made_from, out = time.perf_counter(), stage.identity(), job.run.out
+    reason, _ = record.look(name, made_from, out)
+    status: Literal["done", "unchanged"] = "done" if reason or must_run else "unchanged"
     if status == "done":
-        _require_own(name, stage, job, record, again)
+        _require_own(name, stage, job, record, must_run)
         if name in ("detect", "camera-motion", "fit"):
             _check_inputs(job)
-        record.note(name, known)
+        record.note(name, made_from)
         progress("starting", 0.0)
-        made = stage.work(progress)
-        if stage.identity() != known:
+        answer = stage.work(progress)
+        if stage.identity() != made_from:
             expected = "files that nobody changes meanwhile: run the command again"
             raise InputError(Problem(job.run.video, name, "input files that were changed meanwhile", expected))
-        record.note(name, known, files=digests(made.files, out), notes=[*made.notes])
+        record.note(name, made_from, files=digests(answer.files, out), notes=[*answer.notes])
     row = record.rows[name]
     return _StageOutcome(name, status, time.perf_counter() - began, tuple(row["files"]), tuple(row.get("notes", ())))
 
 
-def _require_own(name: str, stage: _Stage, job: _Job, record: Record, again: bool) -> None:
+def _require_own(name: str, stage: _Stage, job: _Job, record: Record, must_run: bool) -> None:
     """Raise InputError for files that the stage may not replace, or without --overwrite, that another command made."""
     stage.output.require(stage.names)
     present = [path for path in (stage.output.folder / file for file in stage.names) if os.path.lexists(path)]
-    if present and name not in record.rows and not again and not job.run.overwrite:
-        more = f", and so are {len(present) - 1} more" if len(present) > 1 else ""
+    if present and name not in record.rows and not must_run and not job.run.overwrite:
+        more_files = f", and so are {len(present) - 1} more" if len(present) > 1 else ""
         expected = "another --out, or --overwrite"
-        raise InputError(Problem(present[0], "file", "one that recon run has not made" + more, expected))
+        raise InputError(Problem(present[0], "file", "one that recon run has not made" + more_files, expected))
 
 
 def _check_inputs(job: _Job) -> None:
-    """What would only be said after minutes of work. Raises InputError."""
+    """Raise InputError for inputs whose problems would otherwise be noticed after minutes of work."""
     # Keypoints that are not there yet are called as the video.
-    given = job.given if job.run.model is None else replace(job.given, keypoints=job.run.video)
-    info, (_, _, cameras) = collect_problems(lambda: probe(job.run.video), lambda: read_model_and_cameras(given))
+    fit_settings = job.settings if job.run.model is None else replace(job.settings, keypoints=job.run.video)
+    info, (_, _, cameras) = collect_problems(lambda: probe(job.run.video), lambda: read_model_and_cameras(fit_settings))
     raise_problems(size_problems(job.run.video, info, cameras[0][0]))
 
 
 def _stages(job: _Job) -> dict[str, _Stage]:
-    """The stages that this job has, by name."""
-    run, given, out = job.run, job.given, job.run.out
-    keypoints = given.keypoints[0]
-    fit, film, first = {"fit": out / MANIFEST}, {"video": run.video}, {"first_frame": run.first_frame}
-    shown: dict[str, Any] = {"folder": out, **film, **first}
+    """Return the stages of a job by name."""
+    run_settings, fit_settings, out = job.run, job.settings, job.run.out
+    keypoints = fit_settings.keypoints[0]
+    manifest_file, video_file, first_frame = (
+        {"fit": out / MANIFEST},
+        {"video": run_settings.video},
+        {"first_frame": run_settings.first_frame},
+    )
+    view_options: dict[str, Any] = {"folder": out, **video_file, **first_frame}
 
     def output(kind: str, folder: Path = out) -> Output:
-        return Output(folder, kind, overwrite=True, inputs=input_paths(run))
+        return Output(folder, kind, overwrite=True, inputs=input_paths(run_settings))
 
     def detect(progress: Progress) -> Answer:
         from recon.keypoint_net.network import run_prediction
 
-        assert run.model is not None  # without a network there is no such stage
-        how = {"threads": job.threads, "overwrite": True, "progress": progress, "output": output("predict")}
-        prediction = run_prediction(run.video, run.model, keypoints, **how)
+        assert run_settings.model is not None  # without a network there is no such stage
+        parameters = {"threads": job.threads, "overwrite": True, "progress": progress, "output": output("predict")}
+        prediction = run_prediction(run_settings.video, run_settings.model, keypoints, **parameters)
         return Answer({}, files=[keypoints], notes=prediction.notes)
 
     def solve(progress: Progress) -> Answer:
@@ -302,78 +327,104 @@ def _stages(job: _Job) -> dict[str, _Stage]:
         return Answer({}, files=read_manifest(out).paths)
 
     stages = {}
-    if run.model is not None:
-        network = film | {"model": _model_file(run.model)}
-        made_of = partial(identity_of, network, {})
-        stages["detect"] = _Stage(detect, made_of, output("predict"), (keypoints.name,))
-    if run.camera_motion is not None and given.camera is not None:
-        turning = settings_for_clip(
-            given, run.video, run.track, **first, zoom=run.camera_motion == "zooms", overwrite=True
+    if run_settings.model is not None:
+        network = video_file | {"model": _model_file(run_settings.model)}
+        made_from = partial(identity_of, network, {})
+        stages["detect"] = _Stage(detect, made_from, output("predict"), (keypoints.name,))
+    if run_settings.camera_motion is not None and fit_settings.camera is not None:
+        motion_settings = settings_for_clip(
+            fit_settings,
+            run_settings.video,
+            run_settings.track,
+            **first_frame,
+            zoom=run_settings.camera_motion == "zooms",
+            overwrite=True,
         )
-        files = film | {"camera": given.camera[0], "keypoints": keypoints}
-        how = first | {"motion": run.camera_motion} | picked(given, "camera_name", "tilt_deg", "individual")
+        files = video_file | {"camera": fit_settings.camera[0], "keypoints": keypoints}
+        parameters = (
+            first_frame
+            | {"motion": run_settings.camera_motion}
+            | picked(fit_settings, "camera_name", "tilt_deg", "individual")
+        )
         track = output("camera-motion")
-        work, made_of = partial(camera_motion_answer, turning, track), partial(identity_of, files, how)
-        stages["camera-motion"] = _Stage(work, made_of, track, motion_files(run.track))
+        work, made_from = partial(camera_motion_answer, motion_settings, track), partial(identity_of, files, parameters)
+        stages["camera-motion"] = _Stage(work, made_from, track, motion_files(run_settings.track))
     analysis = AnalyseSettings(folder=out, overwrite=True)
-    drawn = OverlaySettings(out=out / OVERLAY, overwrite=True, **shown)
-    of_fit, of_film = partial(identity_of, fit, {}), partial(identity_of, fit | film, first)
-    fitted = output_of(job.fit, out, overwrite=True)
+    overlay_settings = OverlaySettings(out=out / OVERLAY, overwrite=True, **view_options)
+    from_fit, from_video = (
+        partial(identity_of, manifest_file, {}),
+        partial(identity_of, manifest_file | video_file, first_frame),
+    )
+    fit_output = output_of(job.fit, out, overwrite=True)
     tables = (ANALYSIS, *TABLES)
     return stages | {
-        FIT: _Stage(solve, partial(identity, job.fit), fitted, (*output_files(job.fit, out),)),
-        "analyse": _Stage(partial(analyse_command, analysis), of_fit, output("analyse", out / FOLDER), tables),
-        "overlay": _Stage(partial(overlay, drawn), of_film, output("overlay"), (OVERLAY,)),
-        "page": _Stage(partial(report, PageSettings(**shown)), of_film, output("report"), (PAGE,)),
+        FIT: _Stage(solve, partial(identity, job.fit), fit_output, (*output_files(job.fit, out),)),
+        "analyse": _Stage(partial(analyse_command, analysis), from_fit, output("analyse", out / FOLDER), tables),
+        "overlay": _Stage(partial(overlay, overlay_settings), from_video, output("overlay"), (OVERLAY,)),
+        "page": _Stage(partial(report, PageSettings(**view_options)), from_video, output("report"), (PAGE,)),
     }
 
 
 # -- a folder of videos -----------------------------------------------------------------------------------------------
 
 
-def jobs_of(run: _RunSettings, given: Mapping[str, Any]) -> list[_Job]:
-    """One for each video of a folder, into a folder with its name. Raises InputError with the problems of all."""
-    videos = sorted(p for p in run.video.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith("."))
+def jobs_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> list[_Job]:
+    """Return one job for each video of a folder, into a folder with its name. Raises InputError with all problems."""
+    videos = sorted(
+        p for p in run_settings.video.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")
+    )
     if not videos:
-        raise InputError(Problem(run.video, "files", "no videos", f"files that end in {', '.join(SUFFIXES)}"))
+        raise InputError(Problem(run_settings.video, "files", "no videos", f"files that end in {', '.join(SUFFIXES)}"))
     names = file_names(videos)
 
     def job(video: Path) -> _Job:
-        keypoints = None if run.keypoints is None else keypoints_of(video, run.keypoints)
-        return job_of(replace(run, video=video, out=run.out / names[video], keypoints=keypoints), given)
+        keypoints = None if run_settings.keypoints is None else keypoints_of(video, run_settings.keypoints)
+        return job_of(
+            replace(run_settings, video=video, out=run_settings.out / names[video], keypoints=keypoints), options
+        )
 
     return [*collect_problems(*(partial(job, video) for video in videos))]
 
 
 def keypoints_of(video: Path, folder: Path) -> Path:
-    """The file of a folder that is called as the video, or as DeepLabCut calls its keypoints; of the same in two
-    formats the last. Raises InputError where there is none, or several."""
+    """Return the file in a folder that is named after a video, or as DeepLabCut names its keypoints.
+
+    Of the same keypoints in two formats the last is taken. Raises InputError if there is none, or several.
+    """
     if not folder.is_dir():
         raise InputError(Problem("--keypoints", "folder", str(folder), "a folder with a file for each video"))
-    called = [p for p in sorted(folder.iterdir()) if p.stem == video.stem or p.stem.startswith(f"{video.stem}DLC")]
-    files = {path.stem: path for path in called if path != video and recognised(path, "2D")}
+    candidates = [p for p in sorted(folder.iterdir()) if p.stem == video.stem or p.stem.startswith(f"{video.stem}DLC")]
+    files = {path.stem: path for path in candidates if path != video and recognised(path, "2D")}
     if len(files) != 1:
-        found = ", ".join(path.name for path in files.values()) or "none"
+        actual = ", ".join(path.name for path in files.values()) or "none"
         expected = f"one keypoint file called {video.stem}, or {video.stem}DLC..."
-        raise InputError(Problem(folder, f"keypoints of {video.name}", found, expected))
+        raise InputError(Problem(folder, f"keypoints of {video.name}", actual, expected))
     return next(iter(files.values()))
 
 
 def run_folder(
     jobs: Sequence[_Job], out: Path, processes: int | None = None, on_event: OnEvent = lambda *_: None
 ) -> Summary:
-    """`run_video` for all jobs, and summary.csv and summary.html of them in `out`. processes: at a time, by default one
-    for each core, each with one thread. A video that fails stops nothing; KeyboardInterrupt as in `run_batch`."""
+    """Run `run_video` for all jobs, and write summary.csv and summary.html of them in `out`.
+
+    A video that fails stops nothing; KeyboardInterrupt as in `run_batch`. processes: at a time, each with one thread;
+    by default one for each core.
+    """
     with sole_writer(out):
         summary_output(out).require((SUMMARY, SUMMARY_PAGE))
         folders = [(job.run.out.name, job) for job in jobs]
-        plan = [ClipPlan(Clip(name, job.given), job.run.out, "new", "", identity(job.given)) for name, job in folders]
+        plan = [
+            ClipPlan(Clip(name, job.settings), job.run.out, "new", "", identity(job.settings)) for name, job in folders
+        ]
         tasks = [(name, replace(job, threads=1)) for name, job in folders]
         return work_off(plan, out, partial(carry_out, _row_of, tasks, jobs=processes), on_event)
 
 
 def _row_of(job: _Job, progress: Progress) -> dict[str, Any]:
-    """All of `recon run` on one video: columns of its summary."""
-    stages, found = run_video(job, progress)
-    new = any(done.status == "done" for done in stages)
-    return {"status": "unsolved" if is_unsolved(found) else "done" if new else "done earlier", **results_of(found)}
+    """Run one video, and return the columns of its summary."""
+    stages, report_of_fit = run_video(job, progress)
+    is_new = any(outcome.status == "done" for outcome in stages)
+    return {
+        "status": "unsolved" if is_unsolved(report_of_fit) else "done" if is_new else "done earlier",
+        **results_of(report_of_fit),
+    }

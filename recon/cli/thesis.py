@@ -18,7 +18,7 @@ _OPTIONS = tuple(name for name, info in SETTINGS.items() if name != "method" and
 
 def frame(
     settings: FitRunSettings,
-    given: Annotated[dict[str, Any], OptionsOf(FitSettings, _OPTIONS, promoted=("start_angles",))],
+    options: Annotated[dict[str, Any], OptionsOf(FitSettings, _OPTIONS, promoted=("start_angles",))],
     console: Console,
     progress: Progress,
 ) -> Answer:
@@ -28,7 +28,7 @@ def frame(
 
     Exit code 0: done. 1: no frame could be solved. 2: the input cannot be used.
     """
-    return fit(settings, {**given, "method": "frame"}, console, progress)
+    return fit(settings, {**options, "method": "frame"}, console, progress)
 
 
 def solver(settings: SolverSettings, progress: Progress) -> Answer:

@@ -34,14 +34,14 @@ class _TriangulateSettings(Settings):
 _OfClip = Annotated[dict[str, Any], OptionsOf(FitSettings, TRIANGULATION_SETTINGS)]
 
 
-def triangulate(settings: _TriangulateSettings, given: _OfClip) -> Answer:
+def triangulate(settings: _TriangulateSettings, options: _OfClip) -> Answer:
     """Triangulate the keypoints of two or more cameras, without a skeleton: points, covariances, and gaps.
 
     Example: recon triangulate cam1.csv cam2.csv cam3.csv --camera scene.json --fps 90 --out results/points
 
     Exit code 0: written. 2: the input cannot be used.
     """
-    clip = run_triangulation(read_settings(None, given), settings.out, settings.smooth, settings.overwrite)
+    clip = run_triangulation(read_settings(None, options), settings.out, settings.smooth, settings.overwrite)
     summary = clip.summary()
     return Answer({"out": settings.out} | summary, [*_lines(settings.out, summary)])
 

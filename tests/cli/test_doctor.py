@@ -44,7 +44,7 @@ def doctor() -> tuple[_Check, ...]:
 
 def test_all_is_well_here(doctor, monkeypatch):
     assert [check for check in doctor if check.status == "broken"] == []
-    found = {check.name: check.found for check in doctor}
+    found = {check.name: check.state for check in doctor}
     assert f"numpy {metadata.version('numpy')}, opencv" in found["packages"]
     assert found["recon"].startswith(metadata.version("recon-motion"))
     assert found["python"].startswith(".".join(map(str, sys.version_info[:3])))
@@ -79,10 +79,10 @@ def test_prints_a_table_of_80_columns_or_json_and_ends_with_0_or_1(doctor, monke
 def test_versions_that_are_too_old_or_missing_are_broken():
     (found,) = packages(["numpy>=1.2", "scipy>=999", "no-such-thing>=2.5", "rich; extra == 'dev'"])
     assert found.status == "broken"
-    assert found.found == f"scipy {metadata.version('scipy')}, not >=999, no-such-thing not installed"
+    assert found.state == f"scipy {metadata.version('scipy')}, not >=999, no-such-thing not installed"
     assert found.hint == f"{pip_command()} install 'scipy>=999' 'no-such-thing>=2.5'"
     (found,) = packages(["numpy>=1.2", "no-such-thing; python_version < '3'"])
-    assert (found.status, found.found) == ("ok", f"numpy {metadata.version('numpy')}")
+    assert (found.status, found.state) == ("ok", f"numpy {metadata.version('numpy')}")
 
 
 def test_a_module_of_another_distribution_counts(monkeypatch):
@@ -106,7 +106,7 @@ def test_the_package_of_somebody_else_is_found(monkeypatch):
     monkeypatch.setattr(metadata, "version", lambda name: "3.1" if name == "recon" else real(name))
     found = {check.name: check for check in versions()}["another recon"]
     assert found.status == "broken"
-    assert says(found.found, "recon 3.1")
+    assert says(found.state, "recon 3.1")
     assert says(found.hint, "pip uninstall recon recon-motion")
 
 
@@ -120,7 +120,7 @@ def test_optional_parts_say_how_to_get_them():
     found = {check.name: check for check in packages(requires)}
     assert statuses(found.values()) == {"packages": "ok", "robots": "ok", "formats": "absent"}
     assert found["formats"].hint == install_command("formats")
-    assert says(found["formats"].found, "no-such-thing", f"rich {metadata.version('rich')}, not >=999")
+    assert says(found["formats"].state, "no-such-thing", f"rich {metadata.version('rich')}, not >=999")
 
 
 def test_every_extra_of_the_project_is_explained_or_for_developers():
@@ -139,16 +139,16 @@ def test_viewer_that_is_not_there_or_fails_is_broken(monkeypatch):
     if sys.platform == "linux":
         assert statuses(viewer())["display"] == "note"
     found, _ = viewer(["/no/such/program"])
-    assert (found.status, found.found) == ("broken", "/no/such/program: No such file or directory")
+    assert (found.status, found.state) == ("broken", "/no/such/program: No such file or directory")
     found, _ = viewer([sys.executable, "-c", "import sys; print('no GL', file=sys.stderr); sys.exit(3)"])
-    assert (found.status, found.found) == ("broken", "no GL")
+    assert (found.status, found.state) == ("broken", "no GL")
 
 
 def test_a_temporary_folder_that_cannot_be_written_to_is_broken(monkeypatch, tmp_path):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "gone"))
     (check,) = self_test()
     assert (check.name, check.status) == ("temporary files", "broken")
-    assert check.found.endswith("No such file or directory")
+    assert check.state.endswith("No such file or directory")
     assert "TMPDIR" in check.hint
 
 
@@ -166,14 +166,14 @@ def test_a_temporary_folder_that_cannot_be_written_to_is_broken(monkeypatch, tmp
 def test_self_test_survives_what_it_finds(monkeypatch, program, found):
     monkeypatch.setattr(module, "_MODULE", program)
     (check,) = self_test()
-    assert (check.status, check.found) == ("broken", found)
+    assert (check.status, check.state) == ("broken", found)
 
 
 def test_self_test_that_does_not_end(monkeypatch):
     monkeypatch.setattr(module, "_MODULE", "import time; time.sleep(60)")
     monkeypatch.setattr(module, "SELF_TEST_S", 0.5)
     (check,) = self_test()
-    assert (check.status, check.found) == ("broken", "did not end within 0 s")
+    assert (check.status, check.state) == ("broken", "did not end within 0 s")
 
 
 # -- JSON for every table -----------------------------------------------------------------------------------------
