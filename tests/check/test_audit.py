@@ -15,6 +15,7 @@ from recon.animal.body import opposites
 from recon.api.audit import Audit, audit_file
 from recon.check.audit import LIMITS, audit, measures_of
 from recon.check.audited import AuditedPoints, resolution_of, roles_of
+from recon.check.codes import sentence
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 ROWS = slice(20, 30)
@@ -147,6 +148,7 @@ def test_a_leap_is_no_fault_and_shows_a_wrong_frame_rate(poses: AuditedPoints):
     findings = audit(replace(poses, positions=values, fps=120.0))
     assert [item.code for item in findings] == ["gravity_unlikely"]
     assert findings[0].numbers["other_hz"] == pytest.approx(60, rel=0.2)
+    assert "frames a second it would be right (now 120)" in sentence(findings[0])
 
 
 def test_keypoints_of_another_picture_are_named(keypoints: AuditedPoints):

@@ -37,7 +37,7 @@ SENTENCES = {
     "lengths_change": ("between nose, l_eye is 40 % off its usual length", {"points": ("nose", "l_eye"), "share": 0.4}),
     "gravity_unlikely": (
         "falls with 39.2 ± 1.0 m/s², where gravity is 9.8",
-        {"acceleration_m_s2": 39.2, "sigma_m_s2": 1.0, "given_hz": 120.0, "other_hz": 60.0},
+        {"acceleration_m_s2": 39.2, "sigma_m_s2": 1.0, "given_hz": 120.0, "advice": "Check --fps."},
     ),
     "feet_slide": (
         "Standing feet move at -3 m/s while the body moves at 0.1 m/s",
