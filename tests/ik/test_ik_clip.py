@@ -361,7 +361,7 @@ def test_clip_without_a_stride_is_said(frame_results, tmp_path):
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        ((), ("options", "job", "none", "--target, --follow stride or --compare")),
+        ((), ("options", "job", "none", "--target, --follow stride, --compare or --costs")),
         (("--follow", "circle"), ("--follow", "follow", "'circle'", "stride")),
         (("--method", "magic", "--target", "stride-max"), ("--method", "method", "'magic'", "least-norm, transpose")),
         (("--target", "1,2"), ("--target", "target", "'1,2'", ["stride-max", "3 coordinates"])),
