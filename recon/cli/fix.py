@@ -16,16 +16,14 @@ from rich.console import Console
 
 from recon.api.clip_results import CONFIG, read_config
 from recon.api.corrections import CORRECTIONS, CorrectionSession
-from recon.api.settings import FIRST_FRAME
 from recon.base.errors import InputError, Problem
 from recon.base.interrupts import installed
 from recon.base.local_server import LocalServer, Reply, json_reply
 from recon.base.locks import sole_editor
 from recon.base.numbers import counted
 from recon.base.outputs import require_suffix
-from recon.base.settings import Integer, Option, Settings
 from recon.cli.answers import Answer, say
-from recon.cli.look import first_in_clip, result_and_video
+from recon.cli.look import ResultSettings, first_in_clip, result_and_video
 from recon.io.video import Image
 from recon.show.overlay import clip_frames
 from recon.show.page.pages import rendered
@@ -34,16 +32,11 @@ from recon.show.page.scripts import script, style
 JPEG_QUALITY = 90
 
 
-class FixSettings(Settings):
-    """The settings of `recon fix`."""
+class FixSettings(ResultSettings):
+    """Settings of `recon fix`."""
 
-    folder: Annotated[Path, Option(argument="DIR")]
-    """Folder of results, as in results/clip."""
     video: Path | None = None
     """The video that the keypoints came from, as in clip.mp4. (default: points on a plain background)"""
-    camera_name: str | None = None
-    """Whose video it is, of several cameras, as in cam2. (default: whose name the video's has, or the first)"""
-    first_frame: Annotated[Integer, FIRST_FRAME] = 0
     out: Path | None = None
     """File of the corrections, which are added to those that it has. (default: the fit's own, or corrections.csv in the
     folder)"""

@@ -52,7 +52,7 @@ BESIDE = ("overlay.mp4", "analysis/analysis.json")
 """Files that a page links to, besides those of the fit, if they exist when it is made."""
 
 
-class _ResultSettings(Settings):
+class ResultSettings(Settings):
     """Folder of results, and the video of one of its cameras."""
 
     folder: Annotated[Path, Option(argument="DIR")]
@@ -64,7 +64,7 @@ class _ResultSettings(Settings):
     first_frame: Annotated[Integer, FIRST_FRAME] = 0
 
 
-def result_and_video(settings: _ResultSettings, *checks: Callable[[], object]) -> tuple[Motion, int]:
+def result_and_video(settings: ResultSettings, *checks: Callable[[], object]) -> tuple[Motion, int]:
     """Return a result, and the number of the camera that is meant.
 
     The video, if there is one, has to be of that camera. checks: of other options. Raises InputError.
@@ -87,7 +87,7 @@ def result_and_video(settings: _ResultSettings, *checks: Callable[[], object]) -
     return collect_problems(opened, *checks)[0]
 
 
-def first_in_clip(motion: Motion, number: int, settings: _ResultSettings) -> int:
+def first_in_clip(motion: Motion, number: int, settings: ResultSettings) -> int:
     """Return the number that the video's first frame has in the clip.
 
     A camera that began later or earlier than the first has its own numbers in its keypoint file.
@@ -115,7 +115,7 @@ def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int
 # -- drawn on its video -----------------------------------------------------------------------------------------------
 
 
-class OverlaySettings(_ResultSettings):
+class OverlaySettings(ResultSettings):
     """Settings of `recon overlay`."""
 
     video: Path = Field()
@@ -210,7 +210,7 @@ def _enlarged(xy_px: Array, zoom: int) -> Array:
     return zoom * xy_px + 0.5 * (zoom - 1)
 
 
-def first_frame_note(motion: Motion, settings: _ResultSettings) -> str | None:
+def first_frame_note(motion: Motion, settings: ResultSettings) -> str | None:
     """Return a note if a video goes on after the clip's last frame, and its first frame's number is not given."""
     is_given = settings.first_frame or motion.settings.get("frames") is not None
     if settings.video is None or is_given or any(source.offset_s for source in motion.sources):
@@ -242,7 +242,7 @@ def rate_note(video: Path, fps: float | None) -> str | None:
 # -- a page -----------------------------------------------------------------------------------------------------------
 
 
-class PageSettings(_ResultSettings):
+class PageSettings(ResultSettings):
     """Settings of `recon report`."""
 
     folder: Annotated[Path, Option(argument="DIR")]
@@ -312,7 +312,7 @@ def neighbours(folder: Path, whole_batch: bool = False) -> Neighbours | None:
 
 
 def page_pictures(
-    motion: Motion, number: int, settings: _ResultSettings, count: int
+    motion: Motion, number: int, settings: ResultSettings, count: int
 ) -> tuple[Overlay, Index, PictureStrip | None, list[Image] | None]:
     """Return the overlay, the rows of up to `count` stills, and the video's pictures for the player and the stills.
 
@@ -370,7 +370,7 @@ def _page_of(folder: Path, progress: Progress) -> dict[str, str]:
 # -- in the viewer ----------------------------------------------------------------------------------------------------
 
 
-class _ViewSettings(_ResultSettings):
+class _ViewSettings(ResultSettings):
     """Settings of `recon view`."""
 
     video: Path | None = None

@@ -65,7 +65,7 @@ def test_prints_a_table_of_80_columns_or_json_and_ends_with_0_or_1(doctor, monke
     for check in doctor:
         assert re.search(rf"^ *{re.escape(check.name)} +{check.status} ", ended.out, re.MULTILINE)
     shown = json.loads(run("doctor", "--json").out)
-    assert shown == {"ok": True, "checks": [check.__dict__ for check in doctor]}
+    assert shown == {"ok": True, "checks": [check.to_dict() for check in doctor]}
     bad = (*doctor, _Check("moon", "broken", "it is new", "wait [two] weeks"))
     monkeypatch.setattr("recon.cli.doctor.run_doctor", lambda progress: bad)
     ended = run("doctor")

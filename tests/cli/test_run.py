@@ -297,7 +297,9 @@ def test_a_video_of_another_size_is_refused_before_the_fit(film):
 def test_the_stages_are_those_of_the_commands(tmp_path, monkeypatch):
     """All of it, with the beginning of the rendered film, but for figures, which take long."""
     page = '<meta name="generator" content="recon">'
-    monkeypatch.setattr("recon.cli.look.clip_page", lambda _, stills, behind, files, camera: f"{page} {behind} {files}")
+    monkeypatch.setattr(
+        "recon.cli.look.clip_page", lambda _, stills, behind, files, camera, *more: f"{page} {behind} {files}"
+    )
     given = {"camera": SAMPLES / "rendered_camera.toml", "fast": True, "frames": "0:6"}
     job = job_of(
         _RunSettings(video=SAMPLES / "rendered.mp4", out=tmp_path / "out", keypoints=SAMPLES / "rendered_points.csv"),
