@@ -54,6 +54,7 @@ NOT_RUN = {
     r"recon run ": "takes half a minute; test_run.py",
     r"recon report ": "test_page.py",
     r"recon (fit|calibrate extrinsics) run\d?_cam": "of several cameras; test_offsets.py, test_cameras.py",
+    r"recon triangulate cam1\.csv ": "of three cameras; test_triangulate.py",
     r"recon camera-motion ": "needs a video of a camera that turns; test_camera_motion.py",
     r"recon overlay ": "test_overlay.py",
     r"recon fix ": "serves a page until it is stopped; test_correction_session.py",
