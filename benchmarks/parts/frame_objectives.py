@@ -53,7 +53,7 @@ CASES: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {
 others, as published. As printed, f4 and f5 have the missing da/dt and the square of the limit corrected."""
 FADED = 1e-6
 TOLERANCE = 1e-5
-"""Of every search, as that of the default's second solutions: problems without priors are flat and end late."""
+"""Tolerance of every search, that of the default's second solutions: problems without priors are flat and end late."""
 
 
 class Faded:

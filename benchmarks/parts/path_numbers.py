@@ -32,7 +32,7 @@ ACCELERATIONS_M_S2 = (6.0, 9.0, 12.0, 16.0)
 LASTS_S = (0.05, 0.1, 0.2)
 ERRORS_LAST_S = (0.03, 0.06, 0.12)
 SIZE_SIGMA = 0.1
-"""Of the animal's size, which scales every speed."""
+"""Relative standard deviation of the animal's size, which scales every speed."""
 CHOICES = tuple(product(ACCELERATIONS_M_S2, LASTS_S, ERRORS_LAST_S))
 OWN = (path.ACCELERATION_M_S2, path.ACCELERATION_LASTS_S, path.ERRORS_LAST_S)
 

@@ -157,7 +157,7 @@ class IkRun:
     """Fitted to each frame of the stride by itself (`fit_parameter_series`); None where not asked for."""
 
     portraits: Mapping[str, Portrait]
-    """Of the animal's own joints over the stride, by joint."""
+    """Closures of the animal's own joints over the stride, by joint."""
     costs: Mapping[str, CostOutcome]
     """What the extended Jacobian does with each cost on the stride, by cost, empty where not asked for."""
 

@@ -69,7 +69,7 @@ def read_corrections(path: Path) -> list[Correction]:
 
 
 def write_corrections(corrections: Iterable[Correction], path: Path) -> None:
-    """Write corrections.csv."""
+    """Write the corrections as a file that `read_corrections` reads."""
     rows = [
         (
             *(row.frame, row.camera, row.keypoint),

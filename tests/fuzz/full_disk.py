@@ -54,15 +54,17 @@ def read_results(out: Path) -> object:
 
 
 def read_data(out: Path) -> object:
+    from recon.base.errors import InputError
     from recon.cli.convert import ConvertSettings, read_any
 
     if out.suffix in (".osim", ".glb"):  # by others
         sizes = [path.stat().st_size for path in out.parent.glob(f"{out.stem}.*")]
         assert len(sizes) == (3 if out.suffix == ".osim" else 1)
         return sizes
-    return read_any(
-        out, ConvertSettings(fps=60, unit="m", up="z") if out.suffix in (".csv", ".bvh") else ConvertSettings()
-    )[0]
+    try:
+        return read_any(out, ConvertSettings(fps=60))[0]
+    except InputError:  # 3D positions without a unit, which 2D keypoints must not have
+        return read_any(out, ConvertSettings(fps=60, unit="m", up="z"))[0]
 
 
 def read_manifest(out: Path) -> object:
