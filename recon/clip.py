@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
 CORNER_PX, CONSTANT_SHARE, CONSTANT_KEYPOINTS = 1.0, 0.005, 3
 """Distance from the corner, share of all points, and number of keypoints from which one exact point is taken to stand
-for
-missing ones.
+for missing ones.
 """
 
 

@@ -54,8 +54,7 @@ def interval(
     """Return a value with the ends of its interval, such as "72 mm (48 to 106)".
 
     level: of the interval, as in "16.2 m/s (90 %: 14.2 to 18.1)". least: smallest possible value; an interval that
-    begins
-    there is written as "at most" its upper end. Without an interval the value stands alone.
+    begins there is written as "at most" its upper end. Without an interval the value stands alone.
     """
     digits = places((high - low) / 2, _ONE_DIGIT_OF_INTERVAL)
     if digits is None:

@@ -9,11 +9,11 @@ the line between them (`_pair_level`)?
 
 No body and no fit is needed, so that a camera which pulls the fit away from the others cannot hide.
 
-**Which camera is off.** If levels are too high, cameras are left out one by one until the rest agrees (`_agreeing`).
-For each camera left out, the rotation and the time offset that fit best are found (`_best_turned`, `_best_shifted`). If
-one of them lowers the level enough, it is named as the cause; otherwise the cause is unknown. An exchange of two files
-is tried first, since it explains two cameras at once (`_exchanged_pair`). Two cameras that agree with nobody are named
-as a pair.
+**Which camera is off.** If levels are too high, cameras are left out one by one until the rest agrees
+(`_largest_agreeing_group`). For each camera left out, the rotation and the time offset that fit best are found
+(`_best_turned`, `_best_shifted`). If one of them lowers the level enough, it is named as the cause; otherwise the cause
+is unknown. An exchange of two files is tried first, since it explains two cameras at once (`_exchanged_pair`). Two
+cameras that agree with nobody are named as a pair.
 
 **Time offsets and refined poses.** The same levels are used to search for offsets between cameras whose clocks differ
 (`search_offsets`), before the fit solves for them (`solve_time_offsets`). After a fit that refined poses,
@@ -121,7 +121,7 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
     names = [view.camera.name for view in views]
     given_sights = _sights(views, sigma_px, keypoint_sigma_m)
     sights, exchanged, limit = _without_exchange(views, given_sights, sigma_px, keypoint_sigma_m)
-    agreeing, comparisons = _compared(sights, fps, limit)
+    agreeing, comparisons = _compare_with_agreeing(sights, fps, limit)
 
     findings = []
     for v in (v for v in range(len(views)) if agreeing and v not in agreeing):
@@ -133,7 +133,7 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
             findings.append(by_effect(item, motion.trunk_m, is_gross=numbers["level"] > MAX_LEVEL * NOISIEST))
     for v in exchanged:  # compared as it came
         partners = [sights[o] for o in agreeing or range(len(views)) if o != v]
-        comparisons[v] = _agreement(given_sights[v], partners, fps, wide=False)
+        comparisons[v] = _compare(given_sights[v], partners, fps, wide=False)
     disagreeing = () if agreeing else tuple(range(len(views)))
     for code, members in (("cameras_exchanged", exchanged), ("cameras_disagree", disagreeing)):
         if members:
@@ -149,17 +149,16 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
 def _without_exchange(
     views: Sequence[View], sights: list[_Sight], sigma_px: float, keypoint_sigma_m: float
 ) -> tuple[list[_Sight], tuple[int, ...], float]:
-    """Return the sights with two exchanged cameras put back, these two cameras, and the largest level.
+    """Return the sights with two exchanged cameras put back, these two cameras, and the limit of levels.
 
-    Without exchanged cameras the pair is (). The level is higher than `MAX_LEVEL` if the cameras that agree best are
-    noisier
-    than expected.
+    Without exchanged cameras the pair is (). The limit is higher than `MAX_LEVEL` if the cameras that agree best are
+    noisier than expected.
     """
     everyone = tuple(range(len(views)))
     levels = _levels(sights, everyone)
-    if _agree(levels, MAX_LEVEL):
+    if _are_within(levels, MAX_LEVEL):
         return sights, (), MAX_LEVEL
-    pairs = [pair for pair in combinations(everyone, 2) if not _agree(levels[[*pair]], MAX_LEVEL)]
+    pairs = [pair for pair in combinations(everyone, 2) if not _are_within(levels[[*pair]], MAX_LEVEL)]
     trials = {pair: _sights(_with_exchanged(views, *pair), sigma_px, keypoint_sigma_m) for pair in pairs}
     trial_levels = {pair: _levels(trial, everyone) for pair, trial in trials.items()}
     rests = [_levels(sights, rest) for rest in combinations(everyone, len(everyone) - 1) if len(rest) > 1]
@@ -196,8 +195,7 @@ def _effect_m(sights: Sequence[_Sight], v: int, partners: Sequence[int]) -> dict
     """Return by how much camera v moves the points that the other cameras see, in metres.
 
     One number is about the points' middle, the other is the movement of this middle: means over joints and frames, NaN
-    if
-    the other cameras alone see too few points.
+    if the other cameras alone see too few points.
     """
     effects = dict.fromkeys(EFFECTS, np.nan)
     if len(partners) < 2:
@@ -215,27 +213,27 @@ def _effect_m(sights: Sequence[_Sight], v: int, partners: Sequence[int]) -> dict
     return dict(zip(EFFECTS, (pose_m, float(np.linalg.norm(middle_m, axis=-1).mean())), strict=True))
 
 
-def _compared(sights: Sequence[_Sight], fps: float, limit: float) -> tuple[tuple[int, ...], list[Numbers]]:
+def _compare_with_agreeing(sights: Sequence[_Sight], fps: float, limit: float) -> tuple[tuple[int, ...], list[Numbers]]:
     """Return the cameras that agree, and the comparison of each camera with them, or with all if none agree.
 
     About its line of sight a camera can be turned by some degrees, and its level is still low. Of the cameras that
     agree, those go, too, that a rotation or a time offset clearly improves.
     """
-    agreeing = _agreeing(sights, fps, limit)
-    comparisons = _agreements(sights, agreeing or range(len(sights)), fps)
+    agreeing = _largest_agreeing_group(sights, fps, limit)
+    comparisons = _compare_each(sights, agreeing or range(len(sights)), fps)
     while len(agreeing) > 2:
         worst = max(agreeing, key=lambda v: _gain(comparisons[v]))
         if _gain(comparisons[worst]) < CLEAR_GAIN:
             break
         agreeing = tuple(v for v in agreeing if v != worst)
-        comparisons = _agreements(sights, agreeing, fps)
+        comparisons = _compare_each(sights, agreeing, fps)
     return agreeing, comparisons
 
 
 # -- who agrees --------------------------------------------------------------------------------------------------------
 
 
-def _agree(levels: Array, limit: float) -> bool:
+def _are_within(levels: Array, limit: float) -> bool:
     """Return whether no level exceeds the limit; NaN does not."""
     return not (levels > limit).any()
 
@@ -251,15 +249,15 @@ def _exchanged_pair(levels: Array, trials: Mapping[tuple[int, int], Array], limi
         for pair, after_exchange in trials.items()
         if np.nansum(after_exchange) < np.nansum(levels) / 2
         and all(_is_explained(after_exchange[v], levels[v], limit) for v in pair)
-        and (len(levels) > 2 or _agree(after_exchange, limit))
+        and (len(levels) > 2 or _are_within(after_exchange, limit))
     }
     return min(explained, key=lambda pair: explained[pair], default=None)
 
 
-def _agreements(sights: Sequence[_Sight], agreeing: Sequence[int], fps: float) -> list[Numbers]:
+def _compare_each(sights: Sequence[_Sight], agreeing: Sequence[int], fps: float) -> list[Numbers]:
     """Compare each camera with the others of the agreeing ones."""
     return [
-        _agreement(sight, [sights[o] for o in agreeing if o != v], fps, wide=v not in agreeing)
+        _compare(sight, [sights[o] for o in agreeing if o != v], fps, wide=v not in agreeing)
         for v, sight in enumerate(sights)
     ]
 
@@ -281,8 +279,9 @@ def _gain(numbers: Numbers) -> float:
 
 
 def _code(numbers: Numbers, limit: float) -> str:
+    """Return the code of a camera's finding: the cause that leaves the lowest level, if that explains it."""
     likeliest = min(
-        (level, code) for code, level in {**_causes(numbers), "camera_off": np.inf}.items() if level == level
+        (level, code) for code, level in {**_causes(numbers), "camera_off": np.inf}.items() if not np.isnan(level)
     )
     return likeliest[1] if _is_explained(likeliest[0], numbers["level"], limit) else "camera_off"
 
@@ -295,7 +294,7 @@ def _with_exchanged(views: Sequence[View], a: int, b: int) -> list[View]:
     ]
 
 
-def _agreeing(sights: Sequence[_Sight], fps: float, limit: float) -> tuple[int, ...]:
+def _largest_agreeing_group(sights: Sequence[_Sight], fps: float, limit: float) -> tuple[int, ...]:
     """Return the cameras that are left when those that agree least have been left out one by one; () if no two agree.
 
     The last two of three cameras can only be compared with each other, and a camera next to another may pass in spite
@@ -303,7 +302,7 @@ def _agreeing(sights: Sequence[_Sight], fps: float, limit: float) -> tuple[int, 
     both.
     """
     agreeing = tuple(range(len(sights)))
-    while not _agree(_levels(sights, agreeing), limit):
+    while not _are_within(_levels(sights, agreeing), limit):
         if len(agreeing) == 2:
             return ()
         rests = combinations(agreeing, len(agreeing) - 1)
@@ -323,7 +322,7 @@ def _cost_without(
     shifted, _ = _best_shifted(sights[v], points, fps, wide=True)
     levels = [_levels([*sights[:v], sight, *sights[v + 1 :]], agreeing) for sight in (turned, shifted)]
     best = min(levels, key=np.nansum)
-    return not _agree(best, limit), float(np.nansum(best))
+    return not _are_within(best, limit), float(np.nansum(best))
 
 
 # -- rays and points ---------------------------------------------------------------------------------------------------
@@ -434,7 +433,7 @@ def _levels(sights: Sequence[_Sight], agreeing: Sequence[int]) -> Array:
     return levels
 
 
-def _agreement(sight: _Sight, partners: Sequence[_Sight], fps: float, wide: bool) -> Numbers:
+def _compare(sight: _Sight, partners: Sequence[_Sight], fps: float, wide: bool) -> Numbers:
     """Compare a camera with others. wide: the time offset is searched over a long range."""
     numbers = dict.fromkeys(("turn_rad", "level_turned", "late_frames", "level_late"), np.nan)
     if len(partners) == 1:
@@ -539,9 +538,8 @@ def search_offsets(views: Sequence[View], fps: float, sigma_px: float, keypoint_
     """Return the time offset of each camera from the first, in whole frames beyond the stated offset, (V,).
 
     Views have the same T frames; the noise is as in `agreement_findings`. Each camera in turn gets the offset at which
-    its
-    rays pass those of the cameras before it most closely, then, a few times, those of all others. It is 0 if no other
-    offset is clearly better, and NaN if a camera sees too few points together with the others to compare.
+    its rays pass those of the cameras before it most closely, then, a few times, those of all others. It is 0 if no
+    other offset is clearly better, and NaN if a camera sees too few points together with the others to compare.
     """
     sights = _sights(views, sigma_px, keypoint_sigma_m)
     T = len(views[0].xy_px)

@@ -1,4 +1,4 @@
-"""Rules that check a motion by itself, at no cost, in one list.
+"""Rules that check a motion by itself, at no cost: `COMMON` and `OF_POSES` for both methods, `OF_TRAJECTORY` for one.
 
 A rule is a function of a motion that yields its findings. Those that fit the clip again are called where clips are
 fitted (`recon.check.inputs`, `recon.check.agreement`).

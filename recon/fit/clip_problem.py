@@ -290,7 +290,7 @@ class ClipProblem:
         around_m: Array | None = None,
         size: float = 1.0,
     ) -> LeastSquares:
-        """Return the problem with all terms; each is switched on here.
+        """Return the problem with all terms; each is switched on here, those of the feet in `contacts`.
 
         Parameters
         ----------
@@ -387,10 +387,8 @@ def _stance_by_size(clip: ClipProblem, points_m: Array, size: float, slow: Array
     """Return the derivatives of the feet's velocities by the size (T - 1, F, 3), if one moving camera sees the animal.
 
     Standing feet show the size: with a wrong size they would appear to move with the camera, and swinging feet move in
-    any
-    case. If the camera moves along with the animal, feet appear to move both forwards and backwards, and all of them
-    count
-    the more.
+    any case. If the camera moves along with the animal, feet appear to move both forwards and backwards, and all of
+    them count the more.
     """
     camera = np.diff(clip.views[0].centre_m, axis=0)[:, None]
     body = (

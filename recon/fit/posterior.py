@@ -1,16 +1,15 @@
 """Say how well a trajectory is known: the Gaussian approximation of the posterior at the minimum.
 
-**1. Covariance of the states.** Let H be the curvature of the cost at the minimum, by the states x of all frames,
-bordered by the shared unknowns s (`recon.fit.banded`). The inverse of the bordered matrix is the covariance of both. It
-has three parts: the covariance of a frame with s fixed, a block of H^-1; the covariance S^-1 of s, which moves the
-frame along by -Y; and the size, one of the shared unknowns, which is kept apart because the ground can tell more of it
-later. `curvature` makes these parts, `posterior` adds them up frame by frame.
+**1. Covariance of the states.** Let H be the curvature of the cost at the minimum by the states x of all frames, B that
+between x and the shared unknowns s, Y = H^-1 B, and S the curvature by s with x eliminated (`recon.fit.banded`). Where
+s moves by ds, x follows by -Y ds. The covariance of s is S^-1. That of a frame is a block of H^-1, with s fixed, plus
+Y S^-1 Y'. The size is one of s, and is kept apart because the ground can tell more of it later. `curvature` makes
+these parts, `posterior` adds them up frame by frame.
 
-**2. Covariance of the joints.** A joint lies at origin + s p, with s the size. It moves by s J dx with the frame's
-unknowns, and by p ds with the size. Where the pixels tie the two, the unknowns follow the size by -Y ds. With q = p - s
-J Y,
+**2. Covariance of the joints.** A joint lies at origin + size p. Let J be the Jacobian of p by the frame's unknowns,
+and a how these follow the size (`state_by_size`). With q = p + size J a,
 
-    cov(joint) = s^2 J C J' + var(s) q q'
+    cov(joint) = size^2 J C J' + var(size) q q'
 
 where C is the frame's covariance at a given size. The covariance relative to the mean of all joints has J and q less
 their means over the joints.
@@ -18,7 +17,7 @@ their means over the joints.
 **3. Errors that last.** The cost takes the errors of neighbouring frames for independent. They are not:
 `variance_factor`, their correlation length in frames, multiplies all variances. A bias of a keypoint lasts all clip. It
 is no unknown of the solution but one of the posterior, with an expected variance that is widened where the detections
-show more (`_bias_variance_factor`); the noise that is left about it is estimated anew (`with_noise_about_bias`), as
+show more (`_bias_scale`); the noise that is left about it is estimated anew (`with_noise_about_bias`), as
 otherwise the bias would count twice.
 
 **4. Information fraction.** The precision of a joint or an angle with the pixels is compared with its precision without
@@ -26,12 +25,12 @@ them, from the other terms alone: 1 - variance / variance without pixels.
 
 **5. Prior misfit and prior weight.** At a minimum the angles deviate from what the prior expects by whitened residuals
 r. Let P be the prior's curvature, H that of all terms, and n the number of unknowns. Where the prior fits, |r|^2 is n -
-tr(H^-1 P), the number of unknowns that the pixels determine, times the number of frames that an error lasts (D. MacKay,
-*Bayesian interpolation*, Neural Computation 4, 1992). The ratio of the two is the most likely scale of the prior's
-variances, and the prior's weight from then on is one over it.
+tr(H^-1 P), the number of unknowns that the pixels determine, times a usual mean square (`MISFIT_USUAL`), which is above
+1 because errors last (D. MacKay, *Bayesian interpolation*, Neural Computation 4, 1992). The ratio of the two is the
+most likely scale of the prior's variances, and the prior's weight from then on is one over it.
 
 **6. Regions and intervals.** The noise of a clip and the weight of its prior are themselves estimated, which turns a
-Gaussian into a Student's t. With S the covariance of an error e in k dimensions, e' S^-1 e is k (nu - 2) / nu times a
+Gaussian into a Student's t. With V the covariance of an error e in k dimensions, e' V^-1 e is k (nu - 2) / nu times a
 variable of Fisher's F with k and nu degrees of freedom.
 """
 
@@ -117,9 +116,10 @@ class _Curvature:
     """Which of the P are the lengths, where these are unknown."""
 
     def windows(self) -> Iterator[tuple[Window, Array, Array]]:
-        """Yield the windows with the derivatives of their n frames by the shared unknowns.
+        """Yield the windows with how their n frames follow the shared unknowns.
 
-        They are (n, D, P) by the P unknowns besides the size, and (n, D) by the size.
+        The first array is Y (n, D, P) of the P unknowns besides the size, by which the frames move by -Y; the second
+        one is the derivative (n, D) by the size.
         """
         n_size = len(self.shared_precision) - len(self.root)  # it comes first
         for window in self.eliminated():
@@ -146,7 +146,7 @@ def curvature(problem: LeastSquares, estimate: Estimate, variance_factor: float)
         variance_m2 = 1.0 / prior_precision[bias_columns]
         solved_bias = estimate.shared.get(COMMON_KEYPOINT_BIAS)
         without_bias = reduced[:, -1] if solved_bias is None else reduced[:, -1] - S[:, bias_columns] @ solved_bias
-        variance_scale = _bias_variance_factor(S, without_bias, bias_columns, variance_m2, variance_factor)
+        variance_scale = _bias_scale(S, without_bias, bias_columns, variance_m2, variance_factor)
         S[bias_columns, bias_columns] += np.diag((1.0 / variance_scale - 1.0) / variance_m2)
         prior_precision[bias_columns] /= variance_scale
         beyond_m2 = (variance_scale - 1.0) * variance_m2[::3]
@@ -170,7 +170,7 @@ def curvature(problem: LeastSquares, estimate: Estimate, variance_factor: float)
     )
 
 
-def _bias_variance_factor(S: Array, g: Array, columns: slice, variance: Array, variance_factor: float) -> float:
+def _bias_scale(S: Array, g: Array, columns: slice, variance: Array, variance_factor: float) -> float:
     """Return the likeliest factor on the expected variances of some shared unknowns, 1 at least.
 
     Expectation and maximisation: the expected squares of the unknowns under their posterior give the factor, and the
@@ -190,10 +190,8 @@ def with_noise_about_bias(problem: LeastSquares, estimate: Estimate, variance_fa
     """Return the problem of several cameras with the noise of detections about their keypoint bias.
 
     A solution assumes a bias of 0, so that its residuals contain bias and noise, and the bias would count twice if all
-    of
-    them were taken for noise. The variance of the noise is the likeliest one: the squared residuals that remain after
-    the
-    best bias, divided by the number of detections less those that determine the bias.
+    of them were taken for noise. The variance of the noise is the likeliest one: the squared residuals that remain
+    after the best bias, divided by the number of detections less those that determine the bias.
     """
     if COMMON_KEYPOINT_BIAS not in [unknown.name for unknown in (*problem.shared, *problem.nuisance)]:
         return problem
@@ -384,12 +382,12 @@ class PriorMisfit:
 
 def prior_misfit_of(problem: LeastSquares, estimate: Estimate) -> PriorMisfit:
     """Return the misfit of the prior as the problem weighs it, at its minimum."""
-    prior, determined = problem.subset(PRIOR_TERMS), 0.0
+    prior, by_prior = problem.subset(PRIOR_TERMS), 0.0
     windows = eliminated(problem.normals(estimate.states, estimate.shared)(), bounded=True)
     for window, prior_normal in zip(windows, prior.normals(estimate.states)(), strict=True):
         overlap = window.marginal_blocks() * prior_normal.blocks
-        determined += float(overlap[:, 0].sum() + 2 * overlap[:, 1:].sum())
-    freedom = max(estimate.states[:, ANGLES].size - determined, 1.0)
+        by_prior += float(overlap[:, 0].sum() + 2 * overlap[:, 1:].sum())
+    freedom = max(estimate.states[:, ANGLES].size - by_prior, 1.0)
     return PriorMisfit(prior.squares(estimate.states) / freedom / constants.MISFIT_USUAL, freedom)
 
 

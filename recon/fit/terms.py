@@ -1,4 +1,4 @@
-"""The terms of the trajectory problem: one small class each.
+"""The terms of the trajectory problem: each a function that makes a `Linear`, or one small class.
 
 For N frames, from a span's first frame on, a term gives its cost (N,), residual r (N, M), Jacobian J (N, M, S, D) and,
 by name, the derivatives (N, M, P) by unknowns that all frames share. J'r is the exact gradient of the cost, and J'J its
@@ -539,4 +539,7 @@ class OnGround:
 
 
 MARKER_TERMS = (Reprojection, Heading, StanceVelocity, OnGround)
-"""The terms that read the markers, and not the state alone."""
+"""The terms that read the markers (`span.pose`).
+
+Any such term must be here, or fits that solve for lengths and offsets lack its derivatives.
+"""

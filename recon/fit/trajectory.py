@@ -444,7 +444,7 @@ def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> 
         segments=tuple(segment.in_world(unshaped, size) for segment in solved if not out_of_sight[segment.rows].all()),
         prior=clip.prior.name,
         status="converged" if solved and all(segment.estimate.converged for segment in solved) else "not_converged",
-        cost_by_term={name: sum(segment_posterior.get(name, 0.0) for segment_posterior in costs) for name in names},
+        cost_by_term={name: sum(by_name.get(name, 0.0) for by_name in costs) for name in names},
         iterations=sum(segment.iterations for segment in solved),
         starts=sum(len(tried) for segment in solved for _, tried in segment.windows),
         **shared,
@@ -600,7 +600,7 @@ def _size_error_of_bias(clip: ClipProblem) -> float:
 def _alternative_cost(clip: ClipProblem, segment: SegmentFit, size: float, distance_m: Array) -> float:
     """Return the least extra cost of another start.
 
-    apart_m (T,) gets the mean distance of its joints, both poses centred.
+    distance_m (T,) gets the mean distance of its joints, both poses centred.
     """
     extra_cost = np.inf
     points = clip.body.tree.pose(segment.estimate.states).points_m

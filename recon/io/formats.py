@@ -1,7 +1,8 @@
 """List the file formats in one table, and read points by it.
 
 A new format is one module with `recognises(path)`, `read(path, individual)` and `write(data, path)`, whichever it has,
-and one line in `FORMATS`. `recon fit`, `batch`, `evaluate` and `convert` take it from there.
+a function below that imports them, and one line in `FORMATS`. `recon fit`, `batch`, `evaluate` and `convert` take it
+from there.
 """
 
 from __future__ import annotations

@@ -1,6 +1,11 @@
-"""Every term's rows have the exact gradient of its cost, at random points; a new term is one line in `terms`."""
+"""Every term's rows have the exact gradient of its cost, at random points.
+
+A new term is one line in `terms` of tests/term_cases.py.
+"""
 
 from __future__ import annotations
+
+from typing import cast
 
 import numpy as np
 import pytest
@@ -18,6 +23,7 @@ from term_cases import (
 
 from recon.fit.least_squares import LeastSquares
 from recon.fit.terms import (
+    MARKER_TERMS,
     Linear,
     PoseMixture,
     Reprojection,
@@ -25,6 +31,7 @@ from recon.fit.terms import (
     dynamics_term,
     pose_term,
 )
+from recon.geometry.kinematics import TreePose
 
 
 def cost(term, states: np.ndarray) -> float:
@@ -116,3 +123,11 @@ def test_spans_overlap_by_one_frame():
     pose = BODY.tree.pose_with_jacobian(some_states())
     assert Span(0, some_states(), pose, is_last=True).own_rows == slice(0, T)
     assert Span(0, some_states(), pose, is_last=False).own_rows == slice(0, T - 1)
+
+
+def test_every_term_that_reads_markers_is_among_those_that_a_shape_changes():
+    """Otherwise fits of several cameras would lack its derivatives by lengths and offsets."""
+    states, poseless = some_states(), cast(TreePose, None)
+    for term in terms():
+        if not isinstance(term, (Linear, *MARKER_TERMS)):
+            term.evaluate(Span(0, states, poseless, True), jacobian=True)
