@@ -13,7 +13,7 @@ LEAST_MB = 640
 def main() -> None:
     """Run the command line.
 
-    Ctrl-C ends it with one line and its exit code at any moment, also during imports.
+    Ctrl-C ends the command at any moment, even during imports, with one line and its exit code.
     """
     _open_streams()
     _require_memory()

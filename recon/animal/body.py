@@ -98,7 +98,7 @@ def side_of(name: str) -> Side | None:
 
 
 def other_side(name: str) -> str:
-    """Return the name of the other side, l_paw -> r_paw and back; names of the middle stay."""
+    """Return the name of the other side, l_paw -> r_paw and back; a name without a side is unchanged."""
     word = SIDE_WORD.search(name)
     return name if word is None else name[: word.start()] + opposite_word(word[0]) + name[word.end() :]
 
@@ -126,7 +126,7 @@ def common_side(sides: Iterable[Side | None]) -> Side | None:
 
 @dataclass(frozen=True)
 class Skeleton:
-    """A skeleton's file in a form of its own, from which a body is made (`recon.animal.chain`)."""
+    """Hold a skeleton file that has a form of its own and is converted to a body (`recon.animal.chain`)."""
 
     name: str
     title: str
@@ -214,7 +214,7 @@ class Body(Brief):
 
     @cached_property
     def one_sided(self) -> bool:
-        """Return whether it is a chain, which stands for the limbs of either side."""
+        """Return whether the body is a chain, which is fitted to the limbs of one side."""
         return any(left != right for left, right in self.keypoints)
 
     def keypoint_names(self, side: Side | None) -> tuple[str, ...]:

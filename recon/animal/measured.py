@@ -1,4 +1,4 @@
-"""Read and write files about measured animals: subjects (lengths); write detectors and priors."""
+"""Read and write the measured lengths of animals (subject files); write files of detectors and priors."""
 
 from __future__ import annotations
 

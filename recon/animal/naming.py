@@ -279,7 +279,7 @@ def _written(name: str) -> tuple[str | None, ...]:
 def _words(name: str) -> list[str]:
     """Return the words of a name without its side, in lower case: rootOfTail -> base, tail.
 
-    A word that another implies is left out: the limb of LF_carpus, and the tip of a hoof.
+    A word that another word implies is left out: front in LF_carpus, tip in hoof_tip.
     """
     words = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|[0-9]+|[^\W\d_a-zA-Z]+", without_side(name))
     lower: list[str] = [word.lower() for word in words]
@@ -289,7 +289,7 @@ def _words(name: str) -> list[str]:
 
 
 def without_side(name: str) -> str:
-    """Return a name without its side, front_left_paw -> front_paw; names of the middle stay."""
+    """Return a name without its side, front_left_paw -> front_paw; a name without a side is unchanged."""
     word = SIDE_WORD.search(name)
     if word is None:
         return name
@@ -300,7 +300,7 @@ def without_side(name: str) -> str:
 
 
 def both_sides(name: str) -> str:
-    """Return a name with both sides, l_paw or r_paw -> l/r_paw; names of the middle stay."""
+    """Return a name that shows both sides, l_paw or r_paw -> l/r_paw; a name without a side is unchanged."""
     word = SIDE_WORD.search(name)
     if word is None:
         return name

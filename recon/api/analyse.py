@@ -204,7 +204,7 @@ def _dynamics_summary(analysis: ClipAnalysis) -> dict[str, Any] | None:
     dynamics = analysis.dynamics
     if dynamics is None or analysis.gait is None:
         return None
-    # Errors of energies are correlated: the mean over the clip may be as uncertain as its instants.
+    # Energy errors are correlated: the mean over the clip may be as uncertain as the value at one instant.
     sigma = {name: mean(values) for name, values in dynamics.energy_sigma_j_kg.items()}
     means = {name: interval_of(mean(values), sigma[name]) for name, values in dynamics.energy_j_kg.items()}
     return {

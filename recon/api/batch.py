@@ -239,14 +239,14 @@ def run_batch(
 
 
 def work_off(plan: Sequence[ClipPlan], out: Path, run: Callable[[Tell], None], on_event: OnEvent) -> Summary:
-    """Work off the clips of a plan, with `carry_out` and its tasks given, and write the summary again and again."""
+    """Process the clips of a plan with `run`, which carries out its tasks, and keep the summary up to date."""
     summary = Summary(plan, out)
 
     def tell(event: Event) -> None:
         if event.kind == "ended":
             summary.end(event.name, event.outcome)
         on_event(event, summary)
-        if event.kind == "ended":  # and all else has been told
+        if event.kind == "ended":  # only after all else has been reported
             summary.write_now_and_then()
 
     summary.write()

@@ -99,15 +99,15 @@ def find_clips(
 ) -> tuple[list[Clip], list[str]]:
     """Return the clips of all inputs in their order, and notes.
 
-    Each animal of a file with several is a clip, unless one is chosen.
+    In a file with several animals each animal is a clip, unless one is chosen.
 
     Parameters
     ----------
     inputs
-        Keypoint files; quoted patterns; DeepLabCut's projects (a folder with config.yaml, or that file), of which the
-        tables beside the videos are read; other folders, of which every file is read that a reader recognises, and of
-        files that differ in their suffix only the last one (.h5 rather than .csv, as DeepLabCut writes its tables
-        twice); Anipose's sessions; CSV manifests, with `keypoints` in their header.
+        Keypoint files; quoted patterns; DeepLabCut projects (a folder with config.yaml, or that file), whose tables
+        next to the videos are read; other folders, in which every file that a reader recognises is read, but only the
+        last one of files that differ in nothing but the suffix (.h5 rather than .csv, since DeepLabCut writes each
+        table twice); Anipose sessions; CSV manifests with `keypoints` in their header.
     common
         Settings of every clip by name, None where not given. A manifest's cells overrule them, and they overrule
         config.

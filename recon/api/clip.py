@@ -82,7 +82,10 @@ def _solve(
     sources: tuple[Source, ...],
     options: TrajectoryOptions,
 ) -> TrajectorySolution:
-    """Solve for the motion that the sources show; over a belt twice, the second time with the belt's path known."""
+    """Solve for the motion that the sources show.
+
+    On a belt, solve twice: the belt's path is known the second time.
+    """
     views = views_of(sources)
     solution = solve_trajectory(views, inputs.body, inputs.prior, inputs.fps, options, progress)
     if belt_speed_m_s is None:

@@ -161,7 +161,7 @@ def cameras_in(stem: str, names: Iterable[str]) -> dict[str, re.Match[str]]:
     cam1 is in run_cam1DLC, not in run_cam10; A is in run-A, not in run-Alex; cam1 is in run_cam01, unless there is a
     cam01. If a file's name has camA or cam-1, the cameras A and 1 are looked for nowhere else in it.
     """
-    # cam1 is also cam_01 and Camera1, what Pose2Sim calls int_cam01_img, and DANNCE hires_cam1_params
+    # cam1 may be written cam_01 or Camera1; Pose2Sim writes int_cam01_img, DANNCE hires_cam1_params
     numbered = {
         name: re.fullmatch(r"(?:int_|hires_)?([A-Za-z]+)[-_ ]?0*([0-9]+)(?:_img|_params)?", name) for name in names
     }

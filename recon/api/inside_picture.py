@@ -17,7 +17,7 @@ have to be inside."""
 
 
 def require_inside(camera: Camera, keypoints: Keypoints, settings: FitSettings) -> None:
-    """Raise InputError if the keypoints reach outside the picture: it is another camera's, or its size is wrong."""
+    """Raise InputError if keypoints lie outside the picture: the camera or the picture size is wrong."""
     points = np.clip(keypoints.xy_px[keypoints.present], -1e9, 1e9)
     if _contains(camera.image_size_px, points):
         return

@@ -363,7 +363,7 @@ class Output:
                 _write_record(folder, record)
             raise
         kept = {name: entries for name, entries in record.items() if os.path.lexists(folder / name)}
-        with suppress(OSError):  # otherwise the record lists more files than it needs to
+        with suppress(OSError):  # if this fails, the record lists more files than it needs to
             _write_record(folder, kept | {name: (entry,) for name, entry in new.items()})
         if self.has_manifest:
             _remove_made_from(folder)

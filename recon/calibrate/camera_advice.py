@@ -80,7 +80,9 @@ def advise(
     cameras: int = 1,
     progress: Callable[[float], None] = lambda share: None,
 ) -> list[Advice]:
-    """Return advice on one camera, or also on a second one added to the first in its best position.
+    """Return advice on where to put one or two cameras.
+
+    The first camera stands in its best position when advice on the second is given.
 
     Parameters
     ----------

@@ -467,7 +467,7 @@ def frame_rate_finding(
 
 
 def _effect_m(clip: ClipProblem, states: Array, other_states: Array) -> dict[str, float]:
-    """Return by how much two motions differ, the poses about their middle and the middle, means over the frames."""
+    """Return the mean difference of two motions over the frames: of poses about their middle, and of the middle."""
     apart_m = clip.markers(states) - clip.markers(other_states)
     middle_m = apart_m.mean(axis=1, keepdims=True)
     lengths_m = (np.linalg.norm(vectors_m, axis=-1).mean() for vectors_m in (apart_m - middle_m, middle_m))

@@ -157,7 +157,7 @@ def _cell(index: int, shape: tuple[int, ...]) -> tuple[int, int, int]:
 
 
 def _error_fall_m(motion: Motion, gain_m2: Array) -> Array:
-    """Return by how much the root mean square error of the joints, both poses centred, is expected to fall."""
+    """Return the expected decrease of the root mean square error of the joints, both poses centred, in metres."""
     variance_m2 = np.trace(motion.solution.relative_covariance_m2[motion.solved], axis1=-2, axis2=-1)
     error_m2 = float(variance_m2.mean()) if variance_m2.size else np.nan
     return np.sqrt(error_m2) - np.sqrt(np.maximum(error_m2 - gain_m2, 0.0))

@@ -432,7 +432,7 @@ def main() -> None:
             message = f" ({message[:200]})" if message else ""
             console.print(error_text(f"not enough memory{message}: try fewer frames at once (--frames)"))
             sys.stdout.flush()
-            os._exit(EXIT_UNSOLVED)  # what libraries have made by half crashes when it is taken down
+            os._exit(EXIT_UNSOLVED)  # half-initialised libraries crash in a normal exit
         if isinstance(error, UnicodeEncodeError) and encodable(error.object) != error.object:
             problem = Problem(
                 error.object[:200], "name", "bytes that are not UTF-8", "a name in UTF-8: rename the file"

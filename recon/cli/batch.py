@@ -85,7 +85,7 @@ def batch(settings: _BatchSettings, options: _FitOptions, console: Console) -> A
     plan = plan_batch(clips, settings.out, settings.overwrite)
     if settings.dry_run:
         return _dry_run_answer(plan, input_problems(clips), settings.strict)
-    shared = repeated(input_problems(clips, shared_only=True))  # be it each with a file of its own
+    shared = repeated(input_problems(clips, shared_only=True))  # even if each clip has a file of its own
     raise_problems(problem for problem, places in shared if len(places) == len(clips))
     left = sum(planned.action != "done" for planned in plan)
     if left < len(plan):

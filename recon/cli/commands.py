@@ -56,7 +56,7 @@ class OptionsOf:
 
     @property
     def infos(self) -> dict[str, SettingInfo]:
-        """Return the settings by name, with their heading."""
+        """Return the settings by name, each with its heading in the help."""
         infos = self.settings.infos()
         return {
             name: replace(infos[name], option=self._option(name, infos[name].option)) for name in self.names or infos

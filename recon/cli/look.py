@@ -266,7 +266,10 @@ def report(settings: PageSettings, progress: Progress = silent) -> Answer:
 
 
 def _page_of_clip(settings: PageSettings, progress: Progress, whole_batch: bool = False) -> Answer:
-    """Make the page of one result. whole_batch: those of all clips beside it are being made, too."""
+    """Make the page of one result.
+
+    whole_batch: the pages of all clips of its batch are being made, too.
+    """
     folder, page, video = settings.folder, settings.folder / PAGE, settings.video
     output = Output(folder, "report", True, made_from=ReadResults.read(folder), option="")
     motion, number = result_and_video(settings, lambda: output.require((PAGE,)) if folder.is_dir() else None)

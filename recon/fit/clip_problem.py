@@ -114,7 +114,7 @@ class ClipProblem:
 
     @property
     def detector_is_measured(self) -> bool:
-        """Return whether it is known where the detector's keypoints lie, and how noisy each is."""
+        """Return whether the position and the noise of the detector's keypoints are known."""
         return bool(self.body.keypoint_noise_m)
 
     def with_likely_shape_spread(self, shared: Mapping[str, Array]) -> ClipProblem:
@@ -208,7 +208,7 @@ class ClipProblem:
         return np.array([noise_m.get(marker, self.keypoint_sigma_m) for marker in self.body.markers])
 
     def px_per_m(self, points_m: Array, size: float = 1.0) -> Array:
-        """Return the pixels per metre of the nominal body in the middle of its markers (T, J, 3), shape (V, T)."""
+        """Return the image scale (V, T) at the middle of markers (T, J, 3), pixels per metre of the nominal body."""
         middle = self.in_world(np.median(points_m, axis=1, keepdims=True), size)
         scales = []
         for view in self.views:
@@ -373,7 +373,7 @@ def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Gr
     contact_of_frames = np.concatenate([contact[:1], np.maximum(contact[1:], contact[:-1]), contact[-1:]])
     if contact.sum() < 3:  # no foot stands: nothing is known of the ground
         return contact_of_frames, None, (stance,)
-    # Several cameras see where it lies, and at nominal size it would pull at the size; those that are refined see less.
+    # Several cameras see where the ground lies, and at nominal size it would bias the size; refined cameras see less.
     in_world = len(clip.views) > 1 and (near_zero or not clip.options.refine_cameras)
     plane_size = size if in_world else None
     on_ground = terms.OnGround(feet, contact, plane, centre, clip.fps, constants.GROUND_FOOT_M, plane_size)

@@ -286,7 +286,7 @@ class Motion:
         """Return the keypoint of the reference joint."""
         return self.names[self.joints.index(self.reference_joint)]
 
-    # -- input of the fit, of the first camera --------------------------------------------------------------------
+    # -- the fit's input, first camera only -----------------------------------------------------------------------
 
     @property
     def camera(self) -> Camera:

@@ -616,7 +616,7 @@ def _alternative_cost(clip: ClipProblem, segment: SegmentFit, size: float, dista
 
 
 def _out_of_sight(clip: ClipProblem, joints_m: Array) -> Bools:
-    """Return whether the pose of joints (T, J, 3) is further off than any camera can see it, (T,)."""
+    """Return in which frames the joints (T, J, 3) are too far away for any camera to see, (T,)."""
     marker_index = clip.body.markers.index
     limbs = (joints_m[:, [marker_index(marker) for marker in limb]] for limb in clip.body.limbs.values())
     reach_m = sum(np.linalg.norm(np.diff(limb, axis=1), axis=2).sum(axis=1) for limb in limbs)

@@ -517,7 +517,7 @@ def joint_kinematics(pose: Pose3D, joint: str, fps: float, errors: Sequence[Erro
 def _norm(vector: Array, sigma: Array) -> tuple[Array, Array]:
     """Return the norms (N,) of vectors (N, d) and their standard deviations: sum((v_k / |v|)^2 sigma_k^2)."""
     norm = np.linalg.norm(vector, axis=1)
-    # At rest the direction is unknown: the mean over the directions.
+    # At rest the direction is unknown: take the mean over all directions.
     share = np.divide(vector, norm[:, None], out=np.full_like(vector, vector.shape[1] ** -0.5), where=norm[:, None] > 0)
     return norm, np.sqrt(np.sum((share * sigma) ** 2, axis=1))
 
@@ -607,7 +607,7 @@ def joint_angle(
         Errors(angle_sigma(angle_of, points, error.sigma[:, joint_rows]), error.correlation_s) for error in errors
     ]
     for stated in angle_errors:
-        # Where the angle has no first derivative there is no linear deviation either.
+        # Where the angle cannot be differentiated, its linearised standard deviation is unknown: leave it out.
         angle = np.where(np.isfinite(stated.sigma) & (stated.sigma > 0), angle, np.nan)
     result = angle_kinematics(frame_times(pose.frames, fps), angle, angle_errors, **options)
     if angle_of is not angle_between or not errors:

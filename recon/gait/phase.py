@@ -290,6 +290,6 @@ def diameter(path: Array) -> float:
     if path.shape[1] == 1:
         return float(np.ptp(path))
     with suppress(QhullError):  # flat
-        path = path[ConvexHull(path).vertices]  # two of its corners are the farthest from each other
+        path = path[ConvexHull(path).vertices]  # the two points farthest apart are corners of the hull
     rows = [path[i : i + CHUNK] for i in range(0, len(path), CHUNK)]
     return max(float(np.sqrt(np.sum((a[:, None] - b) ** 2, axis=2)).max()) for a in rows for b in rows)

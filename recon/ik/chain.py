@@ -1,14 +1,14 @@
 """Serial chains: a tree (`recon.geometry.kinematics`) of one branch, with the limits of its joints.
 
-There are three ways to make one. The publication's chains have angles that are relative to the link before and add up;
-T_k, P_k are the sums up to link k, r_k its length. In two dimensions (`planar_chain`) link k adds
+There are three ways to make a chain. The publication's chains have angles that are relative to the link before and
+add up; T_k, P_k are the sums up to link k, r_k its length. In two dimensions (`planar_chain`) link k adds
 r_k (cos T_k, sin T_k), in three (`summed_chain`), with q = [theta..., phi...],
 
     r_k (cos T_k cos P_k,  sin T_k,  cos T_k sin P_k)
 
-in the base frame UVW of `recon.animal.chain`. `joint_chain` has joints in space, which turn about their axes or slide
-along them, described with all joints at 0: tables of Denavit and Hartenberg, legs, URDF files. All three are the same
-tree, so that positions, Jacobians and second derivatives have one implementation.
+in the base frame UVW of `recon.animal.chain`. `joint_chain` has joints in space that turn about their axes or slide
+along them; the axes are those with all joints at 0, as in Denavit-Hartenberg tables, legs and URDF files. All three
+kinds are trees, so that positions, Jacobians and second derivatives have one implementation.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Drive a fitted clip's chain from the trunk to a foot to a target, or along a stride."""
+"""Drive a fitted clip's trunk-to-foot chain to a target or along a stride."""
 
 from __future__ import annotations
 

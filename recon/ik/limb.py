@@ -245,7 +245,7 @@ def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None =
         assert gait is not None  # the limb has a foot
         label = next(label for label, joint in motion.foot_names.items() if joint == limb.foot)
         notes = [doubtful_text(doubt) for doubt in gait.doubtful if doubt.foot == label]
-        if not motion.jitters:  # of poses that jitter, touch-downs are told worse than the pose's return is
+        if not motion.jitters:  # if poses jitter, touch-downs are less certain than the return of a pose
             stride_in_gait = next((s for s in gait.strides if s.foot == label), None)
         if stride_in_gait is None:
             lasts_s = stride_lasts_s(gait)

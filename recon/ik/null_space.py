@@ -77,7 +77,7 @@ def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool)
         inside = chain.inside_limits(moved)
         outside = (inside != moved) & free
         if outside.any():
-            # The joint stays where it is, which is within its limits, and the others go on.
+            # The joint keeps its value, which is within its limits; the other joints go on moving.
             stuck = stuck | outside
             continue
         q = moved

@@ -119,7 +119,7 @@ class _Joint:
 
 
 def recognises_bvh(path: Path) -> bool:
-    """Return whether it is a BVH file."""
+    """Return whether a file is a BVH file."""
     return common.starts_with_text(path, b"HIERARCHY")
 
 

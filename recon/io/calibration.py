@@ -147,7 +147,7 @@ def read_camera(
     """Return one camera of a calibration file.
 
     `name` is the camera's name, or a whole number N for camN or cam_0N, which is the Nth camera in a file without
-    names. Raises InputError as `read_cameras`, and without such a camera or a choice.
+    names. Raises InputError as `read_cameras` does, and unless exactly one camera matches.
     """
     cameras = read_cameras(path, image_size_px)
     wanted = "" if name is None else str(name)
@@ -173,7 +173,7 @@ def read_calibration(path: Path) -> str:
 
 
 def recognises_own(path: Path) -> bool:
-    """Return whether it is a camera file of ours."""
+    """Return whether a file is one of recon's own camera files."""
     return path.suffix.lower() == ".toml" and re.search(r"(?m)^\s*format\s*=", read_calibration(path)) is not None
 
 

@@ -124,7 +124,7 @@ def transposed(value: object) -> object:
 
 
 def recognises_anipose(path: Path) -> bool:
-    """Return whether it is TOML, which our own reader has passed over."""
+    """Return whether a file is TOML that recon's own reader did not recognise."""
     return _is(path, (".toml",))
 
 
@@ -151,7 +151,7 @@ def read_anipose(path: Path, individual: str | None = None) -> list[CameraRecord
 
 
 def recognises_acinoset(path: Path) -> bool:
-    """Return whether it is JSON of cameras with AcinoSet's keys, and no others for the same."""
+    """Return whether a file is JSON of cameras with AcinoSet's keys, and no other keys for the same values."""
     if not _is(path, (".json",), r'"(cameras|k)"\s*:') or _is(path, (".json",), '"opencv-matrix"'):
         return False
     try:

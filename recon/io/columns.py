@@ -196,7 +196,7 @@ def read_long(path: Path, individual: str | None = None, columns: Mapping[str, s
 
 
 def recognises_parquet(path: Path) -> bool:
-    """Return whether it is a Parquet file."""
+    """Return whether a file is a Parquet file."""
     return common.starts_with(path, b"PAR1")
 
 

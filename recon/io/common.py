@@ -260,7 +260,7 @@ def without_zeros(stored: StoredPoints) -> StoredPoints:
 
 
 def joined_tracks(path: Path, tracks: Sequence[StoredPoints], individual: str) -> StoredPoints:
-    """Return the tracks of one animal in one file as one; raise InputError if two have points in the same frame."""
+    """Join the tracks of one animal in a file; raise InputError if two tracks have points in the same frame."""
     first = tracks[0]
     seen = [frames_seen(track) for track in tracks]
     shared = [frame for i, a in enumerate(seen) for b in seen[:i] for frame in np.intersect1d(a, b).tolist()]

@@ -36,7 +36,7 @@ _CELL, _STRUCT, _CHAR = 1, 2, 4
 
 
 def recognises(path: Path) -> bool:
-    """Return whether it is a MATLAB file."""
+    """Return whether a file is a MATLAB file."""
     return starts_with(path, b"MATLAB ") and path.suffix.lower() == ".mat"
 
 

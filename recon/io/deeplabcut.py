@@ -210,9 +210,9 @@ def points_of_table(
 
 
 def _uncropped(path: Path, points: np.ndarray, likelihood: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return points (T, K, 2) in the whole picture, and a note, if DeepLabCut analysed a crop of it.
+    """Return points (T, K, 2) in pixels of the whole picture, and a note if DeepLabCut analysed a crop of it.
 
-    Its predictions are pixels of the crop, which the file of metadata beside them states.
+    DeepLabCut's predictions are then in pixels of the crop. Its metadata file states where the crop lies.
     """
     meta = next((file for file in _metadata_files(path) if file.is_file()), None)
     if meta is None or meta.stat().st_size > MAX_PICKLE_BYTES:

@@ -421,7 +421,7 @@ def _read_animal(reader: Format, path: Path, individual: str | None) -> StoredPo
 
 
 def _hint_to_join(reader: Format, path: Path, animals: Sequence[str]) -> str:
-    """Return how to join the tracks of a file that never overlap in time, if any; they may be of one animal."""
+    """Return how to join tracks that never overlap in time, as they may be of one animal; empty without such tracks."""
     if len(animals) > TRACKS_COMPARED:
         return ""
     frames = {name: frames_seen(reader.read(path, name)) for name in animals}

@@ -40,7 +40,7 @@ MAX_HOPS = 8
 
 
 def is_hdf5(path: Path) -> bool:
-    """Return whether it is an HDF5 file."""
+    """Return whether a file is an HDF5 file."""
     return starts_with(path, b"\x89HDF\r\n\x1a\n")
 
 

@@ -124,7 +124,7 @@ def _axis(group: h5py.Group, name: str) -> tuple[list[str | None], list[Label]]:
 
 
 def _labels(group: h5py.Group, dataset: h5py.Dataset) -> list[str]:
-    """Return one level of labels as texts."""
+    """Return the labels of one index level as strings."""
     return [] if _is_empty(dataset) else _texts_of(group, read_values(dataset).ravel())
 
 

@@ -51,7 +51,7 @@ class _Seen(NamedTuple):
 
 
 def _mentions(path: Path, *keys: bytes) -> bool:
-    """Return whether it is JSON with one of the keys; it need not be whole."""
+    """Return whether a file is JSON with one of the keys, even if the JSON is cut off."""
     content = path.read_bytes() if common.starts_with_text(path, b"{") else b""
     return any(b'"%s"' % key in content for key in keys)
 
@@ -96,7 +96,7 @@ def _points(
 
 
 def recognises_coco(path: Path) -> bool:
-    """Return whether it is COCO's JSON."""
+    """Return whether a file is COCO's JSON."""
     return _mentions(path, b"images") and _mentions(path, b"annotations", b"categories")
 
 
@@ -160,7 +160,7 @@ def _size(images: list[Table]) -> tuple[int, int] | None:
 
 
 def recognises_mmpose(path: Path) -> bool:
-    """Return whether it is MMPose's JSON."""
+    """Return whether a file is MMPose's JSON."""
     return _mentions(path, b"instance_info")
 
 
@@ -203,7 +203,7 @@ _FILE_NAME = re.compile(r"(.*?)(\d+)((?:_keypoints)?\.json)", re.IGNORECASE | re
 
 
 def recognises_openpose(path: Path) -> bool:
-    """Return whether it is OpenPose's JSON."""
+    """Return whether a file is OpenPose's JSON."""
     return _mentions(path, b"people")
 
 
@@ -257,7 +257,7 @@ def read_openpose(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def recognises_alphapose(path: Path) -> bool:
-    """Return whether it is AlphaPose's JSON, or COCO's of results: a list with the points of each detection."""
+    """Return whether a file is AlphaPose's JSON or COCO's results JSON: a list with the points of each detection."""
     if not common.starts_with_text(path, b"["):
         return False
     with path.open("rb") as file:
@@ -327,7 +327,7 @@ def true_names(names: Sequence[str], model: str, in_space: bool = True) -> tuple
 
 
 def recognises_fmpose3d(path: Path) -> bool:
-    """Return whether it is FMPose3D's JSON."""
+    """Return whether a file is FMPose3D's JSON."""
     return _mentions(path, b"poses_3d")
 
 

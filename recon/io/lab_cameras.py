@@ -35,7 +35,7 @@ _STEREO_LENS = ("D", "distCoeffs", "dist_coeffs", "dist", "distortion_coefficien
 
 
 def recognises_tables(path: Path) -> bool:
-    """Return whether it is JSON with a table for each camera."""
+    """Return whether a file is JSON with a table for each camera."""
     if path.suffix.lower() != ".json":
         return False
     try:
@@ -80,7 +80,7 @@ def _tables_of(document: object) -> list[tuple[Any, str, Mapping[str, Any]]]:
 
 
 def recognises_easymocap(path: Path) -> bool:
-    """Return whether it is EasyMocap's file of lenses, or of poses."""
+    """Return whether a file is an EasyMocap file of lenses or poses."""
     if path.suffix.lower() not in (".yml", ".yaml"):
         return False
     text = read_calibration(path)
@@ -116,7 +116,7 @@ def read_easymocap(path: Path, individual: str | None = None) -> list[CameraReco
 
 
 def recognises_stereo(path: Path) -> bool:
-    """Return whether it is OpenCV's file of two cameras."""
+    """Return whether a file is an OpenCV file of two cameras."""
     if path.suffix.lower() not in (".yml", ".yaml", ".xml", ".json"):
         return False
     text = read_calibration(path)

@@ -33,7 +33,7 @@ HEADER_LINES = 5
 
 
 def recognises_trc(path: Path) -> bool:
-    """Return whether it is a TRC file."""
+    """Return whether a file is a TRC file."""
     return common.starts_with_text(path, b"PathFileType")
 
 

@@ -23,12 +23,12 @@ from recon.io.json_poses import ANIMAL3D, LENGTHS
 
 
 def recognises(path: Path) -> bool:
-    """Return whether it is a NumPy archive with positions; `read` reports damage."""
+    """Return whether a file is a NumPy archive with positions, even a damaged one: `read` reports damage."""
     return _has(path, "xyz_m.npy", damaged=True)
 
 
 def recognises_fmpose3d(path: Path) -> bool:
-    """Return whether it is an archive of FMPose3D's demo."""
+    """Return whether a file is an archive of FMPose3D's demo."""
     return _has(path, "pose3d.npy", damaged=False)
 
 

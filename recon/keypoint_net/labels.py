@@ -451,7 +451,7 @@ def evaluate_2d(
     length_px : float
         The length of the animal.
     likelihood_min, tolerance_px : float
-        From which likelihood a point is likely, and within which distance of its label it is right.
+        Least likelihood of a likely point; largest distance from its label at which a point is right.
 
     Returns
     -------

@@ -323,9 +323,9 @@ def network_scales(xy_px: Array) -> tuple[float, float]:
 
 
 def crop_size(labels: Labels, scale: float) -> tuple[int, int]:
-    """Return the size (width, height) of training pictures at a scale of the labels' own.
+    """Return the size (width, height) of training pictures if the labelled pictures are scaled by `scale`.
 
-    It is the size of the clips' pictures, or less if the animal is small in them.
+    Training pictures are as large as the scaled pictures, or smaller if the animal is small in them.
     """
     length = scale * body_length_px(labels.xy_px)
     length = length if np.isfinite(length) else NETWORK_LENGTH_PX

@@ -1,8 +1,9 @@
 """Train a network on labelled pictures (`recon train`).
 
-The optimiser is AdamW with a warm-up and a cosine down to almost 0, twice; the final weights are a moving average of
-the optimiser's. The first part of a run learns from the training pictures and is judged by the validation pictures,
-which also calibrate the likelihoods. The last part, from `FINISH` on, learns from both, so that no label is lost.
+The optimiser is AdamW. After a warm-up, its learning rate falls along a cosine to almost 0, twice. The final weights
+are a moving average of the optimiser's. The first part of a run learns from the training pictures and is judged by
+the validation pictures, which also calibrate the likelihoods. The last part, from `FINISH` on, learns from both, so
+that no label is lost.
 
 A run depends only on its settings, its labels and its device: augmentation depends on the seed and the step, and a
 checkpoint holds everything else. With a fixed number of steps, a run that was stopped and continued ends in the same
@@ -608,7 +609,7 @@ def run_training(
 
 
 def _check_folder(s: TrainRunSettings) -> None:
-    checkpoint, expected = s.out / CHECKPOINT_FILE, "one to go on from; without --resume, a new run"
+    checkpoint, expected = s.out / CHECKPOINT_FILE, "the checkpoint of a stopped run; for a new run, leave out --resume"
     if s.resume and not checkpoint.is_file():
         raise InputError(Problem(checkpoint, "checkpoint", "no such file", expected))
     _output(s).require((net.MODEL_FILE, CHECKPOINT_FILE, *REPORT_FILES))

@@ -113,10 +113,10 @@ def dh_table(chain: SerialChain) -> tuple[RigidTransform, tuple[DHRow, ...], Rig
             if np.linalg.norm(normal) < _PARALLEL:
                 normal = _nearest_on_axis(position_after, z_after, origin) - origin
             else:
-                # (after - place) = s z + t normal - u z_after
+                # position_after - position = s z + t normal - u z_after
                 along = np.linalg.solve(np.column_stack([z, normal, -z_after]), position_after - positions[j])
                 origin, normal = positions[j] + along[0] * z, normal if along[1] >= -1e-12 else -normal
-        # The same x as before where the normal leaves it open: theta is 0 then.
+        # Where the normal does not determine x, keep the previous x: theta is then 0.
         x = normal if np.linalg.norm(normal) > _PARALLEL else x
         x = x - (x @ z) * z
         size = float(np.linalg.norm(x))

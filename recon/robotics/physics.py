@@ -179,7 +179,7 @@ def _demand_of(robot: Quadruped, model: MjModel, states: Array, rates: Array, be
 
 
 def _apart(motion: RobotMotion, model: MjModel, time_s: Array) -> Array:
-    """Return how deep (K,) parts run into each other at most, negative; 0 if they do not."""
+    """Return the deepest penetration of two parts (K,), a negative distance; 0 if none touch."""
     mujoco = require_mujoco(motion.robot.source)
     data, distances = mujoco.MjData(model), np.zeros(len(time_s))
     for k, coordinates in enumerate(_places(model, motion.robot, motion.states(time_s))):

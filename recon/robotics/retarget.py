@@ -328,7 +328,7 @@ class RobotMotion(KeptMotion):
 
     @cached_property
     def _spline(self) -> CubicSpline:
-        """Return a spline through the states of `Quadruped.tree`, less the displacement of a stride that repeats."""
+        """Return a spline through the states of `Quadruped.tree`, minus the displacement of a repeating stride."""
         turn = np.unwrap(self.pose.rotation.as_euler("ZYX"), axis=0)
         states = np.hstack([self.position_m, turn, self.angles_rad])
         if self.advance_m is None:
@@ -503,7 +503,7 @@ def place(
         paths = [planted(reference.time_s, raw[:, k], standing[:, k], advance) for k in range(len(LEGS))]
         return np.stack(paths, axis=1)
 
-    # Footholds move the middle of a foot's way, by which the animal's was taken off: back under the hip with it.
+    # Footholds shift the middle of each foot's path: centre the path under the hip again.
     moved = leg_targets(level, neutral, on_ground(feet_in_world(level, neutral, ways)))[..., 0]
     ways[..., 0] -= (moved.min(axis=0) + moved.max(axis=0)) / 2
     return pose, on_ground(feet_in_world(level, neutral, ways)), standing

@@ -1,1 +1,1 @@
-"""A result for people and other programs: report, page, figures, tables, overlay, playback."""
+"""Present a result to people and other programs: report, page, figures, tables, overlay, playback."""

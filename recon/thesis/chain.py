@@ -114,7 +114,7 @@ class UnknownsChain(Chain):
         return body_state, state[:, self.base_index] / self.nominal_base_length_m
 
     def _local_state(self, state: Array) -> Array:
-        """Return the body's state whose root lies at the origin, aligned with the world."""
+        """Return the body's state with its root at the origin and aligned with the world."""
         local_state = np.zeros((len(state), self.body.n_state))
         local_state[:, self.body_angles] = state[:, : 2 * self.n_angles]
         return local_state

@@ -82,7 +82,7 @@ class Objective:
     ties: bool = False
 
     def evaluate(self, pose: ChainPose, previous: ChainPose | None, frame: int, dt_s: float) -> ResidualAndJacobian:
-        """Return residuals (M,) and their Jacobian (M, D) by the state.
+        """Return residuals (M,) and their Jacobian (M, D) with respect to the state.
 
         Parameters
         ----------

@@ -146,7 +146,7 @@ SENTENCES = {
         "beyond their intervals: the first camera is 1.9 m above the ground that they stand on, which is z = 0",
         {"height_m": 1.9, "sigma_rad": np.radians(1.5), "up": "0.000,-0.900,0.400"},
     ),
-    "camera_taken_level": ("it is not. --set up says it", {"option": "--set up"}),
+    "camera_taken_level": ("the camera is. Give the direction with --set up", {"option": "--set up"}),
     "reference_unlike": ("410 mm from the reference's, 61 % of", {"left_mm": 410.2, "share": 0.61}),
     "reference_rotated": (
         "by 90°, brings MPJPE from 410.2 to 20.0 mm",

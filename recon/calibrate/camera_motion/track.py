@@ -444,7 +444,7 @@ def _adjust(
             log_zoom = log_zoom + step[:, 3]
     assert information is not None
     assert factor is not None
-    # keyframes: from the inverse; other frames: their own and the mean of their keyframes'
+    # A keyframe's variance is from the inverse. Any other frame's is its own plus the mean of its keyframes'.
     variance = np.full((n, p), np.nan)
     for k in np.unique(key).tolist():
         variance[k] = np.diag(factor.solve(np.eye(n * p, p, -k * p))[k * p : (k + 1) * p])

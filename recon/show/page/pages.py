@@ -99,7 +99,7 @@ LENGTHS, POSES, STRETCHES = 4.0, 7, 3
 
 @dataclass(frozen=True)
 class Neighbours:
-    """Hold the links from the page of a clip to those of its batch, relative to its folder, with forward slashes."""
+    """Hold links from a clip's page to its batch's pages, relative to the clip's folder, with forward slashes."""
 
     clip: str
     """The clip's own name."""

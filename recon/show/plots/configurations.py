@@ -322,7 +322,7 @@ def _name(axes: Axes, points: Array, labels: Sequence[tuple[float, float, str]],
 
 
 def _scale(axes: Axes, points: Array, length_of_animal_m: float) -> None:
-    """Draw a bar of at most half of the animal's length below the animal."""
+    """Draw a scale bar below the animal, at most half as long as the animal."""
     length = style.round_below(0.5 * length_of_animal_m)
     x, y = (
         float(points[:, 0].min() + points[:, 0].max() - length) / 2,
@@ -460,7 +460,7 @@ def calibration(result: Calibration) -> Figure:
         x, y = np.meshgrid(np.linspace(0, width - 1, 160), np.linspace(0, height - 1, 160))
         rays = camera.rays(np.stack((x, y), axis=-1))[0]
         ideal = np.moveaxis(rays[..., :2] / rays[..., 2:], -1, 0)
-        # near a right angle from the axis, the plane of the grid is infinite
+        # rays at nearly 90 degrees from the axis meet the plane of the grid at infinity
         step = min(float(np.nanmax(np.abs(ideal[0]))), 3.0) / 8
         for values in ideal:
             axes.contour(x, y, values, step * np.arange(-24, 25), colors=style.PALE, linewidths=0.7, linestyles="solid")

@@ -226,7 +226,7 @@ def grid_shape(count: int, width_mm: float, aspect: float, least: int = 1) -> tu
 
 
 def round_below(value: float) -> float:
-    """Return the nearest 1, 2 or 5 times a power of ten below."""
+    """Return the largest 1, 2 or 5 times a power of ten that is not above the value."""
     if not value > 0:
         return 1.0
     power = 10.0 ** np.floor(np.log10(value))

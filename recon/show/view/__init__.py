@@ -93,7 +93,7 @@ def write(
             scenes.write_video(motion, log, video, first_frame, camera)
 
 
-# -- which views there are, where they are, and from where they look ---------------------------------------------------
+# -- views: which ones, their layout, and where they look from ---------------------------------------------------------
 
 
 def blueprint(motion: Motion, scene: Scene, plots: Sequence[TimePlot], rows: Sequence[str]) -> rrb.Blueprint:
