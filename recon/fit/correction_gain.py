@@ -63,9 +63,11 @@ def correction_gain_m2(
     """
     clip = ClipProblem.from_views(solution.views, solution.body, prior, fps, options)
     gain_m2 = np.full(solution.weight.shape, np.nan)
-    with threadpool_limits(1, user_api="blas"):  # as `solve_trajectory`: the matrices are small
+    # One thread as in `solve_trajectory`: the matrices are small. A spoilt file's points may be too far for squares.
+    with threadpool_limits(1, user_api="blas"), np.errstate(over="ignore", invalid="ignore"):
         for rows, segment_clip, problem, estimate in _problems_at(clip, solution):
-            gain_m2[:, rows] = _segment_gain(segment_clip, problem, estimate, solution, rows)
+            segment_gain_m2 = _segment_gain(segment_clip, problem, estimate, solution, rows)
+            gain_m2[:, rows] = np.where(np.isfinite(segment_gain_m2), segment_gain_m2, np.nan)
     return gain_m2 / max(int(solution.posed.sum()) * len(solution.body.markers), 1)
 
 

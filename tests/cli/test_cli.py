@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import os
+import re
 import shutil
 import signal
 from collections.abc import Callable
@@ -784,7 +785,7 @@ def test_evaluate_prints_the_numbers_of_the_function(fitted):
     lines = [line.rstrip() for line in ended.out.splitlines()]
     assert lines[0] == f"{pose} against the reference {TRUTH}"
     assert max(map(len, lines[1:16])) <= 80
-    rows = {line.split()[0]: line.split()[1:] for line in lines if line}
+    rows = {cells[0]: cells[1:] for cells in (re.split(r" {2,}", line.strip()) for line in lines)}
     scores = (result.mpjpe_m, result.mpe_m, result.scale_mpjpe_m, result.pa_mpjpe_m)
     shares = [score for _, score in result.pck]
     assert rows["all"] == [*(f"{1000 * s.mean:.1f}" for s in scores), *(percent(s.mean) for s in shares)]
@@ -816,7 +817,7 @@ def test_evaluate_names_what_could_not_be_compared(tmp_path):
     (tmp_path / "truth.csv").write_text(header + "0,0,0,0,1,1,1,2,2,2\n1,0,0,0,1,1,1,2,2,2\n4,0,0,0,1,1,1,2,2,2\n")
     ended = run("evaluate", tmp_path / "pose.csv", tmp_path / "truth.csv")
     assert ended.code == 0
-    rows = {line.split()[0]: line.split()[1:] for line in ended.out.splitlines() if line.split()}
+    rows = {cells[0]: cells[1:] for cells in (re.split(r" {2,}", line.strip()) for line in ended.out.splitlines())}
     assert rows["[b]"] == ["0.0", "0.0", "0.0", "-", "100 %", "100 %", "100 %"]
     assert rows["c"] == ["-"] * 7
     assert "Compared: 1 frames, 3 joints." in ended.out

@@ -56,9 +56,9 @@ def errors(folder: Path, results: str, number: int) -> Evaluation:
     return evaluate_files(folder / results, folder / f"run{number}_truth.csv")
 
 
-def test_two_cameras_see_more_than_one_but_with_wrong_lengths(after):
+def test_two_cameras_find_lengths_of_each_run(after):
     for n in (1, 2, 3):
-        assert 0.010 < errors(after(1), f"results/run{n}", n).mpjpe_m.mean < 0.016
+        assert 0.006 < errors(after(1), f"results/run{n}", n).mpjpe_m.mean < 0.012
 
 
 def test_the_lengths_are_found(after):

@@ -371,7 +371,7 @@ def test_a_page_leads_to_the_pages_before_and_after_it_and_back(batch, folder):
     assert neighbours(batch / second) == Neighbours(second, "../summary.html", f"../{first}/report.html", None)
     (batch / first / "report.html").unlink()
     assert neighbours(batch / second) == Neighbours(second, "../summary.html", None, None)
-    assert neighbours(batch / second, whole_batch=True).before == f"../{first}/report.html"
+    assert neighbours(batch / second, whole_batch=True).previous == f"../{first}/report.html"
 
 
 def test_a_clip_with_strides_has_its_joint_angles_over_the_stride(whole_results):
