@@ -381,11 +381,11 @@ def main() -> None:
     print(f"\n{len(all_files)} untouched files: {kinds[1]} of 2D keypoints, {kinds[0]} of 3D poses.")
     tests = sum(map(len, untouched.values()))
     for title, named in (("limits of the package", false), ("limits chosen without the recording", false_out)):
-        wrong = {name: codes for name, codes in named.items() if codes}
-        n = sum(map(len, wrong.values()))
-        share, of_checks = len(wrong) / len(all_files), f"{n} of {tests} checks ({n / tests:.1%})"
-        print(f"By the {title}: {len(wrong)} files have a finding ({share:.0%}), {of_checks}.")
-        print(*(f"  {name}: {', '.join(sorted(codes))}" for name, codes in wrong.items()), sep="\n")
+        with_findings = {name: codes for name, codes in named.items() if codes}
+        n = sum(map(len, with_findings.values()))
+        share, of_checks = len(with_findings) / len(all_files), f"{n} of {tests} checks ({n / tests:.1%})"
+        print(f"By the {title}: {len(with_findings)} files have a finding ({share:.0%}), {of_checks}.")
+        print(*(f"  {name}: {', '.join(sorted(codes))}" for name, codes in with_findings.items()), sep="\n")
     if options.details:
         table = pd.DataFrame(untouched).T.reindex(columns=[*LIMITS])
         print(table.to_string(float_format="%.2f"))

@@ -437,7 +437,7 @@ class Shown:
     def off_deg(self, method: Method, each: Sequence[Method] = ()) -> float:
         """How far the joints are from the animal's while the method, or that of each frame, follows the stride from the
         animal's own pose (the extended Jacobian from its own), rms."""
-        run = follow_stride(self.leg.chain, self.stride, method, each=each)
+        run = follow_stride(self.leg.chain, self.stride, method, by_frame=each)
         every = round(1 / (self.leg.fps * self.stride.interval_s))
         off = run.q[::every][: len(self.stride.q)] - self.stride.q
         return float(np.degrees(np.sqrt(np.nanmean(off**2))))

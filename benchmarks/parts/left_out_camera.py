@@ -82,8 +82,8 @@ def triangulated_prediction(result: Triangulation, view: View) -> Prediction:
 def aniposelib_prediction(views: Sequence[View], out: View) -> Prediction | None:
     """Points by aniposelib, from undistorted keypoints in cameras of focal length 1."""
     try:
-        from aniposelib.cameras import Camera as AniposeCamera
-        from aniposelib.cameras import CameraGroup
+        from aniposelib.cameras import Camera as AniposeCamera  # pyright: ignore[reportMissingImports]
+        from aniposelib.cameras import CameraGroup  # pyright: ignore[reportMissingImports]
     except ImportError:
         return None
     cameras, points = [], []

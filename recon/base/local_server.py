@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import secrets
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -69,7 +70,7 @@ class LocalServer(ThreadingHTTPServer):
 
 
 class _RequestHandler(BaseHTTPRequestHandler):
-    server: LocalServer
+    server: LocalServer  # pyright: ignore[reportIncompatibleVariableOverride]
     protocol_version = "HTTP/1.1"
     timeout = 60
 
@@ -98,8 +99,9 @@ class _RequestHandler(BaseHTTPRequestHandler):
         }
         for header, value in headers.items():
             self.send_header(header, value)
-        self.end_headers()
-        self.wfile.write(reply.content)
+        with suppress(ConnectionError):  # the page was closed meanwhile
+            self.end_headers()
+            self.wfile.write(reply.content)
 
     def _target(self, handlers: Mapping[str, Handler]) -> tuple[str, str]:
         """Return the handler's name and the rest of the path."""
@@ -122,7 +124,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
         except (ValueError, RecursionError):
             raise _RefusedError(HTTPStatus.BAD_REQUEST, "expected JSON") from None
 
-    def log_message(self, *_arguments: object) -> None:
+    def log_message(self, format: str, *args: object) -> None:  # noqa: A002 (the base class names it)
         """Print nothing: a terminal has better uses."""
 
 

@@ -66,9 +66,7 @@ def to_correct(motion: Motion, limit: int = MOST_LISTED) -> list[ToCorrect]:
     if gain_m2 is None:
         gain_m2 = np.full(found_px.shape[:3], np.nan)
     expected_px = np.array([picture.reprojected_px for picture in pictures])
-    distance_px = np.hypot(
-        *np.moveaxis(found_px - expected_px, -1, 0)
-    )  # points may be too far for squares
+    distance_px = np.hypot(*np.moveaxis(found_px - expected_px, -1, 0))  # points may be too far for squares
     inside = np.array([_inside(picture) for picture in pictures])
     outliers = np.array([picture.outliers for picture in pictures])
     is_left_out = reason_code > _USED

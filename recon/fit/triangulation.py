@@ -28,7 +28,7 @@ from itertools import combinations
 import numpy as np
 from scipy.interpolate import make_smoothing_spline
 
-from recon.base.arrays import Array, Bools, Brief
+from recon.base.arrays import Array, Bools, Brief, Index
 from recon.clip import View
 
 OUTLIER = 3.5
@@ -176,7 +176,7 @@ def _errors(views: Sequence[View], points: Array, sigma: Array, derivatives: boo
     Missing detections have an error of 0.
     """
     errors, by_points, valids = [], [], []
-    known = np.isfinite(points).all(axis=-1)
+    known = np.asarray(np.isfinite(points).all(axis=-1))
     safe = np.where(known[..., None], points, 0.0)
     for view in views:
         if derivatives:
@@ -281,7 +281,7 @@ def smoothed(result: Triangulation, fps: float) -> Triangulation:
     return replace(result, points_m=points, covariance_m2=covariance)
 
 
-def _spline(frames: Array, values: Array, sigma: Array, every: Array) -> Array:
+def _spline(frames: Index, values: Array, sigma: Array, every: Index) -> Array:
     """Return a robust smoothing spline through values (n, 3) at frames (n,), at other frames, (m, 3)."""
     result = np.empty((len(every), 3))
     x, root = frames.astype(float), np.ones(len(frames))

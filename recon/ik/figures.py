@@ -106,7 +106,7 @@ def parameter_series(series: pd.DataFrame, joints: Sequence[str]) -> Figure:
     Panels: the damping lambda and gamma_max, weights of the joints, the vector g, k and alpha of the transpose, and the
     factor alpha of every method, the extended Jacobian's too. A panel without values is left out.
     """
-    alphas = [name for name in series if name.endswith("_best_alpha")]
+    alphas = [str(name) for name in series if str(name).endswith("_best_alpha")]
     panels = {
         "damping": (("damped_lambda_m", "selectively-damped_gamma_max_rad"), True),
         "weights w,\nmean 1": (tuple(f"weighted_{joint}" for joint in joints), True),
