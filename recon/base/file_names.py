@@ -5,15 +5,12 @@ Python reads a byte that is not UTF-8 as a lone surrogate, which no text file ca
 
 from __future__ import annotations
 
-import itertools
 import os
 import re
 from typing import Any, overload
 
 _SURROGATE = re.compile("[\ud800-\udfff]")
 _ESCAPED_BYTE = re.compile(r"\\x([89a-f][0-9a-f])")
-MOST_CODES = 10
-"""How many codes of bytes in a path may also be texts."""
 
 
 def encodable(text: str) -> str:
@@ -46,16 +43,19 @@ def _code(match: re.Match[str]) -> str:
 def existing_path(path: str) -> str:
     r"""Return the path of a file whose name `encodable` wrote: the one with the bytes, if only that exists.
 
-    A name may have both such bytes and texts like \xe9, so each code is tried as either.
+    A name may have both such bytes and texts like \xe9. The names in each folder tell which is meant.
     """
-    parts = _ESCAPED_BYTE.split(path)  # a text, the digits of a code, a text, ...
-    if os.name == "nt" or len(parts) == 1 or os.path.lexists(path):
+    if os.name == "nt" or not _ESCAPED_BYTE.search(path) or os.path.lexists(path):
         return path
-    codes = [(chr(0xDC00 + int(digits, 16)), rf"\x{digits}") for digits in parts[1::2]]
-    free = codes[:MOST_CODES]
-    for chosen in itertools.product(*free):
-        rest = [byte for byte, _ in codes[MOST_CODES:]]
-        named = "".join(itertools.chain(*zip(parts[::2], (*chosen, *rest, ""), strict=True)))
-        if os.path.lexists(named):
-            return named
-    return path
+    folder, name = os.path.split(path)
+    if not name:  # the root
+        return path
+    folder = existing_path(folder)
+    if os.path.lexists(os.path.join(folder, name)):
+        return os.path.join(folder, name)
+    try:
+        names = os.listdir(folder or ".")
+    except OSError:
+        return path
+    match = next((candidate for candidate in sorted(names) if encodable(candidate) == name), name)
+    return os.path.join(folder, match) if match != name else path
