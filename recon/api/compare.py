@@ -230,7 +230,9 @@ def _groups(table: Path | None, by: str | None, names: Sequence[str]) -> dict[st
         raise InputError(Problem(table, "file", " ".join(str(error).split())[:200], "a CSV table")) from None
     columns = ", ".join(map(str, rows.columns))
     raise_problems(
-        Problem(table, "column", f"no {c!r} ({columns})", "clip, and --by") for c in ("clip", by) if c not in rows
+        Problem(table, "column", f"no {c!r} ({columns})", "columns 'clip' and the one that --by names, between commas")
+        for c in ("clip", by)
+        if c not in rows
     )
     group_by_clip = dict(zip(rows["clip"], rows[by].astype(str), strict=True))
     raise_problems(

@@ -24,14 +24,19 @@ CAPTIONS: Mapping[str, str] = {
         "foot stands."
     ),
     "footfalls": "Stances of the feet over time; thin lines: 90 % of their ends; lines with ticks: complete strides.",
-    "speed": "Speed and acceleration over time; bands: 90 %.",
-    "composites": "Configurations over the clip from the side, from above and from ahead, coloured by time.",
-    "phase_portraits": "Phase portraits: angle against angular rate.",
-    "observability": "Share of the information on each angle that comes from the pixels.",
+    "speed": "Speed over time, and the acceleration where it is known; bands: 90 %.",
+    "composites": (
+        "Configurations over the clip from the side, from above and from ahead, coloured by time. Dashed: left; thin: "
+        "right; thick: the rest."
+    ),
+    "phase_portraits": "Phase portraits: angle against angular rate, coloured by time; grey: mostly from the prior.",
+    "observability": "Share of each angle's precision that comes from the pixels (blue) and from the prior (grey).",
     "end_effector": "Motion of the chain's end effector, with the ends of strides.",
     "forces": "Vertical forces of the feet in body weights; bands: 90 %.",
 }
 """Captions by figure; names that begin with body_fixed or vector_field have one of their own below."""
+BY_SIDE = ("side_view", "joint_flexion", "footfalls", "forces")
+"""Figures whose colours are those of the sides."""
 _BY_START: Mapping[str, str] = {
     "body_fixed": "Configurations over one stride in the animal's own frame.",
     "vector_field": "Velocities of the limb's links in the animal's own frame.",
@@ -124,13 +129,16 @@ def caption_of(analysis: ClipAnalysis, names: Sequence[str], results: str = "") 
     made = f"Made with recon {version()} from {results or 'a result'}: {frames}, {cameras}, skeleton {motion.body.name}"
     prior = motion.solution.prior if isinstance(motion.solution, TrajectorySolution) else None
     method = f", prior {prior}." if prior and prior != "none" else ", no motion prior."
-    sides = "Blue: left; orange: right; black: the middle."
-    return "\n".join([*texts, sides, f"{n}.", made + method, f"Cite: {CITATION} Version {version()}.", ""])
+    sides = ["Blue: left; orange: right; black: the middle."] if any(name in BY_SIDE for name in names) else []
+    return "\n".join([*texts, *sides, f"{n}.", made + method, f"Cite: {CITATION} Version {version()}.", ""])
 
 
 def _caption(name: str, analysis: ClipAnalysis) -> str:
     start = next((text for begin, text in _BY_START.items() if name.startswith(begin)), name.replace("_", " "))
     text = CAPTIONS.get(name, start)
+    limb = next((name.removeprefix(begin).strip("_") for begin in _BY_START if name.startswith(begin)), "")
+    if limb:
+        text = f"{text.removesuffix('.')}: {limb.replace('_', ' ')}."
     if name == "footfalls" and analysis.gait is not None:
-        text += f" Gait: {analysis.gait.name.name}, since {analysis.gait.name.criterion}."
+        text += f" Gait: {analysis.gait.name.name} ({analysis.gait.name.criterion})."
     return text

@@ -9,7 +9,7 @@ import stat
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from recon.base.errors import InputError, Problem
@@ -65,9 +65,23 @@ def sole_writer(folder: str | Path, wait_s: float = 0.0) -> Iterator[None]:
 
 @contextmanager
 def sole_editor(file: Path) -> Iterator[None]:
-    """Keep other processes out of blocks like this for the same file. Raises InputError as `sole_writer`."""
+    """Keep other processes out of blocks like this for the same file.
+
+    Raises
+    ------
+    InputError
+        Another process is in such a block, or the lock file is not one of recon's.
+    """
     require_usable(file.parent)
-    with gone_if_empty(file.parent), _exclusive(file.with_name(f".{file.name}{WRITING}"), 0.0):
+    with ExitStack() as stack:
+        stack.enter_context(gone_if_empty(file.parent))
+        try:
+            stack.enter_context(_exclusive(file.with_name(f".{file.name}{WRITING}"), 0.0))
+        except InputError as error:
+            if error.problems[0].field != "folder":
+                raise
+            expected = "one editor at a time: close the other one, or give another --out"
+            raise InputError(Problem(file, "file", "open in another editor", expected)) from None
         yield
 
 

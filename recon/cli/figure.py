@@ -10,6 +10,7 @@ from pydantic import Field
 from recon.api.analyse import DEFAULT_FIGURES, figures_of
 from recon.api.figure import caption_of, draw_for_print
 from recon.api.settings import ANYWAY, STRIDE, StrideTimes
+from recon.base.errors import InputError, Problem
 from recon.base.files import write_bytes, write_text
 from recon.base.numbers import counted
 from recon.base.outputs import Output, ReadResults, require_suffix
@@ -48,6 +49,8 @@ def figure_command(settings: FigureSettings, progress: Progress = silent) -> Ans
     out = settings.out
     if out is not None:
         require_suffix(out, KINDS)
+    elif settings.names:
+        raise InputError(Problem("--out", "file", "nothing", "a file for the figures, as in fig1.pdf"))
     made_from = ReadResults.read(settings.folder)
     motion = usable(Motion.load(settings.folder), settings.folder, settings.anyway)
     progress("analysis", 0.1)

@@ -55,6 +55,8 @@ def fix(settings: FixSettings, console: Console) -> Answer:
     motion, number = result_and_video(settings)
     out = settings.out or read_config(settings.folder / CONFIG, {}).corrections or settings.folder / CORRECTIONS
     require_suffix(out, (".csv",))
+    if not out.parent.is_dir():
+        raise InputError(Problem("--out", "folder", f"{out.parent}, no such folder", "a folder that there is"))
     if out.is_symlink():
         raise InputError(Problem("--out", "file", f"{out}, a link", "a file that is no link"))
     with sole_editor(out), TemporaryDirectory() as folder:

@@ -48,7 +48,11 @@ def triangulate(settings: _TriangulateSettings, options: _OfClip) -> Answer:
 
 def _lines(out: Path, summary: Mapping[str, Any]) -> Iterator[str | Table]:
     total = summary["frames"] * summary["keypoints"]
-    sigma = "" if summary["median_sigma_m"] is None else f", ± {length_text(summary['median_sigma_m'])} (median)"
+    sigma = (
+        ""
+        if summary["median_sigma_m"] is None
+        else f", ± {length_text(summary['median_sigma_m'])} (median standard deviation of a point)"
+    )
     yield f"{summary['points']} of {total} points are known{sigma}; the others are empty cells."
     rows = []
     for name, camera in summary["cameras"].items():
@@ -64,4 +68,4 @@ def _lines(out: Path, summary: Mapping[str, Any]) -> Iterator[str | Table]:
             )
     if not summary["knows_up"]:
         yield "The cameras' poses do not say which way is up: z is up if the first camera is level (or --set up)."
-    yield f"Written: {out / 'pose3d.csv'}, its covariances, and triangulation.json."
+    yield f"Written: {out / 'pose3d.csv'}, pose3d_covariance.csv and triangulation.json."

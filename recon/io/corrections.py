@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.base.errors import InputError, Problem, raise_problems
+from recon.base.numbers import counted
 from recon.base.tables import unguarded
 from recon.clip import Keypoints
 from recon.io.common import MAX_FRAME, text_rows
@@ -52,6 +53,8 @@ def read_corrections(path: Path) -> list[Correction]:
     InputError
         With every line that cannot be read.
     """
+    if not path.is_file():
+        raise InputError(Problem(path, "file", "no such file", _EXPECTED))
     lines = [*text_rows(path)]
     header = [cell.strip() for cell in lines[0][1]] if lines else []
     lacking = [name for name in REQUIRED if name not in header]
@@ -143,7 +146,8 @@ def with_corrections(
             cell = row_of[frame], column_of(keypoint)
             xy_px[cell] = np.nan if now_px is None else now_px
             confidence[cell] = 0.0 if now_px is None else 1.0
-        note = f"{len(corrected_px)} detections are corrected by hand, as {source.name} says"
+        verb = "was" if len(corrected_px) == 1 else "were"
+        note = f"{counted(len(corrected_px), 'detection')} {verb} corrected by hand, as {source.name} says"
         corrected.append(replace(file, xy_px=xy_px, confidence=confidence, notes=(*file.notes, note)))
     return corrected
 

@@ -88,7 +88,7 @@ def test_corrections_that_are_there_are_continued(
 def test_two_editors_of_one_file_are_refused(tmp_path: Path):
     with (
         sole_editor(tmp_path / "corrections.csv"),
-        pytest.raises(InputError, match="another process"),
+        pytest.raises(InputError, match="another editor"),
         sole_editor(tmp_path / "corrections.csv"),
     ):
         pass

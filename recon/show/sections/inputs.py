@@ -139,9 +139,9 @@ def upright_data(motion: Motion) -> dict[str, Any]:
 def assumption_sentences(motion: Motion) -> Iterator[str]:
     """Yield the assumptions of any method in words."""
     camera, hfov_deg = motion.camera, motion.settings.get("hfov_deg")
-    subject = "The camera stands still" if len(motion.pictures) == 1 else "The cameras stand still"
+    still, pans = ("The camera stands", "it pans") if len(motion.pictures) == 1 else ("The cameras stand", "one pans")
     if all(picture.T_reference_camera.ndim == 2 for picture in motion.pictures):
-        yield f"{subject}: where it pans or moves, its movement is part of the path."
+        yield f"{still} still: where {pans} or moves, its movement is part of the path."
     if tracked := [picture.name for picture in motion.pictures if picture.source.moves]:
         yield (
             f"Camera {' and '.join(tracked)}: moves as its track says, whose world is taken to be in metres with z up; "
@@ -185,7 +185,7 @@ def _trajectory_sentences(motion: Motion) -> Iterator[str]:
     yield f"Poses and their changes are expected to be {source}."
     yield from assumption_sentences(motion)
     if any(segment.ground is not None for segment in solution.segments):
-        yield "The ground is a plane, and feet that stand stand still on it."
+        yield "The ground is a plane, and a standing foot does not move on it."
     if len(solution.segments) > 1:
         yield (
             f"The clip has {len(solution.segments)} segments, between which nothing was seen for long: each was solved "
