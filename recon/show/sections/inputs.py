@@ -139,9 +139,10 @@ def upright_data(motion: Motion) -> dict[str, Any]:
 def assumption_sentences(motion: Motion) -> Iterator[str]:
     """Yield the assumptions of any method in words."""
     camera, hfov_deg = motion.camera, motion.settings.get("hfov_deg")
-    still, pans = ("The camera stands", "it pans") if len(motion.pictures) == 1 else ("The cameras stand", "one pans")
+    is_single = len(motion.pictures) == 1
+    subject, condition = ("The camera stands", "it pans") if is_single else ("The cameras stand", "one pans")
     if all(picture.T_reference_camera.ndim == 2 for picture in motion.pictures):
-        yield f"{still} still: where {pans} or moves, its movement is part of the path."
+        yield f"{subject} still: where {condition} or moves, its movement is part of the path."
     if tracked := [picture.name for picture in motion.pictures if picture.source.moves]:
         yield (
             f"Camera {' and '.join(tracked)}: moves as its track says, whose world is taken to be in metres with z up; "
