@@ -219,6 +219,7 @@ def test_the_scene_is_turned_zoomed_and_seen_from_all_sides(pages, opened):
     page.locator("canvas.scene").focus()
     page.keyboard.press("ArrowLeft")
     looks.add(page.evaluate(state))
+    page.locator("canvas.scene").scroll_into_view_if_needed()
     box = page.locator("canvas.scene").bounding_box()
     page.mouse.move(box["x"] + 100, box["y"] + 100)
     page.mouse.down()
@@ -251,13 +252,13 @@ def test_text_curves_and_the_address_lead_to_their_frames(pages, opened):
     page.click(f"[data-keypoint='{nose}'] button")
     assert state() == [4, [nose]]
     page.evaluate(f"{PLAYER}.cursor.go(0)")
-    box = page.locator(".strips canvas").first.bounding_box()
-    page.mouse.click(box["x"] + box["width"] - 12, box["y"] + 20)
+    strip = page.locator(".strips canvas").first
+    strip.click(position={"x": strip.bounding_box()["width"] - 12, "y": 20})
     assert state()[0] == 7
     page.click("[data-do=link]")
     assert page.url.endswith("#t=0.5667")
     page.click("input[value=likelihood]")
-    assert page.locator(".scale").text_content().startswith("likelihood 1")
+    page.wait_for_function("document.querySelector('.scale').textContent.startsWith('likelihood 1')")
 
 
 def test_each_camera_has_its_detections_and_table(pages, opened):

@@ -141,7 +141,8 @@ export function linkText(clip, cursor, player) {
   const show = (row, keypoints) => {
     if (keypoints) cursor.name(keypoints);
     cursor.go(row);
-    player.scrollIntoView({ block: "start", behavior: "smooth" });
+    const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    player.scrollIntoView({ block: "start", behavior: still ? "instant" : "smooth" });
   };
   const button = (text, action) => {
     const element = document.createElement("button");
