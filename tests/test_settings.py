@@ -52,7 +52,7 @@ def test_what_is_not_given_has_its_default():
     assert settings.side == "auto"
     assert settings.likelihood_min == 0.5
     assert FrameOptions.from_settings(FitSettings(**GIVEN, method="frame").plain()) == FrameOptions()
-    assert settings.trajectory_options() == TrajectoryOptions()
+    assert settings.trajectory_options() == TrajectoryOptions(focal_sigma=0.02)
     assert (settings.method, settings.skeleton_name) == ("trajectory", "cheetah-24")
 
 
@@ -63,7 +63,7 @@ def test_default_skeleton_is_the_methods():
 
 def test_options_of_the_trajectory_method():
     changed = {"fast": True, "ground": "none", "sigma_px": 2.5, "keypoint_sigma_m": 0.04, "size_sigma": 0.02}
-    assert FitSettings(**GIVEN, **changed).trajectory_options() == TrajectoryOptions(**changed)
+    assert FitSettings(**GIVEN, **changed).trajectory_options() == TrajectoryOptions(focal_sigma=0.02, **changed)
 
 
 def test_every_solver_option_is_a_setting():
@@ -205,6 +205,15 @@ def test_a_field_of_view_has_its_uncertainty_beside_it(given):
     focal = [1 / np.tan(np.radians(degrees) / 2) for degrees in (63.9, 64.1)]
     assert settings.focal_sigma == pytest.approx(6 * abs(np.log(focal[1] / focal[0])) / 0.2, rel=1e-3)
     refuses(ROUGH | {"hfov_deg": "264+-6"}, ("hfov_deg", "'264+-6'", "less than 180"))
+
+
+def test_how_well_a_focal_length_is_known_follows_how_the_camera_was_given(tmp_path):
+    clip = {"keypoints": (Path("c.csv"),), "fps": 30.0}
+    calibrated = FitSettings(**clip, camera=tmp_path / "camera.toml").trajectory_options()
+    stated = FitSettings(**clip, hfov_deg=64.0, image_size_px="1920x1080").trajectory_options()
+    two = FitSettings(keypoints=(Path("a.csv"), Path("b.csv")), camera=tmp_path / "camera.toml", fps=30.0)
+    assert (calibrated.focal_sigma, stated.focal_sigma) == (0.02, 0.1)
+    assert two.trajectory_options().focal_sigma is None
 
 
 def test_every_wrong_setting_is_named_at_once():

@@ -149,7 +149,8 @@ class FitSettings(Settings):
     less), and find them with the fit; they go into cameras.toml."""
     focal_sigma: Annotated[Positive | None, _RARE_TRAJECTORY] = None
     """How well focal lengths are known, relative, as in 0.1: one camera's makes the position less certain; several
-    cameras' are found and go into cameras.toml. (default: exactly)"""
+    cameras' are found and go into cameras.toml. (default: one camera's by its file to 0.02, by a field of view to 0.1;
+    several cameras' exactly)"""
     lengths_known: Annotated[bool, _RARE_TRAJECTORY] = False
     """Take the lengths of the skeleton or subject, and where the detector's keypoints lie, for exact. (default: several
     cameras find both with the fit)"""
@@ -274,9 +275,11 @@ class FitSettings(Settings):
 
     def trajectory_options(self) -> TrajectoryOptions:
         """Return the options that the trajectory method's solver reads."""
-        from recon.fit.clip_problem import TrajectoryOptions
+        from recon.fit.clip_problem import TrajectoryOptions, focal_sigma_of
 
-        return TrajectoryOptions(**{field.name: getattr(self, field.name) for field in fields(TrajectoryOptions)})
+        values = {field.name: getattr(self, field.name) for field in fields(TrajectoryOptions)}
+        given = {name: getattr(self, name) for name in ("focal_sigma", "camera_track", "hfov_deg")}
+        return TrajectoryOptions(**values | {"focal_sigma": focal_sigma_of(given, len(self.keypoints))})
 
     def plain(self, folder: Path | None = None) -> dict[str, Any]:
         """Return all settings that the method reads, as plain JSON types.

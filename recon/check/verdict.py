@@ -20,6 +20,7 @@ from recon.base.errors import InputError, Problem
 from recon.check.codes import EFFECTS, sentence
 from recon.check.constants import LIMIT_OF_TRUNK
 from recon.check.rules import findings_of
+from recon.fit.clip_problem import focal_sigma_of
 from recon.fit.motion import Motion
 from recon.fit.posterior import radius
 from recon.fit.result import ExpectedError, Finding, Level, TrajectorySolution, Verdict
@@ -73,9 +74,7 @@ class Evidence:
     unseen: float
     """Part of the joints' variance that is not from the pixels; 0 for a method that solves each frame by itself."""
     position_sigma_m: float
-    """Posterior standard deviation, and that of a given uncertainty of one camera's focal length, which scales the
-    distance.
-    """
+    """Posterior standard deviation, in which one camera's focal length is uncertain."""
 
     @property
     def factors(self) -> dict[str, float]:
@@ -104,7 +103,8 @@ def evidence_of(motion: Motion) -> Evidence:
     trunk_m = joints_m[:, front] - joints_m[:, rear]
     sights_m = [middle_m - np.broadcast_to(view.centre_m, (len(posed), 3))[posed] for view in solution.views]
     distance_m = min(float(np.linalg.norm(sight_m, axis=-1).mean()) for sight_m in sights_m)
-    focal_sigma = (motion.settings.get("focal_sigma") or 0.0) if len(motion.sources) == 1 else 0.0
+    has_focal = isinstance(solution, TrajectorySolution)  # its covariances contain the focal length
+    focal_sigma = 0.0 if has_focal else focal_sigma_of(motion.settings, len(motion.sources)) or 0.0
     return Evidence(
         trunk_m=float(np.linalg.norm(trunk_m, axis=-1).mean()),
         posterior_m=solution.posterior_factor * _MEAN_OF_NORM * float(np.sqrt(variance).mean()),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -43,13 +43,28 @@ class TrajectoryOptions:
     refine_cameras: bool = False
     """Whether the poses of all cameras but the first are unknowns."""
     focal_sigma: float | None = None
-    """Standard deviation of all cameras' focal lengths, relative, of several cameras; None: they are exact."""
+    """Standard deviation of all cameras' focal lengths, relative; None: they are exact.
+
+    Several cameras find them; with one camera they only add to the uncertainty.
+    """
     lengths_known: bool = False
     """Whether the body's lengths and the keypoints' offsets are as said; otherwise several cameras find them."""
 
     def keypoint_noise_m(self, body: Body) -> float:
         """Return the standard deviation of a body's keypoints about its markers."""
         return body.keypoint_sigma_m if self.keypoint_sigma_m is None else self.keypoint_sigma_m
+
+
+def focal_sigma_of(settings: Mapping[str, Any], cameras: int) -> float | None:
+    """Return the relative standard deviation of the focal lengths, by how the cameras were given; None: exact.
+
+    settings: those of a fit, by name. Several cameras, which find focal lengths, and cameras that move have it only
+    where it is given.
+    """
+    sigma: float | None = settings.get("focal_sigma")
+    if sigma is not None or cameras > 1 or settings.get("camera_track") is not None:
+        return sigma
+    return constants.CALIBRATED_FOCAL if settings.get("hfov_deg") is None else constants.STATED_FOCAL
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +249,7 @@ class ClipProblem:
     def shared_unknowns(self, shifts_m: Array | None = None) -> tuple[list[SharedUnknown], list[SharedUnknown]]:
         """Return the unknowns that all frames share: those that pictures can show, and the nuisance ones.
 
-        Nuisance unknowns only add to the uncertainty, as a single camera's time offset and an animal's sideslip.
+        Nuisance unknowns only add to the uncertainty, as a single camera's time offset and focal length.
         shifts_m (V,): the expected shift of cameras that are refined. Standard deviations are of what lasts: more
         frames make it no better known.
         """
@@ -254,8 +269,13 @@ class ClipProblem:
         own_m, common_m = np.repeat(bias_m * (1 - common) ** 0.5, 2), np.repeat(bias_m * common**0.5, 3)
         biases = [lasting(terms.keypoint_bias(i), own_m) for i in range(V)] if own_m.all() else []
         common_biases = [lasting(terms.COMMON_KEYPOINT_BIAS, common_m)] if common_m.all() else []
+        focals = (
+            []
+            if options.focal_sigma is None
+            else [lasting(terms.focal_scale(i), options.focal_sigma) for i in range(V)]
+        )
         if V == 1:
-            return size, [*time_offsets, *biases, *common_biases]
+            return size, [*time_offsets, *focals, *biases, *common_biases]
         shapes = []
         if self.shape is not None:
             length_scale, offset_scale = self.shape_scale
@@ -269,11 +289,6 @@ class ClipProblem:
         shifts = [] if shifts_m is None or not options.refine_cameras else [*enumerate(shifts_m.tolist())][1:]
         rotation = [constants.CAMERA_ROTATION_RAD] * 3
         corrections = [lasting(terms.extrinsic_correction(i), np.array([*rotation, *[m] * 3])) for i, m in shifts]
-        focals = (
-            []
-            if options.focal_sigma is None
-            else [lasting(terms.focal_scale(i), options.focal_sigma) for i in range(V)]
-        )
         return [*size, *sideslip, *time_offsets, *corrections, *focals, *shapes], biases
 
     def shifts_m(self, around_m: Array, size: float) -> Array:

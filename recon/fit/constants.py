@@ -27,6 +27,12 @@ Set on the benchmark's real runs, so that 90 % regions hold about 90 % of the jo
 
 # -- cameras and their clocks -------------------------------------------------------------------------------------
 
+CALIBRATED_FOCAL, STATED_FOCAL = 0.02, 0.1
+"""Relative standard deviations of a single camera's focal length, by a calibration file and by a field of view.
+
+The second is about how far cameras' data sheets are off for a video, which uses only a part of the sensor.
+"""
+
 TIME_OFFSET_FRAMES = 12**-0.5
 """Time offset of a camera, in frames: that of pictures taken anywhere within a frame."""
 SOUGHT_OFFSET_FRAMES = 2.0

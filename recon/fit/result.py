@@ -42,6 +42,10 @@ LEVELS: tuple[Level, ...] = ("do not use", "check", "use")
 """Levels in the order in which clips are to be looked at."""
 
 
+_NOTHING = 0.1
+"""Low end of an interval, relative to its high end, that says no more than "at most"."""
+
+
 @dataclass(frozen=True, repr=False)
 class ExpectedError(Brief):
     """Hold an error before it is known: the middle of its distribution, and the interval that holds 90 %."""
@@ -52,10 +56,13 @@ class ExpectedError(Brief):
 
     @property
     def in_words(self) -> str:
-        """Return the error in words: in metres, or in millimetres where the largest is below half a metre."""
+        """Return the error in words: in metres, or in millimetres where the largest is below half a metre.
+
+        A low end that is next to nothing is left out.
+        """
         unit, error = ("mm", self.times(1000.0)) if self.high < 0.5 else ("m", self)
         expected, low, high = (f"{value:.2g}" if value < 10 else f"{value:.0f}" for value in astuple(error))
-        return f"{expected} {unit} ({low} to {high})"
+        return f"{expected} {unit} ({f'{low} to' if self.low > _NOTHING * self.high else 'at most'} {high})"
 
     def times(self, factor: float) -> ExpectedError:
         """Return the same error in another unit."""

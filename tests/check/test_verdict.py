@@ -100,20 +100,20 @@ def test_what_no_pixel_says_makes_the_error_larger_and_less_sure(small_trajector
     assert wider.high / wider.low > 2 * pose.high / pose.low
 
 
-def test_how_well_a_focal_length_is_known_is_expected_of_the_position(small_trajectory):
-    evidence = evidence_of(small_trajectory)
-    vague = evidence_of(replace(small_trajectory, settings={**small_trajectory.settings, "focal_sigma": 0.5}))
-    assert vague.position_sigma_m == pytest.approx(np.hypot(evidence.position_sigma_m, 0.5 * evidence.distance_m))
-    assert expected_pose_of_trunk(vague) == expected_pose_of_trunk(evidence)
+def test_an_interval_that_begins_at_nothing_is_said_in_words():
+    assert ExpectedError(0.48, 0.033, 1.2).in_words == "0.48 m (at most 1.2)"
+    assert ExpectedError(0.046, 0.031, 0.067).in_words == "46 mm (31 to 67)"
 
 
 def test_the_summary_says_what_one_camera_cannot_tell(small_trajectory):
     motion = replace(add_verdict(small_trajectory), settings={**small_trajectory.settings, "focal_sigma": 0.1})
     known = replace(Verdict("use", "It is so."), position_m=ExpectedError(0.1, 0.05, 0.2))
-    said = dict(input_sections.verdict_lines(replace(motion, verdict=known), None))["assumed"]
-    assert says(said, "focal length to 10 %", "one camera")
+    said = dict(input_sections.verdict_lines(replace(motion, verdict=known), {}))["assumed"]
+    assert says(said, "pinhole", "px ± 10 %", "stands still", "30 frames per second", "expected size ±", "One camera")
+    given = replace(motion, verdict=known, settings={"hfov_deg": None})
+    assert says(dict(input_sections.verdict_lines(given, {}))["assumed"], "px ± 2 %")
     assert "assumed" not in dict(
-        input_sections.verdict_lines(replace(motion, verdict=known, sources=2 * motion.sources), None)
+        input_sections.verdict_lines(replace(motion, verdict=known, sources=2 * motion.sources), {})
     )
 
 

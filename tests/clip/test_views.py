@@ -271,3 +271,8 @@ def test_a_wrong_focal_length_is_found_by_two_cameras():
     assert found.views[1].focal_px == pytest.approx(views[1].focal_px * np.exp(found.focal[1] - 0.08))
     alone = solve_trajectory(views[:1], BODY, PRIOR, FPS, options)
     assert (alone.focal[0], alone.focal_sigma[0]) == (0, 0)
+    exact = solve_trajectory(views[:1], BODY, PRIOR, FPS, TrajectoryOptions(fast=True))
+    assert alone.joints_m == pytest.approx(exact.joints_m)
+    added_m2 = np.trace(alone.covariance_m2 - exact.covariance_m2, axis1=2, axis2=3).mean()
+    distance_m = np.linalg.norm(exact.joints_m - views[0].centre_m[0], axis=-1).mean()
+    assert np.sqrt(added_m2) == pytest.approx(0.1 * distance_m, rel=0.2)

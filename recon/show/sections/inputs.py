@@ -13,7 +13,9 @@ from recon.base.numbers import percent, plus_minus
 from recon.check.codes import sentence
 from recon.check.verdict import verdict_lines as lines_of_verdict
 from recon.clip import COUNTS
+from recon.fit.clip_problem import focal_sigma_of
 from recon.fit.motion import Motion
+from recon.fit.result import TrajectorySolution
 from recon.show.plain import file_name, picked
 from recon.show.sections.motion import given_size, size_sources, trajectory_solution
 from recon.show.sections.section import Line
@@ -26,15 +28,28 @@ def verdict_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     """Yield the verdict, the expected errors, and the assumptions that could make both wrong."""
     yield from zip(("verdict", "expected"), lines_of_verdict(motion.verdict), strict=False)
     if len(motion.sources) == 1 and motion.verdict is not None and motion.verdict.position_m is not None:
-        focal_sigma = motion.settings.get("focal_sigma")
-        stated = f" (its focal length to {percent(focal_sigma)}, as given)" if focal_sigma else ""
-        yield (
-            "assumed",
-            f"The camera is as said{stated}: one camera cannot tell its focal length, where it stands, nor whether the "
-            "video was cropped or is another camera's.",
-        )
+        yield "assumed", _assumed_by_one_camera(motion)
     up_from_feet = [finding for finding in motion.findings if finding.code == "up_from_feet"]
     yield from (("assumed", sentence(finding)) for finding in up_from_feet)
+
+
+def _assumed_by_one_camera(motion: Motion) -> str:
+    """Return what one camera cannot tell, in one sentence: lens, motion of the camera, frame rate, size."""
+    camera, focal_sigma = motion.camera, focal_sigma_of(motion.settings, 1)
+    known_to = f" ± {percent(focal_sigma)}" if focal_sigma else ""
+    lens = f"a {camera.model} lens with a focal length of {camera.matrix[0, 0]:.0f} px{known_to}"
+    moves = "moves as its track says" if motion.camera_moves else "stands still"
+    animal = f"lengths as those of {motion.body.name}"
+    if isinstance(motion.solution, TrajectorySolution):
+        solution = motion.solution
+        if size_sources(solution):
+            animal = "a camera as high above the ground as its file says"
+        else:
+            animal = f"an animal of the expected size ± {percent(solution.size_prior_sigma)}"
+    return (
+        f"{lens[0].upper()}{lens[1:]}, a camera that {moves}, {motion.fps:g} frames per second, and {animal}. One "
+        "camera cannot check these, nor whether the video was cropped or is another camera's."
+    )
 
 
 # -- the clip ----------------------------------------------------------------------------------------------------------
