@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from base64 import b64decode
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from tempfile import NamedTemporaryFile
@@ -75,6 +76,11 @@ def draw_two_methods(patch: pytest.MonkeyPatch) -> None:
         write_ik_figures(replace(solved, runs=two), folder)
 
     patch.setattr(ik_clip, "write_figures", of_two)
+
+
+def shorten_cost_study(patch: pytest.MonkeyPatch) -> None:
+    """`recon ik --costs` follows its path for two turns instead of ten."""
+    patch.setattr(ik_clip, "cost_outcome", partial(ik_clip.cost_outcome, turns=2))
 
 
 def leave_out_playback(patch: pytest.MonkeyPatch) -> None:

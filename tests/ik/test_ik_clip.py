@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from command_line import refusal, refused, run, says
 from scipy.interpolate import CubicSpline
+from shortcuts import shorten_cost_study
 
 from recon.cli.ik import CLOSES_PERCENT
 from recon.fit.motion import Motion
@@ -398,8 +399,9 @@ def test_earlier_results_are_kept(folder):
     refused(["ik", folder, "--target", "stride-max", "--no-figures"], ("--out", "folder", folder / "ik", "--overwrite"))
 
 
-def test_costs_and_closures_of_the_animal(frame_results, tmp_path):
+def test_costs_and_closures_of_the_animal(frame_results, tmp_path, monkeypatch):
     """Appendices B and C: the distance from a pose closes, the harmonic map is singular or worse within limits."""
+    shorten_cost_study(monkeypatch)
     options = {"costs": True, "follow": "stride", "dim": 2, "figures": False, "out": tmp_path / "a"}
     solved = run_ik(IkSettings(folder=frame_results, **options))
     costs = pd.read_csv(tmp_path / "a" / "costs.csv", index_col="cost")

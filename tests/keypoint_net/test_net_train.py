@@ -171,7 +171,7 @@ def test_ctrl_c_says_how_to_go_on(clip, tmp_path, monkeypatch):
     narrow_networks(monkeypatch)
     out = tmp_path / "out"
     arguments = ["train", clip / "clip.avi", "--labels", clip / "labels.csv", "--first-frame", "50", "--steps", "3"]
-    arguments += ["--out", out]
+    arguments += ["--threads", 1, "--out", out]
     with monkeypatch.context() as patch:
         patch.setattr(train_module, "train", interrupted)
         ended = run(*arguments)

@@ -28,7 +28,7 @@ import pytest
 import typer
 from command_line import carry_out_here, copy_results, run
 from docs_files import DOCS, FENCE, FILES, OF_PAGE, Block, blocks, commands
-from shortcuts import draw_two_methods, fit_demo_from, leave_out_drawing, leave_out_playback
+from shortcuts import draw_two_methods, fit_demo_from, leave_out_drawing, leave_out_playback, shorten_cost_study
 
 from recon import find_clips
 from recon.cli.app import app
@@ -196,6 +196,7 @@ def folder_after(made_once, whole_results, of_results) -> Callable[[Path, int], 
                 patch.setattr("recon.api.batch.carry_out", carry_out_here)
                 leave_out_playback(patch)
                 fit_demo_from(whole_results, patch)
+                shorten_cost_study(patch)
                 patch.setattr(figures, "FIGURES", figures.FIGURES[:1])  # test_solver_analysis.py draws all
                 do(steps(page)[count - 1], Workshop(folder, name_of(page), whole_results, of_results))
 
