@@ -1,9 +1,10 @@
-"""The command `recon fix`: correct wrong keypoints of a result in a browser."""
+"""The command `recon fix`: correct wrong keypoints of a result in a browser, and export them."""
 
 from __future__ import annotations
 
 import threading
 import webbrowser
+from collections.abc import Iterator
 from contextlib import suppress
 from http import HTTPStatus
 from pathlib import Path
@@ -16,20 +17,26 @@ from rich.console import Console
 
 from recon.api.clip_results import CONFIG, read_config
 from recon.api.corrections import CORRECTIONS, CorrectionSession
+from recon.api.label_export import CorrectedClip, labels_output, write_labels
 from recon.base.errors import InputError, Problem
 from recon.base.interrupts import installed
 from recon.base.local_server import LocalServer, Reply, json_reply
 from recon.base.locks import sole_editor
 from recon.base.numbers import counted
-from recon.base.outputs import require_suffix
+from recon.base.outputs import Output, ReadResults, output_file, require_suffix
+from recon.base.settings import Option
 from recon.cli.answers import Answer, say
 from recon.cli.look import ResultSettings, first_in_clip, result_and_video
+from recon.fit.motion import Motion
+from recon.io.deeplabcut import write_csv
+from recon.io.hdf5_poses import write_deeplabcut
 from recon.io.video import Image
 from recon.show.overlay import clip_frames
 from recon.show.page.pages import rendered
 from recon.show.page.scripts import script, style
 
 JPEG_QUALITY = 90
+_EXPORT = "Instead of the page"
 
 
 class FixSettings(ResultSettings):
@@ -42,19 +49,40 @@ class FixSettings(ResultSettings):
     folder)"""
     browser: Annotated[bool, Field()] = True
     """Open the page in the browser."""
+    export_labels: Annotated[Path | None, Option(panel=_EXPORT, metavar="FOLDER")] = None
+    """Write the corrected frames as DeepLabCut's label files and COCO, into labeled-data of this folder."""
+    with_accepted: Annotated[bool, Option(panel=_EXPORT)] = False
+    """Label also the points that were only accepted from the model."""
+    scorer: Annotated[str, Option(panel=_EXPORT)] = "recon"
+    """Name of the labeller, as in the project's config.yaml."""
+    export_table: Annotated[Path | None, Option(panel=_EXPORT, metavar="FILE")] = None
+    """Write the keypoints with the corrections as DeepLabCut's table, .csv or .h5."""
+    overwrite: Annotated[bool, Option(panel=_EXPORT)] = False
+    """Replace the new files."""
+
+    def problems(self) -> Iterator[Problem]:
+        """Yield problems of options that need others."""
+        if self.export_labels is not None and self.video is None:
+            yield Problem("settings", "video", "nothing", "the video, whose frames go with the labels")
+        if self.export_labels is None and self.with_accepted:
+            yield Problem("settings", "with_accepted", "no --export-labels", "one beside the other")
+        if self.export_labels is None and self.export_table is None and self.overwrite:
+            yield Problem("settings", "overwrite", "nothing to replace", "--export-labels or --export-table beside it")
 
 
 def fix(settings: FixSettings, console: Console) -> Answer:
     """Correct wrong keypoints in a browser, while the animal is fitted again.
 
     The page is served on this machine only. It ends with Ctrl-C. Corrections are saved with every change; the results
-    stay as they are.
+    stay as they are. --export-labels and --export-table write the corrections for the detector instead.
 
     Example: recon fix results/clip --video clip.mp4
     """
     motion, number = result_and_video(settings)
     out = settings.out or read_config(settings.folder / CONFIG, {}).corrections or settings.folder / CORRECTIONS
     require_suffix(out, (".csv",))
+    if settings.export_labels is not None or settings.export_table is not None:
+        return _export(settings, motion, number, out)
     if not out.parent.is_dir():
         raise InputError(Problem("--out", "folder", f"{out.parent}, no such folder", "a folder that there is"))
     if out.is_symlink():
@@ -78,6 +106,47 @@ def fix(settings: FixSettings, console: Console) -> Answer:
     if session.corrections:
         lines.append(f"Fit with them: recon fit --config {settings.folder / CONFIG} --corrections {out} --out again")
     return Answer({"out": out, "corrections": len(session.corrections)}, lines)
+
+
+def _export(settings: FixSettings, motion: Motion, number: int, path: Path) -> Answer:
+    """Write labels, a corrected table, or both."""
+    folder, video, table = settings.export_labels, settings.video, settings.export_table
+    labels_out, table_out = _outputs(settings, path)
+    clip = CorrectedClip.read(settings.folder, path, number)
+    lines, data, files = [], dict[str, object](), list[Path]()
+    if labels_out is not None and video is not None:
+        labels = clip.labels(video.stem, settings.scorer, settings.with_accepted)
+        first = first_in_clip(motion, number, settings) - motion.sources[number].later_frames
+        write_labels(labels, video, first, labels_out)
+        points = int(labels.known.sum())
+        count = f"{counted(len(labels.frames), 'frame')} with {counted(points, 'label')}"
+        lines.append(f"{count} are in {labels_out.folder}. Learn from them: recon train {folder} --out models/again")
+        data |= {"labels": labels_out.folder, "frames": len(labels.frames), "points": points}
+        files += [labels_out.folder / name for name in labels.file_names]
+    if table_out is not None and table is not None:
+        with table_out.staged_file() as staged:
+            write = write_csv if table.suffix.lower() == ".csv" else write_deeplabcut
+            write(clip.keypoints(), staged)
+        lines.append(f"The keypoints with {counted(len(clip.corrections), 'correction')} are in {table}.")
+        data |= {"table": table, "corrections": len(clip.corrections)}
+        files.append(table)
+    return Answer(data, lines, files=files)
+
+
+def _outputs(settings: FixSettings, path: Path) -> tuple[Output | None, Output | None]:
+    """Return the outputs of labels and of a table. Raises InputError before any work if they cannot be written."""
+    folder, video, table = settings.export_labels, settings.video, settings.export_table
+    inputs = [path, settings.folder, *([video] if video else [])]
+    labels_out = table_out = None
+    if folder is not None and video is not None:
+        labels_out = labels_output(folder, video.stem, "fix", "--export-labels", settings.overwrite, inputs)
+        labels_out.require()
+    if table is not None:
+        require_suffix(table, (".csv", ".h5"), "--export-table")
+        made_from = ReadResults.read(settings.folder)
+        table_out = output_file(table, "fix", settings.overwrite, inputs, made_from, "--export-table")
+        table_out.require((table.name,))
+    return labels_out, table_out
 
 
 def _wait() -> None:

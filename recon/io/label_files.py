@@ -1,0 +1,169 @@
+"""Write labelled frames of a video as DeepLabCut's label files, and as COCO's keypoints.
+
+A project of DeepLabCut has a folder for each video, `labeled-data/run`, with its labelled frames as `img012.png` and
+two tables of the same points, `CollectedData_me.csv` and `.h5`. Their rows are named by the three parts of the frame's
+path, their columns by scorer, bodypart and coordinate. A point without coordinates is not visible, or not labelled.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import cv2
+import numpy as np
+
+from recon.base.arrays import Array, Bools, Integers
+from recon.base.errors import InputError, Problem
+from recon.base.file_names import encodable
+from recon.base.files import write_bytes
+from recon.io.hdf5_poses import PANDAS_KEY
+from recon.io.video import Image
+from recon.io.writing import formats_extra, write_rows
+
+LABELED_DATA = "labeled-data"
+COCO, ORIGINS = "coco.json", "origins.csv"
+_LABELLED = 2
+"""COCO's visibility of a point that is labelled and visible."""
+_FORBIDDEN = r"/\:*?\"<>|"
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledFrames:
+    """Hold N labelled frames of a video with K keypoints."""
+
+    video: str
+    """The video's name without its suffix: that of the folder."""
+    scorer: str
+    """Name of the labeller, as the project's config.yaml has it."""
+    names: tuple[str, ...]
+    frames: Integers
+    """(N,) frame numbers, increasing."""
+    xy_px: Array
+    """(N, K, 2), NaN where a point is not labelled."""
+    origins: tuple[tuple[str, ...], ...] = ()
+    """For each frame and keypoint what a label is based on, such as "by hand"; empty: all are by hand."""
+    edges: tuple[tuple[int, int], ...] = ()
+    """Keypoints that a bone joins, as indices."""
+    size_px: tuple[int, int] = (0, 0)
+    """Width and height of the pictures."""
+    digits: int = 4
+    """Number of digits in the pictures' names."""
+
+    @property
+    def known(self) -> Bools:
+        """Return which points are labelled, (N, K)."""
+        return np.asarray(np.isfinite(self.xy_px).all(axis=2), dtype=np.bool_)
+
+    @property
+    def table(self) -> str:
+        """Return the name of the tables without suffix."""
+        return f"CollectedData_{self.scorer}"
+
+    def picture(self, frame: int) -> str:
+        """Return the file name of a frame."""
+        return f"img{frame:0{self.digits}d}.png"
+
+    @property
+    def file_names(self) -> list[str]:
+        """Return the names of all files but the pictures."""
+        return [f"{self.table}.csv", f"{self.table}.h5", COCO, ORIGINS]
+
+
+def require_label_names(video: str, scorer: str) -> None:
+    """Raise InputError for a scorer or a video whose name cannot be part of a file's name."""
+    for field, name in (("scorer", scorer), ("video", video)):
+        if not name or name.startswith(".") or not name.isprintable() or any(sign in name for sign in _FORBIDDEN):
+            expected = f"a name of a file: without any of {' '.join(_FORBIDDEN)}, and not beginning with a dot"
+            raise InputError(Problem("labels", field, repr(name)[:100], expected))
+
+
+def require_label_writer() -> None:
+    """Raise InputError if the package that writes DeepLabCut's H5 files is not installed."""
+    with formats_extra("DeepLabCut H5"):
+        import tables  # noqa: F401  what pandas writes with
+
+
+def write_label_files(labels: LabelledFrames, folder: Path) -> None:
+    """Write everything but the pictures into a folder that there is."""
+    rows = [(LABELED_DATA, labels.video, labels.picture(frame)) for frame in labels.frames.tolist()]
+    columns = [(labels.scorer, name, coordinate) for name in labels.names for coordinate in "xy"]
+    xy_px = np.where(labels.known[..., None], labels.xy_px, np.nan)
+    values = xy_px.reshape(len(rows), -1)
+    levels = ("scorer", "bodyparts", "coords")
+    header = [[level, "", "", *cells] for level, cells in zip(levels, zip(*columns, strict=True), strict=True)]
+    lines = [[*row, *cells] for row, cells in zip(rows, values.tolist(), strict=True)]
+    write_rows(folder / f"{labels.table}.csv", header, lines, guard=False)
+    write_bytes(folder / f"{labels.table}.h5", _h5(rows, columns, levels, values))
+    coco = json.dumps(_coco(labels), indent=1)
+    (folder / COCO).write_text(encodable(coco) + "\n", encoding="utf-8")
+    write_rows(folder / ORIGINS, [("image", "keypoint", "x_px", "y_px", "origin")], _origin_rows(labels))
+
+
+def write_label_pictures(
+    labels: LabelledFrames, pictures: Iterable[tuple[int, Image]], folder: Path
+) -> Iterator[tuple[int, Path]]:
+    """Write pictures, each with its frame number, and yield the number and the file of each."""
+    for frame, picture in pictures:
+        path = folder / labels.picture(frame)
+        write_bytes(path, cv2.imencode(".png", picture)[1].tobytes())
+        yield frame, path
+
+
+def _h5(
+    rows: Sequence[tuple[str, ...]], columns: Sequence[tuple[str, ...]], levels: tuple[str, ...], values: Array
+) -> bytes:
+    """Return DeepLabCut's table as the content of an H5 file, which pandas 2 and 3 read."""
+    import pandas as pd
+
+    require_label_writer()
+
+    def index(labels: Sequence[tuple[str, ...]], names: Sequence[str | None]) -> pd.MultiIndex:
+        parts = [pd.Index(part, dtype=object) for part in zip(*labels, strict=True)]  # pandas 2 has no other texts
+        return pd.MultiIndex.from_arrays(parts, names=[*names])
+
+    table = pd.DataFrame(values, index(rows, [None] * len(rows[0])), index(columns, levels))
+    in_memory: dict[str, Any] = {"driver": "H5FD_CORE", "driver_core_backing_store": 0}
+    with cast(Any, pd.HDFStore("labels.h5", mode="w", **in_memory)) as store:
+        store.put(PANDAS_KEY, table, format="fixed", track_times=False)
+        return store._handle.get_file_image()
+
+
+def _origin_rows(labels: LabelledFrames) -> Iterator[tuple[object, ...]]:
+    for i, k in np.argwhere(labels.known):
+        x, y = labels.xy_px[i, k].tolist()
+        yield labels.picture(int(labels.frames[i])), labels.names[k], x, y, _origin(labels, int(i), int(k))
+
+
+def _origin(labels: LabelledFrames, i: int, k: int) -> str:
+    return labels.origins[i][k] if labels.origins else "by hand"
+
+
+def _coco(labels: LabelledFrames) -> dict[str, Any]:
+    """Return COCO's document: one annotation for each frame, its image named by the file."""
+    width, height = labels.size_px
+    images, annotations = [], []
+    for i, frame in enumerate(labels.frames.tolist()):
+        known, xy = labels.known[i], np.nan_to_num(labels.xy_px[i])
+        images.append({"id": frame, "file_name": labels.picture(frame), "width": width, "height": height})
+        visible = np.where(known, _LABELLED, 0)
+        low, high = (xy[known].min(axis=0), xy[known].max(axis=0)) if known.any() else (np.zeros(2), np.zeros(2))
+        annotations.append(
+            {
+                "id": i + 1,
+                "image_id": frame,
+                "category_id": 1,
+                "keypoints": [float(x) for row in np.column_stack([xy, visible]) for x in row],
+                "num_keypoints": int(known.sum()),
+                "bbox": [*low.tolist(), *(high - low).tolist()],
+                "area": float(np.prod(high - low)),
+                "iscrowd": 0,
+                "origins": [_origin(labels, i, k) if known[k] else "" for k in range(len(labels.names))],
+            }
+        )
+    skeleton = [[a + 1, b + 1] for a, b in labels.edges]
+    category = {"id": 1, "name": "animal", "keypoints": [*labels.names], "skeleton": skeleton}
+    return {"images": images, "annotations": annotations, "categories": [category]}
