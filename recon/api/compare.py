@@ -25,7 +25,7 @@ from recon.api.settings import ANYWAY
 from recon.base.arrays import Array
 from recon.base.documents import read_toml
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
-from recon.base.files import write_bytes
+from recon.base.files import seen_from, write_bytes
 from recon.base.outputs import Output
 from recon.base.progress import Progress, silent
 from recon.base.settings import OneOrMore, Option, Settings, input_paths
@@ -37,6 +37,9 @@ from recon.fit.motion_forms import MOTION
 from recon.fit.result import TrajectorySolution
 from recon.gait.clip import ClipAnalysis, analyse
 from recon.gait.kinematics import JointKinematics
+from recon.show.page.compare_page import compare_page
+from recon.show.page.own_page import COMPARE_PAGE, PAGE
+from recon.show.page.pages import median_error_px
 from recon.show.plots.style import COLOURS, SMALL, drawing, png_of
 
 STRIDES, CLIPS, GROUPS, FIGURE = "strides.csv", "clips.csv", "groups.csv", "comparison.png"
@@ -57,7 +60,7 @@ class CompareSettings(Settings):
     folders: Annotated[OneOrMore[Path], Option(argument="DIR")]
     """Folders of results, or of batches."""
     out: Path
-    """Folder for the tables and the figure."""
+    """Folder for the tables, the figure and the page."""
     table: Path | None = None
     """CSV table with a column clip, the folders' names, and --by."""
     by: str | None = None
@@ -84,7 +87,7 @@ class Comparison:
 
 
 def run_compare(settings: CompareSettings, progress: Progress = silent) -> Comparison:
-    """Compare the strides and speeds of several clips, and write the tables and the figure. Raises InputError."""
+    """Compare the strides and speeds of several clips, and write tables, a figure and a page. Raises InputError."""
     out = settings.out
     paths = [
         path for path in settings.folders if not path.is_file()
@@ -102,7 +105,7 @@ def run_compare(settings: CompareSettings, progress: Progress = silent) -> Compa
     group_by_clip = _groups(settings.table, settings.by, names)
     written = [name for table in (GROUPS, STRIDES, CLIPS) for name in (table, table.replace(".csv", ".parquet"))]
     output = Output(out, "compare", settings.overwrite, input_paths(settings), content="a comparison")
-    output.require([*written, FIGURE])
+    output.require([*written, FIGURE, COMPARE_PAGE])
     loaded = dict(zip(names, collect_problems(*(lambda path=path: Motion.load(path) for path in folders)), strict=True))
     levels = {name: motion.verdict.level if motion.verdict else "" for name, motion in loaded.items()}
     usable_motions = {
@@ -127,12 +130,6 @@ def run_compare(settings: CompareSettings, progress: Progress = silent) -> Compa
         clip_rows.append(labels | _clip_row(analysis, clip_strides))
     clips = pd.DataFrame(clip_rows)
     groups, strides = _group_rows(clips), pd.DataFrame(rows, columns=None if rows else [*clip_rows[0]][:3])
-    progress("tables", 0.95)
-    with output.staged() as staging:
-        for name, table in ((STRIDES, strides), (CLIPS, clips), (GROUPS, groups)):
-            write_frame(table, staging / name)
-            table.to_parquet((staging / name).with_suffix(".parquet"), index=False)
-        write_bytes(staging / FIGURE, png_of(_figure(clips, groups)))
     notes = []
     if copies:
         pairs = names_text([f"{copy} (of {kept})" for copy, kept in copies.items()])
@@ -148,7 +145,32 @@ def run_compare(settings: CompareSettings, progress: Progress = silent) -> Compa
             f"Probably of one run, by their cameras' folder, frames and paths, and yet each counted as a clip: "
             f"{names_text(same_runs)}. Give one result of each run, best that of all its cameras."
         )
+    progress("tables", 0.95)
+    with output.staged() as staging:
+        for name, table in ((STRIDES, strides), (CLIPS, clips), (GROUPS, groups)):
+            write_frame(table, staging / name)
+            table.to_parquet((staging / name).with_suffix(".parquet"), index=False)
+        write_bytes(staging / FIGURE, png_of(_figure(clips, groups)))
+        page = _page(out, clips, groups, motions, dict(zip(names, folders, strict=True)), notes, settings.by or "")
+        write_bytes(staging / COMPARE_PAGE, page.encode())
     return Comparison(clips, groups, [*left_out, *copies], notes)
+
+
+def _page(
+    out: Path,
+    clips: pd.DataFrame,
+    groups: pd.DataFrame,
+    motions: Mapping[str, Motion],
+    folders: Mapping[str, Path],
+    notes: Sequence[str],
+    by: str,
+) -> str:
+    """Return the page of a comparison, with links to the clips' pages that are there."""
+    links = {name: seen_from(out, folders[name].absolute() / PAGE) for name in motions}
+    pages = {name: link for name, link in links.items() if (folders[name] / PAGE).is_file()}
+    errors_px = {name: median_error_px(motion) for name, motion in motions.items()}
+    titles = {name: title for name, (title, _) in QUANTITIES.items()}
+    return compare_page(out.absolute().name, clips, groups, titles, pages, errors_px, notes, by)
 
 
 def _copies(motions: Mapping[str, Motion], folders: Mapping[str, Path]) -> dict[str, str]:

@@ -13,6 +13,7 @@ from recon.api.compare import FIGURE, QUANTITIES, CompareSettings, known_quantit
 from recon.base.numbers import counted
 from recon.base.progress import Progress
 from recon.cli.answers import Answer, table_of
+from recon.show.page.own_page import COMPARE_PAGE
 
 
 def compare(settings: CompareSettings, progress: Progress) -> Answer:
@@ -47,6 +48,7 @@ def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str
         reason = "No clip has a complete stride: no" if not groups["strides"].sum() else "No clip has a known"
         yield f"{reason} {', '.join(missing)}."
     yield f"Rows by stride, clip and group (CSV and Parquet), and {FIGURE}, are in {out}."
+    yield f"Open {out / COMPARE_PAGE} in a browser."
 
 
 def _cells(mean: float, sigma: float, spread: float) -> tuple[str, ...]:

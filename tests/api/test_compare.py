@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,6 +45,11 @@ def test_groups_have_a_row_each_and_strides_one_each(clips: Path, tmp_path: Path
     assert list(groups["clips"]) == [2, 1]
     assert groups["strides"].sum() == len(strides) == by_clip["strides"].sum() > 6
     assert (out / "comparison.png").stat().st_size > 5000
+    page = (out / "compare.html").read_text(encoding="utf-8")
+    assert re.findall(r'<tr data-state="(.)" data-clip="(.)"', page) == [("f", "a"), ("f", "c"), ("m", "b")]
+    assert page.count('<g class="dot') == 3 * len(QUANTITIES)
+    assert page.count("n = 2</text>") == page.count("n = 1</text>") == len(QUANTITIES)
+    assert f"{by_clip['speed_m_s'].iloc[0]:.1f} <span" in page
     for name in QUANTITIES:
         # The same clip thrice: the same means, no spread, and two clips know what is no clip's own as well as one.
         np.testing.assert_allclose(groups[name], by_clip[name].iloc[0], rtol=1e-9)
@@ -99,7 +105,7 @@ def test_only_what_some_clip_has_is_drawn():
     groups = _group_rows(clips)
     assert [axes.get_title() for axes in _figure(clips, groups).axes] == ["speed (m/s)"]
     said = [line for line in _lines(clips, groups, Path("out")) if isinstance(line, str)]
-    assert said[-2] == "No clip has a complete stride: no stride length (m), stride frequency (Hz), duty factor."
+    assert said[-3] == "No clip has a complete stride: no stride length (m), stride frequency (Hz), duty factor."
 
 
 def test_the_mean_of_clips_knows_their_spread():

@@ -13,17 +13,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from motions import with_first
 
 from recon import FitSettings, write_clip
 from recon.api.batch import COLUMNS, write_summary_page
+from recon.base.files import seen_from
 from recon.base.progress import silent
 from recon.check.codes import finding
 from recon.cli.look import PageSettings, _page_of_clip
 from recon.fit.motion import Motion
 from recon.fit.result import Verdict
 from recon.io.video import video_writer
+from recon.show.page.compare_page import compare_page
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), "")
 EVIL = '<img src=x onerror="alert(1)">&\'.csv'
@@ -292,6 +295,39 @@ def test_a_batch_is_sorted_and_filtered_and_leads_to_its_clips_and_back(pages, o
     assert page.title().startswith("several")
     page.click("nav a >> nth=0")
     assert page.locator("h1").text_content() == pages["batch"].parent.name
+
+
+def test_a_comparison_marks_a_clip_everywhere_and_leads_to_its_page(pages, opened, tmp_path):
+    clips = pd.DataFrame(
+        {
+            "group": ["walk", "walk", "a gallop with a long name"],
+            "clip": ["film", "none", "whole"],
+            "animal": ["Ada", "Bo", "Ada"],
+            "verdict": ["check", "use", "use"],
+            "strides": [1, 2, 3],
+            "speed_m_s": [1.0, 2.0, 9.0],
+            "speed_m_s_sigma": [0.5, 0.1, 0.3],
+        }
+    )
+    means = {"group": [*clips["group"].unique()], "clips": [2, 1], "strides": [3, 3], "speed_m_s": [1.5, 9.0]}
+    groups = pd.DataFrame(means | {"speed_m_s_sigma": [0.4, 0.3]})
+    links = {name: seen_from(tmp_path, pages[name]) for name in ("film", "whole")}
+    path = tmp_path / "compare.html"
+    content = compare_page("gaits", clips, groups, {"speed_m_s": "speed (m/s)"}, links, {"film": 7.0}, ["No."], "gait")
+    path.write_text(content, encoding="utf-8")
+    page = opened(path, "phone")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    assert page.evaluate(CUT) == []
+    assert page.locator(".pair").count() == 1  # Ada's, in both gaits
+    heights = page.evaluate("[...document.querySelectorAll('.dot circle')].map((dot) => +dot.getAttribute('cy'))")
+    assert heights[0] > heights[1] > heights[2]  # film, none, whole
+    page.hover("tr[data-clip=film] td")
+    assert page.locator(".near").count() == 2  # its dot and its row
+    page.select_option(".filter select", "walk")
+    assert page.locator(".filter output").text_content() == "2 of 3 clips"
+    assert page.locator(".dot.faint").count() == 1
+    page.click("svg a[aria-label^='film: 1.0 (0.2 to 1.8)'] circle")
+    assert page.title().startswith("film")
 
 
 def test_a_page_prints_with_pictures_and_without_buttons(pages, opened):

@@ -6,6 +6,7 @@ The page of a batch is a table of its clips, the doubtful ones first. Pictures a
 from __future__ import annotations
 
 import base64
+import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -282,6 +283,8 @@ DOTS = {"pose_mm": "pose off by (mm)", "median_px": "median keypoint error (px)"
 """Columns whose distribution over the clips is drawn."""
 DOTS_PX = (300.0, 44.0)
 """Size of a distribution."""
+FAR_MEAN = 5.0
+"""Ratio of the mean keypoint error to the median from which the page explains that the two differ."""
 THUMBNAIL_PX = (96, 60)
 FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:)?[/\\](?:[^/\\:]+[/\\])+")
 """Folders of a file that an error names, which readers of the page need not know."""
@@ -304,6 +307,7 @@ def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
         dots_box=DOTS_PX,
         script=script("table", "batch"),
         pages=any(clip["page"] for clip in clips),
+        has_far_mean=any(clip["has_far_mean"] for clip in clips),
         box=THUMBNAIL_PX,
     )
 
@@ -312,16 +316,16 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
     """Return one clip of the table.
 
     The cells of its row of summary.csv; the reason of its verdict, if it says something; the numbers with their 90 %
-    intervals; its page, relative to the summary, with forward slashes; the number of its doubtful frames, None without
-    a result, and their share; its thumbnail; its state, the verdict or the reason why there is none; and its rank, by
-    which the clips to look at come first.
+    intervals, and the mean keypoint error if it is far above the median; its page, relative to the summary, with
+    forward slashes; the number of its doubtful frames, None without a result, and their share; its thumbnail; its
+    state, the verdict or the reason why there is none; and its rank, by which the clips to look at come first.
     """
     folder, order = out / cells["clip"], (*FIRST, *LEVELS)
     try:
         motion = Motion.load(folder)
         doubtful, thumbnail = sum(map(bool, motion.flags)), _thumbnail(motion)
-        errors_px = np.concatenate([finite(picture.distance_px) for picture in motion.pictures])
-        cells = {**cells, "median_px": f"{np.median(errors_px):.4g}" if len(errors_px) else ""}
+        error_px = median_error_px(motion)
+        cells = {**cells, "median_px": f"{error_px:.4g}" if math.isfinite(error_px) else ""}
     except (OSError, InputError):  # failed, or damaged since
         doubtful, thumbnail = None, []
         cells = {**cells, "median_px": ""}
@@ -330,6 +334,9 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
     for name, (_, spec) in NUMBERS.items():
         texts = [format(float(x), spec) for end in ("", "_low", "_high") if (x := cells.get(name + end))]
         numbers[name] = [texts[0], f"({' to '.join(texts[1:])})"] if len(texts) > 1 else texts
+    mean_px, middle_px = (float(cells.get(name) or 0) for name in ("mean_reprojection_px", "median_px"))
+    if has_far_mean := bool(middle_px) and mean_px > FAR_MEAN * middle_px:
+        numbers["median_px"] = [*numbers["median_px"], f"mean {mean_px:.0f}"]
     return {
         "cells": {**cells, "error": FOLDERS.sub("", cells["error"])},
         "reason": cells["reason"] if state == cells["verdict"] and cells["reason"] != NOTHING_AGAINST else "",
@@ -339,8 +346,15 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
         "share": (doubtful or 0) / max(1.0, float(cells["frames"] or 0)),
         "thumbnail": thumbnail,
         "state": state,
+        "has_far_mean": has_far_mean,
         "rank": (order.index(state) if state in order else 0, -float(cells["pose_mm"] or 0)),
     }
+
+
+def median_error_px(motion: Motion) -> float:
+    """Return the median distance of the detections from the pose, px, in all cameras; NaN without any."""
+    errors_px = np.concatenate([finite(picture.distance_px) for picture in motion.pictures])
+    return float(np.median(errors_px)) if len(errors_px) else math.nan
 
 
 def _dots(clips: Sequence[Mapping[str, Any]], name: str, title: str) -> dict[str, Any] | None:

@@ -1,4 +1,4 @@
-// A table of clips: a heading sorts by its column, a text and a list of verdicts choose its rows.
+// A table of clips: a heading sorts by its column, a text and a list choose its rows, and plots mark the same clips.
 
 /** Order cells by number or by text; those without a value come last, whichever way. */
 function ordered(a, b, way) {
@@ -21,7 +21,7 @@ for (const button of document.querySelectorAll("th button")) button.onclick = ()
 const filter = document.querySelector(".filter");
 if (filter) {
   const [text, state, shown] = ["input", "select", "output"].map((tag) => filter.querySelector(tag));
-  const rows = [...document.querySelectorAll("tbody tr")], dots = [...document.querySelectorAll("[data-clip]")];
+  const rows = [...document.querySelectorAll("tr[data-state]")], dots = [...document.querySelectorAll("svg [data-clip]")];
   const choose = () => {
     const wanted = text.value.trim().toLowerCase(), names = new Set();
     for (const row of rows) {
@@ -37,4 +37,16 @@ if (filter) {
   state.onchange = choose;
   filter.hidden = false;
   choose();
+}
+
+/** Mark a clip in all plots and in the table. */
+function mark(name) {
+  for (const part of document.querySelectorAll("[data-clip]")) part.classList.toggle("near", part.dataset.clip === name);
+}
+
+for (const kind of ["pointerover", "focusin"]) {
+  document.addEventListener(kind, (event) => {
+    const part = event.target.closest("[data-clip]") ?? event.target.querySelector?.(":scope > [data-clip]");
+    mark(part?.dataset.clip);
+  });
 }

@@ -1,0 +1,217 @@
+"""Make the page of a comparison: one plot a measure, the groups' numbers, and a table of the clips with links."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from textwrap import wrap
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from recon.base.numbers import counted, interval
+from recon.fit.result import LEVELS
+from recon.show.page.pages import rendered
+from recon.show.page.scripts import script
+
+NORMAL_90 = 1.645
+"""Half width of a 90 % interval in standard deviations."""
+HEIGHT, TOP, BOTTOM, LEFT, RIGHT = 250.0, 10.0, 52.0, 46.0, 8.0
+"""Height of a plot and its margins, px; the lower one holds the groups' names and numbers of clips."""
+WIDTH, GROUP_WIDTH = 274.0, 84.0
+"""Least width of a plot, and least width of a group in it, px."""
+LABEL_CHARACTERS, LABEL_LINES = 12, 2
+HUES = ("left", "right", "middle", "strong")
+"""Colours of the groups in turn, by their names in the style sheet."""
+
+
+def compare_page(
+    title: str,
+    clips: pd.DataFrame,
+    groups: pd.DataFrame,
+    measures: Mapping[str, str],
+    pages: Mapping[str, str],
+    errors_px: Mapping[str, float],
+    notes: Sequence[str] = (),
+    group_by: str = "",
+) -> str:
+    """Return the HTML of a comparison.
+
+    Parameters
+    ----------
+    title
+        The comparison's name.
+    clips
+        The columns group, clip, verdict and strides, each measure and its standard deviation (`_sigma`); an `animal` in
+        several groups joins them.
+    groups
+        The columns group, clips and strides, each measure's mean and standard deviation; ends of its 90 % interval in
+        `_low` and `_high` replace those of a normal distribution.
+    measures
+        Titles with units, by column.
+    pages
+        Addresses of clips' pages, by clip.
+    errors_px
+        Medians of the keypoint errors, by clip.
+    notes
+        Sentences on clips that were left out.
+    group_by
+        Name of the column of the groups.
+    """
+    order = {str(row["group"]): place for place, row in enumerate(groups.to_dict("records"))}
+    clip_rows = [_clip_row(row, measures, pages, errors_px, order) for row in clips.to_dict("records")]
+    counter = Counter(row["verdict"] or "no verdict" for row in clip_rows)
+    levels = [f"{counter[level]} {level}" for level in dict.fromkeys((*reversed(LEVELS), *counter)) if counter[level]]
+    strides = counted(int(clips["strides"].sum()), "stride")
+    return rendered(
+        "compare.html",
+        title=f"Comparison by {group_by}" if group_by else "Comparison",
+        subtitle=f"{title}: {counted(len(clips), 'clip')}, {', '.join(levels)}; {strides}",
+        group_by=group_by or "group",
+        grouped=len(groups) > 1,
+        groups=[_group_row(row, clips, measures) for row in groups.to_dict("records")],
+        group_names=list(order),
+        clips=sorted(clip_rows, key=lambda row: (row["place"], row["clip"])),
+        measures=measures,
+        plots=[plot for name in measures if (plot := _plot(name, measures[name], clips, groups, pages)) is not None],
+        no_pages=[row["clip"] for row in clip_rows if not row["page"]],
+        notes=notes,
+        script=script("table", "batch"),
+    )
+
+
+def _interval(row: Mapping[Any, Any], name: str) -> tuple[float, float, float]:
+    """Return a value and the ends of its 90 % interval, NaN where unknown."""
+    value, sigma = float(row[name]), float(row[f"{name}_sigma"])
+    low, high = (row.get(f"{name}{end}", math.nan) for end in ("_low", "_high"))
+    if pd.isna(low) or pd.isna(high):
+        return value, value - NORMAL_90 * sigma, value + NORMAL_90 * sigma
+    return value, float(low), float(high)
+
+
+def _text(value: float, low: float, high: float) -> list[str]:
+    """Return a value and its interval; nothing for an unknown value."""
+    if not math.isfinite(value):
+        return []
+    number, _, ends = interval(value, low, high).partition(" (")
+    return [number, f"({ends}"] if ends else [number]
+
+
+def _clip_row(
+    row: Mapping[Any, Any],
+    measures: Mapping[str, str],
+    pages: Mapping[str, str],
+    errors_px: Mapping[str, float],
+    order: Mapping[str, int],
+) -> dict[str, Any]:
+    clip, error_px = str(row["clip"]), errors_px.get(str(row["clip"]), math.nan)
+    return {
+        "clip": clip,
+        "group": str(row["group"]),
+        "place": order[str(row["group"])],
+        "verdict": row["verdict"],
+        "page": pages.get(clip),
+        "strides": int(row["strides"]),
+        "error_px": f"{error_px:.1f}" if math.isfinite(error_px) else "",
+        "values": {
+            name: {"sort": f"{row[name]:.6g}" if math.isfinite(row[name]) else "", "text": _text(*_interval(row, name))}
+            for name in measures
+        },
+    }
+
+
+def _group_row(row: Mapping[Any, Any], clips: pd.DataFrame, measures: Mapping[str, str]) -> dict[str, Any]:
+    """Return a group's numbers: of each measure its mean and interval, the median of the clips, and their number."""
+    group_clips = clips[clips["group"] == row["group"]]
+    values = {}
+    for name in measures:
+        known = group_clips[name].dropna()
+        value, low, high = _interval(row, name)
+        digits = interval(value, low, high).partition(" ")[0].partition(".")[2] if math.isfinite(value) else ""
+        median_text = f"{known.median():.{len(digits)}f}" if len(known) else ""
+        values[name] = {"text": _text(value, low, high), "median": median_text, "clips": len(known)}
+    return {"group": str(row["group"]), "clips": int(row["clips"]), "strides": int(row["strides"]), "values": values}
+
+
+# -- plots -------------------------------------------------------------------------------------------------------------
+
+
+def _plot(
+    name: str, title: str, clips: pd.DataFrame, groups: pd.DataFrame, pages: Mapping[str, str]
+) -> dict[str, Any] | None:
+    """Return a plot of a measure, a column a group; None where no clip has the measure."""
+    if not clips[name].notna().any():
+        return None
+    clip_rows, group_rows = clips.to_dict("records"), groups.to_dict("records")
+    ends = [x for row in (*clip_rows, *group_rows) for x in _interval(row, name) if math.isfinite(x)]
+    ticks = _ticks(min(ends), max(ends))
+    low, high = min(ticks[0], min(ends)), max(ticks[-1], max(ends))
+    width = max(WIDTH, LEFT + RIGHT + GROUP_WIDTH * len(group_rows))
+    step = (width - LEFT - RIGHT) / len(group_rows)
+
+    def height(value: float) -> float:
+        return round(TOP + (HEIGHT - TOP - BOTTOM) * (high - value) / (high - low), 1)
+
+    columns, dots_by_animal = [], dict[str, list[tuple[float, float]]]()
+    for place, group_row in enumerate(group_rows):
+        middle = LEFT + step * (place + 0.5)
+        rows = sorted((row for row in clip_rows if row["group"] == group_row["group"]), key=lambda row: row["clip"])
+        rows = [row for row in rows if math.isfinite(row[name])]
+        reach = min(0.3 * step, 6.0 * len(rows))
+        dots = []
+        for x, row in zip(np.linspace(middle - reach, middle + reach, len(rows) + 2)[1:-1], rows, strict=True):
+            value, dot_low, dot_high = _interval(row, name)
+            clip, dot_ends = str(row["clip"]), [height(dot_low), height(dot_high)] if math.isfinite(dot_low) else []
+            label = f"{clip}: {' '.join(_text(value, dot_low, dot_high))}"
+            dots.append({"x": round(float(x), 1), "y": height(value), "ends": dot_ends, "clip": clip, "label": label})
+            dots[-1] |= {"page": pages.get(clip), "hollow": row["verdict"] != "use"}
+            if not pd.isna(animal := row.get("animal", math.nan)):
+                dots_by_animal.setdefault(str(animal), []).append((float(x), height(value)))
+        mean, mean_low, mean_high = _interval(group_row, name)
+        band = [height(mean_high), height(mean_low)] if math.isfinite(mean_low) and len(rows) > 1 else []
+        columns.append(
+            {
+                "hue": HUES[place % len(HUES)],
+                "dots": dots,
+                "mean": height(mean) if math.isfinite(mean) and len(rows) > 1 else None,
+                "band": band,
+                "left": round(middle - 0.42 * step, 1),
+                "width": round(0.84 * step, 1),
+                "middle": round(middle, 1),
+                "label": _label(str(group_row["group"])),
+                "count": len(rows),
+            }
+        )
+    pairs = [points for points in dots_by_animal.values() if len(points) > 1]
+    return {
+        "title": title,
+        "width": round(width),
+        "height": round(HEIGHT),
+        "floor": HEIGHT - BOTTOM,
+        "left": LEFT,
+        "right": width - RIGHT,
+        "ticks": [(height(value), f"{value:.6g}") for value in ticks],
+        "columns": columns,
+        "pairs": [" ".join(f"{x:.1f},{y}" for x, y in points) for points in pairs],
+        "spoken": "; ".join(
+            f"{group_row['group']}: {' '.join(_text(*_interval(group_row, name))) or 'not known'}"
+            for group_row in group_rows
+        ),
+    }
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Return three to six round values that reach over an interval."""
+    span = max(high - low, 1e-6 * max(abs(low), abs(high), 1e-6))
+    power = 10.0 ** math.floor(math.log10(span / 4))
+    step = next(power * factor for factor in (1, 2, 2.5, 5, 10) if span / (power * factor) <= 4.5)
+    first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
+    return [step * number for number in range(first, max(last, first + 1) + 1)]
+
+
+def _label(group: str) -> list[str]:
+    """Return a group's name in a few short lines."""
+    lines = wrap(group, LABEL_CHARACTERS) or [""]
+    return lines if len(lines) <= LABEL_LINES else [*lines[: LABEL_LINES - 1], lines[LABEL_LINES - 1][:-1] + "…"]
