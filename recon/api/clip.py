@@ -75,6 +75,38 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     return motion
 
 
+def refit_clip(settings: FitSettings, motion: Motion) -> Motion:
+    """Fit a clip again from an earlier fit of it, after a few detections have changed.
+
+    The search begins at the earlier motion, and the findings on the input files are the earlier ones: a preview of what
+    `fit_clip` finds. Where that would have to find more than the motion, this is `fit_clip`.
+
+    Parameters
+    ----------
+    settings
+        Those of the fit, with the corrections.
+    motion
+        The earlier fit.
+
+    Raises
+    ------
+    InputError
+        As `fit_clip`.
+    """
+    is_more = settings.seeks_cameras or settings.belt_speed_m_s is not None or settings.find_offsets
+    if is_more or settings.method == "frame" or not isinstance(motion.solution, TrajectorySolution):
+        return fit_clip(settings)
+    inputs = prepare(settings)
+    chain = load_chain(settings.skeleton_name) if inputs.body.one_sided else None
+    options = settings.trajectory_options()
+    views = views_of(inputs.sources)
+    if len(views[0].xy_px) != len(motion.frames) or len(views) != len(motion.sources):
+        return fit_clip(settings)
+    solution = solve_trajectory(views, inputs.body, inputs.prior, inputs.fps, options, start=motion.solution)
+    fit = _Fit(inputs.sources, options, solution, motion.findings)
+    return _judge(fit, _as_motion(inputs, settings, chain, fit), settings)
+
+
 def _solve(
     inputs: ClipInputs,
     belt_speed_m_s: float | None,

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from recon.animal.body import opposites
-from recon.api.clip import fit_clip
+from recon.api.clip import fit_clip, refit_clip
 from recon.api.clip_results import CONFIG, digest, read_config
 from recon.api.settings import FitSettings
 from recon.base.errors import InputError, Problem
@@ -26,13 +26,17 @@ from recon.show.page.player_data import player_data
 
 CORRECTIONS = "corrections.csv"
 MOST_CORRECTIONS = 100_000
+IDLE_S = 2.0
+"""Time without a change after which the clip is fitted from nothing."""
 
 
 @dataclass(eq=False)
 class CorrectionSession:
     """Hold the corrections of one result, which are saved with every change, and the fit with them.
 
-    The fit runs behind the editor: `changed` waits for the next one.
+    The fit runs behind the editor: `changed` waits for the next one. After a change, the fit begins at the present
+    motion, which takes a fraction of the time. When nothing has changed for a while, the clip is fitted from nothing,
+    as `recon fit --corrections` does it.
     """
 
     folder: Path
@@ -46,6 +50,8 @@ class CorrectionSession:
     corrections: list[Correction] = field(default_factory=list)
     version: int = 0
     """Number of fits so far."""
+    is_whole: bool = True
+    """Whether the latest fit is what `recon fit --corrections` gives."""
     problem: str = ""
     """Why the latest corrections could not be fitted."""
 
@@ -65,7 +71,7 @@ class CorrectionSession:
         return session
 
     def __post_init__(self) -> None:
-        self.before = _summary(self.motion)
+        self.before, self._listed = _summary(self.motion), self.motion
         self._saved = digest(self.out)
         self._change = threading.Condition()
         self._is_due, self._is_running = False, False
@@ -84,10 +90,11 @@ class CorrectionSession:
             "version": self.version,
             "clip": player_data(motion, None, self.camera),
             "later_frames": [source.later_frames for source in motion.sources],
-            "queue": [_json_numbers(asdict(point)) for point in to_correct(motion)],
+            "queue": [_json_numbers(asdict(point)) for point in to_correct(self._listed)],
             "pairs": _pairs(motion),
             "before": self.before,
             "now": _summary(motion),
+            "is_whole": self.is_whole,
             "corrections": [asdict(correction) for correction in self.corrections],
             "file": str(self.out),
             "problem": self.problem,
@@ -116,6 +123,7 @@ class CorrectionSession:
             with staged_file(self.out) as staged:
                 write_corrections(corrections, staged)
             self.corrections, self._saved, self._is_due = corrections, digest(self.out), True
+            self._change.notify_all()
             if not self._is_running:
                 self._is_running = True
                 threading.Thread(target=self._fit, daemon=True).start()
@@ -154,20 +162,27 @@ class CorrectionSession:
         return Correction(frame, row["camera"], str(keypoint), was_px, now_px, reason)
 
     def _fit(self) -> None:
-        """Fit with the saved corrections until none are left that were not fitted."""
+        """Fit with the saved corrections until none are left that were not fitted, the last time from nothing."""
         while True:
             with self._change:
-                self._is_running = self._is_due
-                if not self._is_due:
+                if not self._is_due and self.is_whole:
+                    self._is_running = False
                     return
-                self._is_due = False
-            try:
-                motion, problem = fit_clip(replace(self.settings, corrections=self.out)), ""
-            except InputError as error:
-                motion, problem = self.motion, str(error)
-            with self._change:
-                self.motion, self.problem, self.version = motion, problem, self.version + 1
-                self._change.notify_all()
+                self._change.wait_for(lambda: self._is_due, IDLE_S)
+                is_whole, self._is_due = not self._is_due, False
+            self._fit_once(is_whole)
+
+    def _fit_once(self, is_whole: bool) -> None:
+        settings = replace(self.settings, corrections=self.out)
+        try:
+            motion, problem = fit_clip(settings) if is_whole else refit_clip(settings, self.motion), ""
+        except InputError as error:
+            motion, problem, is_whole = self.motion, str(error), True
+        with self._change:
+            if is_whole and not problem:
+                self._listed = motion
+            self.motion, self.problem, self.is_whole, self.version = motion, problem, is_whole, self.version + 1
+            self._change.notify_all()
 
 
 def _key(correction: Correction) -> tuple[int, str, str]:

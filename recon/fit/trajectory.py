@@ -84,6 +84,7 @@ def solve_trajectory(
     options: TrajectoryOptions | None = None,
     progress: Progress = silent,
     ground_near_zero: bool | None = None,
+    start: TrajectorySolution | None = None,
 ) -> TrajectorySolution:
     """Return the motion of a body from detections of its markers by one or more cameras.
 
@@ -108,6 +109,9 @@ def solve_trajectory(
         Called with the stage and the share that is done.
     ground_near_zero
         Whether the ground is known to lie near the world's z = 0; None: where the camera files say which way is up.
+    start
+        A solution for nearly the same detections of the same frames. The search begins there and no other starts are
+        tried: several times faster, and right only while the solution is near. None: search from nothing.
 
     Returns
     -------
@@ -118,8 +122,10 @@ def solve_trajectory(
     clip = ClipProblem.from_views(views, body, prior, fps, options or TrajectoryOptions(), ground_near_zero)
     clip = clip.with_free_shape()
     with threadpool_limits(1, user_api="blas"):
-        clip, solved = _with_one_shape(clip, solve_segments(clip, progress))
-        return _solution(clip, solved, began)
+        segments = solve_segments(clip, progress) if start is None else _solve_segments_from(clip, start)
+        clip, solved = _with_one_shape(clip, segments)
+        solution = _solution(clip, solved, began)
+    return solution if start is None else _with_misfit_of(start, solution)
 
 
 def _segments(usable: Bools, fps: float) -> list[slice]:
@@ -161,6 +167,12 @@ class SegmentFit:
     windows: list[tuple[slice, list[Estimate]]] = field(default_factory=list)
     iterations: int = 0
 
+    @classmethod
+    def before(cls, clip: ClipProblem, rows: slice, estimate: Estimate) -> SegmentFit:
+        """Return a segment before its first round, with the noise that is expected."""
+        noise, contact = np.ones((len(clip.views), len(clip.body.markers))), np.zeros((len(clip), len(clip.feet)))
+        return cls(rows, estimate, LeastSquares(clip.body.detected, [], []), noise, np.zeros(0), contact, None)
+
     @property
     def size(self) -> float:
         """Return the factor on the body's lengths."""
@@ -186,6 +198,54 @@ def solve_segments(clip: ClipProblem, progress: Progress = silent) -> list[Segme
         _solve_segment(clip.part(rows), rows, lambda stage, share, i=i: progress(stage, (i + share) / len(segments)))
         for i, rows in enumerate(segments)
     ]
+
+
+def _solve_segments_from(clip: ClipProblem, start: TrajectorySolution) -> list[SegmentFit]:
+    """Solve every segment from a solution, with the noise and the prior's weight that it has.
+
+    A segment is solved from nothing where the solution has no pose.
+    """
+    states = start.states.copy()
+    states[:, ROOT] = (states[:, ROOT] - clip.origin_m) / start.size
+    shared = {SIZE: np.array([start.size])} if clip.shows_size else {}
+    weights = {(part.rows.start, part.rows.stop): part.prior_weight for part in start.segments}
+    solved = []
+    for rows in _segments(clip.present().sum(axis=1) >= MIN_JOINTS, clip.fps):
+        part, weight = clip.part(rows), weights.get((rows.start, rows.stop))
+        if weight is None or not np.isfinite(states[rows]).all():
+            solved.append(_solve_segment(part, rows, silent))
+            continue
+        estimate = Estimate(states[rows], np.inf, 0, False, shared)
+        part = replace(part, prior_weight=weight)
+        segment = replace(SegmentFit.before(part, rows, estimate), noise_px=start.noise_px[:, rows])
+        segment = _solve_with_noise(part, segment)
+        solved.append(replace(segment, prior_weight=weight))
+    return solved
+
+
+def _solve_with_noise(clip: ClipProblem, solved: SegmentFit) -> SegmentFit:
+    """Return the minimum from a solution, with its noise and the contacts that it shows."""
+    points, size = clip.markers(solved.estimate.states), solved.size
+    contact, ground, contact_terms = solved.contact, None, ()
+    if clip.options.ground == "auto" and len(clip.feet) and len(clip) > 2:
+        contact, ground, contact_terms = contacts(clip, points, size)
+    problem = clip.problem(solved.noise_px, 1.0, contact_terms, points, size)
+    shared = problem.expected() | dict(solved.estimate.shared)
+    estimate = problem.minimise(solved.estimate.states, constants.TOLERANCE, constants.MAX_ITERATIONS, shared)
+    fit = replace(solved, contact=contact, ground=ground, estimate=estimate, problem=problem)
+    return replace(fit, iterations=estimate.iterations)
+
+
+def _with_misfit_of(start: TrajectorySolution, solution: TrajectorySolution) -> TrajectorySolution:
+    """Return a solution with the prior's misfit of the one that it began from, where it was not measured again."""
+    known = {(part.rows.start, part.rows.stop): part for part in start.segments}
+    segments = []
+    for segment in solution.segments:
+        earlier = known.get((segment.rows.start, segment.rows.stop))
+        if segment.prior_misfit is None and earlier is not None:
+            segment = replace(segment, prior_misfit=earlier.prior_misfit, unlike_prior=earlier.unlike_prior)
+        segments.append(segment)
+    return replace(solution, segments=tuple(segments))
 
 
 def with_solved_shape(clip: ClipProblem, solved: SegmentFit) -> ClipProblem:
@@ -247,9 +307,7 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
     estimate = Estimate(
         interpolate_states(np.concatenate([states for _, states in first_states]), start_frames, T), np.inf, 0, False
     )
-    noise = np.ones((len(clip.views), len(clip.body.markers)))
-    empty_problem = LeastSquares(clip.body.detected, [], [])
-    solved = SegmentFit(rows, estimate, empty_problem, noise, np.zeros(0), np.zeros((T, len(clip.feet))), None)
+    solved = SegmentFit.before(clip, rows, estimate)
     for i, (temperature, whole) in enumerate(stages):
         is_first, is_last = whole and (i == 0 or not stages[i - 1][1]), i == len(stages) - 1
         keeps_shape = is_first and clip.detector_is_measured  # which is near the expected one

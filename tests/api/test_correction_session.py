@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from recon import InputError, Motion
+from recon.api.clip import refit_clip
 from recon.api.corrections import CorrectionSession
 from recon.base.locks import sole_editor
-from recon.io.corrections import read_corrections
+from recon.io.corrections import Correction, read_corrections, write_corrections
 
 
 @pytest.fixture
-def session(whole_results: Path, tmp_path: Path) -> CorrectionSession:
+def session(whole_results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CorrectionSession:
+    monkeypatch.setattr("recon.api.corrections.IDLE_S", 3600.0)  # no whole fit
     return CorrectionSession.open(whole_results, tmp_path / "corrections.csv")
 
 
@@ -35,6 +38,37 @@ def test_a_change_is_saved_and_fitted(session: CorrectionSession, whole_results:
     assert session.motion.keypoints.xy_px[20, session.motion.names.index("nose")] == pytest.approx([x + 40.0, y])
     assert session.state()["version"] == 1
     assert (whole_results / "motion.npz").read_bytes() == kept
+
+
+def test_after_a_pause_the_clip_is_fitted_as_recon_fit_does(
+    session: CorrectionSession, monkeypatch: pytest.MonkeyPatch
+):
+    """First a quick fit from the present motion, then, with nothing more to do, the whole one."""
+    monkeypatch.setattr("recon.api.corrections.IDLE_S", 0.0)
+    fits, original = [], session.motion
+    quick, whole = replace(original), replace(original)
+    monkeypatch.setattr("recon.api.corrections.refit_clip", lambda *args: fits.append("quick") or quick)
+    monkeypatch.setattr("recon.api.corrections.fit_clip", lambda *args: fits.append("whole") or whole)
+    session.save([a_row(session.motion)])
+    assert session.changed(1, wait_s=60.0)
+    assert fits == ["quick", "whole"]
+    assert session.motion is whole
+    assert session.is_whole
+
+
+def test_a_quick_fit_is_near_the_whole_one(session: CorrectionSession, tmp_path: Path):
+    """A corrected detection moves the quick fit as it moves the whole one; the rest of the motion stays."""
+    motion, keypoint = session.motion, "r_front_knee"
+    j = motion.names.index(keypoint)
+    x, y = motion.pictures[0].reprojected_px[18, j].tolist()
+    write_corrections([Correction(18, "", keypoint, None, (x, y))], session.out)
+    again = refit_clip(replace(session.settings, corrections=session.out), motion)
+    difference_m = np.linalg.norm(again.joints_m - motion.joints_m, axis=-1)
+    assert np.nanmean(difference_m) < 0.003
+    assert again.pictures[0].distance_px[18, j] < 3.0
+    assert again.verdict is not None
+    assert motion.verdict is not None
+    assert again.verdict.pose_m.expected == pytest.approx(motion.verdict.pose_m.expected, rel=0.02)
 
 
 def test_an_unchanged_correction_keeps_its_date(session: CorrectionSession, monkeypatch: pytest.MonkeyPatch):
