@@ -37,7 +37,7 @@ CASES: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {
     "f1 alone": ((), FREE),
     **{f"f1 and f{2 + k}": ((name,), FREE) for k, name in enumerate(LIMITS)},
     "f1 to f5": (LIMITS, FREE),
-    "f1 to f5, all as printed": (LIMITS, FREE | {"form": "printed", "reprojection": "printed"}),
+    "f1 to f5, as printed": (LIMITS, FREE | {"form": "printed", "reprojection": "printed"}),
     "f1 to f5, rotation fixed": (LIMITS, FREE | {"camera_rotation": "fixed"}),
     "f1, base length": (SIZE, FREE),
     "f1 to f5, base length": ((*LIMITS, *SIZE), FREE),
