@@ -150,8 +150,13 @@ FRAMES = 0.05
 FEWEST = 4
 """Least number of identical keypoints of a frame: fewer may be chance."""
 STRAIGHT_PX, STRAIGHT = 0.01, 0.02
-"""Largest deviation of an interpolated point from the line between its neighbours, in pixels and as a part of its path.
+"""Largest deviation of an interpolated point from the line between its neighbours, in pixels and as a part of its path;
+of one on a cubic, whose fourth difference is that small.
 """
+_CUBIC_FRAMES = 5
+"""Frames that lie on one cubic if their fourth difference is 0."""
+CURVED_PX = 0.1
+"""Least deviation from that line of a point that is tested for a cubic: others lie on one if they are on the line."""
 LONG, SHORT, SHARE_LONG = 1.45, 0.5, 0.13
 """Ratios of a step to the steps around it that are long or short, and share of long steps.
 
@@ -223,15 +228,22 @@ def _repeated(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
 
 
 def _interpolated(keypoints: Keypoints, camera: str) -> list[Finding]:
-    """Return a finding on points halfway between those before and after, although they move."""
+    """Return a finding on points halfway between those before and after, although they move, or on one cubic."""
     xy_px = keypoints.xy_px
     bend = np.linalg.norm(xy_px[2:] - 2 * xy_px[1:-1] + xy_px[:-2], axis=-1)
     travel = 0.5 * np.linalg.norm(xy_px[2:] - xy_px[:-2], axis=-1)
     is_moving = travel > 0
     is_straight = is_moving & (bend < np.minimum(STRAIGHT_PX, STRAIGHT * travel))
-    if not _many(is_straight, is_moving):
+    if _many(is_straight, is_moving):
+        share = float(is_straight.sum() / is_moving.sum())
+        return [finding("detections_interpolated", camera=camera, share=share)]
+    is_curved, is_cubic = bend[1:-1] > CURVED_PX, np.zeros_like(is_moving[1:-1])
+    if len(xy_px) > _CUBIC_FRAMES:
+        fourth_px = np.linalg.norm(np.diff(xy_px, 4, axis=0), axis=-1)
+        is_cubic = is_curved & (fourth_px < np.minimum(STRAIGHT_PX, STRAIGHT * travel[1:-1]))
+    if not _many(is_cubic, is_curved):
         return []
-    return [finding("detections_interpolated", camera=camera, share=float(is_straight.sum() / is_moving.sum()))]
+    return [finding("detections_curved", camera=camera, share=float(is_cubic.sum() / is_curved.sum()))]
 
 
 def step_ratios(tracks: Array) -> Array | None:

@@ -68,9 +68,9 @@ def _table_notes(result: Evaluation) -> Iterator[str]:
     yield "MPE     without centring"
     yield "scaled  centred, and scaled to the size of the reference"
     yield "PA      centred, scaled and turned onto the reference"
+    yield f"PCK     share of the joints within {thresholds} mm, centred"
     offset_text = f"the mean of the joints is off by {1000 * result.position_m:.1f} mm"
     yield f"Position: {offset_text}. A verdict's position is an estimate of this, its pose one of MPJPE."
-    yield f"PCK     share of the joints within {thresholds} mm, centred"
     for kind, shares in result.inside.items():
         stated, contained = (
             " and ".join(f"{100 * p:.0f}".replace("nan", "-") for p in name) for name in (LEVELS, shares)

@@ -12,7 +12,7 @@ from command_line import says
 
 from recon import Motion
 from recon.check.codes import CODES, FLAG_OF, FLAGS, finding, sentence
-from recon.check.rules import findings_of, likelihoods_low, no_pose
+from recon.check.rules import detections_not_explained, findings_of, likelihoods_low, no_pose
 from recon.check.verdict import add_verdict
 from recon.fit.result import Finding
 from recon.show.sections.keypoints import keypoint_lines, keypoints_data
@@ -23,6 +23,7 @@ SENTENCES = {
     "gross_outliers": ("in frame 10 are gross outliers", {}),
     "detections_frozen": ("20 of 40 frames repeat", {"count": 20, "frames_total": 40}),
     "detections_repeated": ("with --fps 30", {"times": 2, "given_hz": 60.0, "other_hz": 30.0}),
+    "detections_curved": ("62 % of the points lie exactly on smooth curves", {"share": 0.62}),
     "detections_interpolated": ("75 % of the points lie on a straight line", {"share": 0.75}),
     "frames_dropped": ("In 25 % of the frames the animal moves about twice as far", {"share": 0.25}),
     "far_side_copied": ("100 % of the points of one side", {"share": 1.0}),
@@ -251,3 +252,15 @@ def test_a_rig_in_another_unit_and_likelihoods_that_are_low(small_trajectory):
     assert says(said, "92 (36 % of", "left out")
     assert low.numbers["share"] == pytest.approx(2 / 3, abs=0.05)
     assert not [*likelihoods_low(motion)]
+
+
+def test_a_misfit_that_the_noise_hides_is_measured_against_detectors(small_trajectory):
+    """Every detection is 100 px off, and the noise that was found is as large."""
+    xy_px = small_trajectory.sources[0].keypoints.xy_px + 100.0
+    keypoints = replace(small_trajectory.sources[0].keypoints, xy_px=xy_px)
+    source, solution = replace(small_trajectory.sources[0], keypoints=keypoints), small_trajectory.solution
+    views = tuple(replace(view, xy_px=view.xy_px + 100.0) for view in solution.views)
+    solution = replace(solution, noise_px=np.full_like(solution.noise_px, 150.0), views=views)
+    (item,) = detections_not_explained(replace(small_trajectory, sources=(source,), solution=solution))
+    assert item.numbers["sigmas"] > 10
+    assert not [*detections_not_explained(small_trajectory)]

@@ -23,6 +23,7 @@ from example_run import (
     two,
     view_of,
 )
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from recon.api.clip_cameras import other_camera_in
@@ -60,6 +61,12 @@ def interpolated(xy_px: np.ndarray) -> np.ndarray:
     return np.round(np.stack(columns, axis=1).reshape(xy_px.shape), 3)
 
 
+def splined(xy_px: np.ndarray) -> np.ndarray:
+    t = np.arange(len(xy_px))
+    columns = [CubicSpline(t[::8], column[::8])(t) for column in xy_px.reshape(len(t), -1).T]
+    return np.round(np.stack(columns, axis=1).reshape(xy_px.shape), 4)
+
+
 def copied(xy_px: np.ndarray) -> np.ndarray:
     return xy_px[:, [NAMES.index(f"l_{n[2:]}") if n.startswith("r_") else i for i, n in enumerate(NAMES)]]
 
@@ -70,6 +77,7 @@ def copied(xy_px: np.ndarray) -> np.ndarray:
         (frozen, "detections_frozen"),
         (lambda xy_px: np.repeat(xy_px, 2, axis=0), "detections_repeated"),
         (interpolated, "detections_interpolated"),
+        (splined, "detections_curved"),
         (copied, "far_side_copied"),
         (lambda xy_px: np.delete(xy_px, np.arange(3, len(xy_px), 4), axis=0), "frames_dropped"),
     ],

@@ -78,7 +78,9 @@ def keypoint_lines(motion: Motion, data: list[dict[str, Any]]) -> Iterator[Line]
     }
     listed = "".join(f"; {part}: {names_text(names)}" for part, names in parts.items() if names)
     used_count = f"{totals['keypoints']['used']}" if missing_names else "all"
-    yield "keypoints", f"{used_count} of the skeleton's {len(fitted)} used{listed}"
+    is_assumed = missing_names and motion.settings and motion.settings.get("skeleton") is None
+    assumed = f"; the skeleton {motion.body.name} is assumed (--skeleton)" if is_assumed else ""
+    yield "keypoints", f"{used_count} of the skeleton's {len(fitted)} used{listed}{assumed}"
 
     points = [point_counts(picture) for picture in motion.pictures]
     used, missing, rejected = (sum(numbers[count] for numbers in points) for count in ("used", "missing", "rejected"))
