@@ -1,1 +1,1 @@
-"""What Python users and several commands call; nothing here prints."""
+"""Functions for Python users and for the commands; none of them prints."""

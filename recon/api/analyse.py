@@ -1,4 +1,4 @@
-"""Analyse a fitted clip: the animal's movement in tables, figures, and plots in the playback."""
+"""Analyse a fitted clip: write tables and figures of the animal's movement, and add plots to the playback."""
 
 from __future__ import annotations
 
@@ -34,46 +34,47 @@ if TYPE_CHECKING:
 
 SUMMARY = "analysis.json"
 FOLDER = "analysis"
-"""Folder of the analysis, in that of the results, by default."""
+"""Name of the analysis folder inside the results folder, by default."""
 PLAYBACK = "motion.rrd"
 """The playback that the fit wrote."""
 FIGURES_BEGIN = 0.5
-"""Share of the progress at which the figures begin."""
+"""Progress, as a fraction of the whole, at which the figures begin."""
 SHOWN = 3
-"""Number of strides that do not count whose reasons are given one by one."""
+"""Largest number of excluded strides whose reasons are listed one by one."""
 
 
 MORE_TABLES = {"csv": (), "xlsx": (WORKBOOK,), "long": (LONG, DICTIONARY)}
-"""Files of --format."""
+"""Files that each choice of --format adds."""
 
 
 class AnalyseSettings(Settings):
     """Settings of `recon analyse`."""
 
     folder: Annotated[Path, Option(argument="DIR")]
-    """Folder of results, as in results/clip."""
+    """Folder of results, such as results/clip."""
     out: Path | None = None
     """Folder for tables and figures. (default: analysis in DIR)"""
     stride: Annotated[StrideTimes | None, STRIDE] = None
     body_mass_kg: Positive | None = None
-    """What the animal weighs, for forces in newtons too."""
+    """Body mass of the animal, kg; with it, forces are also given in newtons."""
     belt_speed_m_s: Annotated[Positive | None, Option(name="--belt-speed")] = None
-    """Speed of a treadmill's belt in m/s, as in 1.4, if the fit did not have it."""
+    """Speed of the treadmill's belt in m/s, such as 1.4, if the fit was not given it."""
     figures: bool = True
-    """PNG and SVG beside the tables: side view, joint angles, footfalls, speed."""
+    """Write figures (PNG and SVG) next to the tables: side view, joint angles, footfalls, speed."""
     all_figures: bool = False
-    """All figures: also poses, vector fields, phase portraits, information, forces, the body's own frame."""
+    """Write all figures: also poses, vector fields, phase portraits, information, forces, and the body-fixed frame."""
     tables_format: Annotated[Literal["csv", "xlsx", "long"], Option(name="--format")] = "csv"
-    """Beside the tables: xlsx: analysis.xlsx, a workbook; long: analysis_long.csv, all numbers in one tidy table, with
-    its data dictionary."""
+    """Additional tables. xlsx: analysis.xlsx, a workbook. long: analysis_long.csv, one tidy table with all numbers, and
+    its data dictionary.
+    """
     decimal_comma: bool = False
-    """Decimal commas, and semicolons between columns, in the table of --format long."""
+    """Use decimal commas, and semicolons between columns, in the table of --format long."""
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: bool = False
     """Replace an earlier analysis."""
 
     def problems(self) -> Iterator[Problem]:
-        """Yield the problem of decimal commas in tables that have none."""
+        """Yield a problem if decimal commas are requested for tables that do not have them."""
         if self.decimal_comma and self.tables_format != "long":
             yield Problem("--decimal-comma", "table", f"--format {self.tables_format}", "--format long beside it")
 
@@ -85,21 +86,21 @@ class AnalyseSettings(Settings):
 
 @dataclass(frozen=True)
 class WrittenAnalysis:
-    """An analysis, and what was written of it."""
+    """Hold an analysis and the files written for it."""
 
     analysis: ClipAnalysis
     summary: dict[str, Any]
-    """analysis.json."""
+    """Content of analysis.json."""
     files: Sequence[Path]
 
 
 def run_analysis(settings: AnalyseSettings, progress: Progress = silent) -> WrittenAnalysis:
-    """Analyse the motion in a folder of results, and write tables and figures.
+    """Analyse the motion in a results folder, and write tables and figures.
 
     Raises
     ------
     InputError
-        For results that cannot be used, and files that may not be replaced.
+        If the results cannot be used, or a file may not be replaced.
     """
     out = settings.out_folder
     progress("reading", 0.0)
@@ -112,7 +113,7 @@ def run_analysis(settings: AnalyseSettings, progress: Progress = silent) -> Writ
     with sole_writer(out):
         output.require((SUMMARY, *TABLES, *MORE_TABLES[settings.tables_format]))
         progress("analysis", 0.1)
-        with threadpool_limits(1, user_api="blas"):  # of small matrices, threads cost more than they bring
+        with threadpool_limits(1, user_api="blas"):  # threads cost more than they save on small matrices
             analysis = analyse(motion, settings.stride)
         analysis = replace(analysis, body_mass_kg=settings.body_mass_kg)
         summary = summarise(analysis, settings.folder.absolute().name)
@@ -125,7 +126,7 @@ def run_analysis(settings: AnalyseSettings, progress: Progress = silent) -> Writ
                 write_long(analysis, staging, settings.decimal_comma)
             (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
             names = [path.name for path in staging.iterdir()]
-        if settings.figures:  # after the tables, which are there whatever befalls the figures
+        if settings.figures:  # after the tables, so that they exist even if a figure fails
             with output.staged(adds=True) as staging:
                 write_figures(analysis, staging, progress, settings.all_figures)
                 names += [path.name for path in staging.iterdir()]
@@ -136,7 +137,7 @@ def run_analysis(settings: AnalyseSettings, progress: Progress = silent) -> Writ
 
 
 def summarise(analysis: ClipAnalysis, results: str) -> dict[str, Any]:
-    """Return the figures of a clip, as docs/gait.md describes them. results: name of its folder."""
+    """Return the summary of a clip, as docs/gait.md describes it; `results` is the name of its folder."""
     reference = analysis.reference_motion
     net, net_sigma = analysis.net_acceleration_m_s2
     run, by = analysis.motion.solution.constant_velocity_m_s, _origin(analysis.stride)
@@ -169,12 +170,12 @@ def summarise(analysis: ClipAnalysis, results: str) -> dict[str, Any]:
 
 
 def _origin(stride: Stride | None) -> str:
-    """Return what the stride comes from: the gait, a chain's end effector, or the user."""
+    """Return where the stride comes from: the gait, the end effector of a chain, or the user."""
     return stride.at if stride is not None and stride.at in ("given", "end effector") else "gait"
 
 
 def notes(analysis: ClipAnalysis) -> Iterator[str]:
-    """Yield notes to read before the numbers are used."""
+    """Yield notes to read before using the numbers."""
     motion, gait = analysis.motion, analysis.gait
     if motion.jitters:
         yield "Paths and angles are smoothed by their jitter from frame to frame."
@@ -204,7 +205,7 @@ def _dynamics_summary(analysis: ClipAnalysis) -> dict[str, Any] | None:
     dynamics = analysis.dynamics
     if dynamics is None or analysis.gait is None:
         return None
-    # Energy errors are correlated: the mean over the clip may be as uncertain as the value at one instant.
+    # Energy errors are correlated over time: the mean over the clip may be as uncertain as the value at one instant.
     sigma = {name: mean(values) for name, values in dynamics.energy_sigma_j_kg.items()}
     means = {name: interval_of(mean(values), sigma[name]) for name, values in dynamics.energy_j_kg.items()}
     return {
@@ -226,9 +227,9 @@ def _dynamics_summary(analysis: ClipAnalysis) -> dict[str, Any] | None:
 
 
 def _stride_energy(dynamics: Dynamics, stride: Stride) -> dict[str, Any]:
-    """Return the gain of energy over a stride, per kilogram and as a power.
+    """Return the energy gained over a stride, per kilogram and as a power.
 
-    The net acceleration and the exchange of energies come with it.
+    The result also has the net acceleration and the exchange between kinetic and potential energy.
     """
     row = picked(stride, "foot", "start_s", "end_s")
     for name, value_and_interval in over_stride(dynamics, stride.start_s, stride.end_s).items():
@@ -237,7 +238,7 @@ def _stride_energy(dynamics: Dynamics, stride: Stride) -> dict[str, Any]:
 
 
 def _with_interval(name: str, unit: str, value_and_interval: tuple[float, float, float]) -> dict[str, Any]:
-    """Return a value and its interval with their names, such as net_work_j_kg and net_work_interval_j_kg."""
+    """Return a dict of a value and its interval, under names such as net_work_j_kg and net_work_interval_j_kg."""
     value, *interval = value_and_interval
     return {f"{name}{unit}": value, f"{name}_interval{unit}": interval}
 
@@ -253,11 +254,11 @@ def _gait_summary(gait: Gait) -> dict[str, Any]:
 
 
 DEFAULT_FIGURES = ("side_view", "joint_flexion", "footfalls", "speed")
-"""Figures that a paper prints; all others by name (`recon figure`) or with --all-figures."""
+"""Figures that a paper usually prints; all others come by name (`recon figure`) or with --all-figures."""
 
 
 def write_figures(analysis: ClipAnalysis, folder: Path, progress: Progress, is_complete: bool = False) -> None:
-    """Write PNG and SVG of the figures of `DEFAULT_FIGURES`, or of all."""
+    """Write `DEFAULT_FIGURES`, or all figures, as PNG and SVG."""
     from recon.show.plots.style import save
 
     drawn = {name: draw for name, draw in figures_of(analysis).items() if is_complete or name in DEFAULT_FIGURES}

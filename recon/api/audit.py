@@ -1,4 +1,4 @@
-"""Read a file of points for `recon audit`, and audit it."""
+"""Read a file of keypoints or poses for `recon audit`, and audit it."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from recon.io.formats import Format, as_keypoints, read_points
 from recon.io.positions import PER_METRE, in_metres
 
 LIKELIHOOD_MIN = 0.5
-"""Detections less likely than this are left out, as in a fit."""
+"""Detections below this likelihood are left out, as in a fit."""
 
 
 @dataclass(frozen=True)
 class Audit:
-    """The findings on one file of points."""
+    """Hold the findings on one file of points."""
 
     source: Path
     content: str
-    """What the file holds, in words."""
+    """Description of what the file holds."""
     points: AuditedPoints
     findings: tuple[Finding, ...]
     notes: tuple[str, ...] = ()
-    """Decisions of the reader."""
+    """Choices that the reader made."""
 
     def table(self) -> pd.DataFrame:
-        """Return a row for each finding: code, severity, points, frames, measure and limit, and the sentence."""
+        """Return one row per finding: code, severity, points, frames, measure, limit, and sentence."""
         rows = [
             {
                 "code": item.code,
@@ -72,27 +72,27 @@ def audit_file(
     Parameters
     ----------
     source : path
-        Any format that recon reads, whoever wrote it.
+        File in any format that recon reads, from any program.
     fps : float, optional
-        Frames per second, if the file does not state them, or to compare with what it states.
+        Frames per second, if the file does not state a rate, or to check the stated one.
     unit, up : str, optional
         Unit (m, cm, mm) and upward axis (y, z) of 3D positions.
     individual : str, optional
-        Name of the animal in a file of several.
+        Name of the animal in a file with several animals.
     columns : mapping, optional
-        Columns of a plain table (`recon.io.columns.parse_map`).
+        Names of the columns of a plain table (see `recon.io.columns.parse_map`).
     likelihood_min : float
-        Detections less likely than this are left out.
+        Detections below this likelihood are left out.
 
     Returns
     -------
     Audit
-        The findings, with frames and one thing to do.
+        The findings, each with its frames and one thing to do.
 
     Raises
     ------
     InputError
-        For a file that cannot be read, or that has too few frames.
+        If the file cannot be read or has too few frames.
     """
     path = Path(source)
     if path.is_dir() and (path / MOTION).is_file():
@@ -113,7 +113,7 @@ def audit_points(
     up: str | None,
     likelihood_min: float,
 ) -> Audit:
-    """Return the audit of points as a file has them; parameters as in `audit_file`."""
+    """Return the audit of points as they were read; the parameters are those of `audit_file`."""
     findings = []
     rate = fps or stored.fps
     if fps is not None and stored.fps is not None and abs(fps / stored.fps - 1) > 0.01:
@@ -143,12 +143,12 @@ def audit_points(
 def audited_points(
     names: tuple[str, ...], values: Array, frames: Integers, fps: float | None, resolution: float = 0.0
 ) -> AuditedPoints:
-    """Return points to audit, with the parts of the animal that their names tell."""
+    """Return points ready to audit, with the body parts that their names indicate."""
     return AuditedPoints(names, values, frames, fps, resolution, roles_of(names))
 
 
 def likely_unit(stored: StoredPoints) -> str:
-    """Return the unit in which the animal of a file has a possible size: metres or millimetres before centimetres."""
+    """Return the unit that gives the animal a plausible size: metres or millimetres are preferred to centimetres."""
     extent = AuditedPoints(stored.names, stored.values, stored.frames).extent
     low_m, high_m = EXTENT_M
     fitting = [name for name in ("m", "mm", "cm") if low_m <= extent / PER_METRE[name] <= high_m]

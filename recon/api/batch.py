@@ -1,7 +1,7 @@
-"""Fit many clips: `find_clips`, `plan_batch`, `run_batch`, each with the result of the one before.
+"""Fit many clips with `find_clips`, `plan_batch` and `run_batch`, each of which takes the previous one's result.
 
-In the batch's folder `batch.jsonl` keeps what each clip's results were made from, summary.csv has one row a clip and is
-written again while clips finish, and summary.html is made of it.
+The batch's folder holds three files: `batch.jsonl` records the inputs that each clip's results were made from,
+`summary.csv` has one row per clip and is rewritten as clips finish, and `summary.html` is made from it.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ from recon.show.page.own_page import SUMMARY_PAGE
 from recon.show.report import is_unsolved, warnings
 
 BATCH = "batch"
-"""Kind of a batch's own files."""
+"""Manifest kind of the files that the batch itself writes."""
 RECORD, CRASH_LOG = "batch.jsonl", "crash.log"
 Problems = tuple[Problem, ...]
 RESULTS = (
@@ -70,43 +70,44 @@ _TEXTS = ("keypoints", "out", "error", "verdict", "reason", "settings_hash", "in
 _CELLS: dict[str, Any] = {name: (str | None if name in _TEXTS else float | None, None) for name in COLUMNS}
 _CELLS |= {"clip": (str, ...), "status": (str, ...)}
 _Row = create_model("_Row", **_CELLS)
-"""A row of the summary, with the types of its cells."""
+"""Row of the summary, with the types of its cells."""
 STATUSES = ("done", "done earlier", "unsolved", "failed", "pending")
-"""Unsolved: fitted, but no frame has a pose. Pending: not tried, because the batch was interrupted."""
+"""Status of a clip. Unsolved: fitted, but no frame has a pose. Pending: not tried, because the batch was interrupted.
+"""
 WRITE_EVERY_S = 0.5
 DYING_S = 5.0
-"""Time in which a process may hold a clip's folder after its batch was killed."""
+"""Seconds for which a process may still hold a clip's folder after its batch was killed."""
 
 
 OnEvent = Callable[[Event, "Summary"], None]
-"""Called at each event of a clip, with the summary so far."""
+"""Called at each event of a clip, with the current summary."""
 
 
 @dataclass(frozen=True, repr=False)
 class ClipPlan(Brief):
-    """What a batch does with a clip, and why."""
+    """Hold what a batch does with one clip, and why."""
 
     clip: Clip
     out: Path
     action: Literal["new", "refit", "done"]
     reason: str
     identity: Mapping[str, Any]
-    """Digests, settings and version that its results follow from."""
+    """Input digests, settings and version that determine the clip's results."""
     row: Mapping[str, Any] | None = None
-    """The row of the summary, if the clip is done."""
+    """Row of the summary, if the clip is already done."""
 
 
 def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> list[ClipPlan]:
-    """Plan what a batch does with each clip, whose results belong into `out / clip.name`.
+    """Plan what a batch does with each clip, whose results go into `out / clip.name`.
 
-    Results of the same input files, settings and version are done. Those that a batch made of the same keypoints, or of
-    some of the clip's cameras, with other settings are made again.
+    A clip is done if its folder holds results from the same input files, settings and version. It is fitted again if a
+    batch fitted the same keypoints, or some of the clip's cameras, with other settings.
 
     Raises
     ------
     InputError
-        For folders with any other results, unless they may be overwritten; in any case for files that no fit wrote or
-        that were changed since.
+        If a folder holds any other results and `overwrite` is false; and in any case if it holds files that no fit
+        wrote, or that were changed after the fit.
     """
     summary_output(out).require((SUMMARY, SUMMARY_PAGE))
     record = Record(out / RECORD)
@@ -141,19 +142,19 @@ def _keypoints(made_from: Mapping[str, Any]) -> set[str]:
     return {sha256 for role, sha256 in made_from["inputs"].items() if role.split()[0] == "keypoints" and sha256}
 
 
-# -- what inputs lack -------------------------------------------------------------------------------------------------
+# -- problems of the inputs --------------------------------------------------------------------------------------------
 
 
 def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Problems]:
-    """Return the problems of each clip, all that its fit would raise before it solves.
+    """Return all the problems of each clip that its fit would raise before it solves.
 
-    shared_only: only those of cameras, skeletons, subjects and priors.
+    With `shared_only`, only problems of cameras, skeletons, subjects and priors are returned.
     """
     read = cache(read_model_and_cameras)
 
     def read_once(settings: FitSettings) -> SharedInputs:
-        """Read once what clips share."""
-        # Names of keypoint files choose cameras.
+        """Read inputs that several clips share only once."""
+        # The names of keypoint files decide which cameras are used.
         files = [str(i) for i, _ in enumerate(settings.keypoints)] if settings.camera_name else settings.keypoints
         return read(replace(settings, keypoints=files, individual=None, frames=None))
 
@@ -162,7 +163,7 @@ def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Pro
 
 
 def repeated(problems_by_clip: Sequence[Problems]) -> list[tuple[Problem, tuple[int, ...]]]:
-    """Return each problem once, whatever its files are called, with the indices of the clips that have it."""
+    """Return each distinct problem once, ignoring file names, with the indices of the clips that have it."""
     places_by_content: dict[tuple[str, str, str], list[tuple[int, Problem]]] = {}
     for place, problems in enumerate(problems_by_clip):
         for problem in problems:
@@ -186,30 +187,30 @@ def run_batch(
     scheduler: str | None = None,
     on_event: OnEvent = lambda *_: None,
 ) -> Summary:
-    """Fit the clips that are not done, each in a folder of its own, and keep `out / summary.csv` up to date.
+    """Fit every clip that is not done into its own folder, and keep `out / summary.csv` up to date.
 
-    A clip that fails stops nothing. summary.html is written last. KeyboardInterrupt stops the fits under way, writes
-    the summary and is raised again.
+    A clip that fails does not stop the others. `summary.html` is written last. A KeyboardInterrupt stops the running
+    fits and is raised again after the summary has been written.
 
     Parameters
     ----------
     plan
-        As `plan_batch` returned it.
+        The result of `plan_batch`.
     out
         Folder of the batch.
     jobs
-        Processes on this machine; by default one for each core.
+        Number of processes on this machine; by default one per core.
     retries
-        How often a clip is tried again at which a process died.
+        How often a clip is retried after its process died.
     scheduler
-        Address of a Dask cluster, in place of this machine.
+        Address of a Dask cluster to use instead of this machine.
     on_event
         Called at each event of a clip.
 
     Raises
     ------
     InputError
-        Where the cluster cannot be reached, or goes away, and where another batch is writing to `out`.
+        If the cluster cannot be reached or is lost, or another batch is writing to `out`.
     """
     todo = {planned.clip.name: planned for planned in plan if planned.action != "done"}
 
@@ -239,14 +240,14 @@ def run_batch(
 
 
 def work_off(plan: Sequence[ClipPlan], out: Path, run: Callable[[Tell], None], on_event: OnEvent) -> Summary:
-    """Process the clips of a plan with `run`, which carries out its tasks, and keep the summary up to date."""
+    """Run the tasks of a plan with `run`, and keep the summary up to date."""
     summary = Summary(plan, out)
 
     def tell(event: Event) -> None:
         if event.kind == "ended":
             summary.end(event.name, event.outcome)
         on_event(event, summary)
-        if event.kind == "ended":  # only after all else has been reported
+        if event.kind == "ended":  # printed after everything else
             summary.write_now_and_then()
 
     summary.write()
@@ -259,10 +260,10 @@ def work_off(plan: Sequence[ClipPlan], out: Path, run: Callable[[Tell], None], o
 
 
 def fit_planned(planned: ClipPlan, progress: Progress) -> dict[str, Any]:
-    """Fit and write one clip, in a process that does nothing else meanwhile.
+    """Fit one clip and write its results, in a process that does nothing else at the same time.
 
-    Returns columns of its summary, the digest of its manifest, and its identity: its files may have changed since the
-    batch was planned.
+    Returns the columns of its summary, the digest of its manifest, and its identity, because its files may have changed
+    since the batch was planned.
     """
     own_version, planned_version = version(), planned.identity["version"]
     if own_version != planned_version:
@@ -280,14 +281,14 @@ def fit_planned(planned: ClipPlan, progress: Progress) -> dict[str, Any]:
     return {"status": status, **results_of(report), "files": files, **inputs}
 
 
-# -- what became of the clips -----------------------------------------------------------------------------------------
+# -- outcomes of the clips ---------------------------------------------------------------------------------------------
 
 
 def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the columns `RESULTS` of a report.
+    """Return the columns `RESULTS` of a summary row, from a report.
 
-    Speeds are the root's, without the jitter from frame to frame where that is known. warnings is their number; size is
-    the factor on the skeleton's lengths, which only the trajectory method has.
+    Speeds are those of the root, without the frame-to-frame jitter where it is known. `warnings` is the number of
+    warnings. `size` is the factor on the skeleton's lengths, which only the trajectory method estimates.
     """
     summary, path, verdict = report["summary"], report["root_path"], report["verdict"] or {}
     speeds = path["smoothed"] or path["exact"]
@@ -309,12 +310,15 @@ def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def summary_output(out: Path) -> Output:
-    """Return what a batch may write into its own folder: summary.csv and its page, made anew as clips finish."""
+    """Return the output through which a batch may replace its own summary.csv and summary.html."""
     return Output(out, BATCH, overwrite=True)
 
 
 class Summary:
-    """The rows of a batch, by clip, and their file. Clips that were done earlier have their row already."""
+    """Hold the rows of a batch by clip, and the file they are written to.
+
+    Clips that an earlier run finished have their rows from the start.
+    """
 
     def __init__(self, plan: Sequence[ClipPlan], out: Path) -> None:
         self.path = out / SUMMARY
@@ -323,27 +327,27 @@ class Summary:
         self._written_s = -WRITE_EVERY_S
 
     def end(self, clip: str, outcome: Mapping[str, Any]) -> None:
-        """Add the outcome of a clip: some of the columns."""
+        """Record the outcome of a clip, which has some of the columns."""
         self.rows[clip] |= {column: outcome[column] for column in COLUMNS if column in outcome}
 
     def write_now_and_then(self) -> None:
-        """Write the file unless it was just written; one that is open elsewhere can wait."""
+        """Write the file unless it was just written; a file that another program holds open is retried later."""
         if time.monotonic() - self._written_s >= WRITE_EVERY_S:
             with suppress(PermissionError):
                 self.write()
 
     def counts(self) -> dict[str, int]:
-        """Return the number of clips by status, in the order of `STATUSES`, without statuses that no clip has."""
+        """Return the number of clips with each status, in the order of `STATUSES`, without statuses of no clip."""
         count = Counter(row["status"] for row in self.rows.values())
         return {status: count[status] for status in STATUSES if count[status]}
 
     def verdicts(self) -> dict[str, int]:
-        """Return the number of clips by verdict, in the order of `LEVELS`, without verdicts that no clip has."""
+        """Return the number of clips with each verdict, in the order of `LEVELS`, without verdicts of no clip."""
         count = Counter(row["verdict"] for row in self.rows.values() if row["status"].startswith("done"))
         return {level: count[level] for level in LEVELS if count[level]}
 
     def write(self) -> None:
-        """Write summary.csv, the clips to look at first on top."""
+        """Write summary.csv, with the clips that need attention at the top."""
         with self._output.staged(adds=True) as folder, (folder / SUMMARY).open("w", encoding="utf-8", newline="") as f:
             writer = csv.DictWriter(f, COLUMNS, lineterminator="\n")
             writer.writeheader()
@@ -354,15 +358,21 @@ class Summary:
 
 
 def write_summary_page(out: Path) -> Path:
-    """Write summary.html from summary.csv in its folder. Raises InputError for another file of that name."""
-    from recon.show.page.pages import batch_page  # needs matplotlib, which the processes that fit do not
+    """Write summary.html from the summary.csv in the same folder.
+
+    Raises InputError if summary.csv is not a batch's summary.
+    """
+    from recon.show.page.pages import batch_page  # imports matplotlib, which the fitting processes do not need
 
     summary_output(out).write(SUMMARY_PAGE, batch_page(out, read_rows(out / SUMMARY)))
     return out / SUMMARY_PAGE
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a summary.csv, with the formulas that `Summary.write` made texts. Raises InputError."""
+    """Return the rows of a summary.csv, undoing the escapes that `Summary.write` put before formulas.
+
+    Raises InputError if the file is not a summary.
+    """
     (_, header), *rows = [*text_rows(path)] or [(1, [])]
     texts = ([*map(unguarded, cells)] for _, cells in rows)
     named_rows = [{name: x for name, x in zip(header, row, strict=False) if x} for row in texts]

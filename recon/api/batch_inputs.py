@@ -1,4 +1,4 @@
-"""Find the clips of a batch: files, patterns, folders and manifests in, a `Clip` with settings and name each out."""
+"""Find the clips of a batch: turn files, patterns, folders and manifests into named `Clip` objects with settings."""
 
 from __future__ import annotations
 
@@ -37,56 +37,56 @@ SUMMARY = "summary.csv"
 AUTO, NONE = "auto", "none"
 OPTION = "--cameras-by"
 SEPARATORS = "-_. "
-"""Characters next to the camera's name in a file's name."""
+"""Characters that may separate the camera's name from the rest of a file name."""
 _MANIFEST = "a CSV table with columns keypoints, camera and fps"
 MOST_BYTES = 240
-"""Longest name of a clip: file systems take 255 bytes, and a number may come behind it."""
+"""Longest clip name, in bytes: file systems allow 255, and a number may be appended."""
 _UNFIT = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
-"""Characters that some file systems refuse in names."""
+"""Characters that some file systems do not allow in names."""
 BETWEEN = "|"
-"""Separates the files, names or numbers of several cameras in a manifest's cell."""
+"""Separator between the values of several cameras in one cell of a manifest."""
 LEAST_SQUARE_NOT_IN_METRES = 1.0
-"""Side of a board's squares from which the calibration is not in metres: no board has squares of a metre."""
+"""Side of a board's square above which a calibration cannot be in metres: no board has squares of a metre."""
 POSES = {"pose_2d_filter": "pose-2d-filtered", "pose_2d": "pose-2d"}
-"""Folders of Anipose's session by what config.toml calls them, the better one first."""
+"""Folders of an Anipose session by the key that config.toml uses for them, the preferred folder first."""
 SQUARE = "board_square_side_length"
 _BY_CAMERA = ("offset_s", "camera_track", "camera_fps", "find_offsets", "refine_cameras", "focal_sigma")
-"""Settings that may have one value for each camera of a clip."""
+"""Settings that may have one value per camera of a clip."""
 
 
 @dataclass(frozen=True, repr=False)
 class Clip(Brief):
-    """One fit of a batch."""
+    """Hold one fit of a batch."""
 
     name: str
-    """Name of its folder, unique among the batch's clips in any case of letters."""
+    """Name of the clip's folder, unique within the batch even when upper and lower case are not distinguished."""
     settings: FitSettings
 
 
 @dataclass(frozen=True)
 class _Draft:
-    """A clip, or a part of one, with the settings that it has of its own."""
+    """Hold a clip, or part of one, with its own settings."""
 
     paths: tuple[Path, ...]
     row: Mapping[str, Any] = field(default_factory=dict)
     name: str | None = None
     manifest_line: tuple[Path, str] | None = None
-    """The manifest and the line that it is from."""
+    """The manifest and the line that the draft comes from."""
     named_after: Path | None = None
-    """The path that its name is made from, if that is not its only file."""
+    """The path that the clip is named after, if it is not the clip's only file."""
     cam_regex: tuple[Path, str] | None = None
-    """Anipose's pattern of cameras in names, with the file that has it."""
+    """Anipose's pattern for cameras in file names, and the file that contains it."""
     rule: str | None = None
-    """Source of the rule that found the camera in its files' names."""
+    """Source of the rule that identified the camera from the file names."""
 
     @property
     def title(self) -> Path:
-        """Return the path that its name is made from."""
+        """Return the path that the clip is named after."""
         return self.named_after or self.paths[0]
 
 
 Drafts = tuple[list[_Draft], list[str]]
-"""With notes: what was left out, and which files are one clip."""
+"""Drafts, and notes on files that were left out or joined into one clip."""
 
 
 def find_clips(
@@ -97,33 +97,33 @@ def find_clips(
     posed: bool = True,
     recursive: bool = False,
 ) -> tuple[list[Clip], list[str]]:
-    """Return the clips of all inputs in their order, and notes.
+    """Return the clips of all inputs in order, and notes.
 
-    In a file with several animals each animal is a clip, unless one is chosen.
+    Each animal of a file with several animals is a clip of its own, unless one is chosen.
 
     Parameters
     ----------
     inputs
-        Keypoint files; quoted patterns; DeepLabCut projects (a folder with config.yaml, or that file), whose tables
-        next to the videos are read; other folders, in which every file that a reader recognises is read, but only the
-        last one of files that differ in nothing but the suffix (.h5 rather than .csv, since DeepLabCut writes each
-        table twice); Anipose sessions; CSV manifests with `keypoints` in their header.
+        Any of these: keypoint files; quoted patterns; DeepLabCut projects (a folder with config.yaml, or that file),
+        whose tables next to the videos are read; Anipose sessions; CSV manifests with `keypoints` in their header;
+        other folders, in which every file that a reader recognises is read. If files of a folder differ only in their
+        suffix, the last one is read (.h5 rather than .csv, since DeepLabCut writes each table twice).
     common
-        Settings of every clip by name, None where not given. A manifest's cells overrule them, and they overrule
-        config.
+        Settings for every clip by name, None if not given. They override `config`, and the cells of a manifest override
+        them.
     config
-        config.toml of a fit.
+        The config.toml of an earlier fit.
     cameras_by
-        Rule by which files are one clip, see `_joined`.
+        Rule that decides which files belong to one clip, see `_joined`.
     posed
-        Whether files are joined only if the camera file has the poses of its cameras.
+        Whether files are joined only if the camera file has poses for its cameras.
     recursive
-        Whether folders within folders are read, too.
+        Whether subfolders are read too.
 
     Returns
     -------
     tuple
-        The clips; and notes on files that were left out, and on files that are one clip.
+        The clips, and notes on files that were left out or joined into one clip.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def find_clips(
     problems: list[Problem] = []
 
     def collected(make: Callable[[], T], default: T) -> T:
-        """Return what a function makes; the default, its problems noted, where it raises InputError."""
+        """Call a function and return its result; if it raises InputError, keep the problems and return the default."""
         try:
             return make()
         except InputError as error:
@@ -151,7 +151,7 @@ def find_clips(
     join = partial(_joined, drafts, cameras_by, common.get("camera_name"), camera_names)
     drafts, join_notes = collected(join, (drafts, []))
     fits = [fit for draft in drafts for fit in collected(partial(_with_settings, draft, common, config), [])]
-    raise_problems(dict.fromkeys((*problems, *_name_problems(drafts))))  # a problem that all clips have is said once
+    raise_problems(dict.fromkeys((*problems, *_name_problems(drafts))))  # report a shared problem only once
     if not fits:
         raise InputError(Problem("INPUT", "clips", "none", "keypoint files, a folder of them, or a manifest"))
     drafts = [draft for draft, _ in fits]
@@ -166,7 +166,7 @@ def find_clips(
 
 def _drafts_of(text: str, common: Mapping[str, Any], recursive: bool) -> Drafts:
     path = Path(text)
-    if os.path.exists(path) and (project := find_project(path)):  # a Path raises OSError where a name is too long
+    if os.path.exists(path) and (project := find_project(path)):  # a name that is too long makes Path raise OSError
         tables, left_out = predictions(project)
         files = [(file.absolute(), f"{video}{file.suffix}") for video, file in tables.items()]
         notes = [f"{project.folder} is a project of DeepLabCut, with tables of {len(files)} of its videos."]
@@ -185,7 +185,7 @@ def _drafts_of(text: str, common: Mapping[str, Any], recursive: bool) -> Drafts:
     if not files:
         raise InputError(Problem(text, "files", "none that match", "a pattern such as 'clips/*.csv'"))
     if files == [path]:
-        read_head(path)  # a typing error ends the batch before it begins
+        read_head(path)  # so that a misspelt name ends the batch before it begins
     drafts_by_file = (
         _drafts_of_manifest(file) if is_manifest(file) else [_draft_of(file.absolute())] for file in files
     )
@@ -197,8 +197,8 @@ def _draft_of(file: Path) -> _Draft:
 
 
 def _matching_files(path: Path) -> list[Path]:
-    """Return a file, or those of a pattern."""
-    if "\0" in str(path):  # no file has such a name, and resolving it fails
+    """Return the file, or all files that match the pattern."""
+    if "\0" in str(path):  # no file has a NUL in its name, and resolving such a path fails
         return []
     if os.path.exists(path) or not glob.has_magic(str(path)):
         return [path]
@@ -233,7 +233,7 @@ def _files_in(folder: Path, recursive: bool = False) -> tuple[list[Path], list[s
 
 
 def _why_left_out(path: Path) -> str:
-    """Return why a file of a folder is no clip; empty for one that is, or is too damaged to tell."""
+    """Return why a file of a folder is not a clip, or "" if it is one or is too damaged to tell."""
     if not os.access(path, os.R_OK):
         return "not readable"
     try:
@@ -243,7 +243,7 @@ def _why_left_out(path: Path) -> str:
             return "of no known format"
         if any({"x", "y", "z"} <= {*cells} for _, cells in islice(text_rows(path), 4)):  # the rows of a header
             return "3D positions"
-    except OSError:  # of a disk that fails
+    except OSError:  # a failing disk
         return "not readable"
     except InputError:
         pass
@@ -251,9 +251,9 @@ def _why_left_out(path: Path) -> str:
 
 
 def _without_repeats(drafts: Sequence[_Draft]) -> list[_Draft]:
-    """Leave out drafts of files that an earlier one has, or of its frames, by whatever way to their folder.
+    """Leave out drafts whose file or frames an earlier draft already has, even if reached by another path.
 
-    The rows of a manifest all stay.
+    All rows of a manifest are kept.
     """
     seen: set[Path] = set()
     kept = []
@@ -266,14 +266,14 @@ def _without_repeats(drafts: Sequence[_Draft]) -> list[_Draft]:
     return kept
 
 
-# -- sessions of Anipose: at any depth, with 2D poses, and a calibration there or above -------------------------------
+# -- Anipose sessions: at any depth, with 2D poses, and a calibration in the session or above it ----------------------
 
 
 def _sessions_in(folder: Path) -> list[tuple[Path, Path]]:
     """Return the sessions of a project, each with its folder of keypoint files.
 
-    The folder may be a project, one session, or a folder of 2D poses. Of filtered 2D poses and others the filtered ones
-    are taken. Raises InputError for a config.toml that cannot be read.
+    The folder may be a project, one session, or a folder of 2D poses. Filtered 2D poses are preferred to unfiltered
+    ones. Raises InputError for a config.toml that cannot be read.
     """
     folder = folder.absolute()
     pipeline = _table(_anipose_config(folder)[0], "pipeline")
@@ -289,9 +289,9 @@ def _sessions_in(folder: Path) -> list[tuple[Path, Path]]:
 
 
 def _drafts_of_sessions(sessions: Sequence[tuple[Path, Path]], common: Mapping[str, Any]) -> Drafts:
-    """Return a draft for each file of 2D poses, with the calibration of its session.
+    """Return one draft per file of 2D poses, with the calibration of its session.
 
-    It is the session's own or the next one above it, unless another camera is given.
+    The calibration is that of the session, or the nearest one in a folder above, unless another camera file is given.
     """
     drafts, notes, problems = [], [], []
     for folder, poses in sessions:
@@ -324,7 +324,7 @@ def _drafts_of_sessions(sessions: Sequence[tuple[Path, Path]], common: Mapping[s
 
 
 def _anipose_config(folder: Path) -> tuple[Mapping[str, Any], Path | None]:
-    """Return the configuration of the project that a folder belongs to, with its file; empty without."""
+    """Return the configuration of the project that a folder belongs to, and its file; empty if there is none."""
     for parent in (folder, *folder.parents):
         path = parent / "config.toml"
         if path.is_file():
@@ -343,14 +343,14 @@ def _table(config: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 
 
 def is_manifest(path: Path) -> bool:
-    """Return whether a file is a CSV table with a column `keypoints`, or with `camera` if the other is misspelt.
+    """Return whether a file is a CSV table with a `keypoints` column, or with a `camera` column if that is misspelt.
 
-    A file of keypoints may have a column of that name, too.
+    A keypoint file with a `camera` column is not a manifest.
     """
     try:
         header = _header(path) if path.suffix.lower() == ".csv" and os.path.isfile(path) else ()
         return "keypoints" in header or ("camera" in header and recognised(path) is None)
-    except (InputError, OSError):  # no table of text, or a disk that fails: the clip will say so
+    except (InputError, OSError):  # not a text table, or a failing disk: the clip's own fit reports it
         return False
 
 
@@ -359,7 +359,10 @@ def _header(path: Path) -> list[str]:
 
 
 def _drafts_of_manifest(path: Path) -> list[_Draft]:
-    """Return one draft a row. Raises InputError with everything that is wrong with the table itself."""
+    """Return one draft per row.
+
+    Raises InputError with every fault of the table itself.
+    """
     header, known, many = _header(path), ("out", *SETTINGS), {name for name, info in SETTINGS.items() if info.is_many}
     problems = [
         Problem(path, f"column {name!r}" if name else "header", "an unknown column", f"one of {', '.join(known)}")
@@ -389,7 +392,7 @@ def _drafts_of_manifest(path: Path) -> list[_Draft]:
     return drafts
 
 
-# -- which files are one clip that several cameras filmed ---------------------------------------------------------
+# -- joining the files of one clip that several cameras filmed -----------------------------------------------------
 
 
 def _joined(
@@ -398,33 +401,33 @@ def _joined(
     camera_name: str | Sequence[str] | None,
     camera_names: Callable[[_Draft], Sequence[str]],
 ) -> Drafts:
-    """Join the files of one clip in one draft, in the order of the drafts.
+    """Join the drafts of one clip that several cameras filmed, keeping the order of the drafts.
 
-    Files of one folder are one clip if their names are the same without the part that the pattern fits, or without the
-    camera's name. A manifest's rows say themselves which files they have.
+    Files in one folder belong to one clip if their names are equal after the part that matches the pattern, or the
+    camera's name, is removed. The rows of a manifest list their own files and are never joined.
 
     Parameters
     ----------
     drafts
-        Drafts of single files, and of a manifest's rows.
+        Drafts of single files and of manifest rows.
     cameras_by
-        A pattern; `AUTO`: Anipose's pattern, or the names of a draft's cameras if any two files are one clip by them;
-        `NONE`: nothing is joined.
+        A regular expression; `AUTO` for Anipose's pattern or, if they join any two files, the names in the camera file;
+        or `NONE` to join nothing.
     camera_name
-        As given for every clip.
+        The camera name given for every clip, if any.
     camera_names
-        Gives the names of a draft's cameras.
+        Function that returns the names of a draft's cameras.
 
     Raises
     ------
     InputError
-        For a faulty pattern, and one that fits no file.
+        If the pattern is faulty or matches no file.
     """
     pattern = None if cameras_by in (AUTO, NONE) else _compiled(cameras_by, OPTION)
     if pattern is not None and camera_name is not None:
         actual = f"{camera_name if isinstance(camera_name, str) else ', '.join(camera_name)} beside {OPTION}"
         raise InputError(Problem("--camera-name", "camera_name", actual, "one of the two"))
-    groups: dict[Any, list[tuple[_Draft, _Draft]]] = {}  # as it was, and with its camera
+    groups: dict[Any, list[tuple[_Draft, _Draft]]] = {}  # each draft as it was, and with its camera
     without_camera = []
     for draft in drafts:
         with_camera = _with_camera(draft, pattern, cameras_by, camera_names)
@@ -464,10 +467,10 @@ def _joined(
 def _with_camera(
     draft: _Draft, pattern: re.Pattern[str] | None, cameras_by: str, camera_names: Callable[[_Draft], Sequence[str]]
 ) -> _Draft:
-    """Add the camera that a file's name says to its draft, which is named after the rest of the name.
+    """Return a draft with the camera that its file name contains, named after the rest of the file name.
 
-    If nothing is left of the name, it is named after its folder. The draft is returned as it is if the name says no
-    camera, or it is from a manifest.
+    If nothing is left of the file name, the clip is named after its folder. The draft is returned unchanged if its
+    file name contains no camera, or if it comes from a manifest.
     """
     if draft.manifest_line is not None:
         return draft
@@ -475,7 +478,7 @@ def _with_camera(
     if pattern is None and draft.cam_regex is not None:
         text, config = draft.cam_regex[1], draft.cam_regex[0]
         pattern, rule = _compiled_from_file(text, config), f"cam_regex in {config}"
-    if pattern is not None:  # its first group is the camera's name, or all of it, as in Anipose
+    if pattern is not None:  # as in Anipose, the first group is the camera's name; without groups it is the whole match
         match = pattern.search(title.stem)
         cameras = {} if match is None else {((match[1] if pattern.groups else match[0]) or "").strip(): match}
     else:
@@ -495,7 +498,10 @@ def _with_camera(
 
 @cache
 def _compiled_from_file(text: str, file: Path) -> re.Pattern[str]:
-    """Return a pattern that stands in a file; raise InputError for one that can take for ever."""
+    """Return the compiled pattern that a file contains.
+
+    Raises InputError for a pattern whose search could take forever.
+    """
     pattern = _compiled(text, file)
     if slow := slow_part(text):
         expected = f"a simpler pattern, as in '-cam([A-Z])'; or {OPTION} with a pattern of your own"
@@ -514,9 +520,10 @@ def _compiled(text: str, origin: Path | str) -> re.Pattern[str]:
 def _camera_names_by_draft(
     common: Mapping[str, Any], config: Path | None, posed: bool
 ) -> Callable[[_Draft], tuple[str, ...]]:
-    """Return a function that gives the names of the cameras in a draft's file that can film a clip together.
+    """Return a function that gives the names of a draft's cameras that can film a clip together.
 
-    It gives none if they cannot, or if the camera is chosen. posed: cameras without poses cannot.
+    The function returns no names if the cameras cannot be combined, or if the user chose one. With `posed`, cameras
+    without poses cannot be combined.
     """
     read = cache(read_cameras)
 
@@ -529,7 +536,7 @@ def _camera_names_by_draft(
             if settings.camera is None or settings.camera_name is not None or settings.method == "frame":
                 return ()
             cameras = read(settings.camera, settings.image_size_px)
-        except InputError:  # raised again with the clip's other problems
+        except InputError:  # raised later together with the clip's other problems
             return ()
         usable = not posed or all(camera.has_extrinsics for camera in cameras)
         return tuple(camera.name for camera in cameras) if usable else ()
@@ -539,7 +546,7 @@ def _camera_names_by_draft(
 
 def _missing_cameras(drafts: Sequence[_Draft], names: Sequence[str]) -> list[str]:
     """Return a note on joined clips that lack cameras which other clips have."""
-    all_cameras: dict[Any, dict[str, None]] = {}  # by project, whose cameras have names of their own
+    all_cameras: dict[Any, dict[str, None]] = {}  # per project, since each project names its cameras
     by_name = [(name, draft) for name, draft in zip(names, drafts, strict=True) if draft.rule]
     for _, draft in by_name:
         all_cameras.setdefault(draft.cam_regex, {}).update(dict.fromkeys(draft.row["camera_name"]))
@@ -555,7 +562,7 @@ def _missing_cameras(drafts: Sequence[_Draft], names: Sequence[str]) -> list[str
 
 
 def _with_settings(draft: _Draft, common: Mapping[str, Any], config: Path | None) -> list[tuple[_Draft, FitSettings]]:
-    """Return a draft with all settings, or one for each animal in its file."""
+    """Return a draft with all its settings, or one draft per animal in its file."""
     settings = _settings(draft, common, config)
     animals = () if settings.individual is not None else individuals(settings.keypoints[0])
     if not animals:
@@ -569,14 +576,14 @@ def _with_settings(draft: _Draft, common: Mapping[str, Any], config: Path | None
 
 
 def _settings(draft: _Draft, common: Mapping[str, Any], config: Path | None) -> FitSettings:
-    """Return the settings of a draft: its row over the common options over config."""
+    """Return the settings of a draft: its row overrides the common options, which override config."""
     row = draft.row
     options = {name: value for name, value in common.items() if value is not None and name not in row}
     if "camera" in row and options.pop("hfov_deg", None) is not None:
         options.pop("image_size_px", None)
     if "hfov_deg" in row:
         options = {name: value for name, value in options.items() if name not in ("camera", "camera_name")}
-    if "method" in row:  # the common options are for the clips of the other method
+    if "method" in row:  # the common options are meant for clips of the other method
         options = {
             name: value for name, value in options.items() if SETTINGS[name].option.method in (None, row["method"])
         }
@@ -599,7 +606,7 @@ def _settings(draft: _Draft, common: Mapping[str, Any], config: Path | None) -> 
 
 
 def _name_problems(drafts: Sequence[_Draft]) -> Iterator[Problem]:
-    """Yield problems of names given in manifests, which have to be plain and different."""
+    """Yield problems of the names given in manifests, which have to be plain and unique."""
     named = [
         (draft.name, draft.manifest_line)
         for draft in drafts
@@ -615,10 +622,11 @@ def _name_problems(drafts: Sequence[_Draft]) -> Iterator[Problem]:
 
 
 def _names(drafts: Sequence[_Draft]) -> list[str]:
-    """Return the names of clips.
+    """Return the names of the clips.
 
-    They are as given, or the file's name, with its suffix or folders if files share it, the animal and the frames if
-    the row has them, and a number if it is still not unique.
+    A clip has the name that was given, or else the file name. The suffix or the folders are added if several files
+    share the name, then the animal and the frames if the row has them, and a number if the name is still not
+    unique.
     """
     file_name = file_names(dict.fromkeys(draft.title for draft in drafts))
     taken = {SUMMARY, SUMMARY_PAGE, *(draft.name.casefold() for draft in drafts if draft.name is not None)}
@@ -634,7 +642,7 @@ def _names(drafts: Sequence[_Draft]) -> list[str]:
 
 
 def file_names(paths: Sequence[Path] | Mapping[Path, None]) -> dict[Path, str]:
-    """Return a name for each file: with its suffix, or as many folders in front as needed, where files share it."""
+    """Return a unique name for each file: with its suffix, or with as many parent folders as necessary."""
     siblings = Counter((path.parent, path.stem.casefold()) for path in paths)
     has_twin = (siblings[path.parent, path.stem.casefold()] > 1 for path in paths)
     stems = {p: f"{p.stem}-{p.suffix[1:]}" if twin else p.stem for p, twin in zip(paths, has_twin, strict=True)}

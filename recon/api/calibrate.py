@@ -1,4 +1,4 @@
-"""Calibrate a camera: pictures or a video of a board in, a camera file and a picture of the evidence out."""
+"""Calibrate a camera from pictures or a video of a board: write a camera file and a picture of the coverage."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ T = TypeVar("T")
 
 
 def _finite(value: T) -> T | None:
-    """Return a value, None for NaN and infinity, which JSON does not have."""
+    """Return a value, or None for NaN and infinity, which JSON cannot represent."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -30,16 +30,18 @@ class CalibrationSettings(Settings):
     """Settings of `recon calibrate`."""
 
     inputs: Annotated[OneOrMore[Path], Option(argument="IMAGES|FOLDER|VIDEO")]
-    """Pictures or folders of pictures of a board, or one video."""
+    """Pictures of a board, folders of pictures, or one video."""
     board: str
-    """chessboard:9x6:25mm (inner corners, square's side) or charuco:5x7:40mm:30mm:DICT_4X4_50 (squares, sides of square
-    and marker, dictionary; :legacy for OpenCV's layout before 4.6)."""
+    """The board: chessboard:9x6:25mm (inner corners, side of a square) or charuco:5x7:40mm:30mm:DICT_4X4_50 (squares,
+    sides of square and marker, dictionary; append :legacy for the layout of OpenCV before 4.6).
+    """
     model: str
-    """radtan for most lenses, fisheye for those wider than 100 degrees, pinhole for undistorted pictures."""
+    """Lens model: radtan for most lenses, fisheye for lenses wider than 100 degrees, pinhole for undistorted pictures.
+    """
     out: Path
-    """The camera file, as in camera.toml."""
+    """Camera file to write, such as camera.toml."""
     force: bool = False
-    """Write a calibration that is refused."""
+    """Write the calibration even if a check refuses it."""
     overwrite: bool = False
     """Replace the camera file."""
 
@@ -47,7 +49,8 @@ class CalibrationSettings(Settings):
 def run_calibration(settings: CalibrationSettings, progress: Progress = silent) -> dict[str, Any]:
     """Calibrate a camera from pictures of a board, and write `out` and `<stem>_coverage.png`.
 
-    A calibration that a check refuses is not written unless `force`. The picture is, since it shows what is missing.
+    A calibration that a check refuses is not written unless `force` is set. The picture is always written, because it
+    shows what is missing.
 
     Returns
     -------
@@ -56,11 +59,12 @@ def run_calibration(settings: CalibrationSettings, progress: Progress = silent) 
     Raises
     ------
     InputError
-        With every problem, for inputs that cannot be used.
+        If inputs cannot be used; the message lists every problem.
     """
     picture = settings.out.with_name(f"{settings.out.stem}_coverage.png")
     inputs = input_paths(settings)
-    # Without a camera file, our own picture is that of a calibration that was refused: nobody has to say --overwrite.
+    # If there is a picture but no camera file, an earlier calibration was refused: replacing its picture needs no
+    # --overwrite.
     overwrite = settings.overwrite or not settings.out.exists()
     output = output_file(settings.out, "calibrate", overwrite, inputs)
     known = [name for name, lens in LENS_MODELS.items() if lens.opencv]
@@ -77,7 +81,7 @@ def run_calibration(settings: CalibrationSettings, progress: Progress = silent) 
     calibration = solved(views, settings.model, settings.out.stem)
     checks = checked(calibration)
     refused = any(c.verdict == "refused" for c in checks)
-    from recon.show.plots.configurations import calibration as drawn  # matplotlib
+    from recon.show.plots.configurations import calibration as drawn  # imports matplotlib
     from recon.show.plots.style import png_of
 
     with output.staged(adds=True) as folder:

@@ -1,4 +1,4 @@
-"""Advise where to put a camera, or a second one, to see an angle or a joint."""
+"""Advise where to place one or two cameras to measure an angle or a joint."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ ABOVE = "almost above it"
 
 
 def in_sentences(advice_by_camera: Sequence[Advice]) -> Iterator[str]:
-    """Yield where to put the camera, or the best first one and a second."""
+    """Yield sentences on where to place the camera, or the best first and second cameras."""
     for number, advice in enumerate(advice_by_camera, start=1):
         camera = "the camera" if len(advice_by_camera) == 1 else f"camera {number}"
         share, sigma = (float(values[advice.best]) for values in (advice.share, advice.sigma))
@@ -65,34 +65,37 @@ class CameraAdviceSettings(Settings):
     """Settings of `recon camera-advice`."""
 
     skeleton: str
-    """A built-in skeleton or a TOML file, as in cheetah-24."""
+    """A built-in skeleton or a TOML file, such as cheetah-24."""
     out: Path
     """Folder for the figure, the table and the report."""
     prior: str | None = None
-    """What motions are like: a built-in name, a file, or none. (default: as for a fit)"""
+    """Motion prior: a built-in name, a file, or none. (default: as for a fit)"""
     angle: str | None = None
-    """The angle to be seen, as in front_trunk_yaw."""
+    """The angle to measure, such as front_trunk_yaw."""
     joint: str | None = None
-    """The joint to be seen. (default: all)"""
+    """The joint to measure. (default: all)"""
     cameras: Annotated[Integer, Field(ge=1, le=2)] = 1
-    """1, or 2: the best second one beside the best first one."""
+    """Number of cameras: 1, or 2 for the best second camera to add to the best first one."""
     hfov_deg: Annotated[Number, Field(gt=0, lt=180)] = 60.0
-    """Horizontal field of view, degrees, as in 60."""
+    """Horizontal field of view in degrees, such as 60."""
     distance_m: Annotated[Number, Field(gt=0, lt=1e4)] | None = None
-    """From the animal's middle, metres, as in 8. (default: 4 of its lengths)"""
+    """Distance from the middle of the animal in metres, such as 8. (default: 4 times the animal's length)"""
     subject: str | None = None
     """A measured animal: built-in name or TOML file."""
     overwrite: bool = False
     """Replace earlier advice."""
 
     def problems(self) -> Iterator[Problem]:
-        """Yield a problem if an angle and a joint are given."""
+        """Yield a problem if both an angle and a joint are given."""
         if self.angle is not None and self.joint is not None:
             yield Problem("--angle", "value", "--joint as well", "one of the two, or neither for all joints")
 
 
 def run_camera_advice(settings: CameraAdviceSettings, progress: Progress = silent) -> dict[str, Any]:
-    """Find where to put a camera, or two, write the figure and the table, and return the report. Raises InputError."""
+    """Find the best positions for one or two cameras, write the figure and the table, and return the report.
+
+    Raises InputError for settings that cannot be used.
+    """
     body = load_skeleton(settings.skeleton, settings.subject)
     targets = {"angle": (settings.angle, body.state_names[4:]), "joint": (settings.joint, body.markers)}
     raise_problems(
@@ -131,7 +134,7 @@ def run_camera_advice(settings: CameraAdviceSettings, progress: Progress = silen
 
 
 def _places(number: int, advice: Advice) -> pd.DataFrame:
-    """Return a row for each position of a camera; without a sigma where the animal is not in the picture."""
+    """Return one row per camera position; it has no sigma if the animal is outside the picture."""
     elevation, azimuth = (at.ravel() for at in np.meshgrid(ELEVATIONS_RAD, AZIMUTHS_RAD, indexing="ij"))
     places = {"azimuth_rad": azimuth, "elevation_rad": elevation, "height_m": advice.distance_m * np.sin(elevation)}
     sigma = np.where(np.isfinite(advice.sigma), advice.sigma, np.nan).ravel()

@@ -1,4 +1,4 @@
-"""Find how a camera turned: its video in, a camera track, a report and a panorama out."""
+"""Find how a camera turned: read its video, and write a camera track, a report and a panorama."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ from recon.io.writing import write_table
 from recon.show.plain import picked, to_json
 
 MIN_LIKELIHOOD = 0.3
-"""Least likelihood of keypoints whose surroundings are not taken for background."""
+"""Keypoints above this likelihood mark the animal, whose surroundings are not used as background."""
 MAX_LOST = 0.5
 MAX_FOCAL_OFF = 0.1
-"""Largest relative error of the focal length; turns are wrong by as much."""
+"""Largest relative error of the focal length; the turns are wrong by the same fraction."""
 NOTES = (
     "the camera is taken to turn about its centre: its place is the world's origin in every frame",
     "a rolling shutter is not modelled: in a fast turn the rows of a picture were seen at different times",
@@ -47,24 +47,24 @@ class CameraMotionSettings(Settings):
     """Settings of `recon camera-motion`."""
 
     video: Annotated[Path, Option(argument="VIDEO")]
-    """The video of a camera that turns, as in clip.mp4."""
+    """The video of a turning camera, such as clip.mp4."""
     camera: Path
-    """The camera's calibration, as in camera.toml; its pose is not read."""
+    """The camera's calibration, such as camera.toml; its pose is not used."""
     out: Path
-    """The track for --camera-track, as in track.csv."""
+    """The track to write, such as track.csv, for --camera-track."""
     camera_name: str | None = None
-    """Which camera of a file with several."""
+    """Name of the camera, if the file has several."""
     keypoints: Path | None = None
-    """Keypoints of the animal, which is then no background."""
+    """Keypoints of the animal, which are then excluded from the background."""
     individual: str | None = None
-    """Which animal of a keypoint file with several."""
+    """Name of the animal, if the keypoint file has several."""
     first_frame: Annotated[Integer, FIRST_FRAME] = 0
     tilt_deg: Annotated[Number, Field(ge=-90, le=90)] | None = None
-    """Degrees that the camera looks down in the first frame. (default: level in the mean of all frames)"""
+    """Angle in degrees by which the camera looks down in the first frame. (default: level in the mean of all frames)"""
     level_marks: Path | None = None
-    """Instead: a table (kind,frame,x1,y1,x2,y2) of horizons and verticals, as in level.csv."""
+    """Instead of a tilt: a table (kind,frame,x1,y1,x2,y2) of horizons and verticals, such as level.csv."""
     zoom: bool = False
-    """The focal length changes; the first frame has the file's."""
+    """The camera zooms; the camera file gives the focal length of the first frame."""
     overwrite: bool = False
     """Replace the track."""
 
@@ -75,7 +75,7 @@ class CameraMotionSettings(Settings):
 
 
 def settings_for_clip(settings: FitSettings, video: Path, out: Path, **fields: Any) -> CameraMotionSettings:
-    """Return the settings for the one camera of a clip, which has a calibration, with further fields."""
+    """Return the settings for a clip's only camera, which has a calibration; other fields may be added."""
     assert settings.camera is not None
     clip_fields = {"camera": settings.camera[0], "keypoints": settings.keypoints[0]}
     fields |= clip_fields | {"camera_name": next(iter(settings.camera_name or ()), None)}
@@ -83,7 +83,7 @@ def settings_for_clip(settings: FitSettings, video: Path, out: Path, **fields: A
 
 
 def motion_files(track: Path) -> tuple[str, str, str]:
-    """Return the names of the track, the report and the panorama that go together."""
+    """Return the file names of the track, the report and the panorama that belong together."""
     return track.name, f"{track.stem}_report.json", f"{track.stem}_panorama.png"
 
 
@@ -128,11 +128,11 @@ def run_camera_motion(settings: CameraMotionSettings, output: Output, progress: 
     return report
 
 
-# -- what cannot be used ----------------------------------------------------------------------------------------------
+# -- checks of the inputs ----------------------------------------------------------------------------------------------
 
 
 def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:
-    """Return a note if the background turns as with another focal length than the camera file's."""
+    """Return a note if the turning of the background suggests another focal length than the camera file's."""
     if motion.focal is None or abs(motion.focal[0]) <= CLEARLY * motion.focal[1]:
         return None
     px = _focal_px(motion.focal, lens)
@@ -144,7 +144,7 @@ def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:
 
 
 def _require_turning(s: CameraMotionSettings, motion: TurningMotion, lens: Camera) -> None:
-    """Raise InputError for a cut, for too little background, and for a camera that did more than turn."""
+    """Raise InputError for a cut, too little background, or a camera that did more than turn."""
     if motion.cut is not None:
         actual = f"a cut, or a jump of the whole view, at frame {motion.cut + s.first_frame}"
         raise InputError(Problem(s.video, "video", actual, "one take: cut the video there"))
@@ -179,19 +179,19 @@ def _require_same_frames(s: CameraMotionSettings, points: dict[int, Array], time
 
 
 def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
-    """Return the pixels (K, 2) of frames with points by their number in the video, NaN where unsure."""
+    """Return pixels (K, 2) by video frame number for frames that have keypoints, NaN where the detector is unsure."""
     pixels = np.where((keypoints.confidence < MIN_LIKELIHOOD)[..., None], np.nan, keypoints.xy_px)
     shown = np.asarray(np.isfinite(pixels).all(axis=2)).any(axis=1)
     return dict(zip((keypoints.frames[shown] - first_frame).tolist(), pixels[shown], strict=True))
 
 
-# -- which way is up --------------------------------------------------------------------------------------------------
+# -- the upward direction ----------------------------------------------------------------------------------------------
 
 
 def _up(
     s: CameraMotionSettings, motion: TurningMotion, lens: Camera, marks: Sequence[LevelMark]
 ) -> tuple[Array | None, str]:
-    """Return up (3,) in the first frame's camera, None if the mean frame is level, and how it is known."""
+    """Return up (3,) in the first frame's camera, or None if the mean frame counts as level, and how up is known."""
     if s.tilt_deg is not None:
         level = f"the first frame looks {s.tilt_deg:g} degrees down, as given, and its roll is taken as 0"
         return tilted(np.radians(s.tilt_deg)), level
@@ -202,7 +202,7 @@ def _up(
     return up, f"by {len(marks)} marks in {s.level_marks}, to {np.degrees(sigma):.1g} degrees if they are 2 px off"
 
 
-# -- what comes out ---------------------------------------------------------------------------------------------------
+# -- results -----------------------------------------------------------------------------------------------------------
 
 
 def _write_track(path: Path, s: CameraMotionSettings, motion: TurningMotion, camera: Camera) -> None:
@@ -256,7 +256,7 @@ def _report(s: CameraMotionSettings, motion: TurningMotion, lens: Camera, level:
 
 
 def _focal_px(focal: tuple[float, float], lens: Camera) -> dict[str, float]:
-    """Return the focal length of the camera file, and that of the background's turns."""
+    """Return the focal length of the camera file, and that which the background's turns suggest."""
     file_px = float(lens.matrix[0, 0])
     background_px = file_px * float(np.exp(focal[0]))
     return {"file": file_px, "found": background_px, "sigma": background_px * focal[1]}

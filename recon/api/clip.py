@@ -1,4 +1,4 @@
-"""Fit one clip: a keypoint file and a camera in, its 3D motion out, which `recon.api.clip_results` writes."""
+"""Fit one clip: turn keypoints and a camera into 3D motion, which `recon.api.clip_results` writes."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ LOGGER = logging.getLogger("recon")
 
 @dataclass(frozen=True)
 class _Fit:
-    """The fit of a clip after one of its stages."""
+    """Hold the fit of a clip after one of its stages."""
 
     sources: tuple[Source, ...]
-    """Keypoints by camera, as far as they count by now."""
+    """Keypoints of each camera that this stage uses."""
     options: TrajectoryOptions
-    """Whether cameras are refined is decided on the way."""
+    """Options of the solver; whether cameras are refined can change between stages."""
     solution: TrajectorySolution
     findings: tuple[Finding, ...]
 
@@ -45,10 +45,10 @@ Solve = Callable[[tuple[Source, ...], TrajectoryOptions], TrajectorySolution]
 
 
 def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
-    """Reconstruct one clip over all frames at once, or one frame after the other (method "frame").
+    """Reconstruct one clip, either over all frames at once or frame by frame (method "frame").
 
-    Raises InputError for files and settings that cannot be used, with the problems of all of them. Frames that cannot
-    be solved are part of the result.
+    Raises InputError with all problems of files and settings that cannot be used. Frames that cannot be solved stay in
+    the result, without a pose.
     """
     if settings.method == "frame":
         from recon.thesis.clip import fit_clip as fit_frames
@@ -60,7 +60,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     as_motion = partial(_as_motion, inputs, settings, chain)
 
     options = settings.trajectory_options()
-    if options.refine_cameras and len(inputs.sources) == 2:  # two cameras cannot tell a pose from the animal's shape
+    if options.refine_cameras and len(inputs.sources) == 2:  # two refined cameras cannot separate lengths from the pose
         options = replace(options, lengths_known=True)
     fit = _solve_first(inputs, options, solve)
     fit = _solve_again_with_fixed_cameras(fit, solve, settings.lengths_known)
@@ -114,9 +114,9 @@ def _solve(
     sources: tuple[Source, ...],
     options: TrajectoryOptions,
 ) -> TrajectorySolution:
-    """Solve for the motion that the sources show.
+    """Solve for the motion from the sources.
 
-    On a belt, solve twice: the belt's path is known the second time.
+    On a belt the motion is solved twice, because the second solve knows the belt's path.
     """
     views = views_of(sources)
     solution = solve_trajectory(views, inputs.body, inputs.prior, inputs.fps, options, progress)
@@ -128,7 +128,7 @@ def _solve(
 
 
 def _solve_first(inputs: ClipInputs, options: TrajectoryOptions, solve: Solve) -> _Fit:
-    """Solve for the motion, and for the cameras' time offsets where these are to be found."""
+    """Solve for the motion, and for the cameras' time offsets if they are to be found."""
     if not options.find_offsets:
         return _Fit(inputs.sources, options, solve(inputs.sources, options), inputs.findings)
     from recon.check.agreement import solve_time_offsets
@@ -144,9 +144,10 @@ def _solve_with(solve: Solve, options: TrajectoryOptions, sources: tuple[Source,
 
 
 def _solve_again_with_fixed_cameras(fit: _Fit, solve: Solve, lengths_known: bool) -> _Fit:
-    """Take back cameras that were refined, where the poses of the camera file explain the keypoints as well.
+    """Undo the refinement of cameras if the poses of the camera file explain the keypoints equally well.
 
-    The animal's lengths, which two cameras that are refined do not find, are then known only if they are said to be.
+    With two cameras, refining them keeps the animal's lengths fixed. After the undo the lengths are fixed only if
+    `lengths_known` is true.
     """
     if not fit.options.refine_cameras:
         return fit
@@ -164,24 +165,24 @@ def _solve_again_with_fixed_cameras(fit: _Fit, solve: Solve, lengths_known: bool
 
 
 def _solve_again_without_gross_outliers(fit: _Fit, solve: Solve) -> _Fit:
-    """Leave out detections that are far from any pose, unless nothing can be solved without them."""
+    """Leave out detections that are far from any pose, unless no frame can be solved without them."""
     cleaned, outliers = without_gross_outliers(fit.sources, fit.solution)
     solution = solve(cleaned, fit.options) if outliers else fit.solution
-    if not solution.posed.any() and fit.solution.posed.any():  # the fit was wrong about them
+    if not solution.posed.any() and fit.solution.posed.any():  # these were no outliers
         return fit
     return replace(fit, sources=cleaned, solution=solution, findings=(*fit.findings, *outliers))
 
 
 def _check_inputs(fit: _Fit, motion: Motion, inputs: ClipInputs, settings: FitSettings) -> _Fit:
-    """Add the findings on the input files that the solution shows."""
+    """Add the findings on the input files that the solution reveals."""
     findings = input_findings(motion, inputs.prior, fit.options, *_file_facts(inputs, settings))
     return replace(fit, findings=(*fit.findings, *findings))
 
 
 def _solve_again_without_swaps(fit: _Fit, inputs: ClipInputs, settings: FitSettings, solve: Solve) -> _Fit:
-    """Exchange left and right where the findings name a swap, and keep that if the settings say so and it helps.
+    """Exchange left and right where a swap was found, if the settings allow it and the exchange improves the fit.
 
-    A swap whose exchange does not improve the fit becomes a possible one.
+    A swap is downgraded to a possible swap if the exchange does not improve the fit.
     """
     if not any(finding.code == "left_right_swap" for finding in fit.findings):
         return fit
@@ -197,7 +198,7 @@ def _with_stage_time(fit: _Fit, stage: str, seconds: float) -> _Fit:
 
 
 def _check_agreement(fit: _Fit, motion: Motion, inputs: ClipInputs) -> _Fit:
-    """Add the findings on cameras that contradict each other, and let swaps weigh what they do to the positions."""
+    """Add findings on cameras that contradict each other, and grade swaps by their effect on the positions."""
     if len(fit.sources) == 1:
         return fit
     from recon.check.agreement import agreement_findings, swaps_by_effect
@@ -208,13 +209,13 @@ def _check_agreement(fit: _Fit, motion: Motion, inputs: ClipInputs) -> _Fit:
 
 
 def _as_motion(inputs: ClipInputs, settings: FitSettings, chain: Chain | None, fit: _Fit) -> Motion:
-    """Return the motion as it is after a stage, without flags, findings and verdict."""
+    """Return the motion after a stage, without flags, findings or verdict."""
     plain = settings.plain()
     return Motion(fit.sources, inputs.side, inputs.side_reason, fit.solution, chain=chain, settings=plain)
 
 
 def _judge(fit: _Fit, motion: Motion, settings: FitSettings) -> Motion:
-    """Return the motion with flags, findings, the cameras that were found, and its verdict."""
+    """Return the motion with its flags, findings, refined cameras and verdict."""
     sources, solution = fit.sources, fit.solution
     if settings.seeks_cameras:
         corrections = zip(sources, solution.extrinsic_correction, solution.focal, strict=True)
@@ -226,13 +227,13 @@ def _judge(fit: _Fit, motion: Motion, settings: FitSettings) -> Motion:
 
 
 def _with_correction_gain(motion: Motion, fit: _Fit, inputs: ClipInputs) -> Motion:
-    """Add what a correction of each detection by hand would gain."""
+    """Add the expected gain from correcting each detection by hand."""
     gain_m2 = correction_gain_m2(fit.solution, inputs.prior, inputs.fps, fit.options)
     return replace(motion, correction_gain_m2=gain_m2)
 
 
 def _log(motion: Motion) -> None:
-    """Send notes on the files, findings and the verdict to the logger "recon"."""
+    """Log file notes, findings and the verdict to the logger "recon"."""
     name = Path(motion.keypoints.source or "clip").name
     messages = [(logging.INFO, note) for source in motion.sources for note in source.cleaning.notes]
     for finding, text in sentences(motion):
@@ -243,10 +244,10 @@ def _log(motion: Motion) -> None:
 
 
 def _file_facts(inputs: ClipInputs, settings: FitSettings) -> tuple[list[str | None], float | None, bool]:
-    """Return the facts that `input_findings` takes.
+    """Return the facts about the files that `input_findings` takes.
 
-    They are the camera that each file's name says, if another one, the frame rate that a file states against the given
-    one, and whether to look for swaps.
+    These facts are: another camera named in a keypoint file's name, a frame rate in the file that differs from the
+    given one, and whether to look for swaps.
     """
     named = []
     for source, path in zip(inputs.sources, settings.keypoints, strict=True):

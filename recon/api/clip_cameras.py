@@ -1,4 +1,4 @@
-"""Choose the camera of each keypoint file, with its pose or track."""
+"""Choose the camera for each keypoint file, with its pose or track."""
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ Cameras = tuple[ClipCamera, ...]
 
 
 def read_clip_cameras(settings: FitSettings) -> Cameras:
-    """Return the camera of each keypoint file, with its track if it moves. Raises InputError."""
+    """Return the camera of each keypoint file, and its track if it moves.
+
+    Raises InputError for files and settings that cannot be used.
+    """
     tracks: tuple[CameraTrack, ...] = ()
     if settings.camera_track:
         from recon.io.camera_track import read_camera_track
@@ -51,7 +54,7 @@ def read_clip_cameras(settings: FitSettings) -> Cameras:
 
 
 def other_cameras(camera: Camera, settings: FitSettings) -> tuple[Camera, ...]:
-    """Return the cameras of the camera file but the clip's own; none without a camera file."""
+    """Return the other cameras of the camera file, apart from the clip's own; none without a camera file."""
     if settings.camera is None:
         return ()
     cameras = read_cameras(settings.camera, settings.image_size_px)
@@ -59,7 +62,7 @@ def other_cameras(camera: Camera, settings: FitSettings) -> tuple[Camera, ...]:
 
 
 def _with_pose_in_metres(camera: Camera, track: CameraTrack | None, unit: Unit) -> Camera:
-    """Return a camera with its pose in metres; without a pose if a track has it."""
+    """Return a camera with its pose in metres, or without a pose if it has a track."""
     if track is not None:
         return replace(camera, rotation=None, translation_m=None, tilt_rad=0.0)
     if camera.translation_m is None or unit == "m":
@@ -68,7 +71,7 @@ def _with_pose_in_metres(camera: Camera, track: CameraTrack | None, unit: Unit) 
 
 
 def _cameras_of_one(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cameras:
-    """Return the camera of a clip with one keypoint file; a track is that camera's."""
+    """Return the camera of a clip with one keypoint file; a track belongs to that camera."""
     track = tracks[0] if tracks else None
     camera_option = (
         "a camera file" if settings.camera is not None else "--hfov-deg" if settings.hfov_deg is not None else None
@@ -87,7 +90,10 @@ def _cameras_of_one(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cam
 
 
 def _lens_of_track(camera: Camera, settings: FitSettings, index: int) -> Camera:
-    """Return the lens of a track, named as given. Raises InputError if the picture's size is given and another one."""
+    """Return the lens stored in a track, under the given name.
+
+    Raises InputError if the given picture size differs from the track's.
+    """
     size, given_size = camera.image_size_px, settings.image_size_px
     if given_size is not None and size != given_size:
         expected = f"{given_size[0]}x{given_size[1]}, as was given"
@@ -96,7 +102,7 @@ def _lens_of_track(camera: Camera, settings: FitSettings, index: int) -> Camera:
 
 
 def _cameras_of_several(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cameras:
-    """Return the cameras of a clip with several keypoint files; a track's name contains its camera's."""
+    """Return the cameras of a clip with several keypoint files; a track belongs to the camera in its name."""
     from recon.api.rigs import problems_of_several
 
     cameras = _cameras_in_file(settings, tracks)
@@ -114,7 +120,7 @@ def _cameras_of_several(settings: FitSettings, tracks: Sequence[CameraTrack]) ->
 
 
 def _camera_by_name(settings: FitSettings, index: int, name: str, tracks: Sequence[CameraTrack]) -> Camera:
-    """Return a camera by its name, from a track with a lens or from the camera file."""
+    """Return the camera with a given name, from a track with a lens or from the camera file."""
     for track in tracks:
         from recon.io.camera_track import track_label
 
@@ -128,8 +134,8 @@ def _camera_by_name(settings: FitSettings, index: int, name: str, tracks: Sequen
 def _cameras_in_file(settings: FitSettings, tracks: Sequence[CameraTrack]) -> tuple[Camera, ...]:
     """Return the cameras of the keypoint files.
 
-    They are chosen by the names that are given, in a track with a lens or in the camera file; otherwise it is the only
-    camera in the file, or the one whose name is in the keypoint file's name.
+    Names that were given are looked up in the tracks with a lens and in the camera file. Otherwise the camera is
+    the only one in the camera file, or the one whose name the keypoint file's name contains.
     """
     if settings.camera_name is not None:
         named = enumerate(settings.camera_name)
@@ -156,10 +162,10 @@ def _cameras_in_file(settings: FitSettings, tracks: Sequence[CameraTrack]) -> tu
 
 
 def cameras_in(stem: str, names: Iterable[str]) -> dict[str, re.Match[str]]:
-    """Return the names of cameras that are in a file's name, with their matches.
+    """Return the camera names that a file name contains, with their matches.
 
-    cam1 is in run_cam1DLC, not in run_cam10; A is in run-A, not in run-Alex; cam1 is in run_cam01, unless there is a
-    cam01. If a file's name has camA or cam-1, the cameras A and 1 are looked for nowhere else in it.
+    cam1 matches run_cam1DLC but not run_cam10; A matches run-A but not run-Alex; cam1 matches run_cam01 unless there is
+    a camera cam01. If a file name contains camA or cam-1, the cameras A and 1 are matched only there.
     """
     # cam1 may be written cam_01 or Camera1; Pose2Sim writes int_cam01_img, DANNCE hires_cam1_params
     numbered = {
@@ -183,9 +189,10 @@ def cameras_in(stem: str, names: Iterable[str]) -> dict[str, re.Match[str]]:
 
 
 def other_camera_in(stem: str, name: str) -> str | None:
-    """Return the camera in a file's name that is called as a camera but for its number.
+    """Return another camera in a file name that differs from a camera's name only in its number.
 
-    For run_cam1DLC and the camera cam3 it is cam1. None if the name has no such camera, or this one.
+    For run_cam1DLC and the camera cam3 the result is cam1. The result is None if the name contains no such camera, or
+    the camera itself.
     """
     parts = re.fullmatch(r"([A-Za-z]{3,})([-_ ]?)([0-9]+)", name)
     if parts is None:

@@ -1,4 +1,4 @@
-"""Read and check all that a fit works on: keypoint files, cameras, the animal, and what is expected of its motion."""
+"""Read and check all inputs of a fit: keypoint files, cameras, the animal, and its expected motion."""
 
 from __future__ import annotations
 
@@ -35,35 +35,38 @@ from recon.io.corrections import read_corrections, with_corrections
 from recon.io.formats import read_keypoints
 
 RATES_HZ = (1.0, 10_000.0)
-"""Frame rates that a clip can have. Slower, a whole stride lies between two frames, and nothing ties them; faster, what
-an animal does from one frame to the next is lost in the rounding of its acceleration."""
+"""Frame rates that a clip can have. If slower, a whole stride falls between two frames and nothing connects them; if
+faster, rounding hides the animal's acceleration between frames.
+"""
 FEW_OF_SKELETON, FEW_OF_FILE = 0.25, 0.5
-"""A file with fewer of the skeleton's keypoints, to which fewer of its own belong, has other names for them."""
+"""A file has other keypoint names than the skeleton if it has fewer than this fraction of the skeleton's keypoints, and
+fewer than this fraction of its own keypoints are in the skeleton.
+"""
 HEIGHT_SIGMA = 0.05
-"""Relative, of a size that follows from the height at the withers: animals differ in their proportions."""
+"""Relative uncertainty of a size that follows from the height at the withers; proportions differ between animals."""
 _FAR_OUTSIDE = "too far outside the picture to have been found in it"
 
 
 SharedInputs = tuple[Body, MotionPrior, Cameras]
-"""Inputs that clips of one animal before the same cameras share."""
+"""Inputs that clips of the same animal filmed by the same cameras share."""
 
 
 @dataclass(frozen=True)
 class ClipInputs:
-    """Everything that a fit works on: the animal, its expected motion, and the keypoints of each camera."""
+    """Hold all inputs of a fit: the animal, its expected motion, and the keypoints of each camera."""
 
     body: Body
     prior: MotionPrior
     sources_apart: tuple[Source, ...]
-    """Each camera's keypoints on its own frames."""
+    """Each camera's keypoints on the camera's own frames."""
     later_frames: tuple[float, ...]
-    """Frames by which each camera began later than the first."""
+    """Number of frames by which each camera began later than the first."""
     fps: float
     side: Side | None
-    """The side whose limbs are fitted; None for a whole animal."""
+    """Side whose limbs are fitted; None for a whole animal."""
     side_reason: str
     findings: tuple[Finding, ...] = ()
-    """Findings on the cameras, before the fit."""
+    """Findings on the cameras from before the fit."""
 
     @cached_property
     def sources(self) -> tuple[Source, ...]:
@@ -77,14 +80,15 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], SharedIn
     Parameters
     ----------
     settings
-        Those of the fit.
+        Settings of the fit.
     read_shared
-        Reads what clips can share, in place of `read_model_and_cameras`; a batch passes one that remembers.
+        Function that reads the inputs that clips can share; a batch passes one with a cache. (default:
+        `read_model_and_cameras`)
 
     Raises
     ------
     InputError
-        With the problems of all files and settings that cannot be used.
+        If files or settings cannot be used; the message lists all problems.
     """
     shared = read_shared or read_model_and_cameras
     files, (body, prior, cameras) = collect_problems(lambda: read_clips(settings), lambda: shared(settings))
@@ -120,13 +124,16 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], SharedIn
 
 
 def read_model_and_cameras(settings: FitSettings) -> SharedInputs:
-    """Return body, prior and cameras. Raises InputError with the problems of all."""
+    """Return body, prior and cameras.
+
+    Raises InputError with the problems of all three.
+    """
     model, cameras = collect_problems(lambda: _model(settings), lambda: read_clip_cameras(settings))
     return *model, cameras
 
 
 def arrange(keypoints: Keypoints, names: tuple[str, ...]) -> Keypoints:
-    """Return the named keypoints in that order, all missing where the file does not have them."""
+    """Return the named keypoints in the given order; those that the file lacks are missing in all frames."""
     T = len(keypoints.frames)
     xy, confidence = np.full((T, len(names), 2), np.nan), np.zeros((T, len(names)))
     for column, name in enumerate(names):
@@ -137,9 +144,9 @@ def arrange(keypoints: Keypoints, names: tuple[str, ...]) -> Keypoints:
 
 
 def read_clips(settings: FitSettings) -> list[Keypoints]:
-    """Return the keypoints of all files, with the frame rate as given or their own.
+    """Return the keypoints of all files, with the frame rate that is given or that of the file.
 
-    Raises InputError with the problems of all files, also if a frame rate is missing or the files have different ones.
+    Raises InputError with the problems of all files, including missing and differing frame rates.
     """
     rates = settings.camera_fps or (settings.fps,) * len(settings.keypoints)
     files = collect_problems(
@@ -188,7 +195,7 @@ def _model(settings: FitSettings) -> tuple[Body, MotionPrior]:
 
 
 def _scaled_to_height(body: Body, height_m: float) -> Body:
-    """Scale a body so that its withers are at a height above the feet in the expected pose."""
+    """Scale a body so that its withers have the given height above the feet in the expected pose."""
     if not body.feet:
         raise InputError(Problem("--height-m", "height_m", f"{body.name}, which has no feet", "--set size"))
     heights_m = dict(zip(body.markers, body.expected_points_m()[:, 2], strict=True))
@@ -200,7 +207,7 @@ def _scaled_to_height(body: Body, height_m: float) -> Body:
 def _cleaned(
     body: Body, settings: FitSettings, fps: float, file: Keypoints, clip_camera: ClipCamera, late_frames: float
 ) -> Source:
-    """Return the source of a file, as `cleaned_source`; raise InputError also without any keypoints of the body."""
+    """Return the source of a file as `cleaned_source` does; raise InputError also if it has no keypoint of the body."""
     _require_keypoints_of(body, file)
     return cleaned_source(settings, fps, file, clip_camera, late_frames)
 
@@ -208,15 +215,15 @@ def _cleaned(
 def cleaned_source(
     settings: FitSettings, fps: float, file: Keypoints, clip_camera: ClipCamera, late_frames: float
 ) -> Source:
-    """Return all keypoints of a file, which began so many frames late, at the clip's frame rate.
+    """Return all keypoints of a file at the clip's frame rate; the file begins `late_frames` after the clip.
 
-    Keypoints that are far outside the picture are left out, and those of frames without a camera pose. Raises
-    InputError if most of them lie outside.
+    Keypoints far outside the picture and those in frames without a camera pose are left out. Raises InputError if most
+    keypoints lie outside.
     """
     camera, track = clip_camera
     first, stop = parse_frame_range(settings.frames) if settings.frames else (None, None)
     assert file.fps is not None
-    shift, per_frame = math.floor(late_frames), file.fps / fps  # the clip's frames are the first camera's
+    shift, per_frame = math.floor(late_frames), file.fps / fps  # the frames of the clip are those of the first camera
 
     def file_frame(frame: int | None) -> int | None:
         return None if frame is None else math.ceil((frame - shift) * per_frame)
@@ -244,7 +251,7 @@ def cleaned_source(
 
 
 def _require_keypoints_of(body: Body, keypoints: Keypoints) -> None:
-    """Raise InputError for a file whose names are not the body's: a few in common, such as nose, are no match."""
+    """Raise InputError for a file with too few of the body's keypoints: a few common ones such as nose are no match."""
     wanted = tuple(dict.fromkeys(name for pair in body.keypoints for name in pair))
     known = [name for name in keypoints.names if name in wanted]
     if known and (len(known) >= FEW_OF_SKELETON * len(wanted) or len(known) >= FEW_OF_FILE * len(keypoints.names)):
@@ -253,7 +260,7 @@ def _require_keypoints_of(body: Body, keypoints: Keypoints) -> None:
 
 
 def _chosen_side(body: Body, keypoints: Keypoints, settings: FitSettings) -> tuple[Side, str]:
-    """Return the side as given, or the one that faces the camera unless the file has far more points of the other."""
+    """Return the given side, or the side facing the camera unless the file has many more points of the other side."""
     ends = []
     for marker in body.forward:
         names = body.keypoints[body.markers.index(marker)]

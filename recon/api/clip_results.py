@@ -1,7 +1,7 @@
-"""Write a clip's folder, and tell later whether its results are still those of the same inputs.
+"""Write the results of a clip, and check later whether they still belong to the same inputs.
 
-All outputs of a motion appear in the folder, or none. A record has what results were made from: input files by their
-content, settings and the version.
+Either all outputs of a motion appear in the folder, or none. A record lists what the results were made from: the
+digests of the input files, the settings and the version.
 """
 
 from __future__ import annotations
@@ -42,30 +42,31 @@ from recon.show.tables import CLIP_OUTPUTS, REPROJECTION, camera_files, of_any_c
 
 T = TypeVar("T")
 FIT = "fit"
-"""Kind of a fit's files."""
+"""Manifest kind of the files of a fit."""
 CONFIG = "config.toml"
 SCHEMA = {"name": "recon.record", "version": 1}
 AS_THEY_WERE = "the prior and the settings of the fit, as they were: fit the clip again"
 REFINED_CAMERAS = "cameras.toml"
 """Camera file with the poses that a fit refined."""
 OUTPUT_FILES = (*CLIP_OUTPUTS, REPROJECTION, MOTION, "report.json", "motion.rrd", CONFIG, MANIFEST)
-"""Every file that a clip of one camera gets. With several cameras there is a `REPROJECTION` for each."""
+"""Every output file for a clip with one camera; with several cameras there is one `REPROJECTION` per camera."""
 
 
 def output_files(settings: FitSettings, out: Path) -> list[str]:
-    """Return the names of the files that a fit with these settings writes, of tables by camera those that are there."""
+    """Return the names of the files that a fit with these settings writes, including existing tables by camera."""
     tables: list[str] = []
     if of_any_camera(out) or (out / REPROJECTION).exists():
-        with suppress(InputError):  # the fit raises it, too
+        with suppress(InputError):  # the fit raises this error too
             tables = camera_files([camera.name for camera, _ in read_clip_cameras(settings)])
     refined = [REFINED_CAMERAS] if settings.seeks_cameras else []
     return [*(name for name in OUTPUT_FILES if name != REPROJECTION), *tables, *refined]
 
 
 def output_of(settings: FitSettings, out: Path, overwrite: bool) -> Output:
-    """Return what a fit may write into its folder.
+    """Return the output through which a fit may write into its folder.
 
-    A config.toml that the settings come from is no input: it may be replaced by one with the same settings.
+    The config.toml that the settings come from does not count as an input: it may be replaced by one with the same
+    settings.
     """
     inputs = tuple(input_files(settings).values())
     return Output(out, FIT, overwrite, inputs, has_manifest=True, mark=MOTION)
@@ -77,27 +78,27 @@ _Digests = Mapping[str, str | None]
 def write_clip(
     motion: Motion, settings: FitSettings, out: Path, solve_s: float | None = None, sha256: _Digests | None = None
 ) -> dict[str, Any]:
-    """Write every output of a clip into a folder, all or none, and return the report.
+    """Write all outputs of a clip into a folder, or none of them, and return the report.
 
-    Results that an earlier fit wrote there are replaced, unless somebody changed them since.
+    Results of an earlier fit are replaced unless they were changed after the fit.
 
     Parameters
     ----------
     motion
-        As `fit_clip` returned it.
+        The result of `fit_clip`.
     settings
-        Those of the fit.
+        Settings of the fit.
     out
-        The folder, which is made if need be.
+        The folder, which is created if necessary.
     solve_s
-        How long the fit took, if it is known.
+        Duration of the fit in seconds, if known.
     sha256
-        Of the input files by their role; by default they are read again.
+        Digests of the input files by role; by default the files are read again.
 
     Raises
     ------
     InputError
-        The folder has a file of a name to be written that no fit wrote, or that was changed since.
+        If a file to be written exists and no fit wrote it, or it was changed after the fit.
     """
     from recon.show import view  # rerun is slow to import
 
@@ -126,7 +127,8 @@ def run_clip(settings: FitSettings, out: Path, overwrite: bool = False, progress
     Raises
     ------
     InputError
-        Before any work, also if `out` holds results and may not be overwritten, or another process is writing to it.
+        If inputs cannot be used, if `out` holds results and `overwrite` is false, or if another process is writing to
+        it. The error is raised before any work is done.
     """
     with sole_writer(out):
         output_of(settings, out, overwrite).require(output_files(settings, out))
@@ -134,9 +136,10 @@ def run_clip(settings: FitSettings, out: Path, overwrite: bool = False, progress
 
 
 def fit_into(out: Path, settings: FitSettings, progress: Progress = silent) -> dict[str, Any]:
-    """Reconstruct a clip, write its folder in place of an earlier fit's files, and return the report.
+    """Reconstruct a clip, replace an earlier fit's files in its folder, and return the report.
 
-    Raises InputError also where an input file changes meanwhile: nobody could say which of its contents was fitted.
+    Raises InputError also if an input file changes during the fit, because it would be unclear which content was
+    fitted.
     """
     start, sha256 = time.perf_counter(), input_digests(settings)
     motion = fit_clip(settings, progress)
@@ -146,11 +149,11 @@ def fit_into(out: Path, settings: FitSettings, progress: Progress = silent) -> d
     return write_clip(motion, settings, out, solve_s, sha256)
 
 
-# -- what results were made from --------------------------------------------------------------------------------------
+# -- inputs that results were made from -------------------------------------------------------------------------------
 
 
 def input_files(settings: FitSettings) -> dict[str, Path]:
-    """Return the input files by the setting that names them; built-in skeletons, priors and others are no files."""
+    """Return the input files by the setting that names them; built-in skeletons and priors are not files."""
     first, *more_paths = settings.keypoints
     files = {"keypoints": first} | {f"keypoints {i}": path for i, path in enumerate(more_paths, start=2)}
     files |= {f"camera {i}" if i > 1 else "camera": path for i, path in enumerate(settings.camera or (), start=1)}
@@ -167,21 +170,21 @@ def input_files(settings: FitSettings) -> dict[str, Path]:
 
 
 def input_digests(settings: FitSettings) -> dict[str, str | None]:
-    """Return the digest of each input file by its role; None where it cannot be read."""
+    """Return the digest of each input file by role, or None if the file cannot be read."""
     return {role: file_sha256(path) for role, path in input_files(settings).items()}
 
 
 def require_same_inputs(settings: FitSettings, sha256: _Digests) -> None:
-    """Raise InputError for input files that have another content than that of these digests."""
+    """Raise InputError for input files whose content differs from these digests."""
     changed = [path for role, path in input_files(settings).items() if file_sha256(path) != sha256[role]]
     expected = "a file that nobody changes while it is fitted: fit the clip again"
     raise_problems(Problem(path, "content", "another than when the fit began", expected) for path in changed)
 
 
 def file_sha256(path: Path) -> str | None:
-    """Return the digest of a file's content, None where it cannot be read.
+    """Return the digest of a file's content, or None if it cannot be read.
 
-    The digest is remembered as long as the file's size and times stay, as a batch asks again and again.
+    The digest is cached until the file's size or times change, because a batch needs it many times.
     """
     try:
         state = path.stat()
@@ -196,7 +199,7 @@ def _sha256_of(path: Path, state: tuple[int, ...]) -> str:
 
 
 def digest(path: Path) -> str | None:
-    """Return the digest of a file's content, read now; None where it cannot be read."""
+    """Return the digest of a file's present content, or None if it cannot be read."""
     try:
         return sha256_of(path)
     except OSError:
@@ -204,10 +207,10 @@ def digest(path: Path) -> str | None:
 
 
 def identity(settings: FitSettings) -> dict[str, Any]:
-    """Return what the results of a fit follow from: digests of the input files, settings and version.
+    """Return what determines the results of a fit: digests of the input files, settings and version.
 
-    The place of a file is not part of it, nor are settings that the method does not read. The digest of a file that
-    cannot be read is None.
+    The identity has neither the paths of files nor settings that the method does not read. The digest of an unreadable
+    file is None.
     """
     files = input_files(settings)
     plain = {name: value for name, value in settings.plain().items() if value is not None and name not in files}
@@ -215,7 +218,7 @@ def identity(settings: FitSettings) -> dict[str, Any]:
 
 
 def identity_of(files: Mapping[str, Path], settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the identity of results that were made from files, by their role, with settings."""
+    """Return the identity of results made from files, by their role, with settings."""
     inputs = {role: file_sha256(path) for role, path in files.items()}
     return {"inputs": inputs, "settings": dict(settings), "version": version()}
 
@@ -229,9 +232,9 @@ class _Identity:
 
 @dataclass(frozen=True)
 class _Line:
-    """A line of a record.
+    """Hold one line of a record.
 
-    The fields below `identity` are there once the part has ended; the last two as they are noted.
+    The fields after `identity` exist once the part has ended; the last two are free for notes.
     """
 
     part: str
@@ -243,21 +246,21 @@ class _Line:
 
 
 _BEGIN = '{"'
-"""Beginning of every line of a record."""
+"""First characters of every line of a record."""
 
 
 class Record:
-    """What each part of a work was made from, and what became of it.
+    """Record what each part of the work was made from, and how it ended.
 
-    The file has lines of JSON, of which the last of a part counts, and only one process writes it. A part has a row
-    before it begins and another one, with the files that it wrote, once it has ended, so that a run that is killed at
-    any moment does not look finished. Rows of other versions count as none, and so does the last one if it is cut off,
-    as by a full disk.
+    The file has one JSON object per line. The last line of a part counts, and only one process writes the file. A part
+    has a row before it begins and another row, with the files that it wrote, after it has ended, so that a killed run
+    does not look finished. Rows of other versions are ignored, and so is a last row that was cut off, for example by a
+    full disk.
 
     Raises
     ------
     InputError
-        For any other row that a record cannot have, and for a link: the file may be a user's.
+        If the file has any other invalid row or is a link, because it may then belong to the user.
     """
 
     def __init__(self, path: Path) -> None:
@@ -282,19 +285,19 @@ class Record:
                 self.rows[row["part"]] = row
 
     def tidy(self) -> None:
-        """Leave only the last row of each part, before others are added."""
+        """Keep only the last row of each part, before new rows are added."""
         write_text(self.path, "".join(json.dumps(row) + "\n" for row in self.rows.values()))
 
     def note(self, part: str, made_from: Mapping[str, Any], **details: Any) -> None:
-        """Note that a part begins, or has ended with `files`, the digests as `digests` gives them."""
+        """Note that a part begins, or has ended with `files`, which are digests as returned by `digests`."""
         self.rows[part] = {"schema": SCHEMA, "part": part, "identity": made_from, **details}
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(self.rows[part]) + "\n")
 
     def look(self, part: str, made_from: Mapping[str, Any], folder: Path) -> tuple[str, list[Path]]:
-        """Return why a part has to be made, empty if it is up to date, and its files that are missing or changed.
+        """Return why a part has to be redone ("" if it is up to date), and its files that are missing or changed.
 
-        A manifest among the files answers for those that it lists.
+        If a manifest is among the files, the files that it lists are not checked here.
         """
         row = self.rows.get(part)
         if row is None:
@@ -310,12 +313,12 @@ class Record:
 
 
 def digests(paths: Iterable[Path], folder: Path) -> dict[str, str]:
-    """Return the digests of files in a folder, by their path from there."""
+    """Return the digests of files in a folder, by their path relative to it."""
     return {path.absolute().relative_to(folder.absolute()).as_posix(): sha256_of(path) for path in paths}
 
 
 def _changed_names(theirs: Mapping[str, Any], mine: Mapping[str, Any]) -> list[str]:
-    """Return the names of input files and settings that differ, and of the version."""
+    """Return the names of input files and settings that differ, and "version" if it differs."""
     names = []
     for part in ("inputs", "settings"):
         old, new = theirs[part], mine[part]
@@ -330,24 +333,24 @@ _REPLACED_BY = {
     "hfov_deg": ("camera", "camera_name", "camera_unit"),
     "camera_track": ("tilt_deg",),
 }
-"""Settings of the config.toml that a given setting replaces, as those of another camera."""
+"""Settings of config.toml that a given setting replaces, such as all those of another camera."""
 
 
 def read_settings(config: Path | None, options: Mapping[str, Any] | None = None) -> FitSettings:
-    """Return settings from the table [recon.fit] of a TOML file, such as config.toml, overruled by options.
+    """Return settings from the table [recon.fit] of a TOML file such as config.toml, overridden by options.
 
     Parameters
     ----------
     config
         The file; paths in it are relative to its folder.
     options
-        Settings by name; None is not given. Another camera or method replaces the one of the file together with all
-        that belongs to it.
+        Settings by name; None means not given. Another camera or method replaces that of the file together with all
+        settings that belong to it.
 
     Raises
     ------
     InputError
-        Naming every setting that is wrong, and where it was given.
+        If settings are wrong; the message names each of them and where it was given.
     """
     options = {name: value for name, value in (options or {}).items() if value is not None}
     file_settings = {} if config is None else _read_config(config)
@@ -378,18 +381,18 @@ def _read_config(config: Path) -> dict[str, Any]:
 
 
 def setting_in_folder(folder: Path, name: str, value: T) -> T:
-    """Return the value of a setting that stands in a file of a folder, to which its paths are relative."""
+    """Return the value of a setting read from a file in a folder; paths in it are relative to that folder."""
     return with_paths(name, value, lambda path: existing_path(os.path.normpath(folder.absolute() / path)))
 
 
 LIMITS = {"gt": "exclusiveMinimum", "ge": "minimum", "lt": "exclusiveMaximum", "le": "maximum"}
-"""JSON schema's names of limits by pydantic's, which stay where a text is read first."""
+"""JSON schema's names for pydantic's limits, which pydantic leaves unchanged where a text is parsed first."""
 
 
 def config_schema() -> dict[str, Any]:
-    """Return the JSON schema of config.toml, with the meaning of each setting.
+    """Return the JSON schema of config.toml, with a description of each setting.
 
-    Sizes and ranges may be texts such as "1920x1080".
+    Sizes and ranges may be strings such as "1920x1080".
     """
     fit_schema = TypeAdapter(FitSettings).json_schema()
     for name, info in SETTINGS.items():
@@ -399,7 +402,7 @@ def config_schema() -> dict[str, Any]:
             for choice in property_schema.pop("anyOf", [property_schema])
             if choice.get("type") != "null"
         ]
-        # One value stands for a list of one, and a text for what is read from it.
+        # A single value may replace a list with one item, and a string may replace the value that is parsed from it.
         choices += [choice["items"] for choice in choices if "items" in choice]
         if not any(choice.get("type") in ("string", "boolean") for choice in choices):
             choices.append({"type": "string"})
@@ -416,7 +419,7 @@ def config_schema() -> dict[str, Any]:
 
 
 def _with_json_limits(schema: dict[str, Any]) -> dict[str, Any]:
-    """Return a schema with limits as JSON schema calls them."""
+    """Return a schema whose limits have JSON schema's names."""
     items = ((key, value) for key, value in schema.items() if key not in ("title", "default"))
     return {
         LIMITS.get(key, key): _with_json_limits(value) if isinstance(value, dict) else value for key, value in items
@@ -424,9 +427,9 @@ def _with_json_limits(schema: dict[str, Any]) -> dict[str, Any]:
 
 
 def read_config(config: Path, options: Mapping[str, Any]) -> FitSettings:
-    """Read settings as `read_settings` does, from the config.toml of a result.
+    """Read settings from the config.toml of a result, as `read_settings` does.
 
-    Raises InputError also for files that it names and that are missing.
+    Raises InputError also if files that it names are missing.
     """
     settings = read_settings(config, options)
     missing = {role: path for role, path in _named(options, settings).items() if not path.exists()}
@@ -437,12 +440,12 @@ def read_config(config: Path, options: Mapping[str, Any]) -> FitSettings:
 
 
 def problem_of(motion: Motion, folder: Path) -> ClipProblem:
-    """Return the problem that a loaded motion solves, set up again from the settings in its folder.
+    """Return the problem that a loaded motion solves, rebuilt from the settings in its folder.
 
     Raises
     ------
     InputError
-        For settings or a prior that are missing or changed, and for a motion of the frame method.
+        If settings or a prior are missing or changed, or if the motion is from the frame method.
     """
     config = folder / CONFIG
     if not isinstance(motion.solution, TrajectorySolution):
@@ -457,7 +460,7 @@ def problem_of(motion: Motion, folder: Path) -> ClipProblem:
 
 
 def replaced_files(config: Path, options: Mapping[str, Any], settings: FitSettings) -> list[Path]:
-    """Return the files that a config.toml names whose content has changed since it was written."""
+    """Return the files named in a config.toml whose content has changed since it was written."""
     table = read_toml(config, "a config.toml of an earlier run").get("recon", {}).get("sha256", {})
     known = table if isinstance(table, dict) else {}
     files = _named(options, settings).items()
@@ -465,5 +468,5 @@ def replaced_files(config: Path, options: Mapping[str, Any], settings: FitSettin
 
 
 def _named(options: Mapping[str, Any], settings: FitSettings) -> dict[str, Path]:
-    """Return the input files that are named in the config.toml, not by options."""
+    """Return the input files that the config.toml names, without those named by options."""
     return {role: path for role, path in input_files(settings).items() if options.get(role.split()[0]) is None}

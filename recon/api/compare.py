@@ -1,9 +1,10 @@
 """Compare the strides and speeds of several clips by group, with the uncertainty of each.
 
-A clip's mean has a standard deviation s of its own, from the scatter of its strides and the uncertainty of the fit.
-Clips of a group differ by more than that, by tau. The group's mean weighs each clip by 1 / (s^2 + tau^2), with tau by
-the method of moments (DerSimonian and Laird 1986). If the animal's size is the species', its error is common to all
-clips and adds to the mean of lengths and speeds, however many clips there are.
+The mean of a clip has a standard deviation s, from the scatter of its strides and the uncertainty of the fit. Clips of
+a group vary by a further standard deviation tau. The group's mean weighs each clip by 1 / (s^2 + tau^2), where tau
+follows from the method of moments (DerSimonian and Laird 1986). If the animal's size is the average of the species, the
+error of the size is common to all clips: it adds to the uncertainty of mean lengths and speeds, however many clips
+there are.
 """
 
 from __future__ import annotations
@@ -51,20 +52,20 @@ QUANTITIES = {
 }
 """Title by column, and whether the quantity is proportional to the animal's size."""
 ALL = "all"
-"""Name of the group where there is no table."""
+"""Name of the only group if there is no table."""
 
 
 class CompareSettings(Settings):
     """Settings of `recon compare`."""
 
     folders: Annotated[OneOrMore[Path], Option(argument="DIR")]
-    """Folders of results, or of batches."""
+    """Results folders, or folders of batches."""
     out: Path
     """Folder for the tables, the figure and the page."""
     table: Path | None = None
-    """CSV table with a column clip, the folders' names, and --by."""
+    """CSV table with a column clip (the folders' names) and the column of --by."""
     by: str | None = None
-    """Column of the table to group the clips by, as in sex."""
+    """Column of the table to group the clips by, such as sex."""
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: bool = False
     """Replace an earlier comparison."""
@@ -77,23 +78,26 @@ class CompareSettings(Settings):
 
 @dataclass(frozen=True)
 class Comparison:
-    """The clips and the groups of a comparison, and what was left out."""
+    """Hold the clips and groups of a comparison, and the excluded results."""
 
     clips: pd.DataFrame
     groups: pd.DataFrame
     left_out: Sequence[str]
-    """Names of the results that were not compared."""
+    """Names of the excluded results."""
     notes: Sequence[str]
 
 
 def run_compare(settings: CompareSettings, progress: Progress = silent) -> Comparison:
-    """Compare the strides and speeds of several clips, and write tables, a figure and a page. Raises InputError."""
+    """Compare the strides and speeds of several clips, and write tables, a figure and a page.
+
+    Raises InputError if the folders or the table cannot be used.
+    """
     out = settings.out
     paths = [
         path for path in settings.folders if not path.is_file()
-    ] or settings.folders  # all/* has files of the batch
+    ] or settings.folders  # a pattern such as all/* also matches the batch's own files
     folders = []
-    for path in paths:  # the folder, or those in it, of a batch
+    for path in paths:  # the folder itself, or the results folders of a batch
         inside = [path / MOTION] if (path / MOTION).is_file() else sorted(path.glob(f"*/{MOTION}"))
         if not inside:
             raise InputError(Problem(path, "folder", "no results", "a folder of results, or of a batch"))
@@ -113,7 +117,7 @@ def run_compare(settings: CompareSettings, progress: Progress = silent) -> Compa
     }
     copies = _copies(usable_motions, dict(zip(names, folders, strict=True)))
     motions = {name: motion for name, motion in usable_motions.items() if name not in copies}
-    if not motions:  # refused with the reason for each
+    if not motions:  # an error that gives the reason for each folder
         collect_problems(
             *(
                 partial(usable, *motion_and_folder, anyway=False)
@@ -174,7 +178,7 @@ def _page(
 
 
 def _copies(motions: Mapping[str, Motion], folders: Mapping[str, Path]) -> dict[str, str]:
-    """Return the results that repeat another one, by name, and the name of that one, which has as many frames or more.
+    """Return the names of results that repeat another one with as many frames or more, each with the other's name.
 
     They were made from the same keypoint and camera files, by their digests, for the same animal and at the same time.
     """
@@ -197,7 +201,7 @@ def _copies(motions: Mapping[str, Motion], folders: Mapping[str, Path]) -> dict[
 
 
 def _input_digests(folder: Path) -> tuple[frozenset[str], frozenset[str]] | None:
-    """Return the digests of a result's keypoint files and of its camera files; None where they are not noted."""
+    """Return the digests of a result's keypoint files and camera files, or None where they were not recorded."""
     try:
         digests = read_toml(folder / CONFIG)["recon"]["sha256"].items()
     except (InputError, KeyError, TypeError, AttributeError):
@@ -211,7 +215,7 @@ _FilesByCamera = dict[tuple[Path, str], Path]
 
 
 def _files_by_camera(motion: Motion, folder: Path) -> _FilesByCamera:
-    """Return a result's keypoint files by the calibration file and the name of their camera."""
+    """Return a result's keypoint files, keyed by calibration file and camera name."""
     cameras, files = (
         [(folder / path).resolve() for path in ([value] if isinstance(value, str) else value or ())]
         for value in map(motion.settings.get, ("camera", "keypoints"))
@@ -224,10 +228,10 @@ def _files_by_camera(motion: Motion, folder: Path) -> _FilesByCamera:
 
 
 def _is_one_run(first: Motion, second: Motion, first_files: _FilesByCamera, second_files: _FilesByCamera) -> bool:
-    """Return whether two results are probably of one run.
+    """Return whether two results probably show the same run.
 
-    They have calibrations in one folder, frames in common, and positions that agree within their uncertainty. Two
-    keypoint files of one camera are of different runs.
+    Two results show the same run if their calibrations lie in the same folder, they share frames, and their positions
+    agree within the uncertainty. Two keypoint files of the same camera belong to different runs.
     """
     folders = {next(iter(files))[0].parent if files else None for files in (first_files, second_files)}
     high_m = [
@@ -269,7 +273,7 @@ def _stride_rows(analysis: ClipAnalysis) -> Iterator[dict]:
     moved = analysis.moved(analysis.reference, with_size=False)
     for stride in () if analysis.gait is None else analysis.gait.strides:
         lasts_s = stride.duration_s
-        events_s = stride.duty_sigma * lasts_s  # of two events, as of a stance's two
+        events_s = stride.duty_sigma * lasts_s  # a stance has two events, touch-down and lift-off
         speed = stride.length_m / lasts_s
         yield {
             "foot": stride.foot,
@@ -288,7 +292,8 @@ def _stride_rows(analysis: ClipAnalysis) -> Iterator[dict]:
 def _speed_sigma(analysis: ClipAnalysis, moved: JointKinematics, start_s: float, end_s: float) -> float:
     """Return the standard deviation of the mean speed in an interval.
 
-    Errors of the path are correlated in time, so that only times further apart count as independent.
+    Errors of the path are correlated over time, so only times that are further apart than the correlation length count
+    as independent.
     """
     sigma = moved.speed_sigma_m_s[(moved.series.time_s >= start_s) & (moved.series.time_s <= end_s)]
     last_s = max(error.correlation_s for error in analysis.errors if error.correlation_s < np.inf)
@@ -297,7 +302,7 @@ def _speed_sigma(analysis: ClipAnalysis, moved: JointKinematics, start_s: float,
 
 
 def _clip_row(analysis: ClipAnalysis, strides: Sequence[dict]) -> dict:
-    """Return the means over a clip's strides, and of its speed over the clip, with the animal's size taken as known."""
+    """Return the means over a clip's strides and its mean speed, treating the animal's size as known."""
     motion, table = analysis.motion, pd.DataFrame(strides)
     solution, row = motion.solution, dict[str, object]({"strides": len(strides)})
     row["size_sigma"] = solution.size_sigma / solution.size if isinstance(solution, TrajectorySolution) else np.nan
@@ -320,7 +325,7 @@ def _clip_row(analysis: ClipAnalysis, strides: Sequence[dict]) -> dict:
 def _mean_of(values: Array, sigmas: Array, shared: float) -> tuple[float, float, float]:
     """Return the mean of clips, its standard deviation, and the spread between clips (one standard deviation).
 
-    shared: relative standard deviation of an error that all clips have in common.
+    `shared` is the relative standard deviation of an error common to all clips.
     """
     known = np.isfinite(values) & np.isfinite(sigmas)
     x, variance = values[known], np.maximum(sigmas[known], 1e-12) ** 2
@@ -351,12 +356,12 @@ def _group_rows(clips: pd.DataFrame) -> pd.DataFrame:
 
 
 def known_quantities(clips: pd.DataFrame) -> list[str]:
-    """Return the quantities that some clip has."""
+    """Return the quantities that at least one clip has."""
     return [name for name in QUANTITIES if clips[name].notna().any()]
 
 
 def _figure(clips: pd.DataFrame, groups: pd.DataFrame) -> Figure:
-    """Draw each clip with one standard deviation, and each group's mean with its own, by quantity."""
+    """Draw each clip with its standard deviation, and each group's mean with its own, one panel per quantity."""
     with drawing(62.0) as figure:
         quantities = known_quantities(clips)
         panels = figure.subplots(1, max(len(quantities), 1), squeeze=False)[0]

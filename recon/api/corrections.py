@@ -1,4 +1,4 @@
-"""Correct detections by hand while the animal is fitted again: what `recon fix` edits, saves and shows."""
+"""Correct detections by hand while the animal is fitted again: the session behind `recon fix`."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ IDLE_S = 2.0
 
 @dataclass(eq=False)
 class CorrectionSession:
-    """Hold the corrections of one result, which are saved with every change, and the fit with them.
+    """Hold the corrections of one result, save them with every change, and fit with them.
 
     The fit runs behind the editor: `changed` waits for the next one. After a change, the fit begins at the present
     motion, which takes a fraction of the time. When nothing has changed for a while, the clip is fitted from nothing,
@@ -40,29 +40,29 @@ class CorrectionSession:
     """
 
     folder: Path
-    """The result that is corrected; nothing in it is changed."""
+    """Folder of the corrected result; nothing in it is changed."""
     out: Path
-    """The file of the corrections. Those that it has are the first ones."""
+    """File of the corrections; the session begins with those that it already has."""
     motion: Motion
     """The latest fit."""
     camera: int = 0
-    """The camera whose video is shown."""
+    """Index of the camera whose video is shown."""
     corrections: list[Correction] = field(default_factory=list)
     version: int = 0
     """Number of fits so far."""
     is_whole: bool = True
     """Whether the latest fit is what `recon fit --corrections` gives."""
     problem: str = ""
-    """Why the latest corrections could not be fitted."""
+    """Why the latest corrections could not be fitted, or ""."""
 
     @classmethod
     def open(cls, folder: Path, out: Path, camera: int = 0) -> CorrectionSession:
-        """Return the session of a result of `recon fit`.
+        """Open a session for a result of `recon fit`.
 
         Raises
         ------
         InputError
-            If there is no result, if its input files are no more, or if `out` is no file of corrections.
+            If there is no result, its input files are missing, or `out` is not a corrections file.
         """
         session = cls(folder, out, Motion.load(folder), camera)
         _ = session.settings
@@ -78,13 +78,13 @@ class CorrectionSession:
 
     @cached_property
     def settings(self) -> FitSettings:
-        """The settings of the fit, with the file of the corrections."""
+        """The settings of the fit, including the corrections file."""
         return replace(read_config(self.folder / CONFIG, {}), corrections=None)
 
-    # -- what the editor reads ----------------------------------------------------------------------------------------
+    # -- data for the editor ------------------------------------------------------------------------------------------
 
     def state(self) -> dict[str, object]:
-        """Return the latest fit in JSON types: the player's data, what to correct, and the errors before and now."""
+        """Return the latest fit in JSON types: player data, suggested corrections, and errors before and after."""
         motion = self.motion
         return {
             "version": self.version,
@@ -101,19 +101,19 @@ class CorrectionSession:
         }
 
     def changed(self, version: int, wait_s: float = 20.0) -> bool:
-        """Wait for a later fit than that version, and return whether there is one."""
+        """Wait for a fit later than the given version, and return whether one is ready."""
         with self._change:
             return self._change.wait_for(lambda: self.version > version, wait_s)
 
-    # -- what the editor changes --------------------------------------------------------------------------------------
+    # -- changes by the editor ----------------------------------------------------------------------------------------
 
     def save(self, rows: object) -> int:
-        """Save the corrections that an editor sends, all of them, and fit with them behind it. Return their number.
+        """Save the full list of corrections that the editor sends, start a fit with them, and return their number.
 
         Raises
         ------
         InputError
-            If they are no corrections of this clip, or if another program has changed the file.
+            If the corrections do not fit this clip, or another program has changed the file.
         """
         corrections = self._checked(rows)
         with self._change:
@@ -196,7 +196,7 @@ def _is_point(value: object) -> bool:
 
 
 def _summary(motion: Motion) -> dict[str, object]:
-    """Return the verdict and the errors in words and numbers."""
+    """Return the verdict and the errors as text and numbers."""
     verdict = motion.verdict
     distances_px = np.concatenate([picture.distance_px.ravel() for picture in motion.pictures])
     known_px = distances_px[np.isfinite(distances_px)]
@@ -211,10 +211,10 @@ def _summary(motion: Motion) -> dict[str, object]:
 
 
 def _pairs(motion: Motion) -> list[list[int]]:
-    """Return the keypoints of the left and the right side that belong together, as indices."""
+    """Return the left and right keypoints that form pairs, as indices."""
     return [[i, int(j)] for i, j in enumerate(opposites(motion.joints)) if i < j]
 
 
 def _json_numbers(row: dict[str, object]) -> dict[str, object]:
-    """Return a row with None for NaN."""
+    """Return a row with NaN replaced by None."""
     return {name: None if isinstance(x, float) and not math.isfinite(x) else x for name, x in row.items()}

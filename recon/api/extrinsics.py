@@ -1,4 +1,4 @@
-"""Find where cameras stand: lenses and clips of the animal in, a file with all poses out."""
+"""Find the poses of cameras: from lenses and clips of the animal, write a file with all poses."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from recon.geometry.frames import level_from_camera, rigid
 from recon.io.camera_files import write_cameras
 
 DISAGREEMENT = 16.0
-"""Squared deviation of a camera's 6 unknowns above which it is unlikely that it stood still (1 in 70)."""
+"""Squared deviation of a camera's 6 pose parameters above which it probably moved (1 in 70 by chance)."""
 MAX_TURN_SIGMA_DEG = 10.0
-"""Uncertainty of a camera's turn above which its clips do not determine its pose (benchmarks/cameras.py)."""
+"""Uncertainty of a camera's turn, degrees, above which its clips do not determine its pose (benchmarks/cameras.py)."""
 LEAST_MOVED = 0.5
-"""Least path of an animal in the picture, in its lengths: one that only swings on its feet moves less."""
+"""Shortest path of an animal in the picture, in body lengths: one that only sways on its feet moves less."""
 
 
 def clips_of(
@@ -39,7 +39,8 @@ def clips_of(
 ) -> tuple[list[FitSettings], list[str]]:
     """Return the clips of keypoint files, folders and manifests, as in a batch, and notes.
 
-    If `camera_name` is among the options, all files are one clip. Raises InputError.
+    If `camera_name` is among the options, all files belong to one clip. Raises InputError for inputs that cannot be
+    used.
     """
     if options.get("camera_name") is not None:
         return [read_settings(None, {**options, "keypoints": inputs})], []
@@ -56,8 +57,8 @@ def run_extrinsics(
 ) -> tuple[tuple[Camera, ...], dict[str, Any]]:
     """Find the poses of cameras from clips of the animal, and write `out`, a camera file.
 
-    The world has z up. The ground is at z = 0, or as in the camera file if its poses are refined; these are read if the
-    clips' settings say so, and know which way is up.
+    The world has z up and the ground at z = 0. If the clips' settings ask to refine the poses of the camera file, its
+    world is kept.
 
     Parameters
     ----------
@@ -66,23 +67,23 @@ def run_extrinsics(
     out
         The camera file, which `recon.io.calibration.read_cameras` reads.
     overwrite
-        Whether it may be replaced.
+        Whether an existing file may be replaced.
     level_rad
-        Largest angle of cameras from level, or from the tilt that is given; 0: `LEVEL_RAD`.
+        Expected angle of cameras from level, or from the given tilt; 0 means `LEVEL_RAD`.
     progress
-        Called with the stage and its share.
+        Called with the name of the stage and the fraction of it that is done.
 
     Returns
     -------
     tuple
-        The cameras, and the report that `--json` prints. A camera's sigmas there are those of its position relative to
-        the first (`Camera.corrected`); that of its height is None where the ground was not found, or is the camera
-        file's. Offsets are as given or found.
+        The cameras, and the report that `--json` prints. The sigmas of a camera in the report are those of its position
+        relative to the first camera (`Camera.corrected`). The sigma of the height is None if the ground was not found
+        or comes from the camera file. Time offsets are those given or found.
 
     Raises
     ------
     InputError
-        With every problem, for inputs that cannot be used.
+        If inputs cannot be used; the message lists every problem.
     """
     posed, tilt_deg = bool(clips[0].refine_cameras), clips[0].tilt_deg
     inputs = [path for clip in clips for path in input_files(clip).values()]
@@ -103,7 +104,7 @@ def run_extrinsics(
             expected = "a camera file with the poses of all cameras"
             raise InputError(Problem("--set refine-cameras", "poses", f"none of {', '.join(unposed)}", expected))
         poses = camera_poses(cameras)
-    else:  # each one's own level world
+    else:  # each camera has a level world of its own
         tilt = {} if tilt_deg is None else {"tilt_rad": math.radians(tilt_deg)}
         cameras = [replace(camera, rotation=None, translation_m=None, **tilt) for camera in cameras]
         poses = [rigid(level_from_camera(camera.up).T, np.zeros(3)) for camera in cameras]
@@ -151,9 +152,9 @@ def run_extrinsics(
 
 
 def _require_motion(clips: Sequence[Sequence[Source]]) -> None:
-    """Raise InputError for an animal that stays where it is in all pictures of all clips.
+    """Raise InputError if the animal stays in the same position in all pictures of all clips.
 
-    The path of the animal is what determines the poses of cameras relative to each other.
+    The poses of the cameras relative to each other follow from the path of the animal.
     """
     moved = max(_lengths_moved(source.keypoints.xy_px) for sources in clips for source in sources)
     if moved < LEAST_MOVED:
@@ -163,7 +164,7 @@ def _require_motion(clips: Sequence[Sequence[Source]]) -> None:
 
 
 def _lengths_moved(xy_px: Array) -> float:
-    """Return how far keypoints (T, K, 2) move through the picture, in lengths of the animal; 0 if it is unknown."""
+    """Return the distance that keypoints (T, K, 2) move through the picture, in body lengths; 0 if unknown."""
     known = np.isfinite(xy_px[..., 0])
     xy_px = xy_px[known.any(axis=1)][:, known.any(axis=0)]
     if not xy_px.size:
@@ -174,7 +175,7 @@ def _lengths_moved(xy_px: Array) -> float:
 
 
 def _aligned_sources(clip: FitSettings, prepared: Sequence[ClipInputs]) -> tuple[Source, ...]:
-    """Return the sources of a clip on its frames, by the offsets that are given, or found to whole frames."""
+    """Return the sources of a clip on its frames, using the given time offsets or those found to a whole frame."""
     sources_apart, fps = [inputs.sources[0] for inputs in prepared], prepared[0].fps
     later = np.array(clip.offset_s or np.zeros(len(prepared))) * fps
     sources = align_cameras(sources_apart, (later - later[0]).tolist())
@@ -193,9 +194,9 @@ def _aligned_sources(clip: FitSettings, prepared: Sequence[ClipInputs]) -> tuple
 def _clip_problem(
     clip: FitSettings, first: ClipInputs, sources: Sequence[Source], cameras: Sequence[Camera], poses: Sequence[Array]
 ) -> ClipProblem:
-    """Return the problem of a clip with a view of every camera; the view of one that did not film it is empty.
+    """Return the problem of a clip with one view per camera; cameras that did not film it have an empty view.
 
-    first: the inputs of one of its cameras.
+    `first` holds the inputs of one of the clip's cameras.
     """
     by_name = {source.camera.name: source for source in sources}
     unseen_px = np.full_like(sources[0].keypoints.xy_px, np.nan)
@@ -206,12 +207,12 @@ def _clip_problem(
             points = source.keypoints
             view = View(camera, pose, points.xy_px, points.confidence, offset_frames=source.offset_frames)
         views.append(view)
-    knows_up = bool(clip.refine_cameras) and None  # where the ground is, the camera file says
+    knows_up = bool(clip.refine_cameras) and None  # the camera file defines the ground
     return ClipProblem.from_views(views, first.body, first.prior, first.fps, clip.trajectory_options(), knows_up)
 
 
 def _prepared_by_camera(settings: FitSettings) -> list[ClipInputs]:
-    """Return each camera's keypoints, prepared as a clip of one camera."""
+    """Return each camera's keypoints, prepared like a clip of one camera."""
     names = settings.camera_name or (None,) * len(settings.keypoints)
     single = replace(settings, offset_s=None, refine_cameras=None, find_offsets=None, tilt_deg=None)
     settings_by_camera = [
@@ -231,7 +232,7 @@ def _prepared_by_camera(settings: FitSettings) -> list[ClipInputs]:
 
 
 def _all_cameras(prepared: Sequence[Sequence[ClipInputs]]) -> list[Camera]:
-    """Return the cameras of all clips, each once, those of the first clip first."""
+    """Return the cameras of all clips without repeats, in the order of the clips."""
     cameras: dict[str, Camera] = {}
     for camera in (inputs.sources[0].camera for clip in prepared for inputs in clip):
         if cameras.setdefault(camera.name, camera).to_dict() != camera.to_dict():

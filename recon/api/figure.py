@@ -1,4 +1,4 @@
-"""Draw figures of a result for a paper: chosen by name, one below the other, with a caption."""
+"""Draw figures of a result for a paper: chosen by name, stacked vertically, with a caption."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ CAPTIONS: Mapping[str, str] = {
     "end_effector": "Motion of the chain's end effector, with the ends of strides.",
     "forces": "Vertical forces of the feet in body weights; bands: 90 %.",
 }
-"""Captions by figure; names that begin with body_fixed or vector_field have one of their own below."""
+"""Captions by figure; figures whose names begin with body_fixed or vector_field have their own captions below."""
 BY_SIDE = ("side_view", "joint_flexion", "footfalls", "forces")
-"""Figures whose colours are those of the sides."""
+"""Figures that use the colours of the left and right sides."""
 _BY_START: Mapping[str, str] = {
     "body_fixed": "Configurations over one stride in the animal's own frame.",
     "vector_field": "Velocities of the limb's links in the animal's own frame.",
@@ -45,7 +45,7 @@ _BY_START: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class PrintedFigure:
-    """A figure for a paper, and its caption."""
+    """Hold a figure for a paper, and its caption."""
 
     figure: Figure
     caption: str
@@ -53,23 +53,23 @@ class PrintedFigure:
 
 
 def draw_for_print(analysis: ClipAnalysis, names: Sequence[str], width_mm: float, results: str = "") -> PrintedFigure:
-    """Draw figures of an analysis for a paper, several with letters one below the other.
+    """Draw figures of an analysis for a paper; several are stacked and lettered.
 
     Parameters
     ----------
     analysis : ClipAnalysis
-        Of `recon.analyse`.
+        The result of `recon.analyse`.
     names : sequence of str
-        Figures, as `figure_names` has them.
+        Names of the figures, from `figure_names`.
     width_mm : float
-        Width on paper, as 89 for a column and 183 for a page.
+        Width on paper in mm, such as 89 for a column and 183 for a page.
     results : str
-        Name of the folder of results, for the caption.
+        Name of the results folder, for the caption.
 
     Raises
     ------
     InputError
-        For a name that the analysis does not have.
+        If the analysis has no figure of a given name.
     """
     from recon.api.analyse import figures_of
 
@@ -92,7 +92,7 @@ def _single(draw: Callable[[], Figure], width_mm: float) -> Figure:
 
 
 def _stacked(draw: Sequence[Callable[[], Figure]], width_mm: float) -> Figure:
-    """Return one figure with the others below each other, each as high as alone, with letters."""
+    """Return one figure with the given figures stacked and lettered, each at its own height."""
     from recon.show.plots.style import MM, drawing, printing
 
     heights_mm = [_single(one_draw, width_mm).get_figheight() / MM for one_draw in draw]
@@ -106,14 +106,14 @@ def _stacked(draw: Sequence[Callable[[], Figure]], width_mm: float) -> Figure:
 
 
 def without_titles(figure: Figure) -> Figure:
-    """Return a figure without a title above everything; panels keep the names of what they show."""
+    """Return a figure without its title; the titles of panels stay."""
     if figure.get_suptitle():
         figure.suptitle("")
     return figure
 
 
 def caption_of(analysis: ClipAnalysis, names: Sequence[str], results: str = "") -> str:
-    """Return the caption of figures: what they show, n, what bands are, how they were made, and the citation."""
+    """Return the caption of figures: content, n, meaning of the bands, method, and citation."""
     motion, gait = analysis.motion, analysis.gait
     several = len(names) > 1
     texts = [

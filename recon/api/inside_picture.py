@@ -1,4 +1,4 @@
-"""Check that keypoints lie inside the camera's picture, and say what would put them there."""
+"""Check that keypoints lie inside the camera's picture, and suggest a correction if they do not."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from recon.clip import Keypoints
 from recon.geometry.camera import Camera
 
 PADDED, INSIDE = 0.05, 0.9
-"""Share of the picture's size by which keypoints may lie outside, as detectors pad it; share of a clip's keypoints that
-have to be inside."""
+"""Fraction of the picture's size by which keypoints may lie outside, because detectors pad it; fraction of a clip's
+keypoints that have to lie inside.
+"""
 
 
 def require_inside(camera: Camera, keypoints: Keypoints, settings: FitSettings) -> None:
-    """Raise InputError if keypoints lie outside the picture: the camera or the picture size is wrong."""
+    """Raise InputError if keypoints lie outside the picture, because the camera or the picture size is then wrong."""
     points = np.clip(keypoints.xy_px[keypoints.present], -1e9, 1e9)
     if _contains(camera.image_size_px, points):
         return
@@ -30,13 +31,13 @@ def require_inside(camera: Camera, keypoints: Keypoints, settings: FitSettings) 
 
 
 def _contains(size_px: tuple[int, int], points: Array) -> bool:
-    """Return whether nearly all points (n, 2) lie in a picture of that size, or only a little outside."""
+    """Return whether nearly all points (n, 2) lie in a picture of the given size or only slightly outside."""
     over = np.max([-points, points - size_px], axis=0) / size_px
     return bool(np.mean(over.max(axis=1) <= PADDED) >= INSIDE)
 
 
 def _possible_causes(camera: Camera, points: Array, settings: FitSettings) -> str:
-    """Return what would put points (n, 2) in the picture, as the end of a sentence."""
+    """Return changes that would bring points (n, 2) into the picture, as the end of a sentence."""
     causes = ["x and y are exchanged"] if _contains(camera.image_size_px, points[:, ::-1]) else []
     fitting = (
         camera_of_file

@@ -1,4 +1,4 @@
-"""Fit a motion prior: results of fits or 3D poses of a class of motions in, a motion prior out."""
+"""Fit a motion prior to results of fits or to 3D poses of one class of motions."""
 
 from __future__ import annotations
 
@@ -40,52 +40,52 @@ class PriorFitSettings(Settings):
     """Settings of `recon prior fit`."""
 
     poses: Annotated[OneOrMore[Path], Option(argument="POSES")]
-    """Results of recon fit, or 3D poses as in pose3d.csv: metres, world z up."""
+    """Results of recon fit, or 3D poses such as pose3d.csv: metres, z up."""
     out: Path
-    """File for the prior, as in my-dog.npz."""
+    """File to write the prior to, such as my-dog.npz."""
     skeleton: str | None = None
-    """Skeleton of 3D poses, as in cheetah-24. (default: that of the results)"""
+    """Skeleton of 3D poses, such as cheetah-24. (default: that of the results)"""
     fps: str | None = None
-    """Frame rate of 3D poses in Hz, or a JSON file with {"fps": [...]}, one per piece."""
+    """Frame rate of 3D poses in Hz, or a JSON file with {"fps": [...]}, one rate per piece."""
     subject: str | None = None
-    """Measured animal, by name or TOML file, as in phantom."""
+    """Measured animal, by name or TOML file, such as phantom."""
     estimate_size: bool = False
-    """Scale the skeleton to the animal of each file."""
+    """Scale the skeleton to the animal in each file."""
     components: Count = 16
-    """Gaussians in the mixture of poses; each takes 20 frames."""
+    """Number of Gaussians in the mixture of poses; each needs 20 frames."""
     min_speed_m_s: NotNegative = 0.0
-    """Leave out slower segments, as in 8.5."""
+    """Leave out slower segments, such as those below 8.5."""
     apart: tuple[str, ...] = ()
-    """Segment whose movement says nothing of the others', as in tail_1."""
+    """Body segment that moves independently of the others, such as tail_1."""
     name: str | None = None
-    """Name of the prior. (default: the file's)"""
+    """Name of the prior. (default: the name of the file)"""
     source: str = ""
-    """Where the poses come from, for the record."""
+    """Origin of the poses, stored with the prior."""
     check: bool = False
-    """Score each segment under a prior from the others."""
+    """Score each segment under a prior fitted to the others."""
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: bool = False
     """Replace the file."""
 
 
 def run_prior_fit(settings: PriorFitSettings) -> dict[str, Any]:
-    """Fit a motion prior to results of `recon fit`, which are folders, and to pose files, and write it.
+    """Fit a motion prior to results of `recon fit`, given as folders, and to pose files, and write it.
 
-    Frames of results without a pose or with a flag are left out.
+    Frames without a pose and flagged frames of results are left out.
 
     Returns
     -------
     dict
-        As plain types: the table of segments with the body's misfit to each (None for results, and where no frame had
-        enough markers); the `sizes` that the body's lengths were multiplied by for each pose file; the markers that no
-        pose file has (`lacking`); the number of `frames` that it was fitted to, and of frames of results that were
-        `left_out`; and `held_out`, the mean log-likelihood per frame of segments that a prior was not fitted to, each
-        left out once, None if it was not asked for or no segment can be left out.
+        Plain types: the table of segments with the body's misfit to each (None for results, and if no frame had enough
+        markers); `sizes`, the factor on the body's lengths for each pose file; `lacking`, the markers that no pose file
+        has; `frames`, the number of frames used; `left_out`, the number of frames of results left out; and `held_out`,
+        the mean log-likelihood per frame of each segment under a prior fitted to the other segments, or None if it was
+        not requested or cannot be computed.
 
     Raises
     ------
     InputError
-        For files and options that cannot be used, with the problems of all of them.
+        If files or options cannot be used; the message lists all problems.
     """
     output = output_file(settings.out, "prior fit", settings.overwrite, input_paths(settings))
     paths = list(dict.fromkeys(settings.poses))
@@ -144,10 +144,10 @@ def _sound_states(motion: Motion) -> Array:
 def _solved_segments(
     body: Body, files: _Files, names: Mapping[Path, str], rates: Sequence[float], estimate_size: bool
 ) -> tuple[list[Segment], list[float | None], dict[Path, float]]:
-    """Fit the body to the segments of pose files, which end at jumps of their frame numbers.
+    """Fit the body to the segments of pose files; a segment ends where the frame numbers jump.
 
-    Returns the segments, named after their piece of motion, their file of `names`, or both; the body's misfit to each,
-    mm; and the factor on its lengths by file.
+    Returns three values: the segments, named after their piece of motion, their file in `names`, or both; the body's
+    misfit to each segment, mm; and the factor on the body's lengths by file.
     """
     segments: list[Segment] = []
     misfits_mm: list[float | None] = []
@@ -173,7 +173,7 @@ def _solved_segments(
 
 
 def _held_out(body: Body, segments: Sequence[Segment], prior: MotionPrior) -> dict[str, float] | None:
-    """Return the log-likelihood of segments under a prior of the others; None if nothing can be left out."""
+    """Return the log-likelihood of each segment under a prior of the others, or None if no segment can be left out."""
     used = [segment for segment, row in zip(segments, prior.segments, strict=True) if row.used]
     frames = [_count(states) for _, states, _ in used]
     scores, weights, fewest = [], [], len(prior.weights)
@@ -191,7 +191,7 @@ def _held_out(body: Body, segments: Sequence[Segment], prior: MotionPrior) -> di
 
 
 def _body(skeleton: str | None, subject: str | None, folders: Sequence[Path]) -> Body | None:
-    """Return the body that is asked for; None if it is that of the results."""
+    """Return the requested body, or None if the results' body is to be used."""
     if skeleton is None:
         if folders and subject is None:
             return None
@@ -221,7 +221,7 @@ def _motion(folder: Path, anyway: bool) -> Motion:
 
 
 def _rates(fps: str | None, tables: Sequence[Path]) -> list[float]:
-    """Return the frame rate, or those of a JSON file; none without pose files."""
+    """Return the frame rate, or the rates in a JSON file; nothing if there are no pose files."""
     expected = 'frames per second above 0, as in 120, or a JSON file with {"fps": [120, 90]}'
     if (fps is None) != (not tables):
         no_rates = expected if tables else "nothing: results have their own"
@@ -239,7 +239,7 @@ def _rates(fps: str | None, tables: Sequence[Path]) -> list[float]:
 
 
 def _problems_of_files(body: Body, files: _Files, rates: Sequence[float], fps: str) -> Iterator[Problem]:
-    """Yield problems of files with too few markers, and of frame rates that are not one, or one a piece."""
+    """Yield problems of files with too few markers, and of frame rates that are neither single nor one per piece."""
     for path, pieces in files.items():
         names = next(iter(pieces.values())).names
         count_known = sum(marker in names for marker in body.markers)

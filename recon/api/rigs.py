@@ -1,4 +1,4 @@
-"""Prepare clips of several cameras or a moving one: cameras that go together, in a world with z up."""
+"""Prepare clips with several cameras or a moving one: check that cameras fit together, and turn z up."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ MOST_ZOOM = 20
 """Largest factor on the calibrated focal length that a zoom lens can have."""
 
 _Cameras = tuple[tuple[Camera, "CameraTrack | None"], ...]
-"""The camera of each keypoint file, with its track where it moves."""
+"""Camera of each keypoint file, with its track if it moves."""
 
 
 def problems_of_several(file: str, cameras: Sequence[Camera], owners: Mapping[Path, list[str]]) -> Iterator[Problem]:
-    """Yield problems of cameras that do not go together.
+    """Yield problems of cameras that cannot be used together.
 
-    owners: for each track the cameras whose names its own contains.
+    `owners` gives for each track the cameras whose names the track's name contains.
     """
     names = [camera.name for camera in cameras]
     for name in sorted({name for name in names if names.count(name) > 1}):
@@ -63,7 +63,7 @@ def problems_of_several(file: str, cameras: Sequence[Camera], owners: Mapping[Pa
 
 
 def focal_problems(cameras: _Cameras) -> Iterator[Problem]:
-    """Yield problems of zoom tracks whose focal length is far from the camera file's, as in another unit."""
+    """Yield problems of zoom tracks whose focal length is far from the camera file's, for example in another unit."""
     for camera, track in cameras:
         if track is not None and track.intrinsics_px is not None:
             track_px, camera_px = float(np.median(track.intrinsics_px[:, 0])), float(camera.matrix[0, 0])
@@ -75,9 +75,10 @@ def focal_problems(cameras: _Cameras) -> Iterator[Problem]:
 def with_poses(
     keypoints: Keypoints, cleaning: CleaningReport, track: CameraTrack, fps: float
 ) -> tuple[Keypoints, CleaningReport, FramePoses]:
-    """Return keypoints and poses in the same frames.
+    """Return keypoints and poses for the same frames.
 
-    Detections are left out in frames for which the track has no pose. Raises InputError if it has none for any frame.
+    Detections are left out in frames for which the track has no pose. Raises InputError if the track has no pose for
+    any frame.
     """
     poses, filled = track.at(keypoints.frames, fps)
     if not (keypoints.present & poses.known[:, None]).any():
@@ -93,10 +94,10 @@ def with_poses(
 
 
 def at_rate(keypoints: Keypoints, fps: float) -> Keypoints:
-    """Return the keypoints of a camera with another frame rate at that of the clip.
+    """Return keypoints resampled to the frame rate of the clip.
 
-    They are interpolated linearly, frame 0 stays, and the confidence of a slower camera is reduced in proportion.
-    Raises InputError for fewer frames than that needs.
+    The interpolation is linear and keeps frame 0; the confidence of a slower camera is reduced in proportion. Raises
+    InputError if there are too few frames to interpolate.
     """
     assert keypoints.fps is not None
     if keypoints.fps == fps:
@@ -120,11 +121,11 @@ def at_rate(keypoints: Keypoints, fps: float) -> Keypoints:
     return replace(keypoints, xy_px=xy_px, confidence=confidence, frames=frames, fps=fps)
 
 
-# -- which way is up -------------------------------------------------------------------------------------------------
+# -- the upward direction --------------------------------------------------------------------------------------------
 
 
 def turned_up(cameras: _Cameras, up: str) -> _Cameras:
-    """Return cameras in a world with z up, from the direction that points up in theirs. Raises InputError."""
+    """Return cameras turned into a world with z up, given the upward direction in their present world."""
     if up == FIRST_CAMERA:
         return cameras
     sign, axis = (-1.0, up[1:]) if up[:1] == "-" and up[1:] in AXES else (1.0, up)
@@ -150,10 +151,10 @@ def turned_up(cameras: _Cameras, up: str) -> _Cameras:
 def turned_up_by_feet(
     sources: Sequence[Source], sources_apart: Sequence[Source], body: Body, fps: float, sigma_px: float
 ) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
-    """Turn cameras so that z is up and the ground at 0, where standing feet show it.
+    """Turn cameras so that z is up and the ground is at 0, as standing feet show it.
 
-    sources are on the clip's frames, sources_apart on their own. Returns the sources on their own frames, and a note;
-    unchanged where the feet do not show it.
+    `sources` are on the frames of the clip, `sources_apart` on each camera's own frames. Returns the sources on their
+    own frames, and a note; both are unchanged if the feet do not show the ground.
     """
     views = [
         replace(view, T_camera_world=rigid(np.asarray(view.camera.rotation), np.asarray(view.camera.translation_m)))
@@ -173,7 +174,8 @@ def turned_up_by_feet(
 def with_up(camera: Camera, up: Array, origin_m: Array | float = 0.0) -> Camera:
     """Return a camera with its pose in a world with z up.
 
-    up: unit vector (3,) that points up in its present world; origin_m: point (3,) there that becomes the origin.
+    `up` is the unit vector (3,) that points up in the present world; `origin_m` is the point (3,) in it that becomes
+    the origin.
     """
     R_camera = np.asarray(camera.rotation)
     translation_m = np.asarray(camera.translation_m) + R_camera @ np.broadcast_to(origin_m, 3)

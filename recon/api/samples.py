@@ -1,4 +1,4 @@
-"""The sample clips that come with the package."""
+"""Find the sample clips that come with the package."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from recon.base.errors import InputError, Problem
 
 
 def samples_folder() -> Path:
-    """Return the folder of the samples: inside an installed package, or data/samples of a checkout."""
+    """Return the folder of the samples: in the installed package, or data/samples in a checkout."""
     package = Path(__file__).parents[1]
     for folder in (package / "samples", package.parent / "data" / "samples"):
         if (folder / "whole.csv").is_file():

@@ -1,4 +1,4 @@
-"""Define the settings of a fit, of which config.toml, the report and the command line's options are made."""
+"""Define the settings of a fit, from which config.toml, the report and the command line's options are made."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Method = Literal["trajectory", "frame"]
 Unit = Literal["m", "cm", "mm"]
 UNITS_M: dict[Unit, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 DEFAULT_SKELETONS: dict[Method, str] = {"trajectory": "cheetah-24", "frame": "cheetah-8u"}
-"""By method."""
+"""Default skeleton of each method."""
 
 
 _RARE, _FRAME = Option(common=False), Option(common=False, method="frame")
@@ -37,7 +37,7 @@ NUMBER = r"[0-9]+(?:\.[0-9]*)?"
 
 
 def _size(value: object) -> object:
-    """Return (width, height) of the text "1920x1080"; numbers as they are."""
+    """Return (width, height) from text such as "1920x1080"; return numbers unchanged."""
     match = re.fullmatch(r"\s*([0-9]{1,9})\s*[xX]\s*([0-9]{1,9})\s*", value) if isinstance(value, str) else None
     return match.groups() if match else value
 
@@ -50,7 +50,7 @@ def _frames(text: str) -> str:
 Size = Annotated[tuple[Count, Count], BeforeValidator(_size)]
 """The size of a picture in pixels: (width, height), or the text "1920x1080"."""
 FrameRange = Annotated[str, AfterValidator(_frames)]
-"""A:B, from A up to but without B."""
+"""Range of frames A:B, which includes A and excludes B."""
 
 FPS = "Frame rate of the video in Hz, as in 120. (default: what the file says, if it does)"
 INDIVIDUAL = "Which animal of a multi-animal file, as in animal1."
@@ -59,12 +59,12 @@ RENAME = Option(
 )
 
 
-# -- options that several commands have -------------------------------------------------------------------------------
+# -- options that several commands share ------------------------------------------------------------------------------
 
 StrideTimes = Annotated[
     tuple[Number, Number], BeforeValidator(lambda value: value.split(":") if isinstance(value, str) else value)
 ]
-"""(start, end) in seconds since frame 0, or the text "0.31:0.62"."""
+"""(start, end) in seconds since frame 0, or text such as "0.31:0.62"."""
 FIRST_FRAME = Option("Number that the video's first frame has in the keypoint file, if it was cut.")
 ANYWAY = Option('Also of a clip whose verdict is "do not use".')
 STRIDE = Option(
@@ -77,123 +77,135 @@ STRIDE = Option(
 class FitSettings(Settings):
     """Settings of `recon fit`.
 
-    One of camera (a calibration file) and hfov_deg with image_size_px is needed. Text is taken for numbers, sizes and
-    files. Fields without a unit in their name are counts, names or shares; the solvers' are explained at
-    `recon.fit.TrajectoryOptions` and by the packages of the other methods.
+    Either `camera` (a calibration file) or `hfov_deg` with `image_size_px` is required. Numbers, sizes and files may be
+    given as text. Fields without a unit in their name are counts, names or fractions. `recon.fit.TrajectoryOptions`
+    explains the solver's options.
 
     Raises
     ------
     InputError
-        With everything that is wrong with the settings.
+        If settings are wrong; the message lists all problems.
     """
 
     keypoints: Annotated[
         OneOrMore[File], Option(expected="a keypoint file, or one for each camera", argument="KEYPOINTS")
     ]
-    """Keypoint file, as in clip.csv: DeepLabCut, SLEAP, movement, NWB (ndx-pose), COCO, AlphaPose, MMPose, OpenPose
-    (any of its files) or a plain table, long or wide; of a clip of several cameras one for each."""
+    """Keypoint file, such as clip.csv: DeepLabCut, SLEAP, movement, NWB (ndx-pose), COCO, AlphaPose, MMPose, OpenPose
+    (any of its files) or a plain table, long or wide. For a clip from several cameras, give one file per camera.
+    """
     camera: OneOrMore[File] | None = None
     """Calibration: OpenCV, JARVIS, EasyMocap or ROS yaml/json/xml, AcinoSet scene.json or JSON of other tables,
-    OpenDroneMap cameras.json, DANNCE mat, Anipose, Caliscope, Pose2Sim or recon toml; or one such file for each
-    camera."""
+    OpenDroneMap cameras.json, DANNCE mat, Anipose, Caliscope, Pose2Sim or recon toml; or one such file per camera.
+    """
     camera_name: OneOrMore[str] | None = None
-    """Which camera of the file, as in cam2 or 2; once for each keypoint file. (default: whose name the keypoint file's
-    name contains)"""
+    """Name of the camera in the file, such as cam2 or 2; once per keypoint file. (default: the camera whose name the
+    keypoint file's name contains)
+    """
     camera_unit: Unit = "m"
     """Unit of the cameras' positions in the file; Anipose's is often mm."""
     camera_track: Annotated[OneOrMore[File] | None, _TRAJECTORY] = None
-    """Where a moving camera was in each frame: a CSV table, a COLMAP text model, or OpenDroneMap's reconstruction.json
-    or shots.geojson, with the camera's name in its own. (default: cameras stand still)"""
+    """Pose of a moving camera in each frame: a CSV table, a COLMAP text model, or OpenDroneMap's reconstruction.json or
+    shots.geojson; the file name must contain the camera's name. (default: cameras stand still)
+    """
     fps: Annotated[Positive | None, Option(FPS)] = None
     skeleton: NameOrFile | None = None
     """A built-in skeleton or a TOML file. (default: cheetah-24; cheetah-8u for the frame method)"""
     subject: Annotated[NameOrFile | None, _TRAJECTORY] = None
-    """One animal's measured lengths: built-in name or TOML file, as in jules. (default: the skeleton's)"""
+    """Measured lengths of one animal: built-in name or TOML file, such as jules. (default: the skeleton's lengths)"""
     prior: Annotated[NameOrFile | None, _TRAJECTORY] = None
-    """What motions are like: a built-in name, a file of recon prior fit, or none. (default: this skeleton's built-in
-    one, if any)"""
+    """Motion prior: a built-in name, a file from recon prior fit, or none. (default: the skeleton's built-in prior, if
+    any)
+    """
     hfov_deg: Annotated[Number, Field(gt=0, lt=180)] | None = None
-    """Without a calibration: horizontal field of view in degrees, as in 64, or 64+-6 with its uncertainty."""
+    """Horizontal field of view in degrees, if there is no calibration, such as 64, or 64+-6 with its uncertainty."""
     image_size_px: Annotated[
         Size | None, Option(expected="width x height in pixels, as in 1920x1080", name="--image-size")
     ] = None
-    """Size of the video in pixels, if the camera file lacks it, as in 1920x1080."""
+    """Size of the video in pixels, such as 1920x1080, if the camera file lacks it."""
     up: Annotated[str | None, _RARE] = None
-    """Which axis of the calibration's world points up, as in z or -y, or a direction, as in 0,-0.9,0.4; first-camera:
-    that counts as level. (default: what the file says, or the ground that feet stand on)"""
+    """Upward axis of the calibration's world, such as z or -y; or a direction, such as 0,-0.9,0.4; or first-camera if
+    the first camera is level. (default: what the file says, or the ground that the feet stand on)
+    """
     tilt_deg: Annotated[Number, Field(ge=-90, le=90)] | None = None
-    """Without extrinsics: how far the camera looks down, in degrees, as in 5. (default: level)"""
+    """Angle in degrees by which the camera looks down, such as 5, if there are no extrinsics. (default: level)"""
     height_m: Annotated[Annotated[Number, Field(ge=1e-3, le=10)] | None, _TRAJECTORY] = None
-    """Height of the animal at the withers, in metres, as in 1.6. (default: the skeleton's)"""
+    """Height of the animal at the withers, in metres, such as 1.6. (default: the skeleton's)"""
     belt_speed_m_s: Annotated[Positive | None, _RARE_TRAJECTORY] = None
-    """Speed of a treadmill's belt in m/s, as in 1.4: the animal's motion is then that over the belt."""
+    """Speed of a treadmill's belt in m/s, such as 1.4; the animal's motion is then reported relative to the belt."""
     individual: Annotated[str | None, Option(INDIVIDUAL)] = None
     rename: Annotated[NameOrFile | None, RENAME] = None
     frames: Annotated[
         FrameRange | None, Option(expected="frame numbers A:B with A < B, from A up to but without B, as in 100:160")
     ] = None
-    """Only these frame numbers, from A up to but without B, as in 100:160."""
+    """Use only these frame numbers, A:B from A up to but not including B, such as 100:160."""
     corrections: File | None = None
     """Detections that were corrected by hand: corrections.csv, with the columns frame, keypoint, now_x_px, now_y_px and
     camera."""
     fix_swaps: Annotated[bool, _TRAJECTORY] = False
-    """Exchange left and right back where they look exchanged."""
+    """Undo left-right swaps where they are found."""
     offset_s: Annotated[OneOrMore[Number] | None, _RARE_TRAJECTORY] = None
-    """How much later than the first each camera began, in seconds, as in 0.025; once for each keypoint file."""
+    """Time in seconds by which each camera began later than the first, such as 0.025; once per keypoint file."""
     fps_known: Annotated[bool, _RARE_TRAJECTORY] = False
-    """The frame rate is right, whatever the animal's motion says: evidence against it widens the intervals only."""
+    """Trust the frame rate: if the animal's motion contradicts it, the intervals widen but no warning is given."""
     find_offsets: Annotated[bool, _RARE_TRAJECTORY] = False
-    """Find when each camera began from the animal's motion; the search begins at offset-s."""
+    """Find from the animal's motion when each camera began; the search starts at offset-s."""
     refine_cameras: Annotated[bool, _RARE_TRAJECTORY] = False
-    """Take the poses of all cameras but the first for as good as 2 degrees and 5 cm (2 % of their distance, if that is
-    less), and find them with the fit; they go into cameras.toml."""
+    """Refine the poses of all cameras but the first during the fit, assuming errors of 2 degrees and 5 cm (2 % of the
+    camera's distance, if that is less), and write them to cameras.toml.
+    """
     focal_sigma: Annotated[Positive | None, _RARE_TRAJECTORY] = None
-    """How well focal lengths are known, relative, as in 0.1: one camera's makes the position less certain; several
-    cameras' are found and go into cameras.toml. (default: one camera's by its file to 0.02, by a field of view to 0.1;
-    several cameras' exactly)"""
+    """Relative uncertainty of the focal lengths, such as 0.1. With one camera, it makes the position less certain; with
+    several, the focal lengths are estimated and written to cameras.toml. (default: with one camera, 0.02 if a file
+    gives the focal length and 0.1 if a field of view does; with several cameras, exact)
+    """
     lengths_known: Annotated[bool, _RARE_TRAJECTORY] = False
-    """Take the lengths of the skeleton or subject, and where the detector's keypoints lie, for exact. (default: several
-    cameras find both with the fit)"""
+    """Treat the lengths of the skeleton or subject, and the detector's keypoint offsets, as exact. (default: with
+    several cameras, both are estimated in the fit)
+    """
     camera_fps: Annotated[OneOrMore[Positive] | None, _RARE_TRAJECTORY] = None
-    """Frame rates of cameras that differ in it, once for each keypoint file; the first is the result's."""
+    """Frame rates of the cameras if they differ, once per keypoint file; the result has the first one's rate."""
     method: Annotated[Method, _RARE] = "trajectory"
-    """trajectory: the whole animal over the whole clip; frame: one side, one frame after the other."""
+    """trajectory: the whole animal over the whole clip; frame: one side of the animal, frame by frame."""
     detector: Annotated[NameOrFile | None, _RARE_TRAJECTORY] = None
-    """Where the detector's keypoints lie beside the markers: a built-in name, as in acinoset, a TOML file, or none.
-    (default: as the subject's or skeleton's file says, or the keypoint file's scorer)"""
+    """Offsets of the detector's keypoints from the markers: a built-in name, such as acinoset, a TOML file, or none.
+    (default: as stated by the file of the subject or skeleton, or by the scorer in the keypoint file)
+    """
     likelihood_min: Annotated[Number, Field(ge=0, le=1), Option(expected="a number from 0 to 1", common=False)] = 0.5
-    """Leave out points less likely than this, 0 to 1."""
+    """Leave out points with a likelihood below this, 0 to 1."""
     side: Annotated[Literal["auto", "left", "right"], _RARE] = "auto"
-    """Which side of a one-sided skeleton to fit."""
+    """Side to fit of a one-sided skeleton."""
     ground: Annotated[Literal["auto", "none"], _RARE_TRAJECTORY] = "auto"
-    """auto: feet that stand are still and on one plane; none: not."""
+    """auto: standing feet do not move and are on one plane; none: no such assumption."""
     size: Annotated[Annotated[Number, Field(ge=1e-3, le=1e3)] | None, _RARE_TRAJECTORY] = None
-    """How many times as large as the skeleton the animal is, as in 0.1."""
+    """Size of the animal relative to the skeleton, such as 0.1."""
     size_sigma: Annotated[Positive | None, _RARE_TRAJECTORY] = None
-    """Relative standard deviation of the animal's size, as in 0.1. (default: the skeleton's)"""
+    """Relative standard deviation of the animal's size, such as 0.1. (default: the skeleton's)"""
     fast: Annotated[bool, _RARE_TRAJECTORY] = False
-    """Quicker: fewer directions to start from."""
+    """Save time by starting from fewer directions."""
     form: Annotated[Literal["deadband", "printed"], _FRAME] = "deadband"
-    """Ranges and rates: beyond the limit, or two-sided as printed."""
+    """Penalties on ranges and rates: deadband, only beyond the limit; or printed, two-sided as in the publication."""
     reprojection: Annotated[Literal["robust", "printed"], _FRAME] = "robust"
-    """Errors in the picture: robust and weighted, or as printed."""
+    """Reprojection errors: robust and weighted, or as in the publication."""
     angle_prior: Annotated[Literal["gaussian", "none"], _FRAME] = "gaussian"
-    """Priors on angles and heading."""
+    """Priors on angles and heading: gaussian or none."""
     camera_rotation: Annotated[Literal["free", "fixed"], _FRAME] = "free"
-    """The body's rotation: free, or fixed to the first frame's."""
+    """Rotation of the body: free, or fixed to that of the first frame."""
     path: Annotated[Literal["smooth", "free"], _FRAME] = "smooth"
-    """Path of the reference joint: as smooth as an animal moves, or every frame by itself."""
+    """Path of the reference joint: smooth as an animal moves, or free in every frame."""
     start_angles: Annotated[str | None, _FRAME] = None
-    """Angles of the first frame's start, measured by hand, in degrees, as in th6=55,th7=97,xi=-3. (default: the mean
-    pose along the direction of travel)"""
+    """Start angles of the first frame, measured by hand, in degrees, such as th6=55,th7=97,xi=-3. (default: the mean
+    pose along the direction of travel)
+    """
     initial_damping: Annotated[Positive | None, _FRAME] = None
-    """First damping of the search in a frame, as in 0.01. (default: MINPACK finds its own)"""
+    """Distance of keypoints from the joints, one standard deviation, in metres, such as 0.05. (default: the
+    skeleton's)
+    """
     damping_factor: Annotated[Annotated[Number, Field(gt=1)], _FRAME] = 10.0
-    """Factor by which that damping falls after a step that lowers the cost, and grows after each other one."""
+    """Factor by which the damping falls after a step that lowers the cost, and grows after any other step."""
     base_length_m: Annotated[Positive | None, _FRAME] = None
-    """Base length of the chain in metres, as in 0.203. (default: the skeleton's)"""
+    """Base length of the chain in metres, such as 0.203. (default: the skeleton's)"""
     base_sigma_m: Annotated[Positive | None, _FRAME] = None
-    """Its standard deviation in metres, as in 0.001. (default: the skeleton's)"""
+    """Standard deviation of the base length in metres, such as 0.001. (default: the skeleton's)"""
     sigma_px: Annotated[Positive, _RARE] = 3.0
     """Noise of the detector in pixels, one standard deviation."""
     keypoint_sigma_m: Annotated[NotNegative | None, _RARE] = None
@@ -202,24 +214,24 @@ class FitSettings(Settings):
     @model_validator(mode="before")
     @classmethod
     def _uncertain_field_of_view(cls, arguments: ArgsKwargs) -> ArgsKwargs:
-        """Replace `hfov_deg` with its uncertainty, as in "64+-6", by that and `focal_sigma`."""
+        """Replace `hfov_deg` with an uncertainty, such as "64+-6", by a plain value and `focal_sigma`."""
         values = arguments.kwargs if arguments.kwargs is not None else {}
         match = re.fullmatch(rf"\s*({NUMBER})\s*(?:±|\+/?-)\s*({NUMBER})\s*", str(values.get("hfov_deg")))
         if match:
             hfov_deg, sigma_deg = map(float, match.groups())
-            # The focal length goes with the cotangent of half the angle.
+            # The focal length is proportional to the cotangent of half the angle.
             share = math.radians(sigma_deg) / math.sin(math.radians(hfov_deg)) if 0 < hfov_deg < 180 else None
             values |= {"focal_sigma": values.get("focal_sigma", share), "hfov_deg": hfov_deg}
         return arguments
 
     @classmethod
     def problems_of_given(cls, values: Mapping[str, Any]) -> Iterator[Problem]:
-        """Yield problems of a camera that is given in two ways, and of settings that the method does not read."""
+        """Yield problems of a camera given in two ways, and of settings that the method does not read."""
         yield from _camera_problems(values)
         yield from _other_method_problems(values)
 
     def problems(self) -> Iterator[Problem]:
-        """Yield problems of settings that do not go together, or are not there once for each camera."""
+        """Yield problems of settings that exclude each other, or that are not given once per camera."""
         count = len(self.keypoints)
         for name in ("camera_name", "offset_s", "camera_fps"):
             values = getattr(self, name)
@@ -251,7 +263,7 @@ class FitSettings(Settings):
 
     @property
     def camera_text(self) -> str:
-        """Return the camera files in one line; empty without."""
+        """Return the camera files in one line, or "" without any."""
         return ", ".join(str(path) for path in self.camera or ())
 
     @property
@@ -260,17 +272,17 @@ class FitSettings(Settings):
         return ", ".join(str(path) for path in self.keypoints)
 
     def keypoints_from(self, folder: Path) -> list[str]:
-        """Return the keypoint files as seen from a folder."""
+        """Return the paths of the keypoint files relative to a folder."""
         return setting_seen_from(folder, "keypoints", [str(path) for path in self.keypoints])
 
     @property
     def skeleton_name(self) -> str:
-        """Return the skeleton's name as given, or the method's default."""
+        """Return the given skeleton's name, or the default of the method."""
         return DEFAULT_SKELETONS[self.method] if self.skeleton is None else self.skeleton
 
     @property
     def seeks_cameras(self) -> bool:
-        """Return whether the fit changes the cameras of the file."""
+        """Return whether the fit changes the cameras of the camera file."""
         return bool(self.refine_cameras) or (self.focal_sigma is not None and len(self.keypoints) > 1)
 
     def trajectory_options(self) -> TrajectoryOptions:
@@ -287,12 +299,12 @@ class FitSettings(Settings):
         Parameters
         ----------
         folder
-            Folder that paths are relative to, as `setting_in_folder` reads them; None: paths are absolute.
+            Folder to which paths are made relative, for `setting_in_folder` to read; None for absolute paths.
 
         Returns
         -------
         dict
-            Values by name; None for a setting that is not given and has no default.
+            Values by name; None if a setting is not given and has no default.
         """
         of_method = {name: info for name, info in SETTINGS.items() if info.option.method in (None, self.method)}
         plain = {name: info.plain(getattr(self, name)) for name, info in of_method.items()}
@@ -306,9 +318,9 @@ class FitSettings(Settings):
         Parameters
         ----------
         folder
-            Folder that paths are relative to, as for `plain`.
+            Folder to which paths are made relative, as in `plain`.
         sha256
-            Digests of the input files by their role, which are written beside the settings.
+            Digests of the input files by role, which are written next to the settings.
         """
         values = {name: value for name, value in self.plain(folder).items() if value is not None}
         plain = to_encodable(values)
@@ -316,20 +328,20 @@ class FitSettings(Settings):
 
 
 SETTINGS = FitSettings.infos()
-"""By name, in the order of `FitSettings`."""
+"""Settings by name, in the order of `FitSettings`."""
 OF_ANY_CLIP = tuple(name for name in SETTINGS if name not in ("keypoints", "corrections"))
-"""The settings that several clips can have in common."""
+"""Settings that several clips can share."""
 
 
 def setting_seen_from(folder: Path, name: str, value: T) -> T:
-    """Return a setting's value with its paths as seen from a folder."""
+    """Return a setting's value with its paths relative to a folder."""
     from recon.base.files import seen_from
 
     return with_paths(name, value, lambda path: seen_from(folder, path))
 
 
 def with_paths(name: str, value: T, change: Callable[[str], str]) -> T:
-    """Return a setting's value with its paths changed; other values as they are."""
+    """Return a setting's value with its paths changed; values that are no paths are returned as they are."""
     if isinstance(value, list):
         return cast("T", [with_paths(name, element, change) for element in value])
     if isinstance(value, str) and name in SETTINGS and SETTINGS[name].is_file(value):
@@ -338,7 +350,7 @@ def with_paths(name: str, value: T, change: Callable[[str], str]) -> T:
 
 
 def _camera_problems(values: Mapping[str, Any]) -> Iterator[Problem]:
-    """Yield problems of a camera that is given in two ways, or without what belongs to it."""
+    """Yield problems of a camera that is given in two ways, or incompletely."""
     if not values.keys() & {"camera", "hfov_deg", "camera_track"}:
         expected = "a camera file, or --hfov-deg with --image-size for a rough one"
         yield Problem("settings", "camera", "nothing", expected)

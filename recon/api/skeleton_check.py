@@ -1,4 +1,4 @@
-"""Describe a skeleton: what its file says, and remarks on what looks odd."""
+"""Describe a skeleton: the content of its file, and remarks on unusual values."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from recon.geometry.kinematics import ANGLE_OF_AXIS, AXES
 from recon.show.plain import picked
 
 REACH_SIGMAS = 2.0
-"""Ends of the expected range of an angle, in standard deviations."""
+"""Half-width of the expected range of an angle, in standard deviations."""
 LARGEST_ANIMAL_M = 15.0
-"""No animal on legs is longer."""
+"""Length that no legged animal exceeds."""
 
 
 def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> dict[str, Any]:
-    """Return what a skeleton's file describes.
+    """Return a description of a skeleton's file.
 
-    `length_m` and `height_m` are those of the expected pose, `unknowns` those of a frame, `prior` is the one that a fit
-    takes by default, and `remarks` name what is allowed but is probably wrong.
+    `length_m` and `height_m` belong to the expected pose, `unknowns` is the number per frame, `prior` is the default
+    prior of a fit, and `remarks` name values that are allowed but probably wrong.
 
     Raises
     ------
     InputError
-        Naming every problem, for a file that describes no skeleton.
+        If the file does not describe a skeleton; the message names every problem.
     """
     body = load_skeleton(name_or_path, subject)
     length, _, height = np.ptp(body.expected_points_m(), axis=0).tolist()
@@ -54,7 +54,7 @@ def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) 
 
 
 def _published(name_or_path: str | Path, body: Body) -> dict[str, Any]:
-    """Return a chain's links with their ratios to the base length, and the unknowns of the frame method."""
+    """Return the links of a chain with their ratios to the base length, and the unknowns of the frame method."""
     if not body.one_sided:
         return {}
     chain = load_chain(name_or_path)
@@ -66,7 +66,7 @@ def _published(name_or_path: str | Path, body: Body) -> dict[str, Any]:
 
 
 def _bones(body: Body) -> Iterator[dict[str, Any]]:
-    """Yield the bones by name, with what they connect, and the spread of their lengths that a fit expects."""
+    """Yield the bones by name, with the points that they connect and the spread that a fit expects of their lengths."""
     for bone in bones_of(body):
         sigma_m = bone.length_m * float(np.hypot(body.size_sigma, LENGTH_SIGMA))
         yield {"bone": bone.name, "connects": list(bone.connects), "length_m": bone.length_m, "sigma_m": sigma_m}
@@ -77,7 +77,7 @@ def _segments(body: Body) -> Iterator[dict[str, Any]]:
     expected = zip(*np.rad2deg([body.mean_rad, body.sigma_rad, body.acceleration_rad_s2]), strict=True)
     for segment in body.tree.segments:
         angles = []
-        for axis in AXES[segment.joint][segment.parent is None :]:  # all but the root's heading
+        for axis in AXES[segment.joint][segment.parent is None :]:  # all angles except the heading of the root
             mean, sigma, acceleration = map(float, next(expected))
             reach = REACH_SIGMAS * sigma
             ranges = {"name": ANGLE_OF_AXIS[axis], "mean_deg": mean, "low_deg": mean - reach, "high_deg": mean + reach}

@@ -1,9 +1,9 @@
 """Draft a skeleton file from the keypoints of a detector.
 
-By their names it has the quadruped's segments, with markers of these names. With several cameras it has segments from
-where the keypoints are, whatever they are called: keypoints that keep all their distances are a body, and bodies are
-joined where their points keep theirs best. Expected is a pose that the animal had, out of which its segments swing as
-far as they did.
+The names of the keypoints place markers on the quadruped's segments. With several cameras, the positions of the
+keypoints define the segments instead, whatever the keypoints are called: keypoints whose mutual distances stay constant
+form a rigid body, and bodies are joined at the points whose distances vary least. The expected pose is a pose that the
+animal had, and the expected angles range as far as those of the animal.
 """
 
 from __future__ import annotations
@@ -42,19 +42,24 @@ from recon.show.plain import by_name, picked
 
 BASE = "quadruped"
 REAR, FRONT = ("tail_base", "l_hip", "spine"), ("neck_base", "withers", "l_shoulder", "nose")
-"""Markers of the quadruped that `forward` may begin and end with, the best first."""
+"""Markers of the quadruped at which `forward` may begin and end, the preferred ones first."""
 FEWEST_FRAMES = 20
 RIGID, TOO_MUCH, NOISE = 0.01, 0.02, 2.0
-"""Shares of the animal's length: a distance that changes by less (one standard deviation) stays the same; and of noisy
-keypoints, by so many times what those between steady neighbours do, but not by more than the second."""
+"""RIGID and TOO_MUCH, fractions of the animal's length: a distance whose standard deviation is below RIGID counts as
+constant. With noisy keypoints the limit is NOISE times the variation between steady neighbours, but at most TOO_MUCH.
+"""
 KEYPOINT_SHARE, SIZE_SIGMA = 0.02, 0.05
-"""For the skeleton: keypoint_sigma_m as a share of its length, and size_sigma of an animal that was measured."""
+"""Values for the skeleton file: keypoint_sigma_m as a fraction of the animal's length, and size_sigma of a measured
+animal.
+"""
 HEAD = ("keypoint_sigma_m", "size_sigma")
 SWING_RAD, SWING_HZ = (0.2, 1.2), (0.5, 8.0)
 
 
 _ROUGHLY = {"croup": "tail_base", "rump": "tail_base"}
-"""Keypoints whose markers are near enough for a draft, but not for a fit."""
+"""The quadruped's markers by keypoint, the keypoints without a marker, and the text of a skeleton file to be
+completed.
+"""
 
 SkeletonDraft = tuple[dict[str, str], tuple[str, ...], str]
 """The quadruped's markers by the keypoints that are placed on them; the keypoints that are not placed; and the text of
@@ -65,20 +70,24 @@ class SkeletonDraftSettings(Settings):
     """Settings of `recon skeleton from-keypoints`."""
 
     keypoints: Annotated[OneOrMore[Path], Option(argument="KEYPOINTS")]
-    """Keypoint file, or DeepLabCut's project; with --camera one file for each."""
+    """Keypoint file, or DeepLabCut project; with --camera, one file per camera."""
     out: Path
-    """Skeleton file to write, as in my-animal.toml."""
+    """Calibration of several cameras; the draft is then made from distances that stay constant. (default: from
+    names)
+    """
     individual: Annotated[str | None, Option(INDIVIDUAL)] = None
     camera: OneOrMore[File] | None = None
     """Calibration of several cameras: distances that stay the same make the draft. (default: names do)"""
     fps: Positive | None = None
-    """With --camera: the frame rate in Hz. (default: what the file says)"""
+    """With --camera: frame rate in Hz. (default: as stated in the file)"""
     up: str | None = None
-    """With --camera: which axis of its world points up, as in z or -y; first-camera: that counts as level. (default:
-    what the file says)"""
+    """With --camera: upward axis of the calibration's world, such as z or -y; or first-camera if the first camera is
+    level. (default: as stated in the file)
+    """
     camera_name: OneOrMore[str] | None = None
-    """With --camera: which camera of the file, as in cam2 or 2; once for each keypoint file. (default: whose name the
-    keypoint file's name contains)"""
+    """With --camera: name of the camera in the file, such as cam2 or 2; once per keypoint file. (default: the camera
+    whose name the keypoint file's name contains)
+    """
     camera_unit: Unit = "m"
     """With --camera: unit of the cameras' positions in the file; Anipose's is often mm."""
     overwrite: bool = False
@@ -86,7 +95,10 @@ class SkeletonDraftSettings(Settings):
 
 
 def run_skeleton_draft(settings: SkeletonDraftSettings) -> SkeletonDraft:
-    """Draft a skeleton for the keypoints of a file, or of several cameras, and write it. Raises InputError."""
+    """Draft a skeleton for the keypoints of one file or of several cameras, and write it.
+
+    Raises InputError if no skeleton can be drafted.
+    """
     out, source = settings.out, settings.keypoints[0]
     output = output_file(out, "skeleton from-keypoints", settings.overwrite, input_paths(settings))
     output.require((out.name,))
@@ -104,7 +116,7 @@ def run_skeleton_draft(settings: SkeletonDraftSettings) -> SkeletonDraft:
 
 
 def _draft_from_geometry(settings: SkeletonDraftSettings) -> SkeletonDraft:
-    """Draft a skeleton from several cameras; raise InputError also for cameras without poses or direction up."""
+    """Draft a skeleton from several cameras; raise InputError also for cameras without poses or an upward direction."""
     options = ("keypoints", "camera", "fps", "up", "individual", "camera_name", "camera_unit")
     fit_settings = FitSettings(**picked(settings, *options))
     files, cameras = collect_problems(lambda: read_clips(fit_settings), lambda: read_clip_cameras(fit_settings))
@@ -128,7 +140,7 @@ def _draft_from_geometry(settings: SkeletonDraftSettings) -> SkeletonDraft:
 
 
 def _require_size(positions_m: Array, settings: SkeletonDraftSettings) -> None:
-    """Raise InputError for an animal so large that the calibration is in another unit."""
+    """Raise InputError for an animal so large that the calibration must be in another unit."""
     known = np.asarray(np.isfinite(positions_m).all(axis=2))
     enough = known.sum(axis=1) >= MIN_JOINTS
     if not enough.any():
@@ -143,12 +155,13 @@ def _require_size(positions_m: Array, settings: SkeletonDraftSettings) -> None:
 
 
 def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDraft:
-    """Draft a skeleton with the quadruped's segments, from the names of keypoints.
+    """Draft a skeleton with the quadruped's segments from the names of keypoints.
 
     Raises
     ------
     InputError
-        For too few names that are understood, none at an end of the trunk, and names of another built-in skeleton.
+        If too few names are understood, none is at an end of the trunk, or the names belong to another built-in
+        skeleton.
     """
     body = load_skeleton(BASE)
     known = _understood(names, body.markers)
@@ -187,7 +200,7 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDr
     for marker in body.tree.markers:
         name, twin = name_of_marker.get(marker.name), name_of_marker.get(other_side(marker.name))
         paired = name is not None and twin == other_side(name) != name
-        if name is not None and not (paired and side_of(name) == "right"):  # pairs are written once
+        if name is not None and not (paired and side_of(name) == "right"):  # left-right pairs are written once
             marker_table = {"name": name, "segment": renamed[marker.segment]} | ({"mirrored": True} if paired else {})
             parts.append(table_text("[[markers]]", marker_table | {"at_m": list(marker.offset_m)}))
     parts.append(table_text("[limbs]", {limb: markers for limb, markers in limbs.items() if len(markers) > 1}))
@@ -195,7 +208,7 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDr
 
 
 def _understood(names: Sequence[str], markers: Sequence[str]) -> dict[str, str]:
-    """Return markers by keypoint: of the same name, of the built-in map that knows most of them, or a near miss."""
+    """Return the marker of each keypoint: of the same name, from the best built-in map, or of a similar name."""
     maps = fitting_maps(names, markers)
     marker_by_name = load_names(maps[0]) if maps else {}
     known: dict[str, str] = {}
@@ -211,7 +224,7 @@ def _understood(names: Sequence[str], markers: Sequence[str]) -> dict[str, str]:
     return known | suggestions([name for name in names if name not in known], lacking)
 
 
-# -- from where the keypoints are -------------------------------------------------------------------------------------
+# -- drafts from the positions of keypoints ---------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -225,49 +238,49 @@ class _Part:
     line: tuple[int, ...] = ()
 
     def name(self, labels: Sequence[str]) -> str:
-        """Return a name made of its number and the label of its first point."""
+        """Return a name made from the number of the segment and the label of its first point."""
         return f"part_{self.number}_at_{labels[self.origin]}"
 
 
 @dataclass(frozen=True)
 class _Distances:
-    """Distances between K keypoints over a clip, metres."""
+    """Hold the distances between K keypoints over a clip, metres."""
 
     usual_m: Array
     """(K, K): median over the frames."""
     changes_m: Array
-    """(K, K): standard deviation over the frames, from the median deviation."""
+    """(K, K): standard deviation over the frames, estimated from the median deviation."""
     same_m: float
-    """Change below which a distance counts as fixed."""
+    """Variation below which a distance counts as constant."""
     length_m: float
-    """Largest usual distance: the animal's length."""
+    """Largest usual distance, taken as the animal's length."""
 
 
 def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, source: Path) -> tuple[list[str], str]:
-    """Draft a skeleton from where the keypoints are, whatever they are called.
+    """Draft a skeleton from the positions of keypoints, whatever they are called.
 
     Parameters
     ----------
     names
-        Of the K keypoints.
+        Names of the K keypoints.
     points_m
-        (T, K, 3): in a world with z up, metres, NaN where missing.
+        Positions (T, K, 3) in a world with z up, metres, NaN if missing.
     fps
         Frames per second.
     title
         Name of the skeleton.
     source
-        The keypoint file, for messages.
+        Name of the keypoint file, for messages.
 
     Returns
     -------
     tuple
-        The keypoints that were seen often enough, and the text of a skeleton file of them.
+        The keypoints that were seen often enough, and the text of a skeleton file for them.
 
     Raises
     ------
     InputError
-        For too few keypoints that are seen together, distances that are too noisy, and an animal that hardly moves.
+        If too few keypoints are seen together, the distances are too noisy, or the animal hardly moves.
     """
     points_m, labels = _often_seen(names, points_m, source)
     distances = _distances(points_m, source)
@@ -299,7 +312,10 @@ def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, sourc
 
 
 def _often_seen(names: Sequence[str], points_m: Array, source: Path) -> tuple[Array, list[str]]:
-    """Return the points that are seen in enough frames, and their names. Raises InputError if they are too few."""
+    """Return the points that are seen in enough frames, and their names.
+
+    Raises InputError if there are too few of these points.
+    """
     seen = np.isfinite(points_m[..., 0])
     kept = np.flatnonzero(seen.sum(axis=0) >= FEWEST_FRAMES)
     frames_together = seen[:, kept].T.astype(int) @ seen[:, kept]
@@ -311,14 +327,17 @@ def _often_seen(names: Sequence[str], points_m: Array, source: Path) -> tuple[Ar
 
 
 def _distances(points_m: Array, source: Path) -> _Distances:
-    """Return the distances between points (T, K, 3). Raises InputError if noise hides which are fixed."""
+    """Return the distances between points (T, K, 3).
+
+    Raises InputError if noise hides which distances are constant.
+    """
     by_point = [np.linalg.norm(points_m - point[:, None], axis=2) for point in points_m.swapaxes(0, 1)]
     distances_m = np.stack(by_point, axis=1)
     usual_m = np.nanmedian(distances_m, axis=0)
     changes_m = 1.4826 * np.nanmedian(np.abs(distances_m - usual_m), axis=0)
     length_m = float(usual_m.max())
     steadiest_m = np.where(np.eye(len(usual_m), dtype=bool), np.inf, changes_m).min(axis=1)
-    # Nearly every point is on a body with another one, so that the median is the keypoints' noise.
+    # Nearly every point shares a rigid body with another one, so the median variation is the keypoints' noise.
     same_m = max(NOISE * float(np.median(steadiest_m)), RIGID * length_m)
     if same_m > TOO_MUCH * length_m:
         noise_mm = f"{1000 * same_m / NOISE:.1f} mm"
@@ -331,14 +350,14 @@ def _distances(points_m: Array, source: Path) -> _Distances:
 
 
 def _rigid_bodies(distances: _Distances) -> list[list[int]]:
-    """Return the groups of points that keep all their distances."""
+    """Return the groups of points whose mutual distances are all constant."""
     tree = linkage(squareform(distances.changes_m, checks=False), "complete")
     body_of_point = fcluster(tree, distances.same_m, "distance")
     return [np.flatnonzero(body_of_point == i).tolist() for i in np.unique(body_of_point)]
 
 
 def _root_body(bodies: Sequence[list[int]], distances: _Distances) -> int:
-    """Return the body that is nearest to all points, one of three points or more if there is one."""
+    """Return the body that is nearest to all points, preferring bodies of three or more points."""
 
     def rank(i: int) -> tuple[bool, float]:
         return len(bodies[i]) < 3, distances.usual_m[bodies[i]].min(axis=0).mean()
@@ -347,7 +366,7 @@ def _root_body(bodies: Sequence[list[int]], distances: _Distances) -> int:
 
 
 def _require_path(steps_m: Array, length_m: float, body_count: int, source: Path) -> None:
-    """Raise InputError for an animal that hardly moves, whose front is not known, or that has one body only."""
+    """Raise InputError if the animal hardly moves, its front is not known, or it has only one body."""
     path_m = float(np.nansum(np.linalg.norm(steps_m, axis=1)))
     if body_count == 1 or not path_m > length_m / 2:
         actual = f"an animal of {length_m:.3g} m that goes {path_m:.3g} m, with {body_count} bodies that turn"
@@ -356,14 +375,14 @@ def _require_path(steps_m: Array, length_m: float, body_count: int, source: Path
 
 
 def _ends_of_trunk(points_m: Array, centre_m: Array, steps_m: Array, root: Sequence[int]) -> tuple[int, int]:
-    """Return the points of the root body that are furthest back and ahead in the direction of travel."""
+    """Return the rearmost and foremost points of the root body along the direction of travel."""
     ahead = np.nansum(np.sum((points_m - centre_m[:, None])[..., :2] * steps_m[:, None], axis=2), axis=0)
     trunk = root if len(root) > 1 else range(points_m.shape[1])
     return min(trunk, key=ahead.__getitem__), max(trunk, key=ahead.__getitem__)
 
 
 def _in_body_frame(points_m: Array, origin: int, rear: int, front: int) -> Array:
-    """Return points (T, K, 3) from an origin, turned about z so that the trunk points along x."""
+    """Return points (T, K, 3) relative to an origin, turned about z so that the trunk points along x."""
     x, y, z = np.moveaxis(points_m - points_m[:, [origin]], 2, 0)
     heading = np.arctan2(y[:, front] - y[:, rear], x[:, front] - x[:, rear])[:, None]
     c, s = np.cos(heading), np.sin(heading)
@@ -371,9 +390,9 @@ def _in_body_frame(points_m: Array, origin: int, rear: int, front: int) -> Array
 
 
 def _expected_offsets_m(turned_m: Array, distances: _Distances) -> Array:
-    """Return the vectors (K, K, 3) from each point to another in the expected pose, with their usual lengths.
+    """Return the vectors (K, K, 3) from each point to every other in the expected pose, scaled to their usual lengths.
 
-    The expected pose is that of the frame that is nearest to the median of all frames.
+    The expected pose is that of the frame nearest to the median of all frames.
     """
     typical_m = np.nanmedian(turned_m, axis=0)
     deviations_m = np.where(np.isfinite(turned_m), turned_m - typical_m, distances.length_m)
@@ -385,17 +404,17 @@ def _expected_offsets_m(turned_m: Array, distances: _Distances) -> Array:
 
 
 def _tree(bodies: Sequence[list[int]], root: int, distances: _Distances) -> list[_Part]:
-    """Join bodies to a tree of segments, parents first.
+    """Join bodies into a tree of segments, parents first.
 
-    A point that keeps its distances to all of another body is the joint of the two; where there is none, a link
-    between two points joins them.
+    Two bodies are joined at a point whose distances to all points of the other body are constant. If there is no such
+    point, a link between two points joins them.
     """
     same_m = distances.same_m
-    # Cost (K, K) of a joint between two points: the change of their distance, and the distance itself.
+    # Cost (K, K) of a joint between two points: the variation of their distance plus the distance itself.
     costs = np.maximum(distances.changes_m, same_m / 2) + same_m * distances.usual_m / distances.length_m
 
     def joint(a: list[int], b: list[int]) -> tuple[float, int, int]:
-        """Return the cost of the best joint of two bodies, and its point on each."""
+        """Return the cost of the best joint between two bodies, and its point on each."""
         pairs = costs[np.ix_(a, b)]
         u, v = int(pairs.max(axis=1).argmin()), int(pairs.max(axis=0).argmin())
         i, j = divmod(int(pairs.argmin()), len(b))
@@ -424,7 +443,7 @@ def _tree(bodies: Sequence[list[int]], root: int, distances: _Distances) -> list
 def _segment(
     part: _Part, parts: Sequence[_Part], labels: Sequence[str], turned_m: Array, offsets_m: Array, fps: float
 ) -> dict[str, Any]:
-    """Return the table of a segment, which swings as much and as often as the line to its farthest point did."""
+    """Return the table of a segment that swings as far and as often as the line to its farthest point did."""
     table: dict[str, Any] = {"name": part.name(labels), "joint": "ball" if part.parent else "free"}
     if part.parent:
         table |= {"parent": part.parent.name(labels), "at_m": _at(offsets_m[part.parent.origin, part.origin])}
@@ -445,23 +464,23 @@ def _at(position_m: Array) -> list[float]:
     return [round(float(x), 5) for x in position_m]
 
 
-# -- a skeleton file ----------------------------------------------------------------------------------------------
+# -- writing a skeleton file --------------------------------------------------------------------------------------
 
 
 def head_text(comments: Iterable[str], title: str, origin: str, **values: Any) -> str:
-    """Return the beginning of a skeleton file. origin: what it was drafted from; values: its other fields."""
+    """Return the beginning of a skeleton file; `origin` names the source of the draft, `values` its other fields."""
     values = {"name": title, "title": f"{title}, drafted from {origin} of its keypoints", **values}
     return table_text("\n".join(f"# {line}" for line in comments), values)
 
 
 def table_text(header: str, values: Mapping[str, Any]) -> str:
-    """Return a table of a TOML file, each value on a line, as people write it."""
+    """Return a TOML table with one value per line."""
     names = {name: name if re.fullmatch(r"[\w-]+", name, re.ASCII) else toml_text(name) for name in values}
     return "\n".join([header, *(f"{names[name]} = {toml_text(value)}" for name, value in values.items())]) + "\n\n"
 
 
 def toml_text(value: object) -> str:
-    """Return a value as TOML writes it."""
+    """Return the TOML text of a value."""
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{name} = {toml_text(element)}" for name, element in value.items()) + " }"
     return json.dumps(value, ensure_ascii=False)

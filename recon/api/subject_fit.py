@@ -1,4 +1,4 @@
-"""Measure one animal: clips that several cameras filmed in, its lengths and its detector's offsets out."""
+"""Measure one animal: from clips filmed by several cameras, find its lengths and its detector's offsets."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ from recon.io.common import Pose3D
 from recon.io.positions import read_pose3d
 
 LEAST_SIZE_SIGMA = 0.01
-"""The least size_sigma of a measured animal: its lengths are known no better than a keypoint's place on it is."""
+"""Smallest size_sigma of a measured animal: its lengths are known no better than the positions of keypoints on it."""
 
 
 def _rows(fit: ShapeFit, size_sigma: float) -> Iterator[dict[str, Any]]:
-    """Yield what was measured: lengths in metres, offsets in millimetres."""
+    """Yield the measured values: lengths in metres, offsets in millimetres."""
     shape, values, sigma = fit.shape, fit.values, fit.sigma
     for name in shape.lengths:
         length_m, sigma_m, _ = fit.length_of((name,), size_sigma)
@@ -46,7 +46,7 @@ def _rows(fit: ShapeFit, size_sigma: float) -> Iterator[dict[str, Any]]:
 
 
 def _bones(fit: ShapeFit, size_sigma: float) -> Iterator[dict[str, Any]]:
-    """Yield the bones by name, with what they connect, their interval, and the share of it that the pixels give."""
+    """Yield the bones by name, with the points that they connect, their interval, and the part of it due to noise."""
     for bone in bones_of(fit.shape.body):
         if not {*bone.offsets} <= {*fit.shape.lengths}:
             continue
@@ -67,22 +67,22 @@ class SubjectFitSettings(Settings):
     """Settings of `recon subject fit`."""
 
     clips: Annotated[OneOrMore[Path], Option(argument="CLIPS")]
-    """Results of several cameras, or their config.toml."""
+    """Results of clips from several cameras, or their config.toml files."""
     out: Path
-    """File for the subject, as in my-cat.toml."""
+    """File to write the subject to, such as my-cat.toml."""
     lengths: bool = True
-    """Measure the lengths of the segments, left equal to right."""
+    """Measure the lengths of the segments, assuming that left equals right."""
     offsets: bool = False
-    """Measure where the detector's keypoints lie beside the markers."""
+    """Measure the offsets of the detector's keypoints from the markers."""
     poses: tuple[Path, ...] = ()
-    """3D poses by another method, one file a clip: offsets are measured beside these."""
+    """3D poses from another method, one file per clip; offsets are measured relative to them."""
     title: str | None = None
-    """Title of the animal, in words. (default: made up)"""
+    """Title of the animal. (default: made from the clips)"""
     overwrite: bool = False
     """Replace the file."""
 
     def problems(self) -> Iterator[Problem]:
-        """Yield problems if there is nothing to measure, or poses are not there for each clip."""
+        """Yield problems if there is nothing to measure, or if poses are not given for every clip."""
         if not self.lengths and not self.offsets:
             yield Problem("--no-lengths", "unknowns", "nothing to fit", "--offsets with it, or without it")
         if self.poses and (self.lengths or not self.offsets):
@@ -92,17 +92,17 @@ class SubjectFitSettings(Settings):
 
 
 def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
-    """Measure an animal and its detector in clips, and write the subject file; without lengths, the detector file.
+    """Measure an animal and its detector in clips, and write the subject file, or the detector file without lengths.
 
     Returns
     -------
     dict
-        The measured values as plain types; `size` is the mean factor of the lengths on the skeleton's.
+        The measured values as plain types; `size` is the mean ratio of the lengths to those of the skeleton.
 
     Raises
     ------
     InputError
-        For clips and options that cannot be used, with the problems of all of them.
+        If clips or options cannot be used; the message lists all problems.
     """
     output = output_file(settings.out, "subject fit", settings.overwrite, input_paths(settings))
     fits, _, _, known_poses = collect_problems(
@@ -112,7 +112,7 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
         lambda: collect_problems(*(partial(read_pose3d, path) for path in settings.poses)),
     )
     _require_one_skeleton(fits, settings.clips)
-    if settings.lengths:  # those of a measured animal would be measured again
+    if settings.lengths:  # the lengths of a subject would be measured a second time
         fits = [replace(inputs, subject=None) for inputs in fits]
     if settings.offsets:
         fits = [replace(inputs, detector=NONE) for inputs in fits]
@@ -138,7 +138,7 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
     notes = ["{name}: {value:.4g} ± {sigma:.2g} {unit}".format(**row) for row in rows]
     count = f"measured in {len(settings.clips)} clip{'s' * (len(settings.clips) > 1)}"
     if settings.lengths:
-        if not settings.offsets:  # the detector's are not the animal's
+        if not settings.offsets:  # offsets belong to the detector, not to the animal
             body = replace(body, keypoint_offset_m={})
         text = subject_toml(fits[0].skeleton_name, body, settings.title or f"{shape.body.title}, {count}", notes)
     else:
@@ -158,7 +158,7 @@ def _require_one_skeleton(settings: Sequence[FitSettings], clips: Sequence[Path]
 
 
 def clip_problem(settings: FitSettings, path: Path, pose: Pose3D | None) -> ClipProblem:
-    """Return a clip from which the animal can be measured; raise InputError for others."""
+    """Return the problem of a clip from which the animal can be measured; raise InputError for other clips."""
     if settings.method != "trajectory":
         raise InputError(Problem(path, "method", settings.method, "the trajectory method"))
     inputs = prepare(settings)
@@ -176,9 +176,9 @@ def clip_problem(settings: FitSettings, path: Path, pose: Pose3D | None) -> Clip
 
 
 def _known_states(problem: ClipProblem, frames: Integers, pose: Pose3D) -> Array:
-    """Return the states (T, D) of the body whose markers are nearest to a pose, NaN where it has none.
+    """Return the states (T, D) whose markers are nearest to a given pose, NaN in frames without one.
 
-    Raises InputError if it has no frame of the clip, or too few of the markers.
+    Raises InputError if the pose shares no frame with the clip, or has too few of the markers.
     """
     markers = problem.body.markers
     _, clip_rows, pose_rows = np.intersect1d(frames, pose.frames, return_indices=True)

@@ -1,4 +1,4 @@
-"""Triangulate keypoints of several cameras, without a skeleton: from files, or from plain objects."""
+"""Triangulate keypoints of several cameras without a skeleton, from files or from Python objects."""
 
 from __future__ import annotations
 
@@ -23,48 +23,48 @@ from recon.geometry.camera import Camera
 from recon.io.common import Pose3D
 
 POINTS, COVARIANCES, SUMMARY = "pose3d.csv", "pose3d_covariance.csv", "triangulation.json"
-"""Files of `recon triangulate`."""
+"""Files that `recon triangulate` writes."""
 TRIANGULATION_SETTINGS = (
     *("keypoints", "camera", "camera_name", "camera_unit", "camera_track", "fps", "image_size_px", "up"),
     *("individual", "rename", "frames", "offset_s", "camera_fps", "likelihood_min", "sigma_px"),
 )
-"""The settings of a fit that are read."""
+"""Settings of a fit that triangulation reads."""
 _COVARIANCE_COLUMNS = {"xx": (0, 0), "xy": (0, 1), "xz": (0, 2), "yy": (1, 1), "yz": (1, 2), "zz": (2, 2)}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TriangulatedClip(Brief):
-    """Hold the points of a clip that were triangulated: T frames of J keypoints by V cameras."""
+    """Hold the triangulated points of a clip: T frames of J keypoints seen by V cameras."""
 
     names: tuple[str, ...]
     """Names of the J keypoints."""
     frames: Array
-    """(T,): frame numbers, those of the first camera."""
+    """(T,): frame numbers of the first camera."""
     fps: float
     cameras: tuple[str, ...]
     """Names of the V cameras."""
     knows_up: bool
-    """Whether the cameras' poses say which way is up; otherwise z is up if the first camera is level."""
+    """Whether the cameras' poses define the upward direction; otherwise z is up if the first camera is level."""
     result: Triangulation
     is_smoothed: bool = False
 
     @property
     def points_m(self) -> Array:
-        """Return the points, (T, J, 3), metres, z up; NaN in gaps."""
+        """Return the points (T, J, 3), metres, z up; NaN in gaps."""
         return self.result.points_m
 
     @property
     def covariance_m2(self) -> Array:
-        """Return the covariances of the points, (T, J, 3, 3)."""
+        """Return the covariances of the points, (T, J, 3, 3), m²."""
         return self.result.covariance_m2
 
     @cached_property
     def pose3d(self) -> Pose3D:
-        """Return the points as 3D positions, which all writers take."""
+        """Return the points as a `Pose3D`, which all writers accept."""
         return Pose3D(self.names, self.points_m, self.frames, fps=self.fps, sigma_m=self.result.sigma_m)
 
     def summary(self) -> dict[str, Any]:
-        """Return what the points and the cameras' detections say of each other, as plain numbers."""
+        """Return how well the points and the detections of the cameras agree, as plain numbers."""
         result = self.result
         is_known = np.isfinite(result.points_m[..., 0])
         is_compared = np.isfinite(result.error_px)
@@ -107,27 +107,28 @@ def triangulate(
     Parameters
     ----------
     keypoints
-        One for each of V >= 2 synchronised cameras, as read. All have the first one's frame rate.
+        Keypoints of V >= 2 synchronised cameras, as read. All are taken to have the first one's frame rate.
     cameras
         The cameras in the same order, each with its pose.
     sigma_px
-        Expected noise of the detections, one standard deviation; that of each keypoint is estimated from there.
+        Expected noise of the detections in pixels, one standard deviation; the noise of each keypoint is estimated,
+        starting from this value.
     smooth
-        Whether points lie on smoothing splines over time, which also fill gaps of up to 0.2 s.
+        Whether to smooth the points over time with splines, which also fill gaps of up to 0.2 s.
     likelihood_min
-        Detections that are less likely are left out, 0 to 1.
+        Detections with a likelihood below this, 0 to 1, are left out.
 
     Returns
     -------
     TriangulatedClip
-        Points (T, J, 3) of all keypoints that a file has, metres, with covariances; NaN where fewer than two cameras
+        Points (T, J, 3) of all keypoints in the files, metres, with covariances; NaN where fewer than two cameras
         agree.
 
     Raises
     ------
     InputError
-        For fewer than two cameras, cameras without a pose, keypoints without a frame rate, or without any that are
-        likely enough.
+        If there are fewer than two cameras, a camera has no pose, or keypoints have no frame rate or no detection that
+        is likely enough.
     """
     if len(keypoints) < 2 or len(keypoints) != len(cameras):
         actual = f"{len(keypoints)} keypoint files and {len(cameras)} cameras"
@@ -149,14 +150,14 @@ def triangulate_files(settings: FitSettings, smooth: bool = False) -> Triangulat
     Parameters
     ----------
     settings
-        Those of `TRIANGULATION_SETTINGS` are read.
+        Settings of a fit; only those in `TRIANGULATION_SETTINGS` are read.
     smooth
         As in `triangulate`.
 
     Raises
     ------
     InputError
-        For files and settings that cannot be used, with the problems of all of them.
+        If files or settings cannot be used; the message lists all problems.
     """
     if len(settings.keypoints) < 2:
         expected = "one for each of two or more cameras; a single camera needs a skeleton (recon fit)"
@@ -196,7 +197,8 @@ def run_triangulation(
 ) -> TriangulatedClip:
     """Triangulate the keypoint files of a clip, and write `POINTS`, `COVARIANCES` and `SUMMARY` into a folder.
 
-    Files of the folder that this command did not write, or that somebody changed since, stay: InputError names them.
+    Files in the folder that this command did not write, or that were changed afterwards, are kept: an InputError names
+    them.
     """
     from recon.io.deeplabcut import write_csv
     from recon.io.writing import write_table
