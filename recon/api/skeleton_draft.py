@@ -229,7 +229,7 @@ def _understood(names: Sequence[str], markers: Sequence[str]) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class _Part:
-    """A segment: its number, the point where it begins, its parent, its points, and the line of points along it."""
+    """Hold a segment: its number, the point where it begins, its parent, its points, and the line along it."""
 
     number: int
     origin: int

@@ -1,4 +1,4 @@
-"""The command `recon analyse`: what a fitted clip says of the animal's movement, in words."""
+"""The command `recon analyse`: tables, figures and a summary of a fitted clip."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from recon.gait.gait import interval_text
 from recon.show.sentences import result_sentences
 
 MOST_STANCES = 100
-"""Number of stances that are printed at most, of all feet."""
+"""Largest number of stances that are printed, over all feet."""
 
 
 def analyse_command(settings: AnalyseSettings, progress: Progress = silent) -> Answer:
     """Analyse a reconstruction: kinematics, gait, vector fields and phase portraits.
 
-    Writes tables (CSV) and figures (PNG, SVG); recon view shows the plots beside the playback from then on.
+    Writes tables (CSV) and figures (PNG, SVG). Afterwards, recon view shows the plots next to the playback.
 
     Example: recon analyse results/clip
     """
@@ -35,7 +35,7 @@ def analyse_command(settings: AnalyseSettings, progress: Progress = silent) -> A
 
 
 ACCELERATION_KNOWN_M_S2 = 10.0
-"""Standard deviation of an acceleration above which no number is given: animals hardly have more."""
+"""Standard deviation of an acceleration above which it is not reported: animals hardly accelerate more."""
 
 
 def _lines(analysis: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str | Text | Table]:

@@ -1,4 +1,4 @@
-"""Define what a command answers, and print it."""
+"""Define the answer of a command, and print it."""
 
 from __future__ import annotations
 
@@ -34,23 +34,25 @@ EXIT_BAD_INPUT = 2
 
 @dataclass(frozen=True)
 class Answer:
-    """The answer of a command, for people and for other programs."""
+    """Hold the answer of a command, for people and for other programs."""
 
     data: Any
-    """Content of --json; a text is printed as it is."""
+    """Content of --json; a string is printed unchanged."""
     lines: Iterable[str | Text | Table] = ()
-    """Lines that are printed without --json."""
+    """Lines that are printed unless --json is given."""
     errors: Sequence[str] = ()
-    """Failures, which are printed in any case; the exit code is 1."""
+    """Failures, which are always printed; the exit code is then 1."""
     code: int = 0
     """Exit code if there are no errors."""
     files: Sequence[Path] = ()
     """Files that were written, for the stages of `recon run`."""
     notes: Sequence[str] = ()
-    """Notes to read before the result is used: printed after the lines, by `recon run` once for all stages."""
+    """Notes to read before using the result, printed after the lines; `recon run` prints each note once for all
+    stages.
+    """
 
     def show(self, console: Console, as_json: bool) -> None:
-        """Print the answer, and end with its exit code."""
+        """Print the answer, and exit with its code."""
         if as_json:
             typer.echo(_shown_json(self.data if isinstance(self.data, str) else _json(self.data)), nl=False)
         for line in () if as_json else self.lines:
@@ -64,13 +66,14 @@ class Answer:
 
 
 def _json(data: object) -> str:
-    from recon.show.plain import to_json  # numpy is slow to import, and recon doctor says where it cannot be
+    # numpy is slow to import, and recon doctor must report a numpy that cannot be imported
+    from recon.show.plain import to_json
 
     return to_json(data)
 
 
 def _shown_json(text: str) -> str:
-    """Return JSON as standard output can have it: with JSON's own codes if that is ASCII."""
+    """Return JSON that standard output can encode, escaped if its encoding is ASCII."""
     try:
         text.encode(sys.stdout.encoding or "utf-8")
     except UnicodeEncodeError:
@@ -79,9 +82,9 @@ def _shown_json(text: str) -> str:
 
 
 def terminal(**options: Any) -> Console:
-    """Return a console to print to.
+    """Return a console that prints to the terminal.
 
-    Brackets and colons in names are no markup, and a terminal's commands are shown as codes.
+    Brackets and colons in names are not treated as markup, and control characters are shown as codes.
     """
     return _Terminal(markup=False, emoji=False, **options)
 
@@ -97,12 +100,12 @@ class _Terminal(Console):
 
 
 def say(console: Console, text: str | Text, style: str = "") -> None:
-    """Print one line, however long: without markup, and without breaks that a terminal would not make."""
+    """Print one line of any length, without markup and without line breaks where no terminal needs them."""
     console.print(Text(printable(text), style) if isinstance(text, str) else text, soft_wrap=True)
 
 
 def verdict_texts(verdict: Verdict | None) -> Iterator[Text]:
-    """Yield the lines of a verdict, which come first; none for a motion without one."""
+    """Yield the lines of a verdict, which are printed first; none if the motion has no verdict."""
     from recon.show.console import STYLES
 
     for line in verdict.lines if verdict else ():
@@ -113,9 +116,9 @@ def verdict_texts(verdict: Verdict | None) -> Iterator[Text]:
 def table_of(
     *texts: str, numbers: Iterable[str] = (), rows: Iterable[Iterable[str | Text]] = (), **options: Any
 ) -> Table:
-    """Return a table: columns of texts, the first of which names the row, then of numbers.
+    """Return a table with text columns, the first of which names the row, followed by columns of numbers.
 
-    No word of a header is cut.
+    Words in the header are never cut.
     """
     first, *more_texts = texts
     columns = (
@@ -132,12 +135,12 @@ def table_of(
 
 
 def error_text(message: str) -> Text:
-    """Return the line of an error."""
+    """Return the line that reports an error."""
     return Text.assemble(("error:", "bold red"), " ", printable(message))
 
 
 def stop(message: str = MESSAGE) -> NoReturn:
-    """End a command at Ctrl-C with one line and exit code 130."""
+    """End a command at Ctrl-C, with one line and exit code 130."""
     interrupts = installed()
     if interrupts is not None:
         interrupts.said = True
@@ -147,8 +150,8 @@ def stop(message: str = MESSAGE) -> NoReturn:
 
 @contextmanager
 def progress_bar(console: Console) -> Iterator[ProgressFunction]:
-    """Give a function of a stage and its share of the work (0 to 1), which draws a bar on a terminal."""
-    if console.quiet or not console.is_terminal:  # some versions of rich end a bar that is disabled with an empty line
+    """Yield a function that takes a stage and the fraction done (0 to 1), and draws a bar on a terminal."""
+    if console.quiet or not console.is_terminal:  # some versions of rich end a disabled bar with an empty line
         yield silent
         return
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
@@ -158,7 +161,7 @@ def progress_bar(console: Console) -> Iterator[ProgressFunction]:
 
 
 def answer_of_fit(report: dict[str, Any], out: Path, page: Path | None = None, **fields: Any) -> Answer:
-    """Return the answer of a fit. page: its page, if there is one; fields: further ones for --json."""
+    """Return the answer of a fit; `page` is its page, if there is one, and `fields` are added to the JSON."""
     from recon.show.console import console_summary
     from recon.show.report import is_unsolved
 

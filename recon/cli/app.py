@@ -1,4 +1,4 @@
-"""The command line: which commands there are, how one is called, and how errors end."""
+"""The command line: the list of commands, how a command is called, and how errors end."""
 
 from __future__ import annotations
 
@@ -293,8 +293,9 @@ COMMANDS = {
         "doctor": (_doctor, "Check versions, optional parts, the viewer, and a fit of the sample."),
     },
 }
-"""By heading and name: what imports the command's function, and what `recon --help` says of it. Only the command that
-is called is imported."""
+"""Commands by heading and name: the function that imports the command, and its line in `recon --help`. Only the called
+command is imported.
+"""
 GROUPS = {
     "skeleton": "Skeletons: those that come with the package, and your own.",
     "subject": "Measured animals: lengths of one animal, and how a detector sees it.",
@@ -304,18 +305,18 @@ GROUPS = {
 
 
 class _Group(TyperGroup):
-    """Commands by name, of which only the one that is called is imported. functions: what imports each function."""
+    """Group commands by name, importing only the called one; `functions` maps names to import functions."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
         self.functions: dict[str, Callable[[], CommandFunction]] = {}
 
     def load(self, name: str) -> SettingsCommand:
-        """Return a command by its name, of one word or two."""
+        """Return a command by its name, which has one or two words."""
         return make_command(name, self.functions[name]())
 
     def resolve_command(self, ctx: Context, args: list[str]) -> tuple[str | None, Command | None, list[str]]:
-        """Return the command that arguments call, of one word or two, and the other arguments."""
+        """Return the command that the arguments name in one or two words, and the remaining arguments."""
         two_words = " ".join(args[:2])
         name, command, rest = super().resolve_command(
             ctx, [two_words, *args[2:]] if two_words in self.commands else args
@@ -325,7 +326,7 @@ class _Group(TyperGroup):
 
 
 class _Commands(_Group):
-    """All commands of `COMMANDS`. Each ends at Ctrl-C with one line and exit code 130."""
+    """Group all commands of `COMMANDS`; at Ctrl-C each ends with one line and exit code 130."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -343,7 +344,7 @@ class _Commands(_Group):
             group.add_command(TyperCommand(rest, help=help_text))
 
     def invoke(self, ctx: Context) -> object:
-        """Run the command that is called, and end it at Ctrl-C."""
+        """Run the called command, and end it at Ctrl-C."""
         interrupts = installed() or Interrupts()
         try:
             interrupts.in_command = True
@@ -352,7 +353,8 @@ class _Commands(_Group):
             stop()
         finally:
             interrupts.in_command = False
-            if interrupts.received and not interrupts.said:  # a library has made another exception of it, or none
+            # a library turned Ctrl-C into another exception, or swallowed it
+            if interrupts.received and not interrupts.said:
                 stop()
 
 
@@ -375,13 +377,13 @@ class _ListedSettings(Settings):
     """Settings of `recon settings`."""
 
     command: Annotated[str, Option(argument="COMMAND")] = "fit"
-    """The command, as in fit."""
+    """The command, such as fit."""
     schema: bool = False
-    """Print the JSON schema of config.toml in place of the list: editors complete and check by it."""
+    """Print the JSON schema of config.toml instead of the list; editors use it for completion and checks."""
 
 
 def list_settings(settings: _ListedSettings) -> Answer:
-    """List all settings of a command: those that are options, and those that only --set and config.toml have.
+    """List all settings of a command: its options, and the settings available only through --set and config.toml.
 
     Example: recon settings fit
     """
@@ -413,11 +415,11 @@ _NO_MEMORY = re.compile(
     r"(?i)(cannot|can't|could not) allocate|insufficient memory|out of memory|bad_alloc|failed to map segment"
     r"|can't start new thread|failed to spawn|error return without exception"
 )
-"""Messages of libraries if memory is short, in exceptions of many types, also while they are loaded."""
+"""Messages of libraries when memory runs out, raised in many exception types, also while they are being imported."""
 
 
 def main() -> None:
-    """Run the command line. An error of the user ends with one message and exit code 2."""
+    """Run the command line; a user's error ends with one message and exit code 2."""
     console = terminal(stderr=True, soft_wrap=True)
     try:
         app()
@@ -432,7 +434,7 @@ def main() -> None:
             message = f" ({message[:200]})" if message else ""
             console.print(error_text(f"not enough memory{message}: try fewer frames at once (--frames)"))
             sys.stdout.flush()
-            os._exit(EXIT_UNSOLVED)  # half-initialised libraries crash in a normal exit
+            os._exit(EXIT_UNSOLVED)  # half-initialised libraries crash during a normal exit
         if isinstance(error, UnicodeEncodeError) and encodable(error.object) != error.object:
             problem = Problem(
                 error.object[:200], "name", "bytes that are not UTF-8", "a name in UTF-8: rename the file"

@@ -1,4 +1,4 @@
-"""The command `recon audit`: what it prints and writes."""
+"""The command `recon audit`: check keypoints or poses from any program."""
 
 from __future__ import annotations
 
@@ -28,30 +28,30 @@ class _AuditSettings(Settings):
     """The settings of `recon audit`."""
 
     source: Annotated[Path, Option(argument="FILE")]
-    """2D keypoints or 3D poses of any program, as in clip.csv, or a folder of results."""
+    """2D keypoints or 3D poses from any program, such as clip.csv, or a results folder."""
     out: Path | None = None
-    """Folder for a table and a page of the findings, as in audits/clip."""
+    """Folder for a table and a page of the findings, such as audits/clip."""
     fps: Positive | None = None
-    """Frames a second, as in 120, if the file does not say it."""
+    """Frames per second, such as 120, if the file does not state it."""
     unit: str | None = None
-    """Unit of 3D positions, if the file does not say it: m, cm or mm."""
+    """Unit of 3D positions, if the file does not state it: m, cm or mm."""
     up: str | None = None
-    """Axis of 3D positions that points up, if unsaid: y or z."""
+    """Upward axis of 3D positions, if the file does not state it: y or z."""
     individual: Annotated[str | None, Option(INDIVIDUAL)] = None
     columns: str | None = None
     """Columns of a plain CSV, as for recon convert."""
     likelihood_min: Annotated[Number, Field(ge=0, le=1), Option(expected="a number from 0 to 1")] = 0.5
-    """Leave out detections less likely than this, 0 to 1."""
+    """Leave out detections with a likelihood below this, 0 to 1."""
     overwrite: bool = False
     """Replace an earlier audit."""
 
 
 def audit(settings: _AuditSettings) -> Answer:
-    """Audit 2D keypoints or 3D poses of any origin: copied, frozen and swapped points, lengths, unit, gravity, feet.
+    """Audit 2D keypoints or 3D poses from any program: copied, frozen and swapped points, lengths, unit, gravity, feet.
 
     Example: recon audit poses.csv --fps 120
 
-    Each finding says what was found, in which frames, and one thing to do. Nothing is changed.
+    Each finding states the problem, the frames, and one thing to do. The file is not changed.
     """
     output = None
     if settings.out is not None:

@@ -1,4 +1,4 @@
-"""The command `recon batch`: how the work goes, a line a clip, and what became of all."""
+"""The command `recon batch`: print the progress, one line per clip, and a summary."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from recon.show.page.own_page import SUMMARY_PAGE
 
 CANNOT = "cannot be fitted"
 NAMED = 3
-"""Number of clips with the same problem that are named."""
+"""Largest number of clips with the same problem that are listed by name."""
 _STYLES = {"unsolved": "red", "failed": "red", "pending": "yellow"}
 """Styles of the statuses; a clip that is done has the style of its verdict."""
 _COMMON, _WORK = "Settings of every clip", "How the work is done"
@@ -37,45 +37,48 @@ _FitOptions = Annotated[dict[str, Any], OptionsOf(FitSettings, OF_ANY_CLIP, _COM
 
 
 class _BatchSettings(Settings):
-    """Settings of `recon batch` besides those of every clip's fit."""
+    """Settings of `recon batch` in addition to those of the fits."""
 
     inputs: Annotated[OneOrMore[str], Option(argument="INPUT")]
-    """Keypoint files, quoted patterns as in 'clips/*.csv', folders, also projects of DeepLabCut and Anipose, or
-    manifests: CSV tables with a column keypoints, and one for each setting that differs."""
+    """Keypoint files, quoted patterns such as 'clips/*.csv', folders, projects of DeepLabCut and Anipose, or manifests:
+    CSV tables with a column keypoints, and one column for each setting that differs between clips.
+    """
     out: Path
-    """Folder for the results: one folder a clip, and summary.csv."""
+    """Folder for the results: one folder per clip, and summary.csv."""
     config: Annotated[Path | None, Option(panel=_COMMON)] = None
-    """config.toml of a fit; options here overrule it."""
+    """config.toml of an earlier fit; options given here override it."""
     cameras_by: Annotated[str, Option(metavar="auto|none|PATTERN", panel=_COMMON)] = "auto"
-    """Which files are one clip. auto: names that differ by a camera's only; none: each; or a regular expression for the
-    camera's name in a file's, as in '-cam([A-Z])'."""
+    """How to join the files of one clip from several cameras. auto: by file names that differ only in the camera's
+    name; none: every file is a clip; or a regular expression for the camera's name, such as '-cam([A-Z])'.
+    """
     recursive: Annotated[bool, Option(panel=_COMMON)] = False
-    """Read the folders within a folder, too."""
+    """Read subfolders too."""
     jobs: Annotated[Count | None, Option(panel=_WORK)] = None
-    """Clips at a time. (default: one for each core)"""
+    """Number of clips to fit at the same time. (default: one per core)"""
     scheduler: Annotated[str | None, Option(panel=_WORK)] = None
-    """A Dask cluster instead, as in tcp://host:8786."""
+    """Dask cluster to use instead of this machine, such as tcp://host:8786."""
     retries: Annotated[Annotated[Integer, Field(ge=0)], Option(panel=_WORK)] = 1
-    """Tries more where a worker died."""
+    """Number of further tries after a worker died."""
     overwrite: Annotated[bool, Option(panel=_WORK)] = False
-    """Fit everything again, and replace results of other fits that nobody changed."""
+    """Fit everything again, and replace results of other fits unless they were changed by hand."""
     dry_run: Annotated[bool, Option(panel=_WORK)] = False
-    """Only look: what would be done, and what inputs lack."""
+    """Fit nothing: list what would be done, and any problems of the inputs."""
     strict: Annotated[bool, Option(panel=_WORK)] = False
-    """Exit code 1 if any clip failed or is unsolved."""
+    """Exit with code 1 if any clip failed or is unsolved."""
 
 
 def batch(settings: _BatchSettings, options: _FitOptions, console: Console) -> Answer:
-    """Reconstruct many clips in parallel. The same command again goes on where it was stopped.
+    """Reconstruct many clips in parallel. Run the same command again to continue after an interruption.
 
-    A clip is done when its folder holds results of the same keypoints, camera and other files (by their content), the
-    same settings and the same version of recon. Where one of these has changed it is fitted again and its results are
-    replaced. Folders with results that are not of a batch, or of another clip, are never touched without --overwrite.
+    A clip is done when its folder holds results from the same keypoints, camera and other files (compared by content),
+    the same settings and the same version of recon. If one of these has changed, the clip is fitted again and its
+    results are replaced. Folders with results of another clip, or not from a batch, are never touched without
+    --overwrite.
 
     Example: recon batch 'clips/*.csv' --camera camera.toml --fps 120 --out results
 
-    Exit code 0: done, whatever became of single clips (see --strict). 2: the input as a whole cannot be used; nothing
-    was done. 130: stopped with Ctrl-C; what is done is kept.
+    Exit code 0: finished, even if single clips failed (see --strict). 2: the input as a whole cannot be used; nothing
+    was done. 130: stopped with Ctrl-C; finished clips are kept.
     """
     clips, notes = find_clips(
         settings.inputs, options, settings.config, settings.cameras_by, recursive=settings.recursive
@@ -85,7 +88,7 @@ def batch(settings: _BatchSettings, options: _FitOptions, console: Console) -> A
     plan = plan_batch(clips, settings.out, settings.overwrite)
     if settings.dry_run:
         return _dry_run_answer(plan, input_problems(clips), settings.strict)
-    shared = repeated(input_problems(clips, shared_only=True))  # even if each clip has a file of its own
+    shared = repeated(input_problems(clips, shared_only=True))  # even if every clip has its own file
     raise_problems(problem for problem, places in shared if len(places) == len(clips))
     left = sum(planned.action != "done" for planned in plan)
     if left < len(plan):
@@ -101,22 +104,22 @@ PAGE_OF_A_CLIP = "recon report {out}/CLIP, a page of one clip; "
 
 
 def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary], clip_command: str = "") -> Answer:
-    """Work, print a line a clip and a bar on a terminal meanwhile, and return the answer.
+    """Run a batch, print one line per clip and a progress bar on a terminal, and return the answer.
 
     Parameters
     ----------
     console
-        Where it prints.
+        Console to print to.
     left
         Number of clips to do.
     work
-        Does the work, and calls the function that it is given at each event.
+        Function that does the work and calls its argument at each event.
     clip_command
-        Command that is next for one of the clips, with {out} for the folder.
+        Command to suggest for one of the clips, with {out} for the folder.
     """
     summaries: list[Summary] = []
     began, ended = time.monotonic(), 0
-    # Failures are printed even if nothing else is.
+    # Failures are printed even with --quiet.
     errors = terminal(stderr=True, soft_wrap=True) if console.quiet or not console.is_terminal else console
     try:
         with progress_bar(console) as progress:
@@ -148,7 +151,7 @@ def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary],
 
 
 def _dry_run_answer(plan: Sequence[ClipPlan], problems: Sequence[Problems], strict: bool) -> Answer:
-    """Return what would be done with each clip, and what inputs lack."""
+    """Return the actions planned for each clip, and the problems of the inputs."""
     rows: list[dict[str, Any]] = [
         {
             "clip": planned.clip.name,
@@ -185,7 +188,7 @@ def _dry_run_answer(plan: Sequence[ClipPlan], problems: Sequence[Problems], stri
 
 
 def _row_text(row: Mapping[str, Any]) -> Text:
-    """Return the end of one clip in a line."""
+    """Return the line that reports the end of one clip."""
     level = row["verdict"] or ""
     text = Text.assemble((row["status"], _STYLES.get(row["status"], "")), f"  {row['clip']}")
     if row["error"]:

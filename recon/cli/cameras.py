@@ -1,4 +1,4 @@
-"""The commands on cameras: calibration, poses from clips, the motion of a camera that turns, and where to put one."""
+"""The commands for cameras: lens calibration, poses from clips, motion of a turning camera, and camera placement."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from recon.geometry.camera import Camera
 
 
 def calibrate(settings: CalibrationSettings, progress: Progress) -> Answer:
-    """Calibrate a camera: pictures or a video of a board in, a camera file and a picture of the coverage out.
+    """Calibrate a camera from pictures or a video of a board; write a camera file and a picture of the coverage.
 
     Example: recon calibrate board/ --board chessboard:9x6:25mm --model radtan --out camera.toml
 
-    Exit code 0: written. 1: refused, because a check failed. 2: the input cannot be used.
+    Exit code 0: written. 1: not written, because a check failed. 2: the input cannot be used.
     """
     report = run_calibration(settings, progress)
     errors = []
@@ -44,7 +44,7 @@ def calibrate(settings: CalibrationSettings, progress: Progress) -> Answer:
         errors = [f"refused: {check['text']}" for check in report["checks"] if check["verdict"] == "refused"]
         advice = f"mend that, or say --force. What there is: {report['picture']}"
         errors.append(f"{settings.out} was not written: {advice}")
-    data = json.dumps(report, indent=1) + "\n"  # the camera to the last digit
+    data = json.dumps(report, indent=1) + "\n"  # print the camera with full precision
     return Answer(data, _calibration_lines(report), errors)
 
 
@@ -86,30 +86,31 @@ _SETTINGS = (
     *("skeleton", "subject", "detector", "prior", "individual", "rename", "frames", "likelihood_min", "sigma_px"),
     "keypoint_sigma_m",
 )
-"""Settings of a fit that are read."""
+"""Settings of a fit that this command reads."""
 _OfClips = Annotated[dict[str, Any], OptionsOf(FitSettings, _SETTINGS)]
 
 
 class _ExtrinsicsSettings(Settings):
-    """Settings of `recon calibrate extrinsics` besides those of the clips."""
+    """Settings of `recon calibrate extrinsics` in addition to those of the clips."""
 
     inputs: Annotated[OneOrMore[str], Option(argument="INPUT")]
     """Keypoint files, quoted patterns, folders, or manifests, as for recon batch."""
     out: Path
-    """The file of all cameras, as in cameras.toml."""
+    """Camera file to write, such as cameras.toml."""
     cameras_by: Annotated[str, Option(metavar="auto|PATTERN")] = "auto"
-    """Which files are one clip, as for recon batch."""
+    """How to join the files of one clip, as for recon batch."""
     level_deg: Annotated[Number, Field(ge=0.01, le=90)] | None = None
-    """How far each camera is from level or its tilt, in degrees; 1 with a bubble. (default: 5)"""
+    """Expected deviation of each camera from level or from its tilt, in degrees; 1 if set up with a bubble level.
+    (default: 5)
+    """
     overwrite: bool = False
     """Replace the file."""
 
 
 def extrinsics(settings: _ExtrinsicsSettings, options: _OfClips, progress: Progress, console: Console) -> Answer:
-    """Find the poses of cameras from their lenses and clips of the animal, the better the more clips there are.
+    """Find the poses of cameras from their lenses and clips of the animal; more clips give better poses.
 
-    With --set refine-cameras=true, the poses in the camera file are taken for as good as 2 degrees and 5 cm, and are
-    refined.
+    With --set refine-cameras=true, the poses in the camera file are refined, assuming errors of 2 degrees and 5 cm.
 
     Example: recon calibrate extrinsics run*_cam*.csv --camera lenses.toml --fps 90 --out cameras.toml
 
@@ -125,7 +126,7 @@ def extrinsics(settings: _ExtrinsicsSettings, options: _OfClips, progress: Progr
 
 
 def lines_of(cameras: Sequence[Camera], report: Mapping[str, Any]) -> Iterator[str]:
-    """Yield where the cameras are, and what the clips say of them."""
+    """Yield lines on the positions of the cameras, and on how well the clips determine them."""
     first = cameras[0].centre_world
     for camera, camera_report in zip(cameras, report["cameras"], strict=True):
         turn, shift = (float(np.linalg.norm(camera_report[name])) for name in ("turn_sigma_rad", "shift_sigma_m"))
@@ -151,7 +152,7 @@ def lines_of(cameras: Sequence[Camera], report: Mapping[str, Any]) -> Iterator[s
 
 
 def camera_motion(settings: CameraMotionSettings, progress: Progress = silent) -> Answer:
-    """Find how a camera turned (and zoomed) from the background of its video: a camera track.
+    """Find how a camera turned (and zoomed) from the background of its video, and write a camera track.
 
     Example: recon camera-motion clip.mp4 --camera camera.toml --keypoints clip.csv --out track.csv
     """
@@ -160,7 +161,7 @@ def camera_motion(settings: CameraMotionSettings, progress: Progress = silent) -
 
 
 def camera_motion_answer(settings: CameraMotionSettings, output: Output, progress: Progress = silent) -> Answer:
-    """Find how a camera turned, write its files to an output, and answer the command."""
+    """Find how a camera turned, write its files to an output, and return the answer."""
     report = run_camera_motion(settings, output, progress)
     paths = [settings.out.with_name(name) for name in motion_files(settings.out)]
     lost_count, keyframes = len(report["frames_without_background"]), counted(len(report["keyframes"]), "keyframe")
@@ -178,7 +179,7 @@ def camera_motion_answer(settings: CameraMotionSettings, output: Output, progres
 
 
 def camera_advice(settings: CameraAdviceSettings, progress: Progress) -> Answer:
-    """Advise where to put a camera, or two, so that an angle or a joint is seen and not guessed.
+    """Advise where to place one or two cameras to measure an angle or a joint.
 
     Example: recon camera-advice --skeleton cheetah-24 --angle front_trunk_yaw --out advice
     """

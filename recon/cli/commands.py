@@ -1,13 +1,13 @@
-"""A command, made of the function that runs it and of its settings.
+"""Make a command from the function that runs it and from its settings.
 
-A command is a function whose parameters say what it takes, all by name; its options, help and completion follow from
-them:
+The function's keyword parameters define the command's options, help and completion:
 
     def view(settings: ViewSettings, progress: Progress) -> Answer:
 
-settings: of the class that is annotated. options: what was given of another class, for example those of every fit of a
-batch, as a dictionary by name (annotated with `OptionsOf`). console, progress: where it prints, and the progress bar's
-function. Its docstring is the help, and its answer is printed as --json and --quiet say.
+`settings` is an instance of the annotated class. `options` holds the given settings of another class, such as those of
+every fit in a batch, as a dictionary by name (annotated with `OptionsOf`). `console` is the console to print to, and
+`progress` updates the progress bar. The function's docstring is the help text. Its answer is printed according to
+--json and --quiet.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ _JSON = typer.Option("--json", help="Print what there is to say as JSON.")
 _QUIET = typer.Option("--quiet", "-q", help="Print errors only.")
 HELP = {"help_option_names": ["-h", "--help"]}
 _RATES = ("framerate", "frame-rate")
-"""Names that other programs have for --fps."""
+"""Names of --fps in other programs."""
 _METHOD = "recon frame, which is the published method, or --set method=VALUE"
-"""In place of --method."""
+"""What to use instead of --method."""
 _SET = "set_"
 """Name of the parameter of --set."""
 
@@ -48,11 +48,11 @@ class OptionsOf:
 
     settings: type[Settings]
     names: tuple[str, ...] = ()
-    """Names of the settings; all if empty."""
+    """Names of the settings; empty means all."""
     panel: str | None = None
-    """Heading in the help under which they stand."""
+    """Heading under which the help lists the settings."""
     promoted: tuple[str, ...] = ()
-    """Settings that are options of this command, though others set them with --set."""
+    """Settings that are options of this command, although other commands take them through --set."""
 
     @property
     def infos(self) -> dict[str, SettingInfo]:
@@ -67,13 +67,13 @@ class OptionsOf:
 
 
 class SettingsCommand(TyperCommand):
-    """A command whose settings say themselves what is missing or wrong, all at once."""
+    """A command whose settings report everything missing or wrong at once."""
 
     infos: dict[str, SettingInfo]
     """All settings by name, those of another class first."""
 
     def parse_args(self, ctx: Context, args: list[str]) -> list[str]:
-        """Parse arguments; raise InputError for settings that are no options, with the way to give them."""
+        """Parse arguments; raise InputError for settings that are not options, and say how to give them."""
         rare = {info.on_command_line: info.field for info in self.infos.values() if not info.option.common}
         field_by_option = {written[6:]: (field, f"{written}=VALUE") for written, field in rare.items()}
         if "method" in field_by_option:
@@ -89,15 +89,15 @@ class SettingsCommand(TyperCommand):
         return super().parse_args(ctx, args)
 
     def format_help(self, ctx: Context, formatter: HelpFormatter) -> None:
-        """Write the help, which marks settings that have to be given."""
-        for parameter in self.params:  # the parser never asks for what must be given, the help says it
+        """Write the help, which marks required settings."""
+        for parameter in self.params:  # the parser does not know which settings are required, so the help says it
             info = self.infos.get(str(parameter.name))
             parameter.required = info is not None and info.default is MISSING
         super().format_help(ctx, formatter)
 
 
 def make_command(name: str, function: Callable[..., Answer]) -> SettingsCommand:
-    """Return the command of a function, as the module's text says."""
+    """Return the command made from a function, as the module's docstring describes."""
     takes = typing.get_type_hints(function, include_extras=True)
     own_infos: dict[str, SettingInfo] = takes["settings"].infos() if "settings" in takes else {}
     other_infos = takes["options"].__metadata__[0].infos if "options" in takes else {}
@@ -109,7 +109,7 @@ def make_command(name: str, function: Callable[..., Answer]) -> SettingsCommand:
     parameters += [_keyword("as_json", bool, _JSON, False), _keyword("quiet", bool, _QUIET, False)]
 
     def call(as_json: bool, quiet: bool, **arguments: Any) -> None:
-        """Run the function. Raises InputError with everything that is wrong with the command's own settings."""
+        """Run the function; raise InputError with everything that is wrong with the command's own settings."""
         console = terminal(quiet=quiet, stderr=as_json)
         keywords: dict[str, Any] = {"console": console} if "console" in takes else {}
         values = _values_of_set(arguments.pop(_SET, None) or [], infos)
@@ -136,7 +136,10 @@ def make_command(name: str, function: Callable[..., Answer]) -> SettingsCommand:
 
 
 def _values_of_set(texts: list[str], infos: dict[str, SettingInfo]) -> dict[str, Any]:
-    """Return the values of --set. Raises InputError for texts that are none."""
+    """Return the values of --set.
+
+    Raises InputError for malformed values.
+    """
     values: dict[str, Any] = {}
     problems = []
     for text in texts:
@@ -159,9 +162,9 @@ def _keyword(name: str, kind: object, info: object, default: object = None) -> i
 
 
 def _parameter(info: SettingInfo, overrules: bool) -> inspect.Parameter:
-    """Return an option or argument as typer takes it. Its value is text, or a path, which the settings check.
+    """Return an option or argument for typer, whose value is a string or path that the settings check later.
 
-    overrules: whether it may take back what a file says.
+    `overrules` states whether the option may unset a value from a file.
     """
     option, default = info.option, None if info.default is MISSING else info.default
     kind = bool if info.is_flag else Path if Path in info.parts else str

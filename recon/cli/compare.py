@@ -1,4 +1,4 @@
-"""The command `recon compare`: strides and speeds of several clips, by group, in words."""
+"""The command `recon compare`: compare strides and speeds of several clips by group."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from recon.show.page.own_page import COMPARE_PAGE
 
 
 def compare(settings: CompareSettings, progress: Progress) -> Answer:
-    """Compare strides and speeds of several clips by group: each with its uncertainty, the groups' means and spreads.
+    """Compare strides and speeds of several clips by group, with uncertainties, group means and spreads.
 
     Example: recon compare results/a results/b results/c --table animals.csv --by sex --out comparison
     """

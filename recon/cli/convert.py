@@ -1,4 +1,4 @@
-"""`recon convert`: 2D keypoints, 3D positions, or the bones of results, in another file format."""
+"""The command `recon convert`: write 2D keypoints, 3D positions, or bones in another file format."""
 
 from __future__ import annotations
 
@@ -24,44 +24,47 @@ from recon.show.plain import by_name
 from recon.show.rig import rig_of
 
 ROBOT_FILE = "robot.npz"
-"""In a folder of `recon retarget`."""
+"""File name in a folder of `recon retarget`."""
 
 
 class ConvertSettings(Settings):
     """Settings of `recon convert`."""
 
     source: Annotated[Path | None, Option(argument="IN")] = None
-    """File, or folder of results, as in results/clip."""
+    """File or results folder, such as results/clip."""
     out: Annotated[Path | None, Option(argument="OUT")] = None
-    """File to write, as in clip.trc."""
+    """File to write, such as clip.trc."""
     to: str | None = None
-    """Format, where the extension has several, as in long. (default: see --list)"""
+    """Format, if the extension has several, such as long. (default: see --list)"""
     fps: Positive | None = None
-    """Frames a second, as in 120, where IN does not say it. For a robot's motion: those that OUT gets. (default: 50)"""
+    """Frames per second, such as 120, if IN does not state it. For a robot's motion: the frame rate of OUT. (default:
+    50)
+    """
     individual: Annotated[str | None, Option(INDIVIDUAL)] = None
     columns: str | None = None
-    """Columns of a plain CSV, as in 'frame=Frame,bodypart=Node,x=X,y=Y,likelihood=Score', or for one row per frame
-    'frame=Frame,x={bodypart} X,y={bodypart} Y'. (default: by their names)"""
+    """Columns of a plain CSV, such as 'frame=Frame,bodypart=Node,x=X,y=Y,likelihood=Score', or for one row per frame
+    'frame=Frame,x={bodypart} X,y={bodypart} Y'. (default: by their names)
+    """
     unit: str | None = None
-    """Unit of 3D positions, if the file does not say it: m, cm or mm."""
+    """Unit of 3D positions, if the file does not state it: m, cm or mm."""
     up: str | None = None
-    """Axis of 3D positions that points up, if unsaid: y or z."""
+    """Upward axis of 3D positions, if the file does not state it: y or z."""
     rename: Annotated[str | None, RENAME] = None
     body_mass_kg: Positive = 1.0
-    """Mass of the animal in an OpenSim model; 1: forces per kilogram."""
+    """Mass of the animal in an OpenSim model; with 1, forces are per kilogram."""
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: bool = False
     """Replace the file."""
     show_list: Annotated[bool, Option(name="--list")] = False
-    """Print the formats."""
+    """List the formats."""
 
 
 def convert(settings: ConvertSettings) -> Answer:
-    """Convert 2D keypoints, 3D positions or results from one file format to another, by the extension of OUT.
+    """Convert 2D keypoints, 3D positions or results to another file format, chosen by the extension of OUT.
 
     Example: recon convert results/clip model.osim
 
-    3D positions are metres, z up, in all formats but those that have another custom; see recon convert --list.
+    3D positions are written in metres, z up, except in formats with other conventions; see recon convert --list.
     """
     if settings.show_list:
         every = (*CONVERTED, *_robot_formats())
@@ -121,7 +124,10 @@ def convert(settings: ConvertSettings) -> Answer:
 
 
 def read_any(source: Path, settings: ConvertSettings) -> tuple[Keypoints | Pose3D, Motion | None]:
-    """Return 2D keypoints or 3D positions, whichever the source holds, and the motion of results. Raises InputError."""
+    """Return the 2D keypoints or 3D positions that a source holds, and the motion if it is a results folder.
+
+    Raises InputError for sources that cannot be read.
+    """
     motion = None
     if source.is_dir() and ((source / "report.json").is_file() or not any(source.glob("[!.]*.json"))):
         motion = usable(Motion.load(source), source, settings.anyway)
@@ -154,7 +160,7 @@ def _require_none(settings: ConvertSettings, names: Sequence[str], source: Path,
 
 
 def _pose_of(motion: Motion) -> Pose3D:
-    """Return the joints of a fit, upright, with their frame rate and limbs."""
+    """Return the joints of a fit with z up, and their frame rate and limbs."""
     notes = verdict_lines(motion.verdict)
     if not motion.knows_up:
         notes += ("Positions are in the level frame, z up: the camera file does not say where the camera is.",)
@@ -170,9 +176,9 @@ def _robot_formats() -> tuple[Format, ...]:
 
 
 def choose_format(out: Path, name: str | None, formats: Sequence[Format] = CONVERTED) -> Format:
-    """Return the format to write, by its name if given, and the file's extension.
+    """Return the format to write, chosen by name if given, or by the file's extension.
 
-    Raises InputError for unknown names and extensions.
+    Raises InputError for unknown names or extensions.
     """
     names = tuple(dict.fromkeys(f.name for f in formats))
     if name is not None and name not in names:

@@ -1,4 +1,4 @@
-"""`recon demo`: the bundled sample, reconstructed and compared with its truth."""
+"""The command `recon demo`: reconstruct the bundled sample and compare it with its true poses."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class _DemoSettings(Settings):
 
 
 def demo(settings: _DemoSettings, progress: Progress) -> Answer:
-    """Reconstruct the bundled sample, a noisy synthetic gallop, and compare it with its truth.
+    """Reconstruct the bundled sample, a synthetic gallop with noise, and compare it with the true poses.
 
     Example: recon demo --out demo-output
     """

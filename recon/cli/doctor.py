@@ -1,4 +1,4 @@
-"""Check what a machine offers to recon: versions, optional parts, the viewer, and a fit of the sample."""
+"""Check the installation: versions, optional packages, the viewer, and a fit of the sample."""
 
 from __future__ import annotations
 
@@ -32,39 +32,39 @@ EXTRAS = {
     "robots": "robots from URDF and MJCF files: ",
     "docs": "building this documentation: ",
 }
-"""Purpose of the extras that a user may want."""
+"""What each optional extra is needed for."""
 MODULES = {"opencv-python-headless": "cv2", "rerun-sdk": "rerun", "pytables": "tables"}
-"""Modules of distributions that others may stand in for: opencv-python, or a build of one's own."""
+"""Modules by distribution, for distributions that another one can replace: opencv-python, or a custom build."""
 STYLES = {"ok": "green", "absent": "", "note": "yellow", "broken": "bold red"}
 SELF_TEST_MPJPE_MM = 100
-"""Largest error of the sample, twice the usual one: above it the solver does not work here."""
+"""Largest error of the sample, twice the usual one; above it the solver does not work on this machine."""
 SELF_TEST_S = 300.0
 _MODULE = "import sys; from recon.cli.app import main; sys.exit(main())"
 
 
 @dataclass(frozen=True)
 class _Check:
-    """A part of the installation that was checked."""
+    """Hold one checked part of the installation."""
 
     name: str
     status: Literal["ok", "absent", "note", "broken"]
-    """ok; absent: optional, and not there; note: works, with a limit; broken: recon cannot work here."""
+    """ok; absent: optional and not installed; note: works with a limit; broken: recon cannot work."""
     state: str
-    """State that was found, in words."""
+    """State of the part, as text."""
     hint: str = ""
-    """Advice unless the status is ok."""
+    """Advice, unless the status is ok."""
 
     def to_dict(self) -> dict[str, str]:
-        """Return the fields as --json has them."""
+        """Return the fields for --json."""
         return {"name": self.name, "status": self.status, "found": self.state, "hint": self.hint}
 
 
 def doctor(progress: Progress) -> Answer:
-    """Check the installation: versions, optional parts, the viewer, and a fit of the sample.
+    """Check the installation: versions, optional packages, the viewer, and a fit of the sample.
 
     Example: recon doctor
 
-    Exit code 0: recon works here. 1: something that it cannot do without is broken.
+    Exit code 0: recon works on this machine. 1: a required part is broken.
     """
     checks, table = run_doctor(progress), Table.grid(padding=(0, 2))
     broken = [check.name for check in checks if check.status == "broken"]
@@ -77,7 +77,7 @@ def doctor(progress: Progress) -> Answer:
 
 
 def run_doctor(progress: Progress = silent) -> tuple[_Check, ...]:
-    """Return every check; none of them raises for a problem."""
+    """Return the results of all checks; no problem raises an exception."""
     checks: list[_Check] = []
     for i, look in enumerate((versions, packages, viewer, self_test)):
         progress(look.__name__, i / 4)
@@ -85,13 +85,14 @@ def run_doctor(progress: Progress = silent) -> tuple[_Check, ...]:
     return tuple(checks)
 
 
-# -- what is installed --------------------------------------------------------------------------------------------
+# -- installed packages -------------------------------------------------------------------------------------------
 
 
 def versions() -> Iterator[_Check]:
     """Check the versions of recon and of Python."""
     yield _Check("recon", "ok", f"{version()}, in {Path(__file__).parents[1]}")
-    with suppress(metadata.PackageNotFoundError):  # the last that was installed has its files over the other's
+    # the files of the distribution installed last have replaced those of the other
+    with suppress(metadata.PackageNotFoundError):
         state = f"the package recon {metadata.version('recon')} is here too, whose files have the same names"
         hint = f"{pip_command()} uninstall recon {DISTRIBUTION}, and install {DISTRIBUTION} again"
         yield _Check("another recon", "broken", state, hint)
@@ -99,11 +100,11 @@ def versions() -> Iterator[_Check]:
 
 
 def packages(requires: Sequence[str] | None = None) -> Iterator[_Check]:
-    """Check the packages that recon needs, and each extra that the distribution has and a user may want.
+    """Check the packages that recon requires, and each optional extra that the distribution has.
 
-    requires: requirements as in the distribution's metadata.
+    `requires` lists the requirements in the distribution's metadata.
     """
-    from packaging.requirements import Requirement  # matplotlib has it
+    from packaging.requirements import Requirement  # installed with matplotlib
 
     lines = (metadata.requires(DISTRIBUTION) or ()) if requires is None else requires
     for extra, purpose in {"": "", **EXTRAS}.items():
@@ -131,9 +132,9 @@ def packages(requires: Sequence[str] | None = None) -> Iterator[_Check]:
 
 
 def _installed(name: str, specifier: SpecifierSet) -> tuple[str, str]:
-    """Return the problem of a requirement, empty for none, and its version.
+    """Return the problem of a requirement ("" if there is none), and the installed version.
 
-    The version may be that of another distribution with its module.
+    The version may belong to another distribution that provides the same module.
     """
     try:
         installed_version = metadata.version(name)
@@ -163,7 +164,7 @@ def viewer(command: Sequence[str] = (sys.executable, "-m", "rerun")) -> Iterator
 
 
 def self_test() -> Iterator[_Check]:
-    """Run `recon demo` in a process of its own, so that a library that crashes is found and survived."""
+    """Run `recon demo` in its own process, so that a crashing library is detected and does not end this one."""
     name = "fit of the sample"
     try:
         with tempfile.TemporaryDirectory() as folder:
@@ -185,9 +186,9 @@ def self_test() -> Iterator[_Check]:
 
 
 def _output_of(command: Sequence[str], timeout_s: float) -> tuple[int, str]:
-    """Return a program's exit code and output; of one that failed the last line.
+    """Return the exit code of a program, and its output, or only its last line if it failed.
 
-    A program that does not exist, or does not end, has failed.
+    A program that does not exist or does not end counts as failed.
     """
     try:
         ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=timeout_s)

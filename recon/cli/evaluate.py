@@ -1,4 +1,4 @@
-"""The command `recon evaluate`: what it prints."""
+"""The command `recon evaluate`: compare a reconstruction with a reference."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ class _EvaluateSettings(Settings):
     """Settings of `recon evaluate`."""
 
     pose3d: Annotated[Path, Option(argument="POSE3D")]
-    """Results of recon fit, or a file of 3D positions, as pose3d.csv (m)."""
+    """Results of recon fit, or a file of 3D positions in metres, such as pose3d.csv."""
     truth: Annotated[Path, Option(argument="TRUTH")]
-    """The reference, with the same frame numbers: likewise, as truth.csv."""
+    """The reference with the same frame numbers, likewise, such as truth.csv."""
     unit: str | None = None
-    """Unit of the reference, if its file does not say it: m, cm or mm."""
+    """Unit of the reference, if its file does not state it: m, cm or mm."""
     up: str | None = None
-    """Axis of the reference that points up, if unsaid: y or z."""
+    """Upward axis of the reference, if its file does not state it: y or z."""
     rename: str | None = None
-    """New names of POSE3D's joints, or TRUTH's where POSE3D is a folder: a CSV file, or a built-in map."""
+    """New names for POSE3D's joints, or TRUTH's if POSE3D is a folder: a CSV file, or a built-in map."""
     anyway: Annotated[bool, ANYWAY] = False
 
 
@@ -45,7 +45,7 @@ def evaluate(settings: _EvaluateSettings) -> Answer:
 
 
 def _table(result: Evaluation) -> Table:
-    """Return the errors in millimetres and shares of good points, over all and by joint."""
+    """Return a table of the errors in millimetres and percentages of good points, in total and by joint."""
     scores, shares = (result.mpjpe_m, result.mpe_m, result.scale_mpjpe_m, result.pa_mpjpe_m), dict(result.pck)
 
     def row(name: str, value_of: Callable[[Any], float]) -> list[str]:

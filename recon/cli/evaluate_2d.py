@@ -1,4 +1,4 @@
-"""The command `recon evaluate-2d`: keypoints compared with labels, in words."""
+"""The command `recon evaluate-2d`: compare keypoints with labels."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from recon.show.plain import picked
 
 
 def evaluate_2d_command(settings: Evaluate2DSettings) -> Answer:
-    """Compare 2D keypoints with labels: errors in pixels, shares of good points, reliability of the likelihoods.
+    """Compare 2D keypoints with labels: errors in pixels, percentage of good points, reliability of the likelihoods.
 
     Example: recon evaluate-2d run.csv CollectedData_me.csv
     """

@@ -28,13 +28,15 @@ class FigureSettings(Settings):
     """The settings of `recon figure`."""
 
     folder: Annotated[Path, Option(argument="DIR")]
-    """Folder of results, as in results/clip."""
+    """Results folder, such as results/clip."""
     names: Annotated[tuple[str, ...], Option(argument="NAME")] = ()
-    """Figures, as in joint_flexion; several stand one below the other, with letters. (default: list them)"""
+    """Figures, such as joint_flexion; several are stacked and lettered. (default: list them)"""
     out: Path | None = None
-    """File to write, as in fig1.pdf: PDF, SVG or PNG (600 dpi). A caption stands beside it, as in fig1.txt."""
+    """File to write, such as fig1.pdf: PDF, SVG or PNG (600 dpi). The caption is written next to it, such as
+    fig1.txt.
+    """
     width: Annotated[Number, Field(ge=40, le=300)] = 183.0
-    """Width on paper in mm, as 89 for a column and 183 for a page."""
+    """Width on paper in mm, such as 89 for a column or 183 for a page."""
     stride: Annotated[StrideTimes | None, STRIDE] = None
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: bool = False
@@ -42,7 +44,7 @@ class FigureSettings(Settings):
 
 
 def figure_command(settings: FigureSettings, progress: Progress = silent) -> Answer:
-    """Draw figures of a result for a paper: PDF, SVG or PNG, 7 pt sans serif, without titles, and a caption beside it.
+    """Draw figures of a result for a paper: PDF, SVG or PNG, 7 pt sans serif, without titles, with a caption file.
 
     Example: recon figure results/clip side_view joint_flexion --out fig1.pdf --width 183
     """

@@ -1,4 +1,4 @@
-"""The command `recon fit`: its options, and what it prints."""
+"""The command `recon fit`: its options, and its output."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from recon.cli.commands import OptionsOf
 
 
 class FitRunSettings(Settings):
-    """Settings of `recon fit`, and of `recon frame`, besides those of the fit itself."""
+    """Settings of `recon fit` and `recon frame` in addition to those of the fit itself."""
 
     out: Path | None = None
-    """Folder for the results, as in results/clip1."""
+    """Folder for the results, such as results/clip1."""
     config: Path | None = None
-    """config.toml of an earlier run; options given here overrule it."""
+    """config.toml of an earlier run; options given here override it."""
     overwrite: bool = False
     """Replace results in the folder."""
 
@@ -31,11 +31,11 @@ _FitOptions = Annotated[dict[str, Any], OptionsOf(FitSettings)]
 
 
 def fit(settings: FitRunSettings, options: _FitOptions, console: Console, progress: Progress) -> Answer:
-    """Reconstruct one clip: keypoints and a camera in, 3D poses, angles, report and playback out.
+    """Reconstruct one clip: turn keypoints and a camera into 3D poses, angles, a report and a playback.
 
     Example: recon fit clip.csv --camera scene.json --camera-name cam2 --fps 90 --out results/clip
 
-    Exit code 0: done, whatever the verdict. 1: no frame could be solved. 2: the input cannot be used.
+    Exit code 0: finished, whatever the verdict. 1: no frame could be solved. 2: the input cannot be used.
     """
     from recon.api.clip_results import read_config, read_settings, replaced_files, run_clip
     from recon.io.formats import read_keypoints

@@ -43,10 +43,11 @@ class FixSettings(ResultSettings):
     """Settings of `recon fix`."""
 
     video: Path | None = None
-    """The video that the keypoints came from, as in clip.mp4. (default: points on a plain background)"""
+    """Video of the keypoints, such as clip.mp4. (default: points on a plain background)"""
     out: Path | None = None
-    """File of the corrections, which are added to those that it has. (default: the fit's own, or corrections.csv in the
-    folder)"""
+    """Corrections file; new corrections are added to existing ones. (default: that of the fit, or corrections.csv in
+    the folder)
+    """
     browser: Annotated[bool, Field()] = True
     """Open the page in the browser."""
     export_labels: Annotated[Path | None, Option(panel=_EXPORT, metavar="FOLDER")] = None
@@ -150,7 +151,7 @@ def _outputs(settings: FixSettings, path: Path) -> tuple[Output | None, Output |
 
 
 def _wait() -> None:
-    """Wait for Ctrl-C, which ends the editor and is no error."""
+    """Wait for Ctrl-C, which ends the editor without an error."""
     with suppress(KeyboardInterrupt):
         threading.Event().wait()
     interrupts = installed()
@@ -159,7 +160,7 @@ def _wait() -> None:
 
 
 def _decode(frames: object, video: Path, start: int, folder: Path) -> None:
-    """Write every frame of the clip as a picture, called by its row."""
+    """Write every frame of the clip as a picture named after its row."""
     for _, row, _, picture in clip_frames(frames, video, start):  # type: ignore[arg-type]
         if row is not None:
             _write_picture(folder / f"{row}.jpg", picture)

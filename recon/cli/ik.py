@@ -1,4 +1,4 @@
-"""The command `recon ik`: inverse kinematics of a fitted clip, in words."""
+"""The command `recon ik`: inverse kinematics of a fitted clip."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from recon.ik.cost_study import GROWTH, TURNS
 
 WIDE_GAP_PERCENT = 25
 CLOSES_PERCENT = 90
-"""Least closure of every joint's angle along a stride that counts as closed."""
+"""Smallest closure, in percent, of every joint's angle along a stride that counts as closed."""
 LEAST_CLOSURE = "least_closure_angle_percent"
 OFF_PATH_M = 0.02
-"""Distance of the foot from the stride's path from which a method has failed to follow it."""
+"""Distance of the foot from the stride's path above which a method counts as failed."""
 
 
 def ik(settings: IkSettings) -> Answer:
-    """Inverse kinematics of the chain from the trunk to a foot: to a target, or along a stride.
+    """Solve the inverse kinematics of the chain from trunk to foot, for a target or along a stride.
 
     Example: recon ik results/clip --compare
     """
@@ -97,7 +97,7 @@ def _target_lines(driven: dict[str, Any], target_m: list[float]) -> Iterator[str
 
 
 def _result(row: dict[str, Any]) -> str:
-    """Return in a word what a method did along the stride."""
+    """Return one word for the outcome of a method along the stride."""
     if row["worst_error_m"] > OFF_PATH_M:
         return "off-path"
     if row["note"].startswith("singular"):

@@ -1,4 +1,4 @@
-"""Show a result: `recon overlay` on its video, `recon report` as a page, `recon view` in the viewer."""
+"""Show a result: `recon overlay` draws it on its video, `recon report` makes a page, `recon view` opens the viewer."""
 
 from __future__ import annotations
 
@@ -42,32 +42,35 @@ from recon.show.page.pictures import PictureStrip, cut_of, encode_strip
 from recon.show.report import REPORT
 
 SLOW_FPS = 30.0
-"""Most frames a second of an overlay, unless a speed is given; every frame is shown."""
+"""Highest frame rate of an overlay unless a speed is given; every frame is shown."""
 RATE_SAME = 0.01
-"""Relative difference below which frame rates count as equal, as 29.97 and 30."""
+"""Relative difference below which frame rates count as equal, such as 29.97 and 30."""
 MIN_WIDTH_PX = 640
-"""Width up to which videos are enlarged, by a whole number, so that their text can be read."""
+"""Width below which videos are enlarged by a whole factor, so that their text is readable."""
 STILLS = 9
 BESIDE = ("overlay.mp4", "analysis/analysis.json")
-"""Files that a page links to, besides those of the fit, if they exist when it is made."""
+"""Files that a page links to, in addition to those of the fit, if they exist when it is made."""
 
 
 class ResultSettings(Settings):
-    """Folder of results, and the video of one of its cameras."""
+    """Settings that name a results folder and the video of one camera."""
 
     folder: Annotated[Path, Option(argument="DIR")]
-    """Folder of results, as in results/clip."""
+    """Results folder, such as results/clip."""
     video: Path | None = None
-    """The video that the keypoints came from, as in clip.mp4."""
+    """Video of the keypoints, such as clip.mp4."""
     camera_name: str | None = None
-    """Whose video it is, of several cameras, as in cam2. (default: whose name the video's has, or the first)"""
+    """Name of the video's camera, such as cam2, if there are several. (default: the camera in the video's name, or the
+    first)
+    """
     first_frame: Annotated[Integer, FIRST_FRAME] = 0
 
 
 def result_and_video(settings: ResultSettings, *checks: Callable[[], object]) -> tuple[Motion, int]:
-    """Return a result, and the number of the camera that is meant.
+    """Return a result, and the index of the chosen camera.
 
-    The video, if there is one, has to be of that camera. checks: of other options. Raises InputError.
+    The video, if there is one, has to come from that camera. `checks` are checks of other options. Raises InputError if
+    the result or the video cannot be used.
     """
     video = settings.video
 
@@ -88,17 +91,17 @@ def result_and_video(settings: ResultSettings, *checks: Callable[[], object]) ->
 
 
 def first_in_clip(motion: Motion, number: int, settings: ResultSettings) -> int:
-    """Return the number that the video's first frame has in the clip.
+    """Return the frame number of the clip that the video's first frame has.
 
-    A camera that began later or earlier than the first has its own numbers in its keypoint file.
+    A camera that began later or earlier than the first has different frame numbers in its keypoint file.
     """
     return settings.first_frame + math.floor(motion.sources[number].offset_s * (motion.fps or 0.0) + 1e-6)
 
 
 def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int:
-    """Return a camera's number by its name, or by that of the video, which may contain it; without either the first.
+    """Return the index of a camera by its name, by its name in the video's name, or else the first.
 
-    Raises InputError.
+    Raises InputError for an unknown name.
     """
     names = [camera_of_clip.name for camera_of_clip in motion.cameras]
     if camera is None and video is not None and len(names) > 1:
@@ -112,25 +115,25 @@ def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int
     raise InputError(Problem("--camera-name", "camera", actual, f"one of {', '.join(names)}, whose video it is"))
 
 
-# -- drawn on its video -----------------------------------------------------------------------------------------------
+# -- overlay on the video ---------------------------------------------------------------------------------------------
 
 
 class OverlaySettings(ResultSettings):
     """Settings of `recon overlay`."""
 
     video: Path = Field()
-    """The video that the keypoints came from, as in clip.mp4."""
+    """Video of the keypoints, such as clip.mp4."""
     out: Path
-    """The new video, .mp4 (MPEG-4), .webm (VP8, which browsers play) or .avi (Motion JPEG), as in overlay.mp4."""
+    """The new video, .mp4 (MPEG-4), .webm (VP8, for browsers) or .avi (Motion JPEG), such as overlay.mp4."""
     anyway: Annotated[bool, ANYWAY] = False
     speed: Annotated[Number, Field(gt=0, le=10)] | None = None
-    """Speed of the playback, 1 is real time. (default: so that 30 frames are shown in a second)"""
+    """Speed of the playback; 1 is real time. (default: 30 frames are shown per second)"""
     overwrite: bool = False
-    """Replace the new files."""
+    """Replace existing files."""
 
 
 def overlay(settings: OverlaySettings, progress: Progress = silent) -> Answer:
-    """Draw a reconstruction on its video: detections, skeleton, doubtful frames, and the pose from three sides.
+    """Draw a reconstruction on its video: detections, skeleton, uncertain frames, and the pose from three sides.
 
     Example: recon overlay results/clip --video clip.mp4 --out overlay.mp4
     """
@@ -166,7 +169,7 @@ def overlay(settings: OverlaySettings, progress: Progress = silent) -> Answer:
 def still_rows(motion: Motion, drawn: Overlay, count: int, start: int | None) -> Index:
     """Return the rows of up to `count` frames with a pose, evenly spaced.
 
-    start: with a video, the number of its first frame, from which on frames have a picture.
+    `start` is the frame number of the video's first picture.
     """
     filmed = True if start is None else motion.frames >= start
     posed = np.flatnonzero(np.isfinite(drawn.reprojected_px).any(axis=(1, 2)) & filmed)
@@ -174,7 +177,7 @@ def still_rows(motion: Motion, drawn: Overlay, count: int, start: int | None) ->
 
 
 def overlay_of(motion: Motion, speed: float = 1.0, zoom: int = 1, number: int = 0) -> Overlay:
-    """Return what to draw of a result in a camera's picture, by its number, enlarged by zoom."""
+    """Return the overlay of a result for one camera, given by its index, enlarged by `zoom`."""
     picture, camera_view = motion.pictures[number], motion.solution.views[number]
     ahead = np.broadcast_to(camera_view.T_camera_world[..., 2, :3], (len(motion.frames), 3))
     return Overlay(
@@ -194,7 +197,7 @@ def overlay_of(motion: Motion, speed: float = 1.0, zoom: int = 1, number: int = 
 
 
 def _flags(motion: Motion, number: int) -> Iterator[list[str]]:
-    """Yield the flags of each frame in a camera's picture, without those of other cameras' detections."""
+    """Yield the flags of each frame in a camera's picture, without flags on detections of other cameras."""
     flag_ranges = [
         (FLAG_OF[finding.code], *(finding.frames or (motion.frames[0], motion.frames[-1] + 1)))
         for finding in motion.findings
@@ -206,12 +209,12 @@ def _flags(motion: Motion, number: int) -> Iterator[list[str]]:
 
 
 def _enlarged(xy_px: Array, zoom: int) -> Array:
-    """Return pixels enlarged by zoom; their centres are whole numbers, before and after."""
+    """Return pixel coordinates enlarged by a factor; pixel centres are whole numbers before and after."""
     return zoom * xy_px + 0.5 * (zoom - 1)
 
 
 def first_frame_note(motion: Motion, settings: ResultSettings) -> str | None:
-    """Return a note if a video goes on after the clip's last frame, and its first frame's number is not given."""
+    """Return a note if a video continues after the clip's last frame and its first frame number is not given."""
     is_given = settings.first_frame or motion.settings.get("frames") is not None
     if settings.video is None or is_given or any(source.offset_s for source in motion.sources):
         return None
@@ -226,9 +229,9 @@ def first_frame_note(motion: Motion, settings: ResultSettings) -> str | None:
 
 
 def rate_note(video: Path, fps: float | None) -> str | None:
-    """Return a note if a video states another frame rate than the clip has.
+    """Return a note if the frame rate in the video file differs from that of the clip.
 
-    It may have been filmed faster than it is played.
+    Such a video may have been filmed faster than it is played.
     """
     stated = probe(video).fps
     if fps is None or stated is None or abs(stated / fps - 1) < RATE_SAME:
@@ -239,21 +242,20 @@ def rate_note(video: Path, fps: float | None) -> str | None:
     )
 
 
-# -- a page -----------------------------------------------------------------------------------------------------------
+# -- page -------------------------------------------------------------------------------------------------------------
 
 
 class PageSettings(ResultSettings):
     """Settings of `recon report`."""
 
     folder: Annotated[Path, Option(argument="DIR")]
-    """Folder of results, as in results/clip, or of a batch."""
+    """Results folder, such as results/clip, or a batch's folder."""
 
 
 def report(settings: PageSettings, progress: Progress = silent) -> Answer:
-    """Make a page of a result to look at and to pass on: report.html in its folder, which opens in any browser.
+    """Make a page of a result to view and to share: report.html in its folder, which opens in any browser.
 
-    In the folder of a batch, those of all clips, and summary.html with links to them. A page that was made before is
-    replaced.
+    For a batch's folder, make the pages of all clips, and summary.html with links to them. Earlier pages are replaced.
 
     Example: recon report results/clip --video clip.mp4
 
@@ -266,7 +268,7 @@ def report(settings: PageSettings, progress: Progress = silent) -> Answer:
 
 
 def _page_of_clip(settings: PageSettings, progress: Progress, whole_batch: bool = False) -> Answer:
-    """Make the page of one result.
+    """Make the page of one result; `whole_batch` means that the pages of all clips of its batch are being made.
 
     whole_batch: the pages of all clips of its batch are being made, too.
     """
@@ -296,7 +298,7 @@ def _page_of_clip(settings: PageSettings, progress: Progress, whole_batch: bool 
 
 
 def neighbours(folder: Path, whole_batch: bool = False) -> Neighbours | None:
-    """Return the links to the pages of the batch that a result belongs to; None for a result of its own.
+    """Return the links to the pages of a result's batch, or None if it is not part of a batch.
 
     whole_batch: all of these pages will be there; otherwise only to those that are.
     """
@@ -317,9 +319,9 @@ def neighbours(folder: Path, whole_batch: bool = False) -> Neighbours | None:
 def page_pictures(
     motion: Motion, number: int, settings: ResultSettings, count: int
 ) -> tuple[Overlay, Index, PictureStrip | None, list[Image] | None]:
-    """Return the overlay, the rows of up to `count` stills, and the video's pictures for the player and the stills.
+    """Return the overlay, the rows of up to `count` stills, and video pictures for the player and the stills.
 
-    The video is read once. Raises InputError for a frame that it lacks.
+    The video is read once. Raises InputError if the video lacks a frame.
     """
     drawn, start = overlay_of(motion, number=number), first_in_clip(motion, number, settings)
     rows = still_rows(motion, drawn, count, start if settings.video else None)
@@ -342,12 +344,12 @@ def page_pictures(
 
 
 def _pages_of_batch(out: Path, video: Path | None, progress: Progress) -> Answer:
-    """Make the page of every result in the folder of a batch, in parallel, and the summary's page."""
+    """Make the page of every result in a batch's folder, in parallel, and the summary page."""
     if video is not None:
         raise InputError(Problem("--video", "file", f"{video} for many clips", "the folder of one clip's results"))
     failed: dict[str, str] = {}
     with sole_writer(out):
-        read_rows(out / SUMMARY)  # raises InputError before any work
+        read_rows(out / SUMMARY)  # raise InputError before any work
         clips = [path.parent for path in sorted(out.glob(f"*/{REPORT}"))]
         done = 0
 
@@ -370,18 +372,18 @@ def _page_of(folder: Path, progress: Progress) -> dict[str, str]:
     return {"status": "done"}
 
 
-# -- in the viewer ----------------------------------------------------------------------------------------------------
+# -- viewer -----------------------------------------------------------------------------------------------------------
 
 
 class _ViewSettings(ResultSettings):
     """Settings of `recon view`."""
 
     video: Path | None = None
-    """Show the frames of this video with it, as in clip.mp4."""
+    """Show the frames of this video in the playback, such as clip.mp4."""
     out: Path | None = None
-    """Write one recording of it, as in clip.rrd, and open nothing."""
+    """Write the playback to a recording, such as clip.rrd, and open no viewer."""
     overwrite: bool = False
-    """Replace the recording of --out."""
+    """Replace an existing recording."""
 
     def problems(self) -> Iterator[Problem]:
         """Yield problems of options that need a video."""

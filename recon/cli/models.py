@@ -1,4 +1,4 @@
-"""The commands on models: skeletons, measured animals and motion priors, in words."""
+"""The commands for skeletons, measured animals and motion priors."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from recon.cli.answers import Answer, table_of
 # -- skeletons ---------------------------------------------------------------------------------------------------------
 
 STEMS = ("skeleton", "angles")
-"""Pictures, as .png and .svg: the expected pose with names; every angle at both ends of its range."""
+"""Names of the pictures (.png and .svg): the expected pose with names; every angle at both ends of its range."""
 
 
 class _SkeletonCheckSettings(Settings):
     """Settings of `recon skeleton check`."""
 
     skeleton: Annotated[str, Option(argument="SKELETON")]
-    """A TOML file, or the name of a built-in skeleton, as in my-dog.toml."""
+    """A TOML file, such as my-dog.toml, or the name of a built-in skeleton."""
     subject: str | None = None
     """Lengths measured on one animal: built-in name or TOML file."""
     out: Path | None = None
@@ -51,11 +51,11 @@ def skeleton_list() -> Answer:
 
 
 def skeleton_check(settings: _SkeletonCheckSettings) -> Answer:
-    """Check a skeleton file, list what is in it, and draw it.
+    """Check a skeleton file, list its content, and draw it.
 
     Example: recon skeleton check my-dog.toml --out my-dog
 
-    Exit code 0: it can be used. 2: it cannot; every problem is named.
+    Exit code 0: the file can be used. 2: the file cannot be used; every problem is named.
     """
     check, out = check_skeleton(settings.skeleton, settings.subject), settings.out
     if out is not None:
@@ -110,10 +110,10 @@ def _skeleton_lines(check: dict[str, Any]) -> Iterator[str | Table]:
 
 
 def skeleton_from_keypoints(settings: SkeletonDraftSettings) -> Answer:
-    """Draft a skeleton for the keypoints of a file, by their names or their distances.
+    """Draft a skeleton for the keypoints of a file, from their names or their distances.
 
-    By their names it has the proportions of the quadruped, with markers called so. With several calibrated cameras it
-    has the bodies and joints that their distances show, whatever the keypoints are called.
+    A draft from names has the proportions of the quadruped, with the keypoints as markers. A draft from several
+    calibrated cameras has the bodies and joints that the distances show, whatever the keypoints are called.
 
     Example: recon skeleton from-keypoints clip.csv --out my-animal.toml
     """
@@ -130,7 +130,7 @@ def skeleton_from_keypoints(settings: SkeletonDraftSettings) -> Answer:
 
 
 def prior_fit(settings: PriorFitSettings) -> Answer:
-    """Fit a motion prior to results or 3D poses, and list what it was fitted to.
+    """Fit a motion prior to results or 3D poses, and list the motions used.
 
     Example: recon prior fit results/run1 results/run2 --out my-cat.npz
     """
@@ -175,10 +175,10 @@ def _prior_lines(report: dict[str, Any]) -> Iterator[str | Table]:
 
 
 def subject_fit(settings: SubjectFitSettings) -> Answer:
-    """Measure one animal in clips that several cameras filmed, for `recon fit --subject`.
+    """Measure one animal in clips filmed by several cameras, for `recon fit --subject`.
 
-    Without its lengths only the detector is measured, for `recon fit --set detector`, also from several measured
-    animals.
+    With --no-lengths, only the detector is measured, for `recon fit --set detector`; the clips may then show several
+    measured animals.
 
     Example: recon subject fit results/run1 results/run2 --offsets --out my-cat.toml
     """

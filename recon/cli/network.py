@@ -1,4 +1,4 @@
-"""The commands of the keypoint network: `recon train` and `recon predict`, in words."""
+"""The commands `recon train` and `recon predict` of the keypoint network."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def _training_lines(report: dict[str, Any], out: Path) -> Iterator[str]:
 
 
 def predict_command(settings: PredictSettings, progress: Progress) -> Answer:
-    """Find the keypoints in every frame of a video, with a network that `recon train` made.
+    """Find the keypoints in every frame of a video, with a network made by `recon train`.
 
     Example: recon predict run.mp4 --model models/run --out run.csv --overlay run_points.mp4
     """

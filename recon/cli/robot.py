@@ -1,4 +1,4 @@
-"""The commands on a robot's kinematics: `recon robot pose` and `recon robot dh`, in words."""
+"""The commands `recon robot pose` and `recon robot dh` for a robot's kinematics."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from recon.robotics.dh import PoseSettings, TableSettings, chain_of, pose_of
 
 
 def pose(settings: PoseSettings) -> Answer:
-    """Print the legs' angles of a body that is moved and turned, the feet planted.
+    """Print the leg angles of a robot whose body is moved and turned while the feet stay planted.
 
     Example: recon robot pose aibo --pitch 10 --move 0,0,-0.01
     """
@@ -29,7 +29,7 @@ def pose(settings: PoseSettings) -> Answer:
 
 
 def dh(settings: TableSettings) -> Answer:
-    """Print a chain's or leg's Denavit-Hartenberg table, its end at given angles, and all angles of a given end.
+    """Print a leg's Denavit-Hartenberg table, its end position for given angles, and all angles for a given end.
 
     Example: recon robot dh aibo --tip LF --place 0.09,0.07,-0.1
     """
@@ -66,7 +66,7 @@ def _pose_text(answer: dict[str, Any]) -> str:
 
 
 def _typed(values: Sequence[float], slides: Sequence[bool]) -> list[str]:
-    """Return values as a user types them: degrees, or metres of joints that slide."""
+    """Return values in the user's units: degrees, or metres for sliding joints."""
     return [f"{x:z.4f}" if slide else _deg([x])[0] for x, slide in zip(values, slides, strict=True)]
 
 

@@ -1,4 +1,4 @@
-"""The commands that move a robot: `recon retarget` and `recon climb`, in words."""
+"""The commands `recon retarget` and `recon climb`, which move a robot."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from recon.robotics.retarget_clip import RetargetSettings, run_retarget
 
 
 def retarget_command(settings: RetargetSettings) -> Answer:
-    """Put the motion of a reconstruction, and one stride that repeats, on a four-legged robot.
+    """Transfer the motion of a reconstruction, and one repeated stride, to a four-legged robot.
 
     Example: recon retarget results/clip --robot a1 --out results/robot
     """
@@ -82,11 +82,11 @@ def _check_lines(check: dict[str, Any]) -> Iterator[str | Table]:
 
 
 def climb(settings: ClimbSettings) -> Answer:
-    """Climb a step with a four-legged robot, by potential fields.
+    """Climb a step with a four-legged robot, guided by potential fields.
 
     Example: recon climb published-50 --height 0.045 --out results/climb
 
-    Exit code 0: valid in every frame. 1: it is not, and all is written. 2: the input cannot be used.
+    Exit code 0: valid in every frame. 1: not valid in every frame; all files are written. 2: the input cannot be used.
     """
     report = run_climb(settings)
     return Answer(report, _climb_lines(report, settings.out), code=0 if report["valid"] else EXIT_UNSOLVED)

@@ -1,7 +1,7 @@
-"""Run everything from a video to a page.
+"""Run all stages from a video to a page.
 
-Each stage is left out if it was done with the same inputs. `run.jsonl` in the folder has what each stage was made from,
-and what it wrote; a stage that has begun and not ended is done again. A folder of videos is a batch.
+A stage is skipped if it was done before with the same inputs. `run.jsonl` in the folder records the inputs and the
+files of each stage; a stage that began and did not end is repeated. A folder of videos is run as a batch.
 """
 
 from __future__ import annotations
@@ -63,27 +63,27 @@ _FitOptions = Annotated[dict[str, Any], OptionsOf(FitSettings, OF_ANY_CLIP, "Set
 
 
 class _RunSettings(Settings):
-    """Settings of `recon run` besides those of the fit."""
+    """Settings of `recon run` in addition to those of the fit."""
 
     video: Annotated[Path, Option(argument="VIDEO")]
-    """The video, as in run.mp4, or a folder of videos."""
+    """The video, such as run.mp4, or a folder of videos."""
     out: Path
-    """Folder for everything; of a folder of videos one in it for each."""
+    """Folder for all results; with a folder of videos, one subfolder per video."""
     model: Annotated[Path | None, Option(metavar="DIR")] = None
-    """Folder of a trained network, as in models/run."""
+    """Folder of a trained network, such as models/run."""
     keypoints: Path | None = None
-    """Instead of a network: the keypoint file, or of a folder of videos the folder with them."""
+    """Keypoint file to use instead of a network; with a folder of videos, the folder of their keypoint files."""
     camera_motion: Literal["turns", "zooms"] | None = None
-    """How the camera moves; found from the background. (default: not)"""
+    """Motion of the camera, to be found from the background: turns or zooms. (default: the camera stands still)"""
     start: Annotated[Stage | None, Option(metavar="STAGE", name="--from")] = None
-    """Do this stage again, and all after it."""
+    """Repeat this stage and all later ones."""
     first_frame: Annotated[Integer, FIRST_FRAME] = 0
     jobs: Count | None = None
-    """Videos at a time, of a folder. (default: one for each core)"""
+    """Number of videos to run at the same time. (default: one per core)"""
     config: Path | None = None
-    """Settings as in the config.toml of a fit; options here overrule it."""
+    """config.toml of an earlier fit; options given here override it."""
     overwrite: bool = False
-    """Replace what recon fit, analyse and others made in DIR; never a file that was changed since, or is your own."""
+    """Replace files that recon fit, analyse and others made in DIR; never your own files, or files changed by hand."""
 
     def problems(self) -> Iterator[Problem]:
         """Yield problems of the keypoints' source and of the first stage."""
@@ -95,23 +95,23 @@ class _RunSettings(Settings):
 
     @property
     def track(self) -> Path:
-        """Return the file of the camera's motion."""
+        """Return the path of the camera track."""
         return self.out / f"{self.video.stem}_camera.csv"
 
 
 @dataclass(frozen=True)
 class _Job:
-    """A video, and the settings of its run."""
+    """Hold a video, and the settings of its run."""
 
     run: _RunSettings
     settings: FitSettings
-    """Settings of its fit; the keypoints are those that are given, or the file for those of the network."""
+    """Settings of the fit; its keypoints are the given file, or the file that the network writes."""
     threads: int | None = None
     """Number of threads of the network."""
 
     @property
     def fit(self) -> FitSettings:
-        """Return the settings of the fit, with the camera's track if its motion is to be found."""
+        """Return the settings of the fit, with the camera track if the camera's motion is to be found."""
         return (
             replace(self.settings, camera_track=self.run.track, tilt_deg=None)
             if self.run.camera_motion
@@ -120,26 +120,26 @@ class _Job:
 
 
 class _Stage(NamedTuple):
-    """A part of the work."""
+    """Hold one stage of the work."""
 
     work: Callable[[Progress], Answer]
-    """Does the work, and answers with the files that it wrote, and notes on the video."""
+    """Does the work, and returns the written files and notes on the video."""
     identity: Callable[[], dict[str, Any]]
-    """Returns what it is made from, once the stages before it are done."""
+    """Returns what the stage is made from, once the earlier stages are done."""
     output: Output
-    """Files that it may replace."""
+    """Files that the stage may replace."""
     names: tuple[str, ...]
-    """Files that it writes, as far as they are known."""
+    """Files that the stage writes, as far as they are known in advance."""
 
 
 class _StageOutcome(NamedTuple):
-    """Outcome of a stage."""
+    """Hold the outcome of a stage."""
 
     stage: str
     status: Literal["done", "unchanged", "left out"]
     seconds: float
     files: tuple[str, ...] = ()
-    """The files of the stage, relative to the folder."""
+    """Files of the stage, relative to the folder."""
     notes: tuple[str, ...] = ()
     """Notes on the video."""
 
@@ -147,12 +147,12 @@ class _StageOutcome(NamedTuple):
 def run(settings: _RunSettings, options: _FitOptions, console: Console) -> Answer:
     """Make a page from a video: find the keypoints, fit, analyse, draw the overlay, and write report.html.
 
-    Stages that were done with the same files and settings are not done again. The frame rate is the video's unless
-    --fps is given. The stages: detect, camera-motion, fit, analyse, overlay, page.
+    Stages that were done before with the same files and settings are skipped. The frame rate is that of the video
+    unless --fps is given. The stages are detect, camera-motion, fit, analyse, overlay and page.
 
     Example: recon run run.mp4 --camera camera.toml --model models/run --out results/run
 
-    Exit code 0: done. 1: no frame could be solved. 2: the input cannot be used; what was done before stays.
+    Exit code 0: finished. 1: no frame could be solved. 2: the input cannot be used; earlier results are kept.
     """
     if settings.video.is_dir():
         plan = jobs_of(settings, options)
@@ -180,7 +180,7 @@ def _outcome_line(outcome: _StageOutcome) -> str:
 def _model_file(path: Path) -> Path:
     """Return the file of a network.
 
-    It is imported only for a job that has a network, as no other job needs the package.
+    The network package is imported only for jobs that use a network.
     """
     from recon.keypoint_net.network import model_file
 
@@ -190,8 +190,8 @@ def _model_file(path: Path) -> Path:
 def job_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> _Job:
     """Return the job of a video.
 
-    options: settings of the fit by name; the frame rate is the video's unless it is given. Raises InputError with every
-    problem.
+    `options` holds settings of the fit by name; the frame rate is that of the video unless it is given. Raises
+    InputError with every problem.
     """
     keypoints = run_settings.keypoints or run_settings.out / f"{run_settings.video.stem}_keypoints.csv"
     info, _, settings, _ = collect_problems(
@@ -222,14 +222,15 @@ def _motion_problems(run_settings: _RunSettings, options: Mapping[str, Any]) -> 
 def run_video(
     job: _Job, progress: Progress = silent, ended: Callable[[_StageOutcome], None] = lambda outcome: None
 ) -> tuple[list[_StageOutcome], dict[str, Any]]:
-    """Do all stages of a video, and return their outcomes and the report of its fit.
+    """Run all stages of a video, and return their outcomes and the report of its fit.
 
-    ended: called with the outcome of each stage. Raises InputError if one cannot be done; earlier ones stay.
+    `ended` is called with the outcome of each stage. Raises InputError if a stage cannot be done; the results of
+    earlier stages are kept.
     """
     out, report_of_fit = job.run.out, {}
     with sole_writer(out):
         record, stages, outcomes, must_run = Record(out / RECORD), _stages(job), [], False
-        for name, row in record.rows.items():  # version 0.2 had no other record of them
+        for name, row in record.rows.items():  # version 0.2 kept no other record of these files
             if name in stages:
                 folder = stages[name].output.folder
                 digests_of_stage = {
@@ -238,7 +239,7 @@ def run_video(
                 adopt(
                     folder, stages[name].output.kind, {Path(p).name: sha256 for p, sha256 in digests_of_stage.items()}
                 )
-        for name, stage in stages.items():  # before any work
+        for name, stage in stages.items():  # before any work is done
             must_run = must_run or name == job.run.start
             if must_run or record.look(name, stage.identity(), out)[0]:
                 _require_own(name, stage, job, record, must_run)
@@ -283,7 +284,7 @@ def _carry_out(
 
 
 def _require_own(name: str, stage: _Stage, job: _Job, record: Record, must_run: bool) -> None:
-    """Raise InputError for files that the stage may not replace, or without --overwrite, that another command made."""
+    """Raise InputError for files that the stage may not replace, or that another command made without --overwrite."""
     stage.output.require(stage.names)
     present = [path for path in (stage.output.folder / file for file in stage.names) if os.path.lexists(path)]
     if present and name not in record.rows and not must_run and not job.run.overwrite:
@@ -293,8 +294,8 @@ def _require_own(name: str, stage: _Stage, job: _Job, record: Record, must_run: 
 
 
 def _check_inputs(job: _Job) -> None:
-    """Raise InputError for inputs whose problems would otherwise be noticed after minutes of work."""
-    # Keypoints that are not there yet are called as the video.
+    """Raise InputError for inputs whose problems would otherwise appear only after minutes of work."""
+    # Keypoints that do not exist yet will be named after the video.
     fit_settings = job.settings if job.run.model is None else replace(job.settings, keypoints=job.run.video)
     info, (_, _, cameras) = collect_problems(lambda: probe(job.run.video), lambda: read_model_and_cameras(fit_settings))
     raise_problems(size_problems(job.run.video, info, cameras[0][0]))
@@ -317,7 +318,7 @@ def _stages(job: _Job) -> dict[str, _Stage]:
     def detect(progress: Progress) -> Answer:
         from recon.keypoint_net.network import run_prediction
 
-        assert run_settings.model is not None  # without a network there is no such stage
+        assert run_settings.model is not None  # this stage exists only with a network
         parameters = {"threads": job.threads, "overwrite": True, "progress": progress, "output": output("predict")}
         prediction = run_prediction(run_settings.video, run_settings.model, keypoints, **parameters)
         return Answer({}, files=[keypoints], notes=prediction.notes)
@@ -369,7 +370,10 @@ def _stages(job: _Job) -> dict[str, _Stage]:
 
 
 def jobs_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> list[_Job]:
-    """Return one job for each video of a folder, into a folder with its name. Raises InputError with all problems."""
+    """Return one job per video of a folder, each with its own output folder.
+
+    Raises InputError with all problems.
+    """
     videos = sorted(
         p for p in run_settings.video.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".")
     )
@@ -387,9 +391,10 @@ def jobs_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> list[_Job
 
 
 def keypoints_of(video: Path, folder: Path) -> Path:
-    """Return the file in a folder that is named after a video, or as DeepLabCut names its keypoints.
+    """Return the keypoint file in a folder that is named after a video, or as DeepLabCut names its files.
 
-    Of the same keypoints in two formats the last is taken. Raises InputError if there is none, or several.
+    If the same keypoints exist in two formats, the last one is used. Raises InputError if no file or several files
+    match.
     """
     if not folder.is_dir():
         raise InputError(Problem("--keypoints", "folder", str(folder), "a folder with a file for each video"))
@@ -407,8 +412,8 @@ def run_folder(
 ) -> Summary:
     """Run `run_video` for all jobs, and write summary.csv and summary.html of them in `out`.
 
-    A video that fails stops nothing; KeyboardInterrupt as in `run_batch`. processes: at a time, each with one thread;
-    by default one for each core.
+    A video that fails does not stop the others; KeyboardInterrupt is handled as in `run_batch`. `processes` is the
+    number of processes, each with one thread; the default is one per core.
     """
     with sole_writer(out):
         summary_output(out).require((SUMMARY, SUMMARY_PAGE))

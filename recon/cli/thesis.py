@@ -1,4 +1,4 @@
-"""The commands of the published system: `recon frame` fits a clip, `recon solver` shows what the optimiser did."""
+"""The commands of the published system: `recon frame` fits a clip, `recon solver` shows the work of the optimiser."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ def frame(
     console: Console,
     progress: Progress,
 ) -> Answer:
-    """Fit one side of the animal as a chain, one frame after the other: the thesis' method, to compare with.
+    """Fit one side of the animal as a chain, frame by frame, with the method of the thesis, for comparison.
 
     Example: recon frame clip.csv --camera scene.json --camera-name cam2 --fps 90 --out results/clip
 
-    Exit code 0: done. 1: no frame could be solved. 2: the input cannot be used.
+    Exit code 0: finished. 1: no frame could be solved. 2: the input cannot be used.
     """
     return fit(settings, {**options, "method": "frame"}, console, progress)
 
 
 def solver(settings: SolverSettings, progress: Progress) -> Answer:
-    """Show what the optimiser of `recon frame` did: cost, gradient, Jacobian, limits.
+    """Show how the optimiser of `recon frame` worked: cost, gradient, Jacobian, limits.
 
     Writes tables (CSV), the Jacobian (NPZ) and figures (PNG, SVG).
 

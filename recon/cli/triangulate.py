@@ -1,4 +1,4 @@
-"""The command `recon triangulate`: what it prints."""
+"""The command `recon triangulate`: triangulate keypoints without a skeleton."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from recon.cli.answers import Answer, table_of
 from recon.cli.commands import OptionsOf
 
 MANY_LEFT_OUT = 0.2
-"""Share of a camera's detections that disagree with the other cameras', from which on it is said."""
+"""Fraction of a camera's detections that disagree with the other cameras' above which this is reported."""
 
 
 class _TriangulateSettings(Settings):
-    """The settings of `recon triangulate`, besides those of the clip."""
+    """Settings of `recon triangulate` in addition to those of the clip."""
 
     out: Path
-    """Folder for the results, as in results/clip1."""
+    """Folder for the results, such as results/clip1."""
     smooth: Annotated[bool, Option()] = False
-    """Put the points on smoothing splines over time, and fill gaps of up to 0.2 s. (default: neither)"""
+    """Smooth the points over time with splines, and fill gaps of up to 0.2 s. (default: neither)"""
     overwrite: bool = False
     """Replace results in the folder."""
 
@@ -35,7 +35,7 @@ _OfClip = Annotated[dict[str, Any], OptionsOf(FitSettings, TRIANGULATION_SETTING
 
 
 def triangulate(settings: _TriangulateSettings, options: _OfClip) -> Answer:
-    """Triangulate the keypoints of two or more cameras, without a skeleton: points, covariances, and gaps.
+    """Triangulate the keypoints of two or more cameras without a skeleton: points, covariances, and gaps.
 
     Example: recon triangulate cam1.csv cam2.csv cam3.csv --camera scene.json --fps 90 --out results/points
 
