@@ -448,7 +448,7 @@ def test_options_that_are_numbers(arguments):
     problems = {(problem.file, problem.found): problem.expected for problem in caught.value.problems}
     assert (arguments[-2], "'90fps'") in problems
     missing = problems.get(("--video", "nothing"), "")  # it is optional for `recon report`, whose settings these extend
-    assert missing.startswith("the video that") == (arguments[0] == "overlay")
+    assert missing.startswith("video of the") == (arguments[0] == "overlay")
     assert [of.infos()["video"].default for of in (OverlaySettings, PageSettings)] == [MISSING, None]
 
 

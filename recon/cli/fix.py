@@ -51,7 +51,7 @@ class FixSettings(ResultSettings):
     browser: Annotated[bool, Field()] = True
     """Open the page in the browser."""
     export_labels: Annotated[Path | None, Option(panel=_EXPORT, metavar="FOLDER")] = None
-    """Write the corrected frames as DeepLabCut's label files and COCO, into labeled-data of this folder."""
+    """Write the corrected frames as DeepLabCut label files and COCO, into the labeled-data folder of this folder."""
     with_accepted: Annotated[bool, Option(panel=_EXPORT)] = False
     """Label also the points that were only accepted from the model."""
     scorer: Annotated[str, Option(panel=_EXPORT)] = "recon"
@@ -59,7 +59,7 @@ class FixSettings(ResultSettings):
     export_table: Annotated[Path | None, Option(panel=_EXPORT, metavar="FILE")] = None
     """Write the keypoints with the corrections as DeepLabCut's table, .csv or .h5."""
     overwrite: Annotated[bool, Option(panel=_EXPORT)] = False
-    """Replace the new files."""
+    """Replace existing files."""
 
     def problems(self) -> Iterator[Problem]:
         """Yield problems of options that need others."""
@@ -74,8 +74,9 @@ class FixSettings(ResultSettings):
 def fix(settings: FixSettings, console: Console) -> Answer:
     """Correct wrong keypoints in a browser, while the animal is fitted again.
 
-    The page is served on this machine only. It ends with Ctrl-C. Corrections are saved with every change; the results
-    stay as they are. --export-labels and --export-table write the corrections for the detector instead.
+    The page is served on this machine only, until you press Ctrl-C. Every change is saved to the corrections file; the
+    results are not changed. --export-labels and --export-table do not open the page: they write the corrections for
+    training the detector.
 
     Example: recon fix results/clip --video clip.mp4
     """
@@ -135,7 +136,10 @@ def _export(settings: FixSettings, motion: Motion, number: int, path: Path) -> A
 
 
 def _outputs(settings: FixSettings, path: Path) -> tuple[Output | None, Output | None]:
-    """Return the outputs of labels and of a table. Raises InputError before any work if they cannot be written."""
+    """Return the outputs of labels and of a table.
+
+    Raises InputError before any work if they cannot be written.
+    """
     folder, video, table = settings.export_labels, settings.video, settings.export_table
     inputs = [path, settings.folder, *([video] if video else [])]
     labels_out = table_out = None
