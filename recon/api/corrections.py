@@ -15,6 +15,7 @@ import numpy as np
 from recon.animal.body import opposites
 from recon.api.clip import fit_clip, refit_clip
 from recon.api.clip_results import CONFIG, digest, read_config
+from recon.api.epipolar import epipolar_lines_px
 from recon.api.settings import FitSettings
 from recon.base.errors import InputError, Problem
 from recon.base.files import staged_file
@@ -104,6 +105,25 @@ class CorrectionSession:
         """Wait for a fit later than the given version, and return whether one is ready."""
         with self._change:
             return self._change.wait_for(lambda: self.version > version, wait_s)
+
+    def lines_px(self, camera: int, row: int, joint: int) -> dict[str, object]:
+        """Return the lines on which other cameras see a keypoint, by camera; none for numbers that there are not."""
+        motion = self.motion
+        counts = len(motion.sources), len(motion.frames), len(motion.names)
+        if len(motion.sources) < 2 or not all(
+            0 <= i < count for i, count in zip((camera, row, joint), counts, strict=True)
+        ):
+            return {}
+        numbers = {picture.name: number for number, picture in enumerate(motion.pictures)}
+        marks_px = {
+            numbers[saved.camera]: saved.now_px
+            for saved in self.corrections
+            if saved.camera in numbers
+            and saved.keypoint == motion.names[joint]
+            and saved.frame + motion.sources[numbers[saved.camera]].later_frames == motion.frames[row]
+        }
+        lines = epipolar_lines_px(motion, camera, row, joint, marks_px)
+        return {name: np.round(line, 1).tolist() for name, line in lines.items()}
 
     # -- changes by the editor ----------------------------------------------------------------------------------------
 

@@ -199,10 +199,15 @@ def _server(session: CorrectionSession, pictures: Path, has_video: bool) -> Loca
             return json_reply(None, HTTPStatus.NOT_FOUND)
         return Reply(path.read_bytes(), "image/jpeg")
 
+    def lines(rest: str, _data: object) -> Reply:
+        numbers = rest.split("/")
+        is_cell = len(numbers) == 3 and all(number.isdecimal() and len(number) < 9 for number in numbers)
+        return json_reply(session.lines_px(*map(int, numbers)) if is_cell else {})
+
     def save(_rest: str, data: object) -> Reply:
         try:
             return json_reply({"saved": session.save(data)})
         except InputError as error:
             return json_reply({"problem": str(error)}, HTTPStatus.CONFLICT)
 
-    return LocalServer({"": page, "state": state, "picture": picture}, {"corrections": save})
+    return LocalServer({"": page, "state": state, "picture": picture, "lines": lines}, {"corrections": save})

@@ -99,6 +99,7 @@ class EditedPicture extends PictureView {
   drawCorrections() {
     const { canvas, clip, editor, place } = this, pen = canvas.getContext("2d");
     const expected = editor.expected(editor.keypoint);
+    this.drawLines();
     if (expected) {
       const [x, y] = place(expected), item = editor.itemOf(editor.keypoint);
       pen.strokeStyle = ON_PICTURE.doubt;
@@ -126,6 +127,18 @@ class EditedPicture extends PictureView {
     if (at && this.cursor.hovered !== editor.keypoint) label(pen, clip.keypoints[editor.keypoint], place(at)[0] + 14, Math.max(12, place(at)[1] - 14), canvas.clientWidth, ON_PICTURE.doubt);
   }
 
+  /** Draw the lines on which other cameras see the chosen keypoint. */
+  drawLines() {
+    const { canvas, editor, place } = this, pen = canvas.getContext("2d");
+    pen.strokeStyle = ON_PICTURE.doubt;
+    pen.lineWidth = 1;
+    for (const points of Object.values(editor.linesOf(editor.keypoint))) {
+      pen.beginPath();
+      points.forEach((point, i) => { const [x, y] = place(point); if (i) pen.lineTo(x, y); else pen.moveTo(x, y); });
+      pen.stroke();
+    }
+  }
+
   /** Show the server's picture of the frame. */
   image(number) {
     const row = this.pictures.rows[number];
@@ -151,6 +164,7 @@ class Editor {
     this.cursor = new Cursor(this.clip);
     this.keypoint = 0;
     this.position = -1; // in the queue
+    this.lines = { cell: "", shown: {} }; // on which other cameras see the keypoint
     this.begin = null;
     this.picture = new EditedPicture(root.querySelector("canvas"), this.clip, this.cursor, this);
     this.picture.canvas.addEventListener("pointerdown", (event) => { this.picture.pressed = this.picture.at(event); });
@@ -168,7 +182,7 @@ class Editor {
   /** Take a fit from the server. */
   take(state) {
     this.clip = new Clip({ ...state.clip, pictures: state.video ? this.pictures(state.clip) : null });
-    Object.assign(this, { later: state.later_frames, pairs: state.pairs, video: state.video });
+    Object.assign(this, { version: state.version, later: state.later_frames, pairs: state.pairs, video: state.video });
   }
 
   /** Return the description of the server's pictures: one for each row, of the whole size. */
@@ -326,6 +340,21 @@ class Editor {
       }
     }
     this.root.querySelector(".problem").textContent = "recon fix has ended: nothing is saved any more.";
+  }
+
+  /** Return the lines of a keypoint in this frame, which the server is asked for when they are not there yet. */
+  linesOf(joint) {
+    if (this.clip.cameras.length < 2) return {};
+    const cell = `${this.cursor.camera}/${this.cursor.row}/${joint}`, wanted = `${cell} ${this.version}`;
+    if (this.lines.cell !== wanted) {
+      this.lines = { cell: wanted, shown: {} };
+      fetch(`lines/${cell}`).then((answer) => answer.json()).then((shown) => {
+        if (this.lines.cell !== wanted) return;
+        this.lines.shown = shown;
+        this.picture.draw();
+      }).catch(() => {}); // the server has ended, as the page says
+    }
+    return this.lines.shown;
   }
 
   // -- what is shown ---------------------------------------------------------------------------------------------------

@@ -1,0 +1,59 @@
+"""Show where a keypoint that other cameras see can be in a camera's picture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from recon.base.arrays import Array
+from recon.fit.motion import Motion
+
+NEAREST, FARTHEST, COUNT = 0.1, 10.0, 97
+"""Range of distances along a ray relative to that of the animal, and the number of points on it."""
+
+
+def epipolar_lines_px(
+    motion: Motion, camera: int, row: int, joint: int, marks_px: Mapping[int, tuple[float, float] | None]
+) -> dict[str, Array]:
+    """Return for each other camera the line in a camera's picture on which its keypoint lies.
+
+    The line is the picture of the ray through the other camera's detection, bent as the lens bends it.
+
+    Parameters
+    ----------
+    motion
+        A motion of several cameras.
+    camera
+        Number of the camera in whose picture the lines are.
+    row, joint
+        The frame's row, and the keypoint.
+    marks_px
+        Corrected positions by the number of the camera, in place of the detections; None: hidden.
+
+    Returns
+    -------
+    dict
+        Points (n, 2) in pixels by the other camera's name; without cameras that do not see the keypoint.
+    """
+    views = [view.part(slice(row, row + 1)) for view in motion.solution.views]
+    lines: dict[str, Array] = {}
+    width, height = views[camera].camera.image_size_px
+    for number, view in enumerate(views):
+        mark_px = marks_px.get(number, tuple(view.xy_px[0, joint]))
+        if number == camera or mark_px is None or not np.isfinite(mark_px).all():
+            continue
+        seen = replace(view, xy_px=np.array([[mark_px]]), confidence=np.ones((1, 1)))
+        direction, centre_m = seen.rays()[0, 0], seen.centre_m[0]
+        distance_m = np.linalg.norm(motion.solution.markers_m[row, joint] - centre_m)
+        if not np.isfinite(distance_m) or not np.isfinite(direction).all():
+            continue
+        points_m = centre_m + distance_m * np.geomspace(NEAREST, FARTHEST, COUNT)[:, None] * direction
+        pixels, is_valid = views[camera].project(points_m[None])
+        margin_px = max(width, height)
+        low, high = np.array([-margin_px, -margin_px]), np.array([width + margin_px, height + margin_px])
+        is_near = is_valid[0] & ((pixels[0] > low) & (pixels[0] < high)).all(axis=1)
+        if is_near.sum() > 1:
+            lines[motion.cameras[number].name] = pixels[0, is_near]
+    return lines
