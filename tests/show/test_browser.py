@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import shutil
+import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -19,12 +20,15 @@ from motions import with_first
 
 from recon import FitSettings, write_clip
 from recon.api.batch import COLUMNS, write_summary_page
+from recon.api.corrections import CorrectionSession
 from recon.base.files import seen_from
 from recon.base.progress import silent
 from recon.check.codes import finding
+from recon.cli.fix import _server as editor_server
 from recon.cli.look import PageSettings, _page_of_clip
 from recon.fit.motion import Motion
 from recon.fit.result import Verdict
+from recon.io.corrections import read_corrections
 from recon.io.video import video_writer
 from recon.show.page.compare_page import compare_page
 
@@ -358,3 +362,113 @@ def test_numbers_of_the_page_are_those_of_the_result(pages, opened):
     np.testing.assert_allclose(got[0], motion.upright.xyz_m[30, 5], atol=1e-3)
     assert got[1] == pytest.approx(motion.pictures[0].distance_px[30, 5], abs=0.3)
     assert got[2] == len(motion.frames)
+
+
+# -- the editor of recon fix ---------------------------------------------------------------------------------------
+
+EDITOR = "document.querySelector('main.fix').editor"
+PLACED = """([position, x, y]) => {
+  EDITOR.go(position);
+  const { picture } = EDITOR, box = picture.canvas.getBoundingClientRect();
+  picture.showAll();
+  picture.zoom(8, ...picture.place([x, y]));
+  const [left, top] = picture.place([x, y]);
+  return [box.left + left, box.top + top];
+}"""
+"""Go to an entry of the list with a position of the picture enlarged, and return where that is on the screen."""
+
+
+class EditorPage:
+    """The page of `recon fix` in a browser, with what is saved after each action."""
+
+    def __init__(self, page: Any, session: CorrectionSession) -> None:
+        self.page, self.session = page, session
+
+    def evaluate(self, script: str, argument: object = None) -> Any:
+        return self.page.evaluate(script.replace("EDITOR", EDITOR), argument)
+
+    def click(self, position: int, point_px: tuple[float, float]) -> None:
+        """Choose an entry of the list, and click where its keypoint is, on top of others."""
+        x, y = self.evaluate(PLACED, [position, *point_px])
+        self.page.keyboard.down("Shift")
+        self.page.mouse.click(x, y)
+        self.page.keyboard.up("Shift")
+
+    def drag(self, position: int, from_px: tuple[float, float], to_px: tuple[float, float]) -> None:
+        x, y = self.evaluate(PLACED, [position, *from_px])
+        scale = self.evaluate("() => EDITOR.picture.scale")
+        self.page.mouse.move(x, y)
+        self.page.mouse.down()
+        self.page.mouse.move(x + scale * (to_px[0] - from_px[0]), y + scale * (to_px[1] - from_px[1]), steps=3)
+        self.page.mouse.up()
+
+    def press(self, *keys: str) -> None:
+        for key in keys:
+            self.page.keyboard.press(key)
+
+    def saved(self) -> dict[tuple[int, str], tuple[float, float] | None]:
+        """Wait until everything is saved, and return what the file has."""
+        self.evaluate("() => EDITOR.saving")
+        return {(row.frame, row.keypoint): row.now_px for row in read_corrections(self.session.out)}
+
+
+@pytest.fixture
+def editor(chromium, whole_results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[EditorPage]:
+    """An editor whose fits are those that there were; the browser has nothing to say about its page."""
+    monkeypatch.setattr("recon.api.corrections.refit_clip", lambda settings, motion: motion)
+    monkeypatch.setattr("recon.api.corrections.IDLE_S", 3600.0)
+    session = CorrectionSession.open(whole_results, tmp_path / "corrections.csv")
+    server = editor_server(session, tmp_path, has_video=False)
+    threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
+    context = chromium.new_context(viewport={"width": 1280, "height": 900}, reduced_motion="reduce")
+    page, said = context.new_page(), list[str]()
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.goto(server.address)
+    page.wait_for_function(EDITOR)
+    yield EditorPage(page, session)
+    context.close()
+    server.shutdown()
+    server.server_close()
+    assert said == []
+
+
+def test_points_arrive_where_they_are_put(editor: EditorPage):
+    """Twelve points of the list are clicked, and one is dragged: all are within half a pixel of their targets."""
+    targets = {}
+    for position, item in enumerate(editor.session.state()["queue"][:12]):
+        x, y = item["expected_px"]
+        targets[item["frame"], item["keypoint"]] = (x + 3.0, y - 2.0)
+        editor.click(position, (x + 3.0, y - 2.0))
+    saved = editor.saved()
+    assert saved.keys() == targets.keys()
+    assert max(np.hypot(*np.subtract(saved[key], targets[key])) for key in targets) < 0.5
+    first = next(iter(targets))
+    editor.drag(0, saved[first], (saved[first][0] + 20.0, saved[first][1] + 10.0))
+    assert np.hypot(*np.subtract(editor.saved()[first], saved[first]) - [20.0, 10.0]) < 0.5
+
+
+def test_keys_accept_hide_clear_swap_and_undo(editor: EditorPage):
+    first, second = editor.session.state()["queue"][:2]
+    keys = [(item["frame"], item["keypoint"]) for item in (first, second)]
+    editor.press("a")
+    assert editor.saved()[keys[0]] == pytest.approx(first["expected_px"], abs=0.01)
+    editor.press("n", "h")
+    assert editor.saved()[keys[1]] is None
+    editor.press("u")
+    assert [*editor.saved()] == [keys[0]]
+    editor.press("p", "c")
+    assert editor.saved() == {}
+    motion = editor.session.motion
+    left, right = motion.names.index("l_front_paw"), motion.names.index("r_front_paw")
+    before = motion.keypoints.xy_px[5:8]
+    editor.evaluate("() => EDITOR.cursor.go(5)")
+    editor.press("b", "ArrowRight", "ArrowRight", "s")
+    swapped = editor.saved()
+    for row in range(3):
+        for joint, name in ((right, "l_front_paw"), (left, "r_front_paw")):
+            if np.isfinite(before[row, joint]).all():
+                assert swapped[5 + row, name] == pytest.approx(before[row, joint].tolist(), abs=0.01)
+    assert {frame for frame, _ in swapped} == {5, 6, 7}
+    editor.press("u")
+    assert editor.saved() == {}

@@ -306,9 +306,14 @@ class Editor {
 
   // -- the server ------------------------------------------------------------------------------------------------------
 
-  async save() {
+  /** Save all corrections, after the saving that goes on: a later change never loses to an earlier one. */
+  save() {
     this.draw();
     this.mark();
+    this.saving = (this.saving || Promise.resolve()).then(() => this.send());
+  }
+
+  async send() {
     const { root } = this, rows = this.corrections.all;
     try {
       const answer = await fetch("corrections", { method: "POST", body: JSON.stringify(rows), headers: { "Content-Type": "application/json" } });
