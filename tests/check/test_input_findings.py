@@ -73,7 +73,7 @@ def given(changed: View, rows: slice = slice(None)):
 
 @cache
 def solved(changed: View) -> TrajectorySolution:
-    return solve_trajectory([changed], BODY, PRIOR, FPS)
+    return solve_trajectory([changed], BODY, PRIOR, FPS, TrajectoryOptions(fast=True))
 
 
 def fitted(changed: View):
