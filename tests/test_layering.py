@@ -63,6 +63,12 @@ def base_imports() -> set[str]:
     return {"recon", *sys.stdlib_module_names} | {IMPORT_NAMES.get(n, n.replace("-", "_")) for n in names}
 
 
+@cache
+def parsed(source: str) -> ast.Module:
+    """What is read more than once is parsed once."""
+    return ast.parse(source)
+
+
 def module_name(path: Path) -> str:
     """recon/io/formats.py -> recon.io.formats; recon/io/__init__.py -> recon.io.__init__."""
     return ".".join(path.relative_to(ROOT).with_suffix("").parts)
@@ -72,7 +78,7 @@ def violations(
     module: str, source: str, base: set[str], is_upward: Callable[[str, str], bool] = lambda module, target: False
 ) -> list[str]:
     """What is wrong with the imports of one module, in words; `module` is a name as `module_name` gives it."""
-    tree = ast.parse(source)
+    tree = parsed(source)
     found = []
     layer = room(tuple(module.split(".")))
     if layer in ("__init__", "__main__"):
@@ -132,7 +138,7 @@ def definitions(module: str) -> set[str]:
     """The functions, classes and variables at the top of a module, also below `if`, `try` or `with`."""
     path = ROOT / Path(*module.split("."))
     path = path / "__init__.py" if is_folder(module) else path.with_suffix(".py")
-    names, nodes = set(), list[ast.AST](ast.parse(path.read_text(encoding="utf-8")).body)
+    names, nodes = set(), list[ast.AST](parsed(path.read_text(encoding="utf-8")).body)
     while nodes:
         node = nodes.pop()
         if isinstance(node, ast.FunctionDef | ast.ClassDef):

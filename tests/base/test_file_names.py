@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -35,10 +36,23 @@ def latin_1(tmp_path):
     return path
 
 
-def process(*args: object, environment: dict[str, str] | None = None, shell: str = "") -> subprocess.CompletedProcess:
+IN_TURN = """
+import sys
+from recon.__main__ import main
+for command in " ".join(sys.argv[1:]).split(" then "):
+    sys.argv = ["recon", *command.split()]
+    try:
+        main()
+    except SystemExit as ended:
+        print("ended with", ended.code or 0, file=sys.stderr)
+"""
+"""Several commands in one process, which takes long to start."""
+
+
+def process(*args: object, shell: str = "") -> subprocess.CompletedProcess:
     """`recon ARGS` in a process of its own; shell: what stands behind it."""
     command = ["bash", "-c", f'"$@" {shell}', "bash", sys.executable, "-m", "recon", *map(str, args)]
-    env = {**os.environ, "COLUMNS": "80", "PYTHONPATH": str(ROOT), **(environment or {})}
+    env = {**os.environ, "COLUMNS": "80", "PYTHONPATH": str(ROOT)}
     return subprocess.run(command, capture_output=True, env=env, check=False, timeout=120)
 
 
@@ -134,11 +148,12 @@ def test_standard_output_may_be_closed_or_of_ascii(tmp_path):
     closed = process("fit", clip, *FIT, "--out", tmp_path / "closed", "--quiet", shell=">&-")
     assert (closed.returncode, closed.stderr) == (0, b"")
     assert (tmp_path / "closed" / "manifest.json").is_file()
-    ascii_only = {"PYTHONIOENCODING": "ascii", "LANG": "C", "PYTHONUTF8": "0"}
-    printed = process("skeleton", "list", "--json", environment=ascii_only)
-    assert printed.returncode == 0, printed.stderr
-    assert json.loads(printed.stdout.decode("ascii"))
-    refused = process("fit", tmp_path / "Löwe.csv", *FIT, "--out", tmp_path / "no", environment=ascii_only)
-    assert refused.returncode == 2
-    assert rb"L\xf6we.csv: file: found no such file" in refused.stderr
-    assert process("fit", "--help", environment=ascii_only).returncode == 0
+    no = ("fit", tmp_path / "Löwe.csv", *FIT, "--out", tmp_path / "no")
+    commands = [*map(str, ("skeleton", "list", "--json", "then", *no, "then", "fit", "--help"))]
+    env = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "ascii", "LANG": "C", "PYTHONUTF8": "0"}
+    done = subprocess.run([sys.executable, "-c", IN_TURN, *commands], capture_output=True, env=env, timeout=120)
+    assert re.findall(rb"ended with (\d)", done.stderr) == [b"0", b"2", b"0"], done.stderr
+    listed, usage = done.stdout.decode("ascii").split("Usage:")
+    assert json.loads(listed)
+    assert "--camera" in usage
+    assert rb"L\xf6we.csv: file: found no such file" in done.stderr

@@ -428,7 +428,7 @@ def commands(clip: Path, frame: Path) -> dict[str, tuple[Arguments, str]]:
 
 
 @pytest.mark.parametrize("name", commands(Path(), Path()))
-@pytest.mark.usefixtures("no_playback", "undrawn")
+@pytest.mark.usefixtures("no_playback", "undrawn", "in_process")
 def test_no_command_touches_files_of_names_that_it_writes(whole_results, frame_results, tmp_path, name):
     """A first run says which; 40 files of a user's lie there when the second one comes."""
     arguments, sure = commands(whole_results, frame_results)[name]

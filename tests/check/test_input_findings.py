@@ -67,7 +67,7 @@ def view() -> View:
 
 
 def given(changed: View, rows: slice = slice(None)):
-    setting = ClipProblem.from_views([changed.part(rows)], BODY, PRIOR, FPS, TrajectoryOptions())
+    setting = ClipProblem.from_views([changed.part(rows)], BODY, PRIOR, FPS, TrajectoryOptions(fast=True))
     return baseline_of(setting, 0, plain().states[rows], plain().size)
 
 
@@ -78,7 +78,7 @@ def solved(changed: View) -> TrajectorySolution:
 
 def fitted(changed: View):
     """As a fit to these keypoints finds it."""
-    setting = ClipProblem.from_views([changed], BODY, PRIOR, FPS, TrajectoryOptions())
+    setting = ClipProblem.from_views([changed], BODY, PRIOR, FPS, TrajectoryOptions(fast=True))
     return baseline_of(setting, 0, solved(changed).states, solved(changed).size)
 
 

@@ -11,6 +11,7 @@ from command_line import refused
 
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, analyse
+from recon.show.tables import TABLES
 from recon.show.workbook import (
     DICTIONARY,
     LONG,
@@ -21,6 +22,14 @@ from recon.show.workbook import (
     write_long,
     write_workbook,
 )
+
+FEW = ("joints", "stances", "strides", "gait", "joint_flexion_stride", "closures", "centre_of_mass")
+
+
+@pytest.fixture(autouse=True)
+def few_tables(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A table of each kind: all of them are a hundred thousand cells."""
+    monkeypatch.setattr("recon.show.workbook.TABLES", {f"{name}.csv": TABLES[f"{name}.csv"] for name in FEW})
 
 
 @pytest.fixture(scope="module")
