@@ -493,6 +493,8 @@ def test_the_height_at_the_withers_is_a_size():
     times = 1.3 / (heights[1][wither] - heights[1][feet].min())
     np.testing.assert_allclose(heights[0], times * heights[1], atol=1e-12)
     assert horse.size_sigma == 0.05
+    rough, _, _ = read_model_and_cameras(replace(settings, skeleton="quadruped"))
+    assert rough.size_sigma == 0.15  # the proportions of no species
     with refusal(("--height-m", "height_m", ["mouse-top", "no feet"], "--set size")):
         read_model_and_cameras(replace(settings, skeleton="mouse-top"))
     refuses({**GIVEN, "height_m": 1.3, "size": 2.0}, ("height_m", [1.3, "size, 2"], "one of the two"))

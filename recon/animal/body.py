@@ -23,6 +23,8 @@ from recon.base.arrays import Array, Brief, Index
 from recon.base.errors import Problem
 from recon.geometry.kinematics import Tree
 
+ROUGH_SIZE_SIGMA = 0.25
+"""Relative standard deviation of the size from which a skeleton is no species': species have up to 0.15."""
 MIN_JOINTS = 5
 """Fewer detected joints do not determine an animal's pose."""
 MIN_REACH_PX = 50.0

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recon.animal.body import Body, Side
+from recon.animal.body import ROUGH_SIZE_SIGMA, Body, Side
 from recon.animal.chain import facing_side
 from recon.animal.naming import load_names, problem_of_names, renamed
 from recon.animal.prior import MotionPrior, load_prior
@@ -42,8 +42,12 @@ FEW_OF_SKELETON, FEW_OF_FILE = 0.25, 0.5
 """A file has other keypoint names than the skeleton if it has fewer than this fraction of the skeleton's keypoints, and
 fewer than this fraction of its own keypoints are in the skeleton.
 """
-HEIGHT_SIGMA = 0.05
-"""Relative uncertainty of a size that follows from the height at the withers; proportions differ between animals."""
+HEIGHT_SIGMA, HEIGHT_SIGMA_OF_NO_SPECIES = 0.05, 0.15
+"""Relative uncertainty of a size that follows from the height at the withers.
+
+Proportions differ between animals of one species, and more between species: dogs whose height is given with the
+skeleton quadruped come out 13 % off.
+"""
 _FAR_OUTSIDE = "too far outside the picture to have been found in it"
 
 
@@ -201,7 +205,8 @@ def _scaled_to_height(body: Body, height_m: float) -> Body:
     heights_m = dict(zip(body.markers, body.expected_points_m()[:, 2], strict=True))
     withers = next((name for name in body.markers if "wither" in name.lower()), body.forward[1])
     usual_m = heights_m[withers] - min(heights_m[foot] for foot in body.feet)
-    return replace(body.scaled(height_m / usual_m), size_sigma=HEIGHT_SIGMA)
+    sigma = HEIGHT_SIGMA_OF_NO_SPECIES if body.size_sigma > ROUGH_SIZE_SIGMA else HEIGHT_SIGMA
+    return replace(body.scaled(height_m / usual_m), size_sigma=sigma)
 
 
 def _cleaned(

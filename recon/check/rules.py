@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from recon.animal.body import Body
+from recon.animal.body import ROUGH_SIZE_SIGMA, Body
 from recon.animal.prior import mean_speed_m_s, prior_from_body
 from recon.animal.skeleton_file import builtin_names, load_skeleton
 from recon.base.arrays import Array
@@ -35,7 +35,7 @@ EXPLAINED_SIGMAS = 1.9
 EXPLAINED_DETECTORS = 3.0
 """The same in standard deviations of what detectors err, not of the noise that a fit found, which hides a misfit.
 
-Right views have 0.7 to 0.9, frames in random order 5 to 8: whichever run is left out.
+Right views have 0.7 to 1.4, frames in random order 5 to 9: whichever run is left out.
 """
 UNEXPLAINED_SHARE = 0.1
 """Share of outliers from which a motion that the prior does not know is not an animal's.
@@ -62,8 +62,6 @@ SIZE_SIGMAS_MOST, LOG_SIZE_MOST = 4.0, math.log(2.0)
 UNITS_PER_M = {"m": 1.0, "inches": 39.37, "cm": 100.0, "mm": 1000.0}
 NEARLY_UNIT = 1.35
 """Factor within which a camera's height is that of a unit: an animal's size is not known better."""
-ROUGH_SIZE_SIGMA = 0.25
-"""Relative standard deviation of the size from which a skeleton is no species': species have up to 0.15."""
 SUBJECT_SIGMAS = 3.0
 """Deviation of an animal's lengths from its kind's, in standard deviations of the sizes there are."""
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from recon.animal.body import Body
-from recon.animal.prior import MotionPrior, prior_from_body
+from recon.animal.prior import NONE, MotionPrior, prior_from_body
 from recon.base.arrays import Array, Bools, Index
 from recon.clip import View
 from recon.fit import constants, terms
@@ -120,10 +120,15 @@ class ClipProblem:
         return replace(self, views=tuple(view.part(frames) for view in self.views), known_states=known)
 
     def with_free_shape(self) -> ClipProblem:
-        """Return the problem with the body's shape unknown, where several cameras can tell it."""
-        is_known = self.options.lengths_known or self.known_states is not None or len(self.views) == 1
-        if is_known:
+        """Return the problem with the body's shape unknown, where several cameras can tell it.
+
+        One camera cannot: lengths that were measured on nobody's kind then only add to the uncertainty.
+        """
+        if self.options.lengths_known or self.known_states is not None:
             return self
+        if len(self.views) == 1:
+            is_rough = self.body.subject is None and self.prior.name == NONE
+            return replace(self, shape=FreeShape.of_body(self.body), solves_shape=False) if is_rough else self
         scale = constants.KNOWN_SHAPE_SCALE if self.detector_is_measured else constants.FIRST_SHAPE_SCALE
         return replace(self, shape=FreeShape.of_body(self.body), shape_scale=scale)
 
@@ -275,7 +280,8 @@ class ClipProblem:
             else [lasting(terms.focal_scale(i), options.focal_sigma) for i in range(V)]
         )
         if V == 1:
-            return size, [*time_offsets, *focals, *biases, *common_biases]
+            lengths = [] if self.shape is None else [lasting(terms.LENGTHS, self._single_length_sigmas)]
+            return size, [*time_offsets, *focals, *biases, *common_biases, *lengths]
         shapes = []
         if self.shape is not None:
             length_scale, offset_scale = self.shape_scale
@@ -290,6 +296,13 @@ class ClipProblem:
         rotation = [constants.CAMERA_ROTATION_RAD] * 3
         corrections = [lasting(terms.extrinsic_correction(i), np.array([*rotation, *[m] * 3])) for i, m in shifts]
         return [*size, *sideslip, *time_offsets, *corrections, *focals, *shapes], biases
+
+    @property
+    def _single_length_sigmas(self) -> Array:
+        """Return the relative standard deviations of the lengths, (L,), that one camera cannot correct."""
+        assert self.shape is not None
+        share = max(constants.LENGTH_SIGMA, constants.LENGTH_SHARE * self.body.size_sigma)
+        return np.full(len(self.shape.lengths), share)
 
     def shifts_m(self, around_m: Array, size: float) -> Array:
         """Return how far cameras may stand from their positions, (V,); a small rig is measured better."""

@@ -61,6 +61,8 @@ LENGTH_SHARE, OFFSET_SHARE = 0.3, 0.4
 """Standard deviations with which several cameras solve for the shape: of single lengths as a share of that of the size,
 and of keypoint offsets as a share of that of the common bias. Both are widened where the animal's are larger.
 """
+LENGTH_SIGMA = 0.1
+"""Least relative standard deviation of single lengths of a skeleton without a prior, as one camera sees the animal."""
 FIRST_SHAPE_SCALE, KNOWN_SHAPE_SCALE = (3.0, 2.5), (1 / 3, 1 / 2)
 """Factors on both in the first round, whose lengths and offsets say how much they spread; and of an animal whose
 detector was measured with the skeleton, which fit each other.

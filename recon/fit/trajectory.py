@@ -422,7 +422,7 @@ def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Arr
     was not measured.
     """
     world = clip.in_world(points_m, size)
-    is_expected = clip.shape is None or clip.detector_is_measured
+    is_expected = clip.shape is None or clip.detector_is_measured or len(clip.views) == 1
     least, count = (0.25, 8.0) if is_expected else (constants.LEAST_NOISE, constants.NOISE_COUNT)
     factors_of_views = []
     expected = clip.noise_px(points_m, np.ones_like(factors), size)

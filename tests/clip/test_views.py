@@ -9,10 +9,12 @@ import pytest
 from example_run import AHEAD, ASIDE, BODY, CAMERA, FPS, PRIOR, run, seen, truth_m, two, view_of
 
 from recon import samples_folder
+from recon.animal.prior import prior_from_body
 from recon.clip import View, camera_poses, still_view
 from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.result import TrajectorySolution
+from recon.fit.terms import LENGTHS
 from recon.fit.trajectory import solve_trajectory
 from recon.geometry.frames import inverse, moved, rigid
 from recon.io.positions import read_pose3d
@@ -276,3 +278,16 @@ def test_a_wrong_focal_length_is_found_by_two_cameras():
     added_m2 = np.trace(alone.covariance_m2 - exact.covariance_m2, axis1=2, axis2=3).mean()
     distance_m = np.linalg.norm(exact.joints_m - views[0].centre_m[0], axis=-1).mean()
     assert np.sqrt(added_m2) == pytest.approx(0.1 * distance_m, rel=0.2)
+
+
+def test_lengths_of_nobody_in_particular_add_to_the_uncertainty_of_one_camera():
+    """Where no motions of the kind were learned from; a measured animal's lengths are known."""
+    views = (view_of(truth_m(), AHEAD),)
+    body = replace(BODY, subject=None)
+    rough = ClipProblem.from_views(views, body, prior_from_body(body), FPS, TrajectoryOptions()).with_free_shape()
+    _, nuisance = rough.shared_unknowns()
+    (lengths,) = (unknown for unknown in nuisance if unknown.name == LENGTHS)
+    assert lengths.sigma * np.sqrt(rough.correlation_frames) == pytest.approx(np.full(len(lengths.sigma), 0.1))
+    for known_body, prior in ((body, PRIOR), (replace(body, subject="rex"), prior_from_body(body))):
+        known = ClipProblem.from_views(views, known_body, prior, FPS, TrajectoryOptions()).with_free_shape()
+        assert known.shape is None
