@@ -33,6 +33,7 @@ from recon.api.clip_results import (
     output_of,
     require_same_inputs,
     setting_in_folder,
+    with_corrections_in,
 )
 from recon.api.settings import FitSettings
 from recon.base.arrays import Brief
@@ -115,6 +116,7 @@ def plan_batch(clips: Sequence[Clip], out: Path, overwrite: bool = False) -> lis
 
 
 def _planned(clip: Clip, out: Path, record: Record, overwrite: bool) -> ClipPlan:
+    clip = replace(clip, settings=with_corrections_in(out, clip.settings))
     made_from, row = identity(clip.settings), record.rows.get(clip.name)
     names, output = output_files(clip.settings, out), output_of(clip.settings, out, overwrite=True)
     if not any(os.path.lexists(out / name) for name in names):

@@ -44,6 +44,8 @@ T = TypeVar("T")
 FIT = "fit"
 """Manifest kind of the files of a fit."""
 CONFIG = "config.toml"
+CORRECTIONS = "corrections.csv"
+"""The corrections by hand that a folder of results may have."""
 SCHEMA = {"name": "recon.record", "version": 1}
 AS_THEY_WERE = "the prior and the settings of the fit, as they were: fit the clip again"
 REFINED_CAMERAS = "cameras.toml"
@@ -470,3 +472,10 @@ def replaced_files(config: Path, options: Mapping[str, Any], settings: FitSettin
 def _named(options: Mapping[str, Any], settings: FitSettings) -> dict[str, Path]:
     """Return the input files that the config.toml names, without those named by options."""
     return {role: path for role, path in input_files(settings).items() if options.get(role.split()[0]) is None}
+
+
+def with_corrections_in(folder: Path, settings: FitSettings) -> FitSettings:
+    """Return the settings of a fit with the corrections that its folder of results has, unless others are given."""
+    path = folder / CORRECTIONS
+    is_there = settings.corrections is None and path.is_file() and not path.is_symlink()
+    return replace(settings, corrections=path.absolute()) if is_there else settings

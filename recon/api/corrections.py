@@ -25,7 +25,6 @@ from recon.fit.motion import Motion
 from recon.io.corrections import Correction, read_corrections, write_corrections
 from recon.show.page.player_data import player_data
 
-CORRECTIONS = "corrections.csv"
 MOST_CORRECTIONS = 100_000
 IDLE_S = 2.0
 """Time without a change after which the clip is fitted from nothing."""

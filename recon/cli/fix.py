@@ -15,8 +15,8 @@ import cv2
 from pydantic import Field
 from rich.console import Console
 
-from recon.api.clip_results import CONFIG, read_config
-from recon.api.corrections import CORRECTIONS, CorrectionSession
+from recon.api.clip_results import CONFIG, CORRECTIONS, read_config
+from recon.api.corrections import CorrectionSession
 from recon.api.label_export import CorrectedClip, labels_output, write_labels
 from recon.base.errors import InputError, Problem
 from recon.base.interrupts import installed

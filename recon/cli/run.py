@@ -23,6 +23,7 @@ from recon.api.batch_inputs import SUMMARY, Clip, file_names
 from recon.api.camera_motion import motion_files, settings_for_clip
 from recon.api.clip_inputs import read_model_and_cameras
 from recon.api.clip_results import (
+    CORRECTIONS,
     FIT,
     Record,
     digests,
@@ -32,6 +33,7 @@ from recon.api.clip_results import (
     output_files,
     output_of,
     read_settings,
+    with_corrections_in,
 )
 from recon.api.settings import FIRST_FRAME, OF_ANY_CLIP, FitSettings
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
@@ -73,6 +75,8 @@ class _RunSettings(Settings):
     """Folder of a trained network, such as models/run."""
     keypoints: Path | None = None
     """Keypoint file to use instead of a network; with a folder of videos, the folder of their keypoint files."""
+    corrections: Path | None = None
+    """Detections that were corrected by hand, of one video. (default: corrections.csv in --out, if there is one)"""
     camera_motion: Literal["turns", "zooms"] | None = None
     """Motion of the camera, to be found from the background: turns or zooms. (default: the camera stands still)"""
     start: Annotated[Stage | None, Option(metavar="STAGE", name="--from")] = None
@@ -90,6 +94,11 @@ class _RunSettings(Settings):
         if (self.model is None) == (self.keypoints is None):
             actual = "nothing" if self.model is None else f"{self.keypoints} beside --model"
             yield Problem("--keypoints", "keypoints", actual, "a keypoint file, or --model with a network")
+        if self.corrections is not None and self.video.is_dir():
+            actual = f"{self.corrections} for a folder of videos"
+            yield Problem(
+                "--corrections", "corrections", actual, f"{CORRECTIONS} in the folder of each video's results"
+            )
         if {"detect": self.model, "camera-motion": self.camera_motion}.get(self.start or "", ()) is None:
             yield Problem("--from", "stage", repr(self.start), "a stage that this run has")
 
@@ -194,10 +203,11 @@ def job_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> _Job:
     InputError with every problem.
     """
     keypoints = run_settings.keypoints or run_settings.out / f"{run_settings.video.stem}_keypoints.csv"
+    corrections = {} if run_settings.corrections is None else {"corrections": run_settings.corrections}
     info, _, settings, _ = collect_problems(
         lambda: probe(run_settings.video),
         lambda: None if run_settings.model is None else _model_file(run_settings.model),
-        lambda: read_settings(run_settings.config, {**options, "keypoints": keypoints}),
+        lambda: read_settings(run_settings.config, {**options, **corrections, "keypoints": keypoints}),
         lambda: raise_problems(_motion_problems(run_settings, options)),
     )
     if settings.fps is None:
@@ -206,7 +216,7 @@ def job_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> _Job:
                 Problem("--fps", "fps", f"nothing, and {run_settings.video} does not say", "frames per second")
             )
         settings = replace(settings, fps=info.fps)
-    return _Job(run_settings, settings)
+    return _Job(run_settings, with_corrections_in(run_settings.out, settings))
 
 
 def _motion_problems(run_settings: _RunSettings, options: Mapping[str, Any]) -> Iterator[Problem]:

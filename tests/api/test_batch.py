@@ -570,6 +570,15 @@ def test_finished_clips_are_known_by_their_content(clips, tmp_path):
     assert fit(found(one, camera=camera, fps=60, likelihood_min=0.6), out) == [("done", "")]
 
 
+def test_corrections_in_a_clip_s_folder_are_fitted(clips, tmp_path):
+    out, clip = tmp_path / "out", found(clips / "a.csv")
+    (out / "a").mkdir(parents=True)
+    (out / "a" / "corrections.csv").write_text("frame,keypoint,now_x_px,now_y_px\n3,nose,,\n")
+    (planned,) = plan_batch(clip, out)
+    assert planned.clip.settings.corrections == out / "a" / "corrections.csv"
+    assert "corrections" in planned.identity["inputs"]
+
+
 def test_another_version_does_not_count(clips, tmp_path):
     out = tmp_path / "out"
     fit(found(clips / "a.csv"), out)

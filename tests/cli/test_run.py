@@ -137,6 +137,21 @@ def test_nothing_is_done_twice(film, called):
     assert done(job(film, first_frame=3), called) == ["overlay", "page"]
 
 
+def test_corrections_in_the_folder_are_fitted(film, called):
+    done(job(film), called)
+    out = film.parent / "out"
+    (out / "corrections.csv").write_text("frame,keypoint,now_x_px,now_y_px\n3,nose,,\n")
+    assert job(film).fit.corrections == out / "corrections.csv"
+    assert done(job(film), called)[0] == "fit"
+    assert done(job(film), called) == []
+    assert (out / "corrections.csv").read_text().endswith("3,nose,,\n")
+    chosen = film.parent / "mine.csv"
+    shutil.copy(out / "corrections.csv", chosen)
+    assert job(film, corrections=chosen).fit.corrections == chosen
+    with refusal(("--corrections", "corrections", "a folder of videos", "corrections.csv in the folder")):
+        _RunSettings(video=film.parent, out=out, keypoints=film.parent, corrections=chosen)
+
+
 def test_the_network_finds_the_keypoints_once(film, called):
     of_network = {"model": film.parent / "net"}
     assert done(job(film, **of_network), called) == ["detect", *ALL]
