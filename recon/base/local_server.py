@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
+WASM = "application/wasm"
+"""Kind of WebAssembly, which browsers take without a charset only."""
 MOST_BYTES = 4_000_000
 """Largest request: thousands of corrections."""
 _POLICY = (
@@ -50,12 +52,17 @@ class LocalServer(ThreadingHTTPServer):
         What is read, by name; "" is the page itself.
     posts
         What takes data, by name.
+    policy
+        The page's Content-Security-Policy.
     """
 
     daemon_threads = True
 
-    def __init__(self, pages: Mapping[str, Handler], posts: Mapping[str, Handler]) -> None:
+    def __init__(
+        self, pages: Mapping[str, Handler], posts: Mapping[str, Handler] | None = None, policy: str = _POLICY
+    ) -> None:
         super().__init__(("127.0.0.1", 0), _RequestHandler)
+        posts, self.policy = posts or {}, policy
         self.pages, self.posts, self.token = pages, posts, secrets.token_urlsafe(24)
 
     @property
@@ -89,9 +96,9 @@ class _RequestHandler(BaseHTTPRequestHandler):
             self.close_connection = True
         self.send_response(reply.status)
         headers = {
-            "Content-Type": f"{reply.kind}; charset=utf-8",
+            "Content-Type": reply.kind + "; charset=utf-8" * (reply.kind != WASM),
             "Content-Length": str(len(reply.content)),
-            "Content-Security-Policy": _POLICY,
+            "Content-Security-Policy": self.server.policy,
             "X-Content-Type-Options": "nosniff",
             "Referrer-Policy": "no-referrer",
             "Cross-Origin-Resource-Policy": "same-origin",

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import shlex
 import sys
+import threading
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -146,6 +147,15 @@ def stop(message: str = MESSAGE) -> NoReturn:
         interrupts.said = True
     terminal(stderr=True, soft_wrap=True).print(Text(message, "bold"))
     raise typer.Exit(EXIT_INTERRUPTED)
+
+
+def wait_for_ctrl_c() -> None:
+    """Wait for Ctrl-C where it ends a command that serves a page, and is no error."""
+    with suppress(KeyboardInterrupt):
+        threading.Event().wait()
+    interrupts = installed()
+    if interrupts is not None:
+        interrupts.said = True
 
 
 @contextmanager

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 import webbrowser
 from collections.abc import Iterator
-from contextlib import suppress
 from http import HTTPStatus
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,13 +18,12 @@ from recon.api.clip_results import CONFIG, CORRECTIONS, read_config
 from recon.api.corrections import CorrectionSession
 from recon.api.label_export import CorrectedClip, labels_output, write_labels
 from recon.base.errors import InputError, Problem
-from recon.base.interrupts import installed
 from recon.base.local_server import LocalServer, Reply, json_reply
 from recon.base.locks import sole_editor
 from recon.base.numbers import counted
 from recon.base.outputs import Output, ReadResults, output_file, require_suffix
 from recon.base.settings import Option
-from recon.cli.answers import Answer, say
+from recon.cli.answers import Answer, say, wait_for_ctrl_c
 from recon.cli.look import ResultSettings, first_in_clip, result_and_video
 from recon.fit.motion import Motion
 from recon.io.deeplabcut import write_csv
@@ -102,7 +100,7 @@ def fix(settings: FixSettings, console: Console) -> Answer:
         say(console, f"Corrections are saved in {out}. Ctrl-C ends the editor.")
         if settings.browser:
             webbrowser.open(server.address)
-        _wait()
+        wait_for_ctrl_c()
         server.shutdown()
     lines = [f"{counted(len(session.corrections), 'correction')} in {out}."]
     if session.corrections:
@@ -152,15 +150,6 @@ def _outputs(settings: FixSettings, path: Path) -> tuple[Output | None, Output |
         table_out = output_file(table, "fix", settings.overwrite, inputs, made_from, "--export-table")
         table_out.require((table.name,))
     return labels_out, table_out
-
-
-def _wait() -> None:
-    """Wait for Ctrl-C, which ends the editor without an error."""
-    with suppress(KeyboardInterrupt):
-        threading.Event().wait()
-    interrupts = installed()
-    if interrupts is not None:
-        interrupts.said = True
 
 
 def _decode(frames: object, video: Path, start: int, folder: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -30,7 +31,7 @@ from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Option, Settings, input_paths
 from recon.check.codes import FLAG_OF
 from recon.check.verdict import usable
-from recon.cli.answers import Answer, say, verdict_texts
+from recon.cli.answers import Answer, say, verdict_texts, wait_for_ctrl_c
 from recon.fit.motion import Motion
 from recon.gait.clip import analyse
 from recon.io.video import Image, missing_note, probe, require_codec, size_problems, video_writer
@@ -48,7 +49,9 @@ RATE_SAME = 0.01
 MIN_WIDTH_PX = 640
 """Width below which videos are enlarged by a whole factor, so that their text is readable."""
 STILLS = 9
-BESIDE = ("overlay.mp4", "analysis/analysis.json")
+VIDEO_PLAYBACK = "playback.rrd"
+"""Recording with the video that `recon run` writes, which `recon view` opens then."""
+BESIDE = ("overlay.mp4", "analysis/analysis.json", VIDEO_PLAYBACK)
 """Files that a page links to, in addition to those of the fit, if they exist when it is made."""
 
 
@@ -375,13 +378,15 @@ def _page_of(folder: Path, progress: Progress) -> dict[str, str]:
 # -- viewer -----------------------------------------------------------------------------------------------------------
 
 
-class _ViewSettings(ResultSettings):
+class ViewSettings(ResultSettings):
     """Settings of `recon view`."""
 
     video: Path | None = None
     """Show the frames of this video in the playback, such as clip.mp4."""
     out: Path | None = None
     """Write the playback to a recording, such as clip.rrd, and open no viewer."""
+    web: bool = False
+    """Serve the viewer to a browser on this machine, for one without a display; Ctrl-C ends it."""
     overwrite: bool = False
     """Replace an existing recording."""
 
@@ -390,9 +395,11 @@ class _ViewSettings(ResultSettings):
         for name in ("first_frame", "camera_name"):
             if getattr(self, name) and self.video is None:
                 yield Problem("settings", name, "no --video", "one beside the other")
+        if self.web and self.out is not None:
+            yield Problem("--web", "viewer", f"--out {self.out} beside it", "one of the two")
 
 
-def view(settings: _ViewSettings, console: Console) -> Answer:
+def view(settings: ViewSettings, console: Console) -> Answer:
     """Open the playback of a reconstruction in the rerun viewer, with the plots of its analysis.
 
     Example: recon view results/clip --video clip.mp4
@@ -402,22 +409,54 @@ def view(settings: _ViewSettings, console: Console) -> Answer:
     if not playback.is_file():
         raise InputError(Problem(playback, "file", "no such file", "a recording (.rrd) that `recon fit` has written"))
     read_manifest(folder).require(PLAYBACK)
-    output = None
     if out is not None:
-        made_from = ReadResults.read(folder)
-        output = output_file(out, "view", settings.overwrite, input_paths(settings), made_from)
-        output.require((out.name,))
-    analysed = (folder / FOLDER / ANALYSIS).is_file()
-    with TemporaryDirectory() as temporary:
-        if out is not None or settings.video is not None or analysed:
-            motion, number = result_and_video(settings)
-            if note := first_frame_note(motion, settings):
-                say(console, f"note: {note}")
-            analysis = analyse(motion) if analysed else None
+        answer = write_recording(settings)
+        for note in answer.notes:
+            say(console, f"note: {note}")
+        return replace(answer, notes=())
+    with_video = folder / VIDEO_PLAYBACK
+    if settings.video is None and with_video.is_file() and is_current(with_video, folder):
+        _show(with_video, settings, console)
+    elif settings.video is not None or (folder / FOLDER / ANALYSIS).is_file():
+        with TemporaryDirectory() as temporary:
             playback = Path(temporary) / PLAYBACK
-            with staged_file(playback) if output is None else output.staged_file() as staged:
-                viewer.write(motion, staged, analysis, settings.video, first_in_clip(motion, number, settings), number)
-        if out is None:
-            viewer.open_viewer(playback)
-    lines = [] if out is None else [f"The recording is in {out}. Watch it with: rerun {shlex.quote(str(out))}"]
-    return Answer({"recording": folder / PLAYBACK if out is None else out}, lines)
+            if note := _write(settings, playback):
+                say(console, f"note: {note}")
+            _show(playback, settings, console)
+    else:
+        _show(playback, settings, console)
+    return Answer({"recording": folder / PLAYBACK})
+
+
+def write_recording(settings: ViewSettings, progress: Progress = silent) -> Answer:
+    """Write a recording with the video and the plots of the analysis, for `recon view` and for rerun."""
+    folder, out = settings.folder, settings.out
+    assert out is not None
+    output = output_file(out, "view", settings.overwrite, input_paths(settings), ReadResults.read(folder))
+    output.require((out.name,))
+    progress("writing", 0.1)
+    with output.staged_file() as staged:
+        note = _write(settings, staged)
+    line = f"The recording is in {out}. Watch it with: rerun {shlex.quote(str(out))}"
+    return Answer({"recording": out}, [line], files=[out], notes=[note] if note else [])
+
+
+def _write(settings: ViewSettings, path: Path) -> str | None:
+    """Write a recording, and return a note on the video."""
+    motion, number = result_and_video(settings)
+    analysis = analyse(motion) if (settings.folder / FOLDER / ANALYSIS).is_file() else None
+    with staged_file(path) as staged:
+        viewer.write(motion, staged, analysis, settings.video, first_in_clip(motion, number, settings), number)
+    return first_frame_note(motion, settings)
+
+
+def _show(playback: Path, settings: ViewSettings, console: Console) -> None:
+    """Open a recording in the viewer, or serve it to browsers until Ctrl-C."""
+    if not settings.web:
+        viewer.open_viewer(playback)
+        return
+    from recon.show.view.web import served
+
+    with served(playback) as address:
+        say(console, f"Open {address} in a browser on this machine. Ctrl-C ends the viewer.")
+        wait_for_ctrl_c()

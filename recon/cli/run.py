@@ -48,7 +48,16 @@ from recon.cli.answers import Answer, answer_of_fit, progress_bar, say
 from recon.cli.batch import shown_batch
 from recon.cli.cameras import camera_motion_answer
 from recon.cli.commands import OptionsOf
-from recon.cli.look import OverlaySettings, PageSettings, overlay, rate_note, report
+from recon.cli.look import (
+    VIDEO_PLAYBACK,
+    OverlaySettings,
+    PageSettings,
+    ViewSettings,
+    overlay,
+    rate_note,
+    report,
+    write_recording,
+)
 from recon.fit.motion import Motion
 from recon.gait.kinematics import MIN_POINTS
 from recon.io.formats import recognised
@@ -59,8 +68,10 @@ from recon.show.report import build_report, is_unsolved
 from recon.show.tables import TABLES
 
 RECORD = "run.jsonl"
-Stage = Literal["detect", "camera-motion", "fit", "analyse", "overlay", "page"]
+Stage = Literal["detect", "camera-motion", "fit", "analyse", "overlay", "playback", "page"]
 OVERLAY = "overlay.mp4"
+RECORDED_FRAMES = 1500
+"""Longest clip whose video is put into a recording, which has a JPEG of each frame."""
 _FitOptions = Annotated[dict[str, Any], OptionsOf(FitSettings, OF_ANY_CLIP, "Settings of the fit")]
 
 
@@ -154,10 +165,11 @@ class _StageOutcome(NamedTuple):
 
 
 def run(settings: _RunSettings, options: _FitOptions, console: Console) -> Answer:
-    """Make a page from a video: find the keypoints, fit, analyse, draw the overlay, and write report.html.
+    """Make a page from a video: find the keypoints, fit, analyse, draw the overlay, record, and write report.html.
 
     Stages that were done before with the same files and settings are skipped. The frame rate is that of the video
-    unless --fps is given. The stages are detect, camera-motion, fit, analyse, overlay and page.
+    unless --fps is given. The stages are detect, camera-motion, fit, analyse, overlay, playback
+    and page.
 
     Example: recon run run.mp4 --camera camera.toml --model models/run --out results/run
 
@@ -261,7 +273,7 @@ def run_video(
             def tell(text: str, share: float, number: int = number, name: str = name) -> None:
                 progress(f"{name}: {text}", (number + share) / len(stages))
 
-            if name in ("analyse", "overlay") and report_of_fit["summary"]["frames_with_pose"] < MIN_POINTS:
+            if name in ("analyse", "overlay", "playback") and report_of_fit["summary"]["frames_with_pose"] < MIN_POINTS:
                 outcome = _StageOutcome(name, "left out", 0.0)
             else:
                 outcome = _carry_out(name, stage, job, record, must_run, tell)
@@ -368,12 +380,26 @@ def _stages(job: _Job) -> dict[str, _Stage]:
     )
     fit_output = output_of(job.fit, out, overwrite=True)
     tables = (ANALYSIS, *TABLES)
+    recording = ViewSettings(out=out / VIDEO_PLAYBACK, overwrite=True, **view_options)
     return stages | {
         FIT: _Stage(solve, partial(identity, job.fit), fit_output, (*output_files(job.fit, out),)),
         "analyse": _Stage(partial(analyse_command, analysis), from_fit, output("analyse", out / FOLDER), tables),
         "overlay": _Stage(partial(overlay, overlay_settings), from_video, output("overlay"), (OVERLAY,)),
+        "playback": _Stage(partial(_record, recording), from_video, output("view"), (VIDEO_PLAYBACK,)),
         "page": _Stage(partial(report, PageSettings(**view_options)), from_video, output("report"), (PAGE,)),
     }
+
+
+def _record(settings: ViewSettings, progress: Progress) -> Answer:
+    """Write the recording with the video; without one for a long clip."""
+    frames = len(Motion.load(settings.folder).frames)
+    if frames <= RECORDED_FRAMES:
+        return write_recording(settings, progress)
+    answer = write_recording(replace(settings, video=None, first_frame=0), progress)
+    text = (
+        f"the recording of {frames} frames is without the video: recon view {settings.folder} --video {settings.video}"
+    )
+    return replace(answer, notes=[text])
 
 
 # -- a folder of videos -----------------------------------------------------------------------------------------------

@@ -848,6 +848,18 @@ def test_view_opens_the_recording(fitted, monkeypatch):
     assert opened == [fitted[0] / "motion.rrd"]
 
 
+def test_view_opens_the_recording_with_the_video_that_a_run_wrote(tmp_path, fitted, monkeypatch):
+    out, opened = tmp_path / "clip", []
+    shutil.copytree(fitted[0], out)
+    monkeypatch.setattr("recon.show.view.open_viewer", opened.append)
+    assert run("view", out, "--out", out / "playback.rrd").code == 0
+    assert run("view", out).code == 0
+    (out / ".recon.json").unlink()  # nobody knows of which results it is
+    assert run("view", out).code == 0
+    assert opened == [out / "playback.rrd", out / "motion.rrd"]
+    refused(["view", out, "--web", "--out", tmp_path / "a.rrd"], ("--web", "viewer", "--out"))
+
+
 def test_view_shows_what_goes_with_the_recording(fitted, tmp_path, monkeypatch):
     """The plots of an analysis, and nothing in the results' folder changes."""
     out, seen = tmp_path / "clip", []

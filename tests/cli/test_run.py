@@ -24,7 +24,7 @@ from recon.io.video import video_writer
 from recon.keypoint_net.network import PredictSettings
 
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"
-ALL = ["fit", "analyse", "overlay", "page"]
+ALL = ["fit", "analyse", "overlay", "playback", "page"]
 
 
 def write_film(path: Path, frames: int = 2, size_px: tuple[int, int] = (64, 48)) -> Path:
@@ -50,7 +50,7 @@ def called(monkeypatch, report, small_trajectory) -> list[str]:
     numbers = count()
 
     def write(path: Path, name: str) -> Path:
-        kind = {"page": "report", "track": "camera-motion"}.get(name, name)
+        kind = {"page": "report", "track": "camera-motion", "playback": "view"}.get(name, name)
         Output(path.parent, kind, overwrite=True).write(path.name, f"{name} {len(names)}")
         return path
 
@@ -86,6 +86,7 @@ def called(monkeypatch, report, small_trajectory) -> list[str]:
     monkeypatch.setattr("recon.cli.run.fit_into", write_results)
     monkeypatch.setattr("recon.cli.run.analyse_command", does("analyse", "analysis/analysis.json"))
     monkeypatch.setattr("recon.cli.run.overlay", does("overlay", "overlay.mp4", ["uneven in time"]))
+    monkeypatch.setattr("recon.cli.run.write_recording", does("playback", "playback.rrd"))
     monkeypatch.setattr("recon.cli.run.report", does("page", "report.html"))
     return names
 
@@ -120,13 +121,13 @@ def test_a_camera_is_chosen_before_the_keypoints_are_found(film):
 
 def test_nothing_is_done_twice(film, called):
     assert done(job(film), called) == ALL
-    assert [stage.notes for stage in run_video(job(film))[0]] == [(), (), ("uneven in time",), ()]  # said again
+    assert [stage.notes for stage in run_video(job(film))[0]] == [(), (), ("uneven in time",), (), ()]  # said again
     assert job(film).fit.fps == 60
     assert done(job(film), called) == []
     assert done(job(film, given={"likelihood_min": 0.4}), called) == ALL
-    assert done(job(film, given={"likelihood_min": 0.4}, first_frame=3), called) == ["overlay", "page"]
+    assert done(job(film, given={"likelihood_min": 0.4}, first_frame=3), called) == ["overlay", "playback", "page"]
     assert done(job(film, first_frame=3), called) == ALL
-    assert done(job(film, first_frame=3, start="analyse"), called) == ["analyse", "overlay", "page"]
+    assert done(job(film, first_frame=3, start="analyse"), called) == ["analyse", "overlay", "playback", "page"]
     (film.parent / "points.csv").write_text((SAMPLES / "whole_cam1.csv").read_text())
     assert done(job(film, first_frame=3), called) == ALL
     Output(film.parent / "out", "report", overwrite=True).write("report.html", "of recon report")
@@ -134,7 +135,7 @@ def test_nothing_is_done_twice(film, called):
     (film.parent / "out" / "overlay.mp4").unlink()
     assert done(job(film, first_frame=3), called) == ["overlay"]
     write_film(film, frames=3)
-    assert done(job(film, first_frame=3), called) == ["overlay", "page"]
+    assert done(job(film, first_frame=3), called) == ["overlay", "playback", "page"]
 
 
 def test_corrections_in_the_folder_are_fitted(film, called):
@@ -198,7 +199,7 @@ def test_a_stage_that_was_interrupted_is_done_again(film, called, monkeypatch):
             run_video(job(film))
     assert called == ["fit", "analyse"]
     assert not (film.parent / "out" / ".recon-writing").exists()
-    assert done(job(film), called) == ["overlay", "page"]
+    assert done(job(film), called) == ["overlay", "playback", "page"]
 
 
 def test_files_of_a_user_s_are_not_replaced(film, called):
@@ -271,7 +272,8 @@ def test_the_command_says_what_was_done(film, called):
     assert "report.html in a browser" in " ".join(again.out.split())
     shown = json.loads(run(*args, "--from", "page", "--json").out)
     assert [(stage["stage"], stage["status"]) for stage in shown["stages"]] == [
-        ("fit", "unchanged"), ("analyse", "unchanged"), ("overlay", "unchanged"), ("page", "done"),
+        ("fit", "unchanged"), ("analyse", "unchanged"), ("overlay", "unchanged"), ("playback", "unchanged"),
+        ("page", "done"),
     ]  # fmt: skip
     assert shown["summary"]["frames"] == 8
 
@@ -281,7 +283,7 @@ def test_all_mistakes_are_said_before_any_work(film, called):
     refused(
         ["run", film, "--out", film.parent / "out", *options],
         ("--camera-motion", "camera_motion", "'spins'", "turns or zooms"),
-        ("--from", "start", "'detekt'", "detect, camera-motion, fit, analyse, overlay or page"),
+        ("--from", "start", "'detekt'", "detect, camera-motion, fit, analyse, overlay, playback or page"),
     )
     options = ("--camera-motion", "turns", "--fps", -1, "--keypoints", film.parent / "points.csv")
     no_lens = [(of, "camera", "nothing") for of in ("--camera", "--camera-motion")]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import http.client
+import re
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
@@ -20,6 +23,7 @@ from recon.fit.motion import Motion
 from recon.fit.result import MotionSegment, Solution
 from recon.show.view import DISPLAYS, OVERVIEW_ASPECT, VIEW_RAD, fitting_eye, open_viewer, time_view, write
 from recon.show.view.scene import TimePlot
+from recon.show.view.web import served
 from recon.thesis.objectives import FrameOptions
 from recon.thesis.solution import FrameSolution
 from recon.thesis.solver import solve_frames
@@ -482,6 +486,42 @@ def test_viewer_is_rerun_of_this_python(tmp_path: Path, monkeypatch: pytest.Monk
     assert python == sys.executable
     assert rest[:2] == ["-m", "rerun"]
     assert rest[-1] == str(path)
+
+
+def test_the_web_viewer_is_served_on_this_machine_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    started, ended = [], []
+
+    class Rerun:
+        def __init__(self, command: list[str], **_: Any) -> None:
+            started.append(command)
+
+        poll = wait = lambda self: None
+
+        def terminate(self) -> None:
+            ended.append(True)
+
+    html = b'<link rel="preconnect" href="https://fonts.example" crossorigin /><script src="re_viewer.js"></script>'
+    monkeypatch.setattr(subprocess, "Popen", Rerun)
+    monkeypatch.setattr("recon.show.view.web._listens", lambda port: True)
+    monkeypatch.setattr("recon.show.view.web._content", lambda address: html)
+    with served(tmp_path / "motion.rrd") as address:
+        parts = urlsplit(address)
+        connection = http.client.HTTPConnection(parts.netloc, timeout=10)
+        connection.request("GET", f"{parts.path}?{parts.query}")
+        response = connection.getresponse()
+        assert response.read() == b'<script src="re_viewer.js"></script>'
+        connection.request("GET", f"{parts.path}re_viewer_bg.wasm")
+        assert connection.getresponse().headers["Content-Type"] == "application/wasm"
+        connection.close()
+    ((program, *rest),) = started
+    assert Path(program).is_file()
+    assert rest[:3] == ["--serve-web", "--bind", "127.0.0.1"]
+    assert rest[-1] == str(tmp_path / "motion.rrd")
+    data = parse_qs(parts.query)["url"][0].removeprefix("rerun+http://").removesuffix("/proxy")
+    assert data == f"127.0.0.1:{rest[rest.index('--port') + 1]}"
+    hosts = re.findall(r"https?://[^ ;]+", response.headers["Content-Security-Policy"] or "")
+    assert hosts == [f"http://{data}"]
+    assert ended == [True]
 
 
 def test_a_playback_that_memory_was_short_for_is_none(small_motion, tmp_path, monkeypatch):

@@ -1,0 +1,120 @@
+"""Show a recording in rerun's web viewer: for machines without a display, and for browsers on another one by a tunnel.
+
+The package of rerun brings its web viewer along. Its own server would let the viewer ask rerun's servers for fonts,
+examples and a newer version. The page is therefore passed on by `LocalServer`, whose policy allows this machine only.
+"""
+
+from __future__ import annotations
+
+import re
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
+from pathlib import Path
+from urllib.parse import quote
+
+from recon.base.errors import InputError, Problem
+from recon.base.local_server import WASM, LocalServer, Reply
+
+LOOPBACK = "127.0.0.1"
+FILES = {
+    "": "text/html",
+    "re_viewer.js": "text/javascript",
+    "re_viewer_bg.wasm": WASM,
+    "favicon.ico": "image/x-icon",
+    "favicon.svg": "image/svg+xml",
+}
+"""Files of the web viewer, and their kinds."""
+_POLICY = (
+    "default-src 'none'; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval' blob:; style-src 'unsafe-inline'; "
+    "img-src 'self' data: blob:; worker-src 'self' blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
+    "connect-src 'self' data: blob: http://{data}"
+)
+_LINK = re.compile(rb"<link[^>]*https?://[^>]*>")
+START_S, TICK_S = 30.0, 0.05
+"""Longest time that rerun may take to start, and time between two looks."""
+
+
+@contextmanager
+def served(path: Path) -> Iterator[str]:
+    """Serve a recording, and give the address of its page.
+
+    Raises InputError if rerun's server cannot run.
+    """
+    data_port, viewer_port = _free_ports(2)
+    command = [str(_program()), "--serve-web", "--bind", LOOPBACK, "--port", str(data_port)]
+    command += ["--web-viewer-port", str(viewer_port), str(path)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        _wait_for(process, (data_port, viewer_port))
+        data = f"{LOOPBACK}:{data_port}"
+        pages = {
+            name: partial(_passed_on, f"http://{LOOPBACK}:{viewer_port}/{name}", kind) for name, kind in FILES.items()
+        }
+        server = LocalServer(pages, policy=_POLICY.format(data=data))
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        try:
+            yield f"{server.address}?url={quote(f'rerun+http://{data}/proxy', safe='')}"
+        finally:
+            server.shutdown()
+            server.server_close()
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def _program() -> Path:
+    """Return rerun's own program: `python -m rerun` would start it as a child that outlives the parent."""
+    import rerun_cli
+
+    folder = Path(rerun_cli.__file__).parent
+    bundled = folder / "Rerun.app" / "Contents" / "MacOS" / "Rerun"
+    return bundled if bundled.exists() else folder / ("rerun.exe" if sys.platform == "win32" else "rerun")
+
+
+def _passed_on(address: str, kind: str, _rest: str, _data: object) -> Reply:
+    """Return a file of rerun's own server, without its links to other servers: a policy does not stop a preconnect."""
+    content = _content(address)
+    return Reply(_LINK.sub(b"", content) if kind == "text/html" else content, kind)
+
+
+def _content(address: str) -> bytes:
+    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))  # no proxy leads to this machine
+    with opener.open(address) as response:
+        return response.read()
+
+
+def _free_ports(count: int) -> list[int]:
+    """Return free ports of this machine, all different."""
+    sockets = [socket.socket() for _ in range(count)]
+    try:
+        for each_socket in sockets:
+            each_socket.bind((LOOPBACK, 0))
+        return [each_socket.getsockname()[1] for each_socket in sockets]
+    finally:
+        for each_socket in sockets:
+            each_socket.close()
+
+
+def _wait_for(process: subprocess.Popen[bytes], ports: tuple[int, ...]) -> None:
+    """Wait until a process listens on all ports. Raises InputError if it ended, or takes too long."""
+    until_s = time.monotonic() + START_S
+    for port in ports:
+        while not _listens(port):
+            if process.poll() is not None or time.monotonic() > until_s:
+                ending = "one that does not answer" if process.poll() is None else f"exit code {process.returncode}"
+                expected = "a page instead, by recon report DIR, or a recording, by --out FILE.rrd"
+                raise InputError(Problem("recon view --web", "rerun's server", ending, expected))
+            time.sleep(TICK_S)
+
+
+def _listens(port: int) -> bool:
+    with suppress(OSError), socket.create_connection((LOOPBACK, port), timeout=1.0):
+        return True
+    return False
