@@ -25,6 +25,7 @@ from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.gait.clip import ClipAnalysis, analyse, over_belt
 from recon.gait.dynamics import OVER_STRIDE, Dynamics, findings_of_dynamics, over_stride
 from recon.gait.gait import Gait, Stride, doubtful_text, interval_of
+from recon.gait.quantities import GaitQuantity
 from recon.show.plain import picked, to_json
 from recon.show.tables import TABLES, write_analysis
 from recon.show.workbook import DICTIONARY, LONG, WORKBOOK, write_long, write_workbook
@@ -162,7 +163,7 @@ def summarise(analysis: ClipAnalysis, results: str) -> dict[str, Any]:
         },
         "spine_flexion_rad": analysis.angles["spine_flexion"].range_rad if "spine_flexion" in analysis.angles else None,
         "angles": {"data_share": analysis.motion.data_shares, "not_measured": list(analysis.not_measured)},
-        "gait": None if analysis.gait is None else _gait_summary(analysis.gait),
+        "gait": None if analysis.gait is None else _gait_summary(analysis, analysis.gait),
         "dynamics": _dynamics_summary(analysis),
         "stride": None if analysis.stride is None else picked(analysis.stride, "foot", "start_s", "end_s") | {"by": by},
         "notes": [*notes(analysis)],
@@ -243,11 +244,23 @@ def _with_interval(name: str, unit: str, value_and_interval: tuple[float, float,
     return {f"{name}{unit}": value, f"{name}_interval{unit}": interval}
 
 
-def _gait_summary(gait: Gait) -> dict[str, Any]:
+def _gait_summary(analysis: ClipAnalysis, gait: Gait) -> dict[str, Any]:
     counts = {"footfalls": list(gait.order), "stances": len(gait.stances), "strides": len(gait.strides)}
-    duty = {"duty_factor_interval": gait.name.duty_interval, "duty_factor_by_foot": dict(gait.duty_factor)}
-    named = picked(gait.name, "name", "criterion", "duty_factor")
-    return named | counts | picked(gait, "stride_length_m", "stride_frequency_hz") | duty
+    quantities = analysis.quantities
+    duty = {
+        "duty_factor_interval": quantities["duty_factor"].interval,
+        "duty_factor_by_foot": {foot: quantities[f"duty_factor_{foot}"].value for foot in gait.tracks.feet},
+    }
+    names = "stride_length_m", "stride_frequency_hz", "duty_factor"
+    named = picked(gait.name, "name", "criterion") | {name: quantities[name].value for name in names}
+    return named | counts | duty | {"quantities": {name: quantity_fields(q) for name, q in quantities.items()}}
+
+
+def quantity_fields(quantity: GaitQuantity) -> dict[str, Any]:
+    """Return a quantity as JSON has it: value, standard deviation, 90 % interval, number of strides, and source."""
+    fields = picked(quantity, "value", "sigma") | {"interval": quantity.interval}
+    fields |= {"between_strides": quantity.between_sigma, "n": quantity.count, "source": quantity.source}
+    return fields | ({"why_unknown": quantity.why_unknown} if quantity.why_unknown else {})
 
 
 # -- figures ---------------------------------------------------------------------------------------------------------

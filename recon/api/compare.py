@@ -35,9 +35,8 @@ from recon.check.codes import names_text
 from recon.check.verdict import usable
 from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
-from recon.fit.result import TrajectorySolution
 from recon.gait.clip import ClipAnalysis, analyse
-from recon.gait.kinematics import JointKinematics
+from recon.gait.quantities import event_sigma_s, path_speed_sigma, shared_sigma
 from recon.show.page.compare_page import compare_page
 from recon.show.page.own_page import COMPARE_PAGE, PAGE
 from recon.show.page.pages import median_error_px
@@ -272,53 +271,36 @@ def _groups(table: Path | None, by: str | None, names: Sequence[str]) -> dict[st
 def _stride_rows(analysis: ClipAnalysis) -> Iterator[dict]:
     moved = analysis.moved(analysis.reference, with_size=False)
     for stride in () if analysis.gait is None else analysis.gait.strides:
-        lasts_s = stride.duration_s
-        events_s = stride.duty_sigma * lasts_s  # a stance has two events, touch-down and lift-off
-        speed = stride.length_m / lasts_s
+        duration_s, events_s = stride.duration_s, event_sigma_s(stride)
+        speed = stride.length_m / duration_s
         yield {
             "foot": stride.foot,
             "start_s": stride.start_s,
             "speed_m_s": speed,
-            "speed_m_s_sigma": _speed_sigma(analysis, moved, stride.start_s, stride.end_s),
+            "speed_m_s_sigma": path_speed_sigma(analysis, moved, stride.start_s, stride.end_s),
             "stride_length_m": stride.length_m,
             "stride_length_m_sigma": speed * events_s,
-            "stride_frequency_hz": 1 / lasts_s,
-            "stride_frequency_hz_sigma": events_s / lasts_s**2,
+            "stride_frequency_hz": 1 / duration_s,
+            "stride_frequency_hz_sigma": events_s / duration_s**2,
             "duty_factor": stride.duty_factor,
             "duty_factor_sigma": stride.duty_sigma,
         }
 
 
-def _speed_sigma(analysis: ClipAnalysis, moved: JointKinematics, start_s: float, end_s: float) -> float:
-    """Return the standard deviation of the mean speed in an interval.
-
-    Errors of the path are correlated over time, so only times that are further apart than the correlation length count
-    as independent.
-    """
-    sigma = moved.speed_sigma_m_s[(moved.series.time_s >= start_s) & (moved.series.time_s <= end_s)]
-    last_s = max(error.correlation_s for error in analysis.errors if error.correlation_s < np.inf)
-    independent = max(1.0, (end_s - start_s) / (2 * last_s))
-    return float(np.sqrt(np.nanmean(sigma**2) / independent)) if np.isfinite(sigma).any() else np.nan
-
-
 def _clip_row(analysis: ClipAnalysis, strides: Sequence[dict]) -> dict:
-    """Return the means over a clip's strides and its mean speed, treating the animal's size as known."""
-    motion, table = analysis.motion, pd.DataFrame(strides)
-    solution, row = motion.solution, dict[str, object]({"strides": len(strides)})
-    row["size_sigma"] = solution.size_sigma / solution.size if isinstance(solution, TrajectorySolution) else np.nan
+    """Return a clip's quantities with the standard deviations that `recon analyse` gives.
+
+    `_sigma` has all errors, `_own_sigma` those that the clip does not share with others of the same animal's size.
+    """
+    quantities, row = analysis.quantities, dict[str, object]({"strides": len(strides)})
+    row["size_sigma"] = shared_sigma(analysis)
     for name in QUANTITIES:
-        if name == "speed_m_s":
-            known = analysis.why_no_speed is None
-            moved = analysis.moved(analysis.reference, with_size=False)
-            value = moved.mean_speed_m_s if known else np.nan
-            sigma = _speed_sigma(analysis, moved, *motion.time_s[[0, -1]]) if known else np.nan
-        elif len(table):
-            feet = table["foot"].nunique()
-            scatter = table[name].std() / np.sqrt(len(table)) if len(table) > 1 else 0.0
-            value, sigma = table[name].mean(), np.hypot(scatter, np.sqrt((table[f"{name}_sigma"] ** 2).mean() / feet))
-        else:
-            value = sigma = np.nan
-        row |= {name: value, f"{name}_sigma": sigma}
+        quantity = quantities.get(name)
+        value, sigma, unshared = (
+            (np.nan,) * 3 if quantity is None else (quantity.value, quantity.sigma, quantity.own_sigma)
+        )
+        row |= {name: value, f"{name}_sigma": sigma, f"{name}_own_sigma": unshared}
+        row[f"{name}_source"] = "" if quantity is None or np.isnan(value) else quantity.source
     return row
 
 
@@ -349,7 +331,9 @@ def _group_rows(clips: pd.DataFrame) -> pd.DataFrame:
         common = float(np.nanmin(size)) if np.isfinite(size).any() else 0.0
         for name, (_, with_size) in QUANTITIES.items():
             shared = common if with_size else 0.0
-            values = _mean_of(group_clips[name].to_numpy(float), group_clips[f"{name}_sigma"].to_numpy(float), shared)
+            values = _mean_of(
+                group_clips[name].to_numpy(float), group_clips[f"{name}_own_sigma"].to_numpy(float), shared
+            )
             row |= zip((name, f"{name}_sigma", f"{name}_spread"), values, strict=True)
         rows.append(row)
     return pd.DataFrame(rows)

@@ -14,7 +14,7 @@ from recon.base.progress import Progress, silent
 from recon.cli.answers import Answer, table_of, verdict_texts
 from recon.gait.clip import ClipAnalysis
 from recon.gait.gait import interval_text
-from recon.show.sentences import result_sentences
+from recon.show.sentences import analysis_sentences
 
 MOST_STANCES = 100
 """Largest number of stances that are printed, over all feet."""
@@ -41,7 +41,7 @@ ACCELERATION_KNOWN_M_S2 = 10.0
 def _lines(analysis: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str | Text | Table]:
     motion = analysis.motion
     yield from verdict_texts(motion.verdict)
-    yield from result_sentences(motion, analysis.reference_motion, analysis.gait, analysis.why_no_speed)
+    yield from analysis_sentences(analysis)
     net, sigma = analysis.net_acceleration_m_s2
     if math.isfinite(net) and sigma > ACCELERATION_KNOWN_M_S2:
         yield "Acceleration along the way: this camera does not tell it."

@@ -17,7 +17,7 @@ from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.gait.evaluation import evaluate_files
 from recon.show.page.own_page import PAGE
-from recon.show.sentences import result_sentences
+from recon.show.sentences import analysis_sentences
 
 
 class _DemoSettings(Settings):
@@ -42,5 +42,5 @@ def demo(settings: _DemoSettings, progress: Progress) -> Answer:
     mpjpe_mm = 1000 * evaluate_files(out / "pose3d.csv", samples / "whole_truth.csv").mpjpe_m.mean
     answer, analysis = answer_of_fit(fit_report, out, page, mpjpe_mm=mpjpe_mm), ClipAnalysis(Motion.load(out))
     error = f"Error against the sample's truth: {mpjpe_mm:.0f} mm (MPJPE); what is expected is fitted to real clips"
-    sentences = result_sentences(analysis.motion, analysis.reference_motion, analysis.gait, analysis.why_no_speed)
+    sentences = analysis_sentences(analysis)
     return replace(answer, lines=[*answer.lines, error, *sentences])

@@ -34,6 +34,7 @@ from recon.gait.end_effector import EndEffector, end_effector
 from recon.gait.flexion import JointFlexion, StrideCurve, joint_flexions, stride_curves
 from recon.gait.gait import BODY, Gait, Stride, gait, interval_of, interval_text, pose_tracks
 from recon.gait.kinematics import MIN_POINTS, AngleKinematics, Errors, JointKinematics, at_frames
+from recon.gait.quantities import GaitQuantity, gait_quantities
 from recon.io.common import Pose3D
 
 if TYPE_CHECKING:
@@ -161,6 +162,11 @@ class ClipAnalysis(Brief):
         errors = _errors(motion, RUNNING_S)
         tracks = pose_tracks(seen_pose, motion.fps, errors, motion.foot_names, body, segments, restless=motion.jitters)
         return gait(tracks)
+
+    @cached_property
+    def quantities(self) -> dict[str, GaitQuantity]:
+        """Return speed, strides, steps, limb phases and asymmetry with their uncertainty, by name."""
+        return gait_quantities(self)
 
     @cached_property
     def standing(self) -> Bools:

@@ -3,33 +3,62 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from recon.base.arrays import median
-from recon.base.numbers import decimals, length_text, percent, percent_range
+from recon.base.numbers import decimals, interval, length_text, percent, percent_range
 from recon.fit.motion import Motion
+from recon.gait.clip import ClipAnalysis
 from recon.gait.dynamics import G_M_S2
 from recon.gait.gait import Gait, interval_text
 from recon.gait.kinematics import JointKinematics
+from recon.gait.quantities import GaitQuantity
+
+NO_QUANTITIES: Mapping[str, GaitQuantity] = {}
+
+
+def analysis_sentences(analysis: ClipAnalysis) -> Iterator[str]:
+    """Yield the sentences of an analysis, all quantities with their intervals."""
+    yield from result_sentences(
+        analysis.motion, analysis.reference_motion, analysis.gait, analysis.why_no_speed, analysis.quantities
+    )
 
 
 def result_sentences(
-    motion: Motion, reference: JointKinematics, gait: Gait | None, why_no_speed: str | None
+    motion: Motion,
+    reference: JointKinematics,
+    gait: Gait | None,
+    why_no_speed: str | None,
+    quantities: Mapping[str, GaitQuantity] = NO_QUANTITIES,
 ) -> Iterator[str]:
     """Yield the movement of the reference joint and the gait.
 
-    why_no_speed: reason why no speed is known, or None.
+    why_no_speed: reason why no speed is known, or None; quantities: those of the analysis, for intervals.
     """
-    yield _speed_sentence(motion, reference, why_no_speed)
+    yield _speed_sentence(motion, reference, why_no_speed, quantities)
     if gait is None:
         yield "The skeleton has no feet: no gait."
         return
     yield f"Gait: {gait.name.name} ({gait.name.criterion})."
     if gait.strides:
-        yield from _stride_sentences(gait)
+        yield from _stride_sentences(gait, quantities)
+    elif (length := quantities.get("stride_length_m")) is not None and math.isfinite(length.value):
+        frequency = quantities["stride_frequency_hz"]
+        yield (
+            f"No foot completes a stride. By the period of the motion strides are {quantity_text(length, 'm')} long, "
+            f"{quantity_text(frequency, 'Hz')}."
+        )
 
 
-def _speed_sentence(motion: Motion, reference: JointKinematics, why_no_speed: str | None) -> str:
+def quantity_text(quantity: GaitQuantity, unit: str) -> str:
+    """Format a quantity with its 90 % interval and its unit."""
+    low, high = quantity.interval
+    return interval(quantity.value, low, high, unit, level="90 %")
+
+
+def _speed_sentence(
+    motion: Motion, reference: JointKinematics, why_no_speed: str | None, quantities: Mapping[str, GaitQuantity]
+) -> str:
     if why_no_speed is not None:
         run_m_s = motion.solution.constant_velocity_m_s
         speed = "" if run_m_s is None else f"{median(run_m_s[run_m_s > 0]):.1f} m/s"
@@ -40,15 +69,21 @@ def _speed_sentence(motion: Motion, reference: JointKinematics, why_no_speed: st
     # A peak below its own standard deviation is unknown.
     peak = "" if sigma_m_s > peak_m_s else f" and at most {interval_text(peak_m_s, sigma_m_s, 'm/s')}"
     mean_text = f"{reference.mean_speed_m_s:{form}} m/s on average"
+    if (speed := quantities.get("speed_m_s")) is not None and speed.sigma < speed.value:
+        mean_text = f"{quantity_text(speed, 'm/s')} on average"
     return f"The animal moved {path_m:{decimals(path_m)}} m, at {mean_text}{peak}."
 
 
-def _stride_sentences(gait: Gait) -> Iterator[str]:
+def _stride_sentences(gait: Gait, quantities: Mapping[str, GaitQuantity]) -> Iterator[str]:
+    length_m, frequency = length_text(gait.stride_length_m), f"{gait.stride_frequency_hz:.2f} a second"
     low, high = gait.name.duty_interval
+    if quantities:
+        length_m = quantity_text(quantities["stride_length_m"], "m")
+        frequency = quantity_text(quantities["stride_frequency_hz"], "Hz")
+        low, high = quantities["duty_factor"].interval
     yield (
-        f"Strides are {length_text(gait.stride_length_m)} long, {gait.stride_frequency_hz:.2f} a second (average "
-        f"of the feet's {len(gait.strides)} strides); a foot stands {percent(gait.name.duty_factor)} of the time "
-        f"(90 %: {percent_range(low, high)})."
+        f"Strides are {length_m} long, {frequency}, by the feet's {len(gait.strides)} strides; a foot stands "
+        f"{percent(gait.name.duty_factor)} of the time (90 %: {percent_range(low, high)})."
     )
     lasts_s, swing_s = 1 / gait.stride_frequency_hz, 2 * math.pi * math.sqrt(gait.tracks.leg_m / 1.5 / G_M_S2)
     if lasts_s > swing_s:

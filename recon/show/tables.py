@@ -281,25 +281,42 @@ def strides(analysis: ClipAnalysis) -> Table:
 
 
 def gait(analysis: ClipAnalysis) -> Table:
-    """Return one row: the gait's name and criterion, and means over complete strides; no row without feet."""
-    columns = "gait, criterion, speed_m_s, strides, stride_length_m, stride_frequency_hz, duty_factor, "
+    """Return one row: the gait's name and criterion, and means over complete strides; no row without feet.
+
+    Without complete strides the means follow from the period of the motion, as `source` says.
+    """
+    columns = "gait, criterion, speed_m_s, strides, source, stride_length_m, stride_frequency_hz, duty_factor, "
     columns += "duty_factor_low, duty_factor_high"
     feet, clip_gait, rows = analysis.motion.foot_names, analysis.gait, []
     if clip_gait is not None:
+        quantities = analysis.quantities
         by_foot = [
-            value for f in feet for value in (clip_gait.duty_factor.get(f, np.nan), clip_gait.name.phase.get(f, np.nan))
+            value
+            for foot in feet
+            for value in (quantities[f"duty_factor_{foot}"].value, clip_gait.name.phase.get(foot, np.nan))
         ]
-        first_cells = (
-            clip_gait.name.name,
-            clip_gait.name.criterion,
-            clip_gait.speed_m_s,
-            len(clip_gait.strides),
-            clip_gait.stride_length_m,
+        name, strides_count = clip_gait.name, len(clip_gait.strides)
+        length, frequency, duty = (
+            quantities[column] for column in ("stride_length_m", "stride_frequency_hz", "duty_factor")
         )
-        means = clip_gait.stride_frequency_hz, clip_gait.name.duty_factor, *clip_gait.name.duty_interval
+        first_cells = name.name, name.criterion, quantities["speed_m_s"].value, strides_count, length.source
+        means = length.value, frequency.value, duty.value, *duty.interval
         rows.append((*first_cells, *means, *by_foot, " ".join(clip_gait.order)))
     columns += "".join(f", duty_factor_{foot}, phase_{foot}" for foot in feet) + ", footfalls"
     return columns.split(", "), rows
+
+
+def gait_quantities(analysis: ClipAnalysis) -> Table:
+    """Return a row for each quantity of the gait: speed, strides, steps, limb phases and asymmetry.
+
+    sigma is one standard deviation, low and high are the 90 % interval, both with the errors of the animal's size and
+    of the focal length; between_strides is one standard deviation between strides.
+    """
+    rows = [
+        (q.name, q.value, q.sigma, *q.interval, q.between_sigma, q.count, q.source, q.why_unknown)
+        for q in analysis.quantities.values()
+    ]
+    return ["quantity", "estimate", "sigma", "low", "high", "between_strides", "n", "source", "why_unknown"], rows
 
 
 def vector_field(analysis: ClipAnalysis) -> Columns:
@@ -393,7 +410,7 @@ def force_over_time(analysis: ClipAnalysis) -> Columns:
 
 _MOTION = joints, reference, velocities, vector_field, vector_field_means
 _ANGLES = joint_angles, joint_flexion, joint_flexion_stride, angle_rates, closures
-_GAIT = stances, strides, gait, centre_of_mass, forces, force_over_time
+_GAIT = stances, strides, gait, gait_quantities, centre_of_mass, forces, force_over_time
 TABLES: dict[str, Callable[[ClipAnalysis], Table | Columns]] = {
     f"{table.__name__}.csv": table for table in (*_MOTION, *_ANGLES, *_GAIT)
 }

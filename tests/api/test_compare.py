@@ -99,9 +99,9 @@ def test_results_of_the_same_keypoints_and_cameras_count_once(tmp_path: Path, wh
 
 def test_only_what_some_clip_has_is_drawn():
     row = {"clip": "a", "group": "all", "verdict": "use", "strides": 0, "size_sigma": 0.1}
-    clips = pd.DataFrame([row | {name: np.nan for q in QUANTITIES for name in (q, f"{q}_sigma")}])
+    clips = pd.DataFrame([row | {name: np.nan for q in QUANTITIES for name in (q, f"{q}_sigma", f"{q}_own_sigma")}])
     assert [axes.get_title() for axes in _figure(clips, _group_rows(clips)).axes] == [""]
-    clips[["speed_m_s", "speed_m_s_sigma"]] = 5.0, 0.5
+    clips[["speed_m_s", "speed_m_s_sigma", "speed_m_s_own_sigma"]] = 5.0, 0.5, 0.5
     groups = _group_rows(clips)
     assert [axes.get_title() for axes in _figure(clips, groups).axes] == ["speed (m/s)"]
     said = [line for line in _lines(clips, groups, Path("out")) if isinstance(line, str)]

@@ -41,7 +41,7 @@ from recon.show.plots.flexion import joint_flexion
 from recon.show.plots.over_time import footfall, forces, speeds
 from recon.show.plots.style import png_of, svg_of
 from recon.show.report import build_report
-from recon.show.sentences import result_sentences
+from recon.show.sentences import analysis_sentences
 
 JPEG_QUALITY = 80
 PNG_DPI = 190.0
@@ -191,7 +191,7 @@ def _words(report: Mapping[str, Any], analysis: ClipAnalysis | None) -> Iterator
     if analysis is None:
         yield "Too few frames have a pose for a speed or a gait."
     else:
-        yield from result_sentences(analysis.motion, analysis.reference_motion, analysis.gait, analysis.why_no_speed)
+        yield from analysis_sentences(analysis)
 
 
 def doubtful_frames(motion: Motion) -> Iterator[tuple[int, str, str]]:

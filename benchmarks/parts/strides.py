@@ -1,0 +1,145 @@
+"""Stride quantities with their intervals: force plates, and asymmetry of left and right put into a dog's mocap.
+
+    python benchmarks/parts/strides.py [FOLDER] [--quick]
+
+Plates: single views of the two plate trials. No foot completes a stride there: the period of the motion counts. The
+plates give the duration of stances, the multi-camera reconstruction beside them speed and period.
+
+Asymmetry: the angles of the left limbs of the dog's walks and runs depart from their mean by 0, 2, 5, 10 % more than
+they did. One camera from the side sees the changed animal, and the same with left and right exchanged. The true
+asymmetry is that of the changed markers, which has the dog's own in it. A false one: the 90 % interval holds the truth
+not, as the intervals of a 95 % test on one side do. FOLDER: a folder of the kind of the dog-mocap.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from arguments import parser_of
+from dog import Clip, body_of, read_clips, write_view
+from gait import fitted, plate_stances
+from markdown_table import print_table
+from recordings import recordings
+
+from recon import Pose3D, fit_clip, read_pose3d
+from recon.fit.points import solve_points
+from recon.gait.clip import ClipAnalysis
+from recon.gait.gait import Gait, gait, pose_tracks
+from recon.gait.quantities import PAIRS, asymmetry_values
+
+LEVELS = 0.0, 0.02, 0.05, 0.10
+MOVING = "run02", "walk00", "walk01", "walk03", "walk04"
+"""Clips that go straight on at one speed."""
+CHECKED = "stride_length_m", "stride_frequency_hz", "duty_factor"
+
+
+def plate_rows() -> list[dict]:
+    """Each view's stride length, frequency and duty factor, with those by the plates and all cameras."""
+    rows = []
+    for run in sorted(path.parent for path in recordings("plate-trials").glob("*/stances.csv")):
+        about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
+        exact = gait(pose_tracks(read_pose3d(run / "truth.csv"), about["fps"]))
+        stance_s = np.mean([stance.duration_s for stance in plate_stances(run, about["fps"])])
+        truth = exact.speed_m_s * exact.stride_s, 1 / exact.stride_s, stance_s / exact.stride_s
+        for camera in about["cameras"]:
+            quantities = ClipAnalysis(fitted(run, camera, about)).quantities
+            for name, true in zip(CHECKED, truth, strict=True):
+                quantity = quantities[name]
+                low, high = quantity.interval
+                row = {"run": run.name, "camera": camera, "quantity": name, "true": round(float(true), 3)}
+                row |= {"value": round(quantity.value, 3), "90 %": f"{low:.3g} to {high:.3g}"}
+                rows.append(row | {"source": quantity.source, "holds": low <= true <= high})
+    return rows
+
+
+def changed(clip: Clip, level: float, mirrored: bool) -> Clip:
+    """The clip as the skeleton follows it, with the left limbs' angles amplified; mirrored: the right ones."""
+    body = body_of()
+    states = solve_points(body, clip.markers(body))[0]
+    prefix = "r_" if mirrored else "l_"
+    columns = [i for i, name in enumerate(body.state_names) if name.startswith(prefix)]
+    mean = np.nanmean(states[:, columns], axis=0)
+    states[:, columns] = mean + (1 + level) * (states[:, columns] - mean)
+    points_m = clip.points_m.copy()
+    points_m[:, [clip.names.index(marker) for marker in body.markers]] = body.tree.pose(states).points_m
+    return replace(clip, points_m=points_m)
+
+
+def marker_gait(clip: Clip) -> Gait:
+    body = body_of()
+    pose = Pose3D(body.markers, clip.markers(body), np.arange(len(clip.points_m)))
+    return gait(pose_tracks(pose, clip.fps, feet=body.feet_by_label(), body=body.forward))
+
+
+def asymmetry_rows(clips: list[Clip], levels: tuple[float, ...]) -> list[dict]:
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for clip in clips:
+            for level in levels:
+                for mirrored in (False, True):
+                    seen = changed(clip, level, mirrored)
+                    exact = marker_gait(seen)
+                    settings, _ = write_view(seen, Path(folder), seed=len(rows))
+                    quantities = ClipAnalysis(fit_clip(settings)).quantities
+                    for girdle, feet in PAIRS.items():
+                        for kind in ("stance", "excursion"):
+                            left, right = asymmetry_values(exact, kind, feet)
+                            quantity = quantities[f"asymmetry_{kind}_{girdle}"]
+                            true = (left.mean() - right.mean()) / ((left.mean() + right.mean()) / 2)
+                            row = {"clip": clip.name, "side": "right" if mirrored else "left", "level": level}
+                            row |= {"kind": kind, "girdle": girdle, "true": float(true), "value": quantity.value}
+                            rows.append(row | {"sigma": quantity.sigma, "why": quantity.why_unknown})
+    return rows
+
+
+def asymmetry_table(rows: list[dict]) -> list[dict]:
+    """By kind and level: refused, found, and how often the interval misses the truth."""
+    table = []
+    for kind in ("stance", "excursion"):
+        for level in sorted({row["level"] for row in rows}):
+            group = [row for row in rows if (row["kind"], row["level"]) == (kind, level)]
+            known = [row for row in group if np.isfinite(row["value"])]
+            error = np.array([row["value"] - row["true"] for row in known])
+            reach = 1.645 * np.array([row["sigma"] for row in known])
+            is_found = np.abs([row["value"] for row in known]) > reach
+            is_right = np.sign([row["value"] for row in known]) == np.sign([row["true"] for row in known])
+            row = {"kind": kind, "put in": f"{level:.0%}", "asymmetries": len(group)}
+            row |= {"refused": f"{1 - len(known) / len(group):.0%}"}
+            if known:
+                row |= {
+                    "error, rms": f"{np.sqrt(np.mean(error**2)):.1%}",
+                    "± stated": f"{np.median(reach) / 1.645:.1%}",
+                }
+                row |= {"in 90 % interval": f"{np.mean(np.abs(error) < reach):.0%}", "found": f"{is_found.mean():.0%}"}
+                row |= {"found on the wrong side": f"{np.mean(is_found & ~is_right):.0%}"}
+            table.append(row)
+    return table
+
+
+def print_rows(rows: list[dict]) -> None:
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    print_table(columns, [[row.get(name, "") for name in columns] for row in rows])
+
+
+def main() -> None:
+    parser = parser_of(__doc__, "--quick", kind="dog-mocap")
+    parser.add_argument("--rows", type=Path, help="write each asymmetry into this JSON file")
+    arguments = parser.parse_args()
+    if plates := plate_rows():
+        print("### Force plates\n")
+        print_rows(plates)
+    clips = [clip for clip in read_clips(arguments.folder) if clip.name in MOVING]
+    quick = arguments.quick
+    rows = asymmetry_rows(clips[:2] if quick else clips, (0.0, 0.1) if quick else LEVELS)
+    if arguments.rows:
+        arguments.rows.write_text(json.dumps(rows))
+    print("\n### Asymmetry put into a dog's mocap\n")
+    print_rows(asymmetry_table(rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,429 @@
+"""Sum up a clip's gait: speed, strides, steps, limb phases and asymmetry, each with its uncertainty.
+
+The standard deviation of a mean has four independent parts: the scatter of the strides; the times of touch-down and
+lift-off, which are shifted equally in all strides of a foot, so that the number of feet counts; the error of the path;
+and errors that the whole clip shares, in proportion to the value. Shared errors are those of the animal's size, which
+scales all lengths seen by one camera, and of the focal length, which scales the distance from the camera and thus the
+part of the motion along the line of sight.
+
+A clip in which no foot completes a stride has the period of its motion (`recon.gait.gait.pose_period_s`). Stride length
+is then the speed times the period, and the duty factor the duration of complete stances over the period.
+
+Asymmetry is (left - right) / mean of both. It is refused where a side is expected rather than seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from recon.base.arrays import Array, mean
+from recon.fit.motion import MEASURED_SHARE, Motion
+from recon.fit.result import TrajectorySolution
+from recon.gait.gait import Gait, Stance, Stride, interval_of
+from recon.gait.kinematics import JointKinematics
+
+if TYPE_CHECKING:
+    from recon.gait.clip import ClipAnalysis
+
+Origin = Literal["path", "footfalls", "period of the motion"]
+PAIRS = {"fore": ("LF", "RF"), "hind": ("LH", "RH")}
+"""Feet by girdle, left and right."""
+NEXT_STEP = 0.6
+"""Largest time between touch-downs of one step, in strides: half a stride in symmetrical gaits, and 0.1 more."""
+LEAST_STRIDES = 3
+"""Least number of strides on each side from which an asymmetry is measured."""
+SIDE_SIGMA = {"stance": 0.05, "excursion": 0.015}
+"""One standard deviation of the asymmetry that one camera puts between a near and a far side, measured on a dog
+(`benchmarks/gait.py --only strides`)."""
+
+
+@dataclass(frozen=True)
+class GaitQuantity:
+    """A quantity of a clip's gait with its uncertainty."""
+
+    name: str
+    """Name with its unit, such as stride_length_m."""
+    value: float
+    """NaN if unknown."""
+    sigma: float
+    """One standard deviation, all errors included; NaN if unknown."""
+    own_sigma: float
+    """One standard deviation without the errors that clips share: the animal's size and the focal length."""
+    between_sigma: float
+    """One standard deviation between strides; NaN for fewer than two."""
+    count: int
+    """Number of strides or steps that the value is a mean of; 0 for the path and the period of the motion."""
+    source: Origin
+    bounds: tuple[float, float] = (-np.inf, np.inf)
+    """Least and greatest value that is possible."""
+    why_unknown: str = ""
+    """Reason for an unknown value."""
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Return the ends of the 90 % interval."""
+        low, high = interval_of(self.value, self.sigma)[1:]
+        least, greatest = self.bounds
+        return (low, high) if np.isnan(low) else (float(max(low, least)), float(min(high, greatest)))
+
+
+def gait_quantities(analysis: ClipAnalysis) -> dict[str, GaitQuantity]:
+    """Return the quantities of a clip's gait by name.
+
+    Lengths and speeds are in metres and metres a second, phases in strides after the left hind foot, asymmetries
+    relative to the mean of both sides. A chain without feet has a speed only.
+    """
+    quantities = [_speed(analysis)]
+    if (gait := analysis.gait) is not None:
+        quantities += _of_strides(analysis, gait, quantities[0])
+        quantities += _duty_factors(gait)
+        quantities += _phases(gait)
+        for girdle, feet in PAIRS.items():
+            if {*feet} <= {*gait.tracks.feet}:
+                quantities += [_overlap(gait, girdle, feet), _step_width(analysis, gait, girdle, feet)]
+                quantities += _asymmetries(analysis, gait, girdle, feet)
+    return {quantity.name: quantity for quantity in quantities}
+
+
+def shared_sigma(analysis: ClipAnalysis) -> float:
+    """Return the standard deviation of lengths by the errors that the whole clip shares, relative to the length."""
+    return float(np.hypot(_size_sigma(analysis.motion), _focal_sigma(analysis)))
+
+
+def _size_sigma(motion: Motion) -> float:
+    """Return the relative standard deviation of the size that scales all lengths; 0 with several cameras."""
+    solution = motion.solution
+    if not isinstance(solution, TrajectorySolution) or len(solution.views) > 1:
+        return 0.0
+    return solution.size_sigma / solution.size
+
+
+def _focal_sigma(analysis: ClipAnalysis) -> float:
+    """Return the relative standard deviation of the speed by that of the focal length.
+
+    The focal length scales the distance from the camera. The speed u along the line of sight, relative to the speed v,
+    is wrong by the same factor, and v by its square: dv / v = (u / v)^2 df / f.
+    """
+    solution = analysis.motion.solution
+    if not isinstance(solution, TrajectorySolution) or len(solution.views) != 1 or not solution.focal_sigma[0] > 0:
+        return 0.0
+    root_m = analysis.motion.root_m[analysis.motion.solved]
+    if len(root_m) < 2:
+        return 0.0
+    travel_m, centre_m = root_m[-1] - root_m[0], np.asarray(solution.views[0].centre_m).reshape(-1, 3)[0]
+    sight_m = root_m.mean(axis=0) - centre_m
+    cosine = travel_m @ sight_m / max(float(np.linalg.norm(travel_m) * np.linalg.norm(sight_m)), 1e-9)
+    return float(cosine**2 * solution.focal_sigma[0])
+
+
+def path_speed_sigma(analysis: ClipAnalysis, moved: JointKinematics, start_s: float, end_s: float) -> float:
+    """Return the standard deviation of the mean speed in an interval, m/s.
+
+    Errors of the path are correlated in time, so that only times further apart count as independent.
+    """
+    sigma = moved.speed_sigma_m_s[(moved.series.time_s >= start_s) & (moved.series.time_s <= end_s)]
+    lasting_s = max(error.correlation_s for error in analysis.errors if error.correlation_s < np.inf)
+    independent = max(1.0, (end_s - start_s) / (2 * lasting_s))
+    return float(np.sqrt(np.nanmean(sigma**2) / independent)) if np.isfinite(sigma).any() else np.nan
+
+
+def _speed(analysis: ClipAnalysis) -> GaitQuantity:
+    moved = analysis.moved(analysis.reference, with_size=False)
+    if analysis.why_no_speed is not None:
+        return _unknown("speed_m_s", "path", analysis.why_no_speed)
+    value = analysis.reference_motion.mean_speed_m_s
+    unshared = path_speed_sigma(analysis, moved, *analysis.motion.time_s[[0, -1]])
+    return _quantity("speed_m_s", value, unshared, shared_sigma(analysis) * value, "path", bounds=(0.0, np.inf))
+
+
+def _quantity(
+    name: str,
+    value: float,
+    unshared: float,
+    shared: float,
+    source: Origin,
+    between: float = np.nan,
+    count: int = 0,
+    bounds: tuple[float, float] = (-np.inf, np.inf),
+) -> GaitQuantity:
+    return GaitQuantity(name, value, float(np.hypot(unshared, shared)), unshared, between, count, source, bounds)
+
+
+def _unknown(name: str, source: Origin, reason: str) -> GaitQuantity:
+    return GaitQuantity(name, np.nan, np.nan, np.nan, np.nan, 0, source, why_unknown=reason)
+
+
+def _scatter(values: Array) -> tuple[float, float]:
+    """Return the standard deviation between values (N,), NaN of a single one, and that of their mean, then 0."""
+    if len(values) < 2:
+        return np.nan, 0.0
+    between = float(np.std(values, ddof=1))
+    return between, between / len(values) ** 0.5
+
+
+def event_sigma_s(stride: Stride) -> float:
+    """Return the standard deviation of a stride's duration, as of a stance's: both lie between two events."""
+    return stride.duty_sigma * stride.duration_s
+
+
+def _of_strides(analysis: ClipAnalysis, gait: Gait, speed: GaitQuantity) -> Iterator[GaitQuantity]:
+    positive = (0.0, np.inf)
+    if not gait.strides:
+        yield from _by_period(gait, speed)
+        return
+    strides, count = gait.strides, len(gait.strides)
+    feet = len({stride.foot for stride in strides})
+    lengths, durations = (np.array([getattr(s, name) for s in strides]) for name in ("length_m", "duration_s"))
+    events_s = np.sqrt(np.mean([event_sigma_s(stride) ** 2 for stride in strides]) / feet)
+    duration_between, duration_scatter = _scatter(durations)
+    duration_sigma = float(np.hypot(duration_scatter, events_s))
+    yield _quantity(
+        "stride_s", float(durations.mean()), duration_sigma, 0.0, "footfalls", duration_between, count, positive
+    )
+    moved = analysis.moved(analysis.reference, with_size=False)
+    first_s, last_s = min(s.start_s for s in strides), max(s.end_s for s in strides)
+    path_sigma = 0.0 if analysis.why_no_speed else path_speed_sigma(analysis, moved, first_s, last_s)
+    between, scatter = _scatter(lengths)
+    pace = lengths.mean() / durations.mean()
+    unshared = float(np.linalg.norm([scatter, pace * events_s, path_sigma * durations.mean()]))
+    length = gait.stride_length_m
+    shared = shared_sigma(analysis) * length
+    yield _quantity("stride_length_m", length, unshared, shared, "footfalls", between, count, positive)
+    frequency = gait.stride_frequency_hz
+    between = _scatter(1 / durations)[0]
+    unshared = duration_sigma * frequency**2
+    yield _quantity("stride_frequency_hz", frequency, unshared, 0.0, "footfalls", between, count, positive)
+
+
+def _by_period(gait: Gait, speed: GaitQuantity) -> Iterator[GaitQuantity]:
+    source: Origin = "period of the motion"
+    period_s, period_sigma_s, positive = gait.stride_s, gait.stride_sigma_s, (0.0, np.inf)
+    if np.isnan(period_s):
+        reason = "no complete stride, and too little of one to know its period"
+        yield from (_unknown(name, source, reason) for name in ("stride_s", "stride_length_m", "stride_frequency_hz"))
+        return
+    yield _quantity("stride_s", period_s, period_sigma_s, 0.0, source, bounds=positive)
+    length = speed.value * period_s
+    unshared = float(np.hypot(speed.own_sigma * period_s, speed.value * period_sigma_s))
+    shared = float(np.sqrt(max(speed.sigma**2 - speed.own_sigma**2, 0.0))) * period_s
+    yield _quantity("stride_length_m", length, unshared, shared, source, bounds=positive)
+    yield _quantity("stride_frequency_hz", 1 / period_s, period_sigma_s / period_s**2, 0.0, source, bounds=positive)
+
+
+def _duty_factors(gait: Gait) -> Iterator[GaitQuantity]:
+    """Yield the duty factor of all feet, and of each."""
+    bounds = 0.0, 1.0
+    for foot in ("", *gait.tracks.feet):
+        name = f"duty_factor_{foot}" if foot else "duty_factor"
+        strides = [stride for stride in gait.strides if foot in ("", stride.foot) and np.isfinite(stride.duty_factor)]
+        if strides:
+            between, scatter = _scatter(np.array([stride.duty_factor for stride in strides]))
+            feet = len({stride.foot for stride in strides})
+            events = np.sqrt(np.mean([stride.duty_sigma**2 for stride in strides]) / feet)
+            value = gait.duty_factor[foot] if foot else gait.name.duty_factor
+            unshared = float(np.hypot(scatter, events))
+            yield _quantity(name, value, unshared, 0.0, "footfalls", between, len(strides), bounds)
+        elif gait.strides or np.isnan(gait.stride_s):
+            yield _unknown(name, "footfalls", "no complete stride")
+        else:
+            yield _duty_by_period(gait, name, [s for s in _whole(gait.stances) if foot in ("", s.foot)])
+
+
+def _whole(stances: Sequence[Stance]) -> list[Stance]:
+    """Return the stances whose touch-down and lift-off the clip holds."""
+    return [stance for stance in stances if stance.begins and stance.ends]
+
+
+def _duty_by_period(gait: Gait, name: str, stances: Sequence[Stance]) -> GaitQuantity:
+    source: Origin = "period of the motion"
+    if not stances:
+        return _unknown(name, source, "no complete stance")
+    lasting_s = np.array([stance.duration_s for stance in stances])
+    feet = len({stance.foot for stance in stances})
+    events_s = np.sqrt(np.mean([s.start_sigma_s**2 + s.end_sigma_s**2 for s in stances]) / feet)
+    between, scatter = _scatter(lasting_s)
+    value = float(lasting_s.mean() / gait.stride_s)
+    relative = [scatter / lasting_s.mean(), events_s / lasting_s.mean(), gait.stride_sigma_s / gait.stride_s]
+    sigma = value * float(np.linalg.norm(relative))
+    return _quantity(name, value, sigma, 0.0, source, between / gait.stride_s, len(stances), (0.0, 1.0))
+
+
+def _phases(gait: Gait) -> Iterator[GaitQuantity]:
+    """Yield each foot's touch-down after that of the left hind foot, in strides."""
+    if np.isnan(gait.stride_s):
+        return
+    source: Origin = "footfalls" if gait.strides else "period of the motion"
+    for foot, phase in gait.name.phase.items():
+        if foot == "LH" or np.isnan(phase):
+            continue
+        lags = _lags(gait, "LH", foot, phase)
+        events_s = _event_sigma_s([s for s in gait.stances if s.foot in ("LH", foot)]) * np.sqrt(2)
+        between, scatter = _scatter(lags)
+        of_period = min(phase, 1 - phase) * gait.stride_sigma_s / gait.stride_s
+        unshared = float(np.linalg.norm([scatter, events_s / gait.stride_s, of_period]))
+        yield _quantity(f"phase_{foot}", phase, unshared, 0.0, source, between, len(lags))
+
+
+def _event_sigma_s(stances: Sequence[Stance]) -> float:
+    """Return the root mean square standard deviation of the touch-downs."""
+    sigmas = np.array([stance.start_sigma_s for stance in stances if stance.begins])
+    return float(np.sqrt(np.mean(sigmas**2))) if len(sigmas) else np.nan
+
+
+def _lags(gait: Gait, reference: str, foot: str, near: float) -> Array:
+    """Return the phases of a foot's touch-downs after the nearest of another foot, unwrapped around a phase."""
+    reference_s, foot_s = (
+        np.array([s.start_s for s in gait.stances if s.foot == label and s.begins]) for label in (reference, foot)
+    )
+    if not len(reference_s) or not len(foot_s):
+        return np.zeros(0)
+    lags = (foot_s - reference_s[np.argmin(np.abs(foot_s[:, None] - reference_s), axis=1)]) / gait.stride_s
+    return near + (lags - near + 0.5) % 1.0 - 0.5
+
+
+def _steps(gait: Gait, feet: tuple[str, str]) -> list[tuple[Stance, Stance]]:
+    """Return stances of a pair of feet that follow each other within one step."""
+    in_order = [stance for stance in gait.stances if stance.foot in feet]
+    return [
+        (first, second)
+        for first, second in pairwise(in_order)
+        if first.foot != second.foot
+        and first.begins
+        and second.begins
+        and not second.start_s - first.start_s > NEXT_STEP * gait.stride_s
+    ]
+
+
+def _overlap(gait: Gait, girdle: str, feet: tuple[str, str]) -> GaitQuantity:
+    """Return the time for which both feet of a pair stand, or minus the time between their stances."""
+    name, source = f"overlap_{girdle}_s", "footfalls"
+    steps = [(first, second) for first, second in _steps(gait, feet) if first.ends]
+    if not steps:
+        return _unknown(name, source, "the clip holds no two stances of the pair that follow each other")
+    between, scatter = _scatter(np.array([first.end_s - second.start_s for first, second in steps]))
+    events_s = np.sqrt(np.mean([first.end_sigma_s**2 + second.start_sigma_s**2 for first, second in steps]))
+    value = float(np.mean([first.end_s - second.start_s for first, second in steps]))
+    return _quantity(name, value, float(np.hypot(scatter, events_s)), 0.0, source, between, len(steps))
+
+
+def _step_width(analysis: ClipAnalysis, gait: Gait, girdle: str, feet: tuple[str, str]) -> GaitQuantity:
+    """Return the distance between the left and the right foot across the direction of travel, left positive."""
+    name, source, tracks = f"step_width_{girdle}_m", "footfalls", gait.tracks
+    steps = _steps(gait, feet)
+    if not steps:
+        return _unknown(name, source, "the clip holds no two stances of the pair that follow each other")
+    widths, variances = [], []
+    for step in steps:
+        left, right = sorted(step, key=lambda stance: stance.foot)  # L before R
+        middles = [(stance.start_s + stance.end_s) / 2 for stance in (left, right)]
+        points_m = [_at(tracks.time_s, tracks.foot_m[:, tracks.feet.index(s.foot)], s) for s in (left, right)]
+        ends = [_at(tracks.time_s, tracks.body_m, stance) for stance in step]
+        travel = (ends[1] - ends[0])[:2]
+        if not np.isfinite([*points_m[0], *points_m[1], *travel]).all() or not np.linalg.norm(travel) > 0:
+            continue
+        across = np.array([-travel[1], travel[0], 0.0]) / np.linalg.norm(travel)
+        widths.append(float((points_m[0] - points_m[1]) @ across))
+        variances.append(_distance_variance(analysis, (left.foot, right.foot), middles, across))
+    if not widths:
+        return _unknown(name, source, "the feet are not known while they stand")
+    between, scatter = _scatter(np.array(widths))
+    value = float(np.mean(widths))
+    unshared = float(np.hypot(scatter, np.sqrt(mean(variances))))
+    return _quantity(name, value, unshared, shared_sigma(analysis) * abs(value), source, between, len(widths))
+
+
+def _at(time_s: Array, points_m: Array, stance: Stance) -> Array:
+    """Return the mean of points (N, 3) during a stance."""
+    first, stop = np.searchsorted(time_s, [stance.start_s, stance.end_s])
+    return np.asarray(points_m[first : max(stop, first + 1)].mean(axis=0))
+
+
+def _distance_variance(
+    analysis: ClipAnalysis, feet: tuple[str, str], middles_s: Sequence[float], across: Array
+) -> float:
+    """Return the variance of the distance between two feet at two times along a direction.
+
+    Errors of the position move both feet alike as far as they last from one time to the other; those of the pose do
+    not.
+    """
+    motion = analysis.motion
+    rows = [int(np.argmin(np.abs(motion.time_s - middle_s))) for middle_s in middles_s]
+    joints = [motion.names.index(motion.foot_names[foot]) for foot in feet]
+    lag_s, variance = middles_s[1] - middles_s[0], 0.0
+    *common, of_pose = [error for error in analysis.errors if error.correlation_s < np.inf]
+    for error in (*common, of_pose):
+        first, second = (error.sigma[row, joint] * across for row, joint in zip(rows, joints, strict=True))
+        shared = np.exp(-0.5 * (lag_s / error.correlation_s) ** 2) if common and error is not of_pose else 0.0
+        variance += float(np.sum(first**2 + second**2 - 2 * shared * first * second))
+    return variance
+
+
+# -- left and right ----------------------------------------------------------------------------------------------------
+
+
+def _asymmetries(analysis: ClipAnalysis, gait: Gait, girdle: str, feet: tuple[str, str]) -> Iterator[GaitQuantity]:
+    """Yield the asymmetry of a pair's stances and of its excursion, (left - right) / mean of both."""
+    reason = _why_no_asymmetry(analysis.motion, gait, feet)
+    for kind in SIDE_SIGMA:
+        name, sides = f"asymmetry_{kind}_{girdle}", asymmetry_values(gait, kind, feet)
+        if reason is None and not np.isfinite(np.concatenate(sides)).all():
+            reason = "a foot is not known during a whole stride"
+        if reason is not None:
+            yield _unknown(name, "footfalls", reason)
+            continue
+        (left, left_sigma), (right, right_sigma) = ((side.mean(), _scatter(side)[1]) for side in sides)
+        half = (left + right) / 2
+        unshared = float(np.linalg.norm([left_sigma / half, right_sigma / half, _side_sigma(analysis, kind)]))
+        if kind == "stance":
+            events = np.sqrt(np.mean([stride.duty_sigma**2 for stride in gait.strides if stride.foot in feet]))
+            unshared = float(np.hypot(unshared, np.sqrt(2) * events * gait.stride_s / half))
+        yield _quantity(name, float((left - right) / half), unshared, 0.0, "footfalls", count=min(map(len, sides)))
+
+
+def asymmetry_values(gait: Gait, kind: str, feet: tuple[str, str]) -> list[Array]:
+    """Return what an asymmetry compares, for each stride of the left and of the right foot.
+
+    kind: stance, the time on the ground in seconds, or excursion, the way to and fro beneath the body in metres.
+    """
+
+    def value(stride: Stride) -> float:
+        return stride.duty_factor * stride.duration_s if kind == "stance" else _excursion_m(gait, stride)
+
+    return [np.array([value(stride) for stride in gait.strides if stride.foot == foot]) for foot in feet]
+
+
+def _side_sigma(analysis: ClipAnalysis, kind: str) -> float:
+    """Return the asymmetry that the view itself puts between the sides: less the more cameras see them."""
+    return SIDE_SIGMA[kind] / len(analysis.motion.sources) ** 0.5
+
+
+def _why_no_asymmetry(motion: Motion, gait: Gait, feet: tuple[str, str]) -> str | None:
+    """Return why the asymmetry of a pair of feet is not measured; None if it is."""
+    if motion.side is not None:
+        return "one side was fitted"
+    solution = motion.solution
+    if not isinstance(solution, TrajectorySolution):
+        return "the method does not know how much of each limb was seen"
+    for foot in feet:
+        joints = next(limb for limb in motion.limbs.values() if motion.names.index(motion.foot_names[foot]) in limb)
+        if (share := float(np.mean(solution.data_share[[*joints]]))) < MEASURED_SHARE:
+            return f"the limb of {foot} rests on what was expected: pixels determine {share:.0%} of its position"
+    for foot in feet:
+        if (count := sum(stride.foot == foot for stride in gait.strides)) < LEAST_STRIDES:
+            return f"{count} complete strides of {foot}, {LEAST_STRIDES} are needed"
+    return None
+
+
+def _excursion_m(gait: Gait, stride: Stride) -> float:
+    """Return how far a foot swings to and fro beneath the body in a stride, along the body's travel."""
+    tracks = gait.tracks
+    first, stop = np.searchsorted(tracks.time_s, [stride.start_s, stride.end_s])
+    body_m = tracks.body_m[first:stop, :2]
+    travel = body_m[-1] - body_m[0]
+    relative_m = tracks.foot_m[first:stop, tracks.feet.index(stride.foot), :2] - body_m
+    return float(np.ptp(relative_m @ travel) / max(float(np.linalg.norm(travel)), 1e-9))

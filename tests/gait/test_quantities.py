@@ -1,0 +1,84 @@
+"""Quantities of a gait: one value with one interval everywhere, by footfalls or by the period of the motion."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recon.fit.motion import Motion
+from recon.gait.clip import ClipAnalysis, analyse
+from recon.gait.quantities import PAIRS, asymmetry_values, shared_sigma
+from recon.show.sentences import analysis_sentences
+from recon.show.tables import gait, gait_quantities
+
+
+@pytest.fixture(scope="module")
+def whole(whole_results: Path) -> ClipAnalysis:
+    return analyse(Motion.load(whole_results))
+
+
+def test_table_and_sentences_have_the_same_numbers(whole: ClipAnalysis):
+    columns, rows = gait_quantities(whole)
+    by_name = {row[0]: dict(zip(columns, row, strict=True)) for row in rows}
+    head, (cells,) = gait(whole)
+    means = dict(zip(head, cells, strict=True))
+    sources = {"speed_m_s": "path", "stride_length_m": "footfalls", "duty_factor": "footfalls"}
+    for name, source in sources.items():
+        row = by_name[name]
+        assert row["estimate"] == means[name] == whole.quantities[name].value
+        assert row["low"] < row["estimate"] < row["high"]
+        assert row["source"] == source
+    low, high = whole.quantities["speed_m_s"].interval
+    assert f"(90 %: {low:.1f} to {high:.1f}) on average" in next(analysis_sentences(whole))
+
+
+def test_the_size_counts_in_lengths_and_speeds_only(whole: ClipAnalysis):
+    shared = shared_sigma(whole)
+    assert shared == pytest.approx(whole.motion.solution.size_sigma / whole.motion.size)
+    for name, has_size in (("speed_m_s", True), ("stride_length_m", True), ("duty_factor", False)):
+        quantity = whole.quantities[name]
+        size = quantity.value * shared * has_size
+        assert quantity.sigma**2 == pytest.approx(quantity.own_sigma**2 + size**2)
+
+
+def test_without_a_complete_stride_the_period_counts(whole: ClipAnalysis):
+    found = whole.gait
+    assert found is not None
+    cut = replace(found, strides=(), stride_s=0.3, stride_sigma_s=0.024)
+    analysis = ClipAnalysis(whole.motion)
+    vars(analysis)["gait"] = cut
+    quantities, speed = analysis.quantities, whole.quantities["speed_m_s"]
+    length = quantities["stride_length_m"]
+    assert length.source == quantities["stride_frequency_hz"].source == "period of the motion"
+    assert length.value == pytest.approx(0.3 * speed.value)
+    assert length.sigma == pytest.approx(np.hypot(0.3 * speed.sigma, 0.024 * speed.value))
+    assert quantities["stride_frequency_hz"].value == pytest.approx(1 / 0.3)
+    stances = [stance.duration_s for stance in cut.stances if stance.begins and stance.ends]
+    assert quantities["duty_factor"].value == pytest.approx(np.mean(stances) / 0.3)
+    assert any("By the period of the motion strides are" in sentence for sentence in analysis_sentences(analysis))
+    vars(unknown := ClipAnalysis(whole.motion))["gait"] = replace(cut, stride_s=np.nan, stride_sigma_s=np.nan)
+    assert np.isnan(unknown.quantities["stride_length_m"].value)
+    assert "too little" in unknown.quantities["stride_length_m"].why_unknown
+
+
+def test_asymmetry_is_refused_or_has_an_interval(whole: ClipAnalysis):
+    found = whole.gait
+    assert found is not None
+    for girdle, feet in PAIRS.items():
+        quantity = whole.quantities[f"asymmetry_stance_{girdle}"]
+        counts = [len(side) for side in asymmetry_values(found, "stance", feet)]
+        if min(counts) < 3:
+            assert np.isnan(quantity.value)
+            assert "complete strides" in quantity.why_unknown
+    thrice = replace(found, strides=tuple(s for s in found.strides for _ in range(3)))
+    vars(analysis := ClipAnalysis(whole.motion))["gait"] = thrice
+    left, right = asymmetry_values(thrice, "excursion", PAIRS["hind"])
+    quantity = analysis.quantities["asymmetry_excursion_hind"]
+    assert quantity.value == pytest.approx(2 * (left.mean() - right.mean()) / (left.mean() + right.mean()))
+    assert quantity.interval[0] < quantity.value < quantity.interval[1]
+    expected = replace(whole.motion.solution, data_share=0 * whole.motion.solution.data_share)
+    vars(unseen := ClipAnalysis(replace(whole.motion, solution=expected)))["gait"] = thrice
+    assert "rests on what was expected" in unseen.quantities["asymmetry_excursion_hind"].why_unknown
