@@ -277,7 +277,7 @@ def _stride_rows(analysis: ClipAnalysis) -> Iterator[dict]:
             "foot": stride.foot,
             "start_s": stride.start_s,
             "speed_m_s": speed,
-            "speed_m_s_sigma": path_speed_sigma(analysis, moved, stride.start_s, stride.end_s),
+            "speed_m_s_sigma": path_speed_sigma(analysis.errors, moved, stride.start_s, stride.end_s),
             "stride_length_m": stride.length_m,
             "stride_length_m_sigma": speed * events_s,
             "stride_frequency_hz": 1 / duration_s,
@@ -293,7 +293,7 @@ def _clip_row(analysis: ClipAnalysis, strides: Sequence[dict]) -> dict:
     `_sigma` has all errors, `_own_sigma` those that the clip does not share with others of the same animal's size.
     """
     quantities, row = analysis.quantities, dict[str, object]({"strides": len(strides)})
-    row["size_sigma"] = shared_sigma(analysis)
+    row["size_sigma"] = shared_sigma(analysis.motion)
     for name in QUANTITIES:
         quantity = quantities.get(name)
         value, sigma, unshared = (

@@ -34,7 +34,7 @@ from recon.gait.end_effector import EndEffector, end_effector
 from recon.gait.flexion import JointFlexion, StrideCurve, joint_flexions, stride_curves
 from recon.gait.gait import BODY, Gait, Stride, gait, interval_of, interval_text, pose_tracks
 from recon.gait.kinematics import MIN_POINTS, AngleKinematics, Errors, JointKinematics, at_frames
-from recon.gait.quantities import GaitQuantity, gait_quantities
+from recon.gait.quantities import AnalysedClip, GaitQuantity, gait_quantities
 from recon.io.common import Pose3D
 
 if TYPE_CHECKING:
@@ -166,7 +166,9 @@ class ClipAnalysis(Brief):
     @cached_property
     def quantities(self) -> dict[str, GaitQuantity]:
         """Return speed, strides, steps, limb phases and asymmetry with their uncertainty, by name."""
-        return gait_quantities(self)
+        unsized = self.moved(self.reference, with_size=False)
+        parts = AnalysedClip(self.motion, self.gait, self.errors, self.reference_motion, unsized, self.why_no_speed)
+        return gait_quantities(parts)
 
     @cached_property
     def standing(self) -> Bools:

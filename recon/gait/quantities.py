@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -25,10 +25,7 @@ from recon.base.arrays import Array, mean
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.result import TrajectorySolution
 from recon.gait.gait import Gait, Stance, Stride, interval_of
-from recon.gait.kinematics import JointKinematics
-
-if TYPE_CHECKING:
-    from recon.gait.clip import ClipAnalysis
+from recon.gait.kinematics import Errors, JointKinematics
 
 Origin = Literal["path", "footfalls", "period of the motion"]
 PAIRS = {"fore": ("LF", "RF"), "hind": ("LH", "RH")}
@@ -40,6 +37,20 @@ LEAST_STRIDES = 3
 SIDE_SIGMA = {"stance": 0.05, "excursion": 0.015}
 """One standard deviation of the asymmetry that one camera puts between a near and a far side, measured on a dog
 (`benchmarks/gait.py --only strides`)."""
+
+
+@dataclass(frozen=True, eq=False)
+class AnalysedClip:
+    """Parts of an analysis that the quantities are made of."""
+
+    motion: Motion
+    gait: Gait | None
+    errors: Sequence[Errors]
+    reference_motion: JointKinematics
+    """Motion of the reference joint, with all errors."""
+    unsized_motion: JointKinematics
+    """The same motion, without the error of the animal's size."""
+    why_no_speed: str | None
 
 
 @dataclass(frozen=True)
@@ -72,7 +83,7 @@ class GaitQuantity:
         return (low, high) if np.isnan(low) else (float(max(low, least)), float(min(high, greatest)))
 
 
-def gait_quantities(analysis: ClipAnalysis) -> dict[str, GaitQuantity]:
+def gait_quantities(analysis: AnalysedClip) -> dict[str, GaitQuantity]:
     """Return the quantities of a clip's gait by name.
 
     Lengths and speeds are in metres and metres a second, phases in strides after the left hind foot, asymmetries
@@ -90,9 +101,9 @@ def gait_quantities(analysis: ClipAnalysis) -> dict[str, GaitQuantity]:
     return {quantity.name: quantity for quantity in quantities}
 
 
-def shared_sigma(analysis: ClipAnalysis) -> float:
+def shared_sigma(motion: Motion) -> float:
     """Return the standard deviation of lengths by the errors that the whole clip shares, relative to the length."""
-    return float(np.hypot(_size_sigma(analysis.motion), _focal_sigma(analysis)))
+    return float(np.hypot(_size_sigma(motion), _focal_sigma(motion)))
 
 
 def _size_sigma(motion: Motion) -> float:
@@ -103,16 +114,16 @@ def _size_sigma(motion: Motion) -> float:
     return solution.size_sigma / solution.size
 
 
-def _focal_sigma(analysis: ClipAnalysis) -> float:
+def _focal_sigma(motion: Motion) -> float:
     """Return the relative standard deviation of the speed by that of the focal length.
 
     The focal length scales the distance from the camera. The speed u along the line of sight, relative to the speed v,
     is wrong by the same factor, and v by its square: dv / v = (u / v)^2 df / f.
     """
-    solution = analysis.motion.solution
+    solution = motion.solution
     if not isinstance(solution, TrajectorySolution) or len(solution.views) != 1 or not solution.focal_sigma[0] > 0:
         return 0.0
-    root_m = analysis.motion.root_m[analysis.motion.solved]
+    root_m = motion.root_m[motion.solved]
     if len(root_m) < 2:
         return 0.0
     travel_m, centre_m = root_m[-1] - root_m[0], np.asarray(solution.views[0].centre_m).reshape(-1, 3)[0]
@@ -121,24 +132,24 @@ def _focal_sigma(analysis: ClipAnalysis) -> float:
     return float(cosine**2 * solution.focal_sigma[0])
 
 
-def path_speed_sigma(analysis: ClipAnalysis, moved: JointKinematics, start_s: float, end_s: float) -> float:
+def path_speed_sigma(errors: Sequence[Errors], moved: JointKinematics, start_s: float, end_s: float) -> float:
     """Return the standard deviation of the mean speed in an interval, m/s.
 
     Errors of the path are correlated in time, so that only times further apart count as independent.
     """
     sigma = moved.speed_sigma_m_s[(moved.series.time_s >= start_s) & (moved.series.time_s <= end_s)]
-    lasting_s = max(error.correlation_s for error in analysis.errors if error.correlation_s < np.inf)
+    lasting_s = max(error.correlation_s for error in errors if error.correlation_s < np.inf)
     independent = max(1.0, (end_s - start_s) / (2 * lasting_s))
     return float(np.sqrt(np.nanmean(sigma**2) / independent)) if np.isfinite(sigma).any() else np.nan
 
 
-def _speed(analysis: ClipAnalysis) -> GaitQuantity:
-    moved = analysis.moved(analysis.reference, with_size=False)
+def _speed(analysis: AnalysedClip) -> GaitQuantity:
+    moved = analysis.unsized_motion
     if analysis.why_no_speed is not None:
         return _unknown("speed_m_s", "path", analysis.why_no_speed)
     value = analysis.reference_motion.mean_speed_m_s
-    unshared = path_speed_sigma(analysis, moved, *analysis.motion.time_s[[0, -1]])
-    return _quantity("speed_m_s", value, unshared, shared_sigma(analysis) * value, "path", bounds=(0.0, np.inf))
+    unshared = path_speed_sigma(analysis.errors, moved, *analysis.motion.time_s[[0, -1]])
+    return _quantity("speed_m_s", value, unshared, shared_sigma(analysis.motion) * value, "path", bounds=(0.0, np.inf))
 
 
 def _quantity(
@@ -171,7 +182,7 @@ def event_sigma_s(stride: Stride) -> float:
     return stride.duty_sigma * stride.duration_s
 
 
-def _of_strides(analysis: ClipAnalysis, gait: Gait, speed: GaitQuantity) -> Iterator[GaitQuantity]:
+def _of_strides(analysis: AnalysedClip, gait: Gait, speed: GaitQuantity) -> Iterator[GaitQuantity]:
     positive = (0.0, np.inf)
     if not gait.strides:
         yield from _by_period(gait, speed)
@@ -185,14 +196,14 @@ def _of_strides(analysis: ClipAnalysis, gait: Gait, speed: GaitQuantity) -> Iter
     yield _quantity(
         "stride_s", float(durations.mean()), duration_sigma, 0.0, "footfalls", duration_between, count, positive
     )
-    moved = analysis.moved(analysis.reference, with_size=False)
+    moved = analysis.unsized_motion
     first_s, last_s = min(s.start_s for s in strides), max(s.end_s for s in strides)
-    path_sigma = 0.0 if analysis.why_no_speed else path_speed_sigma(analysis, moved, first_s, last_s)
+    path_sigma = 0.0 if analysis.why_no_speed else path_speed_sigma(analysis.errors, moved, first_s, last_s)
     between, scatter = _scatter(lengths)
     pace = lengths.mean() / durations.mean()
     unshared = float(np.linalg.norm([scatter, pace * events_s, path_sigma * durations.mean()]))
     length = gait.stride_length_m
-    shared = shared_sigma(analysis) * length
+    shared = shared_sigma(analysis.motion) * length
     yield _quantity("stride_length_m", length, unshared, shared, "footfalls", between, count, positive)
     frequency = gait.stride_frequency_hz
     between = _scatter(1 / durations)[0]
@@ -311,7 +322,7 @@ def _overlap(gait: Gait, girdle: str, feet: tuple[str, str]) -> GaitQuantity:
     return _quantity(name, value, float(np.hypot(scatter, events_s)), 0.0, source, between, len(steps))
 
 
-def _step_width(analysis: ClipAnalysis, gait: Gait, girdle: str, feet: tuple[str, str]) -> GaitQuantity:
+def _step_width(analysis: AnalysedClip, gait: Gait, girdle: str, feet: tuple[str, str]) -> GaitQuantity:
     """Return the distance between the left and the right foot across the direction of travel, left positive."""
     name, source, tracks = f"step_width_{girdle}_m", "footfalls", gait.tracks
     steps = _steps(gait, feet)
@@ -334,7 +345,7 @@ def _step_width(analysis: ClipAnalysis, gait: Gait, girdle: str, feet: tuple[str
     between, scatter = _scatter(np.array(widths))
     value = float(np.mean(widths))
     unshared = float(np.hypot(scatter, np.sqrt(mean(variances))))
-    return _quantity(name, value, unshared, shared_sigma(analysis) * abs(value), source, between, len(widths))
+    return _quantity(name, value, unshared, shared_sigma(analysis.motion) * abs(value), source, between, len(widths))
 
 
 def _at(time_s: Array, points_m: Array, stance: Stance) -> Array:
@@ -344,7 +355,7 @@ def _at(time_s: Array, points_m: Array, stance: Stance) -> Array:
 
 
 def _distance_variance(
-    analysis: ClipAnalysis, feet: tuple[str, str], middles_s: Sequence[float], across: Array
+    analysis: AnalysedClip, feet: tuple[str, str], middles_s: Sequence[float], across: Array
 ) -> float:
     """Return the variance of the distance between two feet at two times along a direction.
 
@@ -366,7 +377,7 @@ def _distance_variance(
 # -- left and right ----------------------------------------------------------------------------------------------------
 
 
-def _asymmetries(analysis: ClipAnalysis, gait: Gait, girdle: str, feet: tuple[str, str]) -> Iterator[GaitQuantity]:
+def _asymmetries(analysis: AnalysedClip, gait: Gait, girdle: str, feet: tuple[str, str]) -> Iterator[GaitQuantity]:
     """Yield the asymmetry of a pair's stances and of its excursion, (left - right) / mean of both."""
     reason = _why_no_asymmetry(analysis.motion, gait, feet)
     for kind in SIDE_SIGMA:
@@ -397,7 +408,7 @@ def asymmetry_values(gait: Gait, kind: str, feet: tuple[str, str]) -> list[Array
     return [np.array([value(stride) for stride in gait.strides if stride.foot == foot]) for foot in feet]
 
 
-def _side_sigma(analysis: ClipAnalysis, kind: str) -> float:
+def _side_sigma(analysis: AnalysedClip, kind: str) -> float:
     """Return the asymmetry that the view itself puts between the sides: less the more cameras see them."""
     return SIDE_SIGMA[kind] / len(analysis.motion.sources) ** 0.5
 

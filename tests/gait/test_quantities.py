@@ -36,7 +36,7 @@ def test_table_and_sentences_have_the_same_numbers(whole: ClipAnalysis):
 
 
 def test_the_size_counts_in_lengths_and_speeds_only(whole: ClipAnalysis):
-    shared = shared_sigma(whole)
+    shared = shared_sigma(whole.motion)
     assert shared == pytest.approx(whole.motion.solution.size_sigma / whole.motion.size)
     for name, has_size in (("speed_m_s", True), ("stride_length_m", True), ("duty_factor", False)):
         quantity = whole.quantities[name]
