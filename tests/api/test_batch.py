@@ -917,7 +917,7 @@ def workers(pid: int) -> list[int]:
     return [child for child in children if b"resource_tracker" not in Path(f"/proc/{child}/cmdline").read_bytes()]
 
 
-def wait_for(condition: Any, seconds: float = 60) -> None:
+def wait_for(condition: Any, seconds: float = 300) -> None:
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "nothing happened"
@@ -928,20 +928,37 @@ def statuses(out: Path) -> list[str]:
     return [row["status"] for row in table(out).values()] if (out / "summary.csv").exists() else []
 
 
+HELD = """
+import signal, time
+from recon.api.batch import Summary
+from recon.api.clip_results import Record
+from recon.cli.app import main
+
+# Where the tests run in the background, Ctrl-C is ignored, and children inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+Summary.write_now_and_then = Summary.write
+note, begun = Record.note, []
+
+def note_and_wait(self, part, made_from, **details):
+    note(self, part, made_from, **details)
+    if "files" not in details:
+        begun.append(part)
+    if len(begun) == 2:
+        begun.append("")
+        time.sleep(300)
+
+Record.note = note_and_wait
+main()
+"""
+"""The command line, where `recon batch` gives out no third clip and waits: it has not ended however slow a test is."""
+
+
 @pytest.fixture
 def in_the_middle(clips, tmp_path) -> Iterator[tuple[subprocess.Popen[str], Path, list[object]]]:
-    """`recon batch` on eight clips in a process of its own, after the first is done; its folder and its arguments."""
-    for name in "defgh":
-        shutil.copy(clips / "a.csv", clips / f"{name}.csv")
+    """`recon batch` on four clips in a process of its own, after the first is done; its folder and its arguments."""
+    shutil.copy(clips / "a.csv", clips / "d.csv")
     command = args(clips, tmp_path / "out", "--jobs", 1)
-    # Where the tests run in the background, Ctrl-C is ignored, and children inherit that.
-    before = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
-    code = [
-        sys.executable,
-        "-c",
-        f"{before}; from recon.cli.app import main; main()",
-        *map(str, command),
-    ]
+    code = [sys.executable, "-c", HELD, *map(str, command)]
     with subprocess.Popen(code, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             wait_for(lambda: "done" in statuses(tmp_path / "out"))
@@ -969,14 +986,14 @@ def test_ctrl_c_keeps_what_is_done(clips, in_the_middle, in_process):
     process, out, command = in_the_middle
     (worker,) = workers(process.pid)
     process.send_signal(signal.SIGINT)
-    said, errors = process.communicate(timeout=30)
+    said, errors = process.communicate(timeout=300)
     assert process.returncode == 130
     assert not Path(f"/proc/{worker}").exists()
     done = finished(out)
-    assert 1 <= len(done) < 8
-    assert sorted(statuses(out)) == ["done"] * len(done) + ["pending"] * (8 - len(done))
+    assert 1 <= len(done) <= 2
+    assert sorted(statuses(out)) == ["done"] * len(done) + ["pending"] * (4 - len(done))
     (line,) = errors.splitlines()
-    assert says(line, "Stopped", f"{len(done)} done, {8 - len(done)} pending", "same command again")
+    assert says(line, "Stopped", f"{len(done)} done, {4 - len(done)} pending", "same command again")
     assert "Traceback" not in said
     assert staging_folders(out) == []
     assert sorted(path.name for path in out.iterdir() if path.is_dir()) == sorted(done)
@@ -993,7 +1010,7 @@ def test_after_a_kill_nothing_that_is_finished_is_done_again(clips, in_the_middl
     process.kill()
     wait_for(lambda: not Path(f"/proc/{worker}").exists() or "Z" in Path(f"/proc/{worker}/stat").read_text().split())
     done = finished(out)
-    assert 1 <= len(done) < 8
+    assert 1 <= len(done) <= 2
     left = some_left(clips, done)
     assert run(*command).code == 0
     assert statuses(out).count("done earlier") == len(done)
@@ -1094,4 +1111,4 @@ def test_a_scheduler_that_says_nothing_is_not_waited_for(scheme, monkeypatch):
         found, expected = ("0.3 s", "tcp://") if scheme == "tcp" else ("TLS", "distributed.comm.tls")
         with refusal(("--scheduler", at, found, expected)):
             parallel._client(at)
-        assert time.monotonic() - began < 5
+        assert time.monotonic() - began < 60  # for ever without the limit

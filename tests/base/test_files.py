@@ -185,8 +185,8 @@ def test_a_writer_waits_for_one_that_is_about_to_end(tmp_path):
 
     thread = threading.Thread(target=first)
     thread.start()
-    entered.wait(5)
-    with sole_writer(tmp_path, wait_s=5):
+    entered.wait(300)
+    with sole_writer(tmp_path, wait_s=300):
         done.append("second")
     thread.join()
     assert done == ["first", "second"]

@@ -86,10 +86,8 @@ def test_an_interrupt_stops_the_processes():
         if event.stage == "waiting":
             raise KeyboardInterrupt
 
-    began = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         carry_out(work, [("wait", "wait")] * 3, interrupt, jobs=2)
-    assert time.monotonic() - began < 30
     assert seen[-1] == "waiting"
     assert not multiprocessing.active_children()
 

@@ -34,6 +34,8 @@ from recon.show.page.compare_page import compare_page
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), "")
 EVIL = '<img src=x onerror="alert(1)">&\'.csv'
+PATIENCE_MS = 180_000.0
+"""How long a page may take on a busy machine."""
 VIEWS = {"desk": (1280, "light"), "phone": (390, "light"), "night": (1280, "dark")}
 PLAYER = "document.querySelector('.player').reconPlayer"
 CUT = """() => {
@@ -64,6 +66,8 @@ CONTRAST = """() => {
 DRAWN = """() => [...document.querySelectorAll(".player .views canvas")].map((canvas) =>
   new Set(canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data).size)"""
 """Shades in the picture and in the scene."""
+DRAWN_AGAIN = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+"""Returns after a frame of the browser, in which the page draws what has changed."""
 SHOWN = """(row) => {
   const { picture, draw } = PLAYER, image = picture.image(picture.pictureOf(row));
   if (!image.complete || !image.naturalWidth) return false;
@@ -101,6 +105,7 @@ def opened(chromium) -> Iterator[Callable[..., Any]]:
         )
         contexts.append(context)
         page = context.new_page()
+        page.set_default_timeout(PATIENCE_MS)
         page.on("console", lambda message: said.append(message.text))
         page.on("pageerror", lambda error: said.append(str(error)))
         page.on("request", lambda request: fetched.append(request.url))
@@ -238,7 +243,7 @@ def test_the_scene_is_turned_zoomed_and_seen_from_all_sides(pages, opened):
     before = page.locator("canvas.scene").screenshot()
     for name in ("trail", "uncertainty", "ground", "cameras"):
         page.click(f"[data-show={name}]")
-        page.wait_for_timeout(50)
+        page.evaluate(DRAWN_AGAIN)
         after = page.locator("canvas.scene").screenshot()
         assert after != before or name == "cameras"  # the camera may be behind the reader
         before = after
@@ -422,6 +427,7 @@ def editor(chromium, whole_results: Path, tmp_path: Path, monkeypatch: pytest.Mo
     threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
     context = chromium.new_context(viewport={"width": 1280, "height": 900}, reduced_motion="reduce")
     page, said = context.new_page(), list[str]()
+    page.set_default_timeout(PATIENCE_MS)
     page.on("console", lambda message: said.append(message.text))
     page.on("pageerror", lambda error: said.append(str(error)))
     page.goto(server.address)
