@@ -1,6 +1,6 @@
-"""Every diagnosis of an input or of a fit.
+"""Diagnose faults of an input or of a fit.
 
-A `Finding` has a code and numbers; `CODES` has its severity and its words. `add_verdict` gives a motion its findings
-and the verdict that follows from them. Findings that fit a clip again are `input_findings`; those that compare its
-cameras are `agreement_findings`.
+A `Finding` has a code and numbers; `CODES` gives the severity and text of each code. `add_verdict` adds the findings of
+a motion and the verdict that follows from them. `input_findings` fits parts of the clip again to find wrong inputs;
+`agreement_findings` compares the cameras.
 """

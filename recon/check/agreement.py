@@ -1,23 +1,23 @@
-"""Test whether the cameras of a clip agree: the detections of each against the points that the others see.
+"""Test whether the cameras of a clip agree: compare each camera's detections with points from the other cameras.
 
 **Points and levels.** Where cameras see the same keypoint in the same frame, their rays should meet. For each camera,
 the points are triangulated from all other cameras, robustly and with their covariance (`_points`), and compared with
 the directions in which this camera saw them (`_errors`). An error in standard deviations contains the noise of both.
-The median error, divided by the median that pure noise has, is the camera's level: about 1 where all is well. Two
-cameras alone have no third to triangulate from. They are compared with each other: do their rays lie in one plane with
-the line between them (`_pair_level`)?
+The median error, divided by the median that pure noise has, is the camera's level: about 1 if the cameras agree. Two
+cameras alone have no third camera to triangulate with, so they are compared with each other by the epipolar planes of
+their rays (`_pair_level`).
 
-No body and no fit is needed, so that a camera which pulls the fit away from the others cannot hide.
+The test uses no body and no fit, so a camera that pulls the fit away from the others is found too.
 
 **Which camera is off.** If levels are too high, cameras are left out one by one until the rest agrees
 (`_largest_agreeing_group`). For each camera left out, the rotation and the time offset that fit best are found
 (`_best_turned`, `_best_shifted`). If one of them lowers the level enough, it is named as the cause; otherwise the cause
-is unknown. An exchange of two files is tried first, since it explains two cameras at once (`_exchanged_pair`). Two
-cameras that agree with nobody are named as a pair.
+is unknown. Exchanged files of two cameras are tried first, since they explain two cameras at once (`_exchanged_pair`).
+Two cameras that agree with no other camera are named as a pair.
 
 **Time offsets and refined poses.** The same levels are used to search for offsets between cameras whose clocks differ
 (`search_offsets`), before the fit solves for them (`solve_time_offsets`). After a fit that refined poses,
-`why_not_refined` decides whether these are used.
+`why_not_refined` decides whether the refined poses are used.
 
 **Which way is up.** If the cameras' poses do not say which way is up, the ground that the animal's feet stand on does
 (`up_from_feet`). No body is fitted for it either.
@@ -45,44 +45,43 @@ from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.terms import StanceVelocity
 
 MAX_LEVEL = 1.6
-"""Level up to which a camera agrees, or more where the others are noisier than expected."""
+"""Largest level at which a camera agrees; larger if the other cameras are noisier than expected."""
 NOISIEST = 2.0
-"""Factor on the expected errors up to which they are taken for noise of the detector."""
+"""Largest factor on the expected errors that is attributed to noise of the detector."""
 NOISIEST_OF_TWO = 1.1
-"""The factor for two cameras, which have no third to show that it is noise.
+"""Largest factor for two cameras, without a third one to show that the errors are noise.
 
-It is up to 1.5 for levels of 68 real pairs. Only across the line between two cameras does a rotation of one show at
-all.
+Levels of 68 real pairs are up to 1.5. A rotation of one of two cameras is visible only across the line between them.
 """
 EXPLAINED = 0.25
-"""A cause that leaves no more than this part of a camera's level explains it, too."""
+"""A cause that reduces a camera's level to this fraction or less also explains it."""
 CLEAR_ROTATION_RAD, CLEAR_OFFSET, CLEAR_GAIN = np.radians(3.0), 3.0, 1.5
-"""A camera that agrees is reported, too, if a rotation or a time offset (frames) of at least this size divides its
-level by at least this factor.
+"""A camera that agrees is still reported if a rotation or time offset (frames) of at least this size reduces its level
+by at least this factor.
 """
 LARGEST_ROTATION_RAD = np.radians(45.0)
-"""A rotation that fits better only if it is larger is no rotation of the camera."""
+"""A larger best-fitting rotation is not taken for a rotation of the camera."""
 MIN_POINTS = 30
-"""Least number of points, over all frames, that give a level."""
+"""Smallest number of points, over all frames, from which a level is computed."""
 SOUGHT_OFFSET_S, LITTLE_OFFSET = 0.5, 3
-"""Largest time offset tried: seconds for a camera that does not agree, frames for one that does."""
+"""Largest time offset tried: in seconds for a camera that does not agree, in frames for one that agrees."""
 FRAMES = 480
-"""Number of frames of a longer clip that are compared: the stretch in which most is seen together."""
+"""Number of frames of a longer clip that are compared: the part with the most common detections."""
 OFFSET_S = 1.0
-"""Largest time offset searched for a camera that is known to be out of step; at most half a clip."""
+"""Largest time offset in seconds searched for a camera known to be out of step; at most half a clip."""
 CLEARLY = 0.9
-"""Largest ratio of the level with an offset to that without, for the offset to count."""
+"""Largest ratio of the level with a time offset to that without at which the offset counts."""
 _OFFSET_ROWS = 200
 """Number of frames that are compared for an offset."""
 _COMPARED = 0.3
-"""Least part of the most points that can be compared that an offset has to leave."""
+"""Smallest fraction of the comparable points that a time offset has to leave."""
 _ROBUST = 3.0
-"""Number of standard deviations at which a ray counts half in a point."""
+"""Distance in standard deviations at which a ray counts half in a point."""
 _ROUNDS = 3
 _MEDIAN_OF_LINE, _MEDIAN_OF_POINT = 0.4549, 1.3863
 """Medians of a squared error in standard deviations in one dimension, and in two."""
 _PARALLEL = 1e-4
-"""Least ratio of the precision of a point along its rays to that across them."""
+"""Smallest ratio of the precision of a point along its rays to that across them."""
 
 
 Numbers = dict[str, float]
@@ -95,11 +94,10 @@ its pictures seem to be; level_turned and level_late: the level with these.
 
 
 def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float) -> tuple[Finding, ...]:
-    """Return the findings on two or more cameras of a motion, compared with each other as they were given.
+    """Return the findings on a motion's two or more cameras, compared with each other at their given poses.
 
-    They are a note on each camera, and an error for each that does not agree: exchanged, turned, late, for a reason
-    unknown, or, where it cannot be determined which of them is off, with each other. Time offsets that a fit found do
-    not hide others. Deterministic.
+    There is a note on each camera, and an error for each camera that does not agree: exchanged, turned, late, or for an
+    unknown reason. If it cannot be determined which camera is wrong, one error names both. The result is deterministic.
 
     Parameters
     ----------
@@ -131,7 +129,7 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
             numbers = numbers | _effect_m(given_sights, v, [o for o in agreeing if o != v]) | {"offset_s": offset_s}
             item = finding(_code(numbers, limit), frames, names[v], **numbers)
             findings.append(by_effect(item, motion.trunk_m, is_gross=numbers["level"] > MAX_LEVEL * NOISIEST))
-    for v in exchanged:  # compared as it came
+    for v in exchanged:  # compared as given, without undoing the exchange
         partners = [sights[o] for o in agreeing or range(len(views)) if o != v]
         comparisons[v] = _compare(given_sights[v], partners, fps, wide=False)
     disagreeing = () if agreeing else tuple(range(len(views)))
@@ -149,7 +147,7 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
 def _without_exchange(
     views: Sequence[View], sights: list[_Sight], sigma_px: float, keypoint_sigma_m: float
 ) -> tuple[list[_Sight], tuple[int, ...], float]:
-    """Return the sights with two exchanged cameras put back, these two cameras, and the limit of levels.
+    """Return the sights with exchanged cameras put back, the two exchanged cameras, and the limit of levels.
 
     Without exchanged cameras the pair is (). The limit is higher than `MAX_LEVEL` if the cameras that agree best are
     noisier than expected.
@@ -172,7 +170,7 @@ def _without_exchange(
 def swaps_by_effect(
     findings: Sequence[Finding], motion: Motion, sigma_px: float, keypoint_sigma_m: float
 ) -> tuple[Finding, ...]:
-    """Return findings, with the severity of swaps in one of three or more cameras by what that camera does to the fit.
+    """Return findings with the severity of a swap in one of three or more cameras set by its effect on the fit.
 
     The robust fit follows the others where they agree. Parameters are as in `agreement_findings`.
     """
@@ -192,7 +190,7 @@ def swaps_by_effect(
 
 
 def _effect_m(sights: Sequence[_Sight], v: int, partners: Sequence[int]) -> dict[str, float]:
-    """Return by how much camera v moves the points that the other cameras see, in metres.
+    """Return how far camera v moves the points that the other cameras see, in metres.
 
     One number is about the points' middle, the other is the movement of this middle: means over joints and frames, NaN
     if the other cameras alone see too few points.
@@ -216,8 +214,8 @@ def _effect_m(sights: Sequence[_Sight], v: int, partners: Sequence[int]) -> dict
 def _compare_with_agreeing(sights: Sequence[_Sight], fps: float, limit: float) -> tuple[tuple[int, ...], list[Numbers]]:
     """Return the cameras that agree, and the comparison of each camera with them, or with all if none agree.
 
-    About its line of sight a camera can be turned by some degrees, and its level is still low. Of the cameras that
-    agree, those go, too, that a rotation or a time offset clearly improves.
+    A camera can be turned by some degrees about its line of sight while its level is still low. Agreeing cameras that a
+    rotation or a time offset clearly improves are therefore removed as well.
     """
     agreeing = _largest_agreeing_group(sights, fps, limit)
     comparisons = _compare_each(sights, agreeing or range(len(sights)), fps)
@@ -230,11 +228,11 @@ def _compare_with_agreeing(sights: Sequence[_Sight], fps: float, limit: float) -
     return agreeing, comparisons
 
 
-# -- who agrees --------------------------------------------------------------------------------------------------------
+# -- agreeing cameras --------------------------------------------------------------------------------------------------
 
 
 def _are_within(levels: Array, limit: float) -> bool:
-    """Return whether no level exceeds the limit; NaN does not."""
+    """Return whether no level exceeds the limit; NaN counts as exceeding it."""
     return not (levels > limit).any()
 
 
@@ -243,7 +241,7 @@ def _is_explained(level: float, previous: float, limit: float) -> bool:
 
 
 def _exchanged_pair(levels: Array, trials: Mapping[tuple[int, int], Array], limit: float) -> tuple[int, int] | None:
-    """Return the two cameras whose levels exchanged files explain."""
+    """Return the two cameras whose levels are explained by exchanged files."""
     explained = {
         pair: np.nansum(after_exchange)
         for pair, after_exchange in trials.items()
@@ -255,7 +253,7 @@ def _exchanged_pair(levels: Array, trials: Mapping[tuple[int, int], Array], limi
 
 
 def _compare_each(sights: Sequence[_Sight], agreeing: Sequence[int], fps: float) -> list[Numbers]:
-    """Compare each camera with the others of the agreeing ones."""
+    """Compare each camera with all others that agree."""
     return [
         _compare(sight, [sights[o] for o in agreeing if o != v], fps, wide=v not in agreeing)
         for v, sight in enumerate(sights)
@@ -263,7 +261,7 @@ def _compare_each(sights: Sequence[_Sight], agreeing: Sequence[int], fps: float)
 
 
 def _causes(numbers: Numbers, least_rad: float = 0.0, least_frames: float = 0.0) -> dict[str, float]:
-    """Return the camera's level with each possible cause undone, by code, if that cause is as large as this."""
+    """Return the camera's level with each possible cause undone, by code, for causes of at least the given size."""
     is_turned, is_late = (
         least_rad <= numbers["turn_rad"] <= LARGEST_ROTATION_RAD,
         abs(numbers["late_frames"]) >= least_frames,
@@ -273,13 +271,13 @@ def _causes(numbers: Numbers, least_rad: float = 0.0, least_frames: float = 0.0)
 
 
 def _gain(numbers: Numbers) -> float:
-    """Return by how much the best rotation or time offset divides a camera's level; 1 where both are small."""
+    """Return the factor by which the best rotation or time offset lowers a camera's level; 1 if both are small."""
     causes = _causes(numbers, CLEAR_ROTATION_RAD, CLEAR_OFFSET)
     return max((numbers["level"] / max(level, 1e-9) for level in causes.values()), default=1.0)
 
 
 def _code(numbers: Numbers, limit: float) -> str:
-    """Return the code of a camera's finding: the cause that leaves the lowest level, if that explains it."""
+    """Return the code of a camera's finding: the cause that leaves the lowest level, if it explains the level."""
     likeliest = min(
         (level, code) for code, level in {**_causes(numbers), "camera_off": np.inf}.items() if not np.isnan(level)
     )
@@ -295,7 +293,7 @@ def _with_exchanged(views: Sequence[View], a: int, b: int) -> list[View]:
 
 
 def _largest_agreeing_group(sights: Sequence[_Sight], fps: float, limit: float) -> tuple[int, ...]:
-    """Return the cameras that are left when those that agree least have been left out one by one; () if no two agree.
+    """Return the cameras left after removing those that agree least one by one, or () if no two agree.
 
     The last two of three cameras can only be compared with each other, and a camera next to another may pass in spite
     of its time offset. Therefore the first to go is one that a rotation or an offset would bring into agreement with
@@ -313,7 +311,7 @@ def _largest_agreeing_group(sights: Sequence[_Sight], fps: float, limit: float) 
 def _cost_without(
     sights: Sequence[_Sight], agreeing: Sequence[int], rest: Sequence[int], fps: float, limit: float
 ) -> tuple[bool, float]:
-    """Return, to be minimised, whether nothing brings the omitted camera back, and how well the rest agrees."""
+    """Return the cost of removing a camera: whether a cause can bring it back, and how well the rest agrees."""
     (v,) = {*agreeing} - {*rest}
     if len(rest) > 2:
         return False, float(np.nansum(_levels(sights, rest)))
@@ -330,7 +328,7 @@ def _cost_without(
 
 @dataclass(frozen=True, eq=False)
 class _Sight:
-    """Hold the directions in which one camera saw J keypoints in T frames, as unit vectors of the world frame."""
+    """Hold the directions in which one camera saw J keypoints in T frames, as unit vectors in the world frame."""
 
     rays: Array
     """(T, J, 3), NaN where missing."""
@@ -343,12 +341,12 @@ class _Sight:
     """(T, 1): the noise of a detection as an angle."""
 
     def later(self, frames: float) -> _Sight:
-        """Return the directions if the pictures were taken that much later."""
+        """Return the directions for pictures taken a number of frames later."""
         rays, centre_m = _shifted(self.rays, frames), _shifted(self.centre_m, frames)
         return replace(self, rays=rays, centre_m=centre_m, rotation=_shifted(self.rotation, round(frames)))
 
     def part(self, rows: Index) -> _Sight:
-        """Return the directions in some rows."""
+        """Return the directions of some rows."""
         parts = (self.rays[rows], self.centre_m[rows], self.rotation[rows], self.focal_px, self.noise_rad[rows])
         return _Sight(*parts)
 
@@ -380,12 +378,12 @@ def _sights(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -> 
 
 
 def points_m(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -> Array:
-    """(T, J, 3): where the rays of several views meet, in their world, NaN where fewer than two do."""
+    """Return the points (T, J, 3) where the rays of several views meet, NaN where fewer than two rays do."""
     return _points(_sights(views, sigma_px, keypoint_sigma_m))[0]
 
 
 def _with_keypoint_noise(sight: _Sight, position_m: Array, keypoint_sigma_m: float) -> _Sight:
-    """Return the directions with the noise of a keypoint's position on the body, at the points' typical distance."""
+    """Return the directions with added noise of the keypoints' positions on the body, at a typical distance."""
     distance = np.linalg.norm(position_m - sight.centre_m[:, None], axis=-1)
     if np.isnan(distance).all():
         return sight
@@ -396,7 +394,7 @@ def _with_keypoint_noise(sight: _Sight, position_m: Array, keypoint_sigma_m: flo
 
 
 def _points(sights: Sequence[_Sight]) -> _Points:
-    """Return where the rays of two or more cameras come nearest to each other, with outliers down-weighted."""
+    """Return the points nearest to the rays of two or more cameras, with outliers down-weighted."""
     rays = np.array([sight.rays for sight in sights])
     centres = np.array([sight.centre_m for sight in sights])[:, :, None]
     noise = np.array([sight.noise_rad for sight in sights])
@@ -425,7 +423,7 @@ def _points(sights: Sequence[_Sight]) -> _Points:
 
 
 def _levels(sights: Sequence[_Sight], agreeing: Sequence[int]) -> Array:
-    """Return the level of each of these cameras compared with the others (V,); NaN for all other cameras."""
+    """Return the level of each agreeing camera compared with the others (V,); NaN for all other cameras."""
     levels = np.full(len(sights), np.nan)
     for v in agreeing:
         partners = [sights[o] for o in agreeing if o != v]
@@ -434,7 +432,7 @@ def _levels(sights: Sequence[_Sight], agreeing: Sequence[int]) -> Array:
 
 
 def _compare(sight: _Sight, partners: Sequence[_Sight], fps: float, wide: bool) -> Numbers:
-    """Compare a camera with others. wide: the time offset is searched over a long range."""
+    """Compare a camera with others; with `wide`, the time offset is searched over a long range."""
     numbers = dict.fromkeys(("turn_rad", "level_turned", "late_frames", "level_late"), np.nan)
     if len(partners) == 1:
         level, error_rad, n = _pair_level(sight, partners[0])
@@ -499,7 +497,7 @@ def _level(sight: _Sight, points: _Points) -> float:
 
 
 def _best_turned(sight: _Sight, points: _Points) -> tuple[_Sight, float]:
-    """Return the directions after the camera's rotation that brings its rays nearest to the points, and its angle."""
+    """Return the directions after the rotation that brings a camera's rays nearest to the points, and its angle."""
     towards, _ = _errors(sight, points)
     goal, rays = (np.einsum("tij,tkj->tki", sight.rotation, v) for v in (towards, sight.rays))
     is_known = np.isfinite(goal[..., 0]) & np.isfinite(rays[..., 0])
@@ -538,8 +536,8 @@ def search_offsets(views: Sequence[View], fps: float, sigma_px: float, keypoint_
     """Return the time offset of each camera from the first, in whole frames beyond the stated offset, (V,).
 
     Views have the same T frames; the noise is as in `agreement_findings`. Each camera in turn gets the offset at which
-    its rays pass those of the cameras before it most closely, then, a few times, those of all others. It is 0 if no
-    other offset is clearly better, and NaN if a camera sees too few points together with the others to compare.
+    its rays pass those of the cameras before it most closely, then, a few times, those of all others. The offset is 0
+    if no other is clearly better, and NaN if a camera shares too few points with the others.
     """
     sights = _sights(views, sigma_px, keypoint_sigma_m)
     T = len(views[0].xy_px)
@@ -572,20 +570,22 @@ def _best_offset(sight: _Sight, partner_sights: Sequence[_Sight], reach: int, ro
     return 0.0 if mean[best] > CLEARLY * mean[reach] else float(offsets[best])
 
 
-# -- camera parameters that are solved with the fit --------------------------------------------------------------------
+# -- camera parameters that are estimated in the fit -------------------------------------------------------------------
 
 FIT_ROUNDS = 5
 CLOSE_FRAMES = 0.05
-"""Time offsets this small are left to the solver, which takes the motion for straight over them."""
+"""Time offsets this small are left to the solver, which treats the motion as straight over such a time."""
 WORSE, BETTER, LOST, FAR = 1.1, 1.02, 5.0, 4.0
-"""Limits of refined poses.
+"""Limits for refined poses.
 
 Factor of a camera's median reprojection error up to which it is unchanged, as others may lose a little to what one
 gains; factor of no change at all; factor to that of the rig's middle camera that makes a camera an outlier all the
 time; and factor to the expected rotation that is not where the file says.
 """
 MAX_SIGMA_FRAMES = 1.0
-"""Offsets that are known less well, or do not settle to this, are refused."""
+"""Largest uncertainty of an estimated offset; a less certain offset, or one that does not settle to this, is
+refused.
+"""
 
 Solve = Callable[[tuple[Source, ...]], TrajectorySolution]
 
@@ -597,7 +597,7 @@ def solve_time_offsets(
     sigma_px: float,
     keypoint_sigma_m: float,
 ) -> tuple[tuple[Source, ...], TrajectorySolution]:
-    """Return sources put on the frames of one clip, with the time offsets that were found, and their solution.
+    """Return sources on the frames of one clip with estimated time offsets, and their solution.
 
     Parameters
     ----------
@@ -648,7 +648,7 @@ def _problems(names: Sequence[str], offsets: Array, rest_frames: Array, sigmas: 
 
 
 def why_not_refined(refined: TrajectorySolution, fixed: TrajectorySolution) -> tuple[Finding, ...]:
-    """Return why cameras stay as calibrated; nothing where the refined poses are to be used.
+    """Return the reasons to keep the calibrated cameras, or nothing if the refined poses are to be used.
 
     A camera that leaves its pose becomes an outlier as a whole, which a robust cost rewards. If no camera fits better,
     the refined poses are only less certain.
@@ -678,7 +678,7 @@ def why_not_refined(refined: TrajectorySolution, fixed: TrajectorySolution) -> t
 
 
 def _medians_px(solution: TrajectorySolution) -> np.ndarray:
-    """Return the median distance between detections and reprojected markers, (V,); infinite without a pose."""
+    """Return the median distance between detections and reprojected markers, (V,), infinite without a pose."""
     medians = []
     for view in solution.views:
         pixels, _ = view.project(view.shift_to_exposure(solution.markers_m))
@@ -688,20 +688,22 @@ def _medians_px(solution: TrajectorySolution) -> np.ndarray:
     return np.maximum(medians, 1e-9)
 
 
-# -- which way is up ---------------------------------------------------------------------------------------------------
+# -- the upward direction ----------------------------------------------------------------------------------------------
 
 MAX_SIGMA_RAD = np.radians(10.0)
-"""Largest uncertainty of up, which is that of a camera taken to be level."""
+"""Largest uncertainty of the upward direction, which is that of a camera assumed to be level."""
 POSTURE_RAD = np.radians(15.0)
 """Angle between up and the direction from the feet to the body, in the mean over a clip."""
 FOOT_SHARE = 1 / 15
-"""Height of standing feet above the ground, as a part of the body's height above them: `GROUND_FOOT_M` of a cheetah."""
+"""Height of standing feet above the ground as a fraction of the body's height above them: `GROUND_FOOT_M` of a
+cheetah.
+"""
 MIN_STANDING = 3
-"""Least number of standing feet, over all frames: as in `recon.fit.clip_problem`."""
+"""Smallest number of standing feet, over all frames, as in `recon.fit.clip_problem`."""
 
 
 class _Upward(NamedTuple):
-    """The unit vector (3,) that points up, a point (3,) of the ground, and the direction's uncertainty.
+    """Hold an upward unit vector (3,), a point (3,) on the ground, and the uncertainty of the direction.
 
     Metres, in the poses' world; the standard deviation is about the less known axis.
     """
@@ -712,10 +714,11 @@ class _Upward(NamedTuple):
 
 
 def up_from_feet(views: Sequence[View], body: Body, fps: float, sigma_px: float) -> _Upward | None:
-    """Return up as the standing feet of an animal that several cameras saw show it, None where they show too little.
+    """Return the upward direction found from the standing feet of an animal seen by several cameras, or None.
 
-    It is the normal of the plane through the feet that stand: slow ones, and of those the ones that others stand with.
-    The body, which is above them, holds the plane where they stand on one line.
+    The direction is the normal of the plane through the standing feet: slow feet that lie in a plane with other slow
+    feet. The body, which is above the feet, stabilises the plane if they stand on one line. The result is None if the
+    feet do not determine the plane.
 
     Parameters
     ----------
@@ -753,7 +756,7 @@ def up_from_feet(views: Sequence[View], body: Body, fps: float, sigma_px: float)
 
 
 def _feet_to_body(positions_m: Array, feet: Index) -> Array | None:
-    """Return the vector (3,) from the feet to the rest of the body, the median over frames; None if never both seen."""
+    """Return the median vector (3,) from the feet to the rest of the body, or None if they are never seen together."""
     rest_m = positions_m[:, np.setdiff1d(np.arange(positions_m.shape[1]), feet)]
     is_whole = np.isfinite(positions_m[:, feet, 0]).any(axis=1) & np.isfinite(rest_m[..., 0]).any(axis=1)
     if not is_whole.any():
@@ -765,7 +768,7 @@ def _feet_to_body(positions_m: Array, feet: Index) -> Array | None:
 def _fit_tilted_plane(
     feet_m: Array, slow: Array, tall_m: float, correlation_frames: float
 ) -> tuple[Array, Array, float]:
-    """Fit a plane to feet (N, 3), height first, with weights (N,) of how slow they are.
+    """Fit a plane to feet (N, 3), height first, with weights (N,) for how slow each foot is.
 
     The width within which feet count narrows from the body's height tall_m to `FOOT_SHARE` of it. Returns the plane
     (3,): height and slopes; its curvature (3, 3); and how many feet stand on it.

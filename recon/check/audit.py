@@ -1,7 +1,7 @@
-"""Audit a file of 2D keypoints or 3D poses, whoever made it: no camera, no fit, no model of the animal is needed.
+"""Audit a file of 2D keypoints or 3D poses from any program, without a camera, a fit or a model of the animal.
 
-Each check measures one number, the larger the more suspicious; `LIMITS` has the largest of a file that is right
-(`benchmarks/parts/audit.py` tries them by leaving recordings out).
+Each check measures one number, which is larger the more suspicious the file is. `LIMITS` has the largest number of each
+check in a correct file (`benchmarks/parts/audit.py` tests the limits by leaving recordings out).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ LIMITS: Mapping[str, float] = {
     "feet_slide": 1.0,
     "joint_beyond_range": 1.0,
 }
-"""Largest measure of each check in a file that is right."""
+"""Largest measure of each check in a correct file."""
 TRACKS_ONLY = ("keypoints_normalised", "keypoints_y_up")
 """Checks of 2D keypoints."""
 POSES_ONLY = (
@@ -55,20 +55,20 @@ CONSEQUENCES: Mapping[str, tuple[str, ...]] = {
     "points_identical": ("lengths_change", "joint_beyond_range"),
     "point_frozen": ("lengths_change", "joint_beyond_range"),
 }
-"""Findings that a cause brings with it: only the cause is named."""
+"""Findings that a cause brings with it; only the cause is reported."""
 LEAST_FRAMES = 5
-"""Fewer frames say nothing."""
+"""Smallest number of frames that can be audited."""
 
 
 def audit(points: AuditedPoints) -> tuple[Finding, ...]:
-    """Return the findings on points, whoever made them, the most serious first."""
+    """Return the findings on points from any program, the most serious first."""
     suspicious = [measure for measure in measures_of(points) if measure.value > LIMITS[measure.code]]
     explained = {code for measure in suspicious for code in CONSEQUENCES.get(measure.code, ())}
     return sort_findings([_as_finding(points, measure) for measure in suspicious if measure.code not in explained])
 
 
 def measures_of(points: AuditedPoints) -> list[Measure]:
-    """Return the measures of all checks that such points allow."""
+    """Return the measures of all checks that apply to such points."""
     if len(points.frames) < LEAST_FRAMES or not points.known.any():
         return []
     with np.errstate(invalid="ignore"):

@@ -1,4 +1,4 @@
-"""Hold the points of a file that is audited, and what their names say about them."""
+"""Hold the points of a file to audit, and the body parts that their names indicate."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from recon.animal.skeleton_file import load_skeleton
 from recon.base.arrays import Array, Bools, Brief, Index, Integers
 
 NAMES_KNOWN = 0.6
-"""Share of a file's points, or of a skeleton's markers, with names that fit, from which the skeleton is theirs."""
+"""Fraction of a file's points, or of a skeleton's markers, with matching names above which the skeleton is used."""
 _FOOT = re.compile(r"(?i)paw|hoof|toe|foot(?!base)|feet|hand(?!le)|claw|ankle|wrist")
 _STANDING = re.compile(rf"{_FOOT.pattern}|fetlock|pastern|digit|heel|hock|tarsus|carpus|knee")
 _LOWEST = re.compile(r"(?i)paw|hoof|toe|foot|feet|hand|claw")
@@ -30,17 +30,17 @@ DECIMALS = 6
 
 @dataclass(frozen=True)
 class Roles:
-    """Parts of the animal among the K points, as indices of points."""
+    """Hold the parts of the animal among the K points, as indices."""
 
     skeleton: str | None = None
-    """Built-in skeleton whose names they have."""
+    """Built-in skeleton with the points' names."""
     feet: tuple[int, ...] = ()
     upper: tuple[int, ...] = ()
-    """Points of the trunk, which are above the feet of an animal that stands."""
+    """Points of the trunk, which are above the feet of a standing animal."""
     trunk: tuple[int, int] | None = None
     """Rear and front end of the trunk."""
     joints: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
-    """Joints of `[anatomy]`: points above, at and below each."""
+    """Joints of `[anatomy]`: the points above, at and below each joint."""
     limbs: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     bones_m: Mapping[tuple[int, int], float] = field(default_factory=dict)
     """Distances of successive points of the limbs in the skeleton's middle pose, by pair."""
@@ -48,7 +48,7 @@ class Roles:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class AuditedPoints(Brief):
-    """K points of one animal in T frames, in pixels or metres (z up)."""
+    """Hold K points of one animal in T frames, in pixels or metres (z up)."""
 
     names: tuple[str, ...]
     positions: Array
@@ -56,7 +56,7 @@ class AuditedPoints(Brief):
     frames: Integers
     fps: float | None = None
     resolution: float = 0.0
-    """Smallest step between the file's numbers, in the unit of `positions`; 0 where they have all digits."""
+    """Smallest step between the file's numbers, in the unit of `positions`; 0 if the numbers have full precision."""
     roles: Roles = field(default_factory=Roles)
 
     @property
@@ -66,7 +66,7 @@ class AuditedPoints(Brief):
 
     @cached_property
     def known(self) -> Bools:
-        """Which points are known, (T, K)."""
+        """Mask of the known points, (T, K)."""
         return np.asarray(np.isfinite(self.positions).all(axis=2))
 
     @cached_property
@@ -81,14 +81,14 @@ class AuditedPoints(Brief):
 
     @cached_property
     def follows(self) -> Bools:
-        """Which frames follow the one before without a gap in the numbers, (T,); False for the first."""
+        """Mask of frames that follow the frame before without a gap in the numbers, (T,); False for the first."""
         steps = np.diff(self.frames)
         usual = np.median(steps) if len(steps) else 1
         return np.append(False, steps == usual)
 
     @cached_property
     def stands(self) -> Bools:
-        """Which points (K,) can stand still while the animal walks: those of the lower limbs, and unnamed ones."""
+        """Mask of points (K,) that can stand still while the animal walks: the lower limbs, and unnamed points."""
         return np.array([bool(_STANDING.search(name)) or not _WORD.search(name) for name in self.names])
 
     def named(self, indices: Sequence[int] | Index) -> tuple[str, ...]:
@@ -98,19 +98,19 @@ class AuditedPoints(Brief):
 
 @dataclass(frozen=True)
 class Measure:
-    """Result of one check: the larger the value, the more suspicious."""
+    """Hold the result of one check; a larger value is more suspicious."""
 
     code: str
     value: float
-    """Compared with the code's limit (`recon.check.audit.LIMITS`)."""
+    """Value to compare with the code's limit (`recon.check.audit.LIMITS`)."""
     rows: tuple[int, int] | None = None
-    """Rows of the frames: the first, and the one after the last; None: all."""
+    """Rows of the frames: the first, and the one after the last; None means all."""
     numbers: Mapping[str, Any] = field(default_factory=dict)
-    """Evidence for the sentence."""
+    """Evidence for the sentence of the finding."""
 
 
 def resolution_of(values: Array) -> float:
-    """Return the smallest step between numbers, 0 where they have all digits."""
+    """Return the smallest step between numbers, 0 if they have full precision."""
     sample = values[np.isfinite(values)]
     sample = sample[:: max(1, len(sample) // 4000)]
     for decimals in range(DECIMALS + 1):
@@ -121,7 +121,7 @@ def resolution_of(values: Array) -> float:
 
 
 def roles_of(names: Sequence[str]) -> Roles:
-    """Return the parts of the animal by the points' names, as a built-in skeleton or one of its maps has them."""
+    """Return the parts of the animal from the points' names, according to a built-in skeleton or one of its maps."""
     skeleton, by_marker = marker_names(names)
     body = None if skeleton is None else load_skeleton(skeleton)
     if body is None or len(by_marker) < NAMES_KNOWN * min(len(names), len(body.markers)):
@@ -131,7 +131,7 @@ def roles_of(names: Sequence[str]) -> Roles:
         return Roles(feet=tuple(feet), upper=tuple(upper))
     roles = _roles_by(body, by_marker)
     are_own = all(names[i] == marker for marker, i in by_marker.items())
-    return roles if are_own else replace(roles, bones_m={})  # names by a map may be of any species
+    return roles if are_own else replace(roles, bones_m={})  # names from a map may belong to any species
 
 
 def _roles_by(body: Body, by_marker: Mapping[str, int]) -> Roles:

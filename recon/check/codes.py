@@ -1,6 +1,6 @@
-"""Every code of a finding: its severity and its words. Only here a finding becomes a sentence.
+"""Define every code of a finding: its severity and its sentence.
 
-docs/findings.md says for each code what it means, what it does to the result, and what to do.
+docs/findings.md explains each code: its meaning, its effect on the result, and the remedy.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from recon.fit.motion import Motion
 from recon.fit.result import Finding, Severity
 
 NAMED = 5
-"""Most names listed in a sentence."""
+"""Largest number of names listed in a sentence."""
 LENGTHS = ("height", "apart", "in_cm", "in_mm")
-"""Numbers of a finding that its sentence writes as lengths: height_m, with sigma_m if present, as height_length."""
+"""Numbers of a finding that its sentence formats as lengths: height_m, with sigma_m if present, as height_length."""
 SWAPPED, OUTLIERS = "left-right swap", "gross outliers"
 """Flags of frames in which one camera's detections are wrong."""
 FLAG_OF: Mapping[str, str] = {"left_right_swap": SWAPPED, "gross_outliers": OUTLIERS}
@@ -41,19 +41,19 @@ _ROWS = tomllib.loads(builtin_file("check", "codes.toml").read_text(encoding="ut
 CODES: Mapping[str, tuple[Severity, str]] = {code: (row["severity"], row["text"]) for code, row in _ROWS.items()}
 """Severity and sentence, by code, from `codes.toml`; causes before their consequences."""
 FOLLOWS = frozenset(code for code, row in _ROWS.items() if row.get("follows"))
-"""Codes of findings that may be consequences of another one."""
+"""Codes of findings that may be consequences of others."""
 EFFECTS: tuple[str, str] = ("pose_effect_m", "position_effect_m")
-"""Numbers of findings: by how much poses (joints about their middle) and positions would differ if they are right."""
+"""Numbers of findings: the difference in poses (joints about their middle) and positions if the finding is right."""
 _SERIOUS: tuple[Severity, ...] = ("error", "warning", "note")
 
 
 def finding(code: str, frames: tuple[int, int] | None = None, camera: str | None = None, **numbers: Any) -> Finding:
-    """Return a finding of a known code, with its severity."""
+    """Return a finding with a known code, and its severity."""
     return Finding(code, CODES[code][0], frames, camera, numbers)
 
 
 def by_effect(item: Finding, trunk_m: float, is_gross: bool = False) -> Finding:
-    """Return a finding with its effect's severity, if its numbers have the effect: pose_effect_m, position_effect_m.
+    """Return a finding whose severity follows from its effect, if it has the numbers of `EFFECTS`.
 
     It keeps its own severity if an effect is as large as an error that spoils most uses, or is not known (NaN). It is
     at most a warning below that, and a note if the effect is about what the fit itself is off, unless it is gross.
@@ -68,9 +68,9 @@ def by_effect(item: Finding, trunk_m: float, is_gross: bool = False) -> Finding:
 
 
 def sort_findings(findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    """Return findings in order: the most serious first, then in the order of `CODES`, those of one code as they come.
+    """Return findings sorted by severity, then in the order of `CODES`; findings of one code keep their order.
 
-    If an error is no consequence, findings that may be consequences are left out.
+    If any error is not itself a consequence, findings that may be consequences are left out.
     """
     caused = any(item.severity == "error" and item.code not in FOLLOWS for item in findings)
     kept, order = (item for item in findings if not (caused and item.code in FOLLOWS)), [*CODES]
@@ -78,7 +78,7 @@ def sort_findings(findings: Sequence[Finding]) -> tuple[Finding, ...]:
 
 
 def sentence(item: Finding, named: bool = True) -> str:
-    """Return a finding in words. named: cameras are called by their names, as where a clip has several."""
+    """Return a finding as a sentence; with `named`, cameras are called by name, for clips with several cameras."""
     words = CODES[item.code][1]
     numbers: dict[str, Any] = item.numbers
     values = {name: names_text(value) if isinstance(value, tuple) else value for name, value in numbers.items()}
@@ -95,7 +95,7 @@ def sentence(item: Finding, named: bool = True) -> str:
 
 
 def effect_text(numbers: Mapping[str, Any]) -> str:
-    """Return what a finding does to the result, as a sentence with a space before it; nothing where it is not known."""
+    """Return the effect of a finding on the result, as a sentence after a space, or "" if it is unknown."""
     pose_m, position_m = (numbers.get(name, math.nan) for name in EFFECTS)
     if not math.isfinite(pose_m + position_m):
         return ""
@@ -103,13 +103,13 @@ def effect_text(numbers: Mapping[str, Any]) -> str:
 
 
 def sentences(motion: Motion) -> Iterator[tuple[Finding, str]]:
-    """Yield each of a motion's findings with its words."""
+    """Yield each finding of a motion with its sentence."""
     for item in motion.findings:
         yield item, sentence(item, named=len(motion.sources) > 1)
 
 
 def names_text(names: Sequence[str]) -> str:
-    """Return the first of the names, as a sentence lists them."""
+    """Return the first few names as a list within a sentence."""
     rest = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     return ", ".join(names[:NAMED]) + rest
 

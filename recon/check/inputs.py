@@ -1,8 +1,8 @@
 """Find wrong inputs: copies, moving cameras, swaps, gross outliers, another picture or camera, a wrong frame rate.
 
 Copies, and motions that no animal makes, come first. Detections that are the same to the last digit were copied, not
-measured. Under a camera that pans, all standing feet slide together. The rest is recognised by how much likelier the
-clip is with it undone (`recon.check.likelihood`).
+measured. Under a camera that pans, all standing feet slide together. Other faults are recognised by how much more
+likely the clip is after undoing them (`recon.check.likelihood`).
 """
 
 from __future__ import annotations
@@ -40,7 +40,9 @@ FASTEST_M_S = 40.0
 """Largest speed of an animal: cheetahs reach 29 m/s (N. Sharp, *Timed running speed of a cheetah*, J. Zool. 1997)."""
 
 MOSTLY_POOR = 0.9
-"""Share of the frames with few or no detections from which the motion, and with it the rate, is the prior's."""
+"""Fraction of frames with few or no detections above which the motion, and with it the rate, follows the prior
+alone.
+"""
 MOVES = ("animal_still", "time_reversed", "treadmill", "camera_moves")
 """Codes of motions in which left and right cannot be distinguished."""
 
@@ -60,15 +62,15 @@ def input_findings(
     motion
         The motion of the trajectory method.
     prior
-        The prior that it was fitted with.
+        The prior used in the fit.
     options
         The options of the fit.
     named
-        For each view, the other camera that its file's name says; None: none.
+        For each view, another camera that its file's name contains, or None.
     stated_hz
-        Frame rate that a file states; None: none does.
+        Frame rate stated in a file, or None.
     seek_swaps
-        Whether swaps are searched for, which takes longest.
+        Whether to search for swaps, which takes the longest time.
     """
     solution, body, fps = motion.solution, motion.body, motion.fps
     assert isinstance(solution, TrajectorySolution)
@@ -76,7 +78,7 @@ def input_findings(
     weighted_clip = replace(
         clip, prior_weight=min((segment.prior_weight for segment in solution.segments), default=1.0)
     )
-    too_fast = mean_speed_m_s(solution.states, fps) > FASTEST_M_S  # nor does the prior know it
+    too_fast = mean_speed_m_s(solution.states, fps) > FASTEST_M_S  # the prior does not contain such speeds
     is_unlike = too_fast or any(segment.unlike_prior for segment in solution.segments)
     findings = [*copies(motion.sources, resampled=bool(motion.settings.get("camera_fps")))]
     is_certain = any(item.severity == "error" for item in findings)
@@ -103,7 +105,8 @@ def input_findings(
                     moves += lens_findings(baseline, solution.noise_px[number])
         findings += pictures
         slides = [item.numbers.get("slide_m_s") for item in moves]
-        is_gliding = any(isinstance(item, float) and item > 0 for item in slides)  # as at a rate that is too high
+        # such gliding also appears if the rate is too high
+        is_gliding = any(isinstance(item, float) and item > 0 for item in slides)
         if is_gliding or not (is_explained or pictures):
             findings += _of_rate(clip, solution, stated_hz, bool(motion.settings.get("fps_known")))
     rates = [item for item in findings if item.code.startswith("frame_rate")]
@@ -115,7 +118,7 @@ def input_findings(
 def _of_rate(
     clip: ClipProblem, solution: TrajectorySolution, stated_hz: float | None, is_known: bool
 ) -> Sequence[Finding]:
-    """Return the finding on the frame rate, if any; a note where the user knows the rate: it widens the intervals."""
+    """Return the finding on the frame rate, if any; only a note if the user knows the rate."""
     posed = np.isfinite(solution.states[:, 0])
     segments = [segment.rows for segment in solution.segments if posed[segment.rows].all()]
     if not segments:
@@ -131,7 +134,7 @@ def _of_rate(
 
 
 def with_flags(motion: Motion, findings: Sequence[Finding]) -> Motion:
-    """Return a motion with the flags of the frames of some findings."""
+    """Return a motion with frame flags for the given findings."""
     flags = [*motion.flags]
     for item in findings:
         name = FLAG_OF.get(item.code)
@@ -144,17 +147,17 @@ def with_flags(motion: Motion, findings: Sequence[Finding]) -> Motion:
 # -- copied coordinates ------------------------------------------------------------------------------------------------
 
 SHARE = 0.2
-"""Share of identical coordinates, of those that could be, that is no chance: hand labels in whole pixels have a few."""
+"""Smallest fraction of identical coordinates that cannot be chance; hand labels in whole pixels have a few."""
 FRAMES = 0.05
-"""Least share of a clip's frames that repeat the one before: fewer are a hiccup of a camera."""
+"""Smallest fraction of a clip's frames that repeat the frame before; fewer are a hiccup of a camera."""
 FEWEST = 4
-"""Least number of identical keypoints of a frame: fewer may be chance."""
+"""Smallest number of identical keypoints in a frame; fewer may be chance."""
 STRAIGHT_PX, STRAIGHT = 0.01, 0.02
 """Largest deviation of an interpolated point from the line between its neighbours, in pixels and as a part of its path;
 of one on a cubic, whose fourth difference is that small.
 """
 _CUBIC_FRAMES = 5
-"""Frames that lie on one cubic if their fourth difference is 0."""
+"""Number of frames that lie on one cubic if their fourth difference is 0."""
 CURVED_PX = 0.1
 """Least deviation from that line of a point that is tested for a cubic: others lie on one if they are on the line."""
 LONG, SHORT, SHARE_LONG = 1.45, 0.5, 0.13
@@ -177,7 +180,7 @@ AROUND, LEAST_STEP_PX, LEAST_STEPS = 7, 5.0, 20
 def copies(sources: Sequence[Source], resampled: bool = False) -> Iterator[Finding]:
     """Yield findings on points that are copies of others.
 
-    resampled: points were interpolated between frames, so that straight lines mean nothing.
+    With `resampled`, points were interpolated between frames, so straight lines are no evidence.
     """
     for source in sources:
         keypoints, camera = source.keypoints, source.camera.name
@@ -194,7 +197,7 @@ def copies(sources: Sequence[Source], resampled: bool = False) -> Iterator[Findi
 
 
 def _identical(a: np.ndarray, b: np.ndarray) -> tuple[Bools, Bools]:
-    """Return which points (..., 2) are the same in both arrays, and which are in both."""
+    """Return a mask of points (..., 2) that are equal in both arrays, and a mask of points present in both."""
     in_both = np.asarray(np.isfinite(a + b).all(axis=-1))
     return in_both & np.asarray((a == b).all(axis=-1)), in_both
 
@@ -204,14 +207,14 @@ def _many(identical: Bools, is_seen: Bools) -> bool:
 
 
 def repeats_of(values: Array) -> Bools:
-    """Return which frames (T,) repeat most points of the one before to the last digit; values (T, K, 2 or 3)."""
+    """Return a mask of frames (T,) in which most points repeat the frame before exactly; values (T, K, 2 or 3)."""
     identical, in_both = _identical(values[1:], values[:-1])
     count = identical.sum(axis=1)
     return np.append(False, (count >= FEWEST) & (2 * count > in_both.sum(axis=1)))
 
 
 def _repeated(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
-    """Yield a finding on frames that repeat the one before: every second, as of a video at twice its rate, or some."""
+    """Yield a finding on frames that repeat the frame before: every second one (a video at twice its rate), or some."""
     repeats = repeats_of(keypoints.xy_px)
     if repeats.sum() <= FRAMES * len(repeats):
         return
@@ -228,7 +231,7 @@ def _repeated(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
 
 
 def _interpolated(keypoints: Keypoints, camera: str) -> list[Finding]:
-    """Return a finding on points halfway between those before and after, although they move, or on one cubic."""
+    """Return a finding on moving points that lie halfway between their neighbours, or on one cubic."""
     xy_px = keypoints.xy_px
     bend = np.linalg.norm(xy_px[2:] - 2 * xy_px[1:-1] + xy_px[:-2], axis=-1)
     travel = 0.5 * np.linalg.norm(xy_px[2:] - xy_px[:-2], axis=-1)
@@ -249,8 +252,8 @@ def _interpolated(keypoints: Keypoints, camera: str) -> list[Finding]:
 def step_ratios(tracks: Array) -> Array | None:
     """Return the lengths of steps between frames, relative to those around; None if too few steps can be compared.
 
-    Each keypoint of the tracks (T, K, 2 or 3), in pixels, is compared with itself: which ones are seen changes, and a
-    paw is faster than a trunk. A frame's ratio is the median over its keypoints.
+    Each keypoint of the tracks (T, K, 2 or 3), in pixels, is compared with itself, because visibility changes and paws
+    are faster than the trunk. The ratio of a frame is the median over its keypoints.
     """
     steps = np.diff(tracks, axis=0)
     times = np.full(steps.shape[:2], np.nan)
@@ -276,7 +279,7 @@ def steps_are_missing(ratios: Array) -> bool:
 
 
 def _left_out(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
-    """Yield a finding on steps between frames that are twice as long as those around."""
+    """Yield a finding on steps between frames that are twice as long as the steps around them."""
     ratios = step_ratios(keypoints.xy_px)
     if ratios is not None and steps_are_missing(ratios):
         yield finding("frames_dropped", camera=camera, share=float((ratios > LONG).mean()))
@@ -290,7 +293,7 @@ def _copied_sides(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
         yield finding("far_side_copied", camera=camera, share=float(identical.sum() / in_both.sum()))
 
 
-# -- how no animal moves -----------------------------------------------------------------------------------------------
+# -- impossible motions ------------------------------------------------------------------------------------------------
 
 LEAST_S = 0.25
 """Least length of a motion that is tested, in seconds."""
@@ -299,15 +302,15 @@ STILL, STILL_M_S, STILL_RAD_S, STILL_TRUNKS = 0.95, 0.3, 0.6, 0.5
 length a second; the median of its joints' angular speeds; and its distance from its position, in trunk lengths.
 """
 BACKWARDS_M_S, BACKWARDS = 1.0, 0.9
-"""Speed at which no animal runs backwards, and the share of a clip."""
+"""Speed above which no animal runs backwards, and the fraction of a clip."""
 SLOWEST = 0.1
-"""Share of the feet, over all frames, that has the speeds of standing feet, or less."""
+"""Fraction of the feet, over all frames, whose speed is that of standing feet or less."""
 SLIDE_SHARE, SLIDE_LEGS_S = 0.25, 0.5
 """Backward speed that standing feet do not reach, relative to the body's speed over them, if that is so many leg
 lengths a second. 0.06 at most in real views of cheetahs and dogs; 0.9 to 1.0 on a treadmill at any speed.
 """
 STAYS_SHARE = 0.3
-"""Speed of the body, relative to that over the feet, below which it stays in its position, as on a treadmill."""
+"""Speed of the body, relative to the feet, below which it stays in its position, as on a treadmill."""
 SLIDE_M_S, GLIDE_M_S = -2.5, 8.0
 """Speeds that standing feet do not reach, backwards and forwards. 32 real views of running cheetahs: -0.7 to 4.1 m/s.
 """
@@ -319,7 +322,7 @@ They are up to 0.5, 0.35 and 0.7 in real views, and 0.8 of the first in the draw
 
 
 def movement(motion: Motion) -> Iterator[Finding]:
-    """Yield at most one finding on the motion: the clearest."""
+    """Yield at most one finding on the motion: the clearest one."""
     solution, posed = motion.solution, motion.solved
     assert isinstance(solution, TrajectorySolution)
     if posed.sum() < max(LEAST_S * motion.fps, 3):
@@ -385,7 +388,7 @@ def _along(motion: Motion) -> tuple[Array, Array]:
 
 _WHY = "in frames whose detections are gross outliers"
 MOST = 0.5
-"""Share of frames that may be outliers: with more of them the fit is wrong, or another input."""
+"""Largest fraction of frames that may be outliers; with more, the fit or another input is wrong."""
 
 
 def outlier_ratios(view: View, markers_m: Array, noise_px: Array) -> Array:
@@ -405,7 +408,7 @@ def outlier_ratios(view: View, markers_m: Array, noise_px: Array) -> Array:
 def without_gross_outliers(
     sources: Sequence[Source], solution: TrajectorySolution
 ) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
-    """Return the sources without the detections of frames that are gross outliers as a whole, and findings on those."""
+    """Return the sources without frames that are gross outliers as a whole, and findings on these frames."""
     kept, findings = [], []
     for source, view, noise_px in zip(sources, solution.views, solution.noise_px, strict=True):
         ratios = outlier_ratios(view, solution.markers_m, noise_px)

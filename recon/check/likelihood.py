@@ -1,9 +1,9 @@
-"""Compare how likely the detections of a camera are under the given inputs and under other ones.
+"""Compare the likelihood of a camera's detections under the given inputs and under alternatives.
 
-A hypothesis is a `ClipProblem`: other keypoints, or another camera. A second of the clip is solved again under it, and
-compared with the same second as it was given. This takes as long as a fit; therefore callers first need a cheap reason.
-A detector's errors last, and keypoints of one limb err together: an error that stays is common, one that jumps is not
-(`negative_log_density`).
+A hypothesis is a `ClipProblem` with other keypoints or another camera. A second of the clip is solved again under the
+hypothesis and compared with the same second as given. This takes as long as a fit, so callers first check for cheap
+evidence. A detector's errors last, and keypoints of one limb err together: an error that stays is common, one that
+jumps is not (`negative_log_density`).
 
 The hypotheses here are another picture than the camera's (keypoints of 0 to 1, turned over, of a smaller video, of one
 without the lens), a picture that zooms, and another frame rate, at which angles do not swing as the prior knows.
@@ -35,24 +35,23 @@ from recon.geometry.frames import inverse
 from recon.geometry.kinematics import ROOT
 
 _TOLERANCE, _ITERATIONS = 3e-3, 12
-"""When a minimum is good enough."""
+"""Relative tolerance and largest number of iterations of a minimum here."""
 CLEAR = float(np.log(1000.0))
-"""Log-likelihood gain from which a hypothesis is worth a closer look."""
+"""Log-likelihood gain above which a hypothesis is examined further."""
 MARGIN, SURE = 25.0, 30.0
-"""Log-likelihood gain from which a swap or a zoom is reported.
+"""Log-likelihood gain above which a swap or a zoom is reported.
 
 The second limit is for a swap that contradicts another, for the whole clip with all swaps undone, and for another frame
 rate. Chosen on real clips (docs/benchmarks.md, left-right swaps): model errors are not noise.
 """
 OWN_SHARE = 0.4
-"""Part of the information of keypoints of one limb that is each one's own. Chosen on real clips (docs/benchmarks.md).
-"""
+"""Fraction of the information of a limb's keypoints that is independent. Chosen on real clips (docs/benchmarks.md)."""
 TAILS = 3.0
 """Degrees of freedom of Student's t distribution of the errors."""
 TESTED_S = 1.0
 """Seconds of a clip that are tested at once."""
 LOOSE = 2.0
-"""Factor on the noise of a fit that does not know the sides."""
+"""Factor on the noise of a fit that does not know left from right."""
 
 
 def exceeds_margin(ratio: float, surely: bool = False) -> bool:
@@ -68,7 +67,7 @@ def single_view(clip: ClipProblem, view: View) -> ClipProblem:
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """Hold the solution of a part of a clip: states (n, D) at nominal size about the origin, and its likelihoods."""
+    """Hold the solution of part of a clip, states (n, D) at nominal size about the origin, and its likelihoods."""
 
     states: Array
     correlated: float
@@ -78,13 +77,13 @@ class Refit:
 
     @classmethod
     def of_states(cls, clip: ClipProblem, states: Array) -> Refit:
-        """Return the likelihoods of states; infinite where a frame has none."""
+        """Return the refit with the likelihoods of states, infinite if a frame has no state."""
         if not np.isfinite(states).all():
             return cls(states, np.inf, np.inf)
         noise_px = clip.noise_px(clip.markers(states), np.ones((1, len(clip.body.markers))))
         costs = clip.problem(noise_px, 1.0).costs(states)
         reprojection, independent, ground_cost = costs["reprojection"], sum(costs.values()), 0.0
-        if clip.ground_known and len(clip.feet):  # feet that never touch the ground
+        if clip.ground_known and len(clip.feet):  # feet that never touch the ground count as well
             ground_cost = 0.5 * sigmas_above_ground(clip, clip.markers(states)) ** 2
         return cls(states, _view_log_density(clip, states) + ground_cost + independent - reprojection, independent)
 
@@ -96,7 +95,7 @@ class Refit:
 
 
 def refit_view(clip: ClipProblem) -> Refit:
-    """Return the motion by one camera's view, solved as a clip of its own."""
+    """Return the motion from one camera's view, solved as a separate clip."""
     options = replace(clip.options, fast=False)
     solution = solve_trajectory(
         clip.views, clip.body, clip.prior, clip.fps, options, ground_near_zero=clip.ground_near_zero
@@ -116,8 +115,8 @@ def _view_log_density(clip: ClipProblem, states: Array) -> float:
 def negative_log_density(view: View, projected: Array, sigma_px: Array, correlation_frames: float) -> float:
     """Return the negative log-density of a view's keypoints around projected markers (T, J, 2), except for a constant.
 
-    The noise is (T, J). A part of each error is the one before, so that correlated neighbouring frames count once, as
-    the noise's size does.
+    The noise is (T, J). Part of each error is carried over from the frame before, so that correlated neighbouring
+    frames count only once.
     """
     errors, autocorrelation = (
         (projected - view.xy_px) / sigma_px[..., None],
@@ -141,12 +140,12 @@ def log_tail(residual: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """Hold one view of a clip as given, and the states (T, D) found for it, at nominal size about its origin."""
+    """Hold one view of a clip as given, and the states (T, D) estimated for it, at nominal size about its origin."""
 
     clip: ClipProblem
     states: Array
     is_alone: bool = True
-    """Whether only this view led to the states."""
+    """Whether the states come from this view alone."""
 
     @property
     def view(self) -> View:
@@ -154,13 +153,13 @@ class Baseline:
         return self.clip.views[0]
 
     def with_view(self, view: View) -> ClipProblem:
-        """Return the problem with another view in its place."""
+        """Return the problem with its view replaced."""
         return single_view(self.clip, view)
 
     def refit(self, part: slice) -> Refit:
         """Return the fit of a part of the clip as given.
 
-        For the whole clip it is the states found, unless other cameras contributed to them.
+        For the whole clip the estimated states are used, unless other cameras contributed to them.
         """
         if self.is_alone and part.stop - part.start == len(self.states):
             return Refit.of_states(self.clip, self.states)
@@ -170,7 +169,7 @@ class Baseline:
 def project_either_side(baseline: Baseline, mirrored: View, is_exchanged: Bools) -> tuple[Array, Array]:
     """Fit half of each of two views, and project its markers into the picture, (T, J, 2), with their noise (T, J).
 
-    NaN in frames without states. is_exchanged (J,): markers that the views have on different sides.
+    NaN in frames without states. `is_exchanged` (J,) marks the markers that the views have on different sides.
     """
     clip, posed = baseline.clip, np.flatnonzero(np.isfinite(baseline.states[:, 0]))
     shares = (np.where(is_exchanged, 0.5, 1.0), np.where(is_exchanged, 0.5, 0.0))
@@ -195,7 +194,7 @@ def project_either_side(baseline: Baseline, mirrored: View, is_exchanged: Bools)
 
 
 def baseline_of(clip: ClipProblem, number: int, states: Array, size: float) -> Baseline:
-    """Return the baseline of one view of a clip. states (T, D) have the root in the world."""
+    """Return the baseline of one view of a clip; states (T, D) have the root in the world."""
     single = single_view(clip, clip.views[number])
     centred_states = states.copy()
     centred_states[:, ROOT] = (states[:, ROOT] - single.origin_m) / size
@@ -203,7 +202,7 @@ def baseline_of(clip: ClipProblem, number: int, states: Array, size: float) -> B
 
 
 def best_seen(view: View, fps: float) -> slice:
-    """Return the stretch of `TESTED_S`, or less, in which most is seen."""
+    """Return the part of `TESTED_S`, or less, with the most detections."""
     counts = view.present.sum(axis=1)
     part = densest_window(counts, round(TESTED_S * fps))
     seen = part.start + np.flatnonzero(counts[part])
@@ -227,7 +226,7 @@ _Alternative = tuple[str, dict[str, Any], View]
 
 
 def unit_square_finding(baseline: Baseline) -> Finding | None:
-    """Return a finding if the keypoints are parts of the picture's width and height."""
+    """Return a finding if the keypoints are given as fractions of the picture's width and height."""
     view = baseline.view
     points = view.xy_px[view.present]
     if not len(points) or np.percentile(np.abs(points - 0.5), NEARLY_ALL) > 1.0:
@@ -239,7 +238,7 @@ def unit_square_finding(baseline: Baseline) -> Finding | None:
 
 
 def other_picture_finding(baseline: Baseline) -> Finding | None:
-    """Return the finding on a picture other than the camera's that makes the keypoints clearly likelier."""
+    """Return a finding if another picture than the camera's makes the keypoints clearly more likely."""
     view, part = baseline.view, best_seen(baseline.view, baseline.clip.fps)
     alternatives = (
         [*_turned(view), *_smaller(view)] if _feet_below(baseline.clip, view) < UPRIGHT else [*_smaller(view)]
@@ -287,7 +286,7 @@ def _turned(view: View) -> Iterator[_Alternative]:
 
 
 def _smaller(view: View) -> Iterator[_Alternative]:
-    """Yield the factors by which the video may be smaller."""
+    """Yield possible factors by which the video may be smaller."""
     points, size = view.xy_px[view.present], np.array(view.camera.image_size_px)
     for times in SMALLER:
         if len(points) and (np.percentile(points, NEARLY_ALL, axis=0) < size / times).all():
@@ -297,7 +296,7 @@ def _smaller(view: View) -> Iterator[_Alternative]:
 def _feet_below(clip: ClipProblem, view: View) -> float:
     """Return how far the feet are below the trunk's ends, as a part of their distance in the picture.
 
-    It is 1 for an animal that stands, -1 for one that is upside down.
+    The value is 1 for a standing animal and -1 for one that is upside down.
     """
     trunk = [clip.body.markers.index(marker) for marker in clip.body.forward]
     off_px = mean_along(view.xy_px[:, clip.feet], 1) - mean_along(view.xy_px[:, trunk], 1)
@@ -309,7 +308,7 @@ def _feet_below(clip: ClipProblem, view: View) -> float:
 
 
 def smaller(camera: Camera, times: float) -> Camera:
-    """Return the camera of the same video, made smaller."""
+    """Return the camera for the same video reduced in size."""
     scale = np.array([[1.0 / times], [1.0 / times], [1.0]])
     # pixels count from the middle of the first one
     shift = np.array([[0, 0, 0.5 / times - 0.5], [0, 0, 0.5 / times - 0.5], [0, 0, 0]])
@@ -348,7 +347,8 @@ def whole_fit_gain(alternative: TrajectorySolution, original: TrajectorySolution
 def lens_findings(baseline: Baseline, noise_px: Array) -> Iterator[Finding]:
     """Yield at most one finding, in the second in which most is seen.
 
-    It is a lens that the keypoints no longer have, or a picture that zooms. noise_px (T, J): as the fit found it.
+    The finding is about keypoints that were already undistorted, or about a picture that zooms. `noise_px` (T, J) is
+    the noise of the fit.
     """
     stretch = best_seen(baseline.view, baseline.clip.fps)
     clip, states, (view,) = baseline.clip.part(stretch), baseline.states[stretch], baseline.clip.part(stretch).views
@@ -375,7 +375,7 @@ def lens_findings(baseline: Baseline, noise_px: Array) -> Iterator[Finding]:
 
 
 def _without_lens(clip: ClipProblem, flat: Camera) -> float:
-    """Return the log-likelihood gain of a camera without lens, in the stretch in which most is seen."""
+    """Return the log-likelihood gain of a camera without lens distortion, in the part with the most detections."""
     clip = clip.part(densest_window(clip.present().sum(axis=1), round(RATE_S * clip.fps)))
     bent, straight = (
         solve_trajectory(views, clip.body, clip.prior, clip.fps, replace(clip.options, fast=False))
@@ -404,7 +404,7 @@ def _zooms(view: View, states: Array, minimum: _Minimum) -> Iterator[Finding]:
 # -- the frame rate ----------------------------------------------------------------------------------------------------
 
 RATE_STEP, RATE_STEPS = 2**0.5, 8
-"""Factor between rates that are tried, and the most steps upwards and downwards."""
+"""Factor between the rates that are tried, and the largest number of steps upwards or downwards."""
 NEARLY, ANOTHER, SPEEDS = 1.02, 1.3, 1.25
 """Factors of frame rates.
 
@@ -426,7 +426,7 @@ _RATE_TOLERANCE, _RATE_ITERATIONS = 1e-3, 10
 def frame_rate_finding(
     clip: ClipProblem, states: Array, stated_hz: float | None, by_motion: bool = True
 ) -> Finding | None:
-    """Return a finding on the frame rate: another is stated, or the angles swing at another.
+    """Return a finding on the frame rate if a file states another one, or if the angles suggest another one.
 
     The rate of the swing is compared with the motions that the prior knows.
 
@@ -437,7 +437,7 @@ def frame_rate_finding(
     states
         (T, D), at nominal size about the origin, without gaps.
     stated_hz
-        Frame rate that a file states; None: none does.
+        Frame rate stated in a file, or None.
     by_motion
         Whether angles that swing at another rate are a finding, too.
     """
@@ -461,7 +461,7 @@ def frame_rate_finding(
     rear, front = (clip.markers(states)[:, clip.body.markers.index(marker)] for marker in clip.body.forward)
     trunk_m = float(np.linalg.norm(front - rear, axis=-1).mean())
     item = finding("frame_rate", **numbers)
-    if not 1 / FAR < factor < FAR:  # speeds are wrong by as much, whatever the pose is
+    if not 1 / FAR < factor < FAR:  # speeds are wrong by this factor, whatever the pose is
         return item
     return by_effect(item, trunk_m, is_gross=True)
 
@@ -478,7 +478,7 @@ def _likeliest_rate(clip: ClipProblem, states: Array) -> tuple[float, float]:
     """Return the factor on the frame rate at which angles swing as the prior expects, and its log-likelihood gain.
 
     Rates in steps of `RATE_STEP` are tried downhill, on a few frames; the minimum is that of the parabola through the
-    last three. The factor is 1 if the given rate is the best of them, or if the last rate tried is.
+    last three. The factor is 1 if the given rate is the best, or if the best one is the last rate tried.
     """
     step = max(1, round(clip.fps / APPROACH_HZ))
     thin, thin_states, correlation_frames = clip.thinned(step), states[::step], clip.correlation_frames
@@ -505,7 +505,7 @@ def _has_usual_speed(prior: MotionPrior, speed_m_s: float) -> bool:
 
 
 def _rate_cost(problem: LeastSquares, estimate: Estimate, correlation_frames: float = 1.0) -> float:
-    """Return the cost of the keypoints and of the motion, not of the poses, which are as likely at any rate."""
+    """Return the cost of keypoints and motion, without the poses, which are equally likely at any rate."""
     costs = problem.costs(estimate.states)
     return costs["reprojection"] / correlation_frames + costs[MOTION]
 
@@ -515,8 +515,8 @@ def _at_rate(
 ) -> tuple[LeastSquares, Estimate]:
     """Return the problem and its minimum at another rate.
 
-    correlation_frames: number of frames whose errors count once. The noise is the expected one: that of a fit depends
-    on its rate.
+    `correlation_frames` is the number of frames whose errors count once. The noise is the expected one, because the
+    noise of a fit depends on the rate.
     """
     noise_px = clip.noise_px(
         clip.markers(states), np.full((len(clip.views), len(clip.body.markers)), correlation_frames)

@@ -1,7 +1,7 @@
-"""Check 3D poses: lengths, unit, the axis that is up, gravity in flight, feet on the ground, the range of joints.
+"""Check 3D poses: bone lengths, unit, upward axis, gravity in flight, feet on the ground, range of joints.
 
-Points are in metres with z up, as their file says or as is its custom. Bones are found in the points themselves: of all
-pairs, the tree of those whose distance varies least.
+Points are in metres with z up, as stated in the file or usual for its format. Bones are found from the points: the tree
+of pairs whose distances vary least.
 """
 
 from __future__ import annotations
@@ -21,22 +21,24 @@ from recon.check.track_checks import mean_of_known
 from recon.clip import frame_ranges
 
 LENGTH_SHARE, LENGTH_SPREADS = 0.1, 5.0
-"""Change of a length that counts: a part of it, and a number of its usual deviations."""
+"""Smallest relevant change of a length: as a fraction of it, and as a number of its usual deviations."""
 DRIFT_SHARE, DRIFT_FRAMES = 0.08, 5
-"""Change of all lengths together that counts, and frames over which it is smoothed."""
+"""Smallest relevant common change of all lengths, and number of frames over which it is smoothed."""
 NEAR = 0.02
-"""Weight of the length of a pair against its deviation: near points are connected, not feet that stand side by side."""
+"""Weight of the length of a pair against its variation: close points are connected, but not feet standing side by
+side.
+"""
 LEAST_KNOWN = 0.3
-"""Pairs of points that are known together in fewer frames are no bones."""
+"""Fraction of frames in which a pair must be known to count as a bone."""
 EXTENT_M = (0.04, 5.0)
-"""Sizes of animals from nose to tail: a mouse, and more than a horse."""
+"""Range of possible animal sizes from nose to tail: from a mouse to more than a horse."""
 GRAVITY_M_S2 = 9.81
 IN_AIR = 0.1
-"""Height of a foot above its lowest one, relative to the length of the legs, from which it is in the air."""
+"""Height of a foot above its lowest position, relative to leg length, above which it is in the air."""
 FLIGHT_FRAMES = 5
-"""Fewest frames of a flight in which its acceleration is measured."""
+"""Smallest number of frames of a flight from which its acceleration is measured."""
 SIGMAS = 2.0
-"""Standard deviations of the acceleration that are no contradiction."""
+"""Deviation of the acceleration, in standard deviations, that is still consistent."""
 RATIO = 1.5
 """Factor between the acceleration and gravity, beyond the uncertainty, that is a contradiction."""
 OWN_MOTION = 0.02
@@ -49,7 +51,7 @@ RANGE_DEG: Mapping[str, tuple[float, float]] = {
 }
 """Flexion of joints that bend to one side only, 0 for a straight one, of mammals from mice to horses."""
 BEYOND_DEG, BEYOND_FRAMES = 15.0, 2
-"""Angle beyond the range that counts, and in how many frames."""
+"""Smallest relevant angle beyond the range, and number of frames."""
 LEVEL_DEG = 60.0
 """Largest angle between the direction from the feet to the trunk and the vertical."""
 
@@ -69,7 +71,7 @@ def measure_poses(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def rigid_pairs(points: AuditedPoints) -> list[tuple[int, int]]:
-    """Return the pairs of points that are connected as by bones: the tree of the steadiest distances."""
+    """Return the pairs of points connected as by bones: the tree of the steadiest distances."""
     values, K = points.positions, len(points.names)
     spread = np.zeros((K, K))
     for i in range(K - 1):
@@ -88,7 +90,7 @@ def rigid_pairs(points: AuditedPoints) -> list[tuple[int, int]]:
 
 
 def _lengths(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the length that changes most, and the drift of all lengths together."""
+    """Yield measures of the length that changes most, and of the drift of all lengths together."""
     pairs = rigid_pairs(points)
     if len(pairs) < 2:
         return
@@ -103,7 +105,7 @@ def _lengths(points: AuditedPoints) -> Iterator[Measure]:
     deviation = np.abs(relative / common[:, None] - 1)
     usual = 1.4826 * np.nanmedian(deviation, axis=0)
     score = np.nan_to_num(deviation / np.maximum(LENGTH_SHARE, LENGTH_SPREADS * usual))
-    # The second largest: one frame may be a single outlier, which the next number shows.
+    # The second largest value is used, because one frame may be an outlier.
     peaks = np.sort(score, axis=0)[-2] if len(score) > 1 else score[-1]
     e = int(np.argmax(peaks))
     at = int(np.argmax(score[:, e]))
@@ -121,7 +123,7 @@ def _running_median(values: Array) -> Array:
 
 
 def _unit(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the decimal logarithm of how far the animal's size is from what is possible."""
+    """Yield the decimal logarithm of the factor between the animal's size and the possible range."""
     ratios = [
         float(np.nanmedian(np.linalg.norm(points.positions[:, a] - points.positions[:, b], axis=1))) / expected_m
         for (a, b), expected_m in points.roles.bones_m.items()
@@ -141,12 +143,12 @@ def _unit(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _unit_for(times: float) -> str:
-    """Return the unit in which numbers would be `times` as large as in metres."""
+    """Return the unit in which the numbers would be `times` as large as in metres."""
     candidates = {"mm": 1000.0, "cm": 100.0, "m, divided by 100": 0.01, "m, divided by 1000": 0.001}
     return min(candidates, key=lambda unit: abs(np.log10(max(times, 1e-12) / candidates[unit])))
 
 
-# -- up, and the animal's own left ------------------------------------------------------------------------------------
+# -- the upward direction, and the animal's left ----------------------------------------------------------------------
 
 
 def _upward(points: AuditedPoints) -> Array | None:
@@ -164,7 +166,7 @@ def _upward(points: AuditedPoints) -> Array | None:
 
 
 def _up(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield 1 less the cosine of the angle between the vertical and the direction from the feet to the trunk."""
+    """Yield one minus the cosine of the angle between the vertical and the direction from feet to trunk."""
     up = _upward(points)
     if up is None:
         return
@@ -176,7 +178,7 @@ def _up(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _exchanged_sides(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the share of frames and pairs whose left point is on the animal's right."""
+    """Yield the fraction of frames and pairs whose left point is on the animal's right."""
     left_of = _left(points)
     if left_of is None:
         return
@@ -189,7 +191,7 @@ def _exchanged_sides(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _left(points: AuditedPoints) -> Array | None:
-    """Return the animal's left (T, 3) by its trunk and the direction from its feet to its trunk; None if not known."""
+    """Return the animal's left (T, 3), from its trunk and the direction from feet to trunk, or None if unknown."""
     up = _upward(points)
     if up is None or points.roles.trunk is None:
         return None
@@ -202,7 +204,7 @@ def _left(points: AuditedPoints) -> Array | None:
 
 
 def leg_length_m(points: AuditedPoints) -> float:
-    """Return the usual height of the trunk above the lowest foot; NaN if not known."""
+    """Return the usual height of the trunk above the lowest foot, or NaN if unknown."""
     feet, upper = list(points.roles.feet), list(points.roles.upper)
     if len(feet) < 2 or not upper:
         return np.nan
@@ -213,7 +215,7 @@ def leg_length_m(points: AuditedPoints) -> float:
 
 
 def _gravity(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield how far the vertical acceleration in flight is from gravity, in powers of `RATIO`."""
+    """Yield the ratio of the vertical acceleration in flight to gravity, in powers of `RATIO`."""
     leg_m = leg_length_m(points)
     if points.fps is None or not leg_m > 0 or len(points.roles.feet) < 4:
         return
@@ -271,7 +273,7 @@ def _ground_m(z_m: Array) -> Array:
 
 
 def _slide(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield how fast standing feet slide backwards or forwards along the trunk, relative to the limit."""
+    """Yield the speed at which standing feet slide along the trunk, relative to the limit."""
     leg_m, trunk, feet = leg_length_m(points), points.roles.trunk, list(points.roles.feet)
     if points.fps is None or trunk is None or not leg_m > 0 or len(points.frames) < 2 * FLIGHT_FRAMES:
         return

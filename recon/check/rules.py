@@ -1,7 +1,7 @@
-"""Rules that check a motion by itself, at no cost: `COMMON` and `OF_POSES` for both methods, `OF_TRAJECTORY` for one.
+"""Check a motion by itself with cheap rules: `COMMON` and `OF_POSES` for both methods, `OF_TRAJECTORY` for one.
 
-A rule is a function of a motion that yields its findings. Those that fit the clip again are called where clips are
-fitted (`recon.check.inputs`, `recon.check.agreement`).
+A rule is a function that takes a motion and yields its findings. Checks that fit the clip again are in
+`recon.check.inputs` and `recon.check.agreement`.
 """
 
 from __future__ import annotations
@@ -29,11 +29,13 @@ from recon.fit.trajectory import ALTERNATIVE_M
 Rule = Callable[[Motion], Iterator[Finding]]
 
 MANY_OUTLIERS = 0.2
-"""Share of the detections from which outliers are named: right views have up to 15 % (32 real ones)."""
+"""Fraction of outliers above which they are reported; correct views have up to 15 % (32 real ones)."""
 EXPLAINED_SIGMAS = 1.9
-"""Median deviation of detections that is not explained, in standard deviations: right views have 1.0 to 1.4."""
+"""Median deviation of detections, in standard deviations, above which the fit does not explain them; correct views have
+1.0 to 1.4.
+"""
 EXPLAINED_DETECTORS = 3.0
-"""The same in standard deviations of what detectors err, not of the noise that a fit found, which hides a misfit.
+"""The same limit in units of the detectors' usual errors, since a fit's own noise estimate can hide a misfit.
 
 Right views have 0.7 to 1.4, frames in random order 5 to 9: whichever run is left out.
 """
@@ -44,26 +46,26 @@ Another gait than the prior's has misfits of up to 5, and hardly an outlier more
 that walk).
 """
 AMBIGUOUS_SHARE = 0.1
-"""Share of the frames with a second solution from which it is named."""
+"""Fraction of frames with a second solution above which it is reported."""
 KEYPOINT_SHARE, KEYPOINT_LEAST = 1 / 3, 10
-"""Share, and number, of one keypoint's detections that are outliers from which it is named."""
+"""Fraction, and number, of one keypoint's detections that are outliers, above which the keypoint is reported."""
 OUT_OF_STEP_SIGMAS = 3.0
-"""Difference of two cameras' time offsets, in standard deviations of its expectation, that is an error in time."""
+"""Difference between two cameras' time offsets, in expected standard deviations, above which it is an error."""
 FARTHEST = 100.0
-"""Distance between cameras in animal sizes that can only be another unit."""
+"""Distance between cameras, in animal sizes, that only another unit can explain."""
 FLAGGED = 0.9
-"""Share of the frames that have a flag from which it is named: hardly any frame is left without them."""
+"""Fraction of frames with a flag above which it is reported: hardly any frame is left without the flag."""
 FEW_FRAMES = 12
-"""Number of frames below which a clip shows little more than one frame does."""
+"""Number of frames below which a clip shows little more than a single frame."""
 SIZE_SIGMAS = 2.5
-"""Deviation of a size, in standard deviations, that shows another error."""
+"""Deviation of the size, in standard deviations, that indicates another error."""
 SIZE_SIGMAS_MOST, LOG_SIZE_MOST = 4.0, math.log(2.0)
 """Largest deviation of a grown animal's size, in standard deviations and as a logarithm of its size."""
 UNITS_PER_M = {"m": 1.0, "inches": 39.37, "cm": 100.0, "mm": 1000.0}
 NEARLY_UNIT = 1.35
 """Factor within which a camera's height is that of a unit: an animal's size is not known better."""
 SUBJECT_SIGMAS = 3.0
-"""Deviation of an animal's lengths from its kind's, in standard deviations of the sizes there are."""
+"""Deviation of an animal's lengths from those of its kind, in standard deviations of the existing sizes."""
 
 
 def findings_of(motion: Motion) -> tuple[Finding, ...]:
@@ -88,7 +90,7 @@ def many_outliers(motion: Motion) -> Iterator[Finding]:
 
 
 def detections_not_explained(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if the median detection is far off; a few far outliers say nothing of the fit."""
+    """Yield a finding if the median detection is far off; a few distant outliers do not count."""
     sigmas = _median_deviation(motion, [picture.sigma_px for picture in motion.pictures])
     detectors = _median_deviation(motion, _detector_noise_px(motion))
     if sigmas >= EXPLAINED_SIGMAS or detectors >= EXPLAINED_DETECTORS:
@@ -96,7 +98,7 @@ def detections_not_explained(motion: Motion) -> Iterator[Finding]:
 
 
 def _median_deviation(motion: Motion, sigmas_px: Sequence[Array]) -> float:
-    """Return the median deviation of the detections in standard deviations, (T, J) for each camera; 0 without any."""
+    """Return the median deviation of the detections from sigmas (T, J) for each camera, or 0 without any."""
     deviations = np.concatenate(
         [
             (picture.distance_px / sigma_px)[picture.present]
@@ -107,7 +109,7 @@ def _median_deviation(motion: Motion, sigmas_px: Sequence[Array]) -> float:
 
 
 def _detector_noise_px(motion: Motion) -> list[Array]:
-    """Return what detectors are expected to err, (T, J) for each camera; infinite where that is not known."""
+    """Return the usual errors of detectors, (T, J) for each camera, infinite if unknown."""
     solution, T, J = motion.solution, len(motion.frames), len(motion.body.markers)
     noise_px = np.full((len(solution.views), T, J), np.inf)
     if isinstance(solution, TrajectorySolution):
@@ -122,7 +124,7 @@ def _detector_noise_px(motion: Motion) -> list[Array]:
 
 
 def keypoints_that_do_not_fit(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding on keypoints of which many detections are outliers."""
+    """Yield a finding on keypoints with many outliers."""
     counted = [source.cleaning.keypoints for source in motion.sources]
     used = np.array([sum(by_name[name]["used"] for by_name in counted if name in by_name) for name in motion.names])
     outlier_counts = np.sum([picture.outliers.sum(axis=0) for picture in motion.pictures], axis=0)
@@ -133,7 +135,7 @@ def keypoints_that_do_not_fit(motion: Motion) -> Iterator[Finding]:
 
 
 def camera_taken_level(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if nothing says which way is up."""
+    """Yield a finding if nothing determines the upward direction."""
     if not motion.knows_up and motion.camera.tilt_rad == 0 and motion.settings.get("up") is None:
         option = "--set up" if motion.camera.has_extrinsics else "--tilt-deg"
         yield finding("camera_taken_level", camera=motion.camera.name, option=option)
@@ -186,9 +188,9 @@ def no_pose(motion: Motion) -> Iterator[Finding]:
 def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
     """Yield a finding if two cameras' time offsets differ by more than expected.
 
-    A time offset is expected to be a fraction of a frame: an estimate that is larger than that is an underestimate.
-    Offsets that pictures hardly show come out small: estimates vary by the expected variance less the posterior one.
-    Two cameras are also out of step where that is likelier than not.
+    A time offset is expected to be a fraction of a frame, so a larger estimate is an underestimate. Offsets that the
+    pictures hardly determine come out small: estimates vary by the expected variance minus the posterior variance. Two
+    cameras also count as out of step if that is more likely than not.
     """
     if len(motion.sources) < 2:
         return
@@ -199,7 +201,7 @@ def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
     expected, remaining = constants.TIME_OFFSET_FRAMES**2, solution.time_offset_sigma_frames[ends] ** 2
     explained = (
         np.sum(expected - remaining) * len(delays) / (len(delays) - 1)
-    )  # a delay that all cameras share is not visible
+    )  # a delay common to all cameras is not visible
     variance = explained if 0.0 < explained < 2.0 * expected else 2.0 * expected
     likely_late = [test for test in solution.second_cameras if test.late > max(test.misplaced, 0.0)]
     if likely_late or apart_frames > OUT_OF_STEP_SIGMAS * math.sqrt(variance):
@@ -211,7 +213,7 @@ def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
 
 
 def motion_unlike_prior(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding on the segment that the prior fits least; nothing where another frame rate explains it."""
+    """Yield a finding on the segment that the prior fits least, unless another frame rate explains the misfit."""
     solution = _solution(motion)
     is_rate_explained = any(item.code in ("frame_rate", "frame_rate_stated") for item in motion.findings)
     if any(segment.unlike_prior for segment in solution.segments) and not is_rate_explained:
@@ -239,10 +241,10 @@ def ground_above_camera(motion: Motion) -> Iterator[Finding]:
 
 
 def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding on the first segment whose feet stand elsewhere than near z = 0.
+    """Yield a finding on the first segment whose feet do not stand near z = 0.
 
-    The camera is in another unit if its height is about as many times too high as there are of that unit in a metre. It
-    is in metres if the height is as many times too low as there are of the unit that was given.
+    The camera file is in another unit if the camera's height is too large by about the number of those units in a
+    metre. It is in metres if the height is too small by the number of the given units in a metre.
     """
     for segment in motion.solution.segments:
         ground, below = segment.ground, motion.below_m(segment)
@@ -263,7 +265,7 @@ def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
 
 
 def subject_unlike_species(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding on measured lengths that are unlike those of their skeleton."""
+    """Yield a finding if the measured lengths differ from those of the skeleton."""
     skeleton = motion.settings.get("skeleton") or motion.body.name
     if motion.body.subject is None or (motion.settings.get("skeleton") is None and skeleton not in builtin_names()):
         return
@@ -291,7 +293,7 @@ def solution_unusual(motion: Motion) -> Iterator[Finding]:
 
 
 def too_fast(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if no animal is as fast."""
+    """Yield a finding if the motion is faster than any animal."""
     speed = mean_speed_m_s(motion.states, motion.fps)
     if speed > FASTEST_M_S:
         yield finding("too_fast", speed_m_s=speed)
@@ -305,9 +307,9 @@ def few_frames(motion: Motion) -> Iterator[Finding]:
 
 
 def pair_disagrees(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding on two cameras if one is likelier turned or moved than not, also where their rays still meet.
+    """Yield a finding on two cameras if one is probably turned or moved, even if their rays still meet.
 
-    The animal then has another size in one picture than in the other, or than is expected.
+    The animal then has different sizes in the two pictures, or an unexpected size.
     """
     largest_gain = max(
         (test.misplaced for test in _solution(motion).second_cameras if test.misplaced >= test.late), default=0.0
@@ -319,13 +321,13 @@ def pair_disagrees(motion: Motion) -> Iterator[Finding]:
 
 
 def _has_rough_lengths(motion: Motion) -> bool:
-    """Return whether the lengths are those of a skeleton that is no species', as `quadruped`: its size says so."""
+    """Return whether the lengths are those of a generic skeleton such as `quadruped`, by its size uncertainty."""
     skeleton = motion.settings.get("skeleton") or motion.body.name
     if motion.body.subject is not None or (motion.settings.get("skeleton") is None and skeleton not in builtin_names()):
         return False
     try:
         return load_skeleton(skeleton).size_sigma > ROUGH_SIZE_SIGMA
-    except InputError:  # a file that is no longer there
+    except InputError:  # a file that no longer exists
         return False
 
 
@@ -339,7 +341,7 @@ def second_solution(motion: Motion) -> Iterator[Finding]:
 
 
 def frames_flagged(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if most frames have a flag; flags of other findings do not count."""
+    """Yield a finding if most frames have a flag; flags due to other findings do not count."""
     flags = [
         {*flags}.intersection(FLAGS).difference(FLAG_OF.values())
         for flags, t in zip(motion.flags, motion.solved, strict=True)

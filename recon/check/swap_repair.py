@@ -1,4 +1,4 @@
-"""Swap left and right back in a clip, and decide whether that makes it likelier."""
+"""Undo left-right swaps in a clip, and decide whether that makes the clip more likely."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from recon.fit.result import Finding, TrajectorySolution
 
 
 def swap_improves(mended: TrajectorySolution, original: TrajectorySolution) -> bool:
-    """Return whether the fit with the swaps undone is clearly likelier as a whole than that of the clip."""
+    """Return whether the fit with the swaps undone is clearly more likely as a whole."""
     return likelihood.exceeds_margin(likelihood.whole_fit_gain(mended, original), surely=True)
 
 
 def downgrade_swap(swap: Finding) -> Finding:
-    """Return a swap that does not make the whole clip likelier as one to look at."""
+    """Return a swap as a possible one, because undoing it does not make the whole clip more likely."""
     if swap.code != "left_right_swap":
         return swap
     return finding("left_right_swap_possible", swap.frames, swap.camera, **swap.numbers)
@@ -30,7 +30,7 @@ def downgrade_swap(swap: Finding) -> Finding:
 def without_swaps(
     sources: Sequence[Source], findings: Sequence[Finding], body: Body
 ) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
-    """Return the sources with the swaps of findings swapped back, and the findings, which say so, too."""
+    """Return the sources with the found swaps undone, and the findings, marked as undone."""
     mended, marked, opposite_names = [*sources], [*findings], opposites(body.markers)
     for i, swap in enumerate(findings):
         if swap.code != "left_right_swap" or swap.frames is None:

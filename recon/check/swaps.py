@@ -1,10 +1,11 @@
-"""Find left-right swaps: in single frames, a stretch or a whole clip, of all keypoints or of one pair of legs.
+"""Find left-right swaps: in single frames, a part or a whole clip, of all keypoints or of one pair of legs.
 
-A fit follows exchanged keypoints. Stretches are proposed cheaply. Where an exchange begins or ends, the keypoints of
-both sides jump at once, unless the legs cross there. And a fit in which each keypoint of a leg may belong to either
-side shows which one it looks like in each frame. The few likeliest stretches are undone, one by one, and their second
-of the clip is solved again. One that makes it clearly likelier (`exceeds_margin`), also than any other stretch that
-contradicts it, is a swap. Between two that are about as likely, none is chosen.
+A fit follows exchanged keypoints, so its residuals do not reveal a swap. Candidate stretches of frames are first found
+by two cheap signs. At the beginning and end of a swap, the keypoints of both sides jump at the same time, unless the
+legs cross there. A fit in which each keypoint of a leg may belong to either side shows which side is more likely in
+each frame. The most likely stretches are then undone, one at a time, and the second of the clip around each is solved
+again. A stretch is a swap if undoing it makes the clip clearly more likely (`exceeds_margin`) than before, and than
+undoing any contradicting stretch. If two contradicting stretches are equally likely, neither is chosen.
 """
 
 from __future__ import annotations
@@ -23,42 +24,46 @@ from recon.clip import Keypoints, Source, View
 from recon.fit.result import Finding
 
 JUMP = -3.0
-"""Log-likelihood gain from which an exchange may begin or end: legs that cross hardly jump."""
+"""Log-likelihood gain above which a swap may begin or end; crossing legs hardly jump."""
 LIKELY, REFITTED, STRETCHES = 15.0, 3, 4
-"""Log-likelihood gain of a stretch that is tried, number tried at a time, and most exchanges of a clip."""
+"""Log-likelihood gain above which a stretch is tried, number of stretches tried at a time, and largest number of swaps
+in a clip.
+"""
 LOOKS = -10.0
-"""Least log-likelihood gain at which a whole clip is tried.
+"""Smallest log-likelihood gain at which a swap of the whole clip is tried.
 
 A clip that is likelier undone, but below the margin, or only looks `LIKELY` to be exchanged, is to be looked at, as
 nothing else shows a mirrored video. In 32 clips that are right, undoing loses 6 at least or is not tried, and gains 9
 in looks at most.
 """
 LEAST_S = 0.25
-"""Least length of a clip whose sides can be tested as a whole, in seconds: less than a stride; it also needs a leg."""
+"""Shortest clip, in seconds, whose sides can be tested as a whole: less than a stride; the clip must also show a
+leg.
+"""
 OF_LEG = 3
-"""Number of a leg's last markers that show its side: the upper ones hardly do."""
+"""Number of a leg's last markers that show its side; the upper markers hardly do."""
 _STRAIGHT = 3
-"""Number of frames before and after an end in which tracks are straight lines."""
+"""Number of frames before and after an end over which tracks are treated as straight."""
 _LEAST_OFF_PX = 3.0
-"""Least deviation of tracks from a line, in pixels."""
+"""Smallest deviation of tracks from a line, in pixels."""
 STEADY = 1.0
-"""Largest usual deviation from a line, as a part of the distance between the sides, at which tracks are used."""
+"""Largest usual deviation from a line, relative to the distance between the sides, at which tracks are used."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Stretch:
-    """Hold rows of a clip, and the permutation (J,) of its markers there."""
+    """Hold rows of a clip, and the permutation (J,) of its markers in them."""
 
     rows: slice
     places: Index
 
     @property
     def markers(self) -> tuple[int, ...]:
-        """Return the markers that are exchanged."""
+        """Return a mask of the exchanged markers."""
         return tuple(int(j) for j in np.flatnonzero(self.places != np.arange(len(self.places))))
 
     def mask(self, T: int) -> Bools:
-        """Return which markers are exchanged in which frames, (T, J)."""
+        """Return a mask of the exchanged markers in each frame, (T, J)."""
         is_exchanged = np.zeros((T, len(self.places)), dtype=bool)
         is_exchanged[self.rows, self.markers] = True
         return is_exchanged
@@ -91,8 +96,8 @@ def pairs_of(body: Body) -> dict[str, Index]:
 def swaps(baseline: Baseline, is_unlike: bool = False) -> list[_SwapTrial]:
     """Return the left-right swaps in one view of a clip, under a prior learned from motions.
 
-    Nothing follows a swap that is not clear. is_unlike: the prior does not know this motion, and a whole clip is not
-    tried, since nothing else shows it.
+    The search ends at the first swap that is not clear. With `is_unlike`, the prior does not know this motion, and a
+    swap of the whole clip is not tried because only the prior could show it.
     """
     kinds, found_swaps = pairs_of(baseline.clip.body), list[_SwapTrial]()
     while len(found_swaps) < STRETCHES and "all" in kinds:
@@ -119,17 +124,17 @@ def swaps(baseline: Baseline, is_unlike: bool = False) -> list[_SwapTrial]:
 
 @dataclass(frozen=True, eq=False)
 class _SwapTrial:
-    """Hold a stretch that was exchanged, the solution of its part of the clip then, and its log-likelihood gain."""
+    """Hold an exchanged stretch, the solution of its part of the clip, and its log-likelihood gain."""
 
     stretch: _Stretch
     refit: Refit
     ratio: float
     clear: bool = True
-    """Whether no other stretch is about as likely in its place."""
+    """Whether no contradicting stretch is about as likely."""
 
 
 def contradicts(undone_baseline: Baseline, best: _SwapTrial, rival: _SwapTrial) -> bool:
-    """Return whether another stretch could be exchanged instead of the best one and also make the clip likelier.
+    """Return whether another stretch could be exchanged instead of the best one and also make the clip more likely.
 
     It lies next to the best one, or gains nothing once the best one is undone, and it is not nearly the same stretch.
     """
@@ -151,14 +156,14 @@ def try_undone(baseline: Baseline, stretch: _Stretch) -> _SwapTrial:
 
 
 def with_undone(baseline: Baseline, trial: _SwapTrial) -> Baseline:
-    """Return the baseline with a stretch exchanged, and the motion that was found then."""
+    """Return the baseline with a stretch exchanged, and the resulting motion."""
     states = baseline.states.copy()
     states[_part(baseline.view, trial.stretch.rows, baseline.clip.fps)] = trial.refit.states
     return Baseline(baseline.with_view(with_exchanged(baseline.view, trial.stretch)), states)
 
 
 def propose_stretches(baseline: Baseline, kinds: dict[str, Index], is_unlike: bool) -> list[_Stretch]:
-    """Return the stretches for which tracks and looks give most evidence."""
+    """Return the stretches for which tracks and appearance give most evidence."""
     if not np.isfinite(baseline.states).any():
         return []
     T, evidence = len(baseline.states), _evidence(baseline, kinds)
@@ -236,8 +241,8 @@ def _evidence(baseline: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
 def jumps(view: View, places: Index) -> Array:
     """Return the log-likelihood gain of the tracks if the sides are exchanged from a frame on, (T,).
 
-    The difference between the points of a pair follows a straight line for a few frames. It is minus infinity where
-    nothing is seen meanwhile, or where all pairs jump about as far as their points are apart.
+    The difference between the points of a pair follows a straight line for a few frames. The gain is minus infinity
+    where nothing is seen in between, or where all pairs jump about as far as the distance between their points.
     """
     n, pairs = 2 * _STRAIGHT, [(j, int(k)) for j, k in enumerate(places) if j < k]
     differences = view.xy_px[:, [j for j, _ in pairs]] - view.xy_px[:, [k for _, k in pairs]]

@@ -1,9 +1,9 @@
 """List the detections that are worth correcting by hand, in order.
 
-First come those that are far from where the pose expects them, and those that were left out: they are wrong, or the
-pose is. Then come detections that are missing or doubted, by how much the expected error of the pose would fall if they
-were right (`recon.fit.correction_gain`). An error lasts for about `ERROR_TIME_S`, so that a correction tells of the
-neighbouring frames as well: each one that is listed lowers what is left to gain by the same keypoint nearby.
+The first detections are far from their expected positions or were left out: either they or the pose are wrong. Missing
+and uncertain detections follow, sorted by how much the expected error of the pose would fall if they were corrected
+(`recon.fit.correction_gain`). Errors last for about `ERROR_TIME_S`, so a correction also improves the neighbouring
+frames: each listed detection lowers the remaining gain of the same keypoint nearby.
 """
 
 from __future__ import annotations
@@ -19,12 +19,13 @@ from recon.fit import constants
 from recon.fit.motion import Motion, Picture
 
 AGREES_SIGMAS = 2.0
-"""Number of standard deviations from its expected position within which a detection that is used needs no look."""
+"""Distance from the expected position, in standard deviations, within which a used detection needs no check."""
 MOST_LISTED = 500
-"""Most rows: more than anybody corrects by hand."""
+"""Largest number of rows: more than anybody corrects by hand."""
 Reason = Literal["far", "left out", "low likelihood", "missing", "uncertain"]
-"""far: used, but not explained by the pose; left out: for another reason than its likelihood; uncertain: further than
-`AGREES_SIGMAS` from its expected position."""
+"""Reason for a correction. far: used, but not explained by the pose; left out: for a reason other than its likelihood;
+uncertain: further than `AGREES_SIGMAS` from its expected position.
+"""
 
 
 @dataclass(frozen=True)
@@ -36,18 +37,19 @@ class ToCorrect:
     camera: str
     keypoint: str
     found_px: tuple[float, float] | None
-    """Where the detector found it; None: nowhere."""
+    """Position found by the detector, or None."""
     likelihood: float
     expected_px: tuple[float, float]
-    """Where the pose expects it."""
+    """Position expected from the pose."""
     ellipse_px: tuple[float, float, float]
     """Half axes of the ellipse of one standard deviation about the expected position, and the angle of the longer one
-    to the x axis, in degrees."""
+    to the x axis, in degrees.
+    """
     distance_px: float
-    """From the found to the expected position; NaN where nothing was found."""
+    """Distance from the detected to the expected position; NaN without a detection."""
     reason: Reason
     error_fall_m: float
-    """Expected fall of the pose's root mean square error if it were right; NaN by a method that does not know."""
+    """Expected fall of the pose's root mean square error after a correction; NaN if the method cannot compute it."""
 
 
 def to_correct(motion: Motion, limit: int = MOST_LISTED) -> list[ToCorrect]:
@@ -108,7 +110,7 @@ def _reason(code: int, is_outlier: bool, is_found: bool) -> Reason:
 
 
 def _found(source: Source) -> tuple[Array, Array, Array]:
-    """Return what the file has, used or left out: (T, J, 2) pixels, (T, J) likelihood, and `_USED` or another code."""
+    """Return all detections, used or left out: (T, J, 2) pixels, (T, J) likelihood, and a code for their use."""
     keypoints = source.keypoints
     found_px, likelihood = keypoints.xy_px.copy(), np.where(keypoints.present, keypoints.confidence, np.nan)
     codes = np.zeros(keypoints.present.shape, dtype=int)
@@ -125,7 +127,7 @@ def _found(source: Source) -> tuple[Array, Array, Array]:
 
 
 def _inside(picture: Picture) -> Bools:
-    """Return whether the expected keypoints lie inside the picture, (T, J): only those can be marked by hand."""
+    """Return a mask of expected keypoints inside the picture, (T, J), since only these can be marked by hand."""
     width, height = picture.camera.image_size_px
     x, y = np.moveaxis(picture.reprojected_px, -1, 0)
     return (x >= 0) & (x < width) & (y >= 0) & (y < height)
@@ -140,7 +142,7 @@ def _by_distance(distance_px: Array, chosen: Bools, limit: int) -> list[tuple[in
 
 
 def _spread(gain_m2: Array, chosen: Bools, tau: float, limit: int) -> list[tuple[int, int, int]]:
-    """Return the chosen cells (V, T, J) by what is left to gain after those before them."""
+    """Return the chosen cells (V, T, J), sorted by the gain that remains after those before them."""
     left_m2 = np.where(chosen, gain_m2, -np.inf)
     frames, cells = np.arange(gain_m2.shape[1]), []
     for _ in range(min(limit, int(chosen.sum()))):

@@ -1,8 +1,8 @@
-"""Check tracks of points, 2D or 3D: copied, frozen and interpolated ones, swapped sides, frames that are missing.
+"""Check tracks of points in 2D or 3D: copied, frozen and interpolated points, swapped sides, missing frames.
 
-Nothing is known but the numbers and the names. Detections that are the same to the last digit were copied.
-The vector from a point's right counterpart to the left one turns slowly; where the sides are swapped, it is suddenly
-reversed.
+The checks use only the coordinates and the names of the points. Detections that are the same to the last digit were
+copied. The vector from a point's right counterpart to the left one turns slowly; where the sides are swapped, it is
+suddenly reversed.
 """
 
 from __future__ import annotations
@@ -18,31 +18,35 @@ from recon.check.inputs import FEWEST, SHARE_LONG, repeats_of, step_ratios, step
 from recon.clip import frame_ranges
 
 DIGITS = 1e-9
-"""Part of the animal's size below which a difference is rounding of the arithmetic."""
+"""Difference, relative to the animal's size, that counts as rounding."""
 IDENTICAL_SHARE = 0.05
-"""Share of the frames in which two points may be identical, at least `FEWEST` frames."""
+"""Fraction of frames in which two points may be identical, if these are at least `FEWEST` frames."""
 STRUCTURAL = 0.9
-"""Two points of one side that are identical in so many frames are two names of one point, such as hips and spine."""
+"""Fraction of frames above which two identical points of one side are two names of one point, such as hips and
+spine.
+"""
 APART = 10.0
-"""Two points are different ones if they are usually so many steps of the resolution apart, or move by so many."""
+"""Smallest usual distance or movement, in steps of the resolution, at which two points count as different."""
 BENT = 5.0
-"""Tracks are tested for straight stretches where they usually bend by so many roundings."""
+"""Usual bend of a track, in roundings, above which it is tested for straight parts."""
 STRAIGHT = 0.02
-"""Largest deviation from a line, relative to the track's usual one."""
+"""Largest deviation from a line, relative to the track's usual deviation."""
 MOVING, STANCE = 0.01, 1.0
-"""Ways of the other points, relative to the animal's size, in which a point, and a foot, cannot stay where it is."""
+"""Distances that the other points move, relative to the animal's size, during which a point, and a foot, cannot stay
+still.
+"""
 GAP_FRAMES = 3
-"""Sides are followed over gaps up to so many frames."""
+"""Largest gap, in frames, over which sides are followed."""
 CAP = 6.0
 """Largest log-likelihood gain of one pair of points at a swap."""
 SIDE_STEP = 0.02
-"""Least standard deviation of a side vector's change in a frame, relative to the animal's size."""
+"""Smallest standard deviation of a side vector's change in a frame, relative to the animal's size."""
 LEAST_PAIRS = 2
-"""Fewest pairs of points that show a swap together."""
+"""Smallest number of point pairs that show a swap together."""
 PX_OF_EXTENT = 1000.0
-"""Size in pixels at which 3D points are compared with limits in pixels."""
+"""Size in pixels to which 3D points are scaled for limits in pixels."""
 NORMALISED = 1.5
-"""Largest coordinate of keypoints that are parts of the picture."""
+"""Largest coordinate of keypoints given as fractions of the picture."""
 
 
 def measure_tracks(points: AuditedPoints) -> Iterator[Measure]:
@@ -59,7 +63,7 @@ def measure_tracks(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _identical_points(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the pair of points that have the same coordinates in most frames."""
+    """Yield a measure of the pair of points that have the same coordinates in most frames."""
     values, T = points.positions, len(points.frames)
     worst: tuple[float, int, int, Bools] | None = None
     for i in range(len(points.names)):
@@ -84,7 +88,7 @@ def _identical_points(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _frozen_frames(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the longest run of frames that repeat the one before, or how often every frame occurs."""
+    """Yield the longest run of frames that repeat the frame before, or how often every frame is repeated."""
     repeats = repeats_of(points.positions)
     if not repeats.any():
         return
@@ -150,7 +154,7 @@ def _interpolated(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _missing_frames(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the share of steps twice as long as those around, relative to the limit for real tracks."""
+    """Yield the fraction of steps twice as long as the steps around them, relative to the limit for real tracks."""
     scale = PX_OF_EXTENT / points.extent if points.in_space else 1.0
     ratios = step_ratios(points.positions * scale)
     if ratios is not None and steps_are_missing(ratios):
@@ -191,7 +195,7 @@ def _swapped_sides(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _reversal_gains(points: AuditedPoints, vectors: Array) -> Array:
-    """Return the log-likelihood gain (T, P) of vectors (T, P, C) that are reversed since the frame before."""
+    """Return the log-likelihood gain (T, P) of vectors (T, P, C) being reversed relative to the frame before."""
     gains = np.zeros(vectors.shape[:2])
     floor = SIDE_STEP * points.extent
     for p in range(vectors.shape[1]):
@@ -209,7 +213,7 @@ def _reversal_gains(points: AuditedPoints, vectors: Array) -> Array:
 
 
 def _parts(points: AuditedPoints, left: Index) -> dict[str, Index]:
-    """Return the pairs of all points, and of the fore and the hind limbs, where the names tell them."""
+    """Return the pairs of all points, and of the fore and hind limbs if the names tell them apart."""
     parts = {"all points": np.arange(len(left))}
     for limb, rows in points.roles.limbs.items():
         pairs = np.array([p for p, k in enumerate(left) if k in rows], dtype=int)
@@ -222,7 +226,7 @@ def _parts(points: AuditedPoints, left: Index) -> dict[str, Index]:
 
 
 def _normalised(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield whether coordinates go from 0 to 1."""
+    """Yield a measure of whether coordinates go from 0 to 1."""
     numbers = points.positions[points.known]
     if len(numbers) and points.resolution < 1:
         is_small = (numbers >= -0.5).all() and (numbers < NORMALISED).all()
@@ -230,7 +234,7 @@ def _normalised(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _upside_down(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield how far the trunk is below the feet in the picture, relative to their distance."""
+    """Yield the distance of the trunk below the feet in the picture, relative to the distance between them."""
     feet, upper = list(points.roles.feet), list(points.roles.upper)
     if len(feet) < 2 or not upper:
         return
@@ -253,5 +257,5 @@ def mean_of_known(values: Array) -> Array:
 
 
 def _longest(rows: Bools) -> tuple[int, int]:
-    """Return the longest run of rows: the first, and the one after the last."""
+    """Return the longest run of rows, as the first row and the one after the last."""
     return max(frame_ranges(np.flatnonzero(rows)), key=lambda run: run[1] - run[0])

@@ -1,7 +1,7 @@
-"""Views of a clip -> an animal's motion over the whole clip.
+"""Fit an animal's motion over a whole clip to the views of its cameras.
 
-This room is the only place that solves for an animal's motion, besides the frame method of `recon.thesis`.
-`recon.fit.constants` has the numbers that no user sets.
+All solving for an animal's motion happens in this package, except the frame method in `recon.thesis`.
+`recon.fit.constants` holds the numbers that no user sets.
 """
 
 import lazy_loader

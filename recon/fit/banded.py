@@ -21,11 +21,11 @@ Unknowns that all frames share border the matrix:
 
 S^-1 is the covariance of s, -Y S^-1 that of x with s, and H^-1 + Y S^-1 Y' that of x.
 
-A long clip comes in pieces (`eliminated`). Frames before a piece are eliminated exactly. Let L21 be the rows of L from
-the last W frames of a piece to the first W of the next, and z = L^-1 b: the next piece gets -L21 L21' on H and -L21 z
-on a right-hand side. B' H^-1 B is the sum over all pieces of (L^-1 B)' (L^-1 B) in their own rows. On the way back, a
-piece includes as many frames of the next one, which stand for all frames after it: frames further on matter
-exponentially less.
+A long clip is processed in pieces (`eliminated`). Frames before a piece are eliminated exactly. Let L21 be the rows of
+L from the last W frames of a piece to the first W of the next, and z = L^-1 b: the next piece gets -L21 L21' on H and
+-L21 z on a right-hand side. B' H^-1 B is the sum over all pieces of (L^-1 B)' (L^-1 B) in their own rows. On the way
+back, a piece also includes the same number of frames of the next piece, which represent all later frames, because the
+influence of later frames decays exponentially.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from scipy.linalg.lapack import dtbtrs
 from recon.base.arrays import Array
 
 _UNKNOWN = 1e-9
-"""Precision added to an unknown where rounding leaves no covariance, relative to its own precision."""
+"""Precision added to an unknown whose covariance is lost to rounding, relative to its own precision."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +51,13 @@ class Normal:
     blocks: Array
     """(T, W+1, D, D): the blocks of H; [t, k] is in block row t + k and block column t."""
     gradient: Array
-    """(T, D): the gradient by the frames' unknowns."""
+    """(T, D): the gradient with respect to the frames' unknowns."""
     border: Array
     """(T, D, P): the curvature between frames and shared unknowns."""
     corner: Array
     """(P, P): the curvature of the shared unknowns."""
     shared_gradient: Array
-    """(P,): the gradient by the shared unknowns."""
+    """(P,): the gradient with respect to the shared unknowns."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Window:
         return self.factor.marginal_blocks()[: len(self.piece.gradient)]
 
     def reduced(self) -> Array:
-        """Return what the window adds to [S, c - Y' b], (P, P + 1): the sum over all windows is both."""
+        """Return the window's contribution to [S, c - Y' b], (P, P + 1); the sum over all windows gives both."""
         flat = self.whitened[: len(self.piece.gradient)].reshape(-1, self.whitened.shape[-1])
         by_frames = flat.T @ flat
         corner, gradient = self.piece.corner - by_frames[1:, 1:], self.piece.shared_gradient - by_frames[1:, 0]
@@ -99,7 +99,7 @@ def step(pieces: Iterable[Normal], damping: float) -> tuple[Array, Array]:
     Raises
     ------
     numpy.linalg.LinAlgError
-        As `factored` does.
+        If a damped matrix is not positive definite, see `factored`.
     """
     windows = [(window.solved(), window.reduced()) for window in eliminated(pieces, damping)]
     solved, reduced = np.concatenate([part for part, _ in windows]), np.sum([part for _, part in windows], axis=0)
@@ -109,14 +109,14 @@ def step(pieces: Iterable[Normal], damping: float) -> tuple[Array, Array]:
 
 
 def eliminated(pieces: Iterable[Normal], damping: float | Array = 0.0, bounded: bool = False) -> Iterator[Window]:
-    """Yield the windows of a clip in their order, each with all frames before it eliminated.
+    """Yield the windows of a clip in order, each with all earlier frames eliminated.
 
     Parameters
     ----------
     pieces : iterable of Normal
         The clip's pieces, in order.
     damping, bounded
-        As in `factored`, which also says what is raised.
+        As in `factored`, which also describes the errors.
     """
     remaining, start, carry = iter(pieces), 0, None
     piece = next(remaining, None)
@@ -143,9 +143,9 @@ def eliminated(pieces: Iterable[Normal], damping: float | Array = 0.0, bounded: 
 
 
 def _carried(factor: _Factor, white: Array, n: int) -> tuple[Array, Array]:
-    """Return what eliminating a window's first n frames adds to the next one.
+    """Return the contribution of a window's first n frames, once eliminated, to the next window.
 
-    That is (W, D, W, D) on H and (W, D, ...) on the right-hand sides.
+    The contribution is (W, D, W, D) to H and (W, D, ...) to the right-hand sides.
     """
     D, width = white.shape[1], factor.width
     coupling = factor.below(n * D - width)
@@ -159,8 +159,8 @@ def add_normal(
 ) -> None:
     """Add a term's J'J to blocks (T, W+1, D, D) and its J'r to gradient (T, D), in place.
 
-    residual (N, M) and jacobian (N, M, S, D) are of the frames first, first + 1, ...; slot s is by the unknowns of
-    frame + stencil[s].
+    The residual (N, M) and Jacobian (N, M, S, D) belong to the frames first, first + 1, ...; slot s holds the
+    derivatives by the unknowns of frame + stencil[s].
     """
     if len(residual) and (first + min(stencil) < 0 or first + len(residual) + max(stencil) > len(blocks)):
         raise IndexError("the stencil reaches beyond the first or the last frame")  # numpy would wrap around
@@ -174,7 +174,7 @@ def add_normal(
 
 @dataclass(frozen=True)
 class _Factor:
-    """Hold the Cholesky factor of the system of T frames; `factored` makes it."""
+    """Hold the Cholesky factor of the system of T frames; `factored` creates it."""
 
     band: Array
     """((W+1)D, TD): L in LAPACK's lower band storage."""
@@ -182,7 +182,7 @@ class _Factor:
 
     @property
     def width(self) -> int:
-        """Return the number of rows in one block of L: no row reaches beyond the block before its own."""
+        """Return the number of rows in one block of L, in which no row extends beyond the preceding block."""
         return max(len(self.band) - self.D, self.D)
 
     def whiten(self, right: Array) -> Array:
@@ -206,10 +206,10 @@ class _Factor:
         )
 
     def marginal_blocks(self) -> Array:
-        """Return the inverse's blocks near the diagonal, (T, W+1, D, D).
+        """Return the blocks of the inverse near the diagonal, (T, W+1, D, D).
 
-        [t, k] is the covariance of frame t + k (rows) with frame t (columns). The frames' own are [:, 0]; blocks with t
-        + k >= T are zero.
+        [t, k] is the covariance of frame t + k (rows) with frame t (columns). The covariances of single frames are [:,
+        0]; blocks with t + k >= T are zero.
         """
         D, P = self.D, len(self.band)
         T = self.band.shape[1] // D
@@ -243,9 +243,9 @@ def factored(blocks: Array, damping: float | Array = 0.0, bounded: bool = False)
     blocks
         (T, W+1, D, D): the blocks of H, as in `Normal`.
     damping
-        (T, D), (D,) or one number: added to the diagonal.
+        (T, D), (D,) or a number that is added to the diagonal.
     bounded
-        Give an unknown that nothing determines a very large variance, instead of raising an error.
+        Whether to give undetermined unknowns a very large variance instead of raising an error.
 
     Raises
     ------
@@ -257,7 +257,7 @@ def factored(blocks: Array, damping: float | Array = 0.0, bounded: bool = False)
     band[0] += np.broadcast_to(damping, (T, D)).ravel()
     try:
         band = cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False)
-        if not np.isfinite(band[0]).all():  # LAPACK lets NaN pass
+        if not np.isfinite(band[0]).all():  # LAPACK does not report NaN
             raise np.linalg.LinAlgError("a matrix that is not finite is not positive definite")
     except np.linalg.LinAlgError:
         if not bounded:

@@ -1,7 +1,7 @@
-"""Describe the motion of an animal on a treadmill relative to its belt, as if it went over the ground.
+"""Describe the motion of an animal on a treadmill relative to the belt.
 
 In the belt's frame the camera and the whole laboratory move forward at the belt's speed, standing feet do not move, and
-the body advances. A solution is moved into that frame together with its views, so that reprojections stay as they are.
+the body advances. A solution is moved into that frame together with its views, so that reprojections do not change.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ _Solution = TypeVar("_Solution", bound=Solution)
 
 
 def belt_path_m(solution: Solution, time_s: Array, speed_m_s: float) -> Array:
-    """Return how far the belt has brought the animal forward at each time, shape (T, 3).
+    """Return the distance that the belt has carried the animal at each time, as vectors of shape (T, 3).
 
-    The belt runs level against the mean direction of the trunk.
+    The belt is taken to be level and to run against the mean direction of the trunk.
 
     Parameters
     ----------
@@ -40,17 +40,17 @@ def belt_path_m(solution: Solution, time_s: Array, speed_m_s: float) -> Array:
 
 
 def views_from_belt(views: Sequence[View], path_m: Array) -> tuple[View, ...]:
-    """Return views whose cameras go along a path (T, 3), as they do in the belt's frame."""
+    """Return views whose cameras move along a path (T, 3), as they do in the belt's frame."""
     T_world_belt = np.tile(np.eye(4), (len(path_m), 1, 1))
     T_world_belt[:, :3, 3] = -path_m
     return tuple(replace(view, T_camera_world=view.T_camera_world @ T_world_belt) for view in views)
 
 
 def relative_to_belt(solution: _Solution, path_m: Array) -> _Solution:
-    """Return a solution in the belt's frame: body and cameras go along a path (T, 3).
+    """Return a solution in the belt's frame, in which the body and cameras move along a path (T, 3).
 
-    Grounds keep their height below the middle of the path. Feet were not taken to stand still when the solution was
-    found.
+    Ground planes keep their height below the middle of the path. The solution must have been found without assuming
+    that standing feet do not move.
     """
     states = solution.states.copy()
     states[:, :3] += path_m

@@ -1,4 +1,4 @@
-"""State the unknown shape of a body: lengths of its segments, and offsets of its keypoints.
+"""Define the unknown shape of a body: lengths of its segments, and offsets of its keypoints.
 
 `Shape` serves the fit of a subject, in which the right side follows the left. `FreeShape` serves the fit of a clip of
 several cameras, in which lengths and offsets are unknowns that all frames share (`recon.fit.least_squares`).
@@ -17,29 +17,31 @@ from recon.fit.terms import COMMON_KEYPOINT_BIAS, LENGTHS
 from recon.geometry.kinematics import Tree
 
 LENGTH_SIGMA = 0.05
-"""Relative standard deviation of single lengths of an animal about its size times the skeleton's."""
+"""Relative standard deviation of an animal's single lengths about its size times the skeleton's lengths."""
 OFFSET_SIGMA_M = 0.01
 """Expected offset of a keypoint from its marker along each axis.
 
-Keypoints lie further off, but a body that is fitted to them adapts. Of the values tried, this one lets single cameras
-of runs that were left out find the published poses best (docs/benchmarks.md).
+Keypoints lie further off, but a body that is fitted to them adapts. This value lets single cameras find the published
+poses best in runs that were left out (docs/benchmarks.md).
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """State the K unknowns of a body's shape: logarithms of factors on lengths, then offsets of keypoints (m)."""
+    """Hold the K unknowns of a body's shape: logarithms of factors on lengths, then offsets of keypoints (m)."""
 
     body: Body
     lengths: tuple[str, ...] = ()
-    """Segments and markers whose distance from their origin is unknown; the right side's follow the left's."""
+    """Segments and markers whose distance from their origin is unknown; lengths on the right equal those on the
+    left.
+    """
     offsets: tuple[str, ...] = ()
-    """Markers whose keypoints' offsets are unknown, each with x, y and z; the right side's are mirrored."""
+    """Markers with unknown keypoint offsets, x, y and z each; offsets on the right mirror those on the left."""
     offset_sigma_m: float = OFFSET_SIGMA_M
 
     @classmethod
     def of_body(cls, body: Body, lengths: bool = True, offsets: bool = False) -> Shape:
-        """Return the unknown shape of a body: all its lengths, or the offsets of all its keypoints, or both."""
+        """Return the unknown shape of a body: all its lengths, the offsets of all its keypoints, or both."""
         items = (*body.tree.segments[1:], *body.tree.markers) if lengths else ()
         named = (item.name for item in items if any(item.offset_m) and not follows(item.name, body))
         return cls(body, tuple(named), tuple(m for m in body.markers if offsets and not follows(m, body)))
@@ -54,14 +56,14 @@ class Shape:
         return (*self.lengths, *(f"{name}_{axis}" for name in self.offsets for axis in "xyz"))
 
     def expected_precision(self, size_sigma: float) -> Array:
-        """Return the prior precision (K, K): lengths share the animal's size, and differ a little from it."""
+        """Return the prior precision (K, K): lengths share the animal's size, with small individual deviations."""
         n = len(self.lengths)
         covariance = np.diag(np.repeat([LENGTH_SIGMA**2, self.offset_sigma_m**2], [n, len(self) - n]))
         covariance[:n, :n] += size_sigma**2
         return np.linalg.inv(covariance)
 
     def applied(self, body: Body, values: Array) -> Body:
-        """Return a body of this kind with that shape, values (K,), on top of its own."""
+        """Return a body whose shape is changed by the values (K,)."""
         factors = dict(zip(self.lengths, np.exp(values[: len(self.lengths)]), strict=True))
         shifts = dict(zip(self.offsets, values[len(self.lengths) :].reshape(-1, 3), strict=True))
 
@@ -94,7 +96,7 @@ class Shape:
         return by_shape
 
     def leader(self, name: str) -> str:
-        """Return the name whose unknowns this one's follow."""
+        """Return the name whose unknowns a name shares: its counterpart on the left, or itself."""
         return other_side(name) if follows(name, self.body) else name
 
     def _mirror(self, name: str) -> Array:
@@ -102,24 +104,24 @@ class Shape:
 
 
 def follows(name: str, body: Body) -> bool:
-    """Return whether a name is of the right side and has a counterpart on the left."""
+    """Return whether a name is on the right side and has a counterpart on the left."""
     names = {*body.markers, *(segment.name for segment in body.tree.segments)}
     return side_of(name) == "right" and other_side(name) in names
 
 
 @dataclass(frozen=True, eq=False)
 class FreeShape:
-    """State the lengths and keypoint offsets of a body as unknowns that all frames share.
+    """Hold the lengths and keypoint offsets of a body as unknowns that all frames share.
 
     They are the L values `LENGTHS`, logarithms of factors on the lengths of segments and markers, left as right, and
     the 3J values `COMMON_KEYPOINT_BIAS`, distances of keypoints from their markers in the markers' segments, metres.
     """
 
     body: Body
-    """The body whose shape is 0."""
+    """The body whose shape values are all 0."""
     lengths: Shape
     _shaped: dict[bytes, Body] = field(default_factory=dict, repr=False)
-    """The last body that was asked for, by the values."""
+    """The last requested body, by its values."""
 
     @classmethod
     def of_body(cls, body: Body) -> FreeShape:
@@ -127,7 +129,7 @@ class FreeShape:
         return cls(body, Shape.of_body(body))
 
     def applied(self, shared: Mapping[str, Array]) -> Body:
-        """Return the body with the values among those of shared unknowns."""
+        """Return the body with the shape given among the shared unknowns."""
         lengths = np.asarray(shared.get(LENGTHS, np.zeros(len(self.lengths))))
         offsets_m = np.asarray(shared.get(COMMON_KEYPOINT_BIAS, np.zeros(3 * len(self.body.markers)))).reshape(-1, 3)
         key = lengths.tobytes() + offsets_m.tobytes()

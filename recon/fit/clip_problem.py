@@ -1,4 +1,4 @@
-"""State what a trajectory is solved for: views of a clip, a body, what is expected of its motion, and the options."""
+"""State the problem of one clip: its views, a body, the expected motion, and the options."""
 
 from __future__ import annotations
 
@@ -21,34 +21,34 @@ UP = np.array([0.0, 0.0, 1.0])
 _NEAREST_M = 0.3
 """Least distance of anything from a camera."""
 _SAME_CENTRE_M = 1e-6
-"""Cameras nearer to the origin than this are in it."""
+"""Distance below which a camera counts as being at the origin."""
 
 
 @dataclass(frozen=True)
 class TrajectoryOptions:
-    """Hold what users choose for the fit of a clip; `recon.fit.constants` has the numbers that nobody sets."""
+    """Hold the options of a fit that users choose; `recon.fit.constants` holds the numbers that nobody sets."""
 
     fast: bool = False
-    """Whether fewer starts are tried, one of them to the end, with looser tolerances."""
+    """Whether to try fewer starts, solve only one of them to the end, and use looser tolerances."""
     ground: Literal["auto", "none"] = "auto"
-    """auto: standing feet are still and on one plane; none: nothing is assumed about them."""
+    """auto: standing feet do not move and are on one plane; none: nothing is assumed about them."""
     sigma_px: float = 3.0
     """Standard deviation of the detector's noise."""
     keypoint_sigma_m: float | None = None
-    """Standard deviation of keypoints about the markers, in place of the body's."""
+    """Standard deviation of keypoints about the markers; None means the body's."""
     size_sigma: float | None = None
-    """Standard deviation of the size, relative, in place of the body's."""
+    """Relative standard deviation of the size; None means the body's."""
     find_offsets: bool = False
-    """Whether the other cameras' time offsets are unknowns."""
+    """Whether the time offsets of all cameras but the first are unknowns."""
     refine_cameras: bool = False
     """Whether the poses of all cameras but the first are unknowns."""
     focal_sigma: float | None = None
-    """Standard deviation of all cameras' focal lengths, relative; None: they are exact.
+    """Relative standard deviation of all cameras' focal lengths; None means that they are exact.
 
-    Several cameras find them; with one camera they only add to the uncertainty.
+    Several cameras estimate the focal lengths; with one camera they only add to the uncertainty.
     """
     lengths_known: bool = False
-    """Whether the body's lengths and the keypoints' offsets are as said; otherwise several cameras find them."""
+    """Whether the body's lengths and the keypoints' offsets are fixed; otherwise several cameras estimate them."""
 
     def keypoint_noise_m(self, body: Body) -> float:
         """Return the standard deviation of a body's keypoints about its markers."""
@@ -77,19 +77,21 @@ class ClipProblem:
     fps: float
     options: TrajectoryOptions
     origin_m: Array
-    """(3,), world frame: the point that the body's size scales the scene about, the first camera's (mean) centre."""
+    """(3,), world frame: the fixed point about which the body's size scales the scene, the first camera's (mean)
+    centre.
+    """
     ground_near_zero: bool
     """Whether the ground is known to lie near the world's z = 0."""
     time_offset_frames: float
-    """Standard deviation of the time offset of pictures, where it is not to be found."""
+    """Standard deviation of the pictures' time offset, if it is not estimated."""
     prior_weight: float = 1.0
     """See `MotionSegment.prior_weight`."""
     known_states: Array | None = None
-    """(T, D): states whose heading and angles the animal has, NaN in frames where they are not known; None: nowhere."""
+    """(T, D): states whose heading and angles are known, NaN in other frames; None if none are known."""
     shape: FreeShape | None = None
-    """The shape of `body`, where it is an unknown."""
+    """The shape of `body`, if it is unknown."""
     solves_shape: bool = True
-    """Whether the shape is solved for; otherwise it only adds to the uncertainty."""
+    """Whether the shape is estimated; otherwise it only adds to the uncertainty."""
     shape_scale: tuple[float, float] = (1.0, 1.0)
     """Factors on the expected standard deviations of lengths and of keypoint offsets, as wide as the animal's are."""
 

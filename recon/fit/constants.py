@@ -1,4 +1,4 @@
-"""Numbers of the trajectory method that no user sets, each with its reason.
+"""Define the numbers of the trajectory method that no user sets, each with its reason.
 
 They are standard deviations unless said otherwise. They are read by name (`constants.ROBUST_C`), so that tests can set
 another value. docs/benchmarks.md shows how much they matter.
@@ -9,20 +9,20 @@ another value. docs/benchmarks.md shows how much they matter.
 ROBUST_C = 3.0
 """Number of standard deviations at which a residual counts half. A round number."""
 KEYPOINT_BIAS_SHARE = 0.6
-"""Part of a keypoint's distance from its marker that stays the same over a clip."""
+"""Fraction of a keypoint's distance from its marker that stays constant over a clip."""
 COMMON_BIAS_SHARE = 0.4
-"""Part of the variance of the keypoint bias that is the same for several cameras: the likeliest in the benchmark's real
-runs.
+"""Fraction of the variance of the keypoint bias that several cameras share: the most likely value in the benchmark's
+real runs.
 """
 NOISE_ABOUT_BIAS = 1.2
 """Factor on the variance of detections about their keypoint bias, as real bias is not quite constant over a clip.
 
-With it the 90 % intervals of the benchmark's real runs hold as much as if all of the bias counted as noise.
+With this factor the 90 % intervals of the benchmark's real runs hold as often as if the whole bias counted as noise.
 """
 ERROR_TIME_S = 0.16
 """Correlation time of errors of detections, in seconds: detections within it count once in the uncertainty.
 
-Set on the benchmark's real runs, so that 90 % regions hold about 90 % of the joints.
+Chosen on the benchmark's real runs, so that 90 % regions contain about 90 % of the joints.
 """
 
 # -- cameras and their clocks -------------------------------------------------------------------------------------
@@ -34,9 +34,9 @@ The second is about how far cameras' data sheets are off for a video, which uses
 """
 
 TIME_OFFSET_FRAMES = 12**-0.5
-"""Time offset of a camera, in frames: that of pictures taken anywhere within a frame."""
+"""Time offset of a camera in frames, for pictures taken at any time within a frame."""
 SOUGHT_OFFSET_FRAMES = 2.0
-"""Time offset of a camera whose offset is to be found, in frames."""
+"""Time offset, in frames, of a camera whose offset is estimated."""
 CAMERA_ROTATION_RAD, CAMERA_SHIFT_M, CAMERA_SHIFT_SHARE = 0.03490658503988659, 0.05, 0.02
 """Errors of a camera pose that is to be refined.
 
@@ -46,7 +46,7 @@ animal, whichever is less.
 CALIBRATED_RAD = 0.008726646259971648
 """Rotation about each axis of a camera whose pose is not to be refined (half a degree)."""
 MISPLACED = 12.0
-"""Factor on the usual errors of a camera that was moved since it was calibrated, or whose clock is wrong.
+"""Factor on the usual errors for a camera that was moved after its calibration, or whose clock is wrong.
 
 It gives 6 degrees, 0.6 m, 3.5 frames. A round number.
 """
@@ -76,29 +76,29 @@ SHAPE_COUNT = 8.0
 # -- the animal's motion ------------------------------------------------------------------------------------------
 
 POSE_WEIGHT, MOTION_WEIGHT = 1.0, 1.0
-"""Weights of the prior's poses and of its motion per 1/90 s; benchmarks lose next to nothing without them."""
+"""Weights of the prior's poses and of its motion per 1/90 s; benchmarks hardly change without them."""
 ACCELERATION_M_S2 = (12.0, 12.0, 9.0)
 """Accelerations of the root in the level frame.
 
-Like the next ones and those of standing feet, they have the size seen in the reconstructions from which the prior
-`running-cheetah` is made.
+These values, the next ones and those of standing feet come from the reconstructions behind the prior `running-cheetah`.
 """
 YAW_ACCELERATION_RAD_S2 = 40.0
 """Angular acceleration of the root about the vertical."""
 LATERAL_M_S = 0.5
 """Velocity across the trunk: an angle of 0.05 rad at 10 m/s."""
 SIDESLIP_RAD = 0.1
-"""Angle between the trunk and the direction of travel that lasts all clip, with several cameras: that of the real runs.
-"""
+"""Constant angle between the trunk and the direction of travel, with several cameras, as in the real runs."""
 CLIMB_M_S = 0.5
 """Vertical velocity of the root."""
 MISFIT_USUAL = 3.6
-"""Mean squared residual of the prior at which the misfit is 1: a prior's errors last, as much at any frame rate.
+"""Mean squared residual of the prior at which the misfit is 1; it exceeds 1 because a prior's errors last.
 
 It is 2.3 to 4.6 in 32 real views at 90 to 200 Hz, 2.0 to 4.4 with every second frame.
 """
 MISFIT_LEVEL, MISFIT_SIGMAS = 2.0, 2.33
-"""Least misfit of a motion unlike those of the prior, if one that fits would by chance reach it in 1 of 100 clips."""
+"""Smallest misfit of a motion unlike those of the prior, and the number of sigmas that a fitting motion exceeds in 1 of
+100 clips.
+"""
 
 # -- feet and ground ----------------------------------------------------------------------------------------------
 
@@ -115,5 +115,5 @@ NOISE_ROUNDS = 3
 """Number of times that noise, contacts and ground are estimated (step 4 of `recon.fit.trajectory`); once in a fast fit.
 """
 TOLERANCE = 1e-4
-"""Relative decrease of the cost at which the search ends; ten times that in a fast fit."""
+"""Relative decrease of the cost at which the search ends; a fast fit uses ten times this value."""
 MAX_ITERATIONS = 30

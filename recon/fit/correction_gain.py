@@ -2,10 +2,11 @@
 
 No fit is repeated. At the minimum, H is the curvature of the cost by the states of all frames, Z = H^-1 their
 covariance, and G the curvature of the mean squared distance of the joints, both poses centred, in each frame. A
-detection of one keypoint in one picture moves with the states of its frame by A (2, D). It has the noise sigma and the
-weight w, 0 where it is missing or was left out. If it were right, two parts of the squared error would go:
+detection of one keypoint in one picture moves with the states of its frame by A (2, D). Its noise is sigma and its
+weight w, which is 0 if it is missing or was left out. If it were corrected, two parts of the squared error would
+vanish:
 
-**1. Variance.** The detection would have its whole weight. The precision in the picture grows by d = (1 - w) / sigma^2,
+**1. Variance.** The detection would have its full weight. The precision in the picture grows by d = (1 - w) / sigma^2,
 and the covariance falls by Z A' (I / d + A Z A')^-1 A Z. The trace of that by G is
 
     tr((I / d + A Z A')^-1 A Q A'),   Q = Z G Z
@@ -45,7 +46,7 @@ _RELATIVE_STEP = 1e-4
 def correction_gain_m2(
     solution: TrajectorySolution, prior: MotionPrior, fps: float, options: TrajectoryOptions
 ) -> Array:
-    """Return the expected fall of the pose's mean squared error if a detection were right, (V, T, J).
+    """Return the expected fall of the pose's mean squared error if a detection were corrected, (V, T, J).
 
     The error is the distance of the joints from their true positions, both poses centred, and the mean is over all
     frames and joints. NaN in frames without a pose, and where the camera cannot see the joint.
@@ -55,11 +56,11 @@ def correction_gain_m2(
     solution
         The solution of a clip, with V views of T frames and J markers.
     prior
-        The prior that it was solved with.
+        The prior used in that solution.
     fps
         Frames per second.
     options
-        The options that it was solved with.
+        The options used in that solution.
     """
     clip = ClipProblem.from_views(solution.views, solution.body, prior, fps, options)
     gain_m2 = np.full(solution.weight.shape, np.nan)
@@ -116,7 +117,8 @@ def _segment_gain(
         precision = np.maximum(1.0 - w, 0.0) / variance_px2
         fall = precision[..., 0, 0] * np.trace(np.linalg.solve(eye + precision * A_Z_A, A_Q_A), axis1=-2, axis2=-1)
         residual_px = np.where(view.present[..., None], projected - view.xy_px, 0.0)[..., None]
-        w_left = np.minimum(w, _MOST_WEIGHT) / variance_px2  # a detection that alone determines the pose has no P
+        # if the pose depends on a single detection, P does not exist
+        w_left = np.minimum(w, _MOST_WEIGHT) / variance_px2
         pulled = w_left * np.linalg.solve(eye - w_left * A_Z_A, residual_px)
         pull = (pulled.swapaxes(-1, -2) @ A_Q_A @ pulled)[..., 0, 0]
         gains.append(np.where(valid, clip.correlation_frames * fall + pull, np.nan))

@@ -1,4 +1,4 @@
-"""Find where cameras stand from the animal alone, in clips of a few seconds that the same cameras filmed.
+"""Find the poses of cameras from the animal alone, in short clips filmed by the same cameras.
 
 1. Each view is solved by itself, which gives the joints in its own camera's frame, in metres of the animal's lengths.
 2. The rigid motion that takes one camera's joints to those of the others, over all joints, frames and clips, robustly,
@@ -9,8 +9,9 @@ and the poses take the Gauss-Newton step of the sum over the clips, together wit
 follows from the ground under the feet, the animal's climb and its upright posture. A few rounds of both lead to the
 minimum over all unknowns, and the inverse of the sum is the poses' covariance.
 
-If poses are known roughly, only the third step is done, and the first camera stays; the distances between the cameras
-show how large the animal is. Otherwise the scale is the animal's: its size is fixed at that of the body.
+If the poses are roughly known, only the third step is done and the first camera is kept; the distances between the
+cameras then determine the animal's size. Otherwise the animal determines the scale: its size is fixed at that of the
+body.
 """
 
 from __future__ import annotations
@@ -37,16 +38,18 @@ from recon.geometry.frames import level_from_camera, rigid
 _UNKNOWN_RAD, _UNKNOWN_M = float(np.radians(10.0)), 1.0
 """Errors of the first poses, about each axis and along it."""
 LEVEL_RAD = float(np.radians(5.0))
-"""Deviation of cameras from level, or from the given tilt, about each axis, if nobody measured it."""
+"""Deviation of cameras from level, or from the given tilt, about each axis, if it was not measured."""
 _FIXED, _SIZE_SIGMA, _MIN_FRAMES = 1e-6, 1e-3, 5
 _TIME_OFFSET_FRAMES = 1.0
-"""Time offset of cameras that began together: in two clips a rotation of the camera would stand for a larger one."""
+"""Time offset in frames of cameras that began together; in two clips a larger offset could not be told from a
+rotation.
+"""
 _SEARCHED_S = 1.0
 """Largest time offset between cameras that is searched."""
 _MATCHING = 0.5
 """Largest distance of matching joints, as a part of their distance from the animal's middle."""
 ROUNDS, CLOSE_ENOUGH = 12, 0.05
-"""Most rounds, and the step, in standard deviations, that ends them."""
+"""Largest number of rounds, and the step, in standard deviations, below which the rounds end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,20 +57,20 @@ class Rig:
     """Hold the poses of V cameras in a common world, in metres."""
 
     T_camera_world: tuple[Array, ...]
-    """(4, 4) each. The world is the given one, or level, with the first camera in its origin."""
+    """(4, 4) each. The world is the given one, or a level world with the first camera at its origin."""
     sigma: Array
     """(V, 6): standard deviations of each camera's pose relative to the first, as in `View.corrected`."""
     ground_m: float
-    """Height of the ground below the middle of the animal's longest path; NaN where none was found."""
+    """Height of the ground below the middle of the animal's longest path; NaN if no ground was found."""
     height_sigma_m: Array
     """(V,): standard deviations of the cameras' heights above the ground, NaN without one."""
     disagreement: Array
-    """(C, V): squared deviation of each camera's pose by each of C clips from the pose by all clips together.
+    """(C, V): squared deviation of each camera's pose in each of C clips from the pose in all clips together.
 
     It is about 6 at most for errors of the stated size.
     """
     time_offset_frames: tuple[Array, ...]
-    """(V,) of each clip: how much later than said the cameras' pictures were taken; 0 of a camera that saw nothing."""
+    """(V,) of each clip: delay of the cameras' pictures beyond the stated offset; 0 for a camera without detections."""
     converged: bool
     """Whether the last step was small."""
 
@@ -80,14 +83,14 @@ def solve_extrinsics(
     Parameters
     ----------
     clips
-        Problems of clips, each with the same V cameras in the same order; a camera that did not film a clip saw nothing
-        in it.
+        Problems of clips, each with the same V cameras in the same order; a camera that did not film a clip has no
+        detections in it.
     posed
-        Whether the cameras stand where the views say, within `constants.CAMERA_ROTATION_RAD` and `CAMERA_SHIFT_M`.
+        Whether the views have poses with errors of `constants.CAMERA_ROTATION_RAD` and `CAMERA_SHIFT_M`.
     level_rad
         Standard deviation of the upward directions of cameras (`Camera.up`) about each axis, without poses.
     progress
-        Called with the stage and the share that is done.
+        Called with the name of the stage and the fraction that is done.
 
     Raises
     ------
@@ -140,10 +143,10 @@ def _as_rig(clip: ClipProblem, posed: bool) -> ClipProblem:
 
 
 def search_offsets(clip: ClipProblem) -> Array:
-    """Return how many whole frames later than the first the other cameras began, compared with the views, (V,).
+    """Return the delay in whole frames of each camera relative to the first, beyond that of the views, (V,).
 
-    It serves cameras without poses: it compares the joints that each camera finds by itself with those of the first.
-    NaN where they never match.
+    For cameras without poses: the joints found by each camera alone are compared with those of the first. NaN if they
+    never match.
     """
     joints = [_joints_by_view(clip, view) for view in clip.views]
     return np.array([_best_offset(joints[0], camera_joints, round(_SEARCHED_S * clip.fps)) for camera_joints in joints])
@@ -152,8 +155,7 @@ def search_offsets(clip: ClipProblem) -> Array:
 def _best_offset(reference: Array, shifted: Array, max_frames: int) -> float:
     """Return the offset in frames between joints (T, J, 3) in two cameras' frames.
 
-    Among offsets that match equally well, the one with more frames in common wins: a stride later the same pose comes
-    again.
+    If offsets match equally well, the one with more common frames is chosen, because poses repeat after a stride.
     """
     T, offset = len(reference), np.nan
     seen = min(np.isfinite(joints[:, 0, 0]).sum() for joints in (reference, shifted))
@@ -252,18 +254,18 @@ def _rigid_motion(a: Array, b: Array, rounds: int = 30) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _ReducedProblem:
-    """Hold a segment's cost by all cameras' poses, with all else eliminated: curvature (6V, 6V) and gradient (6V,)."""
+    """Hold a segment's cost as a function of the camera poses: curvature (6V, 6V) and gradient (6V,)."""
 
     curvature: Array
     gradient: Array
     solved: SegmentFit
     states: Array
-    """(T, D, 6V + 1): how the states follow the poses, and their own step."""
+    """(T, D, 6V + 1): derivatives of the states by the poses, and the states' own step."""
     shared_step: Array
-    """(P, 6V + 1): how the clip's own shared unknowns follow the poses, and their own step."""
+    """(P, 6V + 1): derivatives of the clip's shared unknowns by the poses, and their own step."""
 
     def follow(self, step: Array) -> SegmentFit:
-        """Return the segment as it is expected to be after a step of the poses (6V,)."""
+        """Return the segment as predicted after a step of the poses (6V,)."""
         estimate, columns, step_and_one = self.solved.estimate, self.solved.problem.columns, np.append(step, 1.0)
         shared_step = -self.shared_step @ step_and_one
         shared = {name: value + shared_step[columns[name]] for name, value in estimate.shared.items()}
@@ -274,7 +276,7 @@ class _ReducedProblem:
 def _reduced(clip: ClipProblem, solved: SegmentFit) -> _ReducedProblem:
     """Return the problem of the poses alone.
 
-    It leaves out the ground, whose plane follows the feet: fixed as it is, it would hold the world's tilt.
+    The ground is left out: its plane follows from the feet, and a fixed plane would fix the world's tilt.
     """
     V, problem = len(clip.views), solved.problem
     corrections = [SharedUnknown(extrinsic_correction(i), np.zeros(6), np.full(6, np.inf)) for i in range(V)]
@@ -291,7 +293,7 @@ def _reduced(clip: ClipProblem, solved: SegmentFit) -> _ReducedProblem:
 
 
 def _disagreement(clips: Sequence[ClipProblem], reduced: Sequence[tuple[int, _ReducedProblem]]) -> Array:
-    """Return twice the drop of each clip's cost if one camera stood elsewhere for it alone, (C, V): see `Rig`."""
+    """Return twice the drop of each clip's cost if one camera could move for it alone, (C, V): see `Rig`."""
     C, V = len(clips), len(clips[0].views)
     curvature, gradient = np.zeros((C, V, 6, 6)), np.zeros((C, V, 6))
     cameras = np.arange(V)
@@ -300,7 +302,7 @@ def _disagreement(clips: Sequence[ClipProblem], reduced: Sequence[tuple[int, _Re
             reduced_problem.curvature.reshape(V, 6, V, 6)[cameras, :, cameras] / clips[number].correlation_frames
         )
         gradient[number] += reduced_problem.gradient.reshape(V, 6) / clips[number].correlation_frames
-    regularised = curvature + 1e-9 * np.eye(6)  # nothing is known of a camera that saw nothing
+    regularised = curvature + 1e-9 * np.eye(6)  # a camera without detections determines nothing
     return np.sum(gradient * np.linalg.solve(regularised, gradient[..., None])[..., 0], axis=-1)
 
 
@@ -312,7 +314,7 @@ def _moved(clip: ClipProblem, step: Array) -> ClipProblem:
 
 
 def _sigma_to_first(poses: Sequence[Array], covariance: Array) -> Array:
-    """Return the standard deviations (V, 6) of the poses relative to the first, from all poses' (6V, 6V)."""
+    """Return the standard deviations (V, 6) of the poses relative to the first, from their covariance (6V, 6V)."""
     sigmas = np.zeros((len(poses), 6))
     for i, pose in enumerate(poses[1:], start=1):
         T = pose @ np.linalg.inv(poses[0])

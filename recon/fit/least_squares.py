@@ -1,6 +1,6 @@
 """Solve a clip as one non-linear least-squares problem, by Levenberg-Marquardt on the banded normal equations.
 
-The unknowns are the states (T, D) of all frames, and a few quantities that all frames share. Every term reads a few
+The unknowns are the states (T, D) of all frames and a few unknowns that all frames share. Every term reads a few
 neighbouring frames, so that the Gauss-Newton curvature H is block-banded, with a border for the shared unknowns
 (`recon.fit.banded`). A step solves (H + damping) step = -gradient, and is accepted on the robust cost. The damping is
 the same for all unknowns, in radians and metres: relative to the diagonal it would freeze slow changes of the whole
@@ -23,17 +23,19 @@ from recon.fit.terms import COMMON_KEYPOINT_BIAS, LENGTHS, MARKER_TERMS, Linear,
 from recon.geometry.kinematics import Tree, TreePose
 
 BANDS = 2
-"""Number of frames before and after a frame that it is coupled with."""
+"""Largest distance, in frames, between two frames that are coupled."""
 _FRAMES_AT_ONCE = 256
 _PIECE_S = 5.5
-"""Time after which frames do not influence each other: a clip solved in pieces has the states of the whole to 1e-6."""
+"""Time in seconds beyond which frames hardly influence each other: solving in pieces changes the states by 1e-6 at
+most.
+"""
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e6
 _STEP_SHARES = (1.0, 0.5, 0.2)
 """Parts of a step that are tried before it is damped more."""
 
 
 def piece_of(fps: float) -> int:
-    """Return how many frames of a long clip are solved at once."""
+    """Return the number of frames of a long clip that are solved at once."""
     return _FRAMES_AT_ONCE * math.ceil(_PIECE_S * fps / _FRAMES_AT_ONCE)
 
 
@@ -48,25 +50,25 @@ class SharedUnknown:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Hold a minimum, or a point on the way to it."""
+    """Hold a minimum, or an intermediate point of the search."""
 
     states: Array
     """(T, D)."""
     cost: float
-    """Half the squared norm of the residuals, robust."""
+    """Half the squared norm of the residuals under the robust loss."""
     iterations: int
     converged: bool
-    """Whether the tolerance was met."""
+    """Whether the tolerance was reached."""
     shared: Mapping[str, Array] = field(default_factory=dict)
     """Values (P,) of the shared unknowns, by name."""
 
 
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
-    """State the problem: terms (`recon.fit.terms`) that read a tree's markers, and the shared unknowns.
+    """State a least-squares problem: terms (`recon.fit.terms`) that read a tree's markers, and shared unknowns.
 
-    `shared` are the free unknowns; in the methods below, `shared` are their values, by default the expected ones.
-    `nuisance` unknowns stay at their expected values and count in the posterior only.
+    The attribute `shared` holds the free unknowns; the methods take their values as `shared`, by default the expected
+    ones. `nuisance` unknowns stay at their expected values and count in the posterior only.
     """
 
     tree: Tree
@@ -75,12 +77,12 @@ class LeastSquares:
     shared: Sequence[SharedUnknown] = ()
     nuisance: Sequence[SharedUnknown] = ()
     piece: int = 2 * _FRAMES_AT_ONCE
-    """Number of frames of a piece of a long clip, a multiple of `_FRAMES_AT_ONCE`; the window includes as many of the
-    next.
+    """Number of frames in a piece of a long clip, a multiple of `_FRAMES_AT_ONCE`; the window includes as many frames
+    of the next piece.
     """
     shape: FreeShape | None = None
-    """The body's shape, where `LENGTHS` and `COMMON_KEYPOINT_BIAS` are unknowns of the solution; `tree` is that of
-    shape 0.
+    """The body's shape, if `LENGTHS` and `COMMON_KEYPOINT_BIAS` are unknowns of the solution; `tree` then has the
+    unchanged shape.
     """
 
     @cached_property
@@ -94,7 +96,7 @@ class LeastSquares:
         return {unknown.name: unknown.mean for unknown in self.shared}
 
     def costs(self, states: Array, shared: Mapping[str, Array] | None = None) -> dict[str, float]:
-        """Return half the squared norm, robust, by name of the term and of the shared unknown."""
+        """Return half the squared norm under the robust loss, by the names of terms and shared unknowns."""
         shared = self.expected() if shared is None else shared
         costs: dict[str, float] = {}
         for unknown in self.shared:
@@ -132,7 +134,7 @@ class LeastSquares:
     def normals(self, states: Array, shared: Mapping[str, Array] | None = None) -> Callable[[], Iterable[Normal]]:
         """Return a function that gives the normal equations in pieces.
 
-        The pieces are made anew with each call, unless the clip is short.
+        The pieces are computed anew at each call, unless the clip is short.
         """
         T = len(states)
         if 2 * self.piece < T:
@@ -143,7 +145,7 @@ class LeastSquares:
     def _pieces(self, states: Array, shared: Mapping[str, Array] | None, stops: Sequence[int]) -> Iterator[Normal]:
         """Yield the normal equations piece by piece.
 
-        stops: the end of each piece; all but the last are multiples of `_FRAMES_AT_ONCE`.
+        `stops` are the ends of the pieces; all but the last are multiples of `_FRAMES_AT_ONCE`.
         """
         shared = self.expected() if shared is None else shared
         (T, D), columns, empty = states.shape, self.columns, np.zeros(0)
@@ -153,7 +155,8 @@ class LeastSquares:
         spans, start, P = self.spans(states, shared, jacobian=True), 0, len(deviation)
         span, overlap = next(spans, None), None
         for stop in stops:
-            n, has_next = stop - start, int(stop < T)  # terms of the last frame may reach one further
+            # a span includes the next frame, which the terms of its last frame may read
+            n, has_next = stop - start, int(stop < T)
             blocks, gradient = np.zeros((n + has_next, BANDS + 1, D, D)), np.zeros((n + has_next, D))
             border, corner, shared_gradient = np.zeros((n + has_next, D, P)), np.zeros((P, P)), np.zeros(P)
             self._linear_blocks(start, T, blocks[:n])
@@ -185,7 +188,7 @@ class LeastSquares:
     ) -> Estimate:
         """Return the minimum from a start.
 
-        It stops when a step lowers the cost by less than tolerance times the cost, or times one if the cost is smaller.
+        The search stops when a step lowers the cost by less than tolerance times max(cost, 1).
         """
         shared = self.expected() if shared is None else shared
         current, damping = Estimate(states, self.cost(states, shared), 0, False, shared), _FIRST_DAMPING
@@ -193,12 +196,12 @@ class LeastSquares:
             lower, damping = self._damped_step(current, damping)
             done = lower is None or current.cost - lower.cost < tolerance * max(current.cost, 1.0)
             current = replace(lower or current, iterations=iteration, converged=done)
-            if done:  # without a direction that leads down, a minimum to rounding
+            if done:  # no direction lowers the cost: a minimum to rounding
                 break
         return current
 
     def _damped_step(self, current: Estimate, damping: float) -> tuple[Estimate | None, float]:
-        """Return a point of lower cost along a damped step, None if there is none, and the next damping."""
+        """Return a point of lower cost along a damped step (None if there is none), and the next damping."""
         normals = self.normals(current.states, current.shared)
         while damping <= _MOST_DAMPING:
             try:
@@ -237,7 +240,7 @@ class LeastSquares:
                 return
 
     def _by_shape(self, span: Span) -> Array | None:
-        """Return the derivatives of a span's markers by the shape, (n, J, 3, L + 3J); None where it is not unknown."""
+        """Return the derivatives of a span's markers by the shape, (n, J, 3, L + 3J), or None if the shape is fixed."""
         if self.shape is None or LENGTHS not in self.columns:
             return None
         return self.shape.jacobian(span.shared, span.states)
@@ -253,9 +256,9 @@ class LeastSquares:
 
     @cached_property
     def _linear_kinds(self) -> Array:
-        """Return the curvature of the linear terms in the first frames of a clip, one in its middle, and the last ones.
+        """Return the linear terms' curvature in a clip's first frames, one frame in its middle, and its last frames.
 
-        (2 BANDS + 1, BANDS + 1, D, D).
+        The shape is (2 BANDS + 1, BANDS + 1, D, D).
         """
         return self._linear_curvature(2 * BANDS + 1)
 
@@ -270,7 +273,7 @@ class LeastSquares:
 
 
 def _with_shape(term: Term, span: Span, by_shape: Array | None) -> TermRows:
-    """Return what a term gives, with the derivatives by the shape, which moves the markers as the state does."""
+    """Return the rows of a term with the derivatives by the shape, which moves the markers as the state does."""
     if by_shape is None or not isinstance(term, MARKER_TERMS):
         return term.evaluate(span, jacobian=True)
     D = span.states.shape[1]
@@ -291,7 +294,7 @@ def _add_shared(
     stencil: Sequence[int],
     rows: TermRows,
 ) -> None:
-    """Add what a term says of the shared unknowns, in place: J'K to the border, K'K to the corner, K'r to the gradient.
+    """Add a term's normal equations for the shared unknowns in place: J'K to border, K'K to corner, K'r to gradient.
 
     K are its derivatives by the unknowns of `columns`; its first frame is that of row `first`.
     """

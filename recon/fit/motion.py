@@ -1,4 +1,4 @@
-"""The result of a fit: the animal's motion, what it was fitted to, and how well it is known."""
+"""The result of a fit: the animal's motion, the data it was fitted to, and its uncertainty."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 MEASURED_SHARE = 0.5
-"""A quantity with a lower information fraction is not called measured."""
+"""Smallest information fraction at which a quantity counts as measured."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -34,15 +34,15 @@ class Picture(Brief):
 
     source: Source
     T_reference_camera: Array
-    """(4, 4), or (T, 4, 4) of a camera that moves: to the motion's frame of reference."""
+    """(4, 4), or (T, 4, 4) for a moving camera: transform to the motion's frame of reference."""
     joints_camera_m: Array
-    """(T, J, 3) in this camera's frame when its pictures were taken, NaN without a pose."""
+    """(T, J, 3) in this camera's frame at the times of its pictures, NaN without a pose."""
     reprojected_px: Array
-    """(T, J, 2): the joints in the picture, where the detector sees them; NaN without a pose."""
+    """(T, J, 2): reprojected keypoints of the joints in the picture, NaN without a pose."""
     sigma_px: Array
-    """(T, J): standard deviation that a detection was given."""
+    """(T, J): standard deviation assigned to each detection."""
     weight: Array
-    """(T, J): weight of each detection, 0 to 1, NaN where missing; with the frame method the mean of the frame."""
+    """(T, J): weight of each detection, 0 to 1, NaN if missing; with the frame method, the mean over the frame."""
 
     @property
     def camera(self) -> Camera:
@@ -90,28 +90,33 @@ class Motion:
     """Hold T frames of an animal with J joints and D unknowns, of which A are angles."""
 
     sources: tuple[Source, ...]
-    """What each camera saw, in the order of the solution's views.
+    """Keypoints of each camera, in the order of the solution's views.
 
     Keypoints are cleaned and in the order of the joints, all missing for joints that the file does not have.
     """
     side: Side | None
-    """Side whose limbs were fitted, of a chain; None: both."""
+    """Side whose limbs were fitted, for a chain; None means both."""
     side_reason: str
     solution: Solution
     """Result of the method: a `TrajectorySolution`, or that of another method."""
     findings: tuple[Finding, ...] = ()
     """Findings on the input and the fit (`recon.check`), the most serious first."""
     verdict: Verdict | None = None
-    """Whether the motion may be used, and its expected errors; None before `recon.check.verdict.add_verdict`."""
+    """Whether the motion may be used, and its expected errors; None until `recon.check.verdict.add_verdict` is
+    called.
+    """
     chain: Skeleton | None = None
-    """The `recon.animal.chain.Chain` from which `body` is made, if it is one."""
+    """The `recon.animal.chain.Chain` that `body` was made from, if any."""
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """All settings of the fit, as JSON has them; paths are absolute, and in a folder of results relative to it."""
+    """All settings of the fit in JSON types; paths are absolute, or relative to the results folder in a saved
+    motion.
+    """
     correction_gain_m2: Array | None = None
-    """(V, T, J): expected fall of the mean squared error of the pose if a detection were right
-    (`recon.fit.correction_gain`); None of a method that does not know."""
+    """(V, T, J): expected fall of the mean squared error of the pose if a detection were corrected
+    (`recon.fit.correction_gain`); None if the method cannot compute it.
+    """
     timing_s: Mapping[str, float] = field(default_factory=dict)
-    """Seconds that the fit took, by name, besides those of the solution's stages."""
+    """Seconds that parts of the fit took, by name, in addition to the solution's stages."""
 
     def __repr__(self) -> str:
         """Return one line: the clip, the animal, and the verdict."""
@@ -119,7 +124,7 @@ class Motion:
         return f"<Motion of {Path(self.file).name}: {self.body.name}, {posed} of {self.clip_frames} frames, {level}>"
 
     def _repr_html_(self) -> str:
-        """Return what a notebook shows."""
+        """Return the notebook's view of the motion."""
         from recon.fit.motion_forms import html_of
 
         return html_of(self)
@@ -164,7 +169,7 @@ class Motion:
     def save(self, folder: str | Path) -> Path:
         """Write motion.npz into a folder, whole or not at all, and return its path.
 
-        `load` gives back the same, bit for bit.
+        `load` restores it bit for bit.
         """
         from recon.base.records import save_record
         from recon.fit.motion_forms import MOTION, SCHEMA
@@ -174,13 +179,13 @@ class Motion:
 
     @classmethod
     def load(cls, folder: str | Path) -> Motion:
-        """Return the motion in a folder of results of `recon fit`, or in any that it was saved to.
+        """Return the motion saved in a folder: results of `recon fit`, or any folder given to `save`.
 
         Raises
         ------
         InputError
-            If there is none, if it is damaged or of another version, or if the folder is that of an interrupted run or
-            of several clips.
+            If the folder has no motion, the motion is damaged or of another version, or the folder belongs to an
+            interrupted run or to several clips.
         """
         from recon.fit.motion_forms import load
 
@@ -202,7 +207,7 @@ class Motion:
 
     @property
     def jitters(self) -> bool:
-        """Return whether each frame was solved by itself.
+        """Return whether each frame was solved independently.
 
         Paths then jitter from frame to frame, and standard deviations are for a given previous frame.
         """
@@ -328,12 +333,12 @@ class Motion:
 
     @property
     def frames(self) -> Integers:
-        """Return the frame numbers of the first keypoint file, (T,), without most of those far from all detections."""
+        """Return the frame numbers of the first keypoint file, (T,), without most frames far from any detection."""
         return self.keypoints.frames
 
     @property
     def clip_frames(self) -> int:
-        """Return the number of frames of the clip, with those far from all detections."""
+        """Return the number of frames of the clip, including those far from any detection."""
         return int(self.frames[-1] - self.frames[0]) + 1
 
     @cached_property
@@ -343,7 +348,7 @@ class Motion:
 
     @cached_property
     def detections(self) -> Integers:
-        """Return the number of points that all cameras saw in each frame, (T,)."""
+        """Return the number of points that all cameras detected in each frame, (T,)."""
         return np.sum([source.keypoints.present.sum(axis=1) for source in self.sources], axis=0)
 
     @property
@@ -392,13 +397,13 @@ class Motion:
     def posture_names(self) -> tuple[str, ...]:
         """Return the names of the angles without the root's yaw, (P,), P = A - 1.
 
-        The yaw says where the animal heads, not how it stands.
+        The yaw gives the animal's heading, not its posture.
         """
         return self.state_names[PITCH:]
 
     @property
     def posture_rad(self) -> Array:
-        """Return the angles that the prior knows, without the heading, (T, P), in rad."""
+        """Return the angles that the prior describes, without the heading, (T, P), in rad."""
         return self.states[:, PITCH:]
 
     @property
@@ -408,12 +413,12 @@ class Motion:
 
     @property
     def posture_data_share(self) -> Array:
-        """Return the information fraction of the posture, the part of its precision from the pixels, (T, P), 0 to 1."""
+        """Return the information fraction of the posture, its precision due to the pixels, (T, P), 0 to 1."""
         return self.solution.angle_data_share[:, PITCH - YAW :]
 
     @cached_property
     def data_shares(self) -> dict[str, float]:
-        """Return the information fraction by name, the median over the frames; NaN where it is not known."""
+        """Return the median information fraction over the frames by name; NaN if unknown."""
         return dict(zip(self.posture_names, map(median, self.posture_data_share.T), strict=True))
 
     # -- upright: in the frame that the motion was solved in, z up, the world or the level frame --------------------
@@ -438,7 +443,7 @@ class Motion:
 
     @property
     def segments(self) -> tuple[MotionSegment, ...]:
-        """Return the stretches of the clip that have a pose, each with its ground; all of it if there are none."""
+        """Return the parts of the clip that have a pose, each with its ground; the whole clip if there are none."""
         return self.solution.segments or (MotionSegment(slice(0, len(self.frames)), None),)
 
     # -- in the frame of reference --------------------------------------------------------------------------------
@@ -474,7 +479,7 @@ class Motion:
 
     @cached_property
     def solved(self) -> Bools:
-        """Return which frames have a pose, (T,)."""
+        """Return a mask of the frames that have a pose, (T,)."""
         return self.solution.posed
 
     @property
@@ -489,7 +494,7 @@ class Motion:
         return self.in_reference(self.states[:, ROOT])
 
     def below_m(self, segment: MotionSegment) -> Array | None:
-        """Return the ground below the middle of the root's path in a segment, (3,), world frame; None: not known."""
+        """Return the ground below the middle of the root's path in a segment, (3,), world frame, or None if unknown."""
         xy_m = self.states[segment.rows, :2]
         xy_m = xy_m[np.isfinite(xy_m[:, 0])]
         if segment.ground is None or not len(xy_m):
@@ -517,7 +522,7 @@ class Motion:
 
     @property
     def flags(self) -> tuple[tuple[str, ...], ...]:
-        """Return the flags of each frame, (T,); a frame without a pose has one that says why."""
+        """Return the flags of each frame, (T,); in a frame without a pose, a flag gives the reason."""
         return self.solution.flags
 
     @property

@@ -1,6 +1,6 @@
-"""Write a motion in other forms: its file, tables of pandas and movement, and what a notebook shows.
+"""Convert a motion to other forms: its file, tables for pandas and movement, and a notebook's view.
 
-`recon.fit.motion.Motion` calls all of these; therefore none is typed by it.
+`recon.fit.motion.Motion` calls these functions, so this module cannot import that class.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ SCHEMA, OLDER_VERSIONS = {"name": "recon.motion", "version": 3}, (2,)
 """Version 2 named classes by their modules (`_CLASSES_BY_PATH`)."""
 EXPECTED = "the motion that `recon fit` or `Motion.save` wrote"
 _REPORT, _CONFIG = "report.json", "config.toml"
-"""Files next to a motion in the folder of results that `recon fit` wrote."""
+"""Files next to the motion in a results folder of `recon fit`."""
 _OF_A_FIT = (_REPORT, _CONFIG, "angles.csv", "pose3d.csv", "quality.csv")
-"""Files of a fit. If one is there and the manifest is not, a run was interrupted."""
+"""Files of a fit; if one exists without the manifest, the run was interrupted."""
 
 
 def _chain() -> type:
@@ -67,7 +67,7 @@ Motion: TypeAlias = Any
 
 
 def load(motion_class: type[Motion], folder: Path) -> Motion:
-    """Return the motion, of the given class, in a folder. Raise InputError as `Motion.load` says."""
+    """Return the motion in a folder as an instance of the given class; raise InputError as `Motion.load` describes."""
     path = folder / MOTION
     if not path.is_file():
         raise InputError(_no_motion(folder))
@@ -86,7 +86,7 @@ def load(motion_class: type[Motion], folder: Path) -> Motion:
 
 
 def _misfits(motion: Motion) -> list[tuple[str, str, str]]:
-    """Return the arrays whose shapes do not fit each other, as name, shape and expected shape."""
+    """Return the arrays whose shapes do not match, as name, shape and expected shape."""
     sizes = {"T": len(motion.frames), "J": len(motion.joints), "V": len(motion.sources), "D": motion.body.n_state}
     sizes |= {"F": len(motion.body.feet), "A": motion.body.n_state - YAW, "2": 2, "3": 3, "4": 4}
     solution = motion.solution
@@ -112,7 +112,7 @@ def _again(folder: Path) -> str:
 
 
 def _no_motion(folder: Path) -> Problem:
-    """Return the problem of a folder without a motion."""
+    """Return the problem that describes a folder without a motion."""
     expected = "the folder of results that `recon fit` wrote"
     if (folder / _REPORT).is_file() and (folder / _CONFIG).is_file():
         content = f"no {MOTION}: results of an earlier version"
@@ -152,7 +152,7 @@ def dataset_of(motion: Motion) -> xr.Dataset:
 
 
 def html_of(motion: Motion) -> str:
-    """Return what a notebook shows: the verdict, the expected errors, and the poses from the side."""
+    """Return HTML for a notebook: the verdict, the expected errors, and poses from the side."""
     verdict_texts = () if motion.verdict is None else motion.verdict.lines
     rows: dict[str, str] = dict(zip(("verdict", "expected"), verdict_texts, strict=False))
     rows["clip"] = f"{Path(motion.file).name}, frames {motion.frames[0]} to {motion.frames[-1]} at {motion.fps:g} fps"
@@ -166,9 +166,9 @@ def html_of(motion: Motion) -> str:
 
 
 def _from_the_side(joints_m: Array, limbs: Iterable[Sequence[int]]) -> str:
-    """Return a picture of eight of the poses (T, J, 3), z up, evenly spaced in time, seen from the side.
+    """Return a picture of eight poses from (T, J, 3), z up, evenly spaced in time, seen from the side.
 
-    It is empty with fewer than two poses.
+    The picture is empty if there are fewer than two poses.
     """
     posed = joints_m[np.isfinite(joints_m).all(axis=(1, 2))]
     if len(posed) < 2:

@@ -9,17 +9,17 @@ from recon.base.arrays import Array
 from recon.geometry.kinematics import PITCH, ROOT, YAW
 
 MIN_MARKERS = 8
-"""Least number of known markers of a frame that gets a state."""
+"""Smallest number of known markers with which a frame is solved."""
 
 _BLOCK = 512
-"""Number of frames that are solved together: it bounds the memory of the Jacobians."""
+"""Number of frames that are solved together, which limits the memory of the Jacobians."""
 _ITERATIONS = 300
 _TOLERANCE = 1e-10
-"""A frame is done when a step changes no angle (rad) and no length (m) by more."""
+"""A frame has converged when a step changes no angle (rad) and no length (m) by more than this."""
 _SIZE_ROUNDS = 20
 _RETRIES = 2
 _DAMPING = (1e-12, 1e12)
-"""Least and largest damping; at the largest no step is left that helps."""
+"""Smallest and largest damping; beyond the largest, no step helps."""
 
 
 def solve_points(
@@ -34,10 +34,10 @@ def solve_points(
     points_m
         (T, J, 3): the points in the world, z up, metres, NaN where missing.
     size
-        Factor on the body's lengths, the same for all frames; None: it is estimated.
+        Factor on the body's lengths for all frames; None to estimate it.
     pull_m_per_rad
-        Weight of the angles' deviations from the body's expectations. It is weak: it only keeps angles from drifting
-        that the points do not determine, such as a yaw about an axis along the segment.
+        Weight of the angles' deviations from the body's expectations. The pull is weak: it only keeps undetermined
+        angles from drifting, such as a rotation about an axis along the segment.
 
     Returns
     -------
@@ -84,7 +84,7 @@ def solve_points(
 
 
 def _start(body: Body, targets: Array, weight: Array, size: float) -> Array:
-    """Return the expected pose, turned about the vertical and moved to the markers."""
+    """Return the expected pose, turned about the vertical and moved onto the markers."""
     states = np.zeros((len(targets), body.n_state))
     states[:, PITCH:] = body.mean_rad
     share = (weight / weight.sum(axis=1, keepdims=True))[..., None]
@@ -106,10 +106,10 @@ def _nearest_turns(body: Body, states: Array) -> Array:
 
 
 def _retried(body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array) -> Array:
-    """Solve frames in an odd pose or with a large misfit again, from the poses of the frames around them.
+    """Solve frames with an unusual pose or a large misfit again, starting from the poses of neighbouring frames.
 
-    A segment that turns about two axes points the same way with both turned over (yaw + pi, pi - pitch): a second
-    minimum, from which no small step leads back. The lower cost wins.
+    A segment that turns about two axes points in the same direction at (yaw + pi, pi - pitch): a second minimum, from
+    which no small step leads back. The solution with the lower cost is kept.
     """
     cost = _cost(body, targets, weight, size, pull, states)
     odd = (np.abs(states[:, PITCH:] - body.mean_rad) > np.pi / 2).any(axis=1) | (cost > 4 * np.median(cost))
@@ -131,8 +131,8 @@ def _normal_equations(
 ) -> tuple[Array, Array, Array, Array]:
     """Return the normal equations of N frames with the size.
 
-    They are the Hessian (N, D, D), the gradient (N, D), the curvature of the size's logarithm with the states and,
-    last, with itself (N, D + 1), and the gradient by it (N,).
+    Returns the Hessian (N, D, D), the gradient (N, D), the curvature between the size's logarithm and the states
+    followed by its own curvature (N, D + 1), and its gradient (N,).
     """
     N, D = states.shape
     pose = body.tree.pose_with_jacobian(states, size)
@@ -156,7 +156,7 @@ def _cost(body: Body, targets: Array, weight: Array, size: float, pull: float, s
 
 
 def _solve(body: Body, targets: Array, weight: Array, size: float, pull: float, start: Array) -> Array:
-    """Minimise all frames of a block at once by Levenberg-Marquardt; each has its own damping."""
+    """Minimise all frames of a block at once by Levenberg-Marquardt, each with its own damping."""
     states, damping, diagonal = start.copy(), np.full(len(start), 1e-3), np.arange(start.shape[1])
     cost = _cost(body, targets, weight, size, pull, states)
     for active in np.array_split(np.arange(len(states)), range(_BLOCK, len(states), _BLOCK)):
@@ -172,7 +172,8 @@ def _solve(body: Body, targets: Array, weight: Array, size: float, pull: float, 
             better = new_cost < cost[active]
             states[active[better]], cost[active[better]] = tried[better], new_cost[better]
             damping[active] = np.clip(damping[active] * np.where(better, 0.2, 5.0), *_DAMPING)
-            # Near the minimum rounding decides what is better: a step as small as that is the end either way.
+            # Near the minimum, rounding decides which step is better, so a step of this size ends the search either
+            # way.
             active = active[(np.abs(step).max(axis=1) >= _TOLERANCE) & (damping[active] < _DAMPING[1])]
     return states
 

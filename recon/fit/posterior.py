@@ -1,23 +1,23 @@
-"""Say how well a trajectory is known: the Gaussian approximation of the posterior at the minimum.
+"""Compute the uncertainty of a trajectory: the Gaussian approximation of the posterior at the minimum.
 
 **1. Covariance of the states.** Let H be the curvature of the cost at the minimum by the states x of all frames, B that
 between x and the shared unknowns s, Y = H^-1 B, and S the curvature by s with x eliminated (`recon.fit.banded`). Where
-s moves by ds, x follows by -Y ds. The covariance of s is S^-1. That of a frame is a block of H^-1, with s fixed, plus
-Y S^-1 Y'. The size is one of s, and is kept apart because the ground can tell more of it later. `curvature` makes
-these parts, `posterior` adds them up frame by frame.
+s moves by ds, x follows by -Y ds. The covariance of s is S^-1. That of a frame is a block of H^-1, with s fixed, plus Y
+S^-1 Y'. The size is one of the shared unknowns, and is kept separate because the ground may determine it further.
+`curvature` computes these parts; `posterior` adds them up frame by frame.
 
 **2. Covariance of the joints.** A joint lies at origin + size p. Let J be the Jacobian of p by the frame's unknowns,
-and a how these follow the size (`state_by_size`). With q = p + size J a,
+and let a be the derivative of these unknowns by the size (`state_by_size`). With q = p + size J a,
 
     cov(joint) = size^2 J C J' + var(size) q q'
 
 where C is the frame's covariance at a given size. The covariance relative to the mean of all joints has J and q less
 their means over the joints.
 
-**3. Errors that last.** The cost takes the errors of neighbouring frames for independent. They are not:
-`variance_factor`, their correlation length in frames, multiplies all variances. A bias of a keypoint lasts all clip. It
-is no unknown of the solution but one of the posterior, with an expected variance that is widened where the detections
-show more (`_bias_scale`); the noise that is left about it is estimated anew (`with_noise_about_bias`), as
+**3. Errors that last.** The cost treats the errors of neighbouring frames as independent, but they are correlated: all
+variances are multiplied by `variance_factor`, the correlation length in frames. A keypoint bias lasts for the whole
+clip. The bias is not an unknown of the solution but of the posterior; its expected variance is widened where the
+detections show more (`_bias_scale`). The noise about the bias is estimated again (`with_noise_about_bias`), because
 otherwise the bias would count twice.
 
 **4. Information fraction.** The precision of a joint or an angle with the pixels is compared with its precision without
@@ -27,7 +27,7 @@ them, from the other terms alone: 1 - variance / variance without pixels.
 r. Let P be the prior's curvature, H that of all terms, and n the number of unknowns. Where the prior fits, |r|^2 is n -
 tr(H^-1 P), the number of unknowns that the pixels determine, times a usual mean square (`MISFIT_USUAL`), which is above
 1 because errors last (D. MacKay, *Bayesian interpolation*, Neural Computation 4, 1992). The ratio of the two is the
-most likely scale of the prior's variances, and the prior's weight from then on is one over it.
+most likely scale of the prior's variances, and its inverse is the new weight of the prior.
 
 **6. Regions and intervals.** The noise of a clip and the weight of its prior are themselves estimated, which turns a
 Gaussian into a Student's t. With V the covariance of an error e in k dimensions, e' V^-1 e is k (nu - 2) / nu times a
@@ -55,12 +55,12 @@ from recon.geometry.kinematics import ROOT, YAW
 _FIXED = 1e8
 """Precision that fixes an unknown."""
 _NEARLY_FREE = 1e-3
-"""Precision of a position and a heading of which next to nothing is known (1 / m^2, 1 / rad^2)."""
+"""Precision of an almost unknown position and heading (1 / m^2, 1 / rad^2)."""
 _FRAMES_AT_ONCE, _FRAMES_OF_SHAPE = 256, 32
 _BIAS_ROUNDS, _PRIOR_COUNT = 10, 8
-"""Rounds of expectation and maximisation, and the number of unknowns that the expected variance counts for."""
+"""Rounds of expectation and maximisation, and the number of unknowns that the expected variance counts as."""
 _NOISE_ROUNDS, _NOISE_FACTOR = 2, (0.05, 4.0)
-"""Rounds for the noise of detections about their keypoint bias, and the least and largest factor of a round."""
+"""Rounds for the noise of detections about their keypoint bias, and the smallest and largest factor in one round."""
 
 
 @dataclass(frozen=True)
@@ -76,11 +76,11 @@ class Posterior:
     angle_variance: Array
     """(2, T, D - 3): of the root's rotation and the joints' angles, for a given size, with and without pixels."""
     state_by_size: Array
-    """(T, D): how the states follow the size."""
+    """(T, D): derivatives of the states by the size."""
     joint_by_size_m: Array
-    """(T, J, 3): q of the module's text."""
+    """(T, J, 3): q in the module's docstring."""
     size_precision: float
-    """Precision of the size by the pixels; 0 where they say nothing."""
+    """Precision of the size due to the pixels; 0 if they do not determine it."""
     shared_sigma: dict[str, Array]
     """Standard deviations (P,) of the shared unknowns that were solved for, by name."""
 
@@ -95,33 +95,33 @@ class Posterior:
 class _Curvature:
     """Hold the curvature of a problem at its solution.
 
-    It has the windows of the normal equations, a root (P, P) of the covariance of the shared unknowns besides the size,
-    and the precision (1 + P, 1 + P) of all shared unknowns.
+    The fields are the windows of the normal equations, a root (P, P) of the covariance of the shared unknowns other
+    than the size, and the precision (1 + P, 1 + P) of all shared unknowns.
     """
 
     eliminated: Callable[[], Iterable[Window]]
     root: Array
     others_by_size: Array
-    """(P,): how the other shared unknowns follow the size."""
+    """(P,): derivatives of the other shared unknowns by the size."""
     shared_precision: Array
     size_known: float
-    """Precision of the size by the pixels, before the variance factor; 0 where it is not an unknown."""
+    """Precision of the size due to the pixels, before the variance factor; 0 if it is not an unknown."""
     beyond_m2: Array | float
-    """(J,): by how much the variance of the common keypoint bias exceeds the expected one."""
+    """(J,): excess of the variance of the common keypoint bias over the expected one."""
     expected_precision: Array
     """(1 + P,): the prior part of the precision of each shared unknown."""
     pull: Array
-    """(1 + P,): the gradient by the shared unknowns, with all else at its minimum."""
+    """(1 + P,): the gradient by the shared unknowns, with all other unknowns at their minimum."""
     lengths: slice | None = None
-    """Which of the P are the lengths, where these are unknown."""
+    """Indices of the lengths among the P unknowns, if lengths are unknown."""
 
     def windows(self) -> Iterator[tuple[Window, Array, Array]]:
-        """Yield the windows with how their n frames follow the shared unknowns.
+        """Yield the windows with the derivatives of their n frames by the shared unknowns.
 
-        The first array is Y (n, D, P) of the P unknowns besides the size, by which the frames move by -Y; the second
-        one is the derivative (n, D) by the size.
+        The first array is Y (n, D, P) for the P unknowns other than the size, whose change moves the frames by -Y; the
+        second array is the derivative (n, D) by the size.
         """
-        n_size = len(self.shared_precision) - len(self.root)  # it comes first
+        n_size = len(self.shared_precision) - len(self.root)  # the size comes first
         for window in self.eliminated():
             derivatives = window.solved()[..., 1:]
             by_others = derivatives[..., n_size:]
@@ -132,7 +132,7 @@ class _Curvature:
 
 
 def curvature(problem: LeastSquares, estimate: Estimate, variance_factor: float) -> _Curvature:
-    """Return the curvature, with nuisance unknowns free and the common bias as wide as detections show."""
+    """Return the curvature with nuisance unknowns free and the common bias as wide as the detections show."""
     problem = replace(problem, shared=[*problem.shared, *problem.nuisance], nuisance=())
     normals = problem.normals(estimate.states, problem.expected() | dict(estimate.shared))
 
@@ -189,9 +189,9 @@ def _bias_scale(S: Array, g: Array, columns: slice, variance: Array, variance_fa
 def with_noise_about_bias(problem: LeastSquares, estimate: Estimate, variance_factor: float) -> LeastSquares:
     """Return the problem of several cameras with the noise of detections about their keypoint bias.
 
-    A solution assumes a bias of 0, so that its residuals contain bias and noise, and the bias would count twice if all
-    of them were taken for noise. The variance of the noise is the likeliest one: the squared residuals that remain
-    after the best bias, divided by the number of detections less those that determine the bias.
+    A solution assumes a bias of 0, so its residuals contain bias and noise. If all of the residuals counted as noise,
+    the bias would count twice. The variance of the noise is the likeliest one: the squared residuals that remain after
+    the best bias, divided by the number of detections less those that determine the bias.
     """
     if COMMON_KEYPOINT_BIAS not in [unknown.name for unknown in (*problem.shared, *problem.nuisance)]:
         return problem
@@ -234,7 +234,7 @@ def posterior(problem: LeastSquares, body: Body, estimate: Estimate, variance_fa
     solution = curvature(problem, estimate, variance_factor)
     absolute, relative, by_size = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3)), np.empty((T, J, 3))
     state_by_size, angle_variance = np.empty((T, D)), np.empty((2, T, D - YAW))
-    for window, by_others, window_by_size in solution.windows():  # one after the other: a window is large
+    for window, by_others, window_by_size in solution.windows():  # one at a time, because a window is large
         rows, state_covariance = window.rows, window.marginal_blocks()[:, 0]
         if solution.lengths is None:
             _add_shared(state_covariance, by_others, solution.root)
@@ -246,7 +246,7 @@ def posterior(problem: LeastSquares, body: Body, estimate: Estimate, variance_fa
         absolute[rows], relative[rows], by_size[rows] = joints
         angle_variance[0, rows] = np.diagonal(state_covariance, axis1=1, axis2=2)[:, YAW:]
         state_by_size[rows] = window_by_size
-    for covariance in (absolute, relative):  # in place: those of a long clip are large
+    for covariance in (absolute, relative):  # in place, because the covariances of a long clip are large
         covariance += np.multiply.outer(solution.beyond_m2, np.eye(3))
         covariance *= variance_factor
     data_share, angle_variance[1] = _without_pixels(problem, body, estimate)
@@ -263,7 +263,7 @@ def posterior(problem: LeastSquares, body: Body, estimate: Estimate, variance_fa
 
 
 def _add_shared(state_covariance: Array, by_others: Array, root: Array) -> None:
-    """Add the uncertainty of the shared unknowns besides the size, in place: H^-1 + Y S^-1 Y'."""
+    """Add the uncertainty of the shared unknowns other than the size, in place: H^-1 + Y S^-1 Y'."""
     for first in range(0, len(state_covariance), _FRAMES_AT_ONCE):
         rows = slice(first, first + _FRAMES_AT_ONCE)
         lasting = by_others[rows] @ root
@@ -273,9 +273,10 @@ def _add_shared(state_covariance: Array, by_others: Array, root: Array) -> None:
 def _add_shape(
     joints: tuple[Array, Array, Array], solution: _Curvature, body: Body, states: Array, by_others: Array, size: float
 ) -> None:
-    """Add the uncertainty of the shared unknowns besides the size to the joints, which lengths move by themselves too.
+    """Add the uncertainty of the shared unknowns other than the size to the joints, which lengths also move directly.
 
-    joints: absolute and relative covariances (n, J, 3, 3), and how joints follow the size, (n, J, 3); in place.
+    `joints` holds absolute and relative covariances (n, J, 3, 3) and the derivatives by the size (n, J, 3), all changed
+    in place.
     """
     absolute, relative, by_size = joints
     shape = Shape.of_body(body)
@@ -295,8 +296,8 @@ def _add_shape(
 def _without_pixels(problem: LeastSquares, body: Body, estimate: Estimate) -> tuple[Array, Array]:
     """Return the joints' information fraction (J,), and the angles' variance without pixels (T, D - 3).
 
-    Priors say nothing of a frame's position and heading. These are fixed for the fraction, which compares the joints
-    within the body with and without pixels, and nearly free for the angles.
+    Priors do not determine a frame's position and heading. For the information fraction, which compares joints within
+    the body with and without pixels, position and heading are fixed; for the angles they are nearly free.
     """
     states, (T, D) = estimate.states, estimate.states.shape
     frames = replace(problem, shared=(), nuisance=())
@@ -322,7 +323,7 @@ def _shared_sigma(problem: LeastSquares, solution: _Curvature, variance_factor: 
 
 
 def with_size(covariance_m2: Array, by_size_m: Array, size: float, size_sigma: float) -> Array:
-    """Add the size to the covariances of joints that move by (T, J, 3) with it, in place."""
+    """Add the uncertainty of the size, in place, to covariances of joints with derivatives (T, J, 3) by it."""
     for first in range(0, len(covariance_m2), _FRAMES_AT_ONCE):
         rows = slice(first, first + _FRAMES_AT_ONCE)
         q = by_size_m[rows]
@@ -363,25 +364,25 @@ class PriorMisfit:
     """Hold the misfit of a prior."""
 
     level: float
-    """Squared residuals relative to those where the prior fits, about 1."""
+    """Squared residuals relative to their expectation if the prior fits, about 1."""
     freedom: float
     """Number of unknowns that the pixels determine."""
 
     @property
     def prior_weight(self) -> float:
-        """Return the part of its weight that the prior keeps: one over the scale of its variances, 1 at most."""
+        """Return the fraction of its weight that the prior keeps: one over the scale of its variances, at most 1."""
         return 1.0 / max(self.level, 1.0)
 
     @property
     def unlike(self) -> bool:
-        """Return whether the motion is unlike all that the prior knows."""
+        """Return whether the motion is unlike all motions of the prior."""
         variance = 2.0 / (9.0 * self.freedom)  # a chi square's cube root is nearly normal (Wilson and Hilferty)
         by_chance = (1.0 - variance + constants.MISFIT_SIGMAS * variance**0.5) ** 3
         return self.level >= max(constants.MISFIT_LEVEL, by_chance)
 
 
 def prior_misfit_of(problem: LeastSquares, estimate: Estimate) -> PriorMisfit:
-    """Return the misfit of the prior as the problem weighs it, at its minimum."""
+    """Return the misfit of the prior at the minimum of a problem, under its present weight."""
     prior, by_prior = problem.subset(PRIOR_TERMS), 0.0
     windows = eliminated(problem.normals(estimate.states, estimate.shared)(), bounded=True)
     for window, prior_normal in zip(windows, prior.normals(estimate.states)(), strict=True):
@@ -394,11 +395,11 @@ def prior_misfit_of(problem: LeastSquares, estimate: Estimate) -> PriorMisfit:
 DEGREES_OF_FREEDOM = 7.0
 """nu: the most likely one for the errors of 28 real views (`benchmarks/uncertainty.py`)."""
 _ROUNDING_M2 = 1e-12
-"""Added to variances: those of a pose relative to its own middle may be singular to rounding."""
+"""Added to variances, because those of a pose relative to its own middle may be singular to rounding."""
 
 
 def radius(level: float, dimensions: int = 1, nu: float = DEGREES_OF_FREEDOM) -> float:
-    """Return the size, in standard deviations, of the region that holds a share `level` of the truth.
+    """Return the radius, in standard deviations, of the region that holds the truth with probability `level`.
 
     It is the square root of e' S^-1 e at the region's edge.
     """
@@ -406,7 +407,7 @@ def radius(level: float, dimensions: int = 1, nu: float = DEGREES_OF_FREEDOM) ->
 
 
 def sigmas(error: Array, covariance: Array) -> Array:
-    """Return errors (..., k) with covariances (..., k, k) in standard deviations, (...), NaN where not known."""
+    """Return errors (..., k) with covariances (..., k, k) in standard deviations, (...), NaN if unknown."""
     is_known = np.isfinite(error).all(axis=-1) & np.isfinite(covariance).all(axis=(-2, -1))
     sizes = np.full(is_known.shape, np.nan)
     e, S = error[is_known], covariance[is_known] + _ROUNDING_M2 * np.eye(error.shape[-1])

@@ -1,4 +1,4 @@
-"""Predict what a camera that a solution was not fitted to would detect."""
+"""Predict the detections of a camera that a solution was not fitted to."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from recon.fit.posterior import radius
 from recon.fit.result import Solution
 
 LEVEL = 0.9
-"""Level of the regions that the detections of the solution's own views calibrate."""
+"""Probability of the regions that are calibrated on the detections of the solution's own views."""
 
 
 def predicted_keypoints(solution: Solution, view: View) -> tuple[Array, Array]:
-    """Return the keypoints that a view would have, with their covariances.
+    """Return the keypoints that a view would detect, with their covariances.
 
     Parameters
     ----------

@@ -14,32 +14,32 @@ from recon.base.numbers import percent
 from recon.clip import View
 
 Severity = Literal["error", "warning", "note"]
-"""error: do not use the result; warning: use it with care; note: nothing is wrong."""
+"""error: do not use the result; warning: use it with care; note: for information."""
 Number = float | int | str | tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Hold what a check found. `recon.check.codes.CODES` has the severity and the words of each code."""
+    """Hold a finding of a check; `recon.check.codes.CODES` has the severity and the text of each code."""
 
     code: str
     severity: Severity
     frames: tuple[int, int] | None = None
-    """First frame number, and the one after the last; None: the whole clip."""
+    """First frame number, and the one after the last; None means the whole clip."""
     camera: str | None = None
-    """Name of the camera that the finding is about; None: all of them, or the clip."""
+    """Name of the camera that the finding is about; None means all cameras, or the clip."""
     numbers: dict[str, Number] = field(default_factory=dict)
-    """Evidence, as plain numbers and names: radians, metres, seconds and pixels, as the names end."""
+    """Evidence as plain numbers and names; the endings of the names give the units: rad, m, s, px."""
 
     def names(self, number: str) -> tuple[str, ...]:
-        """Return the names stored under a number's name; none where there are none."""
+        """Return the names stored under a key; none if there are none."""
         value = self.numbers.get(number, ())
         return value if isinstance(value, tuple) else ()
 
 
 Level = Literal["do not use", "check", "use"]
 LEVELS: tuple[Level, ...] = ("do not use", "check", "use")
-"""Levels in the order in which clips are to be looked at."""
+"""Levels in the order in which clips should be looked at."""
 
 
 _NOTHING = 0.1
@@ -48,7 +48,7 @@ _NOTHING = 0.1
 
 @dataclass(frozen=True, repr=False)
 class ExpectedError(Brief):
-    """Hold an error before it is known: the middle of its distribution, and the interval that holds 90 %."""
+    """Hold the expected size of an unknown error: the median, and the interval that holds 90 %."""
 
     expected: float
     low: float
@@ -56,38 +56,38 @@ class ExpectedError(Brief):
 
     @property
     def in_words(self) -> str:
-        """Return the error in words: in metres, or in millimetres where the largest is below half a metre.
+        """Return the error as text: in metres, or in millimetres if the upper end is below half a metre.
 
-        A low end that is next to nothing is left out.
+        A lower end close to zero is left out.
         """
         unit, error = ("mm", self.times(1000.0)) if self.high < 0.5 else ("m", self)
         expected, low, high = (f"{value:.2g}" if value < 10 else f"{value:.0f}" for value in astuple(error))
         return f"{expected} {unit} ({f'{low} to' if self.low > _NOTHING * self.high else 'at most'} {high})"
 
     def times(self, factor: float) -> ExpectedError:
-        """Return the same error in another unit."""
+        """Return the error multiplied by a factor, for another unit."""
         return ExpectedError(factor * self.expected, factor * self.low, factor * self.high)
 
 
 @dataclass(frozen=True, repr=False)
 class Verdict(Brief):
-    """Hold the verdict on one clip. `recon.check.verdict` makes it; docs/verdict.md says what to do with it."""
+    """Hold the verdict on one clip; `recon.check.verdict` makes it, and docs/verdict.md explains it."""
 
     level: Level
     reason: str
-    """Reason of the level, in one sentence."""
+    """Reason for the level, in one sentence."""
     pose_m: ExpectedError | None = None
     """Mean distance of the joints from their true positions, both centred (MPJPE); None without a pose."""
     pose_of_trunk: ExpectedError | None = None
-    """The pose's error relative to the length of the trunk."""
+    """The error of the pose relative to the length of the trunk."""
     position_m: ExpectedError | None = None
     """Distance of the mean of all joints from its true position, mean over the frames."""
     warned: bool = False
-    """Whether the reason is a warning that errors may be larger."""
+    """Whether a warning says that errors may be larger."""
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """Return the verdict in words: the level and its reason, and the expected errors where they are known."""
+        """Return the verdict as text: the level and its reason, and the expected errors if known."""
         verdict_line = f"{self.level}: {self.reason}"
         if self.pose_m is None or self.pose_of_trunk is None or self.position_m is None:
             return (verdict_line,)
@@ -113,40 +113,40 @@ SHAPES = {
 }
 """Shapes of a solution's arrays: T frames, J joints, V views, D unknowns a frame, A angles, F feet."""
 OUTLIER_SIGMAS = 3.0
-"""Number of standard deviations from its joint's reprojection at which a detection is an outlier."""
+"""Distance of a detection from its joint's reprojection, in standard deviations, above which it is an outlier."""
 
 
 @dataclass(frozen=True)
 class Ground:
-    """Hold a plane, z = height_m + slope (2,) . (x, y), and the standard deviation of its height under the animal."""
+    """Hold a ground plane, z = height_m + slope (2,) . (x, y), and the sigma of its height under the animal."""
 
     height_m: float
     slope: Array
     sigma_m: float
     near_zero: bool | None = None
-    """Whether the ground was taken to lie near z = 0; None: nothing says that it should."""
+    """Whether the ground was assumed to be near z = 0; None if no file states it."""
 
     def about(self, origin_m: Array, size: float) -> Ground:
-        """Return the ground in a scene that is scaled by the size and whose origin is at (3,)."""
+        """Return the ground in a scene scaled by the size about an origin (3,)."""
         height = origin_m[2] + size * self.height_m - self.slope @ origin_m[:2]
         return replace(self, height_m=float(height), sigma_m=size * self.sigma_m)
 
 
 @dataclass(frozen=True)
 class SecondCamera:
-    """Hold the test of the second of two cameras: how much likelier it is misplaced, or late, than as calibrated."""
+    """Hold the test of the second of two cameras: the evidence that it is misplaced or late."""
 
     misplaced: float
-    """Log-likelihood gain of a camera that is turned or moved."""
+    """Log-likelihood gain if the camera was turned or moved."""
     late: float
-    """Log-likelihood gain of a camera whose clock is off."""
+    """Log-likelihood gain if the camera's clock is off."""
     late_frames: float
-    """Frames by which it would be late."""
+    """Estimated delay in frames if the clock is off."""
 
 
 @dataclass(frozen=True, repr=False)
 class MotionSegment(Brief):
-    """Hold a stretch of the clip that was solved by itself, as nothing was seen for long before and after.
+    """Hold a part of the clip that was solved separately, because there are no detections for long before and after it.
 
     Segments are in order and do not overlap.
     """
@@ -154,23 +154,25 @@ class MotionSegment(Brief):
     rows: slice
     """Rows of the clip."""
     ground: Ground | None
-    """The ground under the feet; None where none stood."""
+    """The ground under the feet; None if no foot stood."""
     prior_misfit: float | None = None
-    """Misfit of the motion under the prior, about 1 where that fits; None where there is none."""
+    """Misfit of the motion under the prior, about 1 if it fits; None without a prior."""
     prior_weight: float = 1.0
-    """Part of its weight that the prior kept, the rest being on each angle alone; 1 where the motion fits."""
+    """Fraction of its weight that the prior kept, 1 if the motion fits; the rest of the weight is on each angle
+    separately.
+    """
     unlike_prior: bool = False
-    """Whether the motion is unlike all that the prior knows."""
+    """Whether the motion is unlike all motions of the prior."""
     second_camera: SecondCamera | None = None
-    """None where there is no second of two cameras, or its pose was not fixed."""
+    """None if there is no second of two cameras, or its pose was not fixed."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Solution(Brief):
-    """Hold an animal's motion over T frames, as every method gives it.
+    """Hold an animal's motion over T frames, as every method returns it.
 
-    It has J markers, D unknowns a frame, F feet and V views. It is in the world frame (`recon.geometry.frames`) and
-    metres; NaN in frames without a pose.
+    The animal has J markers, D unknowns per frame and F feet; there are V views. Positions are in the world frame
+    (`recon.geometry.frames`), metres; NaN in frames without a pose.
     """
 
     method: ClassVar[str]
@@ -178,15 +180,15 @@ class Solution(Brief):
     record_tag: ClassVar[str]
     """Tag of the class in files of motions (`recon.fit.motion_forms.CLASSES`)."""
     jitters: ClassVar[bool] = False
-    """Whether each frame was solved by itself, so that paths jitter from frame to frame."""
+    """Whether each frame was solved independently, so that paths jitter from frame to frame."""
 
     body: Body
     views: tuple[View, ...]
-    """The views that it was fitted to, with the time offsets that were found."""
+    """The fitted views, with the estimated time offsets."""
     states: Array
     """(T, D): the root's position is in the world; the body's lengths are those of `body` times `size`."""
     size: float
-    """Factor on the skeleton's lengths; the median where a method has one for each frame."""
+    """Factor on the skeleton's lengths; the median over frames if a method estimates one for each."""
     joints_m: Array
     """(T, J, 3): the joints in the world, NaN without a pose."""
     covariance_m2: Array
@@ -198,41 +200,41 @@ class Solution(Brief):
     angle_data_share: Array
     """(T, D - 3): information fraction of the angles, the part of their precision from the pixels, 0 to 1."""
     noise_px: Array
-    """(V, T, J): for each view, the standard deviation that a detection was given."""
+    """(V, T, J): standard deviation assigned to each detection in each view."""
     weight: Array
-    """(V, T, J): weight of each detection, 1 to 0, NaN where missing."""
+    """(V, T, J): weight of each detection, 1 to 0, NaN if missing."""
     flags: tuple[tuple[str, ...], ...]
-    """(T,): flags of each frame; a frame without a pose has one that says why."""
+    """(T,): flags of each frame; in a frame without a pose, a flag gives the reason."""
     alternative_m: Array
-    """(T,): mean distance of the joints in the second best solution, both centred, NaN where there is none."""
+    """(T,): mean distance of the joints in the second best solution, both centred, NaN if there is none."""
     contact: Array
-    """(T, F): contact of the feet with the ground, 0 to 1; 0 of a method that does not look for it."""
+    """(T, F): contact of the feet with the ground, 0 to 1; 0 if the method does not look for contacts."""
     segments: tuple[MotionSegment, ...]
-    """Stretches of the clip that have a pose, each with its own ground."""
+    """Parts of the clip that have a pose, each with its own ground."""
     stage_s: dict[str, float]
-    """Seconds of the stages, by name, with all of the solution as "all"; empty where a method keeps none."""
+    """Seconds of the stages by name, with the whole solution as "all"; empty if the method does not measure them."""
 
     def findings(self) -> tuple[Finding, ...]:
-        """Return what only this method can find in its own solution."""
+        """Return the findings that only this method can make in its own solution."""
         return ()
 
     def report_sections(self) -> tuple[object, ...] | None:
-        """Return the method's own sections of the report (`recon.show.report`), None if they are the usual ones."""
+        """Return the method's own sections of the report (`recon.show.report`), or None for the usual ones."""
         return None
 
     @property
     def constant_velocity_m_s(self) -> Array | None:
-        """Return the speed of the constant-velocity starts of the search, (T,), where the method keeps it."""
+        """Return the speed of the constant-velocity starts of the search, (T,), if the method keeps it."""
         return None
 
     @property
     def position_lasts_s(self) -> float | None:
-        """Time for which an error of the animal's position lasts, where the method estimates the path by itself."""
+        """Duration of an error of the animal's position, if the method estimates the path separately."""
         return None
 
     @property
     def posterior_factor(self) -> float:
-        """Factor by which the poses' stated standard deviations are to be enlarged for the errors that they have."""
+        """Factor by which the stated standard deviations of poses have to be enlarged to match their errors."""
         return 1.0
 
     @property
@@ -247,7 +249,7 @@ class Solution(Brief):
 
     @cached_property
     def markers_m(self) -> Array:
-        """Return where the detector sees the joints, (T, J, 3)."""
+        """Return the positions at which the detector sees the joints, (T, J, 3)."""
         if not self.body.keypoint_offset_m:
             return self.joints_m
         return self.joints_m + (
@@ -265,32 +267,32 @@ class TrajectorySolution(Solution):
     size_prior_sigma: float
     """Prior standard deviation of the size around 1."""
     size_from: tuple[str, ...]
-    """Sources of the size: "prior", and where they show it "views" and "ground"."""
+    """Sources of the size: "prior", and "views" and "ground" if they determine it."""
     data_share: Array
     """(J,): information fraction of the joints, the part of their precision from the pixels, 0 to 1."""
     alternative_cost: float
-    """Cost of the second best solution minus that of the best (half squared sigmas)."""
+    """Cost of the second best solution minus that of the best."""
     prior: str
     status: Literal["converged", "not_converged"]
     cost_by_term: dict[str, float]
-    """Half the squared norm of the residuals, robust, by term."""
+    """Half the squared norm of the residuals under the robust loss, by term."""
     iterations: int
     starts: int
     """Number of starts that were tried."""
     time_offset_frames: Array
-    """(V,): how much later than said each camera's pictures were taken; 0 where that is not unknown."""
+    """(V,): delay of each camera's pictures beyond the stated offset; 0 if not estimated."""
     time_offset_sigma_frames: Array
     """(V,): standard deviations of the time offsets."""
     extrinsic_correction: Array
-    """(V, 6): correction of each camera's pose, as in `View.corrected`; 0 where it is not unknown."""
+    """(V, 6): correction of each camera's pose, as in `View.corrected`; 0 if not estimated."""
     extrinsic_correction_sigma: Array
     """(V, 6): standard deviations of the extrinsic corrections."""
     focal: Array
-    """(V,): logarithm of each camera's factor on its focal lengths; 0 where it is not unknown."""
+    """(V,): logarithm of the factor on each camera's focal lengths; 0 if not estimated."""
     focal_sigma: Array
     """(V,): standard deviations of the focal lengths' factors."""
     sideslip_rad: float
-    """Angle, to the left, between the trunk and the direction of travel, all the time; 0 where it is not unknown."""
+    """Constant angle, to the left, between the trunk and the direction of travel; 0 if not estimated."""
     sideslip_sigma_rad: float
 
     method: ClassVar = "trajectory"
@@ -298,5 +300,5 @@ class TrajectorySolution(Solution):
 
     @property
     def second_cameras(self) -> list[SecondCamera]:
-        """Return the tests of the second camera, one for each segment that has one."""
+        """Return the tests of the second camera, one per segment that has a test."""
         return [segment.second_camera for segment in self.segments if segment.second_camera is not None]

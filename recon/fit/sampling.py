@@ -22,9 +22,9 @@ from recon.geometry.kinematics import ROOT
 def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int = 0) -> list[TrajectorySolution]:
     """Return draws from the posterior, with the problem set up again at the solution.
 
-    Each draw is a solution with its own states, joints and size; all else is the solution's, also the contacts. A
-    segment has no pose where it cannot be set up again, as one of its frames diverged. Errors of the track of a single
-    moving camera are not drawn. The noise of each joint is the solution's mean over the segments.
+    Each draw is a solution with its own states, joints and size; everything else, including the contacts, is copied
+    from the solution. A segment has no pose if it cannot be set up again because one of its frames diverged. Errors of
+    the track of a single moving camera are not drawn. The noise of each joint is the solution's mean over the segments.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int
         problem = segment_clip.problem(
             noise_px, 1.0, contacts(segment_clip, points, size)[2] if has_ground else (), points, size
         )
-        # refined cameras are in place
+        # refined cameras are already in the views
         shared = {name: (problem.expected() | shared_values)[name] for name in problem.columns}
         estimate, variance_factor = Estimate(states, 0.0, 0, True, shared), clip.correlation_frames
         problem_curvature = curvature(

@@ -1,4 +1,4 @@
-"""Fit the shape of one animal and the offsets of its detector to clips that several cameras filmed.
+"""Fit the shape of one animal and the offsets of its detector to clips filmed by several cameras.
 
 All clips share the lengths of the body's segments, left equal to right, as factors on the skeleton's, and the distances
 of the detector's keypoints from the markers. Each clip is solved for a given shape. At its minimum the states are
@@ -26,22 +26,23 @@ from recon.fit.trajectory import SegmentFit, refined, solve_segments, with_solve
 from recon.geometry.kinematics import TreePose
 
 MODEL_SIGMA = 0.04
-"""Relative standard deviation of a measured length for all that a rigid skeleton cannot follow: shoulders that slide,
-keypoints off their joints. With it, intervals of 90 % hold 88 % of the lengths (`benchmarks/parts/bone_lengths.py`).
+"""Relative standard deviation of a measured length for everything that a rigid skeleton cannot follow: sliding
+shoulders, keypoints off their joints. It makes 90 % intervals hold 88 % of the lengths
+(`benchmarks/parts/bone_lengths.py`).
 """
 POSED_OFFSET_SIGMA_M = 0.02
-"""Expected offset where the poses are known, and an offset cannot be another pose."""
+"""Expected offset if the poses are known, so that no change of pose can replace an offset."""
 SIZE_HELD = 1e-4
-"""Standard deviation of the size, which the lengths replace."""
+"""Standard deviation of the size, which is fixed because the lengths replace it."""
 _PRIOR_COUNT = 8
-"""Number of views that the expected spread of a keypoint counts for."""
+"""Number of views that the expected spread of a keypoint counts as."""
 ROUNDS, CLOSE_ENOUGH = 8, 0.05
-"""Most rounds, and the step, in standard deviations, that ends them."""
+"""Largest number of rounds, and the step, in standard deviations, below which the rounds end."""
 
 
 @dataclass(frozen=True, eq=False)
 class ShapeFit:
-    """Hold the shape that was found, with its covariance."""
+    """Hold a fitted shape, with its covariance."""
 
     shape: Shape
     values: Array
@@ -51,11 +52,13 @@ class ShapeFit:
     converged: bool
     """Whether the last step was small."""
     keypoint_sigma_m: float
-    """Standard deviation of keypoints in a single frame, including what is left of the offsets."""
+    """Standard deviation of keypoints in a single frame, including the rest of the offsets."""
     noise_m: dict[str, float]
-    """Standard deviation of a keypoint in a single frame by marker of the left and the middle."""
+    """Standard deviation of a keypoint in a single frame, for the markers of the left side and the middle."""
     spread_m: dict[str, float]
-    """Keypoint bias along each axis, constant over one clip and camera, by marker of the left and the middle."""
+    """Keypoint bias along each axis, constant within one clip and camera, for the markers of the left side and the
+    middle.
+    """
 
     @cached_property
     def sigma(self) -> Array:
@@ -63,7 +66,7 @@ class ShapeFit:
         return np.sqrt(np.diagonal(self.covariance))
 
     def length_of(self, names: Sequence[str], prior_size_sigma: float) -> tuple[float, float, float]:
-        """Return a length, its standard deviation, and the share of it that comes from the pixels.
+        """Return a length, its standard deviation, and the fraction of it that comes from the pixels.
 
         Parameters
         ----------
@@ -88,7 +91,7 @@ class ShapeFit:
         return length_m, sigma_m, max(1.0 - variance / float(lengths_m @ expected @ lengths_m), 0.0)
 
     def seen(self, body: Body) -> Body:
-        """Return a body of that shape with the detector's noise and bias, the right side as the left."""
+        """Return a body of that shape with the detector's noise and bias, the right side equal to the left."""
         spread_m, noise_m = (
             {name: by_leader[self.shape.leader(name)] for name in body.markers}
             for by_leader in (self.spread_m, self.noise_m)
@@ -152,8 +155,8 @@ def fit_shape(shape: Shape, clips: Sequence[ClipProblem]) -> ShapeFit:
 def _spread_m(body: Body, solved: Sequence[tuple[ClipProblem, SegmentFit]]) -> dict[str, float]:
     """Return the keypoint bias by marker, from the mean residuals of every marker in every view.
 
-    The part that all markers of a view share is taken off. The expectation counts as `_PRIOR_COUNT` views: a few views
-    say little.
+    The part common to all markers of a view is removed. The expected spread counts as `_PRIOR_COUNT` views, because a
+    few views are not enough to estimate it.
     """
     clip = solved[0][0]
     expected_m = clip.keypoint_bias_m

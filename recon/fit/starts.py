@@ -1,4 +1,4 @@
-"""Find where the solution of a clip starts: the mean pose at constant velocity, and the approach from the best starts.
+"""Find where the solution of a clip starts: the mean pose at constant velocity, then an approach from the best starts.
 
 For a given heading, the position that brings a shape nearest to the rays of one frame is a small linear problem, and
 its distance follows from the shape's size. The path over a window decides what a single frame cannot: whether the
@@ -137,7 +137,7 @@ def constant_velocity(
     scale = np.median(np.linalg.norm(positions, axis=2), axis=1)[:, None, None] / _MISFIT_M
     seen = np.isfinite(rays[..., 0])
     motion = np.stack([run_path(heading, up, time_s) for heading in headings])  # (H, F, 3, 6)
-    # A wide, soft preference keeps what short clips do not show in bounds: m, m/s, m/s^2, m/s.
+    # A wide, soft prior limits what short clips do not determine: m, m/s, m/s^2, m/s.
     prior = np.diag(1.0 / np.array([1e3, 1e3, 1e3, 15.0, 10.0, 1.0]) ** 2)
     x = np.zeros((H, 6))
     x[:, :3] = np.median(positions + centres, axis=1)
@@ -180,17 +180,17 @@ APPROACH_HZ = 30.0
 """Frames per second that are enough for the approach."""
 _HEADINGS = 18
 _APART_RAD = 0.5
-"""Starts whose headings differ by less are one."""
+"""Starts whose headings differ by less than this count as the same."""
 _NOISE_FACTORS = (8.0, 4.0, 2.0, 1.0)
-"""Factors on the noise during the approach."""
+"""Factors on the noise during the approach, one after the other."""
 _MIN_RAYS = 2
-"""Least number of rays of a frame that give a shape its position."""
+"""Smallest number of rays of a frame with which a shape can be positioned."""
 
 
 def approach(clip: ClipProblem) -> list[Estimate]:
-    """Return the starts of one window, approached with noise that narrows, best first.
+    """Return the starts of one window after the approach with decreasing noise, best first.
 
-    Only the first two, in a fast fit the first, are solved to the end, at all frames of the window.
+    Only the first two starts (one in a fast fit) are solved to the end, at all frames of the window.
     """
     fast, no_factor = clip.options.fast, np.ones((len(clip.views), len(clip.body.markers)))
     step = max(1, round(clip.fps / APPROACH_HZ))
@@ -218,7 +218,7 @@ def interpolate_states(states: Array, at: Index, T: int) -> Array:
 
 
 def _starts(clip: ClipProblem) -> list[Array]:
-    """Return the states of the best runs and, for one camera, of the best run's mirror image in depth."""
+    """Return the states of the best runs and, for one camera, of the best run mirrored in depth."""
     misfit, headings_rad, states = _runs(clip)
     best = int(np.argmin(misfit))
     minima = [

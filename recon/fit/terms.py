@@ -1,4 +1,4 @@
-"""The terms of the trajectory problem: each a function that makes a `Linear`, or one small class.
+"""Define the terms of the trajectory problem, each as a function that makes a `Linear` or as a small class.
 
 For N frames, from a span's first frame on, a term gives its cost (N,), residual r (N, M), Jacobian J (N, M, S, D) and,
 by name, the derivatives (N, M, P) by unknowns that all frames share. J'r is the exact gradient of the cost, and J'J its
@@ -6,10 +6,10 @@ curvature. Residuals are divided by standard deviations and multiplied by the sq
 that the cost is not half of r'r. The stencil (S,) is the offsets of the frames that a row reads.
 
 States are those of a body of nominal size about an origin, the first camera's centre: the point p of such a scene lies
-at origin + size p in the world. Larger animals move further in proportion, so no prior could show the size, nor can a
-camera that stays in the origin: only `Reprojection` of other cameras reads it.
+at origin + size p in the world. Larger animals move further in proportion, so neither a prior nor a camera that stays
+at the origin can determine the size: only the `Reprojection` of other cameras reads it.
 
-Errors last. Priors therefore count as many times a second as they were weighed at, whatever the frame rate
+Errors of the prior last over many frames. The weight of a prior per second is therefore the same at every frame rate
 (`REFERENCE_HZ`).
 """
 
@@ -28,19 +28,22 @@ from recon.geometry.frames import euler_rotation_with_jacobian
 from recon.geometry.kinematics import ROOT, YAW, TreePose
 
 SIZE = "size"
-"""Name of the shared unknown: a factor on all lengths, 1 where it is no unknown."""
+"""Name of the shared unknown: a factor on all lengths, 1 if it is not an unknown."""
 COMMON_KEYPOINT_BIAS = "common keypoint bias"
-"""Name of the shared unknowns (3J,): the bias that all cameras see, in the marker's segment, for the uncertainty only.
+"""Name of the shared unknowns (3J,): the bias common to all cameras, in the marker's segment, used only for the
+uncertainty.
 """
 LENGTHS = "segment lengths"
-"""Name of the shared unknowns (L,): logarithms of factors on the lengths of segments and markers, left as right."""
+"""Name of the shared unknowns (L,): logarithms of factors on the lengths of segments and markers, equal on both
+sides.
+"""
 SIDESLIP = "sideslip"
 """Name of the shared unknown: the angle, to the left, between the animal's trunk and its direction of travel, rad."""
 _ONE, _ZERO = np.ones(1), np.zeros(1)
 
 
 def time_offset(view: int) -> str:
-    """Return the name of a shared unknown: the delay of a camera's pictures, in frames, against its view."""
+    """Return the name of a shared unknown: the delay of a camera's pictures relative to its view, in frames."""
     return f"time offset {view}"
 
 
@@ -60,12 +63,12 @@ def focal_scale(view: int) -> str:
 
 
 def size_of(shared: Mapping[str, Array]) -> float:
-    """Return the size among the values of shared unknowns, 1 where it is not one."""
+    """Return the size among the values of shared unknowns, or 1 if it is not among them."""
     return float(shared.get(SIZE, _ONE)[0])
 
 
 REFERENCE_HZ = 90.0
-"""Frames per second at which the priors were weighed."""
+"""Frame rate at which the priors were weighted."""
 OUT_OF_SIGHT = 50.0
 """Squared residual, in units of the loss's c^2, of a detected joint that the camera cannot project."""
 PRIOR_TERMS = POSE, MOTION = "pose prior", "motion prior"
@@ -76,7 +79,7 @@ PRIOR_TERMS = POSE, MOTION = "pose prior", "motion prior"
 class Span:
     """Hold the frames first, first + 1, ... of a clip, with posed markers and the shared unknowns by name.
 
-    Unless `is_last`, the last frame is there only for stencils that reach it.
+    Unless `is_last` is true, the last frame is included only for stencils that reach it.
     """
 
     first: int
@@ -96,7 +99,7 @@ class Span:
 
 @dataclass(frozen=True)
 class TermRows:
-    """Hold what a term gives: see the module's text. Without Jacobian all but the cost are empty."""
+    """Hold the cost, residual and derivatives of a term; without Jacobian all but the cost are empty."""
 
     cost: Array
     residual: Array = field(default_factory=lambda: _ZERO[:0])
@@ -105,7 +108,7 @@ class TermRows:
 
 
 class Term(Protocol):
-    """A term of the problem: see the module's text."""
+    """Define a term of the problem, as the module's docstring describes."""
 
     @property
     def name(self) -> str:
@@ -118,15 +121,16 @@ class Term(Protocol):
         ...
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
-        """Return the term's cost and, if asked for, its residual and derivatives."""
+        """Return the term's cost and, if requested, its residual and derivatives."""
         ...
 
 
 @dataclass(frozen=True)
 class Linear:
-    """A Gaussian term with a constant Jacobian: r = sum of slots[s] x(frame + stencil[s]) - target.
+    """Define a Gaussian term with a constant Jacobian: r = sum of slots[s] x(frame + stencil[s]) - target.
 
-    It holds for every frame whose stencil fits. slots (S, M, D) and target (M,) are divided by standard deviations.
+    The term applies to every frame whose stencil fits. `slots` (S, M, D) and `target` (M,) are divided by standard
+    deviations.
     """
 
     name: str
@@ -148,7 +152,7 @@ class Linear:
 
 
 def _rate(fps: float, weight: float) -> float:
-    """Return the factor on residuals for a frame rate."""
+    """Return the factor on residuals that makes the weight per second independent of the frame rate."""
     return float(np.sqrt(weight * REFERENCE_HZ / fps))
 
 
@@ -177,7 +181,7 @@ def dynamics_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -
 
 
 def root_term(n_state: int, fps: float, acceleration_m_s2: Array, yaw_acceleration_rad_s2: float) -> Linear:
-    """Return the term of the root's acceleration (level x, y, z) and its yaw's: Gaussian about zero."""
+    """Return the term of the root's acceleration (level x, y, z) and its yaw acceleration: Gaussian about zero."""
     rows = np.zeros((4, n_state))
     rows[:3, ROOT] = np.diag(1.0 / np.asarray(acceleration_m_s2))
     rows[3, YAW] = 1.0 / yaw_acceleration_rad_s2
@@ -194,7 +198,7 @@ def climb_term(n_state: int, fps: float, sigma_m_s: float) -> Linear:
 
 @dataclass(frozen=True)
 class PoseMixture:
-    """A mixture of Gaussians of poses, -log sum_k w_k N(z; mean_k, cov_k), flattened by a temperature >= 1.
+    """Define a mixture of Gaussians of poses, -log sum_k w_k N(z; mean_k, cov_k), flattened by a temperature >= 1.
 
     The rows are those of the Gaussian with the components' mean precision that has the mixture's gradient.
     """
@@ -241,12 +245,12 @@ class PoseMixture:
 
 @dataclass(frozen=True)
 class _Scene:
-    """What a camera looks at in N frames of a span, with the shared unknowns applied."""
+    """Hold what a camera looks at in N frames of a span, with the shared unknowns applied."""
 
     frames: slice
     """Frames of the clip."""
     parts: list[tuple[slice, float]]
-    """Frames of the span that each picture lies between, and their shares."""
+    """Frames of the span that each picture lies between, and their interpolation weights."""
     points_m: Array
     """(N, J, 3): the markers when the pictures were taken, at nominal size about the origin."""
     size: float
@@ -261,10 +265,10 @@ class _Scene:
 
 @dataclass(frozen=True)
 class Reprojection:
-    """Projected minus detected position of each marker, with one robust loss per point.
+    """Define the projected minus detected position of each marker, with one robust loss per point.
 
     The loss is c^2/2 log(1 + |e|^2 / (c sigma)^2) (Cauchy), times the view's confidence. sigma_px (T, J) is frozen: if
-    it followed the depth, it would decide the distance.
+    it followed the depth, it would influence the distance.
     """
 
     view: View
@@ -272,11 +276,11 @@ class Reprojection:
     c: float
     origin_m: Array
     number: int = 0
-    """Number of the view, in the names of the unknowns that are its own."""
+    """Index of the view, used in the names of its own unknowns."""
     drift_m: Array | None = None
-    """(T, J, 3), frozen: how far the markers go in a frame, at nominal size. None: no time offset is read."""
+    """(T, J, 3), frozen: movement of the markers per frame, at nominal size; None if no time offset is read."""
     px_per_m: Array | None = None
-    """(T,), frozen: pixels per metre at the animal's distance. None: no `keypoint_bias` is read."""
+    """(T,), frozen: pixels per metre at the animal's distance; None if no `keypoint_bias` is read."""
     name: str = "reprojection"
 
     @property
@@ -369,7 +373,7 @@ class Reprojection:
         return by_shared
 
     def _parts(self, span: Span) -> list[tuple[slice, float]]:
-        """Return the span's frames that each picture lies between, and their shares."""
+        """Return the span's frames that each picture lies between, and their interpolation weights."""
         share, count = self.view.offset_frames, len(span.states)
         return [(slice(0, count - 1), 1.0 - share), (slice(1, count), share)] if share else [(span.own_rows, 1.0)]
 
@@ -382,7 +386,7 @@ class Reprojection:
 
 @dataclass(frozen=True, eq=False)
 class KnownAngles:
-    """Heading and angles are those of given states (T, D), in frames that have them; the position is free."""
+    """Constrain heading and angles to given states (T, D) in frames that have them; the position is free."""
 
     states: Array
     sigma_rad: float = 1e-4
@@ -404,7 +408,7 @@ class KnownAngles:
 
 @dataclass(frozen=True)
 class Heading:
-    """The animal goes where it looks, or `SIDESLIP` off it.
+    """Keep the animal moving in the direction that it faces, or at an angle `SIDESLIP` to it.
 
     The residual of each pair of frames is (v x u) / sigma, m/s, with the root's velocity v and the direction u from the
     marker `rear` to `front`.
@@ -447,10 +451,10 @@ class Heading:
 
 @dataclass(frozen=True)
 class StanceVelocity:
-    """A foot (F,) that nearly stands, stands: its velocity has the loss of Geman and McClure, (c sigma)^2 / 2 at most.
+    """Keep a foot (F,) that hardly moves at rest: its velocity has the Geman-McClure loss, at most (c sigma)^2 / 2.
 
-    Velocities are those in the world: at nominal size, feet that a moving camera follows would stand for any animal
-    that is large enough.
+    Velocities are those in the world: at nominal size, feet followed by a moving camera would appear to stand if the
+    animal were large enough.
 
     by_size (n, F, 3), frozen: the derivative of velocities by the size about `at`, m/s, with fixed states. By default
     they are in proportion to the size. If one moving camera sees the animal, they are in proportion relative to the
@@ -500,7 +504,7 @@ class StanceVelocity:
 
 @dataclass(frozen=True)
 class OnGround:
-    """Feet in stance lie on a plane: r = (z - height - slope . (x - middle)) sqrt(contact) / sigma.
+    """Keep feet in stance on a plane: r = (z - height - slope . (x - middle)) sqrt(contact) / sigma.
 
     Feet are at x and z times the size relative to `at`. feet (F,); contact (T - 1, F), frozen; plane (3,): height,
     slope x, slope y; middle (2,).
@@ -513,7 +517,7 @@ class OnGround:
     fps: float
     sigma_m: float
     at: float | None = None
-    """Size at which the plane was found, where it stays in the world; None: the plane scales with the size."""
+    """Size at which the plane was found, if it is fixed in the world; None if the plane scales with the size."""
     name: str = "ground"
     stencil: tuple[int, ...] = (0, 1)
 
@@ -541,5 +545,5 @@ class OnGround:
 MARKER_TERMS = (Reprojection, Heading, StanceVelocity, OnGround)
 """The terms that read the markers (`span.pose`).
 
-Any such term must be here, or fits that solve for lengths and offsets lack its derivatives.
+Every such term must be listed here; otherwise fits that solve for lengths and offsets lack its derivatives.
 """

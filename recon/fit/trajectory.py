@@ -1,8 +1,10 @@
-"""The trajectory method: a whole animal over a whole clip, as one least-squares problem.
+"""Solve for the motion of a whole animal over a whole clip, as one least-squares problem.
 
-Everything happens in the world frame (`recon.geometry.frames`). The unknown motion is that of a body of nominal size
-about the first camera's centre (`recon.fit.terms`). The size is known as its prior says, and better only where other
-views or the ground's distance below the camera show it. The way to the minimum:
+Three objects appear throughout: `clip` is the `ClipProblem`, the fixed inputs of one fit; a *segment* (`SegmentFit`) is
+a part of the clip that is solved separately, with its solution; `problem` is the `LeastSquares` problem of one segment.
+Everything is in the world frame (`recon.geometry.frames`). The unknown motion is that of a body of nominal size about
+the first camera's centre (`recon.fit.terms`). The size follows from its prior, and from other views or the ground's
+distance below the camera if they determine it. The steps to the minimum are:
 
 1. Starts. The prior's mean pose runs straight through about a second of the clip, in 18 headings, and is fitted to the
 viewing rays (`recon.fit.starts`). The best headings, and the best one mirrored in depth, start the clip.
@@ -15,8 +17,8 @@ it. If the motion is unlikely under the prior in the first round, the prior lose
 (`recon.fit.posterior`).
 5. The posterior covariance from the banded factor.
 
-Clips are started and approached about a second at a time, and then solved as one. They are split where nothing is
-detected for longer than `BRIDGED_S`.
+Steps 1 and 2 work on windows of about a second; the later steps solve each segment as a whole. A clip is split into
+segments where nothing is detected for longer than `BRIDGED_S`.
 """
 
 from __future__ import annotations
@@ -64,12 +66,13 @@ WINDOW_S = 1.0
 _TEMPERATURES = (8.0, 3.0, 1.0)
 """Temperatures that flatten the mixture of poses, one after the other."""
 _MORE_ROUNDS = 3
-"""Further rounds where the prior has lost most of its weight, until noise and contacts have settled again."""
+"""Further rounds if the prior has lost most of its weight, until noise and contacts have settled again."""
 POOR_SHARE, POORER_SHARE = 1 / 3, 0.8
-"""Least parts of all joints, and of those trusted in good frames, that have to be trusted in a frame; else "data poor".
+"""A frame is "data poor" if a smaller fraction of all joints, or of the joints trusted in good frames, is trusted in
+it.
 """
 END_ON_RAD = np.radians(30)
-"""Angle between line of sight and trunk below which depth shows in the perspective only: "ambiguous depth"."""
+"""Angle between line of sight and trunk below which only perspective shows the depth: "ambiguous depth"."""
 TESTED_S = 5.0
 """Seconds of a clip used to test the second camera."""
 ALTERNATIVE_M, ALTERNATIVE_COST = 0.1, 20.0
@@ -88,10 +91,10 @@ def solve_trajectory(
 ) -> TrajectorySolution:
     """Return the motion of a body from detections of its markers by one or more cameras.
 
-    It is deterministic and runs on one core: the matrices are small, and threads of the numerical library would wait
-    for each other. Frames too far from any detection have NaN states and the flag "no data"; those whose pose is too
-    far off to be seen have the flag "diverged". Detections that no detector can have found in the camera's picture are
-    left out (`Camera.sees`). A minimum that was not reached is the solution's status, not an exception.
+    The solution is deterministic and uses one core: the matrices are small, and threads of the numerical library would
+    wait for each other. Frames too far from any detection have NaN states and the flag "no data"; frames whose pose is
+    too far away to be visible have the flag "diverged". Detections outside the camera's picture are left out
+    (`Camera.sees`). A failure to converge is reported in the solution's status, not as an exception.
 
     Parameters
     ----------
@@ -100,18 +103,18 @@ def solve_trajectory(
     body
         The body, with J markers.
     prior
-        What is expected of its motion.
+        The prior of its motion.
     fps
         Frames per second.
     options
-        What users choose; None: the defaults.
+        Options that users choose; None for the defaults.
     progress
-        Called with the stage and the share that is done.
+        Called with the name of the stage and the fraction that is done.
     ground_near_zero
-        Whether the ground is known to lie near the world's z = 0; None: where the camera files say which way is up.
+        Whether the ground is known to be near z = 0; None means that it is if the camera files state which way is up.
     start
-        A solution for nearly the same detections of the same frames. The search begins there and no other starts are
-        tried: several times faster, and right only while the solution is near. None: search from nothing.
+        A solution for nearly the same detections of the same frames, from which the search begins. No other start is
+        tried, which is several times faster, and correct only if the solution is near. None means a full search.
 
     Returns
     -------
@@ -129,7 +132,7 @@ def solve_trajectory(
 
 
 def _segments(usable: Bools, fps: float) -> list[slice]:
-    """Return the stretches of frames that are each solved as one clip."""
+    """Return the parts of the clip that are solved separately, as frames."""
     seen_frames = np.flatnonzero(usable)
     if len(seen_frames) == 0:
         return []
@@ -161,9 +164,9 @@ class SegmentFit:
     ground: Ground | None
     """The ground at nominal size about the origin."""
     prior_misfit: PriorMisfit | None = None
-    """Misfit of the motion under the prior, as first found."""
+    """Misfit of the motion under the prior, from the first round."""
     prior_weight: float = 1.0
-    """Part of its weight that the prior has."""
+    """Fraction of its full weight that the prior has."""
     windows: list[tuple[slice, list[Estimate]]] = field(default_factory=list)
     iterations: int = 0
 
@@ -187,12 +190,12 @@ class SegmentFit:
         return MotionSegment(self.rows, ground, level, self.prior_weight, unlike, second_camera)
 
     def shared_values(self, name: str, count: int = 1) -> Array:
-        """Return the values of shared unknowns, (count,), 0 where they are not unknown."""
+        """Return the values of shared unknowns, (count,), or 0 if they are not unknowns."""
         return self.estimate.shared.get(name, np.zeros(count))
 
 
 def solve_segments(clip: ClipProblem, progress: Progress = silent) -> list[SegmentFit]:
-    """Solve every segment of a clip; between segments nothing is seen for long."""
+    """Solve every segment of a clip; segments are separated by long gaps without detections."""
     segments = _segments(clip.present().sum(axis=1) >= MIN_JOINTS, clip.fps)
     return [
         _solve_segment(clip.part(rows), rows, lambda stage, share, i=i: progress(stage, (i + share) / len(segments)))
@@ -256,7 +259,7 @@ def with_solved_shape(clip: ClipProblem, solved: SegmentFit) -> ClipProblem:
 
 
 def _with_one_shape(clip: ClipProblem, solved: list[SegmentFit]) -> tuple[ClipProblem, list[SegmentFit]]:
-    """Return the problem and the segments of one body, where each segment has found a shape: that of their mean."""
+    """Return the problem and the segments with one common shape, the mean of the shapes of the segments."""
     shaped = [segment for segment in solved if LENGTHS in segment.estimate.shared]
     if clip.shape is None or len(shaped) < 2:
         return clip, solved
@@ -290,7 +293,7 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
     """Solve one segment: starts, approach, mixture of poses, rounds."""
     options, T = clip.options, len(clip)
     rounds = constants.NOISE_ROUNDS
-    if options.fast:  # the noise of the first round is that about the expected shape
+    if options.fast:  # the noise of the first round is about the expected shape
         rounds = 1 if clip.shape is None or not clip.solves_shape else 2
     windows = _windows(clip, progress)
     iterations = sum(start.iterations for _, starts in windows for start in starts)
@@ -310,7 +313,7 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
     solved = SegmentFit.before(clip, rows, estimate)
     for i, (temperature, whole) in enumerate(stages):
         is_first, is_last = whole and (i == 0 or not stages[i - 1][1]), i == len(stages) - 1
-        keeps_shape = is_first and clip.detector_is_measured  # which is near the expected one
+        keeps_shape = is_first and clip.detector_is_measured  # which is close to the expected shape
         solved = _solve_round(replace(clip, shape=None) if keeps_shape else clip, solved, temperature, whole)
         if LENGTHS in solved.estimate.shared:
             clip = clip.with_likely_shape_spread(solved.estimate.shared)
@@ -329,7 +332,7 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
 def _solve_round(clip: ClipProblem, solved: SegmentFit, temperature: float | None, whole: bool) -> SegmentFit:
     """Return the minimum from a solution.
 
-    whole: whether the noise, the contacts and the ground are estimated from the solution first.
+    With `whole`, the noise, the contacts and the ground are first estimated from the solution.
     """
     options = clip.options
     estimate, noise, contact, ground, contact_terms = solved.estimate, solved.noise, solved.contact, solved.ground, ()
@@ -348,9 +351,9 @@ def _solve_round(clip: ClipProblem, solved: SegmentFit, temperature: float | Non
 
 
 def _shared_fields(clip: ClipProblem, solved: Sequence[SegmentFit], posteriors: Sequence[Posterior]) -> dict[str, Any]:
-    """Return the solution's fields of the shared unknowns, besides the size; 0 where one is not unknown.
+    """Return the solution's fields of the shared unknowns other than the size; 0 if they are not estimated.
 
-    Segments count by how many of their frames several cameras saw.
+    Segments are weighted by the number of their frames that several cameras saw.
     """
     V = range(len(clip.views))
     several_see = np.sum([view.present.any(axis=1) for view in clip.views], axis=0) > 1
@@ -402,7 +405,7 @@ def _solved_views(
 
 
 def _windows(clip: ClipProblem, progress: Progress) -> list[tuple[slice, list[Estimate]]]:
-    """Return the starts of every window of about a second in which something is seen."""
+    """Return the starts of every window of about a second that has detections."""
     windows, is_present, T = [], clip.present(), len(clip)
     windows_of_frames = np.array_split(np.arange(T), min(max(1, round(T / clip.fps / WINDOW_S)), T))
     for i, window_frames in enumerate(windows_of_frames):
@@ -416,10 +419,10 @@ def _windows(clip: ClipProblem, progress: Progress) -> list[tuple[slice, list[Es
 def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Array) -> Array:
     """Return the variance of each joint's detections relative to the expected one, (V, J), under the robust loss.
 
-    It is the mean of weight times squared residual per coordinate, with eight detections' worth of the expectation, and
-    lies between 1/4 and 6: a joint is neither followed blindly nor given up. Where the body's shape is unknown, the
-    residuals are those of the shape that was found, and say more of the noise than what is expected of a detector that
-    was not measured.
+    The factor is the mean of weight times squared residual per coordinate, in which the expectation counts as eight
+    detections. It is limited to 1/4 to 6, so that no joint is followed blindly or given up. If the body's shape is
+    unknown, the residuals are those of the estimated shape; they then tell more about the noise than the expectation
+    for an unmeasured detector.
     """
     world = clip.in_world(points_m, size)
     is_expected = clip.shape is None or clip.detector_is_measured or len(clip.views) == 1
@@ -462,7 +465,7 @@ def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> 
     arrays: dict[str, Array] = {}
 
     def by_frame(name: str) -> Array:
-        """Return one of the arrays, frames first; NaN where no segment has filled it."""
+        """Return one of the arrays, frames first, NaN in frames of no segment."""
         if name not in arrays:
             arrays[name] = np.full(shapes[name], np.nan)
         return np.moveaxis(arrays[name], SHAPES[name].index("T"), 0)
@@ -470,7 +473,7 @@ def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> 
     alternative_cost = np.inf
     for segment, segment_posterior in zip(solved, posteriors, strict=True):
         for name, values in _segment_arrays(clip, segment, segment_posterior, size, size_sigma):
-            if values.shape == shapes[name]:  # the segment is the clip: a copy of a long one's would be large
+            if values.shape == shapes[name]:  # if the segment is the whole clip, avoid a copy, which would be large
                 arrays[name] = values
             else:
                 by_frame(name)[segment.rows] = np.moveaxis(values, SHAPES[name].index("T"), 0)
@@ -513,7 +516,7 @@ def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> 
 def _with_expected_shape_spread(clip: ClipProblem, problem: LeastSquares) -> LeastSquares:
     """Return the problem with lengths and offsets at least as uncertain as expected.
 
-    They are solved for with less, so that the pose explains what it can.
+    The solution uses smaller uncertainties, so that the pose explains as much as possible.
     """
     if problem.shape is None:
         return problem
@@ -531,7 +534,7 @@ def _with_expected_shape_spread(clip: ClipProblem, problem: LeastSquares) -> Lea
 def _segment_arrays(
     clip: ClipProblem, segment: SegmentFit, segment_posterior: Posterior, size: float, size_sigma: float
 ) -> Iterator[tuple[str, Array]]:
-    """Yield the solution's arrays in the frames of one segment, one after the other: those of a long clip are large."""
+    """Yield the arrays of one segment one at a time, because those of a long clip are large."""
     states = segment.estimate.states + segment_posterior.state_by_size * (size - segment.size)
     points = clip.body.tree.pose(states).points_m
     by_size, markers = segment_posterior.joint_by_size_m, clip.in_world(clip.markers(states), size)
@@ -543,7 +546,8 @@ def _segment_arrays(
     in_world, joints_m = states.copy(), clip.in_world(points, size)
     in_world[:, ROOT] = clip.in_world(states[:, ROOT], size)
     covariance_m2 = with_size(segment_posterior.covariance_m2, by_size, size, size_sigma)
-    if len(views) == 1 and views[0].rotation_sigma_rad is not None:  # the other cameras determine the rotation of each
+    # the other cameras determine the rotation of each camera
+    if len(views) == 1 and views[0].rotation_sigma_rad is not None:
         covariance_m2 += views[0].rotation_covariance_m2(joints_m)
     yield "states", in_world
     yield "joints_m", joints_m
@@ -564,14 +568,14 @@ def _estimate_size(
 ) -> tuple[float, float, tuple[str, ...]]:
     """Return the size, its standard deviation, and its sources.
 
-    The sources are the prior's 1; several views; and where the ground's distance below the camera is known, the size
-    that puts the feet so far below the camera.
+    The sources are the prior, with a size of 1; several views; and, if the ground's distance below the camera is known,
+    the size that puts the feet at this distance.
     """
     prior_precision, bias_variance = clip.size_sigma**-2, _size_error_of_bias(clip) ** 2
     precision, pull, sources = prior_precision, prior_precision, ["prior"]
     for segment, segment_posterior in zip(solved, posteriors, strict=True):
         if segment_posterior.size_precision > 0:
-            # The estimate from the views alone: the prior draws the minimum towards 1.
+            # The estimate from the views alone, because the prior draws the minimum towards 1.
             view_precision = segment_posterior.size_precision * clip.correlation_frames
             seen_precision = 1.0 / (1.0 / segment_posterior.size_precision + bias_variance)
             precision += seen_precision
@@ -591,9 +595,9 @@ def _estimate_size(
 def _test_second_camera(clip: ClipProblem, segment: SegmentFit) -> SecondCamera:
     """Test whether the second of two cameras is turned, moved or late.
 
-    The alternatives are that it is turned about one axis, displaced along one axis, or late by `MISPLACED` times as
-    much as expected. All else follows: it is eliminated from the normal equations, so that the cost is a quadratic of
-    the camera's seven errors, whose evidence under a Gaussian of any width has a closed form.
+    The alternatives are that the camera is turned about one axis, displaced along one axis, or late, by `MISPLACED`
+    times the expected error. All other unknowns are eliminated from the normal equations, so that the cost is a
+    quadratic function of the camera's seven errors. Its evidence under a Gaussian of any width has a closed form.
     """
     segment = _seen_by_both(clip, segment)
     problem, usual_sigma = _pair_problem(clip, segment)
@@ -604,7 +608,8 @@ def _test_second_camera(clip: ClipProblem, segment: SegmentFit) -> SecondCamera:
     by_others = np.linalg.solve(reduced[n:, n:-1], np.delete(reduced[n:], np.s_[n:-1], axis=1))
     remaining = np.delete(reduced[:n], np.s_[n:-1], axis=1) - reduced[:n, n:-1] @ by_others
     precision = remaining[:, :n]
-    pull = remaining[:, n] - remaining[:, n - 1] * segment.shared_values(time_offset(1))  # where all are as said
+    # the gradient with all cameras at their stated poses
+    pull = remaining[:, n] - remaining[:, n - 1] * segment.shared_values(time_offset(1))
 
     def evidence(sigma: Array) -> tuple[float, Array]:
         deviation = -np.linalg.solve(precision + np.diag(sigma**-2), pull)
@@ -616,7 +621,7 @@ def _test_second_camera(clip: ClipProblem, segment: SegmentFit) -> SecondCamera:
 
 
 def _seen_by_both(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
-    """Return the stretch in which both cameras see most: model errors, which last, would add up over a clip."""
+    """Return the part in which both cameras see most; over a whole clip, lasting model errors would add up."""
     seen_by_both = np.all([view.present[segment.rows] for view in clip.views], axis=0).sum(axis=1)
     rows = densest_window(seen_by_both, round(TESTED_S * clip.fps))
     if rows.stop - rows.start == len(seen_by_both):
@@ -626,10 +631,10 @@ def _seen_by_both(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
 
 
 def _pair_problem(clip: ClipProblem, segment: SegmentFit) -> tuple[LeastSquares, Array]:
-    """Return the problem with a free second camera, its seven errors first, and their usual standard deviations.
+    """Return the problem with a free second camera, whose seven errors come first, and their usual standard deviations.
 
-    The size stays near the expected one: where rays meet in spite of a wrong pose, the animal is too large or too
-    small. The ground follows the feet: fixed as it is, it would hold the world.
+    The size stays near the expected one: if rays meet in spite of a wrong pose, the animal is too large or too small.
+    The ground is left out, because a fixed plane would fix the world's tilt.
     """
     root_correlation, offset_name = clip.correlation_frames**0.5, time_offset(1)
     shared = {unknown.name: unknown for unknown in (*segment.problem.shared, *segment.problem.nuisance)}
@@ -642,7 +647,7 @@ def _pair_problem(clip: ClipProblem, segment: SegmentFit) -> tuple[LeastSquares,
     size_sigma = np.hypot([clip.size_sigma], constants.SIZE_OF_TWO_CAMERAS) / root_correlation
     size = SharedUnknown(SIZE, np.ones(1), size_sigma)
     terms = [term for term in segment.problem.terms if not isinstance(term, OnGround)]
-    unknowns = free | shared | free | {SIZE: size}  # the camera's first
+    unknowns = free | shared | free | {SIZE: size}  # the camera's errors come first
     return replace(segment.problem, terms=terms, shared=[*unknowns.values()], nuisance=()), usual_sigma
 
 
@@ -658,7 +663,7 @@ def _size_error_of_bias(clip: ClipProblem) -> float:
 def _alternative_cost(clip: ClipProblem, segment: SegmentFit, size: float, distance_m: Array) -> float:
     """Return the least extra cost of another start.
 
-    distance_m (T,) gets the mean distance of its joints, both poses centred.
+    The mean distance of the joints, both poses centred, is written to distance_m (T,).
     """
     extra_cost = np.inf
     points = clip.body.tree.pose(segment.estimate.states).points_m
@@ -674,7 +679,7 @@ def _alternative_cost(clip: ClipProblem, segment: SegmentFit, size: float, dista
 
 
 def _out_of_sight(clip: ClipProblem, joints_m: Array) -> Bools:
-    """Return in which frames the joints (T, J, 3) are too far away for any camera to see, (T,)."""
+    """Return a mask of frames whose joints (T, J, 3) are too far away for any camera to see, (T,)."""
     marker_index = clip.body.markers.index
     limbs = (joints_m[:, [marker_index(marker) for marker in limb]] for limb in clip.body.limbs.values())
     reach_m = sum(np.linalg.norm(np.diff(limb, axis=1), axis=2).sum(axis=1) for limb in limbs)

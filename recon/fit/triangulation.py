@@ -1,4 +1,4 @@
-"""Triangulate keypoints that several cameras saw, without a skeleton: robust, with covariances, and with gaps left.
+"""Triangulate keypoints seen by several cameras, without a skeleton: robust, with covariances and gaps.
 
 **Start.** Every pair of cameras that saw a keypoint in a frame gives a point, the middle of the shortest line between
 the two rays. Each such point is scored by its reprojection into all cameras, with squared errors cut off at `OUTLIER`
@@ -6,11 +6,11 @@ standard deviations (MSAC; Torr and Zisserman 2000), and the best one is the sta
 pairs are tried, so that no draw is left to chance.
 
 **Minimum.** Gauss-Newton steps minimise the reprojection errors in the distorted pictures, with Cauchy's weights at
-first. Detections that are then further off than `OUTLIER` standard deviations are left out, and the others count in
-full. With fewer than two left, or with rays that hardly cross, the point stays a gap (NaN).
+first. Detections that are then further off than `OUTLIER` standard deviations are left out, and the others get their
+full weight. If fewer than two detections remain, or the rays hardly cross, the point is a gap (NaN).
 
-**Noise.** The detector's noise is estimated for each keypoint from the errors that are left, over their degrees of
-freedom, and everything is done once more with it.
+**Noise.** The detector's noise is estimated for each keypoint from the remaining errors, divided by their degrees of
+freedom, and all steps are repeated with it.
 
 **Covariance.** J' J / sigma^2 of the remaining detections, inverted, times the mean squared error where it is above 1.
 
@@ -45,23 +45,23 @@ _MEDIAN_OF_CHI_SQUARE, _MEDIAN_OF_TWO_RAYS = 1.3863, 0.9099
 whose errors are one number.
 """
 _LEAST_OF_KEYPOINT = 20
-"""Number of detections that give a keypoint a noise of its own."""
+"""Smallest number of detections from which a keypoint's own noise is estimated."""
 _LEAST_KNOTS = 6
-"""Number of points in a row that a spline is fitted to."""
+"""Smallest number of consecutive points to which a spline is fitted."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Triangulation(Brief):
-    """Hold T frames of J points that V cameras saw."""
+    """Hold T frames of J points triangulated from V cameras."""
 
     points_m: Array
-    """(T, J, 3): the points in the world, metres, NaN where they are not known."""
+    """(T, J, 3): the points in the world, metres, NaN if unknown."""
     covariance_m2: Array
     """(T, J, 3, 3): covariances of the points."""
     is_used: Bools
-    """(V, T, J): whether the point was made from a camera's detection."""
+    """(V, T, J): whether a camera's detection contributed to the point."""
     error_px: Array
-    """(V, T, J): distance of each detection from the point's reprojection, NaN where either is missing."""
+    """(V, T, J): distance of each detection from the point's reprojection, NaN if either is missing."""
     sigma_px: Array
     """(J,): noise of each keypoint's detections, one standard deviation."""
 
@@ -72,7 +72,7 @@ class Triangulation(Brief):
 
 
 def triangulate_views(views: Sequence[View], sigma_px: float = 3.0) -> Triangulation:
-    """Return the points where the rays of several views meet.
+    """Return the points at which the rays of several views meet.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def triangulate_views(views: Sequence[View], sigma_px: float = 3.0) -> Triangula
 
 
 def _at_frame_times(view: View) -> View:
-    """Return a view whose keypoints are those at the clip's frames, between the pictures before and after."""
+    """Return a view whose keypoints are interpolated to the clip's frame times."""
     share = view.offset_frames
     if not share:
         return view
@@ -139,7 +139,7 @@ def _triangulated(views: Sequence[View], sigma: Array) -> Triangulation:
 
 
 def _best_of_pairs(views: Sequence[View], present: Bools, sigma: Array) -> Array:
-    """Return for each frame and keypoint the point of two cameras that all cameras agree with most, (T, J, 3)."""
+    """Return for each frame and keypoint the point of the camera pair that fits all cameras best, (T, J, 3)."""
     rays = [view.rays() for view in views]
     centres = [view.centre_m[:, None] for view in views]
     best_points, best_cost = np.full((*present.shape[1:], 3), np.nan), np.full(present.shape[1:], np.inf)
@@ -215,7 +215,7 @@ def _rays_cross(views: Sequence[View], points: Array, is_used: Bools) -> Bools:
 
 
 def _covariance(by_point: Array, square: Array, is_used: Bools) -> Array:
-    """Return the covariances (T, J, 3, 3), widened where the detections agree less than their noise lets expect."""
+    """Return the covariances (T, J, 3, 3), widened if the detections disagree more than their noise explains."""
     weighted = by_point * is_used[..., None, None]
     normal = np.sum(weighted.swapaxes(-1, -2) @ by_point, axis=0)
     scale = np.maximum(np.trace(normal, axis1=-2, axis2=-1), 1e-12)[..., None, None]
@@ -226,13 +226,13 @@ def _covariance(by_point: Array, square: Array, is_used: Bools) -> Array:
 
 
 def _estimate_noise(result: Triangulation, sigma: Array, expected_px: float) -> Array:
-    """Return the noise (J,) of the detections from the medians of the errors that are left."""
+    """Return the noise (J,) of the detections from the medians of the remaining errors."""
     count = result.is_used.sum(axis=0)
     freedom = np.where(count >= 2, (2 * count - 3) / np.maximum(2 * count, 1), np.nan)
     median = np.where(count > 2, _MEDIAN_OF_CHI_SQUARE, _MEDIAN_OF_TWO_RAYS)
     with np.errstate(invalid="ignore"):
         square = result.error_px**2 / freedom / median
-    is_counted = np.isfinite(square) & (count > 2)  # of two rays, errors show across one direction only
+    is_counted = np.isfinite(square) & (count > 2)  # with two rays, errors are visible across one direction only
     if not is_counted.any():
         is_counted = np.isfinite(square)
     everything = square[is_counted]
@@ -247,7 +247,7 @@ def _estimate_noise(result: Triangulation, sigma: Array, expected_px: float) -> 
 
 
 def smoothed(result: Triangulation, fps: float) -> Triangulation:
-    """Return the points on smoothing splines over time, with gaps of up to `BRIDGED_S` filled.
+    """Return the points smoothed by splines over time, with gaps of up to `BRIDGED_S` filled.
 
     Parameters
     ----------
@@ -259,8 +259,8 @@ def smoothed(result: Triangulation, fps: float) -> Triangulation:
     Returns
     -------
     Triangulation
-        Covariances stay those of single frames, which is more than the splines have; in filled gaps they are those of
-        the frames around them.
+        Covariances remain those of single frames, which overestimates those of the splines; in filled gaps they are
+        those of the neighbouring frames.
 
     References
     ----------
@@ -282,7 +282,7 @@ def smoothed(result: Triangulation, fps: float) -> Triangulation:
 
 
 def _spline(frames: Index, values: Array, sigma: Array, every: Index) -> Array:
-    """Return a robust smoothing spline through values (n, 3) at frames (n,), at other frames, (m, 3)."""
+    """Return values (m, 3) of a robust smoothing spline through values (n, 3) at frames (n,), at other frames."""
     result = np.empty((len(every), 3))
     x, root = frames.astype(float), np.ones(len(frames))
     typical = np.median(sigma, axis=0)

@@ -1,4 +1,4 @@
-"""Analyse a fitted clip: kinematics, angles, gait, vector fields, closures.
+"""Analyse a fitted clip: kinematics, angles, gait, vector fields, and closures.
 
 A fit without uncertainty (the frame method) has joints that jitter from frame to frame, and the derivatives of exact
 splines through them are mostly noise. Its paths and angles are therefore smoothed by their own jitter, and everything
@@ -6,9 +6,9 @@ else is derived from the smoothed ones.
 
 The errors of a fit with uncertainty have three parts that last for different times: the animal's size, which moves it
 away from a single camera in every frame by the same factor; the position of the whole animal; and the pose. The latter
-two change as the errors of detections do and as the animal moves. They last for the geometric mean of the two times
-(`lasts_s`), multiplied by a factor that makes the standard deviations of velocities large enough on average in real
-runs (`python benchmarks/gait.py --only rates`).
+two change with the errors of detections and with the animal's motion. Their correlation time is the geometric mean of
+these two times (`lasts_s`), multiplied by a factor that makes the standard deviations of velocities large enough on
+average in real runs (`python benchmarks/gait.py --only rates`).
 """
 
 from __future__ import annotations
@@ -48,41 +48,44 @@ RUNNING_S = 0.1
 """`lasts_s` of a running animal. All stances are found with it: with their own value the stances of a walking dog
 come out 5 to 20 % too short."""
 SPEED_KNOWN = 0.2
-"""Largest standard deviation of a peak speed, relative to it, with which speeds count as known."""
+"""Largest relative standard deviation of a peak speed at which speeds count as known."""
 UNSEEN_S = 0.2
-"""Time for which detections before and after determine the position of a foot. Beyond it only the prior does."""
+"""Time over which detections before and after determine the position of a foot; beyond this time only the prior
+does.
+"""
 BELT_GIVEN = (
     "The analysis had the belt's speed, and the fit did not: fit again with --set belt-speed-m-s for the best result."
 )
 STIFF_RAD = 1e-6
-"""Least change of the back's angle. A skeleton whose angle changes by less has no flexion: its joints are on one
-segment."""
+"""Smallest change of the back's angle; a skeleton whose back changes less has no flexion, because its joints are on one
+segment.
+"""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ClipAnalysis(Brief):
-    """Analysis of a motion of T frames; each part is computed when it is first asked for.
+    """Hold the analysis of a motion of T frames; each part is computed on first use.
 
-    The fine grid has N times, ten for each frame. All but the gait's ground needs `MIN_POINTS` frames with a pose,
+    The fine grid has N times, ten per frame. Every part except the gait's ground needs `MIN_POINTS` frames with a pose,
     which `analyse` checks.
     """
 
     motion: Motion
     given: Stride | None = None
-    """Stride that the user gave."""
+    """Stride given by the user."""
     body_mass_kg: float | None = None
     """Mass of the animal, if known."""
 
     @property
     def reference(self) -> str:
-        """Return the joint that stands for the animal's position."""
+        """Return the joint that represents the animal's position."""
         return self.motion.reference
 
     @cached_property
     def errors(self) -> Sequence[Errors]:
         """Return the errors of the size, the position and the pose.
 
-        If the fit gives no errors over time, they are those of the jitter.
+        If the fit has no errors over time, the errors follow from the jitter.
         """
         return _errors(self.motion, lasts_s(self.motion.upright.xyz_m, self.motion.fps))
 
@@ -105,7 +108,7 @@ class ClipAnalysis(Brief):
     def joints(self) -> dict[str, JointKinematics]:
         """Return the motion of each joint by its name.
 
-        All but the reference have values at the frames only, to save memory.
+        To save memory, only the reference joint has values between the frames.
         """
         at_rate = {name: at_frames(self.moved(name)) for name in self.motion.upright.names if name != self.reference}
         return {name: at_rate.get(name, self.reference_motion) for name in self.motion.upright.names}
@@ -113,7 +116,7 @@ class ClipAnalysis(Brief):
     def moved(self, name: str, with_size: bool = True) -> JointKinematics:
         """Return the motion of a joint on the fine grid.
 
-        with_size: include the uncertainty of the animal's size in the standard deviations.
+        With `with_size`, the standard deviations include the uncertainty of the animal's size.
         """
         motion = self.motion
         errors = [error for error in self.errors if with_size or error.correlation_s < np.inf]
@@ -122,7 +125,7 @@ class ClipAnalysis(Brief):
     @cached_property
     def angles(self) -> dict[str, AngleKinematics]:
         """Return the angle at every inner joint of a chain and the flexion of the spine, if the skeleton has one."""
-        # A common displacement of all joints turns none of the angles.
+        # A common displacement of all joints does not change the angles.
         errors = () if self.motion.jitters else self.errors[-1:]
         result, fps, (rear, front) = {}, self.motion.fps, self.motion.forward_names
         for along in limb_chains(self.motion).values():
@@ -204,8 +207,8 @@ class ClipAnalysis(Brief):
     def stride(self) -> Stride | None:
         """Return the stride that phase portraits show, or None.
 
-        The given one, or the first complete stride of the foot with the most strides. A chain's is that of its end
-        effector, where that has one.
+        This is the given stride, or the first complete stride of the foot with the most strides; for a chain, the
+        stride of its end effector, if it has one.
         """
         if self.given is not None:
             return self.given
@@ -255,7 +258,7 @@ class ClipAnalysis(Brief):
 
     @property
     def speed(self) -> pd.DataFrame:
-        """Return a table of the reference joint's speed along its path, with ten rows for each frame.
+        """Return a table of the reference joint's speed along its path, with ten rows per frame.
 
         Columns speed_m_s, sigma_m_s, low_m_s and high_m_s (the 90 % interval), indexed by time_s. Raises InputError if
         the speed is unknown (`why_no_speed`).
@@ -277,7 +280,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def why_no_speed(self) -> str | None:
-        """Return why no joint's speed is known; None if it is, or if the fit states its uncertainty.
+        """Return why no joint's speed is known, or None if it is known or the fit states its uncertainty.
 
         An error of the animal's depth is common to all joints.
         """
@@ -323,14 +326,15 @@ def analyse(
     motion : Motion
         A fitted clip.
     stride_s : tuple of float, optional
-        Start and end of the stride that phase portraits show, s. None: the first complete stride that is found.
+        Start and end of the stride that phase portraits show, in seconds; None for the first complete stride.
     belt_speed_m_s : float, optional
-        Speed of a treadmill's belt, if the fit did not have it.
+        Speed of a treadmill's belt, m/s, if the fit was not given it.
 
     Raises
     ------
     InputError
-        If fewer than four frames have a pose, the stride does not lie in the clip, or the fit had a belt's speed.
+        If fewer than four frames have a pose, the stride is outside the clip, or the fit was already given a belt
+        speed.
     """
     motion = motion if belt_speed_m_s is None else over_belt(motion, belt_speed_m_s)
     stride = None if stride_s is None else stride_given(motion, stride_s)
@@ -357,7 +361,7 @@ def over_belt(motion: Motion, speed_m_s: float) -> Motion:
 
 
 def stride_given(motion: Motion, stride_s: tuple[float, float]) -> Stride:
-    """Return the stride of `--stride`, which belongs to no foot.
+    """Return the stride given by `--stride`, which belongs to no foot.
 
     Raises InputError for times that are not in the clip.
     """
@@ -371,10 +375,10 @@ def stride_given(motion: Motion, stride_s: tuple[float, float]) -> Stride:
 
 
 def limb_chains(motion: Motion) -> dict[str, tuple[str, ...]]:
-    """Return the joints along every limb that hangs on the trunk, and along the trunk itself.
+    """Return the joints along every limb attached to the trunk, and along the trunk itself.
 
-    Chains have at least three joints. A limb's begins with the trunk's joint before it, so that the limb's first link
-    has a parent.
+    Chains have at least three joints. The chain of a limb begins with the preceding joint of the trunk, so that the
+    limb's first link has a parent.
     """
     limbs = {limb: tuple(motion.names[j] for j in along) for limb, along in motion.limbs.items()}
     trunk = next((along for along in limbs.values() if set(motion.forward_names) <= {*along}), motion.forward_names)
@@ -409,7 +413,7 @@ def _errors(motion: Motion, last_s: float) -> Sequence[Errors]:
 
 
 def _position_errors(motion: Motion, position_sigma: Array, position_lasts_s: float) -> tuple[Errors, Errors]:
-    """Return the errors of the size and the rest of those of the position (T, J, 3), as one camera leaves them."""
+    """Return the errors of the size and the remaining errors of the position (T, J, 3), as one camera leaves them."""
     solution, floor = motion.solution, 1e-4
     size_sigma = getattr(solution, "size_sigma", None) or 0.0
     from_camera_m = solution.joints_m - solution.views[0].centre_m[:, None]
@@ -439,7 +443,7 @@ def _with_sigma(
     chains: Mapping[str, tuple[str, ...]],
     angles: Sequence[AngleKinematics],
 ) -> dict[str, tuple[phase.LinkField, ...]]:
-    """Return the fields with standard deviations from the errors of the angles' rates, each angle's independent."""
+    """Return the fields with standard deviations from the errors of the angles' rates, taken as independent."""
     rates = [angle.series.rate_sigma for angle in angles]
     names, step = motion.names, 1e-5
     moved: dict[str, list[Array]] = {limb: [] for limb in chains}

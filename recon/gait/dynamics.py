@@ -1,4 +1,4 @@
-"""Return the centre of mass, energy and vertical forces of the feet, with intervals, from a skeleton's masses.
+"""Compute the centre of mass, energy and vertical forces of the feet, with intervals, from a skeleton's masses.
 
 Everything is per kilogram of the animal; forces are in body weights. The centre of mass is that of the segments, each
 in the middle of its capsules, about which it turns as a rod with the capsules' radius of gyration. Its uncertainty is
@@ -46,8 +46,9 @@ G_M_S2 = 9.81
 KINETIC = ("kinetic_forwards", "kinetic_sideways", "kinetic_up")
 """The kinetic energies of the centre of mass."""
 SKEW = 0.8
-"""Exponent of time in the force over a stance. The force rises faster than it falls: its centre is at 0.41 of the
-stance (0.36 to 0.48)."""
+"""Exponent of time in the force over a stance; the force rises faster than it falls, so its centre is at 0.41 of the
+stance (0.36 to 0.48).
+"""
 GALLOP_FORE, OTHER_FORE = (0.44, 0.11), (0.5, 0.16)
 """The fore feet's share of the impulse and one sigma of it. At a gallop: the mean and the spread of 0.30 of cheetahs at
 18 m/s, 0.38 of greyhounds at their fastest (J. Exp. Biol. 215:2425), 0.43 of dogs that accelerate, 0.60 of dogs that
@@ -60,21 +61,22 @@ markers of a dog that walks, trots and gallops; the fore and hind feet of gallop
 (J. Exp. Biol. 209:4389)."""
 DRAWS, SEED = 400, 0
 NODES = 41
-"""Instants of a stance and its surroundings at which the force is drawn; between them the force is interpolated."""
+"""Number of times in and around a stance at which the force is drawn; the force is interpolated between them."""
 FLIGHT_FRAMES, OFF_GRAVITY = 5, 3.0
-"""Least number of frames of a flight that determine an acceleration; and the number of standard deviations from
-gravity that make a finding."""
+"""Smallest number of frames of a flight that determine an acceleration; and the number of standard deviations from
+gravity above which there is a finding.
+"""
 NET_FRAMES = 500
-"""Largest number of frames that enter the net acceleration of a clip: errors last for several."""
+"""Largest number of frames used for the net acceleration of a clip, because errors last for several frames."""
 MASS_LASTS_S = 10.0
-"""Correlation time of errors of masses, which never change."""
+"""Correlation time of errors of masses, which are constant."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Dynamics(Brief):
-    """Centre of mass, energies and forces of a clip of T frames.
+    """Hold the centre of mass, energies and forces of a clip of T frames.
 
-    The fine grid has N times, ten for each frame.
+    The fine grid has N times, ten per frame.
     """
 
     centre: JointKinematics
@@ -92,8 +94,9 @@ class Dynamics(Brief):
     ground_m: Array
     """Height of the ground under the centre of mass, shape (N,)."""
     forces: pd.DataFrame
-    """Table with a row for each stance that lies in the clip from beginning to end: foot, start_s and end_s; peak_bw
-    of the vertical force and impulse_bw_s, each with the ends of its interval (peak_low_bw, ...)."""
+    """Table with one row per stance that is completely in the clip: foot, start_s and end_s; peak_bw of the vertical
+    force and impulse_bw_s, each with the ends of its interval (peak_low_bw, ...).
+    """
     force: Mapping[str, Array]
     """Expected vertical force of each foot and the ends of its 90 % interval, shape (N, 3)."""
     flights: pd.DataFrame
@@ -132,7 +135,7 @@ class Dynamics(Brief):
 def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dynamics | None:
     """Return the dynamics of a motion, or None for a skeleton without masses or feet, and for a chain.
 
-    errors: of the joints, as in `recon.gait.clip`.
+    `errors` are the errors of the joints, as in `recon.gait.clip`.
     """
     shares = motion.body.mass
     if not shares or gait is None or motion.side is not None:
@@ -181,7 +184,8 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
 def _rods(motion: Motion) -> Array:
     """Return two points of each segment, upright, shape (T, S, 2, 3).
 
-    Half of the segment's mass turns in each point as its capsules do about an axis across their longest one.
+    With half of the segment's mass at each point, the rod has the moment of inertia of the segment's capsules about an
+    axis across the longest capsule.
     """
     tree = motion.body.tree
     capsule_shape = capsules(tree, motion.body.markers)
@@ -201,7 +205,7 @@ def _rods(motion: Motion) -> Array:
 
 
 def _nearest(motion: Motion, rods_m: Array) -> Integers:
-    """Return the joint (E,) that each end of the rods (T, S, 2, 3) is nearest to in the first frame with a pose."""
+    """Return the joint (E,) nearest to each end of the rods (T, S, 2, 3) in the first frame with a pose."""
     first = int(np.flatnonzero(motion.solved)[0])
     difference_m = rods_m[first].reshape(-1, 1, 3) - motion.upright.xyz_m[first]
     return np.linalg.norm(difference_m, axis=2).argmin(axis=1)
@@ -232,7 +236,7 @@ def _turning_sigma(
 
 
 def shape(share: Array) -> Array:
-    """Return the force relative to its peak at shares of a stance, 0 outside the stance."""
+    """Return the force relative to its peak at fractions of a stance, 0 outside the stance."""
     is_inside = (share > 0) & (share < 1)
     return np.where(is_inside, np.sin(np.pi * np.clip(share, 0, 1) ** SKEW), 0.0)
 
@@ -245,7 +249,7 @@ MEAN_OF_PEAK = float(shape(_GRID).mean())
 def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
     """Return drawn times of touch-down and lift-off and drawn impulses (D, S) of S stances.
 
-    The first draw is the middle of every distribution.
+    The first draw holds the middle of every distribution.
     """
     rng, stances = np.random.default_rng(SEED), gait.stances
     count, feet = len(stances), gait.tracks.feet
@@ -263,7 +267,8 @@ def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
     factor = np.exp(FOOT * normal(len(feet)))
     is_fore = np.array([foot.endswith("F") for foot in feet])
     pair_sum = np.stack([factor[:, is_fore == pair].sum(axis=1) for pair in is_fore], axis=1)
-    share = np.where(is_fore, fore[:, None], 1 - fore[:, None]) * factor / pair_sum  # a pair has what it has
+    # the feet of a pair share the impulse of the pair
+    share = np.where(is_fore, fore[:, None], 1 - fore[:, None]) * factor / pair_sum
     stride_s, stride_sigma_s = np.array([gait.stride_time(s.start_s, s.end_s) for s in stances]).reshape(count, 2).T
     period = np.maximum(stride_s + stride_sigma_s * normal(1), 0.2 * stride_s)
     foot_rows = np.array([feet.index(s.foot) for s in stances], dtype=int)
@@ -278,7 +283,7 @@ def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
         is_near = is_whole & (start < end[i] + stride_s[i]) & (end > start[i] - stride_s[i])
         typical = np.median(drawn_s[:, is_near], axis=1)
         spread = STANCES_ALIKE * typical[0]
-        # A part of a stance is further off than its ends seem to be.
+        # The uncertainty inside a stance is larger than its ends suggest.
         inflation = max(1.0, (typical[0] - drawn_s[0, i]) ** 2 / (variance[i] + spread**2))
         change = inflation * (typical + spread * noise[:, i] - drawn_s[:, i]) / (inflation * variance[i] + spread**2)
         starts[:, i] -= start_sigma[i] ** 2 * change
@@ -294,7 +299,7 @@ _ENDS = [(1 - INTERVAL) / 2, (1 + INTERVAL) / 2]
 
 
 def _forces(gait: Gait) -> tuple[pd.DataFrame, dict[str, Array]]:
-    """Return the table of whole stances, and each foot's force over time, NaN within stances that the clip cuts."""
+    """Return the table of whole stances, and each foot's force over time, NaN in stances cut by the clip."""
     import pandas as pd
 
     starts, ends, impulses = _drawn(gait)
@@ -321,7 +326,7 @@ def _forces(gait: Gait) -> tuple[pd.DataFrame, dict[str, Array]]:
 
 
 def _flights(motion: Motion, gait: Gait, centre_m: Array, by_mass_m: Array, errors: Sequence[Errors]) -> pd.DataFrame:
-    """Return the table of flights, between the first stance and the last, of an animal whose four feet are known.
+    """Return the table of flights between the first and the last stance, for an animal with four known feet.
 
     by_mass_m (T, S, 3): shift of the centre by one standard deviation of each segment's share; errors (T, 3): of the
     centre, without those.
@@ -346,12 +351,12 @@ def _flights(motion: Motion, gait: Gait, centre_m: Array, by_mass_m: Array, erro
 
 
 def off_gravity(flights: pd.DataFrame) -> pd.Series:
-    """Return the difference of each flight from free fall in standard deviations."""
+    """Return the deviation of each flight from free fall, in standard deviations."""
     return (flights["up_m_s2"] + G_M_S2) / flights["sigma_m_s2"].clip(lower=1e-9)
 
 
 def findings_of_dynamics(motion: Motion, result: Dynamics) -> tuple[Finding, ...]:
-    """Return a finding if the flight furthest from free fall is far beyond its uncertainty."""
+    """Return a finding if the flight furthest from free fall deviates far more than its uncertainty."""
     deviation = off_gravity(result.flights).abs()
     if not (deviation > OFF_GRAVITY).any():
         return ()

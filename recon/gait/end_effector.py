@@ -1,4 +1,4 @@
-"""Find the boundaries of strides by the end effector, the foot of a chain, as published.
+"""Find the boundaries of strides from the end effector, the foot of a chain, as published.
 
 The end effector moves relative to the body along the direction of travel and up and down. A boundary between two
 strides is where its horizontal position is a local minimum, so that its horizontal velocity crosses zero upwards, near
@@ -19,9 +19,9 @@ from recon.base.arrays import Array, Index
 from recon.gait.kinematics import series_kinematics
 
 BACK, AWAY = 0.25, 0.5
-"""Shares of the range of the horizontal position."""
+"""Fractions of the range of the horizontal position."""
 _SHORT_M = 0.1
-"""A shorter path of the body has no direction."""
+"""Length of the body's path below which the path has no direction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class EndEffector:
     """(B,): time of the extremum of the height nearest to each boundary, NaN without one."""
 
     def stride_s(self, frames_s: Array) -> tuple[float, float] | None:
-        """Return begin and end of the first stride, which begins at one of the frames; None for a path without."""
+        """Return the beginning and end of the first stride that begins at one of the frames, or None."""
         for begin, end in zip(self.boundaries_s[:-1], self.boundaries_s[1:], strict=True):
             start = float(frames_s[np.argmin(np.abs(frames_s - begin))])
             if start + (end - begin) <= frames_s[-1] + 1e-9:
@@ -57,13 +57,13 @@ def end_effector(foot: str, time_s: Array, foot_m: Array, body_m: Array, heading
     Parameters
     ----------
     foot : str
-        Its label.
+        Label of the foot.
     time_s : ndarray
         Times of the frames, shape (T,).
     foot_m, body_m : ndarray
         Positions of the foot and of the body's reference joint, z up, shape (T, 3), NaN where unknown.
     heading : ndarray
-        Where the animal faces, shape (3,), for a body that hardly moves.
+        Direction that the animal faces, shape (3,), for a body that hardly moves.
     """
     known = body_m[np.isfinite(body_m).all(axis=1)]
     chord = (known[-1] - known[0])[:2] if len(known) else np.full(2, np.nan)
@@ -93,7 +93,7 @@ def _sign_changes(values: Array) -> Index:
 
 
 def _boundaries(forward: Array, rate: Array) -> Index:
-    """Return the indices of the minima of the horizontal position that count (see the module)."""
+    """Return the indices of the minima of the horizontal position that count as boundaries (see the module)."""
     if not np.isfinite(forward).any():
         return np.empty(0, int)
     low, high = float(np.nanmin(forward)), float(np.nanmax(forward))

@@ -1,4 +1,4 @@
-"""Compare a reconstruction with a truth: MPJPE and related errors.
+"""Compare a reconstruction with the truth: MPJPE and related errors.
 
 Positions are arrays (T, J, 3) in metres with NaN for missing. A joint counts in the frames in which both sides have it;
 centring, scaling and rotating use these common joints only.
@@ -37,12 +37,13 @@ from recon.io.common import Pose3D
 from recon.io.positions import read_pose3d
 
 PCK_THRESHOLDS_M, PCK_LARGEST = (0.05, 0.1, 0.15), 1 / 3
-"""Thresholds, divided by ten until the largest is at most this part of the animal: all of a mouse lies within 0.15
-m."""
+"""Thresholds, divided by ten until the largest is at most this fraction of the animal's extent, since a whole mouse
+lies within 0.15 m.
+"""
 SAME_RATE = 2e-3
-"""Frame rates that differ by less, such as 29.97 and 30, are the same."""
+"""Relative difference of frame rates, such as 29.97 and 30, that counts as equal."""
 WHOLE_FRAME = 1e-4
-"""A time this near a frame, in frames, is that frame's."""
+"""Distance from a frame, in frames, below which a time belongs to that frame."""
 POSE3D, TRIANGULATED = "pose3d.csv", "triangulation.json"
 """Files of `recon triangulate`."""
 LEVELS = (0.5, 0.9)
@@ -51,10 +52,10 @@ LEVELS = (0.5, 0.9)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Score(Brief):
-    """One metric; NaN if nothing could be scored."""
+    """Hold one metric; NaN if nothing could be scored."""
 
     mean: float
-    """Mean over the frames of per_frame."""
+    """Mean of `per_frame` over the frames."""
     per_frame: np.ndarray
     """The error of each of the T frames, shape (T,)."""
     per_joint: np.ndarray
@@ -63,7 +64,7 @@ class _Score(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Evaluation(Brief):
-    """A reconstruction against the truth, over T common frames and J common joints.
+    """Hold the comparison of a reconstruction with the truth, over T common frames and J common joints.
 
     Frame ranges are half-open.
     """
@@ -75,20 +76,21 @@ class Evaluation(Brief):
     names: tuple[str, ...]
     frames: np.ndarray
     mpjpe_m: _Score
-    """Error centred on the mean of the frame's common joints."""
+    """Error after centring on the mean of the frame's common joints."""
     mpe_m: _Score
-    """Error of the positions, not centred."""
+    """Error of the positions, without centring."""
     scale_mpjpe_m: _Score
-    """Error centred, with one scale per frame."""
+    """Error after centring and scaling each frame."""
     pa_mpjpe_m: _Score
-    """Error after a similarity (Procrustes) per frame."""
+    """Error after a similarity transform (Procrustes) of each frame."""
     position_m: float
     """Error of the mean of a frame's common joints, mean over the frames."""
     pck: tuple[tuple[float, _Score], ...]
-    """For each threshold (m), the fraction of centred errors up to it."""
+    """Fraction of centred errors up to each threshold (m)."""
     inside: dict[str, tuple[float, ...]]
-    """Share of the coordinates within the intervals that the reconstruction states, for each of `LEVELS`: "place",
-    and "pose", which is centred. Empty if it states none."""
+    """Fraction of the coordinates within the intervals that the reconstruction states, for each of `LEVELS`: "place"
+    for positions, "pose" after centring. Empty if it states none.
+    """
     frames_not_scored: int
     frames_without_pa: int
     joints_only_in_pose: tuple[str, ...]
@@ -98,10 +100,10 @@ class Evaluation(Brief):
     notes: tuple[str, ...]
     """Probable causes, if one motion of the whole clip, or an exchange of names, removes most of the error."""
     verdict: Verdict | None = None
-    """Verdict on the clip, if a folder of results is scored."""
+    """Verdict on the clip, if a results folder is scored."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain JSON types: keys that end in `_mm` are millimetres, pck are fractions, NaN is None."""
+        """Return plain JSON types: keys that end in `_mm` are millimetres, PCK values are fractions, NaN is None."""
         result = {
             name: value for name, value in vars(self).items() if not isinstance(value, _Score) and name != "names"
         }
@@ -146,9 +148,9 @@ def evaluate_files(
         Files for `read_pose3d`, or a folder of results of `recon fit`, whose standard deviations are then compared with
         the errors.
     anyway : bool
-        Accept results whose verdict is not to use them.
+        Accept results whose verdict is "do not use".
     unit, up : str, optional
-        Unit and upward axis of the reference, if its file does not say them.
+        Unit and upward axis of the reference, if its file does not state them.
     rename : str, optional
         Map of the joints' names, for the file that is scored, or for the reference if a folder of results is scored.
 
@@ -167,7 +169,7 @@ def evaluate_files(
     result = replace(evaluate(pose, truth, sigmas_m), verdict=verdict)
     notes = *pose.notes, *truth.notes, *result.notes, *_counted_from_one(pose, truth, result)
     common_count, smaller_count = len(result.frames), min(len(pose.frames), len(truth.frames))
-    # Otherwise one side is a part of the other, such as where few frames were labelled.
+    # Otherwise one set of frames contains the other, for example if only a few frames were labelled.
     if common_count <= smaller_count / 2:
         shared = f"only {common_count} of {smaller_count} frame numbers are in both"
         notes += (f"{shared}: the reference may be that of another run",)
@@ -180,10 +182,10 @@ def evaluate_files(
 
 
 def at_frames_of(truth: Pose3D, pose: Pose3D) -> Pose3D:
-    """Return a reference at the times of a pose's frames, interpolated, if it has another frame rate.
+    """Return a reference interpolated at the times of a pose's frames, if it has another frame rate.
 
-    Frame 0 of both is at 0 s. Positions between a known and an unknown one are unknown. Raises InputError without a
-    common time.
+    Frame 0 of both is at 0 s. An interpolated position is unknown if one of its neighbours is unknown. Raises
+    InputError without a common time.
     """
     if pose.fps is None or truth.fps is None or abs(pose.fps / truth.fps - 1) <= SAME_RATE:
         return truth
@@ -223,7 +225,7 @@ def _renamed(pose: Pose3D, rename: str) -> Pose3D:
 
 
 def _other_names(pose: Pose3D, truth: Pose3D, result: Evaluation) -> Iterator[str]:
-    """Yield a note if a map of the package gives the two more joints in common."""
+    """Yield a note if one of the package's maps gives the two files more joints in common."""
     for name in fitting_maps(pose.names, truth.names)[:1]:
         count = len({*_renamed(pose, name).names} & {*truth.names})
         yield f"--rename {name}: {count} joints are in common, not {len(result.names)}."
@@ -232,7 +234,7 @@ def _other_names(pose: Pose3D, truth: Pose3D, result: Evaluation) -> Iterator[st
 def _counted_from_one(pose: Pose3D, truth: Pose3D, result: Evaluation) -> Iterator[str]:
     """Yield a note if one side counts frames from 1, as TRC files do, and the other from 0.
 
-    Only if the positions agree better with equal numbers.
+    The note is given only if this makes the positions agree better.
     """
     first_frames = int(pose.frames[0]), int(truth.frames[0])
     if sorted(first_frames) != [0, 1]:
@@ -349,13 +351,13 @@ def _thresholds_m(truth_m: np.ndarray) -> tuple[float, ...]:
 
 
 def _inside(error_m: np.ndarray, sigma_m: np.ndarray) -> tuple[float, ...]:
-    """Return the share of coordinates (T, J, 3) within their interval for each of `LEVELS`; NaN without any."""
+    """Return the fraction of coordinates (T, J, 3) within their interval for each of `LEVELS`, NaN without any."""
     relative_error = (np.abs(error_m) / sigma_m)[np.isfinite(error_m) & (sigma_m > 0)]
     return tuple(float(np.mean(relative_error < radius(level))) if len(relative_error) else np.nan for level in LEVELS)
 
 
 def common_joints(pose_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
-    """Return which joints have all three coordinates on both sides, shape (T, J)."""
+    """Return a mask of joints that have all three coordinates on both sides, shape (T, J)."""
     return np.all(~np.isnan(pose_m + truth_m), axis=2)
 
 
@@ -373,9 +375,9 @@ def score(values: np.ndarray) -> _Score:
 def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: bool = False) -> np.ndarray:
     """Return the pose (T, J, 3) aligned with the truth in each frame, by least squares (Umeyama 1991).
 
-    The means of the common joints coincide. scale: also one factor, which is not negative, as that would mirror the
-    animal; turn: also a rotation, no reflection. NaN in frames of fewer than 3 common joints, in which a rotation has
-    no meaning.
+    The means of the common joints coincide. With `scale`, the pose is also scaled by one factor, which cannot be
+    negative because that would mirror the animal; with `turn`, it is also rotated, without reflection. NaN in frames
+    with fewer than 3 common joints, which do not determine a rotation.
     """
     centred, (pose_mean, truth_mean) = _together(pose_m, truth_m)
     aligned_m, (pose_part, truth_part) = pose_m - pose_mean, np.nan_to_num(centred)
@@ -386,14 +388,14 @@ def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: 
         aligned_m, pose_part = (part @ (u @ vt) for part in (np.where(is_enough, aligned_m, np.nan), pose_part))
     if scale:
         product, square = (np.sum(pose_part * part, axis=(1, 2)) for part in (truth_part, pose_part))
-        # where all joints coincide every factor is as good
+        # if all joints coincide, every factor is equally good
         factor = np.divide(np.maximum(product, 0), square, out=np.ones_like(square), where=square > 0)
         aligned_m = factor[:, None, None] * aligned_m
     return aligned_m + truth_mean
 
 
 def _together(pose_m: Array, truth_m: Array) -> tuple[Array, Array]:
-    """Return both (2, T, J, 3), centred on the mean of the common joints, NaN for all others.
+    """Return both poses (2, T, J, 3), centred on the mean of the common joints, and the means (2, T, 1, 3).
 
     And the means (2, T, 1, 3).
     """
@@ -405,12 +407,13 @@ def _together(pose_m: Array, truth_m: Array) -> tuple[Array, Array]:
 # -- files that do not belong together ---------------------------------------------------------------------------------
 
 SHARE = 1 / 3
-"""An error that falls to this part is explained."""
+"""Fraction of an error that may remain for the error to count as explained."""
 SMALL = 0.05
-"""An error below this part of the animal's size needs no explanation. Size: root mean square of the joints'
-distances from their mean."""
+"""Error, relative to the animal's size, below which no explanation is needed. Size: root mean square distance of the
+joints from their mean.
+"""
 SCALED = 2.0
-"""A size within this factor of the truth needs no explanation, as one camera hardly determines it."""
+"""Factor between the sizes within which no explanation is needed, since one camera hardly determines the size."""
 UNLIKE = 0.3
 """An error above this part of the size is that of another clip: running cheetahs are 0.27 to 0.67 of their size
 apart, and the poorest fit in docs/benchmarks.md is off by 0.22."""
@@ -434,7 +437,7 @@ def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[Fin
                 finding(code, error_mm=1000 * error, left_mm=1000 * remaining, **numbers),
                 remaining,
             )
-    if error_left > UNLIKE * size:  # whatever else takes some of it away
+    if error_left > UNLIKE * size:  # regardless of any cause that removes part of the error
         error_left = min(error_left, _error(_turned(pose, truth)[0], truth))
     if error_left > UNLIKE * size:
         return (finding("reference_unlike", left_mm=1000 * error_left, share=error_left / size),)
@@ -452,7 +455,7 @@ def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[Fin
 def _explanations(pose_m: Array, truth_m: Array, names: Sequence[str]) -> Iterator[tuple[str, float, dict[str, Any]]]:
     """Yield possible explanations, the simplest first: code, remaining error and numbers.
 
-    Each includes the best rotation of the whole clip.
+    Each explanation includes the best rotation of the whole clip.
     """
     (pose, truth), sides = _together(pose_m, truth_m)[0], opposites(names)
     candidates = [("reference_rotated", pose, truth)]
@@ -473,7 +476,7 @@ def _error(pose: Array, truth: Array) -> float:
 
 
 def _turned(pose: Array, truth: Array) -> tuple[Array, float]:
-    """Return the pose after the one rotation of all frames that fits the truth best, and its angle in rad."""
+    """Return the pose after the single rotation of all frames that fits the truth best, and its angle in rad."""
     is_known = np.isfinite(pose[..., 0])
     if not is_known.any():
         return pose, 0.0

@@ -1,4 +1,4 @@
-"""Measure joint angles by anatomy, in degrees, over time and over the stride.
+"""Measure anatomical joint angles in degrees, over time and over the stride.
 
 The skeleton's file says which three markers meet at a joint (`[anatomy]`). The flexion is the angle between the line
 from the first marker to the joint and the line from the joint to the third marker, in the sagittal plane of the segment
@@ -6,7 +6,7 @@ that carries the first marker: 0 for a straight joint, positive for flexion, neg
 
 Standard deviations are those of the fit's angles, linear, each angle independent of the others, and `MODEL_RAD` for the
 skeleton, whose joints turn about fixed axes. Over a stride, curves are means over the strides of the foot of the same
-limb; the posterior's uncertainty and the spread between strides are given apart.
+limb; the posterior's uncertainty and the spread between strides are reported separately.
 """
 
 from __future__ import annotations
@@ -23,24 +23,26 @@ from recon.fit.motion import Motion
 from recon.gait.gait import Gait, Stride
 
 MODEL_RAD = np.radians(5.0)
-"""One standard deviation of an angle for all that a skeleton of hinges cannot follow (`benchmarks/flexion.py`)."""
+"""One standard deviation of an angle for all motion that a skeleton of hinges cannot follow
+(`benchmarks/flexion.py`).
+"""
 PERCENT = np.arange(101.0)
 """Percent of the stride, from touch-down to touch-down."""
 LEAST_KNOWN = 0.9
-"""Share of a stride's frames with a pose, from which it counts."""
+"""Smallest fraction of a stride's frames that need a pose for the stride to count."""
 _STEP_RAD = 1e-4
 _ROWS_AT_ONCE = 2000
-"""Frames whose derivatives are computed at once."""
+"""Number of frames whose derivatives are computed at once."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JointFlexion(Brief):
-    """Flexion of one joint over the T frames; NaN without a pose."""
+    """Hold the flexion of one joint over the T frames; NaN without a pose."""
 
     joint: str
     """Anatomical name, such as elbow."""
     side: Side | None
-    """None for the spine and the neck."""
+    """Side of the joint; None for the spine and the neck."""
     angle_rad: Array
     """Flexion, shape (T,)."""
     sigma_rad: Array
@@ -54,7 +56,7 @@ class JointFlexion(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StrideCurve(Brief):
-    """Flexion of one joint at `PERCENT` of the stride, mean over strides, rad."""
+    """Hold the flexion of one joint at `PERCENT` of the stride, the mean over strides, rad."""
 
     joint: str
     side: Side | None
@@ -63,12 +65,12 @@ class StrideCurve(Brief):
     mean_rad: Array
     """Mean over the strides, shape (101,)."""
     posterior_sigma_rad: Array
-    """One standard deviation by the fit's uncertainty, root mean square over the strides, shape (101,)."""
+    """One standard deviation from the fit's uncertainty, root mean square over the strides, shape (101,)."""
     between_sigma_rad: Array
     """One standard deviation between strides, shape (101,); NaN for a single stride."""
     strides: int
     duty_factor: float
-    """Share of the stride for which the foot stands, from 0 %."""
+    """Fraction of the stride for which the foot stands, starting at 0 %."""
 
     @property
     def name(self) -> str:
@@ -79,7 +81,7 @@ class StrideCurve(Brief):
 def flexion_rad(body: Body, states: Array, size: float = 1.0) -> Array:
     """Return the flexion of the joints of `body.anatomy` in states (T, D), shape (A, T), rad.
 
-    From -90 to 270 degrees: no joint extends so far beyond straight, and a folded one may pass 180 degrees.
+    The range is -90 to 270 degrees: no joint extends so far beyond straight, and a folded joint may pass 180 degrees.
     """
     points_m = body.tree.pose(states, size).points_m
     orientations = body.tree.orientations(states)
@@ -139,7 +141,8 @@ def _change(body: Body, states: Array, size: float, step: Array) -> Array:
 def stride_curves(flexions: Sequence[JointFlexion], gait: Gait | None, time_s: Array) -> tuple[StrideCurve, ...]:
     """Return the mean curve of each joint over the complete strides of the foot of its limb.
 
-    The spine's and the neck's are over the strides of the foot with the most strides. Joints without any are left out.
+    The curves of spine and neck are means over the strides of the foot with the most strides. Joints without strides
+    are left out.
     """
     if gait is None or not gait.strides:
         return ()
@@ -156,7 +159,7 @@ def stride_curves(flexions: Sequence[JointFlexion], gait: Gait | None, time_s: A
 
 
 def _foot_of(flexion: JointFlexion, strides: Mapping[str, Sequence[Stride]], reference: str) -> str | None:
-    """Return the foot of a joint's limb, the reference for a joint without one, None for a foot without strides."""
+    """Return the foot of a joint's limb, the reference foot if the joint has no limb, or None without strides."""
     girdle = GIRDLE[flexion.joint]
     if flexion.side is None or girdle is None:
         return reference

@@ -57,10 +57,11 @@ BODY = ("neck_base", "tail_base")
 
 OVERSAMPLING = 10
 MAX_GAP_S = 0.05
-"""Longer gaps of a foot or the body are not bridged: they could hide a touchdown."""
+"""Longest gap of a foot or the body that is bridged; a longer gap could hide a touch-down."""
 SLOW, SWING = (0.16, 0.32), 1.3
 """Speed of a standing foot over the ground, relative to its speed in the swing: certainly standing, and at most; and
-the least speed in the swing, relative to the body's."""
+the smallest speed in the swing, relative to the body's.
+"""
 LANDS, LIFTS, EVENT_SIGMAS = 0.12, 0.22, (0.05, 0.1)
 """Relative speed at touch-down and at lift-off, fitted to force plates, and one standard deviation of each."""
 SPEED_ERROR = 0.6
@@ -69,9 +70,9 @@ the value on two of three kinds of recordings and times the third with it."""
 LOW = (0.15, 0.3)
 """Height of a standing foot above the ground in leg lengths: certainly standing, and at most."""
 INTERVAL = 0.9
-"""Probability that the intervals of times and duty factors cover."""
+"""Probability with which the intervals contain times and duty factors."""
 MIN_STANCE_S = 0.02
-"""Far below a galloping cheetah's stances, some 0.06 s."""
+"""Shortest stance, far below the 0.06 s of a galloping cheetah."""
 SLOPE_SIGMA, HEIGHT_SIGMA_M = 0.1, 0.03
 """One standard deviation of the ground's slopes, and of a standing foot's marker about the plane."""
 
@@ -84,27 +85,28 @@ AGREE = 0.2
 are off by two of some ten frames at most."""
 
 TOGETHER = 0.05
-"""Two feet of a pair land together if their touch-downs are less than this share of a stride apart: bound."""
+"""Largest difference between two touch-downs of a pair, in strides, at which the feet land together: bound."""
 ALTERNATE = 0.4
-"""They alternate if they are at least this share apart (0.5 is exact): a symmetrical gait."""
+"""Smallest difference, in strides, at which the feet of a pair alternate (0.5 is exact): a symmetrical gait."""
 IN_PHASE = 0.125
 """Trot and pace: largest phase of the fore foot against its diagonal or same-sided hind foot (Hildebrand's eighths)."""
 STEADY, MOST = 0.5, 2 / 3
-"""Least mean resultant length of a steady phase; and the share of strides with a duty factor above one half that
-makes a walk, or below that makes a run."""
+"""Smallest mean resultant length of a steady phase; and the fraction of strides with a duty factor above one half that
+makes a walk, or below one half that makes a run.
+"""
 
 
 @dataclass(frozen=True)
 class Stance:
-    """A foot's time on the ground."""
+    """Hold one stance: the time of a foot on the ground."""
 
     foot: str
     start_s: float
     end_s: float
     start_frame: float
-    """Counts rows of the clip and has fractions."""
+    """Row of the clip at which the stance begins, with a fraction."""
     end_frame: float
-    """Counts rows of the clip and has fractions."""
+    """Row of the clip at which the stance ends, with a fraction."""
     begins: bool = True
     """False if the clip, or a gap in it, cuts the beginning, so that the time is only a bound."""
     ends: bool = True
@@ -121,18 +123,18 @@ class Stance:
 
     @property
     def start_interval_s(self) -> tuple[float, float]:
-        """Return the interval of the touch-down, which covers `INTERVAL`; NaN if the clip cuts the touch-down."""
+        """Return the `INTERVAL` of the touch-down, NaN if the clip cuts it."""
         return interval_of(self.start_s, self.start_sigma_s)[1:]
 
     @property
     def end_interval_s(self) -> tuple[float, float]:
-        """Return the interval of the lift-off, which covers `INTERVAL`; NaN if the clip cuts the lift-off."""
+        """Return the `INTERVAL` of the lift-off, NaN if the clip cuts it."""
         return interval_of(self.end_s, self.end_sigma_s)[1:]
 
 
 @dataclass(frozen=True)
 class Plane:
-    """Ground z = height_m + slope[0] (x - x0) + slope[1] (y - y0), with (x0, y0) in the middle of the slow feet."""
+    """Hold a ground plane z = height_m + slope[0] (x - x0) + slope[1] (y - y0), centred on the slow feet."""
 
     middle_m: tuple[float, float]
     height_m: float
@@ -150,7 +152,7 @@ class Plane:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tracks(Brief):
-    """Motion of the F feet and of the body at the N times of the fine grid; NaN where unknown."""
+    """Hold the motion of the F feet and of the body at the N times of the fine grid, NaN if unknown."""
 
     feet: tuple[str, ...]
     time_s: Array
@@ -172,14 +174,14 @@ class Tracks(Brief):
     height_m: Array
     """Heights of the feet above the ground, shape (N, F)."""
     grounds: tuple[tuple[slice, Plane], ...]
-    """Rows of the clip and the plane under the feet in them, one pair for every segment of the clip."""
+    """Rows of the clip and the plane under the feet in them, one pair per segment of the clip."""
     leg_m: float
 
     @cached_property
     def unrest(self) -> float:
-        """Return the speed below which standing feet stay in nine of ten instants, relative to its standard deviation.
+        """Return the speed that standing feet stay below in nine of ten instants, relative to its standard deviation.
 
-        1 if no foot stands.
+        The value is 1 if no foot stands.
         """
         rest = (self.foot_speed_m_s < self.slow_m_s[0]) & (self.height_m < LOW[0] * self.leg_m)
         rest &= self.foot_speed_sigma_m_s > 0
@@ -193,10 +195,10 @@ class Tracks(Brief):
 
 @dataclass(frozen=True)
 class Stride:
-    """Time from one touch-down of a foot to its next.
+    """Hold one stride: the time from one touch-down of a foot to its next.
 
-    It goes from one lift-off to the next if the clip holds no two touch-downs of the foot. A stride given by the user
-    belongs to no foot; its length and duty factor are NaN.
+    If the clip does not contain two touch-downs of the foot, the stride goes from one lift-off to the next. A stride
+    given by the user belongs to no foot; its length and duty factor are NaN.
     """
 
     foot: str
@@ -205,13 +207,13 @@ class Stride:
     length_m: float
     """Horizontal distance that the body travels in the stride."""
     duty_factor: float
-    """Share of the stride for which the foot stands; the clip holds that stance from beginning to end."""
+    """Fraction of the stride for which the foot stands; that stance is completely in the clip."""
     duty_sigma: float
     """One standard deviation of the duty factor."""
     at: Literal["touchdown", "lift-off", "end effector", "given"]
     """Event at which the stride begins and ends."""
     others_s: float = np.nan
-    """Median duration of all feet's strides around its time, for a stride that does not count."""
+    """Median duration of the strides of all feet around that time, for a stride that does not count."""
 
     @property
     def duration_s(self) -> float:
@@ -220,18 +222,18 @@ class Stride:
 
     @property
     def frequency_hz(self) -> float:
-        """Return the number of strides a second."""
+        """Return the number of strides per second."""
         return 1.0 / self.duration_s
 
 
 @dataclass(frozen=True, repr=False)
 class _GaitName(Brief):
-    """Name of a gait and the reasons for it."""
+    """Hold the name of a gait and the reasons for it."""
 
     name: str
     """walk, trot, pace, bound, half-bound, rotary gallop, transverse gallop, or unknown."""
     criterion: str
-    """What decided the name."""
+    """The criterion that decided the name."""
     phase: Mapping[str, float]
     """Each foot's touch-down after the first foot's, in strides, [0, 1)."""
     duty_factor: float
@@ -242,23 +244,24 @@ class _GaitName(Brief):
 
     @property
     def duty_interval(self) -> tuple[float, float]:
-        """Return the interval of the duty factor that covers `INTERVAL`."""
+        """Return the `INTERVAL` of the duty factor."""
         _, low, high = interval_of(self.duty_factor, self.duty_sigma)
         return max(low, 0.0), min(high, 1.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Gait(Brief):
-    """Gait of a clip.
+    """Hold the gait of a clip.
 
-    Lengths and frequencies are means over complete strides, duty factors medians; all are NaN without complete strides.
+    Lengths and frequencies are means over complete strides, duty factors are medians; all are NaN if there are no
+    complete strides.
     """
 
     tracks: Tracks
     stances: tuple[Stance, ...]
     strides: tuple[Stride, ...]
     order: tuple[str, ...]
-    """The feet in the order of their touchdowns (those the clip holds)."""
+    """The feet in the order of their touch-downs in the clip."""
     stride_length_m: float
     stride_frequency_hz: float
     stride_s: float
@@ -269,12 +272,12 @@ class Gait(Brief):
     speed_m_s: float
     name: _GaitName
     doubtful: tuple[Stride, ...] = ()
-    """Strides whose duration the other feet contradict; none of them is in `strides`."""
+    """Strides whose duration contradicts the other feet; none of them is in `strides`."""
 
     def stride_time(self, start_s: float, end_s: float) -> tuple[float, float]:
         """Return the mean duration of the strides around a time and its standard deviation.
 
-        The clip's if none is complete there.
+        The values of the whole clip are used if no stride around that time is complete.
         """
         near = [stride for stride in self.strides if stride.start_s < end_s and stride.end_s > start_s]
         return _mean_time(near, 1) if near else (self.stride_s, self.stride_sigma_s)
@@ -284,7 +287,7 @@ _Value = TypeVar("_Value", float, Array)
 
 
 def interval_of(value: _Value, sigma: _Value | float) -> tuple[_Value, _Value, _Value]:
-    """Return a value and the ends of its interval, which covers `INTERVAL`.
+    """Return a value and the ends of its `INTERVAL`.
 
     Parameters
     ----------
@@ -301,9 +304,9 @@ def interval_of(value: _Value, sigma: _Value | float) -> tuple[_Value, _Value, _
 
 
 def interval_text(value: float, sigma: float, unit: str, sign: str = "") -> str:
-    """Format a value with its interval, as in "16.2 m/s (90 %: 14.2 to 18.1)"; without sigma the value alone.
+    """Format a value with its interval, such as "16.2 m/s (90 %: 14.2 to 18.1)", or the value alone without sigma.
 
-    sign: "+" to write the sign of positive values.
+    With `sign` "+", positive values have a sign.
     """
     _, low, high = interval_of(value, sigma)
     return interval(value, low, high, unit, level="90 %", sign=sign)
@@ -328,17 +331,17 @@ def pose_tracks(
     pose : Pose3D
         T frames, metres, z up, NaN where missing.
     fps : float
-        Frames a second.
+        Frames per second.
     errors : sequence of Errors
         Errors (T, J, 3) of the positions, metres, which add up.
     feet : mapping
         Joint of each foot, by LH, RH, LF, RF.
     body : tuple of str
-        Joints whose mean stands for the body.
+        Joints whose mean represents the body.
     segments : sequence of slice
-        Rows that have a ground of their own.
+        Rows of each segment, which has its own ground.
     restless : bool
-        True for poses that jitter: standing feet seem to move, at the 10th percentile of their speed.
+        Whether the poses jitter, so that standing feet seem to move at the 10th percentile of their speed.
 
     Raises
     ------
@@ -356,7 +359,7 @@ def pose_tracks(
         return kinematics.series_kinematics(time_s, points_m, errors, oversampling=OVERSAMPLING, max_gap_s=MAX_GAP_S)
 
     def foot_path(at: int) -> tuple[Array, Array, Array]:
-        """Positions, speeds and their deviations, of one foot after the other: a path of a long clip is large."""
+        """Yield positions, speeds and their deviations, one foot at a time because a path of a long clip is large."""
         series = path(pose.xyz_m[:, at], [error[:, at] for error in errors])
         velocity, speed = series.rate[:, :2], np.linalg.norm(series.rate[:, :2], axis=1)
         deviation = (series.rate_sigma if len(errors) else 0 * series.rate)[:, :2]
@@ -413,7 +416,7 @@ def ground_plane(foot_m: Array, slow: Bools) -> Plane:
         return Plane((0.0, 0.0), lowest, (0.0, 0.0), np.nan, 0)
     middle = np.median(points_m[:, :2], axis=0)
     design = np.column_stack([np.ones(len(points_m)), points_m[:, :2] - middle])
-    # Samples of the fine grid within one stance say the same: the prior counts as one of them, not less.
+    # Samples of the fine grid within one stance are not independent, so the prior counts as at least one of them.
     prior = np.diag([0.0, 1.0, 1.0]) * (HEIGHT_SIGMA_M / SLOPE_SIGMA) ** 2
     weight = np.ones(len(points_m))
     parameters, spread = np.zeros(3), 0.0
@@ -496,7 +499,7 @@ def _event_sigma_s(tracks: Tracks, k: int, i: int, most_s: float, threshold_sigm
 
 
 def match_stances(first_set: Sequence[Stance], second_set: Sequence[Stance]) -> list[tuple[Stance, Stance]]:
-    """Pair stances of the same foot that overlap, each with the one it overlaps most, if that is mutual."""
+    """Return pairs of overlapping stances of the same foot, if each overlaps the other most."""
 
     def best_match(stance: Stance, candidates: Sequence[Stance]) -> Stance | None:
         overlaps = [(min(stance.end_s, o.end_s) - max(stance.start_s, o.start_s), -i) for i, o in enumerate(candidates)]
@@ -557,7 +560,7 @@ def strides(tracks: Tracks, all_stances: tuple[Stance, ...]) -> tuple[Stride, ..
         event: Literal["touchdown", "lift-off"] = "touchdown" if landings else "lift-off"
         for start, end, stance in landings or liftings:
             a, b = np.searchsorted(tracks.time_s, [start, end])
-            # A foot or a body that was lost in between may have hidden a stance.
+            # A stance may be hidden where a foot or the body was not tracked in between.
             step = np.diff(tracks.body_m[a : b + 1, :2], axis=0)
             is_lost = not np.isfinite(step).all() or np.isnan(tracks.foot_m[a : b + 1, tracks.feet.index(foot)]).any()
             if not is_lost and all_stand[a : b + 1].mean() < 0.5:
@@ -569,7 +572,7 @@ def strides(tracks: Tracks, all_stances: tuple[Stance, ...]) -> tuple[Stride, ..
 
 
 def _all_stand(tracks: Tracks, all_stances: Sequence[Stance]) -> Bools:
-    """Return when all feet of a four-footed animal stand, shape (N,)."""
+    """Return a mask of the times at which all feet of a four-footed animal stand, shape (N,)."""
     stands = np.zeros((len(tracks.time_s), len(tracks.feet)), dtype=bool)
     for stance in all_stances:
         first, stop = np.searchsorted(tracks.time_s, [stance.start_s, stance.end_s])
@@ -584,7 +587,7 @@ def _counted(all_strides: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple
         np.array([getattr(s, field) for s in all_strides]) for field in ("start_s", "end_s", "duration_s")
     )
     for stride in all_strides:
-        # Not all are looked at: in a long clip there are thousands.
+        # Not all strides are examined, because a long clip has thousands.
         longest_s = lasts_s.max()
         nearby = slice(*np.searchsorted(start_s, [stride.start_s - 2 * longest_s, stride.end_s + longest_s]))
         overlapping = (start_s[nearby] < stride.end_s) & (end_s[nearby] > stride.start_s)
@@ -597,7 +600,7 @@ def _counted(all_strides: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple
 
 
 def doubtful_text(stride: Stride) -> str:
-    """Return one sentence that says why a stride does not count."""
+    """Return one sentence on why a stride does not count."""
     text = f"{stride.foot}'s stride from {stride.start_s:.3f} to {stride.end_s:.3f} s does not count"
     return f"{text}: strides of all feet around its time last {stride.others_s:.3f} s"
 
@@ -605,7 +608,7 @@ def doubtful_text(stride: Stride) -> str:
 def _stride_time(tracks: Tracks, counted: Sequence[Stride]) -> tuple[float, float]:
     """Return the stride's duration in seconds and its standard deviation, from strides or the pose's period.
 
-    NaN if neither is known.
+    The result is NaN if neither is known.
     """
     if counted:
         return _mean_time(counted, len(counted))
@@ -648,7 +651,8 @@ def name_gait(
 ) -> _GaitName:
     """Name the gait by the phases of the four feet (`classify`).
 
-    stride_s: duration of a stride, NaN if unknown; why_unknown: why there are no stances, or not those of four feet.
+    `stride_s` is the duration of a stride, NaN if unknown; `why_unknown` is the reason why stances of four feet are
+    missing.
     """
     duties = np.array([s.duty_factor for s in counted])
     feet = len({s.foot for s in counted})
@@ -661,7 +665,7 @@ def name_gait(
         return _GaitName("unknown", why_unknown, dict.fromkeys(FEET, np.nan), *duty)
     period = float(np.median([s.duration_s for s in counted])) if counted else stride_s
     phase = {"LH": 0.0} | {foot: _lag(all_stances, "LH", foot, period) for foot in ("RH", "LF", "RF")}
-    # A foot that never landed together with LH in view may have done so with RH.
+    # A foot that never landed together with LH in view may have landed together with RH.
     for foot in ("LF", "RF"):
         if np.isnan(phase[foot]):
             phase[foot] = (phase["RH"] + _lag(all_stances, "RH", foot, period)) % 1.0
@@ -744,7 +748,7 @@ def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
 
 
 def _first(lag: float) -> str:
-    """Return which foot of a pair lands first, from the right foot's lag behind the left one."""
+    """Return which foot of a pair lands first, given the right foot's lag behind the left foot."""
     return "left first" if lag > 0 else "right first"
 
 

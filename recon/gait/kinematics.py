@@ -1,4 +1,4 @@
-"""Return velocity, acceleration, joint angles and their rates, with standard deviations.
+"""Compute velocity, acceleration, joint angles and their rates, with standard deviations.
 
 A series is a cubic spline through the frames that have a value, evaluated at ten times the frame rate. There are two
 kinds:
@@ -13,9 +13,9 @@ uncertain as in the middle, in the next frame 1.3 times, and the acceleration at
 on, all are within 10 %. The standard deviations include this. Nothing is extrapolated. A gap longer than `max_gap_s`
 splits a series into spans; a shorter one is interpolated.
 
-For a given lam a spline is linear in its values, so that their covariance C propagates exactly: C' = W C W^T, with W
-the splines through unit vectors. Coordinates are independent of one another, and so are the `Errors` that add up; each
-has C_ij = sigma_i sigma_j exp(-((t_i - t_j) / correlation_s)^2 / 2). The errors of a fit over time are smooth: with
+For a given lam a spline is linear in its values, so their covariance C propagates exactly: C' = W C W^T, with W the
+splines through unit vectors. Coordinates are independent of one another, and so are the `Errors` that add up; each has
+C_ij = sigma_i sigma_j exp(-((t_i - t_j) / correlation_s)^2 / 2). The errors of a fit over time are smooth: with
 independent frames, the standard deviations of the rates would be too large. The propagation includes neither the choice
 of lam nor the motion that smoothing removes.
 """
@@ -41,12 +41,12 @@ Angle = Callable[[Array, Array, Array], Array]
 """An angle (T,) of three points (T, 3)."""
 
 MAX_GAP_S = 0.2
-"""Missing frames are bridged if the frames on both sides are no further apart than this."""
+"""Longest time between two known frames over which missing frames are interpolated."""
 MIN_POINTS = 4
-"""Least number of values of a cubic."""
+"""Smallest number of values for a cubic."""
 OVERSAMPLING = 10
 MIN_SMOOTHING_POINTS = 5
-"""Series of fewer points are not smoothed."""
+"""Smallest number of points for smoothing."""
 _LOG10_LAM = (-16.0, 8.0)
 """Range of lam, relative to (span / number of values)^3: from an exact spline to a straight line."""
 JITTER_LASTS_S, JITTER_TIMES = 0.05, 2.0
@@ -62,12 +62,12 @@ _REACH, _LEAST_PRODUCT, _AT_ONCE = 20, 1e-11, 1000
 of two values' shares that enters, relative to the largest; and the number of frames computed at once."""
 
 STRAIGHT_SIGMAS = 2.0
-"""An angle that is fewer standard deviations from straight may be bent to either side."""
+"""Deviation from straight, in standard deviations, below which a joint may be bent to either side."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Errors(Brief):
-    """Errors of values: standard deviations and how long an error lasts."""
+    """Hold errors of values: standard deviations, and how long an error lasts."""
 
     sigma: Array
     """Standard deviations of the values, in their shape and unit; with signs for one error that lasts."""
@@ -81,7 +81,7 @@ class Errors(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Series(Brief):
-    """Values in d dimensions and their derivatives on a fine grid; NaN where unknown.
+    """Hold values in d dimensions and their derivatives on a fine grid, NaN if unknown.
 
     The grid has N = (T - 1) oversampling + 1 times.
     """
@@ -105,7 +105,7 @@ class Series(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JointKinematics(Brief):
-    """Motion of a point in the world frame; NaN where unknown."""
+    """Hold the motion of a point in the world frame, NaN if unknown."""
 
     series: Series
     """Position (m), velocity (m/s) and acceleration (m/s^2) vectors, (N, 3)."""
@@ -121,7 +121,7 @@ class JointKinematics(Brief):
     distance_m: float
     """Arc length of the known spans."""
     mean_speed_m_s: float
-    """Over the time the known spans take."""
+    """Mean speed over the time of the known spans."""
     peak_speed_m_s: float
     peak_speed_sigma_m_s: float
     """The standard deviation of the peak speed; NaN without errors."""
@@ -132,7 +132,7 @@ class JointKinematics(Brief):
 
     @property
     def why_no_acceleration(self) -> str:
-        """Return the sentence that figures show instead of an acceleration that is hardly known.
+        """Return the sentence that figures show instead of an acceleration that is not known well enough, or "".
 
         Empty if it is known.
         """
@@ -144,20 +144,20 @@ class JointKinematics(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class AngleKinematics(Brief):
-    """An angle over time; NaN where unknown."""
+    """Hold an angle over time, NaN if unknown."""
 
     series: Series
     """(N, 1), rad, rad/s, rad/s^2."""
     range_rad: tuple[float, float]
-    """The least and the greatest angle."""
+    """The smallest and the largest angle."""
     peak_rate_rad_s: float
-    """The greatest magnitude of the rate."""
+    """The largest magnitude of the rate."""
     peak_acceleration_rad_s2: float
-    """The greatest magnitude of the acceleration."""
+    """The largest magnitude of the acceleration."""
 
     @property
     def range_of_motion_rad(self) -> float:
-        """Return the difference between the greatest and the least angle."""
+        """Return the difference between the largest and the smallest angle."""
         return self.range_rad[1] - self.range_rad[0]
 
 
@@ -167,7 +167,7 @@ _Kind = TypeVar("_Kind", Series, JointKinematics)
 def at_frames(motion: _Kind) -> _Kind:
     """Return the motion at the frames only, which takes a tenth of the memory.
 
-    Means and peaks remain those of all samples.
+    Means and peaks are still those of all samples.
     """
     series = motion if isinstance(motion, Series) else motion.series
     changed = {
@@ -235,7 +235,7 @@ def series_kinematics(
 
 
 def _stretches(time_s: Array, values: Array, max_gap_s: float, min_points: int) -> list[Index]:
-    """Return the rows of the known values (T, d), split at gaps that are too long, if they are enough."""
+    """Return the rows of known values (T, d), split at long gaps, without parts of too few values."""
     known_rows = np.flatnonzero(np.isfinite(values).all(axis=1))
     is_too_long = (np.diff(known_rows) > 1) & (np.diff(time_s[known_rows]) > max_gap_s * (1 + 1e-9))
     return [rows for rows in np.split(known_rows, np.flatnonzero(is_too_long) + 1) if len(rows) >= min_points]
@@ -244,7 +244,7 @@ def _stretches(time_s: Array, values: Array, max_gap_s: float, min_points: int) 
 def _curve(t: Array, x: Array, weight: Array, lam: float) -> Curve:
     """Return the curve(time (M,), order of the derivative) -> (M, ...) through x (n, ...); lam 0: exact."""
     known = np.isfinite(x)
-    if x.ndim == 1 and known.sum() > 4:  # an error is not known in a frame without a pose, which the curve bridges
+    if x.ndim == 1 and known.sum() > 4:  # errors are unknown in frames without a pose, which the curve bridges
         t, x, weight = t[known], x[known], weight[known]
     return make_smoothing_spline(t, x, weight**2, lam) if lam else CubicSpline(t, x)
 
@@ -257,7 +257,7 @@ def _evaluate(curve: Curve, time_s: Array) -> Array:
 def _discrepancy_lam(t: Array, x: Array, weight: Array) -> float:
     """Return the lam with sum((weight (x - f))^2) = n.
 
-    If a straight line is as close as that, the largest lam of the range.
+    If a straight line is that close, the result is the largest lam in the range.
     """
     scale, h, variance = np.mean(weight**2) * ((t[-1] - t[0]) / len(t)) ** 3, np.diff(t), weight**-2.0
     # Reinsch's equations of the curve's second derivatives g at the inner times: (R + lam Q' W^-1 Q) g = Q' x, whose
@@ -287,7 +287,8 @@ def _spline_sigmas(t: Array, sample_s: Array, errors: Sequence[Errors], weight: 
     """Return standard deviations (3, M, d) of value, rate and acceleration of a span's splines (n,) at times (M,)."""
     variance = np.zeros((3, len(sample_s), len(lam)))
     smooth = bool(lam.any())
-    for lasting in (error for error in errors if error.correlation_s == np.inf):  # one error is a curve itself
+    # an error that lasts throughout propagates as a curve
+    for lasting in (error for error in errors if error.correlation_s == np.inf):
         curves = [_curve(t, *column) for column in zip(lasting.sigma.T, weight.T, lam, strict=True)]
         variance += np.stack([_evaluate(curve, sample_s) for curve in curves], axis=-1) ** 2
     errors = [error for error in errors if error.correlation_s < np.inf]
@@ -370,7 +371,7 @@ def frame_times(frames: Array | Index, fps: float) -> Array:
 def joint_index(pose: Pose3D, names: tuple[str, ...]) -> list[int]:
     """Return the positions of joints in a pose's list.
 
-    Raises InputError that names every joint the pose lacks.
+    Raises InputError, naming every joint that the pose lacks.
     """
     lacking = [name for name in dict.fromkeys(names) if name not in pose.names]
     if lacking:
@@ -435,14 +436,14 @@ def frame_jitter_m(points_m: Array) -> Array:
 
 
 def jitter_errors(values: Array) -> tuple[Errors]:
-    """Return independent errors of the size by which values (T, ...) jitter from frame to frame."""
+    """Return independent errors whose size is the frame-to-frame jitter of values (T, ...)."""
     jitter = frame_jitter_m(values.reshape(len(values), -1)).reshape(values.shape[1:])
     smallest = 1e-9  # an exact series has none
     return (Errors(np.broadcast_to(np.maximum(np.nan_to_num(jitter, nan=smallest), smallest), values.shape)),)
 
 
 def lasting_errors(values: Array, fps: float) -> tuple[Errors, Errors]:
-    """Return the errors of values (T, ...) of a method that starts each frame from the one before.
+    """Return the errors of values (T, ...) from a method that starts each frame at the result of the one before.
 
     Such a method repeats its errors for some time. The first are `jitter_errors`, which set the smoothing; the second
     have `JITTER_TIMES` the size of the jitter over `JITTER_LASTS_S`, single large errors included.
@@ -460,9 +461,9 @@ def lasting_errors(values: Array, fps: float) -> tuple[Errors, Errors]:
 def net_acceleration(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = ()) -> tuple[float, float]:
     """Return the acceleration along the direction of travel over a whole clip and its standard deviation, m/s^2.
 
-    It is that of the parabola in time, by least squares, through a path (T, 3) with z up, along its level direction
-    from first to last. errors (T, 3): as in `series_kinematics`; without any the standard deviation is NaN. NaN with
-    fewer than four frames or without any travel.
+    The acceleration is that of a least-squares parabola in time through a path (T, 3) with z up, along its level
+    direction from first to last. `errors` (T, 3) are as in `series_kinematics`; without errors the standard deviation
+    is NaN. The result is NaN with fewer than four frames or without any travel.
     """
     known_rows = np.flatnonzero(np.isfinite(xyz_m).all(axis=1))
     travel_m = xyz_m[known_rows[-1], :2] - xyz_m[known_rows[0], :2] if len(known_rows) >= MIN_POINTS else np.zeros(2)
@@ -478,7 +479,7 @@ def net_acceleration(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = ())
 def parabola_acceleration(time_s: Array, values: Array, errors: Sequence[Errors]) -> tuple[float, float]:
     """Return the acceleration of the least-squares parabola in time through values (T,) and its standard deviation.
 
-    The latter is NaN without errors.
+    The standard deviation is NaN without errors.
     """
     t = time_s - time_s.mean()
     shares = 2 * np.linalg.pinv(np.stack([np.ones(len(t)), t, t**2], axis=1))[2]
@@ -498,7 +499,7 @@ def _variance_of_sum(sigma: Array, t: Array, correlation_s: float) -> float:
 
 
 def speed_at_frames(time_s: Array, xyz_m: Array, smooth: bool = False) -> Array:
-    """Return the speed (T,) of a path (T, 3) at its frames, m/s; smooth: by the path's jitter."""
+    """Return the speed (T,) of a path (T, 3) at its frames, m/s; with `smooth`, smoothed by the path's jitter."""
     errors = jitter_errors(xyz_m) if smooth else ()
     return point_kinematics(time_s, xyz_m, errors, smooth=smooth, propagate=False, oversampling=1).speed_m_s
 
@@ -506,8 +507,8 @@ def speed_at_frames(time_s: Array, xyz_m: Array, smooth: bool = False) -> Array:
 def joint_kinematics(pose: Pose3D, joint: str, fps: float, errors: Sequence[Errors] = (), **options) -> JointKinematics:
     """Return the motion of one joint of a pose.
 
-    errors: (T, J, 3) of all joints, metres; options are those of `series_kinematics`. Raises InputError if the pose
-    lacks the joint, ValueError.
+    `errors` (T, J, 3) are those of all joints, metres; the options are those of `series_kinematics`. Raises InputError
+    if the pose lacks the joint, and ValueError for too few frames.
     """
     (j,) = joint_index(pose, (joint,))
     joint_errors = [error[:, j] for error in errors]
@@ -551,7 +552,7 @@ def sagittal_flexion(rear_m: Array, middle_m: Array, front_m: Array) -> Array:
 def angle_kinematics(time_s: Array, angle_rad: Array, errors: Sequence[Errors] = (), **options) -> AngleKinematics:
     """Return an angle (T,) over times (T,) with its rate and acceleration.
 
-    errors: (T,), rad. Jumps of 2 pi between known frames are removed. Options are those of `series_kinematics`.
+    `errors` (T,) are in rad. Jumps of 2 pi between known frames are removed. Options are those of `series_kinematics`.
     """
     angle = np.array(angle_rad, float)
     is_known = np.isfinite(angle)
@@ -587,7 +588,7 @@ def joint_angle(
     joints : tuple of str
         Three joints; the angle is at the second, 0 to pi.
     fps : float
-        Frames a second.
+        Frames per second.
     errors : sequence of Errors
         Errors (T, J, 3), metres, of joints independent of each other.
     angle_of : callable
@@ -627,7 +628,7 @@ def spine_flexion(
 ) -> AngleKinematics:
     """Return the flexion of the back over time, positive when arched upwards (`sagittal_flexion`).
 
-    joints: rear, middle, front.
+    `joints` are the rear, middle and front joints.
     """
     return joint_angle(pose, joints, fps, errors, sagittal_flexion, **options)
 

@@ -1,4 +1,4 @@
-"""Return the motion of links relative to their parents (vector field), phase portraits and the degree of closure.
+"""Compute the motion of links relative to their parents (vector field), phase portraits and the degree of closure.
 
 Vector field of a chain of joints: for each link but the first, the position and velocity of its tip in the frame of the
 link before. The origin of that frame is the joint between the two, x points along the parent, z to the animal's right
