@@ -23,7 +23,7 @@ from recon.ik.methods import (
 )
 from recon.ik.null_space import to_null_space_optimum
 
-STARTS = 12
+STARTS = 8
 
 
 def methods(chain):
@@ -70,13 +70,13 @@ def test_every_method_reaches_reachable_targets(name, dim):
 @pytest.mark.parametrize("dim", [2, 3])
 def test_limits_hold_and_end_with_a_reason(dim):
     chain, reached = front_leg(dim, limited=True), 0
-    for q, x in zip(*random_tasks(dim), strict=True):
+    for q, x in zip(*random_tasks(dim, 12), strict=True):
         drive = drive_to(chain, q, x, LeastNorm())
         assert (drive.q >= chain.lower_rad).all()
         assert (drive.q <= chain.upper_rad).all()
         assert drive.reached or (drive.reason.startswith("limits: joints") and drive.limits)
         reached += drive.reached
-    assert reached >= 0.8 * STARTS
+    assert reached >= 0.8 * 12
 
 
 @pytest.mark.parametrize("name", methods(front_leg(2)))
