@@ -57,9 +57,7 @@ SWING_RAD, SWING_HZ = (0.2, 1.2), (0.5, 8.0)
 
 
 _ROUGHLY = {"croup": "tail_base", "rump": "tail_base"}
-"""The quadruped's markers by keypoint, the keypoints without a marker, and the text of a skeleton file to be
-completed.
-"""
+"""Keypoints whose markers are near enough for a draft, but not for a fit."""
 
 SkeletonDraft = tuple[dict[str, str], tuple[str, ...], str]
 """The quadruped's markers by the keypoints that are placed on them; the keypoints that are not placed; and the text of
@@ -72,9 +70,7 @@ class SkeletonDraftSettings(Settings):
     keypoints: Annotated[OneOrMore[Path], Option(argument="KEYPOINTS")]
     """Keypoint file, or DeepLabCut project; with --camera, one file per camera."""
     out: Path
-    """Calibration of several cameras; the draft is then made from distances that stay constant. (default: from
-    names)
-    """
+    """Skeleton file to write, as in my-animal.toml."""
     individual: Annotated[str | None, Option(INDIVIDUAL)] = None
     camera: OneOrMore[File] | None = None
     """Calibration of several cameras: distances that stay the same make the draft. (default: names do)"""

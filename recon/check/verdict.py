@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from recon.animal.prior import NONE
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
 from recon.check.codes import EFFECTS, sentence
@@ -25,21 +26,25 @@ from recon.fit.motion import Motion
 from recon.fit.posterior import radius
 from recon.fit.result import ExpectedError, Finding, Level, TrajectorySolution, Verdict
 
-POWERS = {"posterior": 0.66, "distance": 0.14, "end_on": 0.78, "unseen": 0.80}
-"""Powers of `Evidence.factors`."""
+POWERS = {"posterior": 0.66, "distance": 0.14, "end_on": 0.78, "unseen": 0.80, "rate": 0.32}
+"""Powers of `Evidence.factors`; the last is 0.29 to 0.36 with one run left out, at a half and a quarter of its rate."""
+RATE_HZ = 60.0
+"""Frame rate below which less is known of a pose than the posterior says, under a prior that was learned from motions.
+"""
 SCALE, SPREAD, SPREAD_UNSEEN = -1.30, 0.23, 0.45
 """Constant of the logarithm of the pose's error by the trunk, and its standard deviations.
 
 The first is that in runs left out where the pixels show everything. The second is added where they show nothing,
 because the error of what only the prior says is the same in all frames.
 """
-USUAL = {"posterior": -2.4, "distance": 1.9, "end_on": 0.05, "unseen": 0.0}
+USUAL = {"posterior": -2.4, "distance": 1.9, "end_on": 0.05, "unseen": 0.0, "rate": 0.0}
 """`Evidence.factors` of a typical view."""
 WHY = {
     "posterior": "The detections leave the poses too uncertain.",
     "distance": "The animal is far away, so that the poses are uncertain.",
     "end_on": "The animal is seen from the front or the back, which hardly shows its pose: a camera at its side does.",
     "unseen": "Much of the animal is hardly ever detected: its pose there is only what is usual.",
+    "rate": "The frame rate is low, so that little is known of the pose between the frames.",
 }
 """Reasons, by the factor that raises the expected error most."""
 NOTHING_AGAINST = "Nothing in the clip speaks against it."
@@ -76,6 +81,9 @@ class Evidence:
     position_sigma_m: float
     """Posterior standard deviation, in which one camera's focal length is uncertain."""
 
+    slowness: float = 1.0
+    """`RATE_HZ` relative to the frame rate, 1 at least; 1 without a learned prior."""
+
     @property
     def factors(self) -> dict[str, float]:
         """Return the logarithms of the quantities whose powers make the error relative to the trunk."""
@@ -84,6 +92,7 @@ class Evidence:
             "distance": math.log(self.distance_m / self.trunk_m),
             "end_on": self.end_on**8,
             "unseen": self.unseen**4,
+            "rate": math.log(self.slowness),
         }
 
 
@@ -103,8 +112,10 @@ def evidence_of(motion: Motion) -> Evidence:
     trunk_m = joints_m[:, front] - joints_m[:, rear]
     sights_m = [middle_m - np.broadcast_to(view.centre_m, (len(posed), 3))[posed] for view in solution.views]
     distance_m = min(float(np.linalg.norm(sight_m, axis=-1).mean()) for sight_m in sights_m)
-    has_focal = isinstance(solution, TrajectorySolution)  # its covariances contain the focal length
-    focal_sigma = 0.0 if has_focal else focal_sigma_of(motion.settings, len(motion.sources)) or 0.0
+    is_trajectory = isinstance(solution, TrajectorySolution)
+    has_learned_prior = is_trajectory and solution.prior != NONE
+    # The covariances of a trajectory contain the focal length.
+    focal_sigma = 0.0 if is_trajectory else focal_sigma_of(motion.settings, len(motion.sources)) or 0.0
     return Evidence(
         trunk_m=float(np.linalg.norm(trunk_m, axis=-1).mean()),
         posterior_m=solution.posterior_factor * _MEAN_OF_NORM * float(np.sqrt(variance).mean()),
@@ -115,6 +126,7 @@ def evidence_of(motion: Motion) -> Evidence:
         end_on=min(float(np.abs(_cosine(trunk_m, sight_m)).mean()) for sight_m in sights_m),
         unseen=float(np.average(unseen, weights=variance.mean(axis=0))),
         position_sigma_m=math.hypot(float(np.sqrt(np.maximum(middle_variance, 0.0)).mean()), focal_sigma * distance_m),
+        slowness=max(RATE_HZ / motion.fps, 1.0) if has_learned_prior else 1.0,
     )
 
 

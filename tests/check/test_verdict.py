@@ -117,11 +117,17 @@ def test_the_summary_says_what_one_camera_cannot_tell(small_trajectory):
     )
 
 
-@pytest.mark.parametrize("name", ["posterior_m", "misfit", "distance_m", "end_on", "unseen"])
+@pytest.mark.parametrize("name", ["posterior_m", "misfit", "distance_m", "end_on", "unseen", "slowness"])
 def test_worse_evidence_expects_more(small_trajectory, name):
     evidence = evidence_of(small_trajectory)
     worse = replace(evidence, **{name: 1.0 if name in ("end_on", "unseen") else 3 * getattr(evidence, name)})
     assert expected_pose_of_trunk(worse).expected > expected_pose_of_trunk(evidence).expected
+
+
+def test_a_low_frame_rate_expects_more(small_trajectory):
+    solution = replace(small_trajectory.solution, prior="running-cheetah")
+    assert evidence_of(replace(small_trajectory, solution=solution)).slowness == pytest.approx(60 / 30)
+    assert evidence_of(replace(small_trajectory, solution=replace(solution, prior="none"))).slowness == 1.0
 
 
 def test_an_uncertain_pose_is_not_to_be_used(small_trajectory):
