@@ -111,7 +111,7 @@ PUBLISHED = {
 UPWARD = {
     "recon.clip": {"recon.io.columns"},  # Keypoints.from_dataframe and from_xarray
     "recon.io.formats": {"recon.io"},  # the table of formats
-    "recon.fit.motion_forms": {"recon.thesis.solution"},  # Motion.load, of results of the frame method
+    "recon.fit.motion_forms": {"recon.thesis.solution", "recon.show.plots.side_view"},  # Motion.load, Motion.plot
     "recon.thesis.solution": {"recon.thesis.report"},  # the method's own sections of the report
     "recon.api.clip": {"recon.thesis.clip"},  # fit_clip, by the frame method
     "recon.api.clip_inputs": {"recon.thesis.clip"},  # the chain of the frame method

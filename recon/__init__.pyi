@@ -28,6 +28,8 @@ from .gait.evaluation import Evaluation as Evaluation
 from .gait.evaluation import evaluate as evaluate
 from .gait.evaluation import evaluate_files as evaluate_files
 from .geometry.camera import Camera as Camera
+from .ik.clip import IkSettings as IkSettings
+from .ik.clip import run_ik as run_ik
 from .io.calibration import read_camera as read_camera
 from .io.calibration import read_cameras as read_cameras
 from .io.camera_files import write_camera as write_camera
@@ -39,3 +41,5 @@ from .keypoint_net.labels import LabelSource as LabelSource
 from .keypoint_net.network import run_prediction as run_prediction
 from .keypoint_net.train import TrainSettings as TrainSettings
 from .keypoint_net.train import run_training as run_training
+from .robotics.retarget_clip import RetargetSettings as RetargetSettings
+from .robotics.retarget_clip import run_retarget as run_retarget

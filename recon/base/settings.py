@@ -17,6 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields, replace
 from difflib import get_close_matches
 from functools import cache
+from inspect import Parameter, Signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, dataclass_transform
 
@@ -47,6 +48,17 @@ def _name_or_file(value: object) -> object:
     return str(Path(text).absolute()) if isinstance(text, str) and text.endswith(FILE_SUFFIXES) else text
 
 
+_UNITS = {
+    "fps": "Hz",
+    "_m_s": "m/s",
+    "_deg": "degrees",
+    "_px": "pixels",
+    "_kg": "kg",
+    "_rad": "rad",
+    "_m": "m",
+    "_s": "s",
+}
+"""Units by the ending of a setting's name, longer endings first."""
 _MAY_BE_FILE = object()
 """Marks a type whose text is a file if it ends like one."""
 _Value = TypeVar("_Value")
@@ -133,6 +145,18 @@ class SettingInfo:
         name = self.option.name or "--" + self.field.replace("_", "-")
         return name if self.option.common else f"--set {name[2:]}"
 
+    @property
+    def kind(self) -> str:
+        """Return the kind of value in words, with its unit: "float, m/s", "path or list of paths"."""
+        words = {bool: "bool", Path: "path", float: "float", int: "int", str: "str"}
+        word = " | ".join(map(repr, self.choices)) or next(
+            (w for part, w in words.items() if part in self.parts), "str"
+        )
+        if self.is_many:
+            word = f"{word} or list of {word}s"
+        units = (unit for ending, unit in _UNITS.items() if self.field.endswith(ending))
+        return ", ".join([word, *list(units)[:1]])
+
     def expected(self, message: str = "") -> str:
         """Return what is expected of a value, in the user's words.
 
@@ -162,6 +186,24 @@ class SettingInfo:
 _CONFIG = pydantic.ConfigDict(extra="forbid", use_attribute_docstrings=True)
 
 
+class _ReadableSignature:
+    """Signature of a class of settings with the kind and the unit of each value, made when it is asked for."""
+
+    def __get__(self, instance: object, cls: type[Settings]) -> Signature:
+        by_name = Parameter.KEYWORD_ONLY
+        return Signature(
+            [
+                Parameter(
+                    name,
+                    by_name,
+                    default=Parameter.empty if info.default is MISSING else info.default,
+                    annotation=info.kind,
+                )
+                for name, info in cls.infos().items()
+            ]
+        )
+
+
 @dataclass_transform(frozen_default=True, kw_only_default=True)
 class Settings:
     """Hold the settings of a command: a subclass is a frozen dataclass, with the help of each field below it.
@@ -189,6 +231,7 @@ class Settings:
                 raise_problems(problems)
 
             cls.__init__ = __init__
+            cls.__signature__ = _ReadableSignature()
 
     def __repr__(self) -> str:
         """Return the settings that differ from their defaults."""

@@ -13,8 +13,9 @@ import numpy as np
 
 from recon.animal.body import Body, Side, Skeleton
 from recon.base.arrays import Array, Bools, Brief, Integers, mean_along, median
+from recon.base.errors import InputError, Problem
 from recon.clip import CleaningReport, Keypoints, Source, world_from_reference
-from recon.fit.result import OUTLIER_SIGMAS, Finding, MotionSegment, Solution, Verdict
+from recon.fit.result import OUTLIER_SIGMAS, Finding, MotionSegment, Solution, TrajectorySolution, Verdict
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, moved
 from recon.geometry.kinematics import PITCH, ROOT, YAW
@@ -23,6 +24,7 @@ from recon.io.common import Pose3D
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+    from matplotlib.figure import Figure
 
 MEASURED_SHARE = 0.5
 """Smallest information fraction at which a quantity counts as measured."""
@@ -163,6 +165,41 @@ class Motion:
         from recon.fit.motion_forms import dataset_of
 
         return dataset_of(self)
+
+    def sample(self, n: int = 100, seed: int = 0) -> Array:
+        """Return motions drawn from the posterior, shape (n, T, J, 3), metres; NaN without a pose.
+
+        Neighbouring frames and joints vary together as their errors do, and so does the animal's size. The mean of a
+        quantity over the draws and its quantiles are its estimate and its interval.
+
+        Parameters
+        ----------
+        n
+            Number of draws, 1 or more.
+        seed
+            Seed of the random numbers; the same seed gives the same draws.
+
+        Raises
+        ------
+        InputError
+            If n is not a number above 0, the frame method made the motion, or its prior cannot be loaded by its name.
+        """
+        if isinstance(n, bool) or not isinstance(n, int | np.integer) or n < 1:
+            raise InputError(Problem("sample", "n", repr(n), "a whole number above 0"))
+        if not isinstance(self.solution, TrajectorySolution):
+            raise InputError(Problem("sample", "method", "frame by frame", "a fit of all frames at once"))
+        from recon.fit.sampling import sample_joints
+
+        return sample_joints(self.sources, self.solution, self.fps, self.settings, int(n), seed)
+
+    def plot(self) -> Figure:
+        """Return a figure of the animal from the side at even steps of the clip (matplotlib).
+
+        `figure.savefig("side.pdf")` keeps it; a notebook shows it.
+        """
+        from recon.fit.motion_forms import figure_of
+
+        return figure_of(self)
 
     # -- saved and loaded -----------------------------------------------------------------------------------------
 

@@ -22,6 +22,7 @@ from recon.geometry.kinematics import YAW
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+    from matplotlib.figure import Figure
 
 MOTION = "motion.npz"
 SCHEMA, OLDER_VERSIONS = {"name": "recon.motion", "version": 3}, (2,)
@@ -182,3 +183,11 @@ def _from_the_side(joints_m: Array, limbs: Iterable[Sequence[int]]) -> str:
     lines = "".join(f"<polyline vector-effect='non-scaling-stroke' points='{line}'/>" for line in polylines)
     box = f"viewBox='{x:.3f} {y:.3f} {width:.3f} {height:.3f}' width='640' height='240'"
     return f"<svg {box} role='img' fill='none' stroke='#0072b2' stroke-width='1.6' overflow='visible'>{lines}</svg>"
+
+
+def figure_of(motion: Motion) -> Figure:
+    """Return the animal from the side at even steps of the clip."""
+    from recon.show.plots.side_view import side_view
+
+    sides = motion.limb_sides
+    return side_view(motion.upright.xyz_m, motion.limbs, sides, motion.solved, motion.time_s)

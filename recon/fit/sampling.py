@@ -6,12 +6,17 @@ correlated as H says. The shared unknowns are drawn separately, and so is the si
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 
+from recon.animal.prior import load_prior
 from recon.base.arrays import Array, mean
-from recon.fit.clip_problem import ClipProblem, contacts
+from recon.base.errors import InputError, Problem
+from recon.clip import Source, views_of
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts, focal_sigma_of
 from recon.fit.least_squares import Estimate
 from recon.fit.posterior import curvature, with_noise_about_bias
 from recon.fit.result import TrajectorySolution
@@ -78,6 +83,47 @@ def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int
     return [
         _drawn(clip, solution, drawn_states, size) for drawn_states, size in zip(drawn, sizes.tolist(), strict=True)
     ]
+
+
+def sample_joints(
+    sources: Sequence[Source],
+    solution: TrajectorySolution,
+    fps: float,
+    settings: Mapping[str, Any],
+    count: int,
+    seed: int = 0,
+) -> Array:
+    """Return draws of the joints from the posterior, shape (count, T, J, 3), metres; NaN without a pose.
+
+    Parameters
+    ----------
+    sources
+        What the cameras saw.
+    solution
+        The solution for them.
+    fps
+        Frames a second.
+    settings
+        Settings of the fit, by name, from which the problem is set up again.
+    count, seed
+        Number of draws, and the seed of the random numbers.
+
+    Raises
+    ------
+    InputError
+        If the fit's prior cannot be loaded by its name.
+    """
+    prior = load_prior(settings.get("prior"), solution.body)
+    if prior.name != solution.prior:
+        expected = f"{solution.prior}, the prior of the fit: refit with a built-in prior"
+        raise InputError(Problem("sample", "prior", prior.name, expected))
+    values: dict[str, Any] = {
+        f.name: settings[f.name] for f in fields(TrajectoryOptions) if settings.get(f.name) is not None
+    }
+    values["focal_sigma"] = focal_sigma_of(settings, len(sources))
+    options = TrajectoryOptions(**values)
+    clip = ClipProblem.from_views(views_of(sources), solution.body, prior, fps, options)
+    return np.stack([draw.joints_m for draw in draws(clip, solution, count, seed)])
 
 
 def _drawn(clip: ClipProblem, solution: TrajectorySolution, states: Array, size: float) -> TrajectorySolution:
