@@ -43,7 +43,7 @@ class CorrectedClip:
     number: int
     """Number of the camera."""
     corrections: tuple[Correction, ...]
-    """Those of this camera."""
+    """The corrections of this camera."""
     names: Mapping[str, str]
     """Names in the keypoint file, by those that they were given for the fit."""
     file: Keypoints

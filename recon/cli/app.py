@@ -145,6 +145,12 @@ def _camera_advice() -> CommandFunction:
     return camera_advice
 
 
+def _label() -> CommandFunction:
+    from recon.cli.label import label
+
+    return label
+
+
 def _train() -> CommandFunction:
     from recon.cli.network import train_command
 
@@ -269,6 +275,7 @@ COMMANDS = {
         "camera-advice": (_camera_advice, "Where to put a camera, to see an angle or a joint."),
     },
     "Keypoints from video": {
+        "label": (_label, "Label frames of a video in a browser, from nothing."),
         "train": (_train, "Train a small keypoint network on a few labels."),
         "predict": (_predict, "Find the keypoints in every frame of a video."),
         "evaluate-2d": (_evaluate_2d, "Compare keypoints with labels."),

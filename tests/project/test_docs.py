@@ -57,6 +57,7 @@ NOT_RUN = {
     r"recon triangulate cam1\.csv ": "of three cameras; test_triangulate.py",
     r"recon camera-motion ": "needs a video of a camera that turns; test_camera_motion.py",
     r"recon overlay ": "test_overlay.py",
+    r"recon label ": "serves a page until it is stopped; test_label_frames.py, test_browser.py",
     r"recon fix ": "serves a page until it is stopped; test_correction_session.py",
     r"recon doctor": "looks at this machine; test_doctor.py",
 }

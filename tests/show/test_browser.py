@@ -21,10 +21,12 @@ from motions import with_first
 from recon import FitSettings, write_clip
 from recon.api.batch import COLUMNS, write_summary_page
 from recon.api.corrections import CorrectionSession
+from recon.api.label_frames import LabelSession
 from recon.base.files import seen_from
 from recon.base.progress import silent
 from recon.check.codes import finding
 from recon.cli.fix import _server as editor_server
+from recon.cli.label import label_server
 from recon.cli.look import PageSettings, _page_of_clip
 from recon.fit.motion import Motion
 from recon.fit.result import Verdict
@@ -478,3 +480,52 @@ def test_keys_accept_hide_clear_swap_and_undo(editor: EditorPage):
     assert {frame for frame, _ in swapped} == {5, 6, 7}
     editor.press("u")
     assert editor.saved() == {}
+
+
+def test_labels_from_nothing(chromium, tmp_path: Path):
+    """Clicks label one keypoint after the other; a drag, a skipped one, undo and the next frame do what they say."""
+    pytest.importorskip("tables")
+    video = tmp_path / "run.avi"
+    with video_writer(video, (320, 240), 25.0) as write:
+        for number in range(3):
+            write(np.full((240, 320, 3), 80 * number, np.uint8))
+    session = LabelSession.open(video, tmp_path / "project", ("nose", EVIL, "tail"), "me", 3)
+    server = label_server(session)
+    threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
+    context = chromium.new_context(viewport={"width": 1280, "height": 900})
+    page, said = context.new_page(), list[str]()
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.goto(server.address)
+    page.wait_for_function(EDITOR)
+
+    def at(point: tuple[float, float]) -> tuple[float, float]:
+        script = "(point) => { const box = EDITOR.canvas.getBoundingClientRect(), [x, y] = EDITOR.place(point);"
+        x, y = page.evaluate(f"{script} return [box.left + x, box.top + y]; }}".replace("EDITOR", EDITOR), point)
+        return x, y
+
+    def saved() -> dict[tuple[int, int], tuple[float, float]]:
+        page.evaluate(f"() => {EDITOR}.saving")
+        return session.points_px
+
+    page.mouse.click(*at((100.0, 50.0)))  # nose
+    page.keyboard.press("h")
+    page.mouse.click(*at((200.0, 150.0)))  # tail
+    labels = saved()
+    assert {*labels} == {(0, 0), (0, 2)}
+    assert np.hypot(*np.subtract([labels[0, 0], labels[0, 2]], [(100.0, 50.0), (200.0, 150.0)]).T).max() < 0.5
+    page.mouse.move(*at((100.0, 50.0)))
+    page.mouse.down()
+    page.mouse.move(*at((120.0, 70.0)), steps=3)
+    page.mouse.up()
+    assert np.hypot(*np.subtract(saved()[0, 0], (120.0, 70.0))) < 1.0
+    page.keyboard.press("u")
+    assert np.hypot(*np.subtract(saved()[0, 0], (100.0, 50.0))) < 0.5
+    page.keyboard.press("n")
+    page.mouse.click(*at((10.0, 20.0)))
+    assert {*saved()} == {(0, 0), (0, 2), (1, 0)}
+    assert page.evaluate(CUT) == []
+    context.close()
+    server.shutdown()
+    server.server_close()
+    assert said == []

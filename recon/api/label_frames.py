@@ -1,0 +1,238 @@
+"""Label frames of a video by hand: choose frames that differ, and keep the label files as they grow."""
+
+from __future__ import annotations
+
+import math
+import threading
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from recon.animal.skeleton_file import load_skeleton
+from recon.api.label_export import labels_output
+from recon.base.arrays import Array, Index
+from recon.base.errors import InputError, Problem
+from recon.base.outputs import Output
+from recon.io.formats import read_keypoints
+from recon.io.label_files import LabelledFrames, require_label_names, write_label_files, write_label_pictures
+from recon.io.video import probe, read_frames
+
+THUMBNAIL_PX = 24
+"""Longer side of the small pictures that are compared."""
+MOST_COMPARED = 600
+"""Most frames of a video that are compared."""
+SEED = 0
+Point = tuple[float, float]
+
+
+def choose_frames(video: Path, count: int) -> list[int]:
+    """Return numbers of frames that differ: the one nearest to the centre of each of `count` groups of pictures.
+
+    The groups are those of k-means on small pictures. The same video gives the same frames.
+
+    Raises
+    ------
+    InputError
+        If no frame can be decoded.
+    """
+    from scipy.cluster.vq import kmeans2
+
+    step = max(1, (probe(video).stated_frames or 0) // MOST_COMPARED)
+    numbers, pictures = [], []
+    for number, picture in read_frames(video, step=step):
+        scale = THUMBNAIL_PX / max(picture.shape[:2])
+        size = max(1, round(picture.shape[1] * scale)), max(1, round(picture.shape[0] * scale))
+        numbers.append(number)
+        pictures.append(cv2.resize(picture, size, interpolation=cv2.INTER_AREA).ravel().astype(float))
+    if not numbers:
+        raise InputError(Problem(video, "frames", "none that can be decoded", "a video"))
+    if count >= len(numbers):
+        return numbers
+    points = np.array(pictures)
+    groups = min(count, len(np.unique(points, axis=0)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # a group that has become empty
+        centres, group = kmeans2(points, groups, minit="++", rng=np.random.default_rng(SEED))
+    distance = np.linalg.norm(points - centres[group], axis=1)
+    chosen = {int(members[np.argmin(distance[members])]) for members in _groups(np.asarray(group, dtype=np.intp))}
+    return sorted(
+        [numbers[i] for i in chosen]
+        + _spread([n for i, n in enumerate(numbers) if i not in chosen], count - len(chosen))
+    )
+
+
+def _groups(group: Index) -> list[Index]:
+    return [np.flatnonzero(group == number) for number in np.unique(group)]
+
+
+def _spread(numbers: Sequence[int], count: int) -> list[int]:
+    """Return so many of the numbers, evenly spread: where pictures are so similar that groups are empty."""
+    if count <= 0:
+        return []
+    return [numbers[i] for i in np.unique(np.linspace(0, len(numbers) - 1, count).round().astype(int))]
+
+
+@dataclass(eq=False)
+class LabelSession:
+    """Hold the labels of chosen frames of a video; every change is saved in DeepLabCut's label files."""
+
+    video: Path
+    names: tuple[str, ...]
+    frames: tuple[int, ...]
+    scorer: str
+    output: Output
+    edges: tuple[tuple[int, int], ...] = ()
+    """Keypoints that a bone joins, as indices."""
+    points_px: dict[tuple[int, int], Point] = field(default_factory=dict)
+    """Labels by frame and keypoint's index."""
+
+    @classmethod
+    def open(
+        cls, video: Path, out: Path, names: Sequence[str], scorer: str, count: int, skeleton: str | None = None
+    ) -> LabelSession:
+        """Choose frames, write their pictures, and read the labels that there are from an earlier session.
+
+        Parameters
+        ----------
+        video
+            The video.
+        out
+            Folder of the project, in which labeled-data is.
+        names
+            Names of the keypoints.
+        scorer
+            Name of the labeller.
+        count
+            Number of frames.
+        skeleton
+            The skeleton whose bones are drawn, if any.
+
+        Raises
+        ------
+        InputError
+            If a file is in the way, or the earlier labels have other keypoints.
+        """
+        require_label_names(video.stem, scorer)
+        if len({*names}) != len(names) or not all(name.strip() and name.isprintable() for name in names) or not names:
+            raise InputError(Problem("--names", "names", ", ".join(names)[:100] or "none", "a name for each keypoint"))
+        output = labels_output(out, video.stem, "label", "--out", True, [video])
+        edges = () if skeleton is None else _edges(skeleton, names)
+        session = cls(video, tuple(names), (), scorer, output, edges)
+        table = output.folder / f"CollectedData_{scorer}.csv"
+        if table.is_file():
+            output.require((table.name,))  # not one that somebody else has made
+            earlier = read_keypoints(table)
+            if earlier.names != session.names:
+                actual = ", ".join(earlier.names)[:200]
+                raise InputError(
+                    Problem(table, "bodyparts", actual, f"those of this session: {', '.join(names)[:200]}")
+                )
+            labels = np.argwhere(np.isfinite(earlier.xy_px).all(axis=2))
+            session.points_px = {
+                (int(earlier.frames[i]), int(k)): (float(earlier.xy_px[i, k, 0]), float(earlier.xy_px[i, k, 1]))
+                for i, k in labels
+            }
+        labelled = {frame for frame, _ in session.points_px}
+        more = [frame for frame in choose_frames(video, count) if frame not in labelled]
+        session.frames = tuple(sorted([*labelled, *more[: max(0, count - len(labelled))]]))
+        session._write_pictures()
+        return session
+
+    def __post_init__(self) -> None:
+        self._lock = threading.Lock()
+        info = probe(self.video)
+        self._size_px, self._digits = info.size_px, max(4, len(str(info.stated_frames or 0)))
+
+    # -- what the page reads
+
+    def state(self) -> dict[str, object]:
+        """Return what the page shows, in JSON types."""
+        return {
+            "names": [*self.names],
+            "frames": [*self.frames],
+            "edges": [[*edge] for edge in self.edges],
+            "size_px": [*self._size_px],
+            "points": [[frame, k, *point] for (frame, k), point in self.points_px.items()],
+            "folder": str(self.output.folder),
+        }
+
+    def picture(self, frame: int) -> Path | None:
+        """Return the file of a frame's picture; None for another frame."""
+        path = self.output.folder / self._labels().picture(frame)
+        return path if frame in self.frames and path.is_file() else None
+
+    # -- what the page changes
+
+    def save(self, rows: object) -> int:
+        """Save labels, all of them, as the page sends them: frame, keypoint's index, x and y. Return their number.
+
+        Raises
+        ------
+        InputError
+            If they are no labels of this video, or if somebody has changed the files.
+        """
+        points_px = self._checked(rows)
+        with self._lock:
+            before, self.points_px = self.points_px, points_px
+            try:
+                with self.output.staged(adds=True) as folder:
+                    write_label_files(self._labels(), folder)
+            except BaseException:
+                self.points_px = before
+                raise
+        return len(points_px)
+
+    def _checked(self, rows: object) -> dict[tuple[int, int], Point]:
+        if not isinstance(rows, list) or len(rows) > len(self.frames) * len(self.names):
+            raise InputError(Problem("labels", "rows", type(rows).__name__, "one for each keypoint of a frame at most"))
+        points_px: dict[tuple[int, int], Point] = {}
+        for number, row in enumerate(rows, start=1):
+            is_row = isinstance(row, list) and len(row) == 4 and all(isinstance(x, int | float) for x in row)
+            if (
+                not is_row
+                or row[0] not in self.frames
+                or row[1] not in range(len(self.names))
+                or not self._is_inside(row[2:])
+            ):
+                expected = "a frame, a keypoint, and a position in the picture"
+                raise InputError(Problem("labels", f"row {number}", repr(row)[:100], expected))
+            points_px[int(row[0]), int(row[1])] = float(row[2]), float(row[3])
+        return points_px
+
+    def _is_inside(self, point: Sequence[float]) -> bool:
+        return all(math.isfinite(x) and -0.5 <= x <= size - 0.5 for x, size in zip(point, self._size_px, strict=True))
+
+    def _labels(self) -> LabelledFrames:
+        """Return the labels of the frames that have any."""
+        frames = sorted({frame for frame, _ in self.points_px}) or [self.frames[0]]
+        row_of = {frame: i for i, frame in enumerate(frames)}
+        xy_px: Array = np.full((len(frames), len(self.names), 2), np.nan)
+        for (frame, k), point in self.points_px.items():
+            xy_px[row_of[frame], k] = point
+        numbers = np.array(frames, dtype=np.int64)
+        more = {"edges": self.edges, "size_px": self._size_px, "digits": self._digits}
+        return LabelledFrames(self.video.stem, self.scorer, self.names, numbers, xy_px, **more)
+
+    def _write_pictures(self) -> None:
+        """Write the pictures of the frames that have none yet."""
+        labels = self._labels()
+        lacking = [f for f in self.frames if not (self.output.folder / labels.picture(f)).is_file()]
+        if not lacking:
+            return
+        pictures = ((n, p) for n, p in read_frames(self.video, lacking[0], lacking[-1] + 1) if n in {*lacking})
+        with self.output.staged(adds=True) as folder:
+            for _ in write_label_pictures(labels, pictures, folder):
+                pass
+
+
+def _edges(skeleton: str, names: Sequence[str]) -> tuple[tuple[int, int], ...]:
+    """Return the bones between keypoints, as indices."""
+    limbs: Mapping[str, Sequence[str]] = load_skeleton(skeleton).limbs
+    index = {name: k for k, name in enumerate(names)}
+    pairs = {pair for limb in limbs.values() for pair in pairwise(limb)}
+    return tuple(sorted((index[a], index[b]) for a, b in pairs if a in index and b in index))

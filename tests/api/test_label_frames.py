@@ -1,0 +1,97 @@
+"""Labels from nothing: which frames, what is saved with every click, and what is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import refusal
+
+from recon.api.label_frames import LabelSession, choose_frames
+from recon.io.formats import read_keypoints
+from recon.io.video import video_writer
+from recon.keypoint_net.labels import read_labels
+
+NAMES = ("nose", "tail")
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory) -> Path:
+    """Thirty frames in three scenes of ten, with a bright bar at the left, in the middle, and at the right."""
+    path = tmp_path_factory.mktemp("film") / "run.avi"
+    with video_writer(path, (64, 48), 25.0) as write:
+        for number in range(30):
+            picture = np.zeros((48, 64, 3), np.uint8)
+            picture[:, 20 * (number // 10) : 20 * (number // 10) + 20] = 200
+            write(picture)
+    return path
+
+
+@pytest.fixture
+def session(film: Path, tmp_path: Path) -> LabelSession:
+    pytest.importorskip("tables")
+    return LabelSession.open(film, tmp_path, NAMES, "me", 3)
+
+
+def test_frames_are_chosen_from_every_scene_and_the_same_again(film: Path):
+    chosen = choose_frames(film, 3)
+    assert [number // 10 for number in chosen] == [0, 1, 2]
+    assert choose_frames(film, 3) == chosen
+    assert choose_frames(film, 100) == [*range(30)]
+    assert len(choose_frames(film, 12)) == 12  # more than there are kinds of pictures
+
+
+def test_what_is_saved_is_what_recon_train_reads(session: LabelSession, tmp_path: Path):
+    first, second, third = session.frames
+    assert session.save([[first, 0, 10.0, 20.5], [first, 1, 30.0, 20.0], [third, 1, 5.0, 6.0]]) == 3
+    labels = read_labels(tmp_path)
+    assert labels.names == NAMES
+    assert labels.numbers.tolist() == [first, third]
+    assert labels.xy_px[0].tolist() == [[10.0, 20.5], [30.0, 20.0]]
+    assert np.isnan(labels.xy_px[1, 0]).all()
+    assert labels.pictures[1].shape == (48, 64, 3)
+    assert session.picture(second) is not None
+    assert session.picture(second + 1) is None
+
+
+def test_the_next_session_goes_on(session: LabelSession, film: Path, tmp_path: Path):
+    session.save([[session.frames[1], 0, 10.0, 20.0]])
+    again = LabelSession.open(film, tmp_path, NAMES, "me", 3)
+    assert again.points_px == session.points_px
+    assert again.frames == session.frames
+    again.save([])
+    assert not read_keypoints(again.output.folder / "CollectedData_me.csv").present.any()
+    with refusal(("CollectedData_me.csv", "bodyparts", "nose, tail", "paw")):
+        LabelSession.open(film, tmp_path, ("paw",), "me", 3)
+
+
+def test_labels_that_somebody_else_made_are_not_replaced(session: LabelSession, film: Path, tmp_path: Path):
+    session.save([[session.frames[0], 0, 10.0, 20.0]])
+    table = session.output.folder / "CollectedData_me.csv"
+    table.write_text("mine")
+    with refusal(("CollectedData_me.csv", "file")):
+        session.save([[session.frames[0], 0, 11.0, 20.0]])
+    assert table.read_text() == "mine"
+    assert session.points_px == {(session.frames[0], 0): (10.0, 20.0)}
+    with refusal(("CollectedData_me.csv", "file")):
+        LabelSession.open(film, tmp_path, NAMES, "me", 3)
+
+
+@pytest.mark.parametrize(
+    "row",
+    [[-1, 0, 1.0, 1.0], ["0", 0, 1.0, 1.0], [0, 2, 1.0, 1.0], [0, 0, 64.0, 1.0], [0, 0, float("nan"), 1.0], [0], "x"],
+)
+def test_what_is_no_label_is_not_saved(session: LabelSession, row: object):
+    if isinstance(row, list) and row[0] == 0:
+        row[0] = session.frames[0]
+    with refusal(("labels", "row 1")):
+        session.save([row])
+    assert not (session.output.folder / "CollectedData_me.csv").exists()
+
+
+@pytest.mark.parametrize("names", [(), ("nose", "nose"), ("nose", "")])
+def test_names_that_are_none_are_refused(film: Path, tmp_path: Path, names: tuple[str, ...]):
+    pytest.importorskip("tables")
+    with refusal(("--names", "names")):
+        LabelSession.open(film, tmp_path, names, "me", 3)
