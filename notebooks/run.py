@@ -35,7 +35,7 @@ METADATA = {
     "language_info": {"name": "python"},
 }
 TIMEOUT_S = 300
-"""For one cell, on a busy machine."""
+"""For one cell, and for a kernel to start, on a busy machine."""
 
 FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(  # not rerun, which has threads from the start
@@ -98,6 +98,7 @@ def run(notebook: Path, recordings: str) -> nbformat.NotebookNode:
             node,
             km=manager,
             timeout=TIMEOUT_S,
+            startup_timeout=TIMEOUT_S,
             record_timing=False,
             coalesce_streams=True,
             shutdown_kernel="immediate",

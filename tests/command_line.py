@@ -108,7 +108,7 @@ def run_process(*args: object, before: str = "") -> Ended:
         f"{before}\nfrom recon.cli.app import main\nmain()",
         *map(str, args),
     ]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     return Ended(done.returncode, done.stdout, done.stderr)
 
 

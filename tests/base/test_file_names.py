@@ -53,7 +53,7 @@ def process(*args: object, shell: str = "") -> subprocess.CompletedProcess:
     """`recon ARGS` in a process of its own; shell: what stands behind it."""
     command = ["bash", "-c", f'"$@" {shell}', "bash", sys.executable, "-m", "recon", *map(str, args)]
     env = {**os.environ, "COLUMNS": "80", "PYTHONPATH": str(ROOT)}
-    return subprocess.run(command, capture_output=True, env=env, check=False, timeout=120)
+    return subprocess.run(command, capture_output=True, env=env, check=False, timeout=300)
 
 
 def test_a_name_is_written_and_read_again(tmp_path):
@@ -151,7 +151,7 @@ def test_standard_output_may_be_closed_or_of_ascii(tmp_path):
     no = ("fit", tmp_path / "Löwe.csv", *FIT, "--out", tmp_path / "no")
     commands = [*map(str, ("skeleton", "list", "--json", "then", *no, "then", "fit", "--help"))]
     env = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "ascii", "LANG": "C", "PYTHONUTF8": "0"}
-    done = subprocess.run([sys.executable, "-c", IN_TURN, *commands], capture_output=True, env=env, timeout=120)
+    done = subprocess.run([sys.executable, "-c", IN_TURN, *commands], capture_output=True, env=env, timeout=300)
     assert re.findall(rb"ended with (\d)", done.stderr) == [b"0", b"2", b"0"], done.stderr
     listed, usage = done.stdout.decode("ascii").split("Usage:")
     assert json.loads(listed)

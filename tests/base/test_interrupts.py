@@ -78,7 +78,7 @@ WORK = {
 
 def recon_in(code: str) -> Ended:
     command = [sys.executable, "-c", f"{START}{code}\nmain()", "fit"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     return Ended(done.returncode, done.stdout, done.stderr)
 
 
@@ -200,7 +200,7 @@ def test_output_that_goes_nowhere(where, code, said):
     else:
         writer = os.open(where, os.O_WRONLY)
     command = [sys.executable, "-m", "recon", "--version"]
-    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False, timeout=120)
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, check=False, timeout=300)
     os.close(writer)
     assert (done.returncode, done.stderr.count("\n")) == (code, len(said) > 0)
     assert said in done.stderr
@@ -223,7 +223,7 @@ def test_too_little_memory_is_said_before_a_library_waits_for_it():
         ["bash", "-c", f"ulimit -v 400000; exec '{sys.executable}' -m recon doctor"],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=300,
         check=False,
     )
     assert (ended.returncode, ended.stdout) == (1, "")

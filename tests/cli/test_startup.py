@@ -19,7 +19,7 @@ SLOW = {"numpy", "pandas", "scipy", "cv2", "rerun", "pyarrow", "torch", "matplot
 def imported_by(*args: object, what: tuple[str, ...] = ("-m", "recon")) -> set[str]:
     """The modules that `recon ARGS`, or `python WHAT ARGS`, imports."""
     command = [sys.executable, "-X", "importtime", *what, *map(str, args)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr[-2000:]
     return set(re.findall(r"^import time:.*\| +(\S+)$", done.stderr, re.MULTILINE))
 

@@ -90,7 +90,9 @@ def chromium() -> Iterator[Any]:
     if not CHROMIUM:
         pytest.skip("pages in a browser: without Chromium (apt-get install chromium)")
     with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        browser = playwright.chromium.launch(
+            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu"], timeout=PATIENCE_MS
+        )
         yield browser
         browser.close()
 
