@@ -1,6 +1,6 @@
-"""Hold what a clip consists of: for each camera, cleaned 2D keypoints and a view.
+"""Hold the data of a clip: for each camera, cleaned 2D keypoints and a view.
 
-Keypoints are on the frames that all cameras share. A view is what one camera saw, and from where.
+Keypoints are on the frames that all cameras share. A view holds the keypoints of one camera and its poses.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 CORNER_PX, CONSTANT_SHARE, CONSTANT_KEYPOINTS = 1.0, 0.005, 3
-"""Distance from the corner, share of all points, and number of keypoints from which one exact point is taken to stand
-for missing ones.
+"""Distance from the corner, fraction of all points, and number of keypoints above which one exact point is taken for a
+missing value.
 """
 
 
@@ -32,9 +32,9 @@ for missing ones.
 class Keypoints(Brief):
     """Detections of K named keypoints in T frames of one camera.
 
-    A reader returns what its file says: a confidence of NaN means that the file has none, and a missing point may still
-    have one. `clean` turns this into the form below. Raises ValueError where names, shapes or types do not fit
-    together.
+    A reader returns the values of its file: a confidence of NaN means that the file has none, and a missing point may
+    still have a confidence. `clean` turns these values into the form below. Raises ValueError if names, shapes or types
+    do not fit together.
     """
 
     names: tuple[str, ...]
@@ -48,17 +48,17 @@ class Keypoints(Brief):
     fps: float | None = None
     """Frames per second, if known."""
     stated_fps: float | None = None
-    """Rate that the file states, if another rate was given."""
+    """Frame rate that the file states, if another rate was given."""
     image_size_px: tuple[int, int] | None = None
     """Width and height of the picture, if known."""
     individual: str | None = None
-    """Name of the animal in a file of several."""
+    """Name of the animal, if the file has several."""
     source: str | None = None
     """Path of the file."""
     scorer: str | None = None
-    """Name of the network or the labeller in the file; None if it has none."""
+    """Name of the network or person that labelled the file; None if the file has none."""
     notes: tuple[str, ...] = ()
-    """Decisions of the reader, in plain sentences."""
+    """Choices of the reader, in plain sentences."""
 
     def __post_init__(self) -> None:
         t, k = len(self.frames), len(self.names)
@@ -119,7 +119,7 @@ class Keypoints(Brief):
 
     @property
     def present(self) -> np.ndarray:
-        """(T, K) bool: both coordinates are known."""
+        """Mask of the points with both coordinates, (T, K)."""
         return ~np.isnan(self.xy_px[..., 0]) & ~np.isnan(self.xy_px[..., 1])
 
 
@@ -128,7 +128,7 @@ COUNTS = (
     *("missing_absent_frame", "missing_constant", "likelihood_unknown"),
 )
 """Counts of a keypoint, in frames; used + missing + rejected = frames. A point is missing if it was stored as (0, 0)
-without a likelihood, as NaN with one, as nothing, or as the one point that stands for missing ones
+without a likelihood, as NaN with a likelihood, as nothing, or as a constant for missing points
 (`CleaningReport.constant_px`), or if the file lacks its frame. `likelihood_unknown` counts used points without a
 likelihood.
 """
@@ -139,9 +139,9 @@ class LeftOut(Brief):
     """Hold N detections of a file that the fit does not use."""
 
     names: tuple[str, ...] = ()
-    """Names of the keypoints that `keypoint` counts."""
+    """Names of the keypoints to which `keypoint` refers."""
     reasons: tuple[str, ...] = ()
-    """Reasons that `reason` counts."""
+    """Reasons to which `reason` refers."""
     frame: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     """(N,): frame numbers of the file."""
     keypoint: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
@@ -154,7 +154,7 @@ class LeftOut(Brief):
     """(N,): likelihoods, 0 to 1."""
 
     def and_points(self, keypoints: Keypoints, points: np.ndarray, reason: str, later_frames: int = 0) -> LeftOut:
-        """Return these and further points (T, K), whose frame numbers are so much later than those of the file."""
+        """Return these and further points (T, K); the clip's frame numbers are `later_frames` after the file's."""
         rows, columns = np.nonzero(points)
         names = tuple(dict.fromkeys((*self.names, *keypoints.names)))
         reasons = tuple(dict.fromkeys((*self.reasons, reason)))
@@ -172,7 +172,7 @@ class LeftOut(Brief):
 
 @dataclass(frozen=True, repr=False)
 class CleaningReport(Brief):
-    """Result of `clean`.
+    """Hold the result of `clean`.
 
     Frame ranges are half-open pairs (A, B) of original frame numbers: A is in, B is not.
     """
@@ -187,9 +187,9 @@ class CleaningReport(Brief):
     keypoints: dict[str, dict[str, int]]
     """`COUNTS` of each keypoint."""
     notes: tuple[str, ...] = ()
-    """Decisions of the reader."""
+    """Choices of the reader."""
     constant_px: tuple[float, float] | None = None
-    """The point, such as (-1, -1), that stands for missing ones although it has a likelihood, if any."""
+    """The constant, such as (-1, -1), stored for missing points although it has a likelihood, if any."""
     left_out: LeftOut = field(default_factory=LeftOut)
     """Detections that are not used."""
 
@@ -213,18 +213,18 @@ def parse_frame_range(text: str) -> tuple[int | None, int | None]:
 
 
 UNLIKELY = "low likelihood"
-"""Reason why a detection is left out: its likelihood is below the least one."""
+"""Reason for leaving out a detection: its likelihood is below the limit."""
 
 
 def clean(
     keypoints: Keypoints, likelihood_min: float, frames: tuple[int | None, int | None] | None = None
 ) -> tuple[Keypoints, CleaningReport]:
-    """Turn a file's points into reliable ones: missing is NaN with confidence 0, and time is regular.
+    """Mark unreliable points of a file as missing (NaN with confidence 0), and make time regular.
 
     Parameters
     ----------
     keypoints : Keypoints
-        As read.
+        Keypoints as a reader returns them.
     likelihood_min : float
         Points with a lower likelihood are rejected.
     frames : (int or None, int or None), optional
@@ -233,14 +233,14 @@ def clean(
     Raises
     ------
     InputError
-        If no frame or point is left, or for absurd gaps.
+        If no frame or point is left, or a gap is far too long.
     """
     if not 0 <= likelihood_min <= 1:
         raise InputError(Problem("--set likelihood-min", "likelihood_min", str(likelihood_min), "a number from 0 to 1"))
     rows_in_file = len(keypoints.frames)
     selected = select_frames(keypoints, frames)
     marked, missing = mark_missing(selected)
-    unknown = marked.present & np.isnan(marked.confidence)  # hand labels, which are certain
+    unknown = marked.present & np.isnan(marked.confidence)  # hand labels are certain
     known = replace(marked, confidence=np.where(unknown, 1.0, marked.confidence))
     unlikely = known.present & (known.confidence < likelihood_min)
     likelihood_unknown, rejected = unknown.sum(axis=0), unlikely.sum(axis=0)
@@ -274,13 +274,13 @@ def leave_out(
 ) -> tuple[Keypoints, CleaningReport]:
     """Mark further points (T, K) of a cleaned clip as missing and rejected, with a note of the reason.
 
-    later_frames: by how much the clip's frame numbers are later than those of the file.
+    `later_frames` is the clip's frame number minus that of the file.
     """
     if not points.any():
         return keypoints, report
     lost_points = dict(zip(keypoints.names, points.sum(axis=0).tolist(), strict=True))
     counts = {}
-    for name, counted in report.keypoints.items():  # the names in the file; the clip may have more
+    for name, counted in report.keypoints.items():  # the names in the file; the clip may have more names
         used, lost = counted["used"] - lost_points.get(name, 0), lost_points.get(name, 0)
         unknown = min(counted["likelihood_unknown"], used)
         counts[name] = {**counted, "used": used, "rejected": counted["rejected"] + lost, "likelihood_unknown": unknown}
@@ -307,7 +307,7 @@ def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | 
         has = f"{keypoints.frames[0]} to {keypoints.frames[-1]}" if len(keypoints.frames) else "none"
         expected = f"a range within its frames ({has})"
         raise InputError(Problem(_source(keypoints), "frames", f"none in the range {shown}", expected))
-    if keep.all():  # a copy of half an hour takes 100 MB
+    if keep.all():  # copying half an hour takes 100 MB
         return keypoints
     xy_px, confidence, numbers = (values[keep] for values in (keypoints.xy_px, keypoints.confidence, keypoints.frames))
     return replace(keypoints, xy_px=xy_px, confidence=confidence, frames=numbers)
@@ -333,9 +333,10 @@ def mark_missing(keypoints: Keypoints) -> tuple[Keypoints, dict[str, np.ndarray]
 
 
 def constant_px(keypoints: Keypoints) -> tuple[float, float] | None:
-    """Return the point that stands for missing ones, if any.
+    """Return the constant that a file stores for missing points, if any.
 
-    Several keypoints have exactly this point in the picture's corner or outside it, which no detector produces.
+    Several keypoints have exactly this position, in the picture's corner or outside the picture, which no detector
+    produces.
     """
     points, names = keypoints.xy_px[keypoints.present], np.nonzero(keypoints.present)[1]
     corner = (points <= CORNER_PX).all(axis=1) & (keypoints.confidence[keypoints.present] != 0)
@@ -350,7 +351,7 @@ def constant_px(keypoints: Keypoints) -> tuple[float, float] | None:
 def fill_gaps(keypoints: Keypoints) -> tuple[Keypoints, tuple[tuple[int, int], ...]]:
     """Insert all-missing rows for absent frame numbers, so that time is regular.
 
-    Also returns the half-open ranges that were inserted. Raises InputError if they are absurdly long.
+    Also returns the half-open ranges that were inserted. Raises InputError if the gaps are far too long.
     """
     frames, (t, k) = keypoints.frames, keypoints.confidence.shape
     span = int(frames[-1]) - int(frames[0]) + 1
@@ -399,13 +400,13 @@ def _source(keypoints: Keypoints) -> str:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class View(Brief):
-    """Hold the T frames of a clip as one camera saw them, and the camera's poses.
+    """Hold the keypoints that one camera saw in the T frames of a clip, and the camera's poses.
 
     Lengths are metres. Pixels are those of the distorted picture.
     """
 
     camera: Camera
-    """Lens, intrinsics and the picture's size. The pose is in `T_camera_world`, not here."""
+    """Lens, intrinsics and size of the picture; the pose is in `T_camera_world`, not here."""
     T_camera_world: Array
     """(T, 4, 4), or (4, 4) for a still camera."""
     xy_px: Array
@@ -415,9 +416,9 @@ class View(Brief):
     intrinsics_px: Array | None = None
     """(T, 4): fx, fy, cx, cy of each frame, for a camera that zooms."""
     offset_frames: float = 0.0
-    """Time offset of the pictures, later than the clip's frames: 0 up to 1 as given."""
+    """Delay of the pictures relative to the clip's frames; a given offset is 0 up to 1."""
     rotation_sigma_rad: Array | None = None
-    """(T,): standard deviation of each pose's rotation about any axis, for a camera whose track has it."""
+    """(T,): standard deviation of each pose's rotation about any axis, if the camera's track has it."""
 
     @property
     def is_still(self) -> bool:
@@ -436,7 +437,7 @@ class View(Brief):
 
     @cached_property
     def centre_m(self) -> Array:
-        """(T, 3): centre of projection, world frame."""
+        """Centre of projection (T, 3), world frame."""
         return np.broadcast_to(inverse(self.T_camera_world)[..., :3, 3], (len(self.xy_px), 3))
 
     @property
@@ -454,7 +455,7 @@ class View(Brief):
         return variance[:, None, None, None] * perpendicular
 
     def part(self, frames: slice | Index) -> View:
-        """Return the view cut to these frames."""
+        """Return the view cut to the given frames."""
         names = ["xy_px", "confidence", "intrinsics_px", "rotation_sigma_rad"]
         names += [] if self.is_still else ["T_camera_world"]
         arrays = {name: getattr(self, name) for name in names}
@@ -462,12 +463,12 @@ class View(Brief):
 
     @property
     def turn_px(self) -> Array | float:
-        """Shift of the picture's middle by each pose's rotation uncertainty: (T,), or 0."""
+        """Shift of the picture's middle due to the uncertainty of each pose's rotation: (T,), or 0."""
         return 0.0 if self.rotation_sigma_rad is None else self.focal_px * self.rotation_sigma_rad
 
     @property
     def seen(self) -> Bools:
-        """(T, J): whether each keypoint can have been detected in the picture (`Camera.sees`)."""
+        """Mask (T, J) of keypoints that can have been detected in the picture (`Camera.sees`)."""
         return self.camera.sees(self.xy_px, self._unzoomed_px)
 
     def corrected(self, correction: Array) -> View:
@@ -482,13 +483,13 @@ class View(Brief):
         return replace(self, camera=self.camera.with_focal_scale(log_scale)) if log_scale else self
 
     def mask_outside_image(self) -> View:
-        """Return the view without keypoints that no detector can have found in the picture (`Camera.sees`)."""
+        """Return the view without keypoints outside the picture, which no detector can have found (`Camera.sees`)."""
         return replace(self, xy_px=np.where(self.seen[..., None], self.xy_px, np.nan))
 
     def shift_to_exposure(self, points_m: Array) -> Array:
-        """Return points (T, J, 3) of the clip's frames at the times when this view's pictures were taken.
+        """Return points (T, J, 3) of the clip's frames, moved to the times at which this view's pictures were taken.
 
-        A gap is preceded by the last known velocity.
+        Before a gap, the last known velocity is used.
         """
         if not self.offset_frames or len(points_m) < 2:
             return points_m
@@ -524,7 +525,7 @@ class View(Brief):
 
     @cached_property
     def _zoom(self) -> Array:
-        """(T, 2, 3): from pixels of the camera's own matrix to the frame's pixels; the lens acts before both."""
+        """Affine map (T, 2, 3) from pixels of the camera's own matrix to the frame's; the lens acts before both."""
         assert self.intrinsics_px is not None
         matrices = np.tile(np.eye(3), (len(self.intrinsics_px), 1, 1))
         matrices[:, 0, 0], matrices[:, 1, 1], matrices[:, 0, 2], matrices[:, 1, 2] = self.intrinsics_px.T
@@ -533,7 +534,7 @@ class View(Brief):
 
     @property
     def _unzoomed_px(self) -> Array:
-        """(T, J, 2): keypoints in pixels of the camera's own matrix."""
+        """Keypoints (T, J, 2) in pixels of the camera's own matrix."""
         if self.intrinsics_px is None:
             return self.xy_px
         linear, shift = self._zoom[:, None, :, :2], self._zoom[:, None, :, 2]
@@ -563,17 +564,17 @@ def _pose(camera: Camera) -> Array:
 
 
 def still_view(camera: Camera, xy_px: Array, confidence: Array) -> View:
-    """Return the only view of a clip, by a still camera."""
+    """Return the view of a clip with one still camera."""
     return View(camera, camera_poses([camera])[0], xy_px, confidence)
 
 
 BRIDGED_S = 2.0
-"""A longer time without detections divides a clip in two."""
+"""Time without detections, in seconds, above which a clip is divided in two."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FramePoses(Brief):
-    """Poses of a moving camera in T frames, in a world with z up; NaN where unknown."""
+    """Hold poses of a moving camera in T frames, in a world with z up, NaN if unknown."""
 
     T_camera_world: Array
     """(T, 4, 4): pose of the camera in each frame."""
@@ -584,7 +585,7 @@ class FramePoses(Brief):
 
     @property
     def known(self) -> Bools:
-        """Whether each of the T frames has a camera pose, (T,)."""
+        """Mask of the T frames with a camera pose, (T,)."""
         return np.isfinite(self.T_camera_world[:, 0, 0])
 
     def map_arrays(self, change: Callable[[Array], Array]) -> FramePoses:
@@ -597,18 +598,18 @@ class FramePoses(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Source(Brief):
-    """One camera's cleaned keypoints, and the record of their cleaning."""
+    """Hold one camera's cleaned keypoints, and the record of their cleaning."""
 
     camera: Camera
     keypoints: Keypoints
-    """Cleaned keypoints that are fitted, in order, on the clip's frames, with the first camera's numbers."""
+    """Cleaned keypoints to fit, in order, on the clip's frames, with the first camera's frame numbers."""
     cleaning: CleaningReport
     file_names: tuple[str, ...]
     """All keypoint names of the file."""
     offset_frames: float = 0.0
-    """0 up to 1: time offset of the pictures, later than the clip's frames."""
+    """Delay of the pictures relative to the clip's frames, 0 up to 1."""
     poses: FramePoses | None = None
-    """Poses of a moving camera, whose `camera` has none; nothing is detected where they are unknown."""
+    """Poses of a moving camera, whose `camera` has none; there are no detections where they are unknown."""
     offset_s: float = 0.0
     """Time of the camera's frame 0 after the first camera's, as given or estimated."""
 
@@ -619,7 +620,7 @@ class Source(Brief):
 
     @property
     def later_frames(self) -> int:
-        """Return by how much the clip's frame numbers are later than those of the file."""
+        """Return the clip's frame number minus that of the file."""
         return round(self.offset_s * (self.keypoints.fps or 0.0) - self.offset_frames)
 
 
@@ -638,7 +639,7 @@ def views_of(sources: Sequence[Source]) -> tuple[View, ...]:
 
 
 def fill_from_nearest(values: Array) -> Array:
-    """Return values (T, ...) with NaN replaced by the nearest frame's."""
+    """Return values (T, ...) with NaN replaced by the value of the nearest frame."""
     known = np.flatnonzero(np.isfinite(values.reshape(len(values), -1)[:, 0]))
     frames = np.arange(len(values))
     following = np.clip(np.searchsorted(known, frames), 0, len(known) - 1)
@@ -648,9 +649,9 @@ def fill_from_nearest(values: Array) -> Array:
 
 
 def align_cameras(sources: Sequence[Source], later_frames: Sequence[float]) -> tuple[Source, ...]:
-    """Return sources on common frames: all frames of any camera near a detection.
+    """Return sources on common frames: all frames near a detection of any camera.
 
-    `later_frames` is how much later each camera's frame 0 was taken than the first camera's.
+    `later_frames` is the delay, in frames, of each camera's frame 0 relative to the first camera's.
     """
     shifts = [int(np.floor(later)) for later in later_frames]
     starts = [int(s.keypoints.frames[0]) + shift for s, shift in zip(sources, shifts, strict=True)]
@@ -664,9 +665,9 @@ def align_cameras(sources: Sequence[Source], later_frames: Sequence[float]) -> t
 
 
 def _near_detections(sources: Sequence[Source], starts: Sequence[int], frames: Integers, bridged: float) -> Bools:
-    """Return which consecutive frames are near a detection, (T,); the first and the last always are.
+    """Return a mask of consecutive frames near a detection, (T,), which includes the first and last frames.
 
-    Enough of a long gap stays that it is not bridged.
+    Enough of a long gap is kept for it not to be bridged.
     """
     seen = np.zeros(len(frames), dtype=bool)
     for source, start in zip(sources, starts, strict=True):
@@ -680,9 +681,9 @@ def _near_detections(sources: Sequence[Source], starts: Sequence[int], frames: I
 
 
 def _on_frames(source: Source, start: int, frames: Integers) -> Source:
-    """Return a source, whose consecutive frames begin at `start`, on these frames.
+    """Return a source, whose consecutive frames begin at `start`, on the given frames.
 
-    Frames that it lacks are missing.
+    Frames that the source lacks are missing.
     """
     keypoints = source.keypoints
     rows = np.arange(start, start + len(keypoints.frames))

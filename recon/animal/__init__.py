@@ -1,1 +1,1 @@
-"""Animals: their bodies as trees of segments, files of skeletons, subjects and detectors, names, and motion priors."""
+"""Describe animals: bodies as trees of segments, skeletons, subjects, detectors, names, and motion priors."""

@@ -1,4 +1,4 @@
-"""Name the joints of an animal: which marker is which joint, and to which side each joint flexes."""
+"""Name the joints of an animal: the marker of each joint, and the side to which it flexes."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ GIRDLE: Mapping[str, Literal["F", "H"] | None] = {
     **dict.fromkeys(("hip", "stifle", "hock", "hind_fetlock"), "H"),
     **dict.fromkeys(("spine", "neck")),
 }
-"""Fore or hind limb of each joint; None: the trunk."""
+"""Fore or hind limb of each joint; None for the trunk."""
 
 
 def joints_of_both_sides(table: Mapping[str, tuple[str, str, str]]) -> dict[str, tuple[str, str, str]]:
-    """Return the joints of `[anatomy]` by name and side, such as left_elbow, with both sides of those of the left."""
+    """Return the joints of `[anatomy]` by name and side, such as left_elbow, adding those of the right."""
     joints: dict[str, tuple[str, str, str]] = {}
     for joint, markers in table.items():
         side = next((side for marker in reversed(markers) if (side := side_of(marker)) is not None), None)
@@ -43,7 +43,7 @@ def joints_of_both_sides(table: Mapping[str, tuple[str, str, str]]) -> dict[str,
 
 
 def joint_and_side(name: str) -> tuple[str, Side | None]:
-    """Return the joint and the side of a name such as left_elbow; None for the middle, or a chain's only side."""
+    """Return joint and side of a name such as left_elbow; the side is None for the middle, or a chain's only side."""
     side, _, joint = name.partition("_")
     if side == "left" or side == "right":
         return joint, side
@@ -51,7 +51,7 @@ def joint_and_side(name: str) -> tuple[str, Side | None]:
 
 
 def anatomy_problems(table: Mapping[str, tuple[str, str, str]], source: str) -> Iterator[Problem]:
-    """Yield the problems of `[anatomy]`: joints that have no such name, and markers that are named twice."""
+    """Yield the problems of `[anatomy]`: unknown names of joints, and markers that are named twice."""
     for joint, markers in table.items():
         if joint not in FLEXES_CAUDALLY:
             yield Problem(source, f"anatomy.{joint}", "no joint with this name", f"one of {', '.join(FLEXES_CAUDALLY)}")

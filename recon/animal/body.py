@@ -1,8 +1,8 @@
 """Describe an animal: its segments and markers, and the expected pose.
 
-A body is a tree (`recon.geometry.kinematics`) with expectations. States are the tree's; x forwards, y left, z up. One
-class serves a whole animal and a chain (`recon.animal.chain`), which is a tree with the limbs of one side and has two
-keypoints for each marker.
+A body is a tree (`recon.geometry.kinematics`) with an expected pose and its spread. States are the tree's; x forwards,
+y left, z up. One class serves a whole animal and a chain (`recon.animal.chain`), which is a tree with the limbs of one
+side and has two keypoints for each marker.
 
 Left and right, fore and hind are decided here only: a word in the name of a segment or marker gives its side (`SIDES`),
 and the skeleton's file gives the position of each foot (`PLACES`).
@@ -26,14 +26,14 @@ from recon.geometry.kinematics import Tree
 ROUGH_SIZE_SIGMA = 0.25
 """Relative standard deviation of the size from which a skeleton is no species': species have up to 0.15."""
 MIN_JOINTS = 5
-"""Fewer detected joints do not determine an animal's pose."""
+"""Smallest number of detected joints that determine an animal's pose."""
 MIN_REACH_PX = 50.0
-"""An animal whose limbs, end to end, are shorter than this in the picture is too far away to be detected."""
+"""Length in the picture, limbs end to end, below which an animal is too far away to be detected."""
 
 Side = Literal["left", "right"]
 
 SIDES = {"left": "right", "near": "off", "l": "r"}
-"""Words for the left side, with those for the right. A horse's near side is its left, from wherever it is seen."""
+"""Words for the left side, with those for the right. A horse's near side is its left, from any point of view."""
 _OPPOSITE = SIDES | {right: left for left, right in SIDES.items()}
 
 
@@ -67,11 +67,11 @@ PLACES = {"left_fore": "LF", "right_fore": "RF", "left_hind": "LH", "right_hind"
 """Positions of a whole animal's feet, with their labels."""
 _LABELLED: dict[str, Side] = {"L": "left", "R": "right"}
 CHAIN_PLACES = {"fore": "F", "hind": "H"}
-"""Positions of a chain's feet. The label gets the letter of the fitted side in front."""
+"""Positions of a chain's feet; the letter of the fitted side is put in front of the label."""
 
 
 def foot_table(allowed: Iterable[str], example: str) -> BeforeValidator:
-    """Return a validator of a table of feet, with one message for every fault."""
+    """Return a validator for a table of feet, with one message for all faults."""
 
     def checked(value: object) -> object:
         if isinstance(value, dict) and {*value} <= {*allowed} and all(isinstance(foot, str) for foot in value.values()):
@@ -94,7 +94,7 @@ def foot_problems(feet: dict[str, str], source: str) -> Iterator[Problem]:
 
 
 def side_of(name: str) -> Side | None:
-    """Return the side that a name gives; the first word counts, and None is the middle."""
+    """Return the side that a name gives, decided by the first such word; None is the middle."""
     word = SIDE_WORD.search(name)
     return None if word is None else "left" if word[0].lower() in SIDES else "right"
 
@@ -121,14 +121,14 @@ def opposite_word(word: str) -> str:
 
 
 def common_side(sides: Iterable[Side | None]) -> Side | None:
-    """Return the side that all sides agree on; None if they differ, or all are in the middle."""
+    """Return the side on which all sides agree; None if they differ or are all in the middle."""
     distinct: set[Side] = {side for side in sides if side is not None}
     return distinct.pop() if len(distinct) == 1 else None
 
 
 @dataclass(frozen=True)
 class Skeleton:
-    """Hold a skeleton file that has a form of its own and is converted to a body (`recon.animal.chain`)."""
+    """Hold a skeleton file with its own form, which is converted to a body (`recon.animal.chain`)."""
 
     name: str
     title: str
@@ -136,13 +136,13 @@ class Skeleton:
 
 @dataclass(frozen=True, repr=False)
 class Body(Brief):
-    """A tree with J markers and D unknowns per frame, with the expectations of them."""
+    """Describe a tree with J markers and D unknowns per frame, and the expected values of the unknowns."""
 
     name: str
     title: str
     tree: Tree
     keypoints: tuple[tuple[str, str], ...]
-    """(J,): the keypoint's name of each marker, if limbs of the left, and of the right are fitted."""
+    """(J,): keypoint names of each marker if the left limbs, and if the right limbs are fitted."""
     limbs: dict[str, tuple[str, ...]]
     """Marker names along each limb, for drawing."""
     forward: tuple[str, str]
@@ -170,16 +170,16 @@ class Body(Brief):
     detector: str | None = None
     """Name of the detector whose keypoints are expected (`recon.animal.skeleton_file`)."""
     mass: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """By segment, its share of the body's mass and one standard deviation; empty if unknown."""
+    """Fraction of the body's mass and its standard deviation, by segment; empty if unknown."""
     mass_source: str | None = None
     """Source of the masses."""
     anatomy: dict[str, tuple[str, str, str]] = field(default_factory=dict)
     """Markers above, at and below each joint, by its name and side, such as left_elbow (`recon.animal.anatomy`)."""
     subject: str | None = None
-    """Name of the measured animal whose lengths these are; None for those of the skeleton."""
+    """Name of the measured animal that has these lengths; None for those of the skeleton."""
 
     def scaled(self, size: float) -> Body:
-        """Return the body of an animal of the same proportions, `size` times as large."""
+        """Return the body of an animal with the same proportions, `size` times as large."""
 
         def times(lengths_m: dict[str, float]) -> dict[str, float]:
             return {name: size * length_m for name, length_m in lengths_m.items()}
@@ -198,7 +198,7 @@ class Body(Brief):
 
     @cached_property
     def detected(self) -> Tree:
-        """Tree with its markers at the points that the detector sees."""
+        """The tree with its markers at the points that the detector sees."""
         if not self.keypoint_offset_m:
             return self.tree
         zero = (0.0, 0.0, 0.0)

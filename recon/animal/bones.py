@@ -1,7 +1,7 @@
-"""Name the bones of an animal and what they connect, by the skeleton's `[anatomy]`.
+"""Name the bones of an animal and the joints that they connect, from the skeleton's `[anatomy]`.
 
 A bone is the rigid distance between two joints of a limb or of the trunk: the offset of a segment, or of a marker, from
-the segment that it turns with. Which offset starts where is the skeleton file's matter.
+the segment that it turns with. The skeleton file defines where each offset starts.
 """
 
 from __future__ import annotations
@@ -36,25 +36,25 @@ CHAINS = (("shoulder", "elbow", "carpus", "fetlock"), ("hip", "stifle", "hock", 
 
 @dataclass(frozen=True)
 class Bone:
-    """One bone, or several in line: the trunk."""
+    """Describe one bone, or several in line, such as the trunk."""
 
     name: str
     """Anatomical name, such as upper arm."""
     connects: tuple[str, str]
     """Joints at both ends, such as shoulder and elbow."""
     offsets: tuple[str, ...]
-    """Segments or markers whose offsets are its length, end to end."""
+    """Segments or markers whose offsets, end to end, give its length."""
     length_m: float
     side: Side | None = None
 
     @property
     def title(self) -> str:
-        """Return the bone with what it connects: upper arm, shoulder to elbow."""
+        """Return the bone with the joints that it connects: upper arm, shoulder to elbow."""
         return f"{self.name}, {self.connects[0]} to {self.connects[1]}"
 
 
 def bones_of(body: Body) -> tuple[Bone, ...]:
-    """Return the bones of the left or only side and of the trunk, from head to tail; none without an `[anatomy]`."""
+    """Return the bones of the left or only side and of the trunk, from head to tail; none without `[anatomy]`."""
     bones = [*_trunk(body), *_limbs(body)]
     return tuple(bone for bone in bones if bone.length_m > 0)
 
@@ -96,7 +96,7 @@ def _trunk(body: Body) -> Iterator[Bone]:
 
 
 def _bone(body: Body, connects: tuple[str, str], marker: str, side: Side | None) -> Bone:
-    """Return the bone that ends in a marker: its offset, or that of the segment at whose origin it lies."""
+    """Return the bone that ends at a marker: its offset, or the offset of the segment whose origin it marks."""
     offsets = {item.name: np.array(item.offset_m) for item in (*body.tree.segments, *body.tree.markers)}
     name = marker
     if not offsets[marker].any():

@@ -1,4 +1,4 @@
-"""Give an animal a rough shape: capsules along the segments of its tree, for pictures."""
+"""Give an animal a rough shape for pictures: capsules along the segments of its tree."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SLENDER = 0.12
 
 @dataclass(frozen=True)
 class Capsule:
-    """A cylinder with round ends, from a segment's origin to a point (x, y, z) of its frame, metres."""
+    """Describe a cylinder with round ends, from a segment's origin to a point (x, y, z) in its frame, metres."""
 
     segment: int
     """Index of the tree's segment that carries the capsule."""

@@ -1,6 +1,6 @@
 """Name types of arrays, show objects in one line, and compute with arrays that have missing values.
 
-The types name what an array holds; its shape stands in docstrings.
+The types name the content of an array; docstrings give its shape.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Integers = NDArray[np.int64]
 Index = NDArray[np.intp]
 """Indices into another array."""
 LONGEST, LONGEST_PART, SMALL = 250, 75, 12
-"""Most characters that an object shows, and that a part of it shows; most numbers of an array that is shown in full."""
+"""Largest number of characters shown for an object and for a part of it; largest array that is shown in full."""
 
 
 class Brief:
@@ -34,7 +34,7 @@ class Brief:
 
 
 def _brief(part: object) -> str:
-    """Return a part of an object in a few words: a long one by its shape, its number of items, or its class."""
+    """Return a short description of part of an object: its shape, its number of items, or its class if it is long."""
     if isinstance(part, np.ndarray):
         return f"array {part.shape}" if part.size > SMALL else f"array {part.tolist()}"
     text = f"{part:.6g}" if isinstance(part, float) else " ".join(repr(part).split())
@@ -56,7 +56,7 @@ def to_plain(value: object, digits: int = 9) -> object: ...
 def to_plain(value: object, digits: int = 9) -> object:
     """Return a value as JSON types, with NaN and infinities as None.
 
-    digits: significant digits of a number.
+    `digits` is the number of significant digits.
     """
     if isinstance(value, Mapping):
         return {encodable(str(key)): to_plain(item, digits) for key, item in value.items()}
@@ -70,25 +70,25 @@ def to_plain(value: object, digits: int = 9) -> object:
 
 
 def finite(values: Array | Sequence[float]) -> Array:
-    """Return the values of an array that are neither NaN nor infinite, in one row."""
+    """Return the values of an array that are neither NaN nor infinite, as one row."""
     values = np.asarray(values, dtype=float)
     return values[np.isfinite(values)]
 
 
 def mean(values: Array | Sequence[float]) -> float:
-    """Return the mean of the values that are known, NaN if none is."""
+    """Return the mean of the known values, or NaN if there are none."""
     known = finite(values)
     return float(known.mean()) if len(known) else np.nan
 
 
 def median(values: Array | Sequence[float]) -> float:
-    """Return the median of the values that are known, NaN if none is."""
+    """Return the median of the known values, or NaN if there are none."""
     known = finite(values)
     return float(np.median(known)) if len(known) else np.nan
 
 
 def mean_along(values: Array, axis: int | tuple[int, ...]) -> Array:
-    """Return the mean of the known values along an axis, or several, NaN where none is."""
+    """Return the mean of the known values along one or more axes, NaN if there are none."""
     known = ~np.isnan(values)
     count = known.sum(axis=axis)
     total = np.sum(values, axis=axis, where=known)

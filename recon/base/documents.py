@@ -1,6 +1,6 @@
 """Read files of unknown origin: JSON, TOML, NumPy's archives of arrays, and the files of the package.
 
-Sizes are limited before anything is unpacked. The result is a table, arrays or an InputError.
+Sizes are checked before anything is unpacked. Readers return a table or arrays, or raise InputError.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ Json: TypeAlias = Any
 """The content of a JSON text: dictionaries, lists, texts, numbers, truth values and None."""
 MAX_BYTES = 1 << 28
 MAX_TOML_BYTES = 1 << 23
-"""Largest TOML file, as the parser is slow. A skeleton has some ten thousand bytes."""
+"""Largest TOML file, because the parser is slow; a skeleton has some ten thousand bytes."""
 
 
 @contextmanager
 def damage_named(source: str | Path, expected: str, field: str = "content") -> Iterator[None]:
     """Turn almost any exception that Python and libraries raise for a damaged file into an InputError.
 
-    expected: what a whole file would be, in the message.
+    `expected` describes an undamaged file, for the message.
     """
     try:
         yield
-    except (InputError, AssertionError, NameError, ImportError):  # the last three are no fault of the file
+    except (InputError, AssertionError, NameError, ImportError):  # these exceptions are no fault of the file
         raise
     except UnicodeDecodeError as error:
         raise InputError(Problem(source, field, f"bytes that are not {error.encoding.upper()}", expected)) from None
@@ -58,9 +58,9 @@ def damage_named(source: str | Path, expected: str, field: str = "content") -> I
 
 
 def read_text(path: Path, expected: str, most_bytes: int = MAX_BYTES) -> str:
-    """Return a text in UTF-8.
+    """Return the text of a UTF-8 file.
 
-    expected: what the file should be, in a message. Raises InputError for anything else.
+    `expected` describes the file, for messages. Raises InputError for anything else.
     """
     return text_of(read_content(path, expected, most_bytes), path, expected)
 
@@ -85,7 +85,7 @@ def read_content(path: Path, expected: str, most_bytes: int = MAX_BYTES) -> byte
 def read_head(path: Path, expected: str = "a file that can be read", length: int = 64) -> bytes:
     """Return the first bytes of a file.
 
-    Raises InputError for an empty file, and for anything but a file that can be read.
+    Raises InputError for an empty file, and for anything that is not a readable file.
     """
     require_file(path, expected)
     with damage_named(path, expected, "file"), path.open("rb") as file:
@@ -104,14 +104,14 @@ def utf8_path(path: Path) -> str:
 
 
 def require_file(path: Path, expected: str = "a file that can be read") -> None:
-    """Raise InputError for anything but a file, such as a pipe, on which reading would wait."""
+    """Raise InputError for anything but a file, such as a pipe, which would block while reading."""
     with damage_named(path, expected, "file"):
         if not path.is_file():
             raise InputError(Problem(path, "file", _kind_of(path), expected))
 
 
 def _kind_of(path: Path) -> str:
-    """Return what a path is that is no file, for a message."""
+    """Return a description of a path that is not a file, for a message."""
     if path.exists():
         return "a folder" if path.is_dir() else "a pipe or a device"
     return "a link that points to nothing" if path.is_symlink() else "no such file"
@@ -128,7 +128,7 @@ def read_toml(path: Path, expected: str = "a TOML file") -> dict[str, Any]:
 
 
 def parse_json(text: str, source: str | Path, expected: str = "JSON") -> Json:
-    """Return the content of a text in JSON; raise InputError for anything else."""
+    """Return the content of a JSON text; raise InputError for anything else."""
     with damage_named(source, expected):
         return json.loads(text)
 
@@ -137,21 +137,21 @@ _LONG_KEY = re.compile(r"""(?<![\w"'-])(?:(?:"[^"\n]*+"|'[^'\n]*+'|[\w-]++)[ \t]
 
 
 def parse_toml(text: str, source: str | Path, expected: str = "TOML") -> dict[str, Any]:
-    """Return the table of a text in TOML; raise InputError for anything else."""
+    """Return the table of a TOML text; raise InputError for anything else."""
     with damage_named(source, expected):
         if _LONG_KEY.search(text):
-            raise RecursionError  # tomllib takes the square of a key's length in time and memory
+            raise RecursionError  # time and memory of tomllib grow with the square of a key's length
         return tomllib.loads(text)
 
 
 _Model = TypeVar("_Model")
 
 
-_adapter = cache(TypeAdapter)  # an adapter takes longer to make than a table to check
+_adapter = cache(TypeAdapter)  # making an adapter takes longer than checking a table
 
 
 def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path) -> _Model:
-    """Return a table as a model, one of pydantic's or a dataclass.
+    """Return a table converted to a model, either pydantic's or a dataclass.
 
     Raises InputError with everything that is wrong with the table.
     """
@@ -169,20 +169,20 @@ def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path)
 MAX_UNPACKED, MAX_ARRAYS = 1 << 30, 1 << 16
 """Largest archive that is unpacked, and the largest size and number of arrays that it may contain."""
 KINDS = "biuf"
-"""NumPy's letters of the types that are read: truth values, whole numbers and floats."""
+"""NumPy's letters for the types that can be read: truth values, whole numbers and floats."""
 
 
 def arrays_of(content: bytes, kinds: str) -> dict[str, np.ndarray]:
     """Return the arrays of a NumPy archive by name.
 
-    kinds: NumPy's letters of the types allowed, never "O", which is a pickle. Sizes are checked before anything is
-    unpacked. Raises whatever NumPy and zipfile raise, and ValueError for other types and too large arrays.
+    `kinds` are NumPy's letters for the allowed types, never "O", which is a pickle. Sizes are checked before anything
+    is unpacked. Raises the errors of NumPy and zipfile, and ValueError for other types and arrays that are too large.
     """
     arrays = {}
     with zipfile.ZipFile(BytesIO(content)) as archive:
         check_unpacked_size(archive)
         for entry in archive.infolist():
-            with archive.open(entry) as file:  # only the size that it states, since the content may be larger
+            with archive.open(entry) as file:  # no more than the stated size, since the content may be larger
                 arrays[entry.filename.removesuffix(".npy")] = _array(file.read(entry.file_size), kinds)
     return arrays
 
@@ -203,7 +203,7 @@ def _array(content: bytes, kinds: str) -> np.ndarray:
     version = np.lib.format.read_magic(file)
     read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # an array that Python 2 wrote
+        warnings.simplefilter("ignore")  # arrays written by Python 2 cause a warning
         shape, fortran, dtype = read_header(file)
     start = file.tell()
     if dtype.kind not in kinds or not dtype.itemsize or dtype.itemsize * math.prod(shape) != len(content) - start:
@@ -221,17 +221,17 @@ def _array(content: bytes, kinds: str) -> np.ndarray:
 
 Number = Annotated[float, Field(gt=-1e6, lt=1e6, allow_inf_nan=False)]
 Sigma = Annotated[float, Field(gt=1e-9, lt=1e6, allow_inf_nan=False)]
-"""A standard deviation; a value outside these limits can only be damage."""
+"""A standard deviation; values outside these limits indicate damage."""
 
 
 class FileTable(BaseModel):
-    """Hold a table of a file, which has no other fields than these."""
+    """Hold a table of a file that has no fields other than these."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 def unknown(source: str, names: Iterable[tuple[str, str]], known: Iterable[str], prefix: str = "") -> Iterator[Problem]:
-    """Yield a problem for each name that is not among the known ones."""
+    """Yield a problem for each name that is not known."""
     known = [*known]
     for field, name in names:
         if name not in known:
@@ -246,8 +246,8 @@ def named_file(
 ) -> tuple[bytes, str]:
     """Return the content of a file by its name, and its name for messages.
 
-    The file is in a folder of the package, or is a user's own. kind: what it is; names: the names to choose from, if
-    not all. Raises InputError.
+    The file is in a folder of the package, or the user's own. `kind` describes the file; `names` are the allowed names,
+    if not all are. Raises InputError for an unknown name.
     """
     known = builtin_names(folder, ending)
     if str(name) in known:

@@ -1,4 +1,4 @@
-"""Report what is wrong with an input: every problem at once, in the user's words."""
+"""Report every problem of an input at once, in the user's words."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from recon.base.file_names import encodable
 
 @dataclass(frozen=True)
 class Problem:
-    """Describe one thing that is wrong with an input.
+    """Describe one problem of an input.
 
-    As text it is one line, with codes for characters that cannot be printed.
+    As text, a problem is one line, with codes for characters that cannot be printed.
     """
 
     file: str | Path
     """The file, or the option of the command line."""
     field: str
-    """The place inside it: a column, key or row."""
+    """The location in the file: a column, key or row."""
     found: str
-    """What was found, in the user's words, with units where they matter."""
+    """The value found, in the user's words, with units where they matter."""
     expected: str
-    """What was expected, in the user's words, with units where they matter."""
+    """The value expected, in the user's words, with units where they matter."""
     details: tuple[str, ...] = ()
     """Further lines of the message, such as a file to write."""
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """Return the problem as lines of a message."""
+        """Return the problem as the lines of a message."""
         return str(self), *map(printable, self.details)
 
     def __str__(self) -> str:
@@ -41,7 +41,7 @@ class Problem:
 
 
 def printable(text: str) -> str:
-    """Return a text with codes in place of what cannot be printed.
+    """Return a text with codes for characters that cannot be printed.
 
     Bytes of file names get codes as `encodable` writes them.
     """
@@ -52,7 +52,7 @@ def printable(text: str) -> str:
 
 
 class InputError(ValueError):
-    """Say that an input cannot be used, with every problem that was found, not only the first."""
+    """Report that an input cannot be used, with every problem found, not only the first."""
 
     def __init__(self, problems: Problem | Iterable[Problem]) -> None:
         self.problems: tuple[Problem, ...] = (problems,) if isinstance(problems, Problem) else tuple(problems)
@@ -67,7 +67,7 @@ def raise_problems(problems: Iterable[Problem]) -> None:
 
 
 def problems_of(read: Callable[[], Any]) -> tuple[Problem, ...]:
-    """Return what is wrong with an input; nothing if it can be read."""
+    """Return the problems of an input, or nothing if it can be read."""
     try:
         read()
     except InputError as error:
@@ -107,9 +107,9 @@ def collect_problems(first: Callable[[], _A], /, *reads: Callable[[], _B]) -> tu
 
 
 def collect_problems(*reads: Callable[[], object]) -> tuple[object, ...]:
-    """Return what each function returns; raise one InputError with the problems of all.
+    """Return the results of several functions; raise one InputError with the problems of all of them.
 
-    A problem that several have in common is in it once.
+    A problem that several functions have in common is reported once.
     """
     results, problems = [], []
     for read in reads:

@@ -1,4 +1,4 @@
-"""Describe what is wrong with a table of a file, field by field, from pydantic's errors."""
+"""Describe the problems of a file's table field by field, from pydantic's errors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from recon.base.errors import Problem
 
 _WORDS = {"string": "a text", "number": "a number", "integer": "a whole number", "boolean": "true or false"}
 _WORDS |= {"array": "a list", "object": "a table"}
-"""Names of the JSON schema's types in messages."""
+"""Words for JSON schema types in messages."""
 _EXPECTED = {
     **dict.fromkeys(("string_type", "string_unicode", "path_type"), "a text"),
     **dict.fromkeys(("float_type", "float_parsing"), "a number"),
@@ -26,7 +26,7 @@ _EXPECTED = {
     **dict.fromkeys(("greater_than", "greater_than_equal", "less_than", "less_than_equal"), "a number {message}"),
     "literal_error": "{expected}",
 }
-"""The value expected, by the type of pydantic's error; the error's context fills the gaps."""
+"""The expected value for each type of pydantic's errors; the error's context fills the gaps."""
 _Table = Mapping[str, Any] | None
 _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 
@@ -36,9 +36,9 @@ def problems_of(
 ) -> Iterator[Problem]:
     """Return the problems of a table, each with its field, such as legs[0].hip_m.
 
-    schema: the JSON schema of the table, from which known fields and types of missing ones are taken. skipped: number
-    of leading parts of a field's name that the message leaves out. table: the table. A file about something else,
-    without any field of the schema, is one problem.
+    `schema` is the JSON schema of the table, which gives the known fields and the types of missing fields. `skipped` is
+    the number of leading parts of a field's name that the message leaves out. A file about something else, without any
+    field of the schema, is one problem.
     """
     fields = (schema or {}).get("properties", {})
     if isinstance(table, Mapping) and fields and not fields.keys() & table.keys():
@@ -65,9 +65,9 @@ def problems_of(
 
 
 def _table_at(schema: Mapping[str, Any], way: Iterable[str | int]) -> Mapping[str, Any]:
-    """Return the JSON schema of the table that the names of fields lead to.
+    """Return the JSON schema of the table at a path of field names.
 
-    Positions in a list are skipped, and so are keys of a table that has no names of its own.
+    Positions in lists are skipped, and so are keys of tables without fixed names.
     """
     at = _table_in(schema, schema)
     for part in way:
@@ -77,7 +77,7 @@ def _table_at(schema: Mapping[str, Any], way: Iterable[str | int]) -> Mapping[st
 
 
 def _table_in(part: object, schema: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the first table with fields in a part of a JSON schema, empty if there is none."""
+    """Return the first table with fields in part of a JSON schema, or an empty one."""
     if isinstance(part, Mapping):
         table: Mapping[str, Any] = schema["$defs"][part["$ref"].rpartition("/")[2]] if "$ref" in part else part
         if "properties" in table:

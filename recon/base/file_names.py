@@ -1,4 +1,4 @@
-"""Write names of files in texts: a name is bytes, not always UTF-8, but JSON, TOML, CSV and HTML files are UTF-8.
+"""Write file names in text files: names are bytes, not always UTF-8, but JSON, TOML, CSV and HTML files are UTF-8.
 
 Python reads a byte that is not UTF-8 as a lone surrogate, which no text file can hold.
 """
@@ -14,7 +14,7 @@ _ESCAPED_BYTE = re.compile(r"\\x([89a-f][0-9a-f])")
 
 
 def encodable(text: str) -> str:
-    r"""Return a text that UTF-8 can hold: a byte of a name that is not UTF-8 becomes its code, as in caf\xe9.csv."""
+    r"""Return a text that UTF-8 can encode: other bytes of a file name become codes, as in caf\xe9.csv."""
     return _SURROGATE.sub(_code, text) if not text.isascii() else text
 
 
@@ -41,9 +41,9 @@ def _code(match: re.Match[str]) -> str:
 
 
 def existing_path(path: str) -> str:
-    r"""Return the path of a file whose name `encodable` wrote: the one with the bytes, if only that exists.
+    r"""Return the path of a file whose name `encodable` wrote: the name with the original bytes, if only that exists.
 
-    A name may have both such bytes and texts like \xe9. The names in each folder tell which is meant.
+    A name may contain both such bytes and literal text like \xe9; the names in each folder decide which is meant.
     """
     if os.name == "nt" or not _ESCAPED_BYTE.search(path) or os.path.lexists(path):
         return path

@@ -1,6 +1,6 @@
 """Write files whole or not at all, and the manifest of the files that one run wrote together.
 
-`recon.base.outputs` says which files a command may replace.
+`recon.base.outputs` decides which files a command may replace.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SCHEMA = {"name": "recon.manifest", "version": 1}
 AGAIN = "the results of one run as they were written: run the command again, with --overwrite"
 _PREFIX = ".recon-partial-"
 _LOCK, NEW, _OLD = "lock", "new", "old"
-"""Names in a staging folder: the file that its process holds locked, the new files, and the files that they replace."""
+"""Names in a staging folder: the file that its process keeps locked, the new files, and the files that they replace."""
 _NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 
 
@@ -36,7 +36,7 @@ _NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 
 @contextmanager
 def staged_folder(folder: str | Path) -> Iterator[Path]:
-    """Give a folder to write files in, which move into `folder` when the block ends without an exception.
+    """Yield a folder to write files in, which move into `folder` when the block ends without an exception.
 
     Each file replaces the one of its name in one step; other files in `folder` stay. After an exception nothing is
     left, not even a folder that was made for the purpose. After a kill only a hidden staging folder is left, which the
@@ -53,7 +53,7 @@ def staged_folder(folder: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def staged_file(path: str | Path) -> Iterator[Path]:
-    """Give a path to write a single file to, which moves to `path` as in `staged_folder`."""
+    """Yield a path to write a single file to, which moves to `path` as in `staged_folder`."""
     path = Path(path)
     try:
         with staged_folder(path.parent) as folder:
@@ -71,9 +71,9 @@ def write_text(path: str | Path, text: str) -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write bytes that a library has made in memory, since many libraries hang, crash or say nothing on a full disk.
+    """Write bytes made in memory, since many libraries hang, crash or report nothing if the disk is full.
 
-    Raises OSError that names the path.
+    Raises OSError, naming the path.
     """
     try:
         path.write_bytes(content)
@@ -89,7 +89,7 @@ def names_in(folder: Path) -> list[str]:
 
 @contextmanager
 def staging_in(folder: Path) -> Iterator[Path]:
-    """Make a staging folder in `folder`, which is made if need be, and remove it at the end of the block.
+    """Yield a staging folder in `folder`, which is created if necessary, and remove it at the end of the block.
 
     New files are written to its subfolder `NEW`. Errors name the files by their final paths in `folder`.
     """
@@ -103,7 +103,7 @@ def staging_in(folder: Path) -> Iterator[Path]:
             finally:
                 shutil.rmtree(staging, ignore_errors=True)
                 os.close(lock)
-                shutil.rmtree(staging, ignore_errors=True)  # Windows keeps a file that is open
+                shutil.rmtree(staging, ignore_errors=True)  # Windows keeps open files
         except OSError as error:
             if error.filename is None and error.errno is not None:
                 error.filename = str(folder)
@@ -126,7 +126,7 @@ def _as_moved(path: Path, staging: Path, folder: Path) -> Path:
 
 
 def _new_staging(folder: Path) -> tuple[Path, int]:
-    """Return a staging folder and the lock that shows that its process is alive."""
+    """Return a staging folder, and the lock that shows that its process is running."""
     while True:
         folder.mkdir(parents=True, exist_ok=True)
         try:
@@ -148,7 +148,7 @@ def _new_staging(folder: Path) -> tuple[Path, int]:
 
 
 def _remove_stale(folder: Path) -> None:
-    """Remove the staging folders of processes that have ended, but nothing that only has such a name."""
+    """Remove the staging folders of processes that have ended, but nothing else with a similar name."""
     for stale in folder.glob(f"{_PREFIX}*"):
         with suppress(OSError):
             if stale.is_symlink() or not {*names_in(stale)} <= {_LOCK, NEW, _OLD}:
@@ -160,18 +160,18 @@ def _remove_stale(folder: Path) -> None:
             finally:
                 os.close(lock)
             if dead:
-                shutil.rmtree(stale, ignore_errors=True)  # Windows keeps a file that is open
+                shutil.rmtree(stale, ignore_errors=True)  # Windows keeps open files
 
 
 def require_no_folders(folder: Path, names: Iterable[str]) -> None:
-    """Raise InputError where a folder has the name of a file that is to be written."""
+    """Raise InputError if a folder has the name of a file that is to be written."""
     taken = [name for name in names if (folder / name).is_dir()]
     expected = "no folder called {}: move it away"
     raise_problems(Problem(folder / name, "file", "a folder of that name", expected.format(name)) for name in taken)
 
 
 class FileState(NamedTuple):
-    """Identify the version of a file that was looked at."""
+    """Identify the version of a file at the time when it was examined."""
 
     size: int
     modified_ns: int
@@ -185,9 +185,9 @@ class FileState(NamedTuple):
 
 
 def exchange(staging: Path, folder: Path, leaving: Mapping[str, FileState]) -> None:
-    """Move new files into the folder, the manifest last, and old ones out, the manifest first.
+    """Move new files into the folder, with the manifest last, and old files out, with the manifest first.
 
-    After an exception everything is as before.
+    After an exception the folder is unchanged.
 
     Parameters
     ----------
@@ -196,12 +196,12 @@ def exchange(staging: Path, folder: Path, leaving: Mapping[str, FileState]) -> N
     folder
         The destination.
     leaving
-        The files in the folder that are replaced or removed, by name, with their states when they were looked at.
+        The files in the folder that are replaced or removed, by name, with their states when they were examined.
 
     Raises
     ------
     InputError
-        A file with a new name has appeared since, or one that leaves has changed.
+        If a file with one of the new names has appeared in the meantime, or a file to be removed has changed.
     """
     new, old = staging / NEW, staging / _OLD
     names = sorted(names_in(new), key=lambda name: (name == MANIFEST, name))
@@ -217,7 +217,7 @@ def exchange(staging: Path, folder: Path, leaving: Mapping[str, FileState]) -> N
             _move_in(new / name, folder / name)
     except BaseException:
         for name in names:
-            with suppress(OSError):  # it was not moved yet
+            with suppress(OSError):  # it had not been moved yet
                 if os.lstat(folder / name).st_ino == inodes[name]:
                     (folder / name).unlink()
         for name in names_in(old):
@@ -227,7 +227,7 @@ def exchange(staging: Path, folder: Path, leaving: Mapping[str, FileState]) -> N
 
 
 def _move_in(source: Path, target: Path) -> None:
-    """Move a file to a free name, without replacing a file that appears at the same moment."""
+    """Move a file to a free name, without replacing a file created at the same moment."""
     try:
         os.link(source, target)
     except FileExistsError:
@@ -242,7 +242,8 @@ def _move_in(source: Path, target: Path) -> None:
 def seen_from(folder: Path, path: str | Path) -> str:
     """Return a path relative to a folder, for a file in that folder.
 
-    Both can then be moved together, and the file does not show where they were. A path on another drive stays absolute.
+    Both can then be moved together, and the file does not reveal their location. A path on another drive stays
+    absolute.
     """
     try:
         return encodable(Path(os.path.relpath(path, folder.absolute())).as_posix())
@@ -251,16 +252,16 @@ def seen_from(folder: Path, path: str | Path) -> str:
 
 
 def name_seen_from(folder: Path, name: str) -> str:
-    """Return `seen_from` of a file's name, and any built-in name unchanged."""
+    """Return `seen_from` for the name of a file, and any built-in name unchanged."""
     return seen_from(folder, name) if Path(name).suffix else name
 
 
 def is_plain_name(name: str) -> bool:
-    """Return whether a name belongs to a file in the folder itself, and does not lead out of it."""
+    """Return whether a name belongs to a file in the folder itself and does not lead out of it."""
     return name not in ("", ".", "..") and "\0" not in name and name == os.path.basename(name)
 
 
-# -- which files belong together --------------------------------------------------------------------------------------
+# -- manifests: files that belong together ----------------------------------------------------------------------------
 
 # A manifest goes before the first file of a run is replaced, and comes after the last (`exchange`): a run that is
 # killed in between leaves none, and a mixture of two runs is not taken for one.
@@ -272,7 +273,7 @@ class Manifest:
 
     folder: Path
     files: Mapping[str, tuple[int, str]]
-    """By name: size in bytes, and the SHA-256 of the content in hexadecimal digits."""
+    """Size in bytes, and SHA-256 of the content in hexadecimal digits, by name."""
     kind: str | None = None
     """The command that wrote them, such as fit; None in manifests of version 0.2."""
 
@@ -283,13 +284,13 @@ class Manifest:
 
     @property
     def text(self) -> str:
-        """Return the manifest as it is written."""
+        """Return the text of the manifest file."""
         files = {name: {"size": size, "sha256": sha256} for name, (size, sha256) in self.files.items()}
         kind = {} if self.kind is None else {"kind": self.kind}
         return json.dumps({"schema": SCHEMA, **kind, "files": files}, indent=1) + "\n"
 
     def changed(self, names: Iterable[str] | None = None) -> list[Problem]:
-        """Return a problem for each of the named files, by default all, that is missing or was changed."""
+        """Return a problem for each named file (default: all) that is missing or changed."""
         faults = ((name, self._fault(name)) for name in (self.files if names is None else names))
         return [Problem(self.folder / name, *fault, AGAIN) for name, fault in faults if fault]
 
@@ -313,7 +314,7 @@ class Manifest:
 def read_manifest(folder: Path) -> Manifest:
     """Read the manifest of a folder.
 
-    Raises InputError where there is none, as after a run that was interrupted while it wrote, and for a manifest that
+    Raises InputError if there is no manifest, for example after a run was interrupted while writing, or if the manifest
     names files outside the folder.
     """
     path = folder / MANIFEST
@@ -338,14 +339,14 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def write_manifest(folder: Path, kind: str | None = None) -> None:
-    """Write the manifest of the files that are in the folder; kind: the command that wrote them."""
+    """Write the manifest of the files in a folder; `kind` is the command that wrote them."""
     paths = [path for path in sorted(folder.iterdir()) if path.name != MANIFEST and path.is_file()]
     manifest = Manifest(folder, {path.name: (path.stat().st_size, sha256_of(path)) for path in paths}, kind)
     (folder / MANIFEST).write_text(manifest.text, encoding="utf-8", newline="\n")
 
 
 def _open_at_once(path: str, flags: int) -> int:
-    """Open a file without waiting for somebody to write to it, if it is a pipe."""
+    """Open a file without blocking if it is a pipe."""
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 

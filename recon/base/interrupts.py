@@ -1,6 +1,6 @@
 """Answer Ctrl-C on the command line, and SIGTERM, with one line on stderr and exit code 130, at any moment.
 
-This module is imported before anything else, and therefore imports next to nothing.
+This module is imported before anything else, so it imports almost nothing.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ MESSAGE = "Stopped."
 STUCK_S = 3.0
 """Time to wait for a library that does not return."""
 CLEAN_UP_S = 10.0
-"""Time to remove half-written files, and for a batch to stop its workers."""
+"""Time for removing half-written files, and for a batch to stop its workers."""
 TICK_S = 0.05
 STOPPING = (signal.SIGINT, signal.SIGTERM)
-"""Signals that are answered like Ctrl-C: clusters and systems send them before they end a process."""
+"""Signals handled like Ctrl-C: clusters and systems send them before they end a process."""
 
 
 class Interrupts:
@@ -66,7 +66,7 @@ class Interrupts:
             time.sleep(1.0)
         self._leaving = True
         if os.isatty(2):
-            os.write(2, b"\r\x1b[K\x1b[?25h")  # a progress bar may be on this line and has hidden the cursor
+            os.write(2, b"\r\x1b[K\x1b[?25h")  # a progress bar may be on this line and may have hidden the cursor
         if not self.said:
             os.write(2, f"{MESSAGE}\n".encode())
         os._exit(EXIT_INTERRUPTED)
@@ -85,7 +85,7 @@ class Interrupts:
         if not self.received or self._raised or not self.in_command or _is_importing(frame):
             return
         self._raised = True
-        # The message that a library makes of the exception helps nobody.
+        # A library's message about the exception would not help the user.
         sys.excepthook = lambda *_: None
         sys.unraisablehook = self._on_swallowed
         raise KeyboardInterrupt

@@ -18,7 +18,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 WASM = "application/wasm"
 """Kind of WebAssembly, which browsers take without a charset only."""
 MOST_BYTES = 4_000_000
-"""Largest request: thousands of corrections."""
+"""Largest request in bytes: thousands of corrections."""
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src 'self' data: blob:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -35,7 +35,7 @@ class Reply:
 
 
 Handler = Callable[[str, object], Reply]
-"""Answers a request: takes what follows the handler's name in the address, and the JSON data that was sent, or None."""
+"""Answers a request, given the rest of the address after the handler's name, and the JSON data or None."""
 
 
 def json_reply(value: object, status: HTTPStatus = HTTPStatus.OK) -> Reply:
@@ -49,7 +49,7 @@ class LocalServer(ThreadingHTTPServer):
     Parameters
     ----------
     pages
-        What is read, by name; "" is the page itself.
+        Handlers of GET requests, by name; "" is the page itself.
     posts
         What takes data, by name.
     policy
@@ -67,7 +67,7 @@ class LocalServer(ThreadingHTTPServer):
 
     @property
     def hosts(self) -> tuple[str, ...]:
-        """Return the names by which a browser on this machine may call the server."""
+        """Return the host names by which a browser on this machine may call the server."""
         return tuple(f"{name}:{self.server_port}" for name in ("127.0.0.1", "localhost"))
 
     @property
@@ -106,7 +106,7 @@ class _RequestHandler(BaseHTTPRequestHandler):
         }
         for header, value in headers.items():
             self.send_header(header, value)
-        with suppress(ConnectionError):  # the page was closed meanwhile
+        with suppress(ConnectionError):  # the browser closed the connection
             self.end_headers()
             self.wfile.write(reply.content)
 
@@ -132,8 +132,8 @@ class _RequestHandler(BaseHTTPRequestHandler):
             raise _RefusedError(HTTPStatus.BAD_REQUEST, "expected JSON") from None
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002 (the base class names it)
-        """Print nothing: a terminal has better uses."""
+        """Print nothing, so that the terminal is not filled with requests."""
 
 
 class _RefusedError(Exception):
-    """A request that is not answered: its status and the reason."""
+    """Refuse a request with a status and a reason."""

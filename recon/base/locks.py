@@ -28,9 +28,9 @@ else:
 
 
 WRITING = ".recon-writing"
-"""The lock file of the process that writes to a folder."""
+"""Lock file of the process that writes to a folder."""
 COMMITTING = ".recon-commit"
-"""The lock file of the process that moves new files into a folder."""
+"""Lock file of the process that moves new files into a folder."""
 COMMIT_WAIT_S = 30.0
 _POLL_S = 0.05
 _OWN_CONTENT = re.compile(rb"\d{0,19}\n?")
@@ -49,14 +49,14 @@ def is_locked_here(file: int) -> bool | None:
 
 @contextmanager
 def sole_writer(folder: str | Path, wait_s: float = 0.0) -> Iterator[None]:
-    """Keep other processes out of such blocks for the same folder, which is made if need be.
+    """Keep other processes out of such blocks for the same folder, which is created if necessary.
 
     A process that dies releases the folder.
 
     Raises
     ------
     InputError
-        Another process is still in such a block after wait_s, or the lock file is not one of recon's.
+        If another process is still in such a block after `wait_s`, or the lock file is not recon's own.
     """
     require_usable(Path(folder))
     with gone_if_empty(Path(folder)), _exclusive(Path(folder) / WRITING, wait_s):
@@ -65,12 +65,12 @@ def sole_writer(folder: str | Path, wait_s: float = 0.0) -> Iterator[None]:
 
 @contextmanager
 def sole_editor(file: Path) -> Iterator[None]:
-    """Keep other processes out of blocks like this for the same file.
+    """Keep other processes out of such blocks for the same file.
 
     Raises
     ------
     InputError
-        Another process is in such a block, or the lock file is not one of recon's.
+        If another process is in such a block, or the lock file is not recon's own.
     """
     require_usable(file.parent)
     with ExitStack() as stack:
@@ -94,13 +94,13 @@ def committing(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def gone_if_empty(folder: Path) -> Iterator[None]:
-    """Remove a folder that was made in the block, and its parents, if they are empty at the end."""
+    """Remove a folder created in the block, and its parents, if they are empty at the end."""
     made = [p for p in (folder, *folder.parents) if not p.exists()]
     try:
         yield
     finally:
         for path in made:
-            with suppress(OSError):  # it was not made, or is not empty
+            with suppress(OSError):  # it was not created, or is not empty
                 path.rmdir()
 
 
@@ -125,20 +125,20 @@ def _locked_file(path: Path, until_s: float) -> int:
         try:
             lock, is_writable = _open(path)
         except FileNotFoundError:
-            continue  # the process that had made the folder, or the file, has just removed it
+            continue  # the process that created the folder or the file has just removed it
         owner = ""
         try:
             is_free = is_locked_here(lock)
             if is_free is None and not is_writable:
                 raise _not_usable(path)
-            with suppress(FileNotFoundError):  # the process that held it before removes it
+            with suppress(FileNotFoundError):  # the process that held the lock before removes the file
                 if is_free is not False and os.path.samestat(os.fstat(lock), os.lstat(path)):
                     if is_writable:
                         with suppress(OSError):  # a full disk cannot take the number
                             os.truncate(lock, 0)
                             os.write(lock, f"{os.getpid()}\n".encode())
                     return lock
-            with suppress(OSError):  # where a lock keeps it from being read
+            with suppress(OSError):  # locked files may be unreadable
                 owner = os.read(lock, 20).decode("ascii", "replace").strip()
         except BaseException:
             os.close(lock)
@@ -161,7 +161,7 @@ def _open(path: Path) -> tuple[int, bool]:
     except FileExistsError:
         pass
     except OSError as error:
-        error.filename = str(path.parent)  # the name of the lock file would say nothing to a user
+        error.filename = str(path.parent)  # users do not know the name of the lock file
         raise
     if path.is_symlink():
         raise _not_usable(path)
@@ -181,7 +181,7 @@ def _open(path: Path) -> tuple[int, bool]:
     try:
         state = os.fstat(lock)
         content = b""
-        with suppress(OSError):  # where a lock keeps it from being read
+        with suppress(OSError):  # locked files may be unreadable
             content = os.pread(lock, 21, 0) if hasattr(os, "pread") else os.read(lock, 21)
             os.lseek(lock, 0, os.SEEK_SET)
         if not stat.S_ISREG(state.st_mode) or state.st_nlink > 1 or not _OWN_CONTENT.fullmatch(content):
@@ -193,7 +193,7 @@ def _open(path: Path) -> tuple[int, bool]:
 
 
 def _not_usable(path: Path) -> InputError:
-    """Return the error about a lock file that cannot be taken, or is another kind of file."""
+    """Return the error about a lock file that cannot be locked, or is another kind of file."""
     try:
         state = os.lstat(path)
     except OSError:
@@ -221,7 +221,7 @@ def _name_of(user: int) -> str:
 
 
 def require_usable(out: Path) -> None:
-    """Raise InputError unless `out` is a folder that can be written to, or can become one."""
+    """Raise InputError unless `out` is a folder that can be written to, or can be created."""
     existing = next(path for path in (out, *out.absolute().parents) if os.path.lexists(path))
     if not existing.exists():
         target = f"{existing}, a link that points to nothing"

@@ -1,7 +1,7 @@
-"""Format numbers with their uncertainty and unit, the same in every text and figure.
+"""Format numbers with their uncertainty and unit, in the same way in every text and figure.
 
 A number has as many digits as its uncertainty supports: an uncertainty keeps one digit, or two if it begins with 1. The
-ends of an interval keep two digits of its half width up to 3.5.
+ends of an interval keep two digits of its half width if this begins with 3.5 or less.
 """
 
 from __future__ import annotations
@@ -9,20 +9,20 @@ from __future__ import annotations
 import math
 
 SHORT_M = 0.1
-"""Lengths below this are in millimetres: those of a mouse would be 0.00 m."""
+"""Length below which lengths are given in millimetres: those of a mouse would be 0.00 m."""
 _ONE_DIGIT, _ONE_DIGIT_OF_INTERVAL = 1.95, 3.55
-"""Leading digits of an uncertainty, and of an interval's half width, from which one digit is enough."""
+"""Leading digits of an uncertainty, and of an interval's half width, above which one digit is enough."""
 
 
 def decimals(value: float) -> str:
-    """Return the format of a speed or a path without uncertainty: one decimal, and two below 1, as of a mouse."""
+    """Return the format of a speed or path without uncertainty: one decimal, or two below 1, as for a mouse."""
     return ".1f" if abs(value) >= 1 else ".2f"
 
 
 def places(sigma: float, one_digit: float = _ONE_DIGIT) -> int | None:
     """Return the number of decimals that an uncertainty supports; negative for tens, None if it is unknown or 0.
 
-    one_digit: leading digits from which one digit is enough.
+    `one_digit` are the leading digits above which one digit is enough.
     """
     if not (math.isfinite(sigma) and sigma > 0):
         return None
@@ -31,7 +31,7 @@ def places(sigma: float, one_digit: float = _ONE_DIGIT) -> int | None:
 
 
 def rounded(value: float, digits: int, sign: str = "") -> str:
-    """Return a value with a number of decimals; negative: rounded to tens, hundreds ..."""
+    """Return a value with a number of decimals; a negative number rounds to tens, hundreds and so on."""
     text = f"{round(value, digits):{sign}.{max(digits, 0)}f}"
     is_minus_zero = text.startswith("-") and not any(digit in "123456789" for digit in text)
     return text[1:] if is_minus_zero else text
@@ -40,7 +40,8 @@ def rounded(value: float, digits: int, sign: str = "") -> str:
 def plus_minus(value: float, sigma: float | None, unit: str = "", sign: str = "", default: str = "") -> str:
     """Return a value with its uncertainty and unit, such as "6.4 ± 0.7 m/s".
 
-    The value alone, in the format `default`, if the uncertainty is unknown or 0. sign: "+" to write positive signs.
+    If the uncertainty is unknown or 0, only the value is returned, in the format `default`. With `sign` "+", positive
+    values have a sign.
     """
     digits = None if sigma is None else places(sigma)
     if digits is None or sigma is None:
@@ -53,8 +54,8 @@ def interval(
 ) -> str:
     """Return a value with the ends of its interval, such as "72 mm (48 to 106)".
 
-    level: of the interval, as in "16.2 m/s (90 %: 14.2 to 18.1)". least: smallest possible value; an interval that
-    begins there is written as "at most" its upper end. Without an interval the value stands alone.
+    `level` is the level of the interval, as in "16.2 m/s (90 %: 14.2 to 18.1)". `least` is the smallest possible value;
+    an interval that begins there is written as "at most" its upper end. Without an interval only the value is returned.
     """
     digits = places((high - low) / 2, _ONE_DIGIT_OF_INTERVAL)
     if digits is None:
@@ -65,7 +66,7 @@ def interval(
 
 
 def percent(share: float) -> str:
-    """Return a share in percent, such as "85 %"; below one percent with one significant digit, such as "0.3 %"."""
+    """Return a fraction in percent, such as "85 %", or "0.3 %" with one significant digit below one percent."""
     value = 100.0 * share
     return f"{value:.0f} %" if abs(value) >= 1 or value == 0 else f"{value:.1g} %"
 
@@ -76,14 +77,14 @@ def percent_range(low: float, high: float) -> str:
 
 
 def length_text(length_m: float, sigma_m: float | None = None) -> str:
-    """Return a length with its uncertainty in a fitting unit: 1.23 m, 1.23 ± 0.04 m, 1.230 ± 0.004 m, 56 mm."""
+    """Return a length with its uncertainty in a suitable unit: 1.23 m, 1.23 ± 0.04 m, 1.230 ± 0.004 m, 56 mm."""
     scale, unit, default = (1e3, "mm", ".0f") if abs(length_m) < SHORT_M else (1.0, "m", ".2f")
     sigma = None if sigma_m is None else scale * sigma_m
     return plus_minus(scale * length_m, sigma, unit, default=default)
 
 
 def known_within(sigma_m: float) -> str:
-    """Return how well a length is known whose interval says no more, such as "known to within 2 m"."""
+    """Return a text for a length that is known only roughly, such as "known to within 2 m"."""
     scale, unit = (1e3, "mm") if sigma_m < SHORT_M else (1.0, "m")
     return (
         f"known to within {scale * sigma_m:.1g} {unit}"

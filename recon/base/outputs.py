@@ -1,4 +1,4 @@
-"""Decide what a command may write: no file of a user's is ever replaced or deleted.
+"""Decide what a command may write: no file of the user is ever replaced or deleted.
 
 A command replaces or deletes only files that an earlier run of the same kind wrote and that nobody has changed since.
 Size and SHA-256 identify these files; they stand in `RECORD`, a hidden file in every folder that recon writes to, and
@@ -42,7 +42,7 @@ from recon.base.locks import committing, require_usable
 RECORD = ".recon.json"
 SCHEMA = {"name": "recon.files", "version": 1}
 NAMED = 3
-"""Number of files that a message names."""
+"""Largest number of files that a message names."""
 
 
 # -- files that recon wrote --------------------------------------------------------------------------------------------
@@ -53,27 +53,27 @@ class WrittenFile:
     """Describe a file as a run wrote it."""
 
     kind: str
-    """The command, such as analyse."""
+    """The command that wrote it, such as analyse."""
     size: int
     """Size in bytes."""
     sha256: str
     """Digest of the content, in hexadecimal digits."""
     results: str | None = None
-    """The folder of results that the file was made from, relative to its own folder; None if there is none."""
+    """Results folder that the file was made from, relative to the file's folder, or None."""
     manifest: str | None = None
     """SHA-256 of the manifest of these results at that time."""
     is_named: bool = False
-    """Whether the user named this very file: it stays when the results that it was made from go."""
+    """Whether the user named this very file, which is then kept when the results it was made from are removed."""
 
 
 _Written = dict[str, tuple[WrittenFile, ...]]
-"""By name, the contents that recon may have left under it."""
+"""The contents that recon may have left under each name."""
 
 
 def read_record(folder: Path) -> _Written:
-    """Return the files that recon wrote into a folder, from its `RECORD`; nothing without one.
+    """Return the files that recon wrote into a folder, from its `RECORD`, or nothing without one.
 
-    Raises InputError for a file of that name that is no such record.
+    Raises InputError if a file of that name is not such a record.
     """
     path = folder / RECORD
     try:
@@ -113,7 +113,7 @@ def _write_record(folder: Path, written: Mapping[str, Sequence[WrittenFile]]) ->
 
 
 def _is_as_written(path: Path, entries: Iterable[WrittenFile]) -> bool:
-    """Return whether a file, not a link, has a content that recon wrote."""
+    """Return whether a file, not a link, has content that recon wrote."""
     try:
         if path.is_symlink() or not path.is_file():
             return False
@@ -124,20 +124,20 @@ def _is_as_written(path: Path, entries: Iterable[WrittenFile]) -> bool:
         return False
 
 
-# -- results that something is made from -------------------------------------------------------------------------------
+# -- results from which files are made ---------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class ReadResults:
-    """Identify a folder of results as it was when a command began to read it."""
+    """Identify the results in a folder at the time when a command began to read them."""
 
     folder: Path
     manifest: str | None
-    """SHA-256 of its manifest; None without a manifest."""
+    """SHA-256 of the manifest, or None without a manifest."""
 
     @classmethod
     def read(cls, folder: Path) -> ReadResults:
-        """Return the results that are in the folder at present."""
+        """Return the results that are presently in the folder."""
         return cls(folder, _manifest_sha256(folder))
 
     @contextmanager
@@ -153,7 +153,7 @@ class ReadResults:
             yield
 
     def require_unchanged(self) -> None:
-        """Raise InputError if the folder has other results than those that were read."""
+        """Raise InputError if the folder no longer has the results that were read."""
         if _manifest_sha256(self.folder) != self.manifest:
             change = "other results than were read: another run has replaced them meanwhile"
             raise InputError(
@@ -171,7 +171,7 @@ def _manifest_sha256(folder: Path) -> str | None:
 
 
 def is_current(path: Path, results: Path) -> bool:
-    """Return whether a file, such as an analysis, is known to be made from a folder's present results."""
+    """Return whether a file, such as an analysis, was made from the present results of a folder."""
     try:
         entries = read_record(path.parent).get(path.name, ())
     except InputError:
@@ -181,7 +181,7 @@ def is_current(path: Path, results: Path) -> bool:
 
 
 def _is_of(entry: WrittenFile, folder: Path, results: Path) -> bool:
-    """Return whether a file in a folder was made from the content of the folder of results."""
+    """Return whether a file in a folder was made from the present content of a results folder."""
     if entry.results is None:
         return False
     return os.path.realpath(folder / entry.results) == os.path.realpath(results)
@@ -201,9 +201,9 @@ class Output:
 
     folder: Path
     kind: str
-    """The command that its files are known by, such as analyse."""
+    """Command to which its files belong, such as analyse."""
     overwrite: bool = False
-    """Whether earlier files of the same command, if nobody changed them, may be replaced."""
+    """Whether earlier files of the same command may be replaced, if they were not changed."""
     inputs: Sequence[Path] = ()
     """Files and folders that the run reads."""
     made_from: ReadResults | None = None
@@ -211,29 +211,30 @@ class Output:
     exact: str | None = None
     """Name of the single file that the user named, if it was not a folder."""
     has_manifest: bool = False
-    """Whether the files belong together, as a manifest says. Files that were made from earlier ones are removed with
-    them."""
+    """Whether a manifest lists the files as belonging together; files made from earlier results are then removed with
+    them.
+    """
     mark: str = ""
-    """A file that identifies a manifest of version 0.2, which does not name its command."""
+    """Name of a file that identifies a manifest of version 0.2, which does not state its command."""
     content: str = "results"
-    """Name of the files in messages."""
+    """What messages call the files."""
     option: str = "--out"
-    """What a message calls the folder, or the file; empty where no option names another."""
+    """What messages call the folder or file, or "" if no option names another one."""
 
     def require(self, names: Iterable[str] = ()) -> None:
         """Raise InputError if the folder cannot be written to, or a file of these names may not be replaced.
 
-        It is meant to be called before any work is done; `staged` checks again.
+        Call this before any work is done; `staged` checks again.
         """
         require_usable(self.folder)
         self._require_replaceable(names, self._written(), adds=self.exact is not None)
 
     @contextmanager
     def staged(self, adds: bool = False) -> Iterator[Path]:
-        """Give a folder to write files in, which all move into the output's folder at the end of the block, or none.
+        """Yield a folder to write files in, which all move into the output's folder at the end of the block, or none.
 
-        adds: earlier files of the same kind stay unless they are replaced; otherwise they are removed. Raises
-        InputError as `require` does, and if the results that the files were made from have been replaced.
+        With `adds`, earlier files of the same kind are kept unless they are replaced; otherwise they are removed.
+        Raises InputError as `require` does, and if the results that the files were made from have been replaced.
         """
         with staging_in(self.folder) as staging:
             try:
@@ -255,18 +256,18 @@ class Output:
 
     @contextmanager
     def staged_file(self) -> Iterator[Path]:
-        """Give a path for the single file that the user named, as `staged` does."""
+        """Yield a path for the single file that the user named, as `staged` does."""
         assert self.exact is not None
         with self.staged(adds=True) as folder:
             yield folder / self.exact
 
     def write(self, name: str, text: str) -> None:
-        """Write a text file and leave the other files in place."""
+        """Write a text file without touching the other files."""
         with self.staged(adds=True) as folder:
             (folder / name).write_text(encodable(text), encoding="utf-8")
 
     def remove(self, name: str) -> None:
-        """Delete a file of an earlier run of this kind; any other file stays."""
+        """Delete a file of an earlier run of this kind, and no other file."""
         path = self.folder / name
         if not os.path.lexists(path):
             return
@@ -295,7 +296,7 @@ class Output:
         return written
 
     def _is_own(self, name: str, written: _Written) -> bool:
-        """Return whether an earlier run of this kind wrote a file and nobody has changed it."""
+        """Return whether an earlier run of this kind wrote a file that has not been changed."""
         return _is_as_written(self.folder / name, (e for e in written.get(name, ()) if e.kind == self.kind))
 
     def _is_input(self, name: str) -> bool:
@@ -345,7 +346,7 @@ class Output:
     # -- putting files there
 
     def _commit(self, staging: Path, adds: bool) -> None:
-        """Move the new files into the folder, and the files that they replace out of it."""
+        """Move the new files into the folder, and the replaced files out of it."""
         folder, names = self.folder, names_in(staging / NEW)
         record, written = read_record(folder), self._written()
         self._require_replaceable(names, written, adds)
@@ -363,7 +364,7 @@ class Output:
                 _write_record(folder, record)
             raise
         kept = {name: entries for name, entries in record.items() if os.path.lexists(folder / name)}
-        with suppress(OSError):  # if this fails, the record lists more files than it needs to
+        with suppress(OSError):  # if this fails, the record only lists too many files
             _write_record(folder, kept | {name: (entry,) for name, entry in new.items()})
         if self.has_manifest:
             _remove_made_from(folder)
@@ -371,7 +372,7 @@ class Output:
     def _may_go(self, name: str, written: _Written) -> bool:
         """Return whether a file that is not written again is removed.
 
-        Earlier files of this kind are, and files that were made from them.
+        Earlier files of this kind are removed, and files that were made from them.
         """
         entries = written[name]
         if self._is_input(name) or not os.path.lexists(self.folder / name):
@@ -409,7 +410,7 @@ def require_suffix(path: Path, suffixes: Iterable[str], option: str = "--out") -
 
 
 def adopt(folder: Path, kind: str, digests: Mapping[str, str]) -> None:
-    """Record files that another of recon's records says were written by a command of this kind, by their SHA-256."""
+    """Record files that another of recon's records lists as written by a command of this kind, by their SHA-256."""
     with committing(folder):
         written = read_record(folder)
         for name, sha256 in digests.items():
@@ -420,7 +421,7 @@ def adopt(folder: Path, kind: str, digests: Mapping[str, str]) -> None:
 
 
 def _remove_made_from(results: Path) -> None:
-    """Delete files, unchanged ones only, that were made from earlier results, in the folders within theirs."""
+    """Delete unchanged files that were made from earlier results, in the folders within these results."""
     for folder in sorted(path.parent for path in results.glob(f"*/{RECORD}")):
         if folder.is_symlink():
             continue
@@ -432,7 +433,7 @@ def _remove_made_from(results: Path) -> None:
                     (folder / name).unlink()
                     del written[name]
             _write_record(folder, written)
-        with suppress(OSError):  # it contains a user's files
+        with suppress(OSError):  # the folder contains files of the user
             folder.rmdir()
 
 

@@ -1,6 +1,6 @@
-"""Find the distribution that this package is installed from, its version, and the command that adds an extra.
+"""Find the distribution from which this package is installed, its version, and the command that adds an extra.
 
-The distribution has another name than the package: `recon` on the public index is somebody else's.
+The distribution has another name than the package, because `recon` on the public index belongs to somebody else.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ def install_command(extra: str) -> str:
 
 
 def pip_command() -> str:
-    """Return the command of this Python's pip; `pip` in a shell may belong to another Python."""
+    """Return the pip command of this Python; `pip` in a shell may belong to another Python."""
     return f"{quoted(sys.executable)} -m pip"
 
 
 def quoted(word: str) -> str:
-    """Return a word quoted for a shell, if need be."""
+    """Return a word quoted for a shell if necessary."""
     if sys.platform == "win32":
         return f'"{word}"' if set(word) - set(_PLAIN) else word
     return shlex.quote(word)

@@ -1,4 +1,4 @@
-"""Do many tasks at the same time, each in a process: one whose process dies does not affect the others.
+"""Run many tasks in parallel, each in its own process, so that a dying process does not affect the others.
 
 The processes run on this machine or on a Dask cluster, whose workers see the same files at the same paths. A pool of
 `concurrent.futures` would lose all tasks under way when one of its processes dies, and would report no progress.
@@ -38,13 +38,14 @@ Outcome = Mapping[str, Any]
 """The outcome of a task by name, at least its status; a task that failed has an error."""
 _Task = TypeVar("_Task")
 Work = Callable[[_Task, Progress], Outcome]
-"""The function that does a task: at the top of a module, so that another process finds it."""
+"""Function that does a task; it must be at the top level of a module, so that another process can import it."""
 Tasks = Sequence[tuple[str, _Task]]
 """Tasks with their names."""
 STARTING = "starting"
 TASKS_PER_PROCESS = 50
-"""A new process takes over after this number: rerun keeps two to four threads and 1.5 to 3 MB of each recording for
-good."""
+"""Number of tasks after which a process is replaced: rerun never frees two to four threads and 1.5 to 3 MB per
+recording.
+"""
 ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "BLIS", "NUMEXPR", "RAYON")} | {
     "OPENCV_FOR_THREADS_NUM": "1"
 }
@@ -57,7 +58,7 @@ LOG_BYTES = 20_000
 
 @dataclass(frozen=True)
 class Event:
-    """Report the progress or the end of a task. On a cluster the only progress reported is that a task has begun."""
+    """Report the progress or the end of a task; on a cluster, the only progress reported is the beginning."""
 
     kind: Literal["progress", "ended"]
     name: str
@@ -66,7 +67,7 @@ class Event:
     """Number of the process that the task runs in."""
     stage: str = ""
     share: float = 0.0
-    """Share of the work that is done, 0 to 1."""
+    """Fraction of the work that is done, 0 to 1."""
     outcome: Outcome = field(default_factory=dict)
     """The outcome of a task that has ended."""
 
@@ -80,7 +81,7 @@ def available_cores() -> int:
 
 
 def outcome_of(work: Work[_Task], task: _Task, progress: Progress) -> dict[str, Any]:
-    """Do a task and return its outcome: "failed" for input that cannot be used; a fault of the program is raised."""
+    """Run a task and return its outcome: "failed" for unusable input; other exceptions are raised."""
     began = time.perf_counter()
     try:
         outcome = work(task, progress)
@@ -93,7 +94,7 @@ def outcome_of(work: Work[_Task], task: _Task, progress: Progress) -> dict[str, 
 
 
 def carry_out(work: Work[_Task], tasks: Tasks[_Task], tell: Tell, jobs: int | None = None, retries: int = 0) -> None:
-    """Carry out tasks in processes of this machine with one thread each, and report their events to `tell`.
+    """Run tasks in processes on this machine with one thread each, and report their events to `tell`.
 
     jobs: tasks at a time, by default one for each core. retries: number of further attempts at a task whose process
     died, or that raised anything but InputError; after the last attempt the outcome is a failure with the last lines of
@@ -108,8 +109,8 @@ def carry_out(work: Work[_Task], tasks: Tasks[_Task], tell: Tell, jobs: int | No
     def begin(process: _Process | None, name: str, task: _Task, attempt: int) -> None:
         if process is None or process.tasks_left == 0:
             if process is not None:
-                process.channel.close()  # which ends the process
-                processes.remove(process)  # which closes its files: any number of processes may follow
+                process.channel.close()  # this ends the process
+                processes.remove(process)  # close its files, since any number of processes may follow
             process = _Process(Path(logs) / str(next(numbers)))
             processes.append(process)
         process.give(work, task)
@@ -243,7 +244,7 @@ def _work_off(channel: Connection, log: Path) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process when its parent has ended, since nobody waits for its task."""
+    """End this process when its parent has ended, since the result would not be used."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
@@ -254,15 +255,15 @@ def _end_with_parent() -> None:
 
 CONNECT_S = 10.0
 _STOPPED: set[str] = set()
-"""On a Dask worker: the batches that have ended."""
+"""On a Dask worker, the batches that have ended."""
 
 
 class _StoppedError(Exception):
-    """Say that the batch of a task has ended."""
+    """Stop a task because its batch has ended."""
 
 
 def carry_out_on_cluster(address: str, work: Work[_Task], tasks: Tasks[_Task], tell: Tell, retries: int = 0) -> None:
-    """Carry out all tasks as futures of the Dask scheduler at an address, and report the end of each.
+    """Run all tasks as futures of the Dask scheduler at an address, and report the end of each.
 
     A Dask worker that dies costs no task, since other workers take them over. After an exception the tasks under way
     are stopped. Raises InputError if there is no scheduler, if it stops, or if Dask is not installed.
@@ -287,7 +288,7 @@ def carry_out_on_cluster(address: str, work: Work[_Task], tasks: Tasks[_Task], t
             else:
                 name, _ = underway.pop(str(future.key))
                 tell(Event("ended", name, outcome=_outcome(future)))
-                future.release()  # otherwise it would be computed again when the Dask worker that holds it dies
+                future.release()  # otherwise it would be computed again if the Dask worker that holds it dies
     finally:
         if client.status == "running":
             client.cancel([future for _, future in underway.values()], force=True)
@@ -309,7 +310,8 @@ def _client(address: str) -> Client:
         (await connect(address, CONNECT_S, **Security().get_connection_args("client"))).abort()
 
     try:
-        asyncio.run(asyncio.wait_for(answers(), CONNECT_S))  # a client would wait for ever at a port that only accepts
+        # a client would wait forever at a port that only accepts connections
+        asyncio.run(asyncio.wait_for(answers(), CONNECT_S))
         return Client(address, timeout=CONNECT_S, set_as_default=False)
     except Exception as error:  # wrong addresses, network failures, missing certificates
         silent = f"no answer within {CONNECT_S:g} s" if isinstance(error, TimeoutError) else type(error).__name__

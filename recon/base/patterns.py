@@ -1,4 +1,4 @@
-"""Check regular expressions that stand in files of unknown origin: only fast ones are used."""
+"""Check regular expressions from files of unknown origin: only fast ones are used."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from re import _parser as parser  # type: ignore[attr-defined]
 from typing import Any, TypeAlias
 
 _Part: TypeAlias = Any
-"""A part of a parsed pattern, of which the library publishes no types."""
+"""A part of a parsed pattern, for which the library publishes no types."""
 MAX_REPEATS = 3
-"""Most repeats in a pattern: time grows with the length of the text to the power of their number."""
+"""Largest number of repeats in a pattern: time grows as the text length to the power of this number."""
 MAX_OPTIONS = 6
-"""Most optional parts of a pattern: each doubles the time."""
+"""Largest number of optional parts of a pattern: each doubles the time."""
 MAX_LENGTH = 200
 _REPEATS = (codes.MAX_REPEAT, codes.MIN_REPEAT, codes.POSSESSIVE_REPEAT)
 
 
 def slow_part(pattern: str) -> str | None:
-    """Return in words what makes a search with a pattern endless; None if nothing does.
+    """Return a description of what makes a search with a pattern endless, or None.
 
     Raises
     ------
     re.error
-        If the text is no pattern.
+        If the text is not a pattern.
     """
     if len(pattern) > MAX_LENGTH:
         return f"{len(pattern)} characters"
@@ -38,7 +38,7 @@ def slow_part(pattern: str) -> str | None:
 def _variable_repeats(part: _Part, inside: bool) -> list[int] | None:
     """Return the largest count of each repeat of variable length; None if one, or a choice, is within a repeat.
 
-    inside: whether the part itself is repeated.
+    `inside` states whether the part itself is repeated.
     """
     operation = part[0] if isinstance(part, tuple) and len(part) == 2 else None
     if any(operation is repeat for repeat in _REPEATS):

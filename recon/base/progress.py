@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 Progress = Callable[[str, float], None]
-"""Called with the name of the present step, and the share of all the work that is done, 0 to 1."""
+"""Function called with the name of the present step, and the fraction of all the work that is done, 0 to 1."""
 
 
 def silent(stage: str, share: float) -> None:
-    """Report nothing: for work that nobody watches."""
+    """Report nothing."""

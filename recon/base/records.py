@@ -27,7 +27,7 @@ from recon.base.field_problems import problems_of
 
 RECORD = "record"
 SMALL = 64
-"""Arrays with no more numbers than this stand in the text: an archive of thousands of tiny files is slow to read."""
+"""Largest array that is stored in the text, because an archive of thousands of tiny files is slow to read."""
 CLASS = "class"
 """The key of a subclass's tag."""
 Classes = Mapping[str, Callable[[], type]]
@@ -39,8 +39,8 @@ _Class = TypeVar("_Class")
 def save_record(value: object, path: Path, schema: Mapping[str, Any]) -> None:
     """Write a dataclass, whole or not at all.
 
-    schema: the format's name and version, which `load_record` expects. Raises TypeError for values whose type such a
-    file cannot hold.
+    `schema` is the name and version of the format, which `load_record` expects. Raises TypeError for values whose type
+    such a file cannot hold.
     """
     arrays: dict[str, np.ndarray] = {}
     text = json.dumps({"schema": schema, "value": _plain(value, "", arrays, {})})
@@ -66,9 +66,9 @@ def load_record(
 ) -> _Class:
     """Return an object of a class that `save_record` wrote.
 
-    expected: what the file should be, in a message. classes: the subclasses that may be in it. older_versions: further
-    versions of the schema that are read. Raises InputError for a damaged file, for anything else, and for a file that
-    would take too much memory: all sizes are checked before anything is unpacked.
+    `expected` describes the file, for messages; `classes` are the subclasses that it may contain; `older_versions` are
+    further versions of the schema that can be read. Raises InputError for a damaged file, for anything else, and for a
+    file that would take too much memory: all sizes are checked before anything is unpacked.
     """
     content = read_content(path, expected, MAX_UNPACKED)
     with damage_named(path, expected):

@@ -28,7 +28,7 @@ from pydantic.fields import FieldInfo
 from recon.base.errors import Problem, raise_problems
 
 FILE_SUFFIXES = (".toml", ".npz", ".csv")
-"""Endings of files; a text that ends so names nothing built in."""
+"""Suffixes of files; a text with one of them is not the name of a built-in item."""
 
 # -- types of values, in addition to bool, str, Path and Literal --------------------------------------------------
 
@@ -63,7 +63,7 @@ _MAY_BE_FILE = object()
 """Marks a type whose text is a file if it ends like one."""
 _Value = TypeVar("_Value")
 Number = Annotated[float, BeforeValidator(_no_bool), Field(allow_inf_nan=False)]
-"""A number that is finite."""
+"""A finite number."""
 Positive = Annotated[Number, Field(gt=0)]
 NotNegative = Annotated[Number, Field(ge=0)]
 Integer = Annotated[int, BeforeValidator(_no_bool)]
@@ -73,10 +73,10 @@ File = Annotated[Path, AfterValidator(Path.absolute)]
 NameOrFile = Annotated[str, BeforeValidator(_name_or_file), _MAY_BE_FILE]
 """The name of something built in, or a file as its absolute path."""
 OneOrMore = Annotated[tuple[_Value, ...], BeforeValidator(_as_tuple), Field(min_length=1)]
-"""One value, or a list of values, as a tuple. Its option may be repeated."""
+"""One value or a list of values, as a tuple; its option may be repeated."""
 
 
-# -- what users read about a setting ----------------------------------------------------------------------------
+# -- descriptions of settings for users -------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -84,22 +84,23 @@ class Option:
     """Describe a setting beyond its type and its default."""
 
     help: str = ""
-    """Help of the command line; empty: the text below the field. If the default is None, brackets say what happens
-    instead."""
+    """Help on the command line; if empty, the text below the field. If the default is None, brackets say what happens
+    instead.
+    """
     expected: str = ""
-    """End of the sentence "found ..., expected ..." about a wrong value; empty: made from the type."""
+    """End of the sentence "found ..., expected ..." about a wrong value; if empty, made from the type."""
     common: bool = True
-    """Whether it is an option of its own. Other settings are given by `--set name=value` and in config.toml."""
+    """Whether the setting has its own option; other settings are given by `--set name=value` and in config.toml."""
     argument: str = ""
-    """Name in the help, if it is an argument and not an option."""
+    """Name in the help if the setting is an argument, not an option."""
     metavar: str = ""
-    """Name of the value in the help; empty: made from the type."""
+    """Name of the value in the help; if empty, made from the type."""
     name: str = ""
     """Name on the command line, if it differs from the field's, as in --from."""
     panel: str | None = None
     """Heading of the help under which the option stands."""
     method: str | None = None
-    """The only method of fitting that reads the setting."""
+    """The only fitting method that reads the setting."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,7 @@ class SettingInfo:
     default: Any
     """MISSING for a required setting, None for one without a default."""
     parts: tuple[object, ...]
-    """All parts of its type."""
+    """All parts of the setting's type."""
 
     @property
     def is_flag(self) -> bool:
@@ -208,8 +209,7 @@ class _ReadableSignature:
 class Settings:
     """Hold the settings of a command: a subclass is a frozen dataclass, with the help of each field below it.
 
-    Texts are accepted for numbers, sizes and files; None means not given. Raises InputError with everything that is
-    wrong.
+    Texts are accepted for numbers, sizes and files; None means not given. Raises InputError with all problems.
     """
 
     if not TYPE_CHECKING:  # type checkers know the fields

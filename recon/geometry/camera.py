@@ -37,18 +37,19 @@ TILT = "radians between -pi/2 and pi/2, and 0 beside a pose that says which way 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Camera(Brief):
-    """One calibrated camera.
+    """Hold one calibrated camera.
 
     Raises
     ------
     InputError
-        Naming every fault: wrong shapes or numbers of coefficients, values that are not finite, focal lengths or image
-        sizes that are not positive, a rotation that is not orthonormal and right-handed to 1e-6, a tilt of more than a
-        right angle, or a tilt beside a pose that says which way is up.
+        If the camera is faulty; the message names every fault: wrong shapes or numbers of coefficients, values that are
+        not finite, focal lengths or image sizes that are not positive, a rotation that is not orthonormal and
+        right-handed to 1e-6, a tilt of more than a right angle, or a tilt in addition to a pose that defines the upward
+        direction.
     """
 
     name: str
-    """The name in its calibration file."""
+    """Name of the camera in its calibration file."""
     matrix: Array
     """(3, 3), K with skew s = K[0, 1]."""
     distortion: Array
@@ -62,9 +63,9 @@ class Camera(Brief):
     translation_m: Array | None = None
     """(3,), None when the pose is unknown."""
     world_z_up: bool = True
-    """Whether the world frame's z axis points up (False where a calibration board defines the world)."""
+    """Whether the world's z axis points up; False if a calibration board defines the world."""
     tilt_rad: float = 0.0
-    """How far a camera looks down if its pose does not say which way is up; 0 is level."""
+    """Angle by which the camera looks down, if its pose does not define the upward direction; 0 is level."""
 
     def __post_init__(self) -> None:
         for field in ("matrix", "distortion", "rotation", "translation_m"):
@@ -77,7 +78,7 @@ class Camera(Brief):
         raise_problems(Problem(f"camera {self.name!r}", *fault) for fault in self._faults())
 
     def _faults(self) -> Iterator[tuple[str, str, str]]:
-        """Yield each impossible field, its value, and what it should be."""
+        """Yield each impossible field, its value, and the expected value."""
         sound = set[str]()
         for field, (shape, expected) in BLOCKS.items():
             array = getattr(self, field)
@@ -188,9 +189,9 @@ class Camera(Brief):
     def sees(self, pixels: npt.ArrayLike, unzoomed_px: Array | None = None) -> Bools:
         """Return whether detections at pixels (..., 2) are possible.
 
-        A detection is possible no further outside the picture than the picture is wide and high, since trackers and
-        interpolation carry points over the edge, and where the pixel has a ray. NaN gives False. `unzoomed_px` (..., 2)
-        are the pixels by the camera's own matrix, if the camera zooms.
+        A detection is possible if the pixel has a ray and is not further outside the picture than the picture's own
+        width and height, since trackers and interpolation carry points over the edge. NaN gives False. If the camera
+        zooms, `unzoomed_px` (..., 2) are the pixels for the camera's own matrix.
         """
         uv, size = np.asarray(pixels, dtype=float), np.array(self.image_size_px)
         seen = np.asarray(((uv >= -size) & (uv <= 2 * size)).all(axis=-1))
@@ -225,7 +226,7 @@ class Camera(Brief):
 
     @cached_property
     def lens(self) -> Lens:
-        """Lens model with its coefficients."""
+        """The lens model with its coefficients."""
         return LENS_MODELS[self.model](self.distortion.tolist())
 
     @cached_property
@@ -242,15 +243,15 @@ class Camera(Brief):
 
     @property
     def knows_up(self) -> bool:
-        """Return whether the pose says which way is up."""
+        """Return whether the pose defines the upward direction."""
         return self.rotation is not None and self.world_z_up
 
     @property
     def up(self) -> Array:
-        """Unit vector (3,), camera frame, that points up.
+        """Upward unit vector (3,), camera frame.
 
-        Taken from the pose where the world's z axis points up. Otherwise the camera's x axis is assumed level and the
-        tilt is `tilt_rad`: (0, -1, 0) for a level camera.
+        The vector follows from the pose if the world's z axis points up. Otherwise the camera's x axis is assumed to be
+        level and the tilt is `tilt_rad`, which gives (0, -1, 0) for a level camera.
         """
         if self.rotation is not None and self.world_z_up:
             return self.rotation[:, 2].copy()
@@ -262,12 +263,12 @@ class Camera(Brief):
         return self.camera_to_world(np.zeros(3))
 
     def world_to_camera(self, points_m: npt.ArrayLike) -> Array:
-        """Points (..., 3), metres, from world to camera frame. Raises ValueError when the pose is unknown."""
+        """Return points (..., 3), metres, of the world frame in the camera frame. Raises ValueError without a pose."""
         rotation, translation = self._pose()
         return np.asarray(points_m, dtype=float) @ rotation.T + translation
 
     def camera_to_world(self, points_m: npt.ArrayLike) -> Array:
-        """Points (..., 3), metres, from camera to world frame. Raises ValueError when the pose is unknown."""
+        """Return points (..., 3), metres, of the camera frame in the world frame. Raises ValueError without a pose."""
         rotation, translation = self._pose()
         return (np.asarray(points_m, dtype=float) - translation) @ rotation
 

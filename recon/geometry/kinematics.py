@@ -58,22 +58,24 @@ YAW, PITCH, ROLL = 3, 4, 5
 
 @dataclass(frozen=True)
 class Segment:
-    """A rigid part of a tree."""
+    """Describe a rigid part of a tree."""
 
     name: str
     parent: str | None
-    """The name of an earlier segment, None for the root."""
+    """Name of an earlier segment; None for the root."""
     joint: Joint
-    """How the segment turns against its parent."""
+    """Kind of joint between the segment and its parent."""
     offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Its origin in its parent's frame, (x, y, z)."""
+    """Origin in the parent's frame, (x, y, z)."""
     rotation: tuple[tuple[float, ...], ...] | None = None
-    """(3, 3), from its frame to its parent's before its joint moves; only for joints turn, slide and fixed."""
+    """(3, 3), from the segment's frame to its parent's before the joint moves; only for joints turn, slide and
+    fixed.
+    """
 
 
 @dataclass(frozen=True)
 class Marker:
-    """A point fixed on a segment, offset_m (x, y, z) from its origin in its frame."""
+    """Describe a point fixed on a segment, at offset_m (x, y, z) from its origin in its frame."""
 
     name: str
     segment: str
@@ -82,7 +84,7 @@ class Marker:
 
 @dataclass(frozen=True)
 class TreePose:
-    """Markers of a tree for N states; derivatives are empty unless requested."""
+    """Hold the markers of a tree for N states; derivatives are empty unless requested."""
 
     points_m: Array
     """(N, J, 3), the markers in the world."""

@@ -1,4 +1,4 @@
-"""Bend and unbend rays by a lens model: one class per model, and the table of all models.
+"""Distort and undistort rays by a lens model: one class per model, and the table of all models.
 
 A lens bends ideal normalised coordinates (a, b) = (x/z, y/z) to distorted coordinates, which the camera's matrix turns
 into pixels. As in OpenCV's documentation (modules calib3d and fisheye):
@@ -25,18 +25,18 @@ from numpy.polynomial import Polynomial, polynomial
 from recon.base.arrays import Array, Bools
 
 _ANGLES, _LARGEST_RADIUS = 2048, 1e8
-"""Number of samples and largest radius of the table where Newton's method starts."""
+"""Number of samples and largest radius of the table from which Newton's method starts."""
 
 
 class Lens:
-    """A lens model with its coefficients; the base class holds what all models share."""
+    """Describe a lens model with its coefficients; the base class holds what all models share."""
 
     name: ClassVar[str]
-    """Name in our own files and options."""
+    """Name in recon's own files and options."""
     coefficients: ClassVar[tuple[str, ...]] = ()
     """All coefficients of the model, in OpenCV's order."""
     counts: ClassVar[tuple[int, ...]] = (0,)
-    """Numbers of coefficients that a camera may state; the others are 0."""
+    """Numbers of coefficients that a camera may state; the other coefficients are 0."""
     aliases: ClassVar[tuple[str, ...]] = ()
     """Names in ROS (`distortion_model`) and other files."""
     colmap: ClassVar[Mapping[str, str]] = {}
@@ -44,14 +44,14 @@ class Lens:
     opencv: ClassVar[Literal["standard", "fisheye"] | None] = None
     """OpenCV's functions that calibrate the model from pictures of a board (`recon.calibrate.boards`), if any."""
     calibrated: ClassVar[int] = 0
-    """Number of coefficients that this calibration finds."""
+    """Number of coefficients that this calibration estimates."""
 
     def __init__(self, coefficients: Sequence[float]) -> None:
         self.k = (*coefficients, *[0.0] * (len(self.coefficients) - len(coefficients)))
 
     @cached_property
     def max_radius(self) -> float:
-        """Radius sqrt(a^2 + b^2) up to which the distorted radius increases; inf where it always does."""
+        """Radius sqrt(a^2 + b^2) up to which the distorted radius increases, or inf."""
         return math.inf
 
     def distort(self, a: Array, b: Array, r2: Array) -> tuple[Any, ...]:
@@ -184,7 +184,7 @@ LENS_MODELS: dict[str, type[Lens]] = {lens.name: lens for lens in (_Pinhole, _Ra
 
 
 def lens_named(text: str) -> str | None:
-    """Return our name of the model that a file calls `text`; None if unknown."""
+    """Return recon's name of the model that a file calls `text`, or None if unknown."""
     return next((lens.name for lens in LENS_MODELS.values() if text in (lens.name, *lens.aliases)), None)
 
 

@@ -1,12 +1,13 @@
 """Describe an animal as bones that turn against each other, and write BVH, OpenSim and glTF 2.0.
 
-For programs that work with bones, not points. Axes are x forwards, y up, z right, metres. With all angles 0 every
-bone's axes are those of the world. Angles keep their names and signs: yaw turns about y, pitch about -z and roll about
-x. `recon.show.rig` makes an armature from a fit. Joints are bones without a turn, at the ends of limbs.
+These formats are for programs that work with bones, not points. Axes are x forwards, y up, z right, metres. With all
+angles 0 every bone's axes are those of the world. Angles keep their names and signs: yaw turns about y, pitch about -z
+and roll about x. `recon.show.rig` makes an armature from a fit. Joints are written as bones without rotation, at the
+ends of limbs.
 
-BVH files of other programs are read as the joints' positions, y up by custom, without a unit. Position channels replace
-a joint's OFFSET, as in most programs. End sites are joints with the parent's name and `_end`, unless they have no
-length.
+BVH files of other programs are read as positions of the joints, with y up by convention and no unit. Position channels
+replace a joint's OFFSET, as in most programs. End sites are joints with the parent's name and `_end`, unless they have
+no length.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ AXIS: dict[str, tuple[int, int, int]] = {"yaw": (0, 1, 0), "pitch": (0, 0, -1), 
 
 @dataclass(frozen=True, eq=False)
 class BoneAngle:
-    """One angle of a bone against its parent, (T,), about an axis that the bone's angles before it have turned."""
+    """Hold one angle of a bone relative to its parent, (T,), about an axis turned by the bone's earlier angles."""
 
     name: str
     kind: str
@@ -52,24 +53,24 @@ class BoneAngle:
 
 @dataclass(frozen=True, eq=False)
 class Bone:
-    """A segment; `parent` is None for the root, which follows a path."""
+    """Hold a segment; `parent` is None for the root, which follows a path."""
 
     name: str
     parent: int | None
     offset_m: Array
-    """(3,): its origin in its parent's frame."""
+    """(3,): origin in the parent's frame."""
     turns: tuple[BoneAngle, ...]
     mass_kg: float
-    """0 if the skeleton has no masses."""
+    """Mass; 0 if the skeleton has no masses."""
     centre_m: Array
-    """(3,): centre of mass in its frame."""
+    """(3,): centre of mass in the bone's frame."""
     inertia_kg_m2: Array
     """(3, 3): moments of inertia about that centre."""
 
 
 @dataclass(frozen=True, eq=False)
 class Armature:
-    """Bones, parents first, and J joints fixed on them, in T consecutive frames."""
+    """Hold bones, parents first, and J joints fixed to them, in T consecutive frames."""
 
     name: str
     title: str
@@ -105,7 +106,7 @@ _CHANNEL = {"yaw": "Yrotation", "pitch": "Zrotation", "roll": "Xrotation"}
 
 @dataclass
 class _Joint:
-    """A joint of a BVH file."""
+    """Hold a joint of a BVH file."""
 
     name: str
     parent: int
@@ -126,7 +127,7 @@ def recognises_bvh(path: Path) -> bool:
 def read_bvh(path: Path, individual: str | None = None) -> StoredPoints:
     """Return the joints' positions, by forward kinematics.
 
-    Raises InputError for a file that is cut off or no BVH.
+    Raises InputError for a file that is cut off or is not BVH.
     """
     lines = enumerate(read_text(path, "a BVH file").splitlines(), start=1)
     rows = ((number, line.split()) for number, line in lines if line.strip())
@@ -206,10 +207,11 @@ def _positions(joints: list[_Joint], motion: np.ndarray) -> np.ndarray:
 
 
 def write_bvh(rig: Armature, path: Path) -> None:
-    """Write bones that turn as BVH, in metres, y up.
+    """Write rotating bones as BVH, in metres, y up.
 
-    A bone's OFFSET is its origin in its parent's frame, its channels are its angles in degrees; the root also has its
-    path. Joints are bones of length 0 without a turn. Raises InputError for names with blanks or braces.
+    The OFFSET of a bone is its origin in its parent's frame, and its channels are its angles in degrees; the root also
+    has its path. Joints are written as bones of length 0 without rotation. Raises InputError for names with blanks or
+    braces.
     """
     writing.require_names([bone.name for bone in rig.bones] + list(rig.joints), r"\s|[{}]", "BVH")
     lines, columns = ["HIERARCHY"], [rig.root_m]
@@ -242,7 +244,7 @@ def write_bvh(rig: Armature, path: Path) -> None:
 
 
 def _numbers(values: Array | Sequence[float]) -> str:
-    return " ".join(map(repr, (np.asarray(values) + 0).tolist()))  # 0 of -0, too
+    return " ".join(map(repr, (np.asarray(values) + 0).tolist()))  # -0 becomes 0
 
 
 # -- OpenSim ----------------------------------------------------------------------------------------------------------
@@ -255,8 +257,8 @@ PLACE = {"x_m": (1, 0, 0), "y_m": (0, 0, -1), "z_m": (0, 1, 0)}
 def write_opensim(rig: Armature, path: Path) -> None:
     """Write the model, with its motion (.mot) and its markers' paths (.trc) under the same name.
 
-    Times are those of the keypoint file. If the skeleton has no masses, the bodies have none, and the model is for
-    kinematics only. Raises InputError for names with blanks or slashes.
+    Times are those of the keypoint file. If the skeleton has no masses, the bodies have no mass, and the model can be
+    used for kinematics only. Raises InputError for names with blanks or slashes.
     """
     writing.require_names([bone.name for bone in rig.bones] + list(rig.joints), r"[\s/\\*+]", OPENSIM)
     document = Element("OpenSimDocument", Version=OPENSIM_VERSION)
@@ -308,7 +310,7 @@ def _join(joints: Element, rig: Armature, bone: Bone) -> None:
 
 
 def _draw(body: Element, rig: Armature, bone: Bone) -> None:
-    """Add a cylinder for each of a bone's capsules."""
+    """Add a cylinder for each capsule of a bone."""
     capsules = [c for c in rig.capsules if rig.bones[c.segment] is bone]
     components = _add(body, "components") if capsules else body
     for i, capsule in enumerate(capsules):
@@ -333,7 +335,7 @@ def _write_motion(rig: Armature, path: Path) -> None:
 
 
 def _add(parent: Element, kind: str, called: str | None = None, **elements: str) -> Element:
-    """Return a new child element with its name and elements of text."""
+    """Return a new child element with its name and text elements."""
     element = SubElement(parent, kind, {} if called is None else {"name": called})
     for name, text in elements.items():
         SubElement(element, name).text = text
@@ -355,7 +357,7 @@ _COMPONENTS = {"float32": 5126, "uint32": 5125, "uint16": 5123}
 
 
 class _Buffer:
-    """Numbers of a file, as accessors into one block of bytes."""
+    """Collect the numbers of a file as accessors into one block of bytes."""
 
     def __init__(self) -> None:
         self.content = bytearray()
@@ -378,7 +380,7 @@ def write_gltf(rig: Armature, path: Path) -> None:
     buffer = _Buffer()
     offsets_m = np.concatenate([[bone.offset_m for bone in rig.bones], rig.joint_offsets_m])
     parents = [bone.parent for bone in rig.bones] + list(rig.joint_bones)
-    at_rest = np.zeros_like(offsets_m)  # with all angles 0, where the mesh is bound
+    at_rest = np.zeros_like(offsets_m)  # pose with all angles 0, in which the mesh is bound
     for i, parent in enumerate(parents):
         at_rest[i] = offsets_m[i] + (0.0 if parent is None else at_rest[parent])
     unbind = np.tile(np.eye(4), (len(parents), 1, 1))
@@ -430,7 +432,7 @@ def write_gltf(rig: Armature, path: Path) -> None:
 
 
 def _primitive(buffer: _Buffer, rig: Armature, side: Side | None, at_rest: Array, material: int) -> dict[str, Any]:
-    """Return the mesh of the capsules of one side, each moved by its bone."""
+    """Return the mesh of the capsules on one side, each moved by its bone."""
     capsules = [capsule for capsule in rig.capsules if capsule.side == side]
     points, normals = np.swapaxes([_surface(capsule) for capsule in capsules], 0, 1)  # (capsules, N, 3)
     bones = np.array([capsule.segment for capsule in capsules])
@@ -472,6 +474,6 @@ def _surface(capsule: Capsule) -> tuple[Array, Array]:
 
 
 def _unbroken(turns: Array) -> Array:
-    """Return quaternions (T, 4), each with the sign nearer to the previous one."""
+    """Return quaternions (T, 4), each with the sign that is nearer to the previous one."""
     signs = np.where(np.einsum("tq,tq->t", turns[1:], turns[:-1]) < 0, -1.0, 1.0)
     return turns * np.cumprod([1.0, *signs])[:, None]

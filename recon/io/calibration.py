@@ -1,8 +1,8 @@
-"""Read cameras from calibration files of any known format, and from our own camera files.
+"""Read cameras from calibration files of any known format, and from recon's own camera files.
 
-Every value is checked. A reader returns a `CameraRecord` for each camera, a table of unchecked values. Our files are
-TOML with one table `[camera]` with `format = "recon-camera"`, or several in `[[cameras]]`. Files of other programs are
-in `recon.io.camera_files`.
+Every value is checked. A reader returns a `CameraRecord` for each camera, a table of unchecked values. Recon's own
+files are TOML with a table `[camera]` that has `format = "recon-camera"`, or several in `[[cameras]]`. Files of other
+programs are in `recon.io.camera_files`.
 """
 
 from __future__ import annotations
@@ -24,48 +24,48 @@ from recon.geometry.lens import LENS_MODELS
 from recon.io.formats import FORMATS, recognised, titles
 
 CameraFiles = str | Path | Sequence[Path]
-"""One file, or several."""
+"""One file, or several files."""
 FORMAT, VERSION = "recon-camera", 1
 MAX_BYTES = 1 << 23
 MAX_SIZE_PX = 1_000_000
 ROTATION_TOLERANCE = 1e-3
 MAX_DLT_BYTES = 1 << 14
 KEYS_SHOWN = 160
-"""Characters of a file's keys in a message."""
+"""Largest number of characters of a file's keys that a message shows."""
 
 
 @dataclass(frozen=True)
 class CameraRecord:
-    """One camera as its file has it."""
+    """Hold one camera as its file describes it."""
 
     name: Any
     place: str
     values: Mapping[str, Any]
     """Unchecked values, by field of `Camera`."""
     called: Mapping[str, str]
-    """The file's keys, by field, where they differ."""
+    """The file's key for each field, if the names differ."""
     lenses: Iterable[str] = tuple(LENS_MODELS)
-    """Names that the file can have for its lens."""
+    """Names of lens models that the file format can have."""
     keys: tuple[str, ...] = ()
-    """All keys of the camera's table, to name where a field is missing."""
+    """All keys of the camera's table, listed in messages on missing fields."""
 
 
 def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None) -> tuple[Camera, ...]:
     """Return all cameras of a calibration file, or of several files, in order.
 
-    Cameras without a name are called cam1, cam2, ... Of several files, a file's only camera is called as the file if
-    two have the same name.
+    Cameras without a name are called cam1, cam2, ... With several files, if two cameras have the same name, a file's
+    only camera is named after the file.
 
     Parameters
     ----------
     path : path, or sequence of paths
     image_size_px : (width, height), optional
-        For files without it; must agree where a file has it.
+        Picture size for files without one; it must agree with the size in a file.
 
     Raises
     ------
     InputError
-        With every problem.
+        If the files cannot be used; the message lists every problem.
     """
     if not isinstance(path, str | Path):
         of_file = collect_problems(*(partial(read_cameras, file, image_size_px) for file in path))
@@ -100,12 +100,12 @@ _OTHER_PROGRAMS = (
     (r"<chunk|<document[^>]*version", "a project or calibration of Metashape"),
     (r"(?m)^cam0:\s*$", "a camchain of Kalibr"),
 )
-"""Content of calibrations that are not read, and what they are."""
+"""Patterns in calibrations that cannot be read, and a description of their format."""
 DLT_COEFFICIENTS = 11
 
 
 def _of_other_program(path: Path) -> str | None:
-    """Return what a calibration file of a known program that is not read is; None for any other file."""
+    """Return the name of a known format that cannot be read, or None for any other file."""
     if path.suffix.lower() == ".mat":
         require_file(path)
         return None
@@ -114,7 +114,7 @@ def _of_other_program(path: Path) -> str | None:
 
 
 def _dlt_text(path: Path) -> str:
-    """Return a hint at coefficients of a direct linear transformation, a column of 11 numbers for each camera."""
+    """Return a hint if the file has coefficients of a direct linear transformation, a column of 11 numbers each."""
     if not path.is_file() or path.stat().st_size > MAX_DLT_BYTES:
         return ""
     lines = [line for line in path.read_text(errors="replace").splitlines() if line.strip()]
@@ -169,7 +169,7 @@ def read_calibration(path: Path) -> str:
     return read_text(path, "a calibration", MAX_BYTES)
 
 
-# -- our own ----------------------------------------------------------------------------------------------------------
+# -- recon's own files ------------------------------------------------------------------------------------------------
 
 
 def recognises_own(path: Path) -> bool:
@@ -178,7 +178,7 @@ def recognises_own(path: Path) -> bool:
 
 
 def read_own(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Return the cameras of our own file; raise InputError, also for another version."""
+    """Return the cameras of recon's own file; raise InputError, also for another version."""
     document = parse_toml(read_calibration(path), path)
     single, several = document.get("camera"), document.get("cameras")
     tables = {"camera.": single} if single is not None else {}
@@ -203,7 +203,7 @@ def _camera(record: CameraRecord, number: int, path: Path, image_size_px: tuple[
     """Return the camera of a record; raise InputError with every problem."""
     values, camera = record.values, None
     faults: dict[str, tuple[str, str]] = {}
-    """Found and expected, by field."""
+    """Value found and value expected, by field."""
     arguments: dict[str, Any] = {"name": f"cam{number}" if record.name is None else str(record.name)}
     arguments |= {
         "world_z_up": values["world_z_up"],
@@ -219,7 +219,8 @@ def _camera(record: CameraRecord, number: int, path: Path, image_size_px: tuple[
             faults[field] = "something other than a block of numbers", expected
     arguments["image_size_px"], fault = _image_size(values.get("image_size_px"), image_size_px)
     faults |= {"image_size_px": fault} if fault else {}
-    if values.get("matrix") is None and arguments["model"] not in (None, *LENS_MODELS):  # it tells numbers apart
+    # the matrix decides which numbers are zero
+    if values.get("matrix") is None and arguments["model"] not in (None, *LENS_MODELS):
         faults = {"model": (repr(arguments["model"]), f"one of: {', '.join(record.lenses)}")}
     else:
         try:
@@ -246,7 +247,7 @@ def _is_transposed(matrix: Array | None) -> bool:
 
 
 def _reshaped(arguments: dict[str, Any]) -> dict[str, Any]:
-    """Reshape numbers as a camera has them, and drop trailing coefficients that are 0."""
+    """Reshape numbers to the shapes of a camera, and drop trailing coefficients that are 0."""
     matrix, bent, rotation, translation = (arguments[field] for field in BLOCKS)
     if matrix is not None and matrix.size == 9:
         arguments["matrix"] = matrix.reshape(3, 3)
@@ -255,7 +256,7 @@ def _reshaped(arguments: dict[str, Any]) -> dict[str, Any]:
         arguments["model"] = arguments["model"] if bent.size else "pinhole"
         counts = LENS_MODELS[arguments["model"]].counts
         while bent.size not in counts and bent.size > min(counts) and bent[-1] == 0:
-            bent = bent[:-1]  # such as OpenCV's thin prism and tilt
+            bent = bent[:-1]  # such as OpenCV's thin prism and tilt coefficients
         arguments["distortion"] = bent
     if rotation is not None and rotation.size in (3, 9) and (np.abs(rotation) <= LARGEST).all():
         arguments["rotation"] = _rotation(rotation)
@@ -265,7 +266,7 @@ def _reshaped(arguments: dict[str, Any]) -> dict[str, Any]:
 
 
 def _image_size(value: object, stated: tuple[int, int] | None) -> tuple[tuple[int, int], tuple[str, str] | None]:
-    """Return the image size, and what was found and expected if there is none.
+    """Return the image size, or the value found and the value expected if there is none.
 
     The file's size and the given one must agree.
     """
@@ -296,7 +297,7 @@ def _numbers(value: object) -> Array | None:
 def _rotation(array: Array) -> Array:
     """Return the matrix of a Rodrigues vector, or a nearly orthonormal 3x3 matrix made exact."""
     if array.size == 3:
-        from scipy.spatial.transform import Rotation  # hardly any file has one
+        from scipy.spatial.transform import Rotation  # imported here because few files need it
 
         return Rotation.from_rotvec(array.ravel()).as_matrix()
     matrix = array.reshape(3, 3)

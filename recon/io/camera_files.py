@@ -1,4 +1,4 @@
-"""Read calibration files of other programs as tables of unchecked values, and write ours.
+"""Read calibration files of other programs as tables of unchecked values, and write recon's own.
 
 Layouts of further programs are in `recon.io.lab_cameras`.
 
@@ -58,10 +58,10 @@ LENS_KEYS = (
 )
 """Keys under which files state a lens model."""
 STRICT_LENS_KEYS = LENS_KEYS[:5]
-"""Keys whose value can be a lens model only; the others can name a product, too."""
+"""Keys whose value can only be a lens model; the values of other keys can also name a product."""
 FISHEYE_KEYS = ("fisheye", "fisheye_model", "is_fisheye")
 _PERSPECTIVE = ("pinhole", "perspective")
-"""Values of a camera model that say nothing of the lens' distortion."""
+"""Values of a camera model that do not describe the lens distortion."""
 _OTHER_LENS = re.compile(r"fish|omni|equi|kannala|brandt|mei|thin|division|unified|fov", re.IGNORECASE)
 MAX_NESTING = 5_000
 """Deepest nesting of a file; OpenCV crashes at 20,000."""
@@ -72,7 +72,7 @@ def _is(path: Path, suffixes: tuple[str, ...], pattern: str = "") -> bool:
 
 
 def _tables(path: Path, value: object, expected: str) -> dict[str, dict[str, Any]]:
-    """Return tables by name; raise InputError for anything else, or none."""
+    """Return tables by name; raise InputError if there are none, or for anything else."""
     if not isinstance(value, dict) or not value or not all(isinstance(table, dict) for table in value.values()):
         raise InputError(Problem(path, "cameras", "no table of a camera", expected))
     return value
@@ -94,9 +94,10 @@ def record_of(name: object, place: str, table: Mapping[str, Any], **changes: Any
 
 
 def stated_lens(table: Mapping[str, Any]) -> tuple[str, str | None]:
-    """Return the key under which a table states its lens, and our name of it, or the file's if it is none of ours.
+    """Return the key under which a table states its lens, and recon's name of the lens, or else the file's.
 
-    None: it states no lens. Contradictory statements are returned as one text, which is no lens.
+    The result is None if the table states no lens. Contradictory statements are returned as one text, which is not a
+    lens.
     """
     stated: dict[str, str] = {}
     for key in LENS_KEYS:
@@ -133,16 +134,16 @@ def read_anipose(path: Path, individual: str | None = None) -> list[CameraRecord
     document = parse_toml(read_calibration(path), path)
     expected = f'[camera] with format = "{FORMAT}", or one table per camera as Anipose and Pose2Sim write'
     known, records = {key for keys in ALIASES.values() for key in keys}, []
-    if isinstance(document.get("cameras"), dict):  # Caliscope: of cameras without a calibration there is only the size
+    if isinstance(document.get("cameras"), dict):  # Caliscope: a camera without a calibration has only its size
         inside = document["cameras"]
         named = {f"cam_{key}" if str(key).isdigit() else key: table for key, table in inside.items()}
         document = {key: t for key, t in named.items() if not isinstance(t, dict) or t.get("matrix") is not None}
-    # others are metadata, or the file is about something else
+    # other tables are metadata, or the file is about something else
     tables = {key: table for key, table in document.items() if isinstance(table, dict) and known & table.keys()}
     for section, table in _tables(path, tables, expected).items():
         coefficients = table.get("distortions")
         if isinstance(coefficients, list) and len(coefficients) == 1:
-            table = table | {"distortions": coefficients + [0.0] * 3}  # k1 alone, the others were not estimated
+            table = table | {"distortions": coefficients + [0.0] * 3}  # k1 alone; the others were not estimated
         records.append(record_of(table.get("name", section), f"{section}.", table))
     return records
 
@@ -188,22 +189,22 @@ OPENSFM_LENSES = {
     "fisheye": ("fisheye", ("k1", "k2")),
     "fisheye_opencv": ("fisheye", ("k1", "k2", "k3", "k4")),
 }
-"""Our lens, and the coefficients that it has, by OpenSfM's name; the others are 0."""
+"""Recon's lens model by OpenSfM's name, and its coefficients; the others are 0."""
 COLMAP_LENSES = {
     name: (lens.name, parameters.split()) for lens in LENS_MODELS.values() for name, parameters in lens.colmap.items()
 }
-"""Our lens, and its parameters in order, by COLMAP's name."""
+"""Recon's lens model by COLMAP's name, and its parameters in order."""
 
 
 def recognises_opensfm(path: Path) -> bool:
-    """Return whether it is OpenDroneMap's or OpenSfM's JSON."""
+    """Return whether a file is OpenDroneMap's or OpenSfM's JSON."""
     return _is(path, (".json",), r'"projection_type"\s*:')
 
 
 def read_opensfm(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Return the cameras of OpenDroneMap's or OpenSfM's file, in pixels; raise InputError.
+    """Return the cameras of an OpenDroneMap or OpenSfM file, in pixels; raise InputError.
 
-    Lengths in the file are shares of the picture's longer side, from its middle.
+    Lengths in the file are fractions of the picture's longer side, measured from its middle.
     """
     document = parse_json(read_calibration(path), path)
     if isinstance(document, list) and document and isinstance(document[0], dict):  # reconstruction.json
@@ -229,8 +230,8 @@ def read_opensfm(path: Path, individual: str | None = None) -> list[CameraRecord
 def read_colmap(path: Path) -> list[CameraRecord]:
     """Return the cameras of COLMAP's cameras.txt, without poses; raise InputError.
 
-    Lines are CAMERA_ID MODEL WIDTH HEIGHT PARAMS. COLMAP's pixel (0, 0) is the corner of the first pixel, ours its
-    centre.
+    Lines are CAMERA_ID MODEL WIDTH HEIGHT PARAMS. COLMAP's pixel (0, 0) is the corner of the first pixel, recon's is
+    its centre.
     """
     records = []
     for line, cells in enumerate(map(str.split, read_calibration(path).splitlines()), start=1):
@@ -261,7 +262,7 @@ def _of_numbers(model: str, n: dict[str, float]) -> dict[str, Any]:
 
 
 def recognises_opencv(path: Path) -> bool:
-    """Return whether it is OpenCV's or ROS' YAML, XML or JSON."""
+    """Return whether a file is OpenCV's or ROS' YAML, XML or JSON."""
     keys = "opencv-matrix|camera_matrix|cameraMatrix|K"
     return _is(path, (".yaml", ".yml", ".xml")) or _is(path, (".json",), f'"({keys})"')
 
@@ -285,7 +286,7 @@ def document_of(path: Path) -> dict[str, Any]:
     text = read_calibration(path)
     if path.suffix.lower() == ".json" and '"opencv-matrix"' not in text:
         document = parse_json(text, path)
-    else:  # OpenCV does not always write valid JSON: whole numbers are "1."
+    else:  # OpenCV sometimes writes invalid JSON, with whole numbers as "1."
         document = _of_file_storage(path, text)
     if not isinstance(document, dict):
         raise InputError(Problem(path, "content", "no keys", "camera_matrix, distortion_coefficients, ..."))
@@ -293,7 +294,7 @@ def document_of(path: Path) -> dict[str, Any]:
 
 
 def require_lens(path: Path, document: Mapping[str, Any], record: CameraRecord) -> None:
-    """Raise InputError for four coefficients of no stated lens, which can be of either."""
+    """Raise InputError for four coefficients without a stated lens, which may belong to either of two models."""
     value = record.values["distortion"]
     coefficients = np.asarray(value["data"] if isinstance(value, Mapping) and "data" in value else value)
     ambiguous = coefficients.size == 4 and coefficients.dtype.kind in "iuf" and coefficients.any()
@@ -304,9 +305,9 @@ def require_lens(path: Path, document: Mapping[str, Any], record: CameraRecord) 
 
 
 def _of_region(path: Path, document: Mapping[str, Any], record: CameraRecord) -> CameraRecord:
-    """Return the camera of ROS' region of interest and binning, whose matrix is that of the whole picture.
+    """Return the camera for ROS' region of interest and binning, whose matrix belongs to the whole picture.
 
-    As ROS' image_geometry: the region's corner is taken off the principal point, and binning divides.
+    As in ROS' image_geometry, the region's corner is subtracted from the principal point, and binning divides.
     """
     region = document.get("roi")
     region = region if isinstance(region, Mapping) else {}
@@ -347,7 +348,8 @@ def _of_file_storage(path: Path, text: str) -> Json:
     if _nesting(text) > MAX_NESTING:
         raise InputError(Problem(path, "content", "lists or tables that are nested too deeply", "a calibration"))
     try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)  # its nodes live in it
+        # the nodes live only as long as the storage
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         return _plain_node(storage.root())
     except (cv2.error, SystemError) as error:  # the constructor's cv2.error arrives wrapped in a SystemError
         reason = str(error.__cause__ or error).strip().splitlines()[-1].rpartition("error)")[2].strip()
@@ -376,11 +378,11 @@ def _plain_node(node: cv2.FileNode) -> Json:
     return node.real() if node.isInt() or node.isReal() else None
 
 
-# -- our own, written --------------------------------------------------------------------------------------------------
+# -- writing recon's own files -----------------------------------------------------------------------------------------
 
 
 def write_cameras(cameras: Sequence[Camera], path: str | Path) -> None:
-    """Write cameras as TOML that `read_cameras` reads back exactly; whole or not at all."""
+    """Write cameras as TOML that `read_cameras` reads back exactly; write the whole file or nothing."""
     write_text(path, tomli_w.dumps({"cameras": [_table(camera) for camera in cameras]}))
 
 

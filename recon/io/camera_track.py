@@ -5,7 +5,7 @@
   world to the camera, X_camera = R X_world + t. The camera's position may be in x, y, z instead of tx, ty, tz: then the
   quaternion takes points from the camera to the world, X_world = R X_camera + (x, y, z).
 - COLMAP: images.txt with cameras.txt beside it, or their folder. Frame numbers are the last digits of the images'
-  names. COLMAP's pixel (0, 0) is the corner of the first pixel, ours its centre: half a pixel is subtracted.
+  names. COLMAP's pixel (0, 0) is the corner of the first pixel, recon's is its centre, so half a pixel is subtracted.
 - OpenDroneMap, OpenSfM: reconstruction.json (`shots`), or shots.geojson with the cameras' positions in UTM. Frame
   numbers are the last digits of the pictures' names.
 
@@ -40,15 +40,16 @@ SIGMA = "sigma_deg"
 Columns = dict[str, Array]
 """Numbers (N,) of N poses: frame and `POSE`, and `INTRINSICS` or `SIGMA` if known."""
 UNIT_TOLERANCE = 1e-2
-"""Tolerance of a quaternion's length; three digits are enough."""
+"""Tolerance of a quaternion's length, which three digits satisfy."""
 MAX_PLACE_M, MAX_PX, MAX_SIGMA_DEG, MAX_ROTATION_RAD = 1e7, 1e6, 10.0, 100.0
 LEANING_MAX_RAD = np.radians(60)
-"""A camera that leans further most of the time, and does not look down, is in a world whose z axis does not point up.
+"""Angle above which a camera leans too far: if it does so most of the time and does not look down, z does not
+point up.
 """
 LOOKING_DOWN_RAD = np.radians(45)
-"""If a camera looks down more steeply, as a drone's, any edge of the picture may be the upper one."""
+"""Angle above which a camera looks down, as on a drone, so that any edge of the picture may be the upper one."""
 PLACE = ("x", "y", "z")
-"""Columns in place of tx, ty, tz, for poses from the camera to the world."""
+"""Columns that replace tx, ty, tz if poses are given from the camera to the world."""
 IMAGES, CAMERAS = "images.txt", "cameras.txt"
 SHOTS = (".json", ".geojson")
 EXPECTED = (
@@ -56,15 +57,15 @@ EXPECTED = (
     "reconstruction.json or shots.geojson"
 )
 MAX_SHOTS_BYTES = 1 << 28
-"""Largest size of a reconstruction, which includes its points."""
+"""Largest size of a reconstruction file, which includes its points."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CameraTrack(FramePoses):
-    """The poses of one camera in N frames of its video; the world is in metres and has z up."""
+    """Hold the poses of one camera in N frames of its video; the world is in metres and has z up."""
 
     max_gap_s: ClassVar[float] = 0.1
-    """Poses further apart are not interpolated."""
+    """Longest time between two poses over which poses are interpolated."""
 
     source: Path
     frames: Integers
@@ -97,7 +98,7 @@ class CameraTrack(FramePoses):
 
 
 def _between(a: Array, b: Array, share: Array) -> Array:
-    """Return poses (T, 4, 4) at a share (T,) from a to b, at constant rotation and velocity of the centre."""
+    """Return poses (T, 4, 4) at fractions (T,) between a and b, at constant rotation and velocity of the centre."""
     turn = b[:, :3, :3] @ a[:, :3, :3].swapaxes(1, 2)
     rotation = Rotation.from_rotvec(share[:, None] * Rotation.from_matrix(turn).as_rotvec()).as_matrix() @ a[:, :3, :3]
     start, end = inverse(a)[:, :3, 3], inverse(b)[:, :3, 3]
@@ -109,7 +110,7 @@ def _between(a: Array, b: Array, share: Array) -> Array:
 
 
 def track_files(path: Path) -> tuple[Path, ...]:
-    """Return the files that a track is read from."""
+    """Return the files that a track consists of."""
     images = path / IMAGES if path.is_dir() else path
     if images.suffix.lower() in (".csv", *SHOTS):
         return (images,)
@@ -118,7 +119,7 @@ def track_files(path: Path) -> tuple[Path, ...]:
 
 
 def track_label(path: Path) -> str:
-    """Return a track's name: a table's name without suffix, or the folder of a COLMAP model."""
+    """Return a track's name: the table's name without suffix, or the folder of a COLMAP model."""
     if path.suffix.lower() in (".csv", *SHOTS):
         return path.stem
     return path.parent.name if path.name == IMAGES else path.name
@@ -127,7 +128,7 @@ def track_label(path: Path) -> str:
 def read_camera_track(path: Path) -> CameraTrack:
     """Return the track of a file.
 
-    Raises InputError with every problem, also where z does not point up in its world.
+    Raises InputError with every problem, also if z does not point up in the track's world.
     """
     first, *further = track_files(path)
     if first.suffix.lower() == ".csv":
@@ -138,7 +139,8 @@ def read_camera_track(path: Path) -> CameraTrack:
         track = _read_colmap(first, further[0] if further else None)
     else:
         raise InputError(Problem(path, "format", f"suffix {path.suffix!r}", EXPECTED))
-    upward, downward = -track.T_camera_world[:, 1:3, 2].T  # along z: of the picture's upward direction, of the view
+    # z components of the picture's upward direction and of the viewing direction
+    upward, downward = -track.T_camera_world[:, 1:3, 2].T
     leans = (upward < np.cos(LEANING_MAX_RAD)) & (downward < np.sin(LOOKING_DOWN_RAD))
     if leans.mean() > 0.5:
         detail = f"a camera whose picture's upper edge is not up by z in {leans.sum()} of {len(leans)} frames"
@@ -150,7 +152,7 @@ def read_camera_track(path: Path) -> CameraTrack:
 def _checked_track(
     path: Path, places: Sequence[str], columns: Columns, problems: Sequence[Problem], camera: Camera | None = None
 ) -> CameraTrack:
-    """Return the track of N rows with their places in the file.
+    """Return the track of N rows, given their positions in the file.
 
     Raises InputError with the known problems, or with those of the rows.
     """
@@ -219,12 +221,13 @@ def _read_csv(path: Path) -> CameraTrack:
             yield line, [row[column] for column in indices if column < len(row)]
             places.append(f"line {line}")
 
-    _, values, problems = number_rows(path, chosen(), wanted)  # row by row: a long track has many
+    _, values, problems = number_rows(path, chosen(), wanted)  # row by row, because a long track has many rows
     columns = dict(zip(wanted, values.T, strict=True))
     if outward:
         quaternion, position = _joined(columns, POSE[:4]) * [1, -1, -1, -1], _joined(columns, PLACE)
         largest = np.abs(quaternion).max(axis=1, initial=0)
-        usable = np.isfinite(values[:, 1:8]).all(axis=1) & (largest > 0.1) & (largest < 10)  # others are refused
+        # other rows raise an error below
+        usable = np.isfinite(values[:, 1:8]).all(axis=1) & (largest > 0.1) & (largest < 10)
         position[usable] = -(_rotations(quaternion[usable]) @ position[usable, :, None])[..., 0]
         columns |= dict(zip(POSE, np.hstack([quaternion, position]).T, strict=True))
     return _checked_track(path, places, columns, problems)
@@ -305,7 +308,7 @@ def _columns(rows: Mapping[str, Sequence[float]]) -> Columns:
 
 
 def _frame_of_name(name: str) -> int | None:
-    """Return the last digits of a file's name: 12 of run/frame_0012.png."""
+    """Return the last digits of a file name: 12 for run/frame_0012.png."""
     digits = re.findall(r"[0-9]+", re.sub(r"\.[A-Za-z0-9]*$", "", re.split(r"[/\\]", name.strip())[-1]))
     return frame_number(digits[-1]) if digits else None
 
@@ -313,7 +316,7 @@ def _frame_of_name(name: str) -> int | None:
 def _lenses(path: Path, wanted: dict[str, None]) -> dict[str, Camera]:
     """Return the cameras that images have, by COLMAP's number.
 
-    They may differ only in focal length and centre.
+    The cameras may differ only in focal length and centre.
     """
     records = [record for record in read_colmap(path) if record.name in wanted]
     lenses = {camera.name: camera for camera in cameras_of(records, path)}

@@ -1,8 +1,7 @@
 """Read and write plain tables, long (a row per frame and point) or wide (a row per frame).
 
-Tables are CSV, Parquet, or in memory (pandas, movement), which are read as the files with the same content. Names in
-common use say what each column is, or a map does. A map looks like this; case does not matter where columns are
-recognised by their names:
+Tables are CSV, Parquet, or in memory (pandas, movement). Columns are recognised by names in common use, regardless of
+case, or by a map such as:
 
     frame=Frame, bodypart=Node, x=X, y=Y, likelihood=Score          (long: one row for each frame and point)
     frame=Frame, x={bodypart} X, y={bodypart} Y                     (wide: one row for each frame)
@@ -38,7 +37,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 Columns = Mapping[str, Any]
-"""A table by column: sequences of text cells, or arrays of numbers."""
+"""A table by column, as sequences of text cells or arrays of numbers."""
 ROLES: dict[str, tuple[str, ...]] = {
     "frame": ("frame", "frames", "frame_idx", "frame_index", "frame_id", "frame_number", "framenumber", "fnum"),
     "time": ("time_s", "time", "seconds", "timestamp"),
@@ -50,22 +49,22 @@ ROLES: dict[str, tuple[str, ...]] = {
     "likelihood": ("likelihood", "confidence", "score", "conf", "prob", "p"),
     "fps": ("fps",),
 }
-"""Roles of columns, and their names without a map, in lower case."""
+"""Roles of columns, with the names by which they are recognised, in lower case."""
 OF_POINTS = ("x", "y", "z", "likelihood")
 UNIT = r"(?:[ _]?[\[(]?(px|m|cm|mm)[\])]?)?"
 OF_PART = re.compile(rf"(.+?)[ _.:/-](?:([xyz]){UNIT}|({'|'.join(ROLES['likelihood'])}))", re.IGNORECASE)
-"""A column of one bodypart."""
+"""Pattern of a column that belongs to one bodypart."""
 PART = "{bodypart}"
 VALUES_MAX, COLUMNS_MAX = 4 * common.POINTS_MAX, 10_000
 METADATA = b"recon"
-"""Key of our own metadata in Parquet: JSON with fps and up."""
+"""Key of recon's own metadata in Parquet: JSON with fps and up."""
 
 
 _Meaning = tuple[str, str, str | None]
-"""A column's bodypart, empty if it is for all; its role, of `ROLES`; and its unit, if it states one."""
+"""Bodypart of a column ("" if it applies to all), its role in `ROLES`, and its unit, if stated."""
 _Layout = tuple[dict[tuple[str, str], str], str | None, list[str]]
-"""Columns by bodypart (empty in a long table) and role; the unit of the coordinates, if all have the same; and the
-other columns.
+"""Columns by bodypart ("" in a long table) and role; the unit of the coordinates, if they share one; and the other
+columns.
 """
 
 
@@ -95,7 +94,7 @@ def parse_map(text: str) -> dict[str, str]:
 
 
 def _layout(columns: Sequence[str], meaning: Callable[[str], _Meaning | None]) -> _Layout | None:
-    """Return the layout of a table of points, None if these columns are none.
+    """Return the layout of a table of points, or None if the columns do not describe points.
 
     Bodyparts without x or y are ignored.
     """
@@ -125,7 +124,7 @@ def _layout(columns: Sequence[str], meaning: Callable[[str], _Meaning | None]) -
 
 
 def _by_name(column: str) -> _Meaning | None:
-    """Return the meaning of a column with a name in common use."""
+    """Return the meaning of a column whose name is in common use."""
     text = column.strip()
     for role, known in ROLES.items():
         if match := re.fullmatch(f"(?:{'|'.join(known)}){UNIT if role in 'xyz' else '()'}", text.lower()):
@@ -135,7 +134,7 @@ def _by_name(column: str) -> _Meaning | None:
 
 
 def _by_map(columns: Mapping[str, str]) -> Callable[[str], _Meaning | None]:
-    """Return a function that gives the meaning of a column by a map."""
+    """Return a function that gives the meaning of a column according to a map."""
     patterns = {
         role: re.compile(re.escape(column).replace(re.escape(PART), "(.+)"))
         for role, column in sorted(columns.items(), key=lambda item: PART in item[1])
@@ -153,7 +152,7 @@ def _by_map(columns: Mapping[str, str]) -> Callable[[str], _Meaning | None]:
 
 
 def recognises_long(path: Path) -> bool:
-    """Return whether it is a text table whose columns are obvious, long or wide, 2D or 3D."""
+    """Return whether a file is a text table, long or wide, 2D or 3D, whose columns are recognised by name."""
     with path.open("rb") as file:
         first = file.readline(1 << 20)
         if re.match(rb"(?i)(\xef\xbb\xbf)?sep=.\s*$", first):
@@ -181,7 +180,7 @@ def read_long(path: Path, individual: str | None = None, columns: Mapping[str, s
     cells = list(zip(*table, strict=True)) or [()] * len(header)
     by_name: dict[str, Sequence[str]] = {}
     repeated: dict[str, bool] = {}
-    """Names of columns that stand in the table again, and whether with the same cells."""
+    """Names of columns that appear twice in the table, and whether their cells are equal."""
     for name, column in zip(header, cells, strict=True):
         if name in by_name and name.strip():
             repeated[name] = repeated.get(name, True) and by_name[name] == column
@@ -205,11 +204,11 @@ def read_parquet(path: Path, individual: str | None = None) -> StoredPoints:
     with writing.formats_extra(path):
         import pyarrow as pa
         import pyarrow.parquet as pq
-    size = pq.read_metadata(path)  # a column of equal values takes no room in the file
+    size = pq.read_metadata(path)  # a column of equal values takes almost no space in the file
     unpacked = sum(size.row_group(group).total_byte_size for group in range(size.num_row_groups))
     if size.num_rows * size.num_columns > VALUES_MAX or size.num_columns > COLUMNS_MAX or unpacked > MAX_UNPACKED:
         raise ValueError(f"{size.num_rows} rows of {size.num_columns} columns, {unpacked >> 20} MB, are too much")
-    # Texts are read as indices of a list, so that repeated texts take memory once.
+    # Texts are read as indices into a list, so that repeated texts take memory only once.
     fields = pq.read_schema(path)
     kinds = pa.types.is_string, pa.types.is_large_string, pa.types.is_string_view, pa.types.is_dictionary
     texts = [field.name for field in fields if any(kind(field.type) for kind in kinds)]
@@ -234,7 +233,7 @@ def read_parquet(path: Path, individual: str | None = None) -> StoredPoints:
 def gathered(path: Path, table: Columns, individual: str | None, column_map: Mapping[str, str] | None) -> StoredPoints:
     """Return the points of one animal in a table, by frame and point.
 
-    `column_map` is a map of its columns. Raises InputError for unknown columns, cells that are no numbers, points that
+    `column_map` is a map of its columns. Raises InputError for unknown columns, cells that are not numbers, points that
     appear twice in a frame, and missing coordinates.
     """
     absent = [column for column in (column_map or {}).values() if PART not in column and column not in table]
@@ -252,7 +251,7 @@ def gathered(path: Path, table: Columns, individual: str | None, column_map: Map
     rows = np.flatnonzero([owner == animal for owner in owners] or np.ones(len(table[next(iter(role.values()))])))
 
     def cells_of(column: str) -> np.ndarray:
-        """Return cells as floats; those that are no numbers, or infinite, become problems."""
+        """Return cells as floats; cells that are infinite or not numbers become problems."""
         cells, expected = table[column], "a number or an empty cell"
         values, wrong = common.numbers(cells[row] for row in rows)
         detail = [(f"line {row + 2}, {column}", f"'{str(cells[row]).strip()}'") for row in rows[wrong]]
@@ -310,7 +309,7 @@ def gathered(path: Path, table: Columns, individual: str | None, column_map: Map
 
 
 def write_long(keypoints: Keypoints, path: Path) -> None:
-    """Write a row for each frame and keypoint: frame, individual (if named), bodypart, x, y, likelihood, fps."""
+    """Write one row per frame and keypoint: frame, individual (if named), bodypart, x, y, likelihood, fps."""
     start = {} if keypoints.individual is None else {"individual": keypoints.individual}
     end = {} if keypoints.fps is None else {"fps": keypoints.fps}
     values = np.concatenate([keypoints.xy_px, keypoints.confidence[..., None]], axis=2)
@@ -323,7 +322,7 @@ def write_long(keypoints: Keypoints, path: Path) -> None:
 
 
 def write_parquet(pose: Pose3D, path: Path) -> None:
-    """Write a row for each frame and joint: frame, joint, x_m, y_m, z_m (metres, z up)."""
+    """Write one row per frame and joint: frame, joint, x_m, y_m, z_m (metres, z up)."""
     with writing.formats_extra("Parquet"):
         import pyarrow as pa
         import pyarrow.parquet as pq

@@ -1,7 +1,7 @@
-"""Share what readers of several formats need.
+"""Provide what readers of several formats share.
 
-Points as a file has them, and 3D positions as the rest of the package takes them; the choice of an animal, names,
-frames, and tables of text.
+The module has points as they are stored in a file, 3D positions as the rest of the package uses them, and functions for
+choosing an animal, names, frames, and text tables.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from recon.base.errors import InputError, Problem, raise_problems
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Pose3D(Brief):
-    """3D positions of J joints in T frames. Raises ValueError where its parts do not fit together."""
+    """Hold 3D positions of J joints in T frames; raise ValueError if the parts do not fit together."""
 
     names: tuple[str, ...]
     """Names of the J joints."""
@@ -38,11 +38,11 @@ class Pose3D(Brief):
     edges: tuple[tuple[str, str], ...] = ()
     """Pairs of linked joints, if known."""
     notes: tuple[str, ...] = ()
-    """Decisions of a reader, or the verdict on a fit, in plain sentences."""
+    """Choices of a reader, or the verdict on a fit, in plain sentences."""
     sigma_m: np.ndarray | None = None
     """(T, J, 3): standard deviations of a fit."""
     flags: tuple[str, ...] | None = None
-    """(T,): reasons to distrust a fit's frames."""
+    """(T,): reasons not to trust a frame of a fit."""
 
     def __post_init__(self) -> None:
         if self.xyz_m.shape != (len(self.frames), len(self.names), 3):
@@ -57,14 +57,14 @@ class Pose3D(Brief):
             raise ValueError("an edge links a joint that is not there")
 
     def of_joints(self, names: Sequence[str]) -> np.ndarray:
-        """Return positions (T, N, 3) of N joints, NaN where they are absent."""
+        """Return the positions (T, N, 3) of N joints, NaN for absent joints."""
         padded = np.pad(self.xyz_m, ((0, 0), (0, 1), (0, 0)), constant_values=np.nan)
         return padded[:, [self.names.index(name) if name in self.names else -1 for name in names]]
 
 
 @dataclass(frozen=True, eq=False)
 class StoredPoints:
-    """K points of one animal in T frames, as its file has them, in its own unit and axes."""
+    """Hold K points of one animal in T frames as stored in a file, in the file's unit and axes."""
 
     names: tuple[str, ...]
     values: np.ndarray
@@ -76,7 +76,7 @@ class StoredPoints:
     fps: float | None = None
     individual: str | None = None
     scorer: str | None = None
-    """Name of the network or the labeller of 2D points, if the file has it."""
+    """Name of the network or person that labelled 2D points, if the file states it."""
     image_size_px: tuple[int, int] | None = None
     unit: str | None = None
     """Unit of 3D points, m, cm or mm; None if the file does not state it."""
@@ -85,13 +85,13 @@ class StoredPoints:
     edges: tuple[tuple[str, str], ...] = ()
     """Pairs of linked points, if known."""
     images: tuple[str, ...] = ()
-    """Names of the T pictures of labels."""
+    """Names of the T pictures that were labelled."""
     notes: tuple[str, ...] = ()
-    """Decisions of the reader, in plain sentences."""
+    """Choices of the reader, in plain sentences."""
     times_s: np.ndarray | None = None
-    """(T,): uneven times of the frames, if the file has times in place of frame numbers."""
+    """(T,): uneven times of the frames, if the file has times instead of frame numbers."""
     time_problems: tuple[Problem, ...] = ()
-    """Problems of times that fit no frame rate; a rate given for the file solves them (`recon.io.times`)."""
+    """Problems of times that fit no frame rate, unless a rate is given for the file (`recon.io.times`)."""
 
     @property
     def in_space(self) -> bool:
@@ -101,19 +101,19 @@ class StoredPoints:
 
 # -- reading -----------------------------------------------------------------------------------------------------------
 
-# Names that programs give to a file's only animal.
+# Names that programs give to the only animal of a file.
 UNNAMED = ("individual_0", "id_0", "track_0")
 SCORER = "recon"
 """Scorer of our own files, followed by the frame rate if known: recon_90fps."""
 FMPOSE3D = "fmpose3d_"
 """Part of the network's name in files and scorers of FMPose3D's poses."""
 MISSING = ("", "nan", "na", "none", "null")
-# Enough to see what is wrong with a file; a file of the wrong kind has thousands.
+# Enough to see what is wrong with a file; a file of the wrong kind has thousands of problems.
 PROBLEMS_SHOWN = 10
 MAX_FRAME = 10**9
-"""Largest frame number on either side of 0, three months at 120 Hz; larger ones are time stamps or accidents."""
+"""Largest absolute frame number, three months at 120 Hz; larger numbers are time stamps or mistakes."""
 POINTS_MAX = 20_000_000
-"""Largest number of points in all frames of a file, since each takes memory even if missing."""
+"""Largest number of points in all frames of a file, since each point takes memory even if missing."""
 
 
 def starts_with(path: Path, signature: bytes) -> bool:
@@ -129,11 +129,11 @@ def starts_with_text(path: Path, word: bytes) -> bool:
 
 
 UNTRACKED = "untracked"
-"""Name of the points without a name in a file of several animals, such as frames that were corrected by hand."""
+"""Name of points without a name in a file of several animals, such as frames corrected by hand."""
 
 
 class NoChoiceError(InputError):
-    """A file has several animals with points, and none is chosen."""
+    """A file has several animals with points, and none of them was chosen."""
 
     def __init__(self, path: Path, animals: Sequence[str], hint: str = "") -> None:
         detail = f"{len(animals)} animals and no --individual"
@@ -142,14 +142,14 @@ class NoChoiceError(InputError):
 
 
 def choose(path: Path, animals: Sequence[str], individual: str | None, seen: Iterable[bool] | None = None) -> int:
-    """Return the index of the animal in a file; a file's only animal may be unnamed, "".
+    """Return the index of the animal in a file; the only animal of a file may have the empty name "".
 
-    `seen` says whether each animal has a point. Animals without points are offered only by name. Among several animals
-    an unnamed one is `UNTRACKED`. Raises InputError.
+    `seen` states whether each animal has a point. Animals without points can be chosen only by name. Among several
+    animals, an unnamed one is `UNTRACKED`. Raises InputError if no animal can be chosen.
     """
     if len(animals) > 1:
         animals = [name or UNTRACKED for name in animals]
-    if len(animals) == 1 or seen is None:  # a look at all points takes time and memory
+    if len(animals) == 1 or seen is None:  # checking all points takes time and memory
         seen = [True] * len(animals)
     empty = [name for name, points in zip(animals, seen, strict=True) if not points]
     choice = [name for name in animals if name not in empty] or list(animals)
@@ -185,7 +185,7 @@ def one_animal(
     Raises
     ------
     InputError
-        With everything that does not fit, and as `choose`.
+        If parts of the file do not fit together, and as in `choose`.
     """
     names, values, frames, likelihood = stored.names, stored.values, stored.frames, stored.likelihood
     if values.ndim == 3:
@@ -238,15 +238,15 @@ def one_animal(
 
 
 def frames_seen(stored: StoredPoints) -> np.ndarray:
-    """Return the numbers of the frames in which any point is known."""
+    """Return the numbers of the frames in which at least one point is known."""
     known = np.asarray(np.isfinite(stored.values).all(axis=2))
     return stored.frames[np.asarray(known.any(axis=-1))]
 
 
 def without_zeros(stored: StoredPoints) -> StoredPoints:
-    """Return 3D points without those at exactly (0, 0, 0), with which many programs write a lost marker.
+    """Return 3D points without those at exactly (0, 0, 0), which many programs write for a lost marker.
 
-    A point that is there in all frames is an origin, and stays.
+    A point that is at (0, 0, 0) in all frames is an origin and is kept.
     """
     zero = (stored.values == 0).all(axis=2)
     lost = zero & ~zero.all(axis=0)
@@ -303,7 +303,7 @@ def _joined_times(tracks: Sequence[StoredPoints], frames: np.ndarray) -> np.ndar
 
 
 def first_problems(problems: Sequence[Problem], path: Path) -> list[Problem]:
-    """Return the first problems, and the number of the others."""
+    """Return the first problems, and the number of the remaining ones."""
     excess = len(problems) - PROBLEMS_SHOWN
     if excess <= 0:
         return list(problems)
@@ -313,7 +313,7 @@ def first_problems(problems: Sequence[Problem], path: Path) -> list[Problem]:
 def number(text: str) -> float:
     """Return a cell as a number, NaN for an empty one.
 
-    Raises ValueError for what only Python accepts, as 1_000.
+    Raises ValueError for numbers that only Python accepts, such as 1_000.
     """
     if "_" in text or not text.isascii():
         raise ValueError(f"'{text}' is no number")
@@ -321,11 +321,11 @@ def number(text: str) -> float:
 
 
 def numbers(cells: Iterable[object]) -> tuple[np.ndarray, list[int]]:
-    """Return cells (N,) as floats, NaN for `MISSING`, and indices of those that are no numbers or infinite."""
+    """Return cells (N,) as floats, NaN for `MISSING`, and the indices of cells that are infinite or not numbers."""
     cells = list(cells)
     with suppress(ValueError, TypeError):  # the usual case, and several times as fast
         joined = "".join(cells)  # type: ignore[arg-type]
-        if not joined:  # nothing was seen, as in most of a long recording
+        if not joined:  # nothing was detected, as in most of a long recording
             return np.full(len(cells), np.nan), []
         if "_" not in joined and joined.isascii():
             values = np.array([float(cell) if cell else np.nan for cell in cells])  # type: ignore[arg-type]
@@ -343,13 +343,13 @@ def numbers(cells: Iterable[object]) -> tuple[np.ndarray, list[int]]:
 
 
 def frame_number(text: str, least: int = 0) -> int | None:
-    """Return digits, with or without a minus sign, as a number from `least` to `MAX_FRAME`; otherwise None."""
+    """Return digits, with or without a minus sign, as a number from `least` to `MAX_FRAME`, or None."""
     frame = int(text) if re.fullmatch(r"-?[0-9]{1,15}", text) else None
     return frame if frame is not None and least <= frame <= MAX_FRAME else None
 
 
 def rate(value: object) -> float | None:
-    """Return a frame rate as a file has it; None for anything else."""
+    """Return the frame rate that a file states, or None for anything else."""
     with suppress(TypeError, ValueError):
         if 0 < (fps := float(value)) < float("inf"):  # type: ignore[arg-type]
             return fps
@@ -357,9 +357,9 @@ def rate(value: object) -> float | None:
 
 
 def require_span(frames: int, points: int, source: str | Path) -> None:
-    """Raise InputError where frames times points would fill the memory.
+    """Raise InputError if frames times points would fill the memory.
 
-    `source` is a format, or the file.
+    `source` is the name of a format or file.
     """
     if frames * points > POINTS_MAX:
         detail = f"numbers that span {frames} frames"
@@ -375,12 +375,12 @@ Rows = Iterable[tuple[int, list[str]]]
 
 
 _SEPARATOR_LINE = re.compile(r"\s*sep=(.)\s*", re.IGNORECASE)
-"""First line with which Excel is told the separator."""
+"""First line that states the separator for Excel."""
 _DECIMAL_COMMA = re.compile(r"\s*[-+]?[0-9]*,[0-9]+(?:[eE][-+]?[0-9]+)?\s*")
 
 
 def table_start(text: str) -> tuple[str, int]:
-    """Return the separator of a table that begins with this text, and the number of lines before its header."""
+    """Return the separator of a table that begins with the given text, and the number of lines before its header."""
     first = text.partition("\n")[0].rstrip("\r")
     stated = _SEPARATOR_LINE.fullmatch(first)
     return (stated[1], 1) if stated else (max(SEPARATORS, key=first.count), 0)
@@ -389,9 +389,9 @@ def table_start(text: str) -> tuple[str, int]:
 def text_rows(path: Path, separator: str | None = None) -> Iterator[tuple[int, list[str]]]:
     """Yield the rows of a text table that are not blank, with their line numbers.
 
-    By default the separator is that of `SEPARATORS` which is most frequent in the first line, or the one that a line
-    such as sep=; states. If it is no comma, commas in numbers are decimal ones, as Excel writes them in many languages.
-    Raises InputError for bytes that are not UTF-8, and for no table.
+    By default the separator is the one stated in a line such as sep=; or else the most frequent of `SEPARATORS` in the
+    first line. If the separator is not a comma, commas in numbers are decimal commas, as Excel writes them in many
+    languages. Raises InputError for bytes that are not UTF-8, and for no table.
     """
     expected = "a table of text in UTF-8"
     with damage_named(path, expected, "text"), path.open(encoding="utf-8-sig", newline="") as file:
@@ -416,12 +416,12 @@ def _with_decimal_points(row: list[str]) -> list[str]:
 
 
 def width_of(header: Iterable[Sequence[str]]) -> int:
-    """Return the number of columns of a table up to the last that has a name."""
+    """Return the number of columns of a table up to the last one with a name."""
     return max((j + 1 for row in header for j, cell in enumerate(row) if cell.strip()), default=0)
 
 
 def cut_blank(rows: Rows, width: int) -> Iterator[tuple[int, list[str]]]:
-    """Yield the rows without blank cells behind the last column that has a name, as spreadsheets leave them."""
+    """Yield the rows without the blank cells that spreadsheets leave after the last named column."""
     for line, row in rows:
         yield line, row if any(cell.strip() for cell in row[width:]) else row[:width]
 
@@ -446,7 +446,7 @@ def number_rows(
     problems : list
     """
     texts: list[list[str]] = []
-    values = array("d")  # one buffer that grows: a long recording has millions of numbers
+    values = array("d")  # one growing buffer, because a long recording has millions of numbers
     problems: list[Problem] = []
     width = index + len(columns)
     for line, row in rows:

@@ -1,8 +1,8 @@
-"""Read and write corrections.csv: detections that somebody corrected by hand.
+"""Read and write corrections.csv: detections corrected by hand.
 
-A row has the frame of the keypoint file, the camera (empty: the only one), the keypoint, where the detector found it
-(`was_x_px`, `was_y_px`; empty: nowhere) and where it is (`now_x_px`, `now_y_px`; empty: hidden, or not to be used), and
-optionally `why` and `when`. Of several rows for one detection the last counts.
+A row has the frame of the keypoint file, the camera (empty: the only one), the keypoint, its detected position
+(`was_x_px`, `was_y_px`; empty: not detected), its corrected position (`now_x_px`, `now_y_px`; empty: hidden, or not to
+be used), and optionally `why` and `when`. If several rows correct the same detection, the last one counts.
 """
 
 from __future__ import annotations
@@ -37,21 +37,21 @@ class Correction:
     """Name of the camera; empty: the only one."""
     keypoint: str
     was_px: _Point | None
-    """Where the detector found it; None: nowhere."""
+    """Position found by the detector, or None."""
     now_px: _Point | None
-    """Where it is; None: hidden, or not to be used."""
+    """Corrected position; None if the point is hidden or must not be used."""
     reason: str = ""
     date: str = ""
     """Date and time, ISO 8601."""
 
 
 def read_corrections(path: Path) -> list[Correction]:
-    """Return the corrections of a file, in its order.
+    """Return the corrections in a file, in their order.
 
     Raises
     ------
     InputError
-        With every line that cannot be read.
+        If lines cannot be read; the message lists all of them.
     """
     if not path.is_file():
         raise InputError(Problem(path, "file", "no such file", _EXPECTED))
@@ -72,7 +72,7 @@ def read_corrections(path: Path) -> list[Correction]:
 
 
 def write_corrections(corrections: Iterable[Correction], path: Path) -> None:
-    """Write the corrections as a file that `read_corrections` reads."""
+    """Write corrections to a file that `read_corrections` reads."""
     rows = [
         (
             *(row.frame, row.camera, row.keypoint),
@@ -86,7 +86,7 @@ def write_corrections(corrections: Iterable[Correction], path: Path) -> None:
 
 
 def _correction(row: dict[str, str]) -> Correction:
-    """Raise ValueError, with what is wrong, for a row that is none."""
+    """Return the correction in a row; raise ValueError, with the reason, for a faulty row."""
     text = row.get("frame", "")
     if not text.lstrip("-").isdecimal() or abs(int(text[:12])) > MAX_FRAME:
         raise ValueError(f"frame {text[:40]!r}, which is no whole number")
@@ -113,7 +113,7 @@ def _point(row: dict[str, str], x_name: str, y_name: str) -> _Point | None:
 def with_corrections(
     files: Sequence[Keypoints], cameras: Sequence[str], corrections: Sequence[Correction], source: Path
 ) -> list[Keypoints]:
-    """Return the keypoints of V cameras with the corrections of each, and a note of how many there are.
+    """Return the keypoints of V cameras with their corrections, and a note on the number of corrections.
 
     A corrected detection is certain: its confidence is 1.
 
@@ -124,14 +124,14 @@ def with_corrections(
     cameras
         The names of the cameras.
     corrections
-        Of any of them.
+        Corrections for any of the cameras.
     source
         The file of the corrections, for messages.
 
     Raises
     ------
     InputError
-        With every correction whose camera, frame or keypoint there is not.
+        If corrections name a camera, frame or keypoint that does not exist.
     """
     raise_problems(_problems(files, cameras, corrections, source))
     corrected = []
@@ -155,7 +155,7 @@ def with_corrections(
 def _problems(
     files: Sequence[Keypoints], cameras: Sequence[str], corrections: Sequence[Correction], source: Path
 ) -> Iterable[Problem]:
-    """Yield one problem for each kind of name or frame that there is not."""
+    """Yield one problem for each kind of missing name or frame."""
     unknown_cameras = {row.camera for row in corrections} - {"", *cameras}
     if unknown_cameras:
         yield Problem(source, "camera", ", ".join(sorted(unknown_cameras))[:100], f"one of {', '.join(cameras)}")

@@ -59,7 +59,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def _all_texts(value: object) -> tuple[str, ...]:
-    """Return a cell of texts; empty for anything else."""
+    """Return a cell array of texts, or an empty result for anything else."""
     return tuple(value) if isinstance(value, list) and all(isinstance(text, str) for text in value) else ()
 
 
@@ -112,9 +112,9 @@ def _variables(path: Path) -> dict[str, Any]:
 
 
 class _File:
-    """Reader with the memory and the number of items left for one file.
+    """Read one file with limits on its memory and number of items.
 
-    Its methods raise whatever a damaged file causes.
+    The methods raise whatever error a damaged file causes.
     """
 
     def __init__(self) -> None:
@@ -169,7 +169,7 @@ class _File:
         if kind == _CHAR:
             text_type, text = elements[3]
             return name, bytes(text).decode(_TEXTS[text_type])
-        if not 6 <= kind < 16 or flags & 0x0800:  # neither numbers, nor real ones
+        if not 6 <= kind < 16 or flags & 0x0800:  # neither numbers nor real ones
             return name, None
         values = self.numbers(*elements[3]) if len(elements) > 3 else np.zeros(0)
         if min(shape) < 0:

@@ -2,8 +2,8 @@
 
 A table has one row per frame and a header of several levels: `scorer`, `individuals` (several animals only),
 `bodyparts`, `coords`. Prediction files number their rows by frame. Label files index them by image path, in one column
-or three, and have no likelihood. Our own files have the frame rate in the scorer, `recon_90fps`, because there is no
-other place.
+or three, and have no likelihood. Recon's own files have the frame rate in the scorer, `recon_90fps`, because the format
+has no field for it.
 
 This module has the table and its CSV files; `recon.io.hdf5_poses` has its H5 files.
 """
@@ -41,7 +41,7 @@ TRIANGULATED = (
 MAX_CROP_PX = 100_000
 PLACES = {"l", "r", "left", "right", "f", "h", "front", "back", "fore", "hind", "rear", "upper", "lower", "near", "far"}
 MIN_PARTS = 3
-"""Beginnings of bodypart names, and the least number of bodyparts of each animal whose names begin with its own."""
+"""Smallest number of bodyparts of each animal whose names begin with the animal's name."""
 
 
 def recognises_csv(path: Path) -> bool:
@@ -101,7 +101,7 @@ def _read_header(path: Path, rows: Iterator[tuple[int, list[str]]]) -> tuple[dic
 
 
 def _merged_cells(path: Path, header: dict[str, list[str]]) -> Iterator[Problem]:
-    """Yield a problem for a level whose names stand above the first of several columns only."""
+    """Yield a problem for a level whose names appear only above the first of several columns."""
     for level, cells in header.items():
         names = [cell.strip() for cell in cells]
         if (
@@ -120,7 +120,7 @@ def header_problem(path: Path, header: str) -> Problem:
 
 
 def _without_fps(scorer: str) -> tuple[str, float | None]:
-    """Return the scorer, and the frame rate that our own files have behind it."""
+    """Return the scorer, and the frame rate that recon's own files append to it."""
     match = re.fullmatch(rf"(?:(.*)_)?{SCORER}_([0-9.e+-]+)fps", scorer)
     fps = common.rate(match[2]) if match else None
     return (scorer, None) if match is None or fps is None else (match[1] or SCORER, fps)
@@ -170,7 +170,7 @@ def points_of_table(
     everyone = list(dict.fromkeys(animal for animal, _, _ in columns))
     animals = [name for name in everyone if name != UNIQUE_BODYPARTS] or everyone
     of_animal = {name: [j for j, column in enumerate(columns) if column[0] == name] for name in everyone}
-    # As DeepLabCut fills animals that it never saw.
+    # DeepLabCut writes these values for animals that it never detected.
     coordinates = (values[:, [j for j in of_animal[name] if columns[j][2] != "likelihood"]] for name in animals)
     seen = (not np.isin(np.nan_to_num(cells), (0.0, PADDING)).all() for cells in coordinates)
     animal = animals[common.choose(path, animals, individual, seen)]
@@ -212,7 +212,7 @@ def points_of_table(
 def _uncropped(path: Path, points: np.ndarray, likelihood: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
     """Return points (T, K, 2) in pixels of the whole picture, and a note if DeepLabCut analysed a crop of it.
 
-    DeepLabCut's predictions are then in pixels of the crop. Its metadata file states where the crop lies.
+    DeepLabCut's predictions are then in pixels of the crop. Its metadata file states the position of the crop.
     """
     meta = next((file for file in _metadata_files(path) if file.is_file()), None)
     if meta is None or meta.stat().st_size > MAX_PICKLE_BYTES:
@@ -232,7 +232,7 @@ def _uncropped(path: Path, points: np.ndarray, likelihood: np.ndarray) -> tuple[
 
 
 def _metadata_files(path: Path) -> Iterator[Path]:
-    """Yield the names of DeepLabCut's metadata for a table of predictions, which may be filtered or of tracks."""
+    """Yield the names of DeepLabCut's metadata for a table of predictions, which may be filtered or tracked."""
     stem = path.stem
     yield path.with_name(f"{stem}_meta.pickle")
     for end in ("_filtered", "_el", "_bx", "_sk", "_ctd"):
@@ -300,9 +300,9 @@ def _frame_numbers(path: Path, index: Sequence[Sequence[str]]) -> tuple[np.ndarr
 
 
 def _prefixes(bodyparts: Iterable[str]) -> tuple[str, ...]:
-    """Return the animals' prefixes of bodypart names, as B and W in B_nose, B_tail, W_nose, W_tail.
+    """Return the animals' prefixes of bodypart names, such as B and W in B_nose, B_tail, W_nose, W_tail.
 
-    Empty if a prefix is a position on an animal, or if the animals have different bodyparts.
+    The result is empty if a prefix names a position on an animal, or if the animals have different bodyparts.
     """
     of_prefix: dict[str, set[str]] = {}
     for name in bodyparts:

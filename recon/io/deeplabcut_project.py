@@ -1,7 +1,7 @@
 """Find the files of DeepLabCut's project folder: `config.yaml`, `labeled-data` and `videos`.
 
-Only names are needed from the configuration, so no YAML reader is. DeepLabCut, and people who edit its files, write
-lists with one item per line and mappings with one key per line.
+Only names are needed from the configuration, so no YAML reader is used. DeepLabCut, and people who edit its files,
+write one list item or one key per line.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from recon.base.errors import InputError, Problem, raise_problems
 
 CONFIG = "config.yaml"
 SEVERAL = "MULTI!"
-"""Replaces the bodyparts if a project has several animals; they are in `multianimalbodyparts`."""
+"""Value that replaces the bodyparts in projects with several animals, which have `multianimalbodyparts`."""
 _ENTRY = re.compile(r"([A-Za-z_]\w*)\s*:(?:\s+(.*))?")
 _LABELS = ("labeled-data/*/CollectedData_*", "*/CollectedData_*", "CollectedData_*")
 _PREDICTED = re.compile(
@@ -29,11 +29,11 @@ _OTHERS = ("_skeleton", "_3d")
 
 @dataclass(frozen=True)
 class Project:
-    """Content of the configuration; names are empty where absent."""
+    """Hold the content of the configuration; names are empty if absent."""
 
     config: Path
     scorer: str
-    """Name of the labeller."""
+    """Name of the person who labelled."""
     bodyparts: tuple[str, ...]
     """Bodyparts of one animal."""
     video_sets: tuple[str, ...]
@@ -46,7 +46,7 @@ class Project:
 
 
 def find_project(path: Path) -> Project | None:
-    """Return the project of a folder or of its `config.yaml`; None for anything else.
+    """Return the project of a folder or of its `config.yaml`, or None for anything else.
 
     Raises InputError for a file that cannot be read.
     """
@@ -63,7 +63,7 @@ def find_project(path: Path) -> Project | None:
 
 
 def refuse_several(path: Path) -> None:
-    """Raise InputError for a folder or a project, which have several files."""
+    """Raise InputError for a folder or project, because it has several files."""
     if find_project(path):
         expected = (
             "one of its tables, as videos/run1DLC_*.h5; the project as a whole is for recon batch, recon train and "
@@ -94,7 +94,7 @@ def _entries(text: str) -> dict[str, list[str]]:
         elif key and bare.startswith("- ") and not bare.startswith("- -"):
             entries[key].append(_text(bare[2:]))
         elif key and indent and (depth := depth or indent) == indent and not bare.startswith(": "):
-            # A key that is too long for its line begins with "? ", and its value, in the next, with ": ".
+            # A key that is too long for its line begins with "? ", and its value begins the next line with ": ".
             entries[key].append(_text(bare.removeprefix("? ").removesuffix(":")))
     return entries
 
@@ -113,9 +113,10 @@ def bodyparts(project: Project) -> tuple[str, ...]:
 
 
 def label_files(folder: Path, scorer: str = "") -> list[Path]:
-    """Return one file of each folder with labels.
+    """Return one label file from each folder with labels.
 
-    If several people labelled, the scorer's, else the first in the alphabet; CSV before H5.
+    If several people labelled, the file of the scorer is taken, else the first in alphabetical order; CSV is preferred
+    to H5.
     """
     for pattern in _LABELS:
         by_folder: dict[Path, list[Path]] = {}
@@ -130,9 +131,9 @@ def label_files(folder: Path, scorer: str = "") -> list[Path]:
 def predictions(project: Project) -> tuple[dict[str, Path], tuple[str, ...]]:
     """Return a table of predictions for each of a project's videos, by name, and the files left out.
 
-    Tables lie beside the videos: in `videos`, or where the configuration has them. Within one network's tables of a
-    video, unfiltered ones count before filtered, tracked animals before others, and H5 before CSV. Raises InputError if
-    there is none, and for a video with tables of several networks.
+    Tables are in the folders of the videos: `videos`, or as configured. Within one network's tables of a video,
+    unfiltered tables are preferred to filtered ones, tracked animals to untracked ones, and H5 to CSV. Raises
+    InputError if there is no table, or if a video has tables of several networks.
     """
     video_folders = dict.fromkeys(
         (project.folder / "videos", *(Path(v).parent for v in project.video_sets if Path(v).is_file()))

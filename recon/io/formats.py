@@ -1,8 +1,8 @@
 """List the file formats in one table, and read points by it.
 
-A new format is one module with `recognises(path)`, `read(path, individual)` and `write(data, path)`, whichever it has,
-a function below that imports them, and one line in `FORMATS`. `recon fit`, `batch`, `evaluate` and `convert` take it
-from there.
+A new format needs a module with `recognises(path)`, `read(path, individual)` and `write(data, path)` (only those that
+apply), a function below that imports them, and one line in `FORMATS`. `recon fit`, `batch`, `evaluate` and `convert`
+then use the format.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from recon.io.common import NoChoiceError, StoredPoints, frames_seen, joined_tra
 from recon.io.times import with_rate
 
 Kind = Literal["2D", "3D", "bones", "cameras", "robot"]
-"""2D keypoints, 3D positions, bones (`recon.io.bones`), cameras, or a robot's motion, which a wing writes."""
+"""2D keypoints, 3D positions, bones (`recon.io.bones`), cameras, or a robot's motion, which another package writes."""
 
 
 @dataclass(frozen=True)
 class Functions:
-    """Hold the functions of one format; None where files of it are not read, or not written."""
+    """Hold the functions of one format; None if its files are not read, or not written."""
 
     recognises: Callable[[Path], bool] | None = None
     read: Callable[..., Any] | None = None
-    """From a path and the name of an individual."""
+    """Function of a path and the name of an individual."""
     write: Callable[[Any, Path], None] | None = None
 
 
@@ -45,34 +45,34 @@ def _present(function: _Loaded | None) -> _Loaded:
 
 @dataclass(frozen=True)
 class Format:
-    """One kind of file: how it is recognised, read and written."""
+    """Describe one file format: how it is recognised, read and written."""
 
     name: str
     """Name of the format for `--to`."""
     title: str
     suffixes: tuple[str, ...]
-    """Suffixes, the usual one first."""
+    """File name suffixes, the usual one first."""
     functions: Callable[[], Functions] | None = None
-    """Imports what reads and writes the format, on use; None of a format that a wing writes."""
+    """Function that imports the reader and writer on use; None for a format that another package writes."""
     reads: tuple[Kind, ...] = ()
     writes: tuple[Kind, ...] = ()
     fps: str = ""
-    """Where the file has the frame rate, or "needed" if it requires one."""
+    """How the file stores the frame rate, or "needed" if it requires one."""
     frames: str = ""
-    """Where the file has the frame numbers."""
+    """How the file stores the frame numbers."""
     axes: str = ""
     """Unit and axes of 3D positions as written."""
     unit: str | None = None
-    """Unit of 3D positions if the file does not state one; None if the user has to give it."""
+    """Unit of 3D positions if the file does not state one; None if the user has to state it."""
     up: str = "z"
     """Upward axis if the file does not state one."""
     companions: tuple[str, ...] = ()
-    """Suffixes of further files that are written under the same name."""
+    """Suffixes of additional files that are written under the same name."""
 
     def recognises(self, path: Path) -> bool:
-        """Return whether a readable, not empty file has content of this format.
+        """Return whether a readable, non-empty file has content in this format.
 
-        Raises InputError if damage hides it.
+        Raises InputError if the file is too damaged to tell.
         """
         recognise = self._loaded().recognises
         return recognise is not None and recognise(path)
@@ -318,21 +318,21 @@ FORMATS: tuple[Format, ...] = (
            _camera_files_opencv, _CAMERAS),
 )
 # fmt: on
-"""A file has the first format that recognises it. If a suffix has several, the first that writes it is meant unless
-`--to` names another.
+"""All formats. A file has the first format that recognises it. If several formats share a suffix, the first one that
+writes it is used unless `--to` names another.
 """
 CONVERTED = tuple(f for f in FORMATS if f.writes)
 """Formats that `recon convert` can write."""
 PLAIN = next(f for f in FORMATS if f.name == "long")
 
 TRACKS_COMPARED = 8
-"""Most animals of a file that are compared for tracks that never overlap in time."""
+"""Largest number of animals in a file that are compared for tracks that never overlap in time."""
 LIKELIHOOD_MARGIN = 0.5
-"""Networks whose scores are no probabilities, such as SLEAP's, exceed 1 by up to this."""
+"""Amount by which scores that are not probabilities, such as SLEAP's, may exceed 1."""
 
 
 def recognised(path: Path, kind: Kind | None = None) -> Format | None:
-    """Return the format of a readable file that can hold such data, by default points; None if unknown.
+    """Return the format of a readable file that can hold the given kind of data (default: points), or None if unknown.
 
     Raises InputError for a file too damaged to tell.
     """
@@ -340,7 +340,7 @@ def recognised(path: Path, kind: Kind | None = None) -> Format | None:
 
 
 def titles(kind: Kind | None = None) -> str:
-    """Return the formats that such data, by default points, are read from, for a message."""
+    """Return the names of the formats from which a kind of data (default: points) can be read, for a message."""
     return ", ".join(f.title for f in _reading(kind))
 
 
@@ -353,7 +353,7 @@ def _reading(kind: Kind | None) -> list[Format]:
 
 
 def read_keypoints(path: str | Path, individual: str | None = None, fps: float | None = None) -> Keypoints:
-    """Return the keypoints of one animal, as a file of any known format has them.
+    """Return the keypoints of one animal as stored in a file of any known format.
 
     `individual` is the animal's name, needed if there are several. `fps` numbers the frames of a file that has times.
     Raises InputError.
@@ -379,7 +379,7 @@ def read_points(
     by : mapping, optional
         Columns of a plain table (`recon.io.columns.parse_map`).
     fps : float, optional
-        Frame rate; a file with times gets the nearest frame of each.
+        Frame rate; if the file has times, each time is assigned to the nearest frame.
 
     Raises
     ------
@@ -401,7 +401,8 @@ def read_points(
     try:
         stored = _read_animal(reader, path, individual) if kind is None or kind in reader.reads else None
     except NoChoiceError as error:
-        _require_kind(path, kind, reader, reader.read(path, error.animals[0]))  # or else a choice would not help
+        # otherwise choosing an animal would not help
+        _require_kind(path, kind, reader, reader.read(path, error.animals[0]))
         raise NoChoiceError(path, error.animals, _hint_to_join(reader, path, error.animals)) from None
     stored = _require_kind(path, kind, reader, stored)
     if np.isinf(stored.values).any():
@@ -410,7 +411,7 @@ def read_points(
 
 
 def _read_animal(reader: Format, path: Path, individual: str | None) -> StoredPoints:
-    """Return the points of one animal, or of several of its tracks, whose names are joined by commas."""
+    """Return the points of one animal, or of several tracks of it, whose names are joined by commas."""
     try:
         return reader.read(path, individual)
     except InputError:
@@ -421,7 +422,7 @@ def _read_animal(reader: Format, path: Path, individual: str | None) -> StoredPo
 
 
 def _hint_to_join(reader: Format, path: Path, animals: Sequence[str]) -> str:
-    """Return how to join tracks that never overlap in time, as they may be of one animal; empty without such tracks."""
+    """Return a hint to join tracks that never overlap in time, as they may be one animal, or "" without such tracks."""
     if len(animals) > TRACKS_COMPARED:
         return ""
     frames = {name: frames_seen(reader.read(path, name)) for name in animals}
@@ -445,8 +446,8 @@ def _require_kind(path: Path, kind: Kind | None, reader: Format, stored: StoredP
 def as_keypoints(path: Path, stored: StoredPoints) -> Keypoints:
     """Return the 2D points of a file, with a note if likelihoods lie slightly outside 0 to 1.
 
-    Raises InputError if likelihoods are infinite or so far outside that they mean something else, such as per cent:
-    every point would pass as certain.
+    Raises InputError if likelihoods are infinite or so far outside that they have another meaning, such as per cent,
+    because every point would then count as certain.
     """
     scorer, notes = (stored.scorer or "").strip(), stored.notes
     likelihood = np.full(stored.values.shape[:2], np.nan) if stored.likelihood is None else stored.likelihood
@@ -472,12 +473,12 @@ def as_keypoints(path: Path, stored: StoredPoints) -> Keypoints:
 
 
 def individuals(path: str | Path) -> tuple[str, ...]:
-    """Return the animals with points in a file of several; empty for a file of one, or an unreadable file."""
+    """Return the animals with points in a file of several, or nothing for a single animal or an unreadable file."""
     try:
         read_keypoints(path)
     except NoChoiceError as error:
         return error.animals
-    except InputError:  # reported when the file is read
+    except InputError:  # this error is reported when the file is read
         pass
     return ()
 
@@ -488,15 +489,15 @@ _UNREAD = (
     (b"%PDF", "a PDF", None),
     (b"PK\x03\x04", "a ZIP archive, or a document of Office", "CSV: save the table as CSV"),
 )
-"""Beginnings of files of other kinds, their names, and what to use in their place, if that is known."""
+"""First bytes of files of other kinds, their names, and what to use instead, if known."""
 _SLEAP_PROJECT = {"metadata", "frames"}
 _SLEAP_EXPORT = "SLEAP's analysis HDF5: in SLEAP, File > Export Analysis HDF5, or sleap-convert --format analysis"
 
 
 def describe(path: Path, head: bytes, known: str) -> tuple[str, str]:
-    """Return in plain words what a file of no known format looks like, and what is expected in its place.
+    """Return a plain description of a file of no known format, and of what is expected instead.
 
-    `head` are its first bytes, `known` the formats that are read.
+    `head` holds the first bytes, `known` the formats that can be read.
     """
     expected = f"one of: {known}"
     if head.startswith(b"\x89HDF\r\n\x1a\n"):
@@ -512,7 +513,7 @@ def describe(path: Path, head: bytes, known: str) -> tuple[str, str]:
 
 
 def _look_of(head: bytes) -> str:
-    """Return in plain words what the first bytes of a file look like."""
+    """Return a plain description of the first bytes of a file."""
     if head[4:8] == b"ftyp" or head[8:12] == b"AVI " or head.startswith(b"\x1aE\xdf\xa3"):
         return "a video (recon run and recon predict find the keypoints in one)"
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):

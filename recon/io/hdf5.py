@@ -1,7 +1,7 @@
 """Read numbers and texts, and nothing else, from HDF5 files of unknown origin, with h5py.
 
-h5py runs nothing that a file holds. Anything that makes the HDF5 library hang or take too much memory is checked first:
-heaps of texts without an end, sizes that the file cannot fill, data in other files, other types.
+h5py does not execute any content of a file. Content that could make the HDF5 library hang or take too much memory is
+rejected first: endless text heaps, sizes that the file cannot fill, data in other files, other types.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from recon.base.errors import InputError, Problem
 from recon.io.common import starts_with
 
 FREE_BYTES = 1 << 26
-"""Memory that a dataset or a piece of it may take in any case. Beyond that it may take its size in the file, or, up to
+"""Memory that a dataset or a piece of it may always take. A larger one may take its size in the file, or, up to
 `MAX_UNPACKED`, `MAX_RATIO` times that.
 """
 MAX_RATIO = 1100
@@ -48,8 +48,8 @@ def is_hdf5(path: Path) -> bool:
 def opened(path: Path, names_only: bool = False) -> Iterator[h5py.File]:
     """Open a file to read.
 
-    names_only: only names and types are read, which is safe without `_require_sound_heaps`. Raises InputError for a
-    damaged file, also for h5py's errors inside the block.
+    With `names_only`, only names and types are read, which is safe without `_require_sound_heaps`. Raises InputError
+    for a damaged file, also for h5py's errors inside the block.
     """
     with damage_named(path, "an HDF5 file that is whole and undamaged"):
         if not names_only:
@@ -64,7 +64,7 @@ def opened(path: Path, names_only: bool = False) -> Iterator[h5py.File]:
 
 
 def _require_sound_heaps(path: Path) -> None:
-    """Raise ValueError for a global heap with an object without an end.
+    """Raise ValueError if an object in a global heap has no end.
 
     A global heap holds texts of any length. The library would look for the next object for ever. Header: signature,
     version, 3 bytes, size (8); objects: number (2), references (2), 4 bytes, size (8), data in steps of 8 bytes. Number
@@ -100,7 +100,7 @@ def outline(path: Path) -> frozenset[str]:
         return frozenset((*names(file), *(name for name in file.attrs if isinstance(name, str))))
 
 
-# -- finding things -----------------------------------------------------------------------------------------------
+# -- finding objects ----------------------------------------------------------------------------------------------
 
 
 def names(group: h5py.Group) -> tuple[str, ...]:
@@ -109,7 +109,7 @@ def names(group: h5py.Group) -> tuple[str, ...]:
 
 
 def child(group: h5py.Group, path: str, hops: int = MAX_HOPS) -> Any:
-    """Return a group's member by name or path; None if absent, or a link into another file."""
+    """Return a group's member by name or path, or None if it is absent or links to another file."""
     item: Any = group.file["/"] if path.startswith("/") else group
     for name in path.split("/"):
         if name in ("", ".") or item is None:
@@ -157,7 +157,7 @@ def groups(file: h5py.File) -> Iterator[h5py.Group]:
 
 
 def is_scale(item: object) -> bool:
-    """Return whether it is a dataset that names a dimension of others."""
+    """Return whether an item is a dataset that names a dimension of other datasets."""
     return isinstance(item, h5py.Dataset) and attribute(item, "CLASS") == "DIMENSION_SCALE"
 
 
@@ -268,7 +268,7 @@ def _text_of(item: object) -> str:
 def _require_readable(dataset: h5py.Dataset) -> None:
     """Raise ValueError for a dataset that must not be read.
 
-    These are: no dataset, other types, data in other files, and more data than the file has.
+    Rejected are items that are not datasets, other types, data in other files, and more data than the file has.
     """
     if not isinstance(dataset, h5py.Dataset):
         raise ValueError(f"{getattr(dataset, 'name', 'something')} is no dataset")
@@ -290,7 +290,7 @@ def _require_readable(dataset: h5py.Dataset) -> None:
 
 
 def _is_readable(kind: h5t.TypeID, inside: bool = False) -> bool:
-    """Return whether a type is numbers or texts, or records or short rows of them."""
+    """Return whether a type consists of numbers or texts, or of records or short rows of them."""
     type_class = kind.get_class()
     if type_class == h5t.COMPOUND:
         members = [kind.get_member_type(i) for i in range(kind.get_nmembers())]
@@ -307,7 +307,7 @@ def _of_any_length(kind: h5t.TypeID) -> bool:
 
 
 def _require_short_texts(dataset: h5py.Dataset) -> None:
-    """Raise ValueError where a text claims to be longer than the file, for which the library would take memory.
+    """Raise ValueError if a text claims to be longer than the file, for which the library would allocate memory.
 
     Each text is stored as its length (4), the address of its heap (8), and its number there (4).
     """

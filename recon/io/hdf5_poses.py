@@ -84,7 +84,7 @@ def read_deeplabcut(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def _keys(path: Path) -> list[str]:
-    """Return where in an HDF5 file pandas stored something; raise InputError if it cannot be opened."""
+    """Return where pandas stored data in an HDF5 file; raise InputError if it cannot be opened."""
     with opened(path, names_only=True) as file:
         return [str(group.name) for group in hdf5.groups(file) if h5py.h5a.exists(group.id, b"pandas_type")]
 
@@ -95,12 +95,12 @@ def _keys(path: Path) -> list[str]:
 def _fixed_frame(group: h5py.Group) -> _Table:
     levels, columns = _axis(group, "axis0")
     _, index = _axis(group, "axis1")
-    place_of = {label: column for column, label in enumerate(columns)}  # columns with the same label are refused later
+    place_of = {label: column for column, label in enumerate(columns)}  # columns with the same label are rejected later
     cells = np.full((len(index), len(columns)), np.nan)
     for block in range(int(attribute(group, "nblocks"))):
         _, items = _axis(group, f"block{block}_items")
         dataset = member(group, f"block{block}_values")
-        if not _is_empty(dataset):  # stored as (C, T), and turned over where it says so
+        if not _is_empty(dataset):  # stored as (C, T), and transposed if an attribute says so
             values = numbers(dataset)
             cells[:, [place_of[label] for label in items]] = values if attribute(dataset, "transposed") else values.T
     return levels, columns, index, cells
@@ -208,7 +208,7 @@ WANTED = ("frame", "track", "node", "xy")
 
 
 def recognises_sleap(path: Path) -> bool:
-    """Return whether it is SLEAP's analysis file."""
+    """Return whether a file is a SLEAP analysis file."""
     return {"tracks", "node_names"} <= outline(path)
 
 
@@ -245,7 +245,7 @@ def _sleap_array(path: Path, dataset: h5py.Dataset, name: str) -> np.ndarray:
 
 
 def recognises_points3d(path: Path) -> bool:
-    """Return whether it is sleap-anipose's file of 3D points."""
+    """Return whether a file has sleap-anipose's 3D points."""
     available = outline(path)
     if "tracks" not in available or {"point_scores", "track_occupancy", "edge_inds", "instance_scores"} & available:
         return False
@@ -273,9 +273,9 @@ def read_points3d(path: Path, individual: str | None = None) -> StoredPoints:
 VARIABLES = ("position", "confidence", "time", "space", "keypoint", "individual", "keypoints", "individuals")
 ATTRIBUTES = ("ds_type", "fps", "time_unit", "length_unit", "up_axis")
 PACKING = ("scale_factor", "add_offset", "missing_value")
-"""Attributes of variables that netCDF packs in another unit; files of poses do not have them."""
+"""Attributes of variables that netCDF stores in packed form, which files of poses do not have."""
 NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable"
-"""Beginning of the attribute NAME of a dimension without labels."""
+"""First words of the attribute NAME of a dimension without labels."""
 POSITION = ("time", "individual", "keypoint", "space")
 Variables = Mapping[str, tuple[tuple[str, ...], np.ndarray]]
 """Names of an array's axes, and the array, by its current name."""
@@ -358,8 +358,7 @@ def _of_variables(path: Path, stored: Variables, attributes: Mapping[str, Any], 
 def _axes(dataset: h5py.Dataset, name: str, scales: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the names of a variable's dimensions, each of which is a dataset of the file.
 
-    They are found by number, or by what each dimension refers to. HDF5's own functions for this crash with damaged
-    files.
+    The dimensions are found by number, or by their references. HDF5's own functions for this crash on damaged files.
     """
     if name in scales:
         return (name.removesuffix("s"), *(f"{name}_{axis}" for axis in range(1, dataset.ndim)))
@@ -411,18 +410,18 @@ def dataset_of(data: Keypoints | Pose3D) -> xr.Dataset:
 NWB = "ndx-pose NWB"
 IN_PICTURE = "(0, 0) is the upper left corner of the picture, x to the right, y down"
 RATE_TEXT = "frame number = time in seconds x {fps!r} Hz"
-"""Comment in our own series, whose times may be irregular."""
+"""Comment in recon's own series, whose times may be irregular."""
 UP_TEXT = "z up"
-"""End of the frame of reference of our own 3D series."""
+"""End of the frame of reference of recon's own 3D series."""
 
 
 def recognises_nwb(path: Path) -> bool:
-    """Return whether the file is NWB's, with poses or without."""
+    """Return whether a file is NWB, with or without poses."""
     return "nwb_version" in outline(path)
 
 
 def read_nwb(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the points of one animal, named by its container in a file of several; raise InputError."""
+    """Return the points of one animal, named after its container if the file has several; raise InputError."""
     with opened(path) as file:
         containers = {}
         for group in hdf5.groups(file):

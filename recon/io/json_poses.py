@@ -37,10 +37,10 @@ Table = dict[str, Any]
 
 
 class _Seen(NamedTuple):
-    """One animal in one picture."""
+    """Hold one animal in one picture."""
 
     location: str
-    """Location in the file, for a message."""
+    """Location in the file, for messages."""
     frame: int
     animal: str
     """Empty if the file does not distinguish animals."""
@@ -67,7 +67,7 @@ def _points(
 ) -> StoredPoints:
     """Return the points of one animal in all frames, for any of these formats.
 
-    `named` says whether a file's only animal has a name. Raises InputError.
+    `named` states whether the only animal of a file has a name. Raises InputError.
     """
     animals = list(dict.fromkeys(detection.animal for detection in seen)) or [""]
     chosen = animals[common.choose(path, animals, individual)]
@@ -118,12 +118,12 @@ def read_coco(path: Path, individual: str | None = None) -> StoredPoints:
     info, names = content.get("info"), _names(path, content["categories"], people)
     extra: dict[str, Any] = {"fps": common.rate(info.get("fps")) if isinstance(info, dict) else None, "notes": notes}
     extra["image_size_px"] = _size(content["images"])
-    named = any("individual" in annotation for annotation in people)  # the number of the only track is no name
+    named = any("individual" in annotation for annotation in people)  # the number of the only track is not a name
     return _points(path, individual, names, numbers.values(), seen, named, **extra)
 
 
 def _names(path: Path, categories: list[Table], people: list[Table]) -> tuple[str, ...]:
-    """Return the keypoints of the only category in use."""
+    """Return the keypoints of the only category that is used."""
     used = {a.get("category_id") for a in people}
     with_points = [c for c in categories if c.get("keypoints") and (c.get("id") in used or len(categories) == 1)]
     lists = {tuple(str(name) for name in c["keypoints"]) for c in with_points}
@@ -133,7 +133,7 @@ def _names(path: Path, categories: list[Table], people: list[Table]) -> tuple[st
 
 
 def _frame_numbers(path: Path, images: list[Table]) -> tuple[dict[Any, int], tuple[str, ...]]:
-    """Return frame numbers by image id: as stated, else from the ends of the file names, else the id."""
+    """Return frame numbers by image id: as stated, else from the digits at the end of file names, else the id."""
     ids = [image["id"] for image in images]
     stated = ("frame_id", "frame_index", "frame_number")
     key = next((k for k in stated if images and all(isinstance(image.get(k), int) for image in images)), None)
@@ -150,7 +150,7 @@ def _frame_numbers(path: Path, images: list[Table]) -> tuple[dict[Any, int], tup
 
 
 def _size(images: list[Table]) -> tuple[int, int] | None:
-    """Return (width, height) if all images have the same."""
+    """Return (width, height) if all images have the same size."""
     sizes = {(image.get("width"), image.get("height")) for image in images}
     (width, height) = sizes.pop() if len(sizes) == 1 else (None, None)
     return (width, height) if isinstance(width, int) and isinstance(height, int) and width > 0 < height else None
@@ -196,8 +196,8 @@ LISTS = {
         f"{_COCO} Head Neck Hip {_TOES}".split(),
     )
 }
-"""Names of the points by their number: COCO's 17, OpenPose's COCO with a neck (18), BODY_25, and Halpe's 26, each in
-its order.
+"""Names of the points by their number, in order: COCO's 17, OpenPose's COCO with a neck (18), BODY_25, and
+Halpe's 26.
 """
 _FILE_NAME = re.compile(r"(.*?)(\d+)((?:_keypoints)?\.json)", re.IGNORECASE | re.DOTALL)
 
@@ -208,9 +208,9 @@ def recognises_openpose(path: Path) -> bool:
 
 
 def clip_of_frame(path: Path) -> Path | None:
-    """Return the path that stands for the clip of a file with one frame; None for other formats.
+    """Return the path that represents the clip of a one-frame file, or None for other formats.
 
-    It is the same for all frames. Pose2Sim has them in a folder for each camera, as in cam1_json/cam1_000000.json.
+    The path is the same for all frames. Pose2Sim has one folder per camera, such as cam1_json/cam1_000000.json.
     """
     name = _FILE_NAME.fullmatch(path.name)
     if name is None or not os.access(path, os.R_OK) or not recognises_openpose(path):
@@ -221,7 +221,7 @@ def clip_of_frame(path: Path) -> Path | None:
 
 
 def read_openpose(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the points of one person in all files whose names differ from this one's only in the number.
+    """Return the points of one person in all files whose names differ from this one only in the number.
 
     Raises InputError.
     """
@@ -297,8 +297,8 @@ _BY_DEEPLABCUT = (
     "right_front_paw left_hip left_knee left_back_paw right_hip right_knee right_back_paw withers throat left_ear "
     "right_ear mouth chin left_hock right_hock tail_tip"
 )
-"""Names that DeepLabCut (3.0, 2026) gives, in the network's order. They are another list's, so that the left front paw
-is "neck".
+"""Names that DeepLabCut (3.0, 2026) assigns to the points in the network's order. They belong to another list, so that
+the left front paw is called "neck".
 """
 ANIMAL3D = (
     "left_eye right_eye mouth_mid left_front_paw right_front_paw left_back_paw right_back_paw tail_base "
@@ -306,12 +306,12 @@ ANIMAL3D = (
     "right_front_knee left_back_knee right_back_knee neck tail_end left_ear right_ear left_mouth right_mouth nose "
     "tail_mid"
 )
-"""True names, Animal3D's, as in FMPose3D's conversion from SuperAnimal's points."""
+"""Correct names (Animal3D's), as in FMPose3D's conversion from SuperAnimal's points."""
 LENGTHS = "FMPose3D's lengths have no unit, and its axes are its own: compare them after scaling and turning (PA) only."
 
 
 def true_names(names: Sequence[str], model: str, in_space: bool = True) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the true names of FMPose3D's points, in any order, and notes.
+    """Return the correct names of FMPose3D's points, in any order, and notes.
 
     `model` is the network's name, or a table's scorer, which contains it.
     """

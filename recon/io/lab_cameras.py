@@ -9,7 +9,7 @@
 - OpenCV's stereo files: `K1` (`M1`, `cameraMatrix1`), `D1`, `K2`, `D2`, and `R`, `T` from the first camera to the
   second. The world is the first camera's frame.
 
-None of them states the unit of lengths, nor that z points up.
+No format states the unit of lengths or that z points up.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def read_tables(path: Path, individual: str | None = None) -> list[CameraRecord]
 
 
 def _tables_of(document: object) -> list[tuple[Any, str, Mapping[str, Any]]]:
-    """Return name, location and table of each camera, of tables of which at least one has a camera matrix."""
+    """Return name, location and table of each camera, if at least one table has a camera matrix."""
     cameras = document.get("cameras", document) if isinstance(document, Mapping) else document
     start = "cameras" if cameras is not document else ""
     if isinstance(cameras, Mapping):

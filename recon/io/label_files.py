@@ -1,4 +1,4 @@
-"""Write labelled frames of a video as DeepLabCut's label files, and as COCO's keypoints.
+"""Write labelled frames of a video as DeepLabCut label files and COCO keypoints.
 
 A project of DeepLabCut has a folder for each video, `labeled-data/run`, with its labelled frames as `img012.png` and
 two tables of the same points, `CollectedData_me.csv` and `.h5`. Their rows are named by the three parts of the frame's
@@ -36,18 +36,18 @@ class LabelledFrames:
     """Hold N labelled frames of a video with K keypoints."""
 
     video: str
-    """The video's name without its suffix: that of the folder."""
+    """Name of the video without suffix, which is also the name of the folder."""
     scorer: str
-    """Name of the labeller, as the project's config.yaml has it."""
+    """Name of the labeller, as in the project's config.yaml."""
     names: tuple[str, ...]
     frames: Integers
     """(N,) frame numbers, increasing."""
     xy_px: Array
     """(N, K, 2), NaN where a point is not labelled."""
     origins: tuple[tuple[str, ...], ...] = ()
-    """For each frame and keypoint what a label is based on, such as "by hand"; empty: all are by hand."""
+    """Basis of each label, such as "by hand", for each frame and keypoint; empty if all are by hand."""
     edges: tuple[tuple[int, int], ...] = ()
-    """Keypoints that a bone joins, as indices."""
+    """Pairs of keypoints joined by a bone, as indices."""
     size_px: tuple[int, int] = (0, 0)
     """Width and height of the pictures."""
     digits: int = 4
@@ -55,7 +55,7 @@ class LabelledFrames:
 
     @property
     def known(self) -> Bools:
-        """Return which points are labelled, (N, K)."""
+        """Return a mask of the labelled points, (N, K)."""
         return np.asarray(np.isfinite(self.xy_px).all(axis=2), dtype=np.bool_)
 
     @property
@@ -69,12 +69,12 @@ class LabelledFrames:
 
     @property
     def file_names(self) -> list[str]:
-        """Return the names of all files but the pictures."""
+        """Return the names of all files except the pictures."""
         return [f"{self.table}.csv", f"{self.table}.h5", COCO, ORIGINS]
 
 
 def require_label_names(video: str, scorer: str) -> None:
-    """Raise InputError for a scorer or a video whose name cannot be part of a file's name."""
+    """Raise InputError if the name of the scorer or the video cannot be part of a file name."""
     for field, name in (("scorer", scorer), ("video", video)):
         if not name or name.startswith(".") or not name.isprintable() or any(sign in name for sign in _FORBIDDEN):
             expected = f"a name of a file: without any of {' '.join(_FORBIDDEN)}, and not beginning with a dot"
@@ -88,7 +88,7 @@ def require_label_writer() -> None:
 
 
 def write_label_files(labels: LabelledFrames, folder: Path) -> None:
-    """Write everything but the pictures into a folder that there is."""
+    """Write all files except the pictures into an existing folder."""
     rows = [(LABELED_DATA, labels.video, labels.picture(frame)) for frame in labels.frames.tolist()]
     columns = [(labels.scorer, name, coordinate) for name in labels.names for coordinate in "xy"]
     xy_px = np.where(labels.known[..., None], labels.xy_px, np.nan)
@@ -106,7 +106,7 @@ def write_label_files(labels: LabelledFrames, folder: Path) -> None:
 def write_label_pictures(
     labels: LabelledFrames, pictures: Iterable[tuple[int, Image]], folder: Path
 ) -> Iterator[tuple[int, Path]]:
-    """Write pictures, each with its frame number, and yield the number and the file of each."""
+    """Write pictures with their frame numbers, and yield the number and the file of each."""
     for frame, picture in pictures:
         path = folder / labels.picture(frame)
         write_bytes(path, cv2.imencode(".png", picture)[1].tobytes())
@@ -143,7 +143,7 @@ def _origin(labels: LabelledFrames, i: int, k: int) -> str:
 
 
 def _coco(labels: LabelledFrames) -> dict[str, Any]:
-    """Return COCO's document: one annotation for each frame, its image named by the file."""
+    """Return COCO's document with one annotation per frame, whose image is named after the file."""
     width, height = labels.size_px
     images, annotations = [], []
     for i, frame in enumerate(labels.frames.tolist()):

@@ -1,6 +1,6 @@
 """Read and write positions of markers in motion capture's formats, TRC and C3D.
 
-TRC is text, separated by tabs or commas, with the unit in the header and y up by custom.
+TRC is text, separated by tabs or commas, with the unit in the header and y up by convention.
 
 C3D (c3d.org, user guide) has blocks of 512 bytes: a header, a section of parameters in groups, and for each frame four
 numbers of every point, x, y, z and a word with the residual, -1 for a missing point, followed by the analog samples.
@@ -116,12 +116,14 @@ def read_c3d(path: Path, individual: str | None = None) -> StoredPoints:
     """Return the markers of a C3D file; raise InputError for a damaged file."""
     parameters, xyz, first = _content(path.read_bytes())
     point = parameters.get("POINT", {})
-    labels = sorted((name for name in point if name.startswith("LABELS")), key=len)  # each holds up to 255 names
+    # each parameter holds up to 255 names
+    labels = sorted((name for name in point if name.startswith("LABELS")), key=len)
     names = [text for name in labels for text in point[name]][: xyz.shape[1]]
     fps = common.rate(str(np.float32(point["RATE"].ravel()[0])))
     frames = np.arange(len(xyz)) + first - 1
     listed = writing.frames_of_text(parameters.get(OWN_GROUP, {}).get("FRAMES", ()))
-    if listed is not None and listed[-1] - listed[0] == len(xyz) - 1:  # not the number before frames were cut
+    # cut files keep the number of frames before the cut
+    if listed is not None and listed[-1] - listed[0] == len(xyz) - 1:
         frames, xyz = listed, xyz[listed - listed[0]]
     unit, screen = ("".join(point.get(name, ())[:1]) for name in ("UNITS", "Y_SCREEN"))
     up_axis = {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen.upper())
@@ -241,7 +243,7 @@ def write_c3d(pose: Pose3D, path: Path) -> None:
     file.add_parameter("POINT", "Y_SCREEN", ["+Z"])
     file.add_parameter(OWN_GROUP, "FRAMES", ranges)
     file.write(str(path))
-    with suppress(Exception):  # the library does not say when a disk is full
+    with suppress(Exception):  # the library does not report a full disk
         if np.array_equal(read_c3d(path).values, xyz[pose.frames - first].astype(np.float32), equal_nan=True):
             return
     raise OSError(errno.ENOSPC, "the file could not be written: is the disk full?", str(path))

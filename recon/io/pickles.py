@@ -1,4 +1,4 @@
-"""Read pickles of plain values. A pickle is a program, which is never run unless all it does is known."""
+"""Read pickles of plain values; a pickle is a program, which is run only if all its instructions are known."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pickletools
 from typing import Any, TypeAlias
 
 Plain: TypeAlias = Any
-"""A plain value: texts, numbers, lists, tuples and dictionaries."""
+"""A plain value: text, number, list, tuple or dictionary."""
 MAX_PICKLE_BYTES = 1 << 24
 PLAIN_PICKLES = {
     *("INT", "BININT", "BININT1", "BININT2", "LONG", "LONG1", "LONG4", "FLOAT", "BINFLOAT"),
@@ -22,13 +22,14 @@ _SCALARS = {
     *((module, "scalar") for module in ("numpy.core.multiarray", "numpy._core.multiarray")),
     ("numpy", "dtype"),
 }
-"""NumPy's functions that make single numbers, which are allowed among plain values if asked for."""
+"""NumPy's functions that make single numbers, allowed among plain values on request."""
 
 
 def plain_pickle(content: bytes) -> Plain:
     """Return the value of a pickle of plain values.
 
-    It is run only if all its instructions are in `PLAIN_PICKLES`. Raises ValueError that names any other instruction.
+    The pickle is run only if all its instructions are in `PLAIN_PICKLES`. Raises ValueError, naming any other
+    instruction.
     """
     _require_small(content)
     try:
@@ -67,6 +68,6 @@ def _require_small(content: bytes) -> None:
 
 
 def _require_place(name: str, argument: int | str | None, content: bytes) -> None:
-    """Raise ValueError for a place so far away that memory would be taken for all before it."""
+    """Raise ValueError for a memo index so large that memory would be allocated for all smaller ones."""
     if name in ("PUT", "LONG_BINPUT") and int(argument or 0) > len(content):
         raise ValueError("a damaged pickle")

@@ -44,7 +44,10 @@ def read_pose3d(
 
 
 def in_metres(path: Path, reader: Format, stored: StoredPoints, unit: str | None, up: str | None) -> Pose3D:
-    """Return a file's positions in our unit and axes; unit and up as in `read_pose3d`. Raises InputError."""
+    """Return a file's positions in metres with z up; unit and up are as in `read_pose3d`.
+
+    Raises InputError for an unknown or missing unit.
+    """
     notes, problems = list(stored.notes), []
     for name, option, stated in (("unit", unit, stored.unit), ("up", up, stored.up)):
         if option is not None and stated is not None and option != stated:

@@ -14,30 +14,30 @@ from recon.base.errors import InputError, Problem, raise_problems
 from recon.io.common import MAX_FRAME, StoredPoints
 
 IRREGULAR = 0.25
-"""Largest distance of a time from its frame, in frames, of regular times."""
+"""Largest distance of a regular time from its frame, in frames."""
 EVEN_MIN = 10
-"""Fewer times cannot show a rate through rounding or jitter."""
+"""Smallest number of times that can show a rate in spite of rounding or jitter."""
 EVEN_STEP, EVEN_OFF = 1.75, 0.75
-"""Times of consecutive frames: largest step, and largest distance from an even count, in frames."""
+"""Limits for times of consecutive frames: largest step, and largest distance from an even count, in frames."""
 JITTER_RMS = 0.2
 """Largest root mean square distance from the nearest frame, in frames, where frames may be missing. Times that know
 nothing of a rate have 0.29."""
 ROUNDED_GAPS, ROUNDED_OFF = 3, 0.6
 """Least number of gaps, and largest distance from even times in units, of times rounded to a unit near the period."""
 PHASE_SHARED = 0.5
-"""Length of the mean direction of the times' phases beyond which they share one."""
+"""Length of the mean direction of the times' phases above which the times share a phase."""
 _WINDOW = 16
 """Number of times from which the rate is first estimated."""
 
 
 def frames_of_numbers(path: Path, numbers: np.ndarray) -> np.ndarray:
-    """Return frame numbers (T,) int of times in frames; raise InputError unless they are increasing whole numbers."""
+    """Return frame numbers (T,) int from times in frames; raise InputError unless they are increasing whole numbers."""
     _require_order(path, numbers, strict=True)
     return frames_of_times(path, numbers, 1.0)[0]
 
 
 def frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tuple[np.ndarray, float | None]:
-    """Return frame numbers (T,) int of times, and the frame rate.
+    """Return frame numbers (T,) int from times, and the frame rate.
 
     The rate is the given one, or that of the times, which may be rounded or jittered. Frame 0 is at 0 s. A gap must be
     a whole number of frames. Without a rate, a single time is frame 0. Raises InputError for times that do not
@@ -48,10 +48,10 @@ def frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tuple
 
 
 def with_times(path: Path, stored: StoredPoints, times_s: np.ndarray, fps: float | None) -> StoredPoints:
-    """Return points with frame numbers of their times (T,), and a note if the times are uneven.
+    """Return points with the frame numbers of their times (T,), and a note if the times are uneven.
 
-    Uneven times are kept for `with_rate`. Those that fit no frame rate are a problem, which it raises unless a rate is
-    given.
+    Uneven times are kept for `with_rate`. Times that fit no frame rate are a problem, which `with_rate` raises unless a
+    rate is given.
     """
     try:
         frames, fps, note = _frames_of_times(path, times_s, fps)
@@ -92,7 +92,8 @@ def nearest_frames(path: Path, times_s: np.ndarray, fps: float) -> np.ndarray:
     common_phase = complex(np.exp(2j * np.pi * position).mean()) if len(position) else 0j
     phase = float(np.angle(common_phase)) / (2 * np.pi) if abs(common_phase) > PHASE_SHARED else 0.0
     nearest = np.rint(position - phase)
-    frames = rows + np.maximum.accumulate(nearest - rows) if len(rows) else nearest  # jitter can put two in one frame
+    # jitter can put two times in one frame
+    frames = rows + np.maximum.accumulate(nearest - rows) if len(rows) else nearest
     if (np.abs(frames - (position - phase)) > 1).any():
         detail = f"{_steps_text(times_s)} between times, so that some share a frame at {fps:g} frames per second"
         raise InputError(Problem(path, "time", detail, "a frame rate that has a frame for each time, by --fps"))
@@ -100,7 +101,7 @@ def nearest_frames(path: Path, times_s: np.ndarray, fps: float) -> np.ndarray:
 
 
 def seconds(cells: Iterable[object]) -> np.ndarray | None:
-    """Return ISO 8601 time stamps as seconds after the first; None if any cell is no time stamp."""
+    """Return ISO 8601 time stamps as seconds after the first, or None if any cell is not a time stamp."""
     stamps = [_stamp(str(cell).strip()) for cell in cells]
     if not stamps or any(stamp is None for stamp in stamps):
         return None
@@ -108,7 +109,7 @@ def seconds(cells: Iterable[object]) -> np.ndarray | None:
     first = known[0][0]
     try:
         return np.array([(moment - first).total_seconds() + fraction for moment, fraction in known])
-    except TypeError:  # some with a time zone, others without
+    except TypeError:  # some have a time zone, others do not
         return None
 
 
@@ -169,7 +170,7 @@ def _frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tupl
 def _even_count(times_s: np.ndarray, rounded: bool) -> tuple[np.ndarray, float] | None:
     """Return frame numbers from 0, and the period, of rounded or jittered times; None for a variable rate.
 
-    `rounded` says that steps longer than a period are known to be no gaps.
+    `rounded` states that steps longer than a period are known not to be gaps.
     """
     rows = np.arange(len(times_s))
     period_s, start_s = np.polyfit(rows, times_s, 1)

@@ -27,7 +27,7 @@ from recon.geometry.camera import Camera
 
 Image = npt.NDArray[np.uint8]
 CODECS = {".mp4": "mp4v", ".avi": "MJPG", ".webm": "VP80"}
-"""Codecs that OpenCV's own wheels encode: MPEG-4 part 2, which players show but browsers do not, Motion JPEG, and VP8,
+"""Codecs that OpenCV's own wheels encode: MPEG-4 part 2, which players show but browsers do not; Motion JPEG; and VP8,
 which every browser plays and which takes a second for a picture of 1920x1380. The wheels have no encoder for H.264.
 """
 
@@ -36,7 +36,7 @@ UNEVEN, STAMP_S = 0.3, 1e-3
 Matroska's time stamps are whole milliseconds.
 """
 DRIFT, DRIFT_FRAMES = 0.05, 30
-"""Largest deviation from the usual rate, and the number of frames over which it is measured. Telephones film slower in
+"""Largest deviation from the usual rate, and the number of frames over which it is measured. Phones film more slowly in
 the dark.
 """
 MOST_PLACES = 5
@@ -46,20 +46,20 @@ SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".
 
 @dataclass(frozen=True)
 class VideoInfo:
-    """Size, rate and number of frames that a video file states."""
+    """Hold size, rate and number of frames as stated in a video file."""
 
     size_px: tuple[int, int]
     """Width and height of the picture."""
     fps: float | None
-    """None if the file does not state it."""
+    """Frame rate; None if the file does not state it."""
     stated_frames: int | None
-    """None if the file does not state it; fewer or more frames may be decodable."""
+    """Number of frames; None if the file does not state it. The number that can be decoded may differ."""
 
 
 def probe(path: str | Path) -> VideoInfo:
     """Return what a video states about itself, after decoding its first frame.
 
-    Raises InputError for a file that is no video.
+    Raises InputError for a file that is not a video.
     """
     with _opened(Path(path)) as capture:
         fps, count = capture.get(cv2.CAP_PROP_FPS), capture.get(cv2.CAP_PROP_FRAME_COUNT)
@@ -71,19 +71,19 @@ def probe(path: str | Path) -> VideoInfo:
 
 
 def size_problems(video: Path, info: VideoInfo, camera: Camera) -> Iterator[Problem]:
-    """Yield a problem where a video has another size than the camera is calibrated for."""
+    """Yield a problem if a video has another size than the camera is calibrated for."""
     video_size, camera_size = ("{}x{}".format(*size) for size in (info.size_px, camera.image_size_px))
     if video_size != camera_size:
         yield Problem(video, "size", video_size, f"{camera_size}, the size that the camera is calibrated for")
 
 
 def read_picture(path: Path, flags: int) -> Image | None:
-    """Return a picture, upright by its orientation tag; None if unreadable or too large for OpenCV.
+    """Return a picture, rotated by its orientation tag; None if unreadable or too large for OpenCV.
 
     `flags` are OpenCV's flags.
     """
     image = None
-    if not path.is_file():  # a pipe would be waited for
+    if not path.is_file():  # reading a pipe would block
         return None
     try:
         data = np.fromfile(path, dtype=np.uint8)  # cv2.imread does not take every path on Windows
@@ -95,9 +95,9 @@ def read_picture(path: Path, flags: int) -> Image | None:
 
 
 def missing_frames(times_s: Array) -> dict[int, int] | None:
-    """Return the number of frames missing before each frame, where time stamps (T,) of even frames have a gap.
+    """Return the number of frames missing before each frame, from gaps in the time stamps (T,) of even frames.
 
-    Empty if there are no time stamps; None if they are uneven, and tell nothing.
+    The result is empty if there are no time stamps, and None if they are too uneven to tell.
     """
     steps = np.diff(times_s)
     if not steps.any():
@@ -156,7 +156,8 @@ def read_frames(
 ) -> Iterator[tuple[int, Image]]:
     """Yield numbers and pictures (height, width, 3; blue, green, red) of every `step`th frame.
 
-    Frames run from `first` up to, but without, `stop`, as far as the video goes. One picture is held at a time.
+    Frames run from `first` up to but not including `stop`, or to the end of the video. Only one picture is in memory at
+    a time.
     """
     for number, _, image in timed_frames(path, first, stop, step):
         yield number, image
@@ -165,7 +166,7 @@ def read_frames(
 def timed_frames(
     path: str | Path, first: int = 0, stop: int | None = None, step: int = 1
 ) -> Iterator[tuple[int, float, Image]]:
-    """Yield number, time stamp in seconds and picture, as `read_frames`."""
+    """Yield number, time stamp in seconds and picture, as `read_frames` does."""
     number = 0
     with _opened(Path(path)) as capture:
         while (stop is None or number < stop) and capture.grab():
@@ -208,14 +209,14 @@ def video_writer(path: str | Path, size_px: tuple[int, int], fps: float) -> Iter
             yield write
         finally:
             writer.release()
-        # OpenCV says nothing of a full disk.
+        # OpenCV does not report a full disk.
         if not _ends_as_it_says(staged) or probe(staged).stated_frames != written:
             raise OSError(errno.ENOSPC, "the video could not be written: is the disk full?", str(path))
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Silence what OpenCV and FFmpeg print on standard error."""
+    """Silence the messages of OpenCV and FFmpeg on standard error."""
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the first video of a process is opened
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
@@ -227,7 +228,7 @@ def _quiet() -> Iterator[None]:
 
 @contextmanager
 def _without_stderr() -> Iterator[None]:
-    """Drop what libraries print on standard error past Python."""
+    """Drop what libraries print on standard error outside Python."""
     kept, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(null, 2)
@@ -261,7 +262,7 @@ def _webm_length(path: Path) -> int:
     with path.open("rb") as file:
         head = file.read(80)
     position = 0
-    for _ in range(2):  # each: an identity of four bytes, the length's length as leading zeros, and the length
+    for _ in range(2):  # each has an identity of four bytes, the length's length as leading zeros, and the length
         size_bytes = 9 - head[position + 4].bit_length() if len(head) > position + 12 else 1
         size = int.from_bytes(head[position + 4 : position + 4 + size_bytes], "big") & ((1 << 7 * size_bytes) - 1)
         position += 4 + size_bytes + size
@@ -277,7 +278,7 @@ def require_codec(path: Path) -> str:
 
 
 def _local(path: Path) -> str:
-    """Return a name that ffmpeg takes for a file: run10:30.mp4, or a folder called http:, would be a protocol.
+    """Return a file name that FFmpeg does not mistake for a protocol, as in run10:30.mp4 or a folder called http:.
 
     Raise InputError for a name that OpenCV cannot take: it crashes at bytes that are not UTF-8.
     """

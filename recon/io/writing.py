@@ -1,6 +1,7 @@
-"""Share what writers of several formats need.
+"""Provide what writers of several formats share.
 
-Points as a file is to have them, names and frames that it can hold, and tables of text whose numbers read back exactly.
+The module has points in the form that a file needs, checks of names and frames, and text tables whose numbers are read
+back exactly.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from recon.io.common import MAX_FRAME, SCORER, Pose3D, StoredPoints, require_spa
 
 @contextmanager
 def formats_extra(path: str | Path) -> Iterator[None]:
-    """Raise InputError with the command to install, if a library of the extra `formats` is missing in the block."""
+    """Raise InputError with the install command if a library of the extra `formats` is missing in the block."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -33,7 +34,7 @@ def formats_extra(path: str | Path) -> Iterator[None]:
 
 
 def points_of(data: Keypoints | Pose3D) -> StoredPoints:
-    """Return points as a file is to have them: pixels, or metres with z up."""
+    """Return points in the form that a file needs: pixels, or metres with z up."""
     if isinstance(data, Keypoints):
         return StoredPoints(
             data.names, data.xy_px, data.frames, data.confidence, data.fps, data.individual, scorer=data.scorer
@@ -42,7 +43,7 @@ def points_of(data: Keypoints | Pose3D) -> StoredPoints:
 
 
 def y_up_from_z_up(xyz: np.ndarray) -> np.ndarray:
-    """Return points (..., 3) with x forwards, y up, z right, from ours: x forwards, y left, z up."""
+    """Return points (..., 3) with x forwards, y up, z right, from points with x forwards, y left, z up."""
     return np.stack([xyz[..., 0], xyz[..., 2], -xyz[..., 1]], axis=-1)
 
 
@@ -57,7 +58,7 @@ def frames_text(frames: np.ndarray) -> list[str]:
 
 
 def frames_of_text(ranges: Iterable[str]) -> np.ndarray | None:
-    """Return the frame numbers of `frames_text`; None for anything else."""
+    """Return the frame numbers in a text from `frames_text`, or None for anything else."""
     frames: list[np.ndarray] = []
     last = -MAX_FRAME - 1
     for text in ranges:
@@ -92,7 +93,7 @@ def require_names(names: Sequence[str], forbidden: str, title: str, bytes_max: i
 def without_gaps(frames: np.ndarray, values: np.ndarray, title: str) -> np.ndarray:
     """Return values (T, ...) with rows of NaN for absent frame numbers.
 
-    Raises InputError if the gaps would make the file absurdly long.
+    Raises InputError if the gaps would make the file far too long.
     """
     span = int(frames[-1] - frames[0]) + 1
     require_span(span, values.shape[1], title)
@@ -114,7 +115,8 @@ def write_rows(
 ) -> None:
     """Write header rows, then rows of text, whole numbers and floats; NaN is an empty cell.
 
-    `guard` keeps texts from being run by a spreadsheet; without, they are as other programs read them.
+    With `guard`, texts are escaped so that a spreadsheet does not run them; without it, other programs read them
+    unchanged.
     """
     text = guarded if guard else encodable
     with path.open("w", encoding="utf-8", newline="") as file:
@@ -126,9 +128,9 @@ def write_rows(
 def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     """Write a long table by its columns (N,), of floats, whole numbers or text without commas.
 
-    NaN is an empty cell. Much faster than row by row.
+    NaN is an empty cell. This is much faster than writing row by row.
     """
-    import pyarrow as pa  # rerun has it
+    import pyarrow as pa  # a dependency of rerun
     from pyarrow import csv as arrow_csv
 
     table = pa.table({name: pa.array(_guarded_column(values), from_pandas=True) for name, values in columns.items()})
@@ -144,7 +146,7 @@ def _guarded_column(values: np.ndarray) -> np.ndarray:
 
 
 def _cell(value: object) -> object:
-    """Return a value that the writer turns into the shortest text that reads back exactly."""
+    """Return a value that the writer turns into the shortest text that is read back exactly."""
     plain = value.item() if isinstance(value, np.generic) else value
     return "" if plain != plain else plain
 
@@ -164,7 +166,7 @@ def deeplabcut_layout(data: Keypoints | Pose3D) -> tuple[dict[str, list[str]], n
 
 
 def _with_fps(scorer: str | None, fps: float | None) -> str:
-    """Return the scorer with the frame rate behind it; another program's scorer stays in front."""
+    """Return the scorer followed by the frame rate; the scorer of another program comes first."""
     ours = SCORER if fps is None else f"{SCORER}_{repr(fps).removesuffix('.0')}fps"
     if scorer in (None, SCORER):
         return ours
