@@ -27,8 +27,8 @@ from trajectory import meta_of
 
 from recon import FitSettings, load_skeleton
 from recon.api.clip_inputs import prepare
-from recon.check import agreement
-from recon.check.agreement import up_from_feet
+from recon.check import upward
+from recon.check.upward import up_from_feet
 from recon.clip import View, views_of
 from recon.fit.clip_problem import TrajectoryOptions
 
@@ -52,8 +52,8 @@ def clips() -> Iterator[tuple[str, Sequence[View], float]]:
 
 def main() -> None:
     found: dict[str, list[tuple[float, float]]] = {}
-    limit_deg = np.degrees(agreement.MAX_SIGMA_RAD)
-    with patch.object(agreement, "MAX_SIGMA_RAD", np.inf):
+    limit_deg = np.degrees(upward.MAX_SIGMA_RAD)
+    with patch.object(upward, "MAX_SIGMA_RAD", np.inf):
         for what, views, fps in clips():
             up = up_from_feet(views, BODY, fps, SIGMA_PX)
             off_rad = np.nan if up is None else np.arccos(np.clip(up.up[2], -1.0, 1.0))

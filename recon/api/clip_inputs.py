@@ -104,7 +104,7 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], SharedIn
     assert fps is not None
     later_frames = tuple((s - later[0]) * fps for s in later)
     scorers = {file.source or f"camera {i}": file.scorer for i, file in enumerate(files, start=1)}
-    seen, *cleaned = collect_problems(
+    body_with_offsets, *cleaned = collect_problems(
         lambda: body if body.detector is not None else with_detector_offsets(body, None, scorers),
         *(
             partial(_cleaned, body, settings, fps, *file_inputs)
@@ -116,14 +116,16 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], SharedIn
         side, reason = _chosen_side(body, cleaned[0].keypoints, settings)
     names = body.keypoint_names(side)
     sources = tuple(replace(source, keypoints=arrange(source.keypoints, names)) for source in cleaned)
-    inputs = ClipInputs(seen, prior, sources, later_frames, fps, side, reason)
+    inputs = ClipInputs(body_with_offsets, prior, sources, later_frames, fps, side, reason)
     cameras = [source.camera for source in sources]
     unsaid = all(camera.has_extrinsics and not camera.world_z_up and not camera.tilt_rad for camera in cameras)
     if len(cameras) == 1 or not unsaid or settings.up is not None:
         return inputs
     from recon.api.rigs import turned_up_by_feet
 
-    turned, findings = turned_up_by_feet(inputs.sources, sources, seen, fps, settings.trajectory_options().sigma_px)
+    turned, findings = turned_up_by_feet(
+        inputs.sources, sources, body_with_offsets, fps, settings.trajectory_options().sigma_px
+    )
     return replace(inputs, sources_apart=turned, findings=findings)
 
 

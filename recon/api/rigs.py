@@ -160,7 +160,7 @@ def turned_up_by_feet(
         replace(view, T_camera_world=rigid(np.asarray(view.camera.rotation), np.asarray(view.camera.translation_m)))
         for view in views_of(sources)
     ]
-    from recon.check.agreement import up_from_feet
+    from recon.check.upward import up_from_feet
 
     upward = up_from_feet(views, body, fps, sigma_px)
     if upward is None:

@@ -126,8 +126,8 @@ def solve_trajectory(
     clip = clip.with_free_shape()
     with threadpool_limits(1, user_api="blas"):
         segments = solve_segments(clip, progress) if start is None else _solve_segments_from(clip, start)
-        clip, solved = _with_one_shape(clip, segments)
-        solution = _solution(clip, solved, began)
+        clip, segments = _with_one_shape(clip, segments)
+        solution = _solution(clip, segments, began)
     return solution if start is None else _with_misfit_of(start, solution)
 
 
@@ -204,26 +204,26 @@ def solve_segments(clip: ClipProblem, progress: Progress = silent) -> list[Segme
 
 
 def _solve_segments_from(clip: ClipProblem, start: TrajectorySolution) -> list[SegmentFit]:
-    """Solve every segment from a solution, with the noise and the prior's weight that it has.
+    """Solve every segment starting from a solution, with the noise and prior weights of that solution.
 
-    A segment is solved from nothing where the solution has no pose.
+    A segment without a pose in the solution is solved from the beginning.
     """
     states = start.states.copy()
     states[:, ROOT] = (states[:, ROOT] - clip.origin_m) / start.size
     shared = {SIZE: np.array([start.size])} if clip.shows_size else {}
     weights = {(part.rows.start, part.rows.stop): part.prior_weight for part in start.segments}
-    solved = []
+    segments = []
     for rows in _segments(clip.present().sum(axis=1) >= MIN_JOINTS, clip.fps):
         part, weight = clip.part(rows), weights.get((rows.start, rows.stop))
         if weight is None or not np.isfinite(states[rows]).all():
-            solved.append(_solve_segment(part, rows, silent))
+            segments.append(_solve_segment(part, rows, silent))
             continue
         estimate = Estimate(states[rows], np.inf, 0, False, shared)
         part = replace(part, prior_weight=weight)
         segment = replace(SegmentFit.before(part, rows, estimate), noise_px=start.noise_px[:, rows])
         segment = _solve_with_noise(part, segment)
-        solved.append(replace(segment, prior_weight=weight))
-    return solved
+        segments.append(replace(segment, prior_weight=weight))
+    return segments
 
 
 def _solve_with_noise(clip: ClipProblem, solved: SegmentFit) -> SegmentFit:
@@ -258,11 +258,11 @@ def with_solved_shape(clip: ClipProblem, solved: SegmentFit) -> ClipProblem:
     return replace(clip, body=clip.shape.applied(solved.estimate.shared))
 
 
-def _with_one_shape(clip: ClipProblem, solved: list[SegmentFit]) -> tuple[ClipProblem, list[SegmentFit]]:
+def _with_one_shape(clip: ClipProblem, segments: list[SegmentFit]) -> tuple[ClipProblem, list[SegmentFit]]:
     """Return the problem and the segments with one common shape, the mean of the shapes of the segments."""
-    shaped = [segment for segment in solved if LENGTHS in segment.estimate.shared]
+    shaped = [segment for segment in segments if LENGTHS in segment.estimate.shared]
     if clip.shape is None or len(shaped) < 2:
-        return clip, solved
+        return clip, segments
     counts = np.array([sum(view.present[segment.rows].sum() for view in clip.views) for segment in shaped], dtype=float)
     shares = counts / counts.sum()
     mean = {
@@ -274,7 +274,7 @@ def _with_one_shape(clip: ClipProblem, solved: list[SegmentFit]) -> tuple[ClipPr
     }
     body = clip.shape.applied(mean)
     clip = replace(clip, body=body, shape=FreeShape.of_body(body), solves_shape=False)
-    return clip, [refined(clip, _without_shape(segment)) for segment in solved]
+    return clip, [refined(clip, _without_shape(segment)) for segment in segments]
 
 
 def _without_shape(segment: SegmentFit) -> SegmentFit:
@@ -350,21 +350,23 @@ def _solve_round(clip: ClipProblem, solved: SegmentFit, temperature: float | Non
     return replace(solved, estimate=estimate, problem=problem, iterations=solved.iterations + estimate.iterations)
 
 
-def _shared_fields(clip: ClipProblem, solved: Sequence[SegmentFit], posteriors: Sequence[Posterior]) -> dict[str, Any]:
+def _shared_fields(
+    clip: ClipProblem, segments: Sequence[SegmentFit], posteriors: Sequence[Posterior]
+) -> dict[str, Any]:
     """Return the solution's fields of the shared unknowns other than the size; 0 if they are not estimated.
 
     Segments are weighted by the number of their frames that several cameras saw.
     """
     V = range(len(clip.views))
     several_see = np.sum([view.present.any(axis=1) for view in clip.views], axis=0) > 1
-    frames = np.array([several_see[fit.rows].sum() for fit in solved])
+    frames = np.array([several_see[fit.rows].sum() for fit in segments])
     shares = (frames / max(frames.sum(), 1))[:, None, None]
 
     def of_views(name: Callable[[int], str], count: int = 1) -> tuple[Array, Array]:
         """Return the values of each of the V views and their standard deviations, (V, count) each."""
-        values = [[fit.shared_values(name(i), count) for i in V] for fit in solved]
+        values = [[fit.shared_values(name(i), count) for i in V] for fit in segments]
         sigmas = [[segment.shared_sigma.get(name(i), np.zeros(count)) for i in V] for segment in posteriors]
-        values, sigmas = (shares * np.reshape(parts, (len(solved), len(V), count)) for parts in (values, sigmas))
+        values, sigmas = (shares * np.reshape(parts, (len(segments), len(V), count)) for parts in (values, sigmas))
         return values.sum(axis=0), np.linalg.norm(sigmas, axis=0)
 
     offsets, focals, sideslip = (
@@ -443,10 +445,10 @@ def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Arr
 # -- the result --------------------------------------------------------------------------------------------------------
 
 
-def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> TrajectorySolution:
+def _solution(clip: ClipProblem, segments: Sequence[SegmentFit], began: float) -> TrajectorySolution:
     """Return the result of all segments together."""
     correlation_frames, unshaped = clip.correlation_frames, clip
-    clip = with_solved_shape(clip, solved[0]) if solved else clip
+    clip = with_solved_shape(clip, segments[0]) if segments else clip
     posteriors = [
         posterior(
             with_noise_about_bias(
@@ -456,9 +458,9 @@ def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> 
             segment.estimate,
             correlation_frames,
         )
-        for segment in solved
+        for segment in segments
     ]
-    size, size_sigma, size_from = _estimate_size(clip, solved, posteriors)
+    size, size_sigma, size_from = _estimate_size(clip, segments, posteriors)
     sizes = {"T": len(clip), "J": len(clip.body.markers), "V": len(clip.views), "F": len(clip.feet), "3": 3}
     sizes |= {"D": clip.body.n_state, "A": clip.body.n_state - YAW}
     shapes = {name: tuple(sizes[letter] for letter in letters) for name, letters in SHAPES.items()}
@@ -471,7 +473,7 @@ def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> 
         return np.moveaxis(arrays[name], SHAPES[name].index("T"), 0)
 
     alternative_cost = np.inf
-    for segment, segment_posterior in zip(solved, posteriors, strict=True):
+    for segment, segment_posterior in zip(segments, posteriors, strict=True):
         for name, values in _segment_arrays(clip, segment, segment_posterior, size, size_sigma):
             if values.shape == shapes[name]:  # if the segment is the whole clip, avoid a copy, which would be large
                 arrays[name] = values
@@ -486,10 +488,10 @@ def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> 
         values[out_of_sight] = np.nan
     shares = [
         segment_posterior.data_share * (segment.rows.stop - segment.rows.start)
-        for segment, segment_posterior in zip(solved, posteriors, strict=True)
+        for segment, segment_posterior in zip(segments, posteriors, strict=True)
     ]
-    shared = _shared_fields(clip, solved, posteriors)
-    costs = [segment.problem.costs(segment.estimate.states, segment.estimate.shared) for segment in solved]
+    shared = _shared_fields(clip, segments, posteriors)
+    costs = [segment.problem.costs(segment.estimate.states, segment.estimate.shared) for segment in segments]
     names = dict.fromkeys(chain.from_iterable(costs))
     return TrajectorySolution(
         body=clip.body,
@@ -502,12 +504,14 @@ def _solution(clip: ClipProblem, solved: Sequence[SegmentFit], began: float) -> 
         data_share=np.sum(shares, axis=0) / posed if shares else np.full(len(clip.body.markers), np.nan),
         flags=flags,
         alternative_cost=alternative_cost if np.isfinite(alternative_cost) else np.nan,
-        segments=tuple(segment.in_world(unshaped, size) for segment in solved if not out_of_sight[segment.rows].all()),
+        segments=tuple(
+            segment.in_world(unshaped, size) for segment in segments if not out_of_sight[segment.rows].all()
+        ),
         prior=clip.prior.name,
-        status="converged" if solved and all(segment.estimate.converged for segment in solved) else "not_converged",
+        status="converged" if segments and all(segment.estimate.converged for segment in segments) else "not_converged",
         cost_by_term={name: sum(by_name.get(name, 0.0) for by_name in costs) for name in names},
-        iterations=sum(segment.iterations for segment in solved),
-        starts=sum(len(tried) for segment in solved for _, tried in segment.windows),
+        iterations=sum(segment.iterations for segment in segments),
+        starts=sum(len(tried) for segment in segments for _, tried in segment.windows),
         **shared,
         stage_s={"all": time.perf_counter() - began},
     )
@@ -564,7 +568,7 @@ def _segment_arrays(
 
 
 def _estimate_size(
-    clip: ClipProblem, solved: Sequence[SegmentFit], posteriors: Sequence[Posterior]
+    clip: ClipProblem, segments: Sequence[SegmentFit], posteriors: Sequence[Posterior]
 ) -> tuple[float, float, tuple[str, ...]]:
     """Return the size, its standard deviation, and its sources.
 
@@ -573,7 +577,7 @@ def _estimate_size(
     """
     prior_precision, bias_variance = clip.size_sigma**-2, _size_error_of_bias(clip) ** 2
     precision, pull, sources = prior_precision, prior_precision, ["prior"]
-    for segment, segment_posterior in zip(solved, posteriors, strict=True):
+    for segment, segment_posterior in zip(segments, posteriors, strict=True):
         if segment_posterior.size_precision > 0:
             # The estimate from the views alone, because the prior draws the minimum towards 1.
             view_precision = segment_posterior.size_precision * clip.correlation_frames

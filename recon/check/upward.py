@@ -1,0 +1,112 @@
+"""Find the upward direction from the ground on which the feet of an animal stand, if the cameras' poses lack it.
+
+The keypoints are triangulated from all cameras, and a plane is fitted to the standing feet. No body is fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from recon.animal.body import Body
+from recon.base.arrays import Array, Index
+from recon.check.agreement import triangulated_m
+from recon.clip import View
+from recon.fit import constants
+from recon.fit.terms import StanceVelocity
+
+MAX_SIGMA_RAD = np.radians(10.0)
+"""Largest uncertainty of the upward direction, which is that of a camera assumed to be level."""
+POSTURE_RAD = np.radians(15.0)
+"""Angle between up and the direction from the feet to the body, in the mean over a clip."""
+FOOT_SHARE = 1 / 15
+"""Height of standing feet above the ground as a fraction of the body's height above them: `GROUND_FOOT_M` of a
+cheetah.
+"""
+MIN_STANDING = 3
+"""Smallest number of standing feet, over all frames, as in `recon.fit.clip_problem`."""
+
+
+class _Upward(NamedTuple):
+    """Hold an upward unit vector (3,), a point (3,) on the ground, and the uncertainty of the direction.
+
+    Metres, in the poses' world; the standard deviation is about the less known axis.
+    """
+
+    up: Array
+    ground_m: Array
+    sigma_rad: float
+
+
+def up_from_feet(views: Sequence[View], body: Body, fps: float, sigma_px: float) -> _Upward | None:
+    """Return the upward direction found from the standing feet of an animal seen by several cameras, or None.
+
+    The direction is the normal of the plane through the standing feet: slow feet that lie in a plane with other slow
+    feet. The body, which is above the feet, stabilises the plane if they stand on one line. The result is None if the
+    feet do not determine the plane.
+
+    Parameters
+    ----------
+    views
+        Views of the clip, in a world whose vertical is not known.
+    body
+        The animal.
+    fps
+        Frames per second.
+    sigma_px
+        Standard deviation of the detector's noise.
+    """
+    positions_m = triangulated_m(views, sigma_px, body.keypoint_sigma_m)
+    feet = np.array([body.markers.index(foot) for foot in body.feet])
+    if not len(feet) or len(positions_m) < 2:
+        return None
+    step = 0.5 * (positions_m[1:, feet] + positions_m[:-1, feet])
+    is_seen = np.isfinite(step[..., 0])
+    posture_m = _feet_to_body(positions_m, feet)
+    if is_seen.sum() < MIN_STANDING or posture_m is None:
+        return None
+    axes = np.linalg.svd(posture_m[None])[2]
+    axes[0] *= np.sign(axes[0] @ posture_m)  # upwards by the posture, and across
+
+    slow = StanceVelocity(feet, fps, constants.SLIP_M_S, constants.SLIP_C).contact(positions_m, 1.0)[2][is_seen]
+    middle = np.median(step[is_seen], axis=0)
+    along_axes = (axes @ (step[is_seen] - middle).T).T
+    correlation_frames = max(constants.ERROR_TIME_S * fps, 1.0)
+    plane, normal, standing = _fit_tilted_plane(along_axes, slow, float(np.linalg.norm(posture_m)), correlation_frames)
+    up = axes.T @ [1.0, *-plane[1:]]
+    sigma = float(np.sqrt(np.linalg.eigvalsh(np.linalg.inv(normal)[1:, 1:])[-1]))
+    if not standing >= MIN_STANDING or not sigma < MAX_SIGMA_RAD:
+        return None
+    return _Upward(up / np.linalg.norm(up), middle + plane[0] * axes[0], sigma)
+
+
+def _feet_to_body(positions_m: Array, feet: Index) -> Array | None:
+    """Return the median vector (3,) from the feet to the rest of the body, or None if they are never seen together."""
+    rest_m = positions_m[:, np.setdiff1d(np.arange(positions_m.shape[1]), feet)]
+    is_whole = np.isfinite(positions_m[:, feet, 0]).any(axis=1) & np.isfinite(rest_m[..., 0]).any(axis=1)
+    if not is_whole.any():
+        return None
+    vectors_m = np.nanmedian(rest_m[is_whole], axis=1) - np.nanmean(positions_m[is_whole][:, feet], axis=1)
+    return np.median(vectors_m, axis=0)
+
+
+def _fit_tilted_plane(
+    feet_m: Array, slow: Array, tall_m: float, correlation_frames: float
+) -> tuple[Array, Array, float]:
+    """Fit a plane to feet (N, 3), height first, with weights (N,) for how slow each foot is.
+
+    The width within which feet count narrows from the body's height tall_m to `FOOT_SHARE` of it. Returns the plane
+    (3,): height and slopes; its curvature (3, 3); and how many feet stand on it.
+    """
+    height, *across = feet_m.T
+    rows = np.stack([np.ones_like(height), *across], axis=-1)
+    posture_precision = np.diag([0.0, *np.full(2, np.tan(POSTURE_RAD) ** -2.0)])
+    plane, normal, weight = np.array([np.quantile(height, 0.25), 0.0, 0.0]), np.eye(3), slow
+    for width_m in tall_m * np.geomspace(1.0, FOOT_SHARE, 12):
+        weight = slow / (1.0 + ((height - rows @ plane) / (3 * width_m)) ** 2) ** 2
+        weighted_rows = rows.T * weight / (correlation_frames * width_m**2)
+        normal = weighted_rows @ rows + posture_precision
+        plane = np.linalg.solve(normal, weighted_rows @ height)
+    return plane, normal, float(weight.sum())
