@@ -1,4 +1,4 @@
-"""The chains of an animal, from the root of a skeleton to a foot, and their joint angles in a reconstruction.
+"""Build the chains of an animal, from the root of a skeleton to a foot, and get their angles from a reconstruction.
 
 They sit in a level base frame at the root. The spine-front-leg chain of the 8U skeleton and planar chains have U along
 the direction of travel, V down, W to the side, right-handed; x and y of planar chains are U and V. The spine's first
@@ -26,7 +26,7 @@ BASE_THETA_RAD = 0.9
 LIMIT_SIGMAS = 3.0
 """Limits of a whole animal's angles, in standard deviations."""
 _TRAVEL_M = 0.1
-"""A shorter path of the root has no direction."""
+"""Length of the root's path below which the path has no direction."""
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -95,7 +95,7 @@ def _angles_near(directions: Array, theta: Array, phi: Array) -> tuple[Array, Ar
         (theta + np.angle(np.exp(1j * (t - theta))), phi + np.angle(np.exp(1j * (p - phi))))
         for t, p in ((T, P), (np.pi - T, P + np.pi))
     ]
-    # Phi counts as far as it turns the link.
+    # Phi counts only as far as it turns the link.
     distances = [(t - theta) ** 2 + (np.cos(t) * (p - phi)) ** 2 for t, p in pairs]
     first = distances[0] <= distances[1]
     return np.where(first, pairs[0][0], pairs[1][0]), np.where(first, pairs[0][1], pairs[1][1])

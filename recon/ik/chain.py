@@ -1,4 +1,4 @@
-"""Serial chains: a tree (`recon.geometry.kinematics`) of one branch, with the limits of its joints.
+"""Describe serial chains: a tree (`recon.geometry.kinematics`) with one branch, and the limits of its joints.
 
 There are three ways to make a chain. The publication's chains have angles that are relative to the link before and
 add up; T_k, P_k are the sums up to link k, r_k its length. In two dimensions (`planar_chain`) link k adds
@@ -32,12 +32,12 @@ Limits = tuple[ArrayLike, ArrayLike]
 """The lower and the upper limit."""
 FREE: Limits = (-np.inf, np.inf)
 MAX_RATE_RAD_S = 50.0
-"""Rate limit of a chain that has none of its own."""
+"""Rate limit of a chain that defines none."""
 
 
 @dataclass(frozen=True, eq=False)
 class SerialChain:
-    """A chain with n joints in dim dimensions, with its base at the origin.
+    """Hold a chain with n joints in dim dimensions, with its base at the origin.
 
     Joint angles q are (n,) or, for many configurations at once, (..., n): rad, and metres for joints that slide.
     """
@@ -45,9 +45,9 @@ class SerialChain:
     tree: Tree
     """The tree of one branch, with one marker: the end effector."""
     columns: Index
-    """(n,): where the tree's state has the joints."""
+    """(n,): columns of the tree's state that hold the joints."""
     names: tuple[str, ...]
-    """(n,): what the joints are called."""
+    """(n,): names of the joints."""
     groups: tuple[tuple[int, ...], ...]
     """The joints that follow each other along the chain, one tuple for each kind of angle."""
     lower_rad: Array
@@ -94,7 +94,7 @@ class SerialChain:
         return self.base @ self.tree.orientations(self._states(q))[0, -1] @ self.tool_rotation, self.end(q)
 
     def inside_limits(self, q: Array) -> Array:
-        """Return the nearest angles to q (..., n) within the limits."""
+        """Return the angles within the limits that are nearest to q (..., n)."""
         return np.minimum(np.maximum(q, self.lower_rad), self.upper_rad)
 
     # -- velocities, for q (n,) ------------------------------------------------------------------------------------
@@ -277,7 +277,7 @@ def _with_z_along(z: Array) -> Array:
 
 
 def unreachable(chain: SerialChain, target_m: Array, tolerance_m: float = 0.0) -> str:
-    """Return why no angles put the end effector within the tolerance of a target (dim,); empty if some may."""
+    """Return why no angles put the end effector within the tolerance of a target (dim,), or "" if some may."""
     if not np.isfinite(target_m).all():
         return "unreachable: the target is not finite"
     distance, (nearest, farthest) = float(np.linalg.norm(target_m)), chain.reach_m

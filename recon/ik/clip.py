@@ -56,10 +56,10 @@ STRIDE_MAX = "stride-max"
 
 
 class IkSettings(Settings):
-    """The settings of `recon ik`."""
+    """Settings of `recon ik`."""
 
     folder: Annotated[Path, Option(argument="DIR")]
-    """Folder of results, as in results/clip."""
+    """Results folder, such as results/clip."""
     method: Annotated[
         MethodName,
         Option(
@@ -69,41 +69,43 @@ class IkSettings(Settings):
         ),
     ] = "damped"
     target: str | None = None
-    """Drive the foot there: stride-max, its foremost position in the stride, from its rearmost; or x,y,z in metres
-    from the chain's base, as in 0.8,0.1,-0.5."""
+    """Target of the foot: stride-max, its foremost position in the stride, starting from its rearmost; or x,y,z in
+    metres from the chain's base, such as 0.8,0.1,-0.5.
+    """
     follow: Literal["stride"] | None = None
-    """Follow a path with the foot: stride, one of its own, closed."""
+    """Path that the foot follows: stride, one stride of its own, closed."""
     compare: bool = False
-    """All methods in one table; both jobs unless one is asked for."""
+    """Compare all methods in one table, for both tasks unless one is chosen."""
     foot: Annotated[str | None, Option(metavar="FOOT")] = None
     """LF, RF, LH, RH, or the joint's name. (default: the first fore foot)"""
     stride: Annotated[StrideTimes | None, STRIDE] = None
     dim: Annotated[Integer, Field(ge=2, le=3)] = 3
     """2: in the vertical plane of travel; 3: in space."""
     turns: Annotated[Integer, Field(ge=1)] = 1
-    """How often to follow the stride."""
+    """Number of times to follow the stride."""
     limits: bool = True
-    """Limits of the joints."""
+    """Respect the limits of the joints."""
     fitted: bool = False
-    """With the methods' parameters fitted to this clip; also fits them to each frame of the stride."""
+    """Use the methods' parameters fitted to this clip; also fit them to each frame of the stride."""
     online: bool = False
-    """Along the stride, parameters refitted at every frame to the animal's joint rates just before."""
+    """Refit the parameters at every frame of the stride to the animal's recent joint rates."""
     cost: str | None = None
     """Cost of the methods extended and gradient-projection: differences, energy, harmonic, pose (distance from the
     clip's mean pose), or a sum with weights, as in energy,differences=0.1."""
     costs: bool = False
-    """What the extended Jacobian does with each cost over ten turns of the stride: convergent, drifting, singular or
-    chaotic."""
+    """Study the extended Jacobian method with each cost over ten turns of the stride: convergent, drifting, singular or
+    chaotic.
+    """
     alpha: Annotated[Literal["step"] | Number | None, Option(expected="step, or a number other than 0")] = None
     """Factor on the joints' rates of every method: a number, or step, at every step the one with which the foot moves
     nearest to what is asked for. (default: none)"""
     out: Path | None = None
     """Folder for tables and figures. (default: ik in DIR)"""
     figures: bool = True
-    """PNG and SVG beside the tables."""
+    """Write figures (PNG and SVG) next to the tables."""
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: bool = False
-    """Replace earlier ones."""
+    """Replace earlier tables and figures."""
 
     @property
     def methods(self) -> tuple[str, ...]:
@@ -127,7 +129,7 @@ class IkSettings(Settings):
         return self.folder / "ik" if self.out is None else self.out
 
     def problems(self) -> Iterator[Problem]:
-        """Yield what does not go together."""
+        """Yield problems of settings that exclude each other."""
         if self.has_no_job and not (self.compare or self.costs):
             yield Problem("options", "job", "none", "--target, --follow stride, --compare or --costs")
         if self.method == EXTENDED and self.cost is None:
@@ -168,7 +170,7 @@ class IkRun:
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """The summary of the run, as ik.json holds it."""
+        """The content of ik.json."""
         limb, stride, settings = self.limb, self.stride, self.settings
         stride_s = {"start_s": self.begins_s, "end_s": limb.first_s + stride.end_s}
         fitted = {
@@ -253,7 +255,7 @@ def run_ik(settings: IkSettings) -> IkRun:
         solved = IkRun(settings, motion, limb, stride, goal, runs, parameters, series, portraits, costs)
         with output.staged() as staging:
             _write(solved, staging)
-        if settings.figures:  # after the tables, which are there whatever befalls them
+        if settings.figures:  # after the tables, so that they exist even if a figure fails
             with output.staged(adds=True) as staging:
                 write_figures(solved, staging)
     return solved

@@ -1,4 +1,4 @@
-"""What the extended Jacobian does with each cost, on a closed path followed many times.
+"""Study the behaviour of the extended Jacobian with each cost, on a closed path followed many times.
 
 Appendices B and C of C. van der Leek, MSc(Eng), University of Cape Town, 2022, try costs on the joint angles that make
 the method singular or its paths chaotic. A cost is "convergent" if the angles after every turn are those at its

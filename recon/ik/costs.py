@@ -1,4 +1,4 @@
-"""Costs on the joint angles of redundant chains, with their gradients and Hessians.
+"""Define costs on the joint angles of redundant chains, with their gradients and Hessians.
 
 They are the thesis' (C. van der Leek, 2022). In the rotational energies each link has its own length (printed with r5
 throughout).
@@ -18,7 +18,7 @@ from recon.ik.chain import SerialChain
 
 @dataclass(frozen=True, eq=False)
 class Cost:
-    """A cost on joint angles q (n,), rad: three functions of them."""
+    """Hold a cost on joint angles q (n,), rad, as three functions."""
 
     value: Callable[[Array], float]
     gradient: Callable[[Array], Array]

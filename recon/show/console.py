@@ -42,7 +42,7 @@ def console_summary(report: Mapping[str, Any]) -> Table:
             colour = {"error": "red", "warning": "yellow"}[finding["severity"]]
             table.add_row(Text(finding["severity"], style=f"bold {colour}"), Text(finding["text"], colour))
     for label, text in report["lines"][verdict_count:]:
-        are_all_used = label == "keypoints" and text.endswith(" used")  # as they should be
+        are_all_used = label == "keypoints" and text.endswith(" used")  # nothing is missing
         if label in FRONT and not are_all_used:
             table.add_row(Text(label, style="bold"), text)
     return table

@@ -1,4 +1,4 @@
-"""Draw a reconstruction on a frame of its video, with the pose from three sides beneath: plain arrays and OpenCV.
+"""Draw a reconstruction on a frame of its video, and the pose from three sides below it, with OpenCV.
 
 On the picture: limbs in the colour of their side, light and thick if they are nearer to the camera than the animal's
 middle, dark and thin if they are farther away; rings for detections within the expected error, red crosses for
@@ -37,30 +37,30 @@ SHIFT = 4
 STRIP_SHARE = 0.3
 """Height of the strip with the three views, relative to 9/16 of the width."""
 COLUMNS = {"side": 0.38, "from above": 0.26, "from ahead": 0.18}
-"""Shares of the width; the key has the rest."""
+"""Fractions of the width; the key takes the rest."""
 TILE_PX, TILE_UNIT = (480, 300), 0.55
 """The size of a still in pixels, and the scale of what is drawn on it."""
 DARKENED = 0.35
-"""Share of the picture's brightness behind a text."""
+"""Fraction of the picture's brightness that remains behind a text."""
 _FILLED = 0.8
-"""The share of a tile that the largest animal fills."""
+"""Fraction of a tile that the largest animal fills."""
 CLOSE_UP, WORTH = 0.36, 1.6
-"""Share of the picture's sides that the close-up takes, and the least enlargement with which it is shown."""
+"""Fraction of the picture's sides that the close-up takes, and the smallest enlargement for which it is shown."""
 HEADING_S = 0.25
-"""Time over which the views average the trunk's direction, so that they do not shake."""
+"""Time over which the views average the trunk's direction, to avoid shaking."""
 
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """Drawing of T frames of J joints on a video."""
+    """Hold the data for drawing T frames of J joints on a video."""
 
     frames: Integers
     """The numbers of the T frames, shape (T,)."""
     fps: float
     limbs: Sequence[Sequence[int]]
-    """Joints along each, as indices."""
+    """Joints along each limb, as indices."""
     colours: Sequence[Colour]
-    """One colour for each limb."""
+    """Colour of each limb."""
     detected_px: Array
     """Detections (T, J, 2), NaN if missing."""
     reprojected_px: Array
@@ -76,11 +76,11 @@ class Overlay:
     flags: Sequence[Sequence[str]]
     """Flags of each of the T frames."""
     speed: float = 1.0
-    """The speed of the playback, 1 is real time."""
+    """Speed of the playback; 1 is real time."""
 
     @cached_property
     def nearness(self) -> Array:
-        """Return how near joints are, (T, J): 1 near, -1 far, 0 at the animal's middle, on one scale over the clip."""
+        """Return how near joints are, (T, J), on one scale over the clip: 1 near, -1 far, 0 at the middle."""
         relative = self.depth_m - mean_along(self.depth_m, axis=1)[:, None]
         known_m = np.abs(finite(relative))
         reach = float(np.percentile(known_m, 95)) if len(known_m) else 1.0
@@ -115,7 +115,7 @@ class Overlay:
 
     @cached_property
     def extent_px(self) -> float:
-        """Return the animal's length in the picture: the median diagonal of its joints' box."""
+        """Return the animal's length in the picture: the median diagonal of the box around its joints."""
         return float(np.median(np.linalg.norm(self._sides_px, axis=1)))
 
     @cached_property
@@ -125,7 +125,7 @@ class Overlay:
 
     @cached_property
     def box_px(self) -> Array:
-        """Return the sides (2,) of the largest box about the joints of a frame, stray poses apart."""
+        """Return the sides (2,) of the largest box around the joints of a frame, without stray poses."""
         return np.maximum(np.percentile(self._sides_px, 98, axis=0), 1.0)
 
     @cached_property
@@ -137,7 +137,7 @@ class Overlay:
 
     @cached_property
     def bounds(self) -> dict[str, tuple[Array, Array]]:
-        """Return the lowest and highest coordinates (2,) of each view over the clip, metres, stray poses apart."""
+        """Return the lowest and highest coordinates (2,) of each view over the clip, metres, without stray poses."""
         points_of_view = {name: points[np.isfinite(points).all(axis=-1)][:, :2] for name, points in self.views.items()}
         unit_box = -np.ones(2), np.ones(2)
         return {
@@ -168,7 +168,7 @@ def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tup
         max(min(rows), first_frame),
         max(rows),
         0,
-    )  # a camera that began later lacks the first ones
+    )  # a camera that began later lacks the first frames
     for index, stamp_s, picture in timed_frames(video, first - first_frame, last + 2 - first_frame):
         frames_read += 1
         yield index + first_frame, rows.get(index + first_frame), stamp_s, picture
@@ -183,7 +183,7 @@ def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tup
 
 
 def canvas_size(size_px: tuple[int, int]) -> tuple[int, int]:
-    """Return (width, height) of `draw_frame`'s result for a picture of this size: even, as codecs need."""
+    """Return (width, height) of the result of `draw_frame` for a given picture size; even numbers, as codecs need."""
     width, height = size_px
     strip = round(STRIP_SHARE * width * 9 / 16)
     return width + width % 2, height + strip + (height + strip) % 2
@@ -198,10 +198,10 @@ def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> I
     canvas_w, canvas_h = canvas_size((width, height))
     canvas = np.full((canvas_h, canvas_w, 3), PAPER, np.uint8)
     canvas[:height, :width] = picture
-    unit = max(width, height) / 1920  # sizes are those for 1920 px
+    unit = max(width, height) / 1920  # sizes are for a width of 1920 px
     if t is not None:
         image = canvas[:height, :width]
-        # Marks that do not hide a small animal.
+        # small enough not to hide a small animal
         marks = min(unit, max(0.4 * unit, overlay.extent_px / 700))
         _draw_pose(image, overlay, t, marks)
         _draw_close_up(image, overlay, t, picture, unit)
@@ -211,7 +211,7 @@ def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> I
 
 
 def draw_tiles(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence[Image] | None = None) -> list[Image]:
-    """Return these frames, each cut out about the animal, at one scale.
+    """Return the given frames, each cut out around the animal, at one scale.
 
     pictures: of each frame, in the pixels of the overlay; without, on a plain background.
     """
@@ -231,17 +231,17 @@ def draw_tiles(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence
 
 @dataclass(frozen=True, eq=False)
 class _Cut:
-    """A part of the picture, from a corner (2,), px, enlarged by a scale."""
+    """Hold a part of the picture: its corner (2,), px, and an enlargement."""
 
     corner_px: Array
     scale: float
 
     def place(self, points_px: Array) -> Array:
-        """Return the points (N, 2) of the picture in the cut."""
+        """Return points (N, 2) of the picture in the cut-out part."""
         return self.scale * (points_px - self.corner_px)
 
     def crop(self, picture: Image, size_px: tuple[int, int]) -> Image:
-        """Return the cut of a picture (height, width, 3)."""
+        """Return the cut-out part of a picture (height, width, 3)."""
         (x, y), scale = self.corner_px, self.scale
         to_cut = np.array([[scale, 0.0, -scale * x], [0.0, scale, -scale * y]])
         return np.asarray(cv2.warpAffine(picture, to_cut, size_px, flags=cv2.INTER_LINEAR, borderValue=PAPER), np.uint8)
@@ -276,7 +276,7 @@ def _draw_close_up(image: Image, overlay: Overlay, t: int, picture: Image, unit:
 
 
 def _draw_pose(image: Image, overlay: Overlay, t: int, unit: float, cut: _Cut = WHOLE) -> None:
-    """Draw the skeleton, and on it the detections."""
+    """Draw the skeleton, and the detections on top."""
     xy, nearness_of_joint = cut.place(overlay.reprojected_px[t]), overlay.nearness[t]
     segments = [
         (0.5 * (nearness_of_joint[a] + nearness_of_joint[b]), a, b, colour)
@@ -304,7 +304,7 @@ def _draw_pose(image: Image, overlay: Overlay, t: int, unit: float, cut: _Cut = 
 
 
 def shade(colour: Colour, nearness: float) -> Colour:
-    """Return a colour mixed with white where it is near (1), with black where it is far (-1)."""
+    """Return a colour mixed with white for near (1), and with black for far (-1)."""
     target, amount = (255.0, 0.45 * nearness) if nearness > 0 else (0.0, -0.45 * nearness)
     blue, green, red = (round(c + (target - c) * amount) for c in colour)
     return blue, green, red
@@ -313,7 +313,7 @@ def shade(colour: Colour, nearness: float) -> Colour:
 def _draw_caption(
     canvas: Image, overlay: Overlay, t: int | None, frame: int, size_px: tuple[int, int], unit: float
 ) -> None:
-    """Draw frame number and time; for a doubtful frame also its flags, and a border around the picture."""
+    """Draw frame number and time; for a flagged frame also its flags, and a border around the picture."""
     speed_text = "" if overlay.speed == 1 else f"   {overlay.speed:.3g}x"
     x, y, scale = round(24 * unit), round(48 * unit), 1.1 * unit
     draw_text(canvas, f"frame {frame}   {frame / overlay.fps:.3f} s{speed_text}", (x, y), scale, INK)
@@ -328,7 +328,7 @@ def _draw_caption(
 
 
 def _draw_strip(canvas: Image, overlay: Overlay, t: int | None, top: int, width: int) -> None:
-    """Draw the three views beneath the picture, and the key."""
+    """Draw the three views and the key below the picture."""
     height = round(STRIP_SHARE * width * 9 / 16)
     unit = width / 1920
     pad, foot = round(18 * unit), round(44 * unit)
@@ -370,7 +370,7 @@ def _draw_view(canvas: Image, overlay: Overlay, points_px: Array, nearness: Arra
 
 
 def _draw_scale(canvas: Image, box: tuple[int, int, int, int], scale: float, y: int, unit: float) -> None:
-    """Draw a bar of a round length, about a fifth of the view."""
+    """Draw a scale bar of a round length, about a fifth of the view."""
     x, _, w, _ = box
     length = min((0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0), key=lambda m: abs(math.log(m * scale / (0.2 * w))))
     start, end = np.array([[x + 0.5 * w, y], [x + 0.5 * w + length * scale, y]])

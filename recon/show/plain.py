@@ -34,7 +34,7 @@ def file_name(path: str | None) -> str | None:
 
 
 def picked(source: object, *names: str) -> dict[str, Any]:
-    """Return attributes of an object by their names."""
+    """Return a function that reads attributes of an object by name."""
     return {name: getattr(source, name) for name in names}
 
 
@@ -44,14 +44,14 @@ def by_name(names: Sequence[str], values: Sequence[object]) -> dict[str, Any]:
 
 
 def spread(values: Array) -> dict[str, float]:
-    """Return mean, least and greatest of the known values."""
+    """Return mean, smallest and largest of the known values."""
     known_values = finite(values)
     low, high = (float(known_values.min()), float(known_values.max())) if len(known_values) else (np.nan, np.nan)
     return {"mean": mean(values), "min": low, "max": high}
 
 
 def number(value: float | None, spec: str) -> str:
-    """For a summary: ? where it is unknown."""
+    """Return a number as text for a summary, or "?" if it is unknown."""
     return "?" if value is None or math.isnan(value) else format(value, spec)
 
 

@@ -1,4 +1,4 @@
-"""Make the page of an audit: each finding with the frames it is about, and what was tested."""
+"""Make the page of an audit: each finding with its frames, and the list of checks."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ NEEDS_NOTHING = (
     *("points_identical", "detections_frozen", "detections_repeated", "point_frozen", "points_interpolated"),
     "frames_dropped",
 )
-"""Checks that any points allow, and that have no measure where there is nothing suspicious."""
+"""Checks that apply to all points, and that have no measure if nothing is suspicious."""
 
 
 def _row(item: Finding, first: int, last: int) -> Mapping[str, object]:

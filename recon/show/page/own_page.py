@@ -1,4 +1,4 @@
-"""Names of the pages' files, and how a page of recon is known from another program's."""
+"""Define the names of the pages' files, and the mark that identifies pages made by recon."""
 
 from __future__ import annotations
 

@@ -46,11 +46,11 @@ from recon.show.sentences import analysis_sentences
 JPEG_QUALITY = 80
 PNG_DPI = 190.0
 UNSEEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
-"""Control characters and marks of text direction, which can stand in file names."""
+"""Control characters and marks of text direction, which can occur in file names."""
 
 
 def rendered(template: str, **content: Any) -> str:
-    """Return a page. All text is escaped except figures, which the template marks safe."""
+    """Return a page; all text is escaped except figures, which the template marks as safe."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent / "templates"),
         autoescape=True,
@@ -92,7 +92,7 @@ def _data(kind: str, content: bytes) -> str:
 SECTION_CHARACTERS = 600_000
 """Largest size of a section's vector graphics; three sections and the stills are below 3 MB."""
 SHOWN = 100
-"""Rows of the table of doubtful frames."""
+"""Number of rows in the table of flagged frames."""
 SPEED_MM = 100.0
 LENGTHS, POSES, STRETCHES = 4.0, 7, 3
 """Body lengths that an animal runs in one figure, poses in it, and largest number of figures."""
@@ -100,10 +100,10 @@ LENGTHS, POSES, STRETCHES = 4.0, 7, 3
 
 @dataclass(frozen=True)
 class Neighbours:
-    """Hold links from a clip's page to its batch's pages, relative to the clip's folder, with forward slashes."""
+    """Hold links from a clip's page to the pages of its batch, relative to the clip's folder, with forward slashes."""
 
     clip: str
-    """The clip's own name."""
+    """Name of the clip itself."""
     summary: str
     previous: str | None
     following: str | None
@@ -165,12 +165,12 @@ def clip_page(
 
 
 def _base(path: str | None) -> str:
-    """Return the name of a file of any system, without its folders."""
+    """Return the name of a file from any system, without its folders."""
     return (path or "clip").replace("\\", "/").rsplit("/", 1)[-1]
 
 
 def _plain(value: object) -> str:
-    """Return a setting with the names of files without their folders, which readers of the page need not know."""
+    """Return a setting with file names but no folders, which readers of the page do not need to know."""
     return ", ".join(map(_plain, value)) if isinstance(value, list) else _base(str(value))
 
 
@@ -186,7 +186,7 @@ def _subtitle(motion: Motion) -> str:
 
 
 def _words(report: Mapping[str, Any], analysis: ClipAnalysis | None) -> Iterator[str]:
-    """Yield the result in a few sentences."""
+    """Yield the result as a few sentences."""
     yield f"Frames: {dict(report['lines'])['frames']}."
     if analysis is None:
         yield "Too few frames have a pose for a speed or a gait."
@@ -195,7 +195,7 @@ def _words(report: Mapping[str, Any], analysis: ClipAnalysis | None) -> Iterator
 
 
 def doubtful_frames(motion: Motion) -> Iterator[tuple[int, str, str]]:
-    """Yield runs of frames with the same flags: the first row, the numbers, and the flags in words."""
+    """Yield runs of frames with the same flags: the first row, the frame numbers, and the flags as text."""
     for row, stop, flags in flag_runs(motion):
         first, last = motion.frames[[row, stop - 1]]
         yield row, (f"{first}" if first == last else f"{first} to {last}"), ", ".join(flags)
@@ -250,7 +250,7 @@ def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
 
 
 def _stretches(motion: Motion, path: JointKinematics) -> Iterator[Array]:
-    """Yield some of the poses (T, J, 3), in parts of the clip that are short enough to be seen; the rest is NaN."""
+    """Yield some of the poses (T, J, 3) for parts of the clip short enough to be visible; the rest is NaN."""
     joints_m = motion.upright.xyz_m
     pose_rows = np.flatnonzero(np.isfinite(joints_m).all(axis=(1, 2)))
     length_m = float(np.median(np.ptp(joints_m[pose_rows], axis=1), axis=0).max())
@@ -282,16 +282,16 @@ one far keypoint makes the mean large.
 DOTS = {"pose_mm": "pose off by (mm)", "median_px": "median keypoint error (px)", "mean_speed_m_s": "mean speed (m/s)"}
 """Columns whose distribution over the clips is drawn."""
 DOTS_PX = (300.0, 44.0)
-"""Size of a distribution."""
+"""Size of a distribution plot, px."""
 FAR_MEAN = 5.0
-"""Ratio of the mean keypoint error to the median from which the page explains that the two differ."""
+"""Ratio of the mean keypoint error to the median above which the page explains the difference."""
 THUMBNAIL_PX = (96, 60)
 FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:)?[/\\](?:[^/\\:]+[/\\])+")
-"""Folders of a file that an error names, which readers of the page need not know."""
+"""Folders in front of a file name in an error, which readers of the page do not need to know."""
 
 
 def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
-    """Return the HTML of the batch in a folder, whose summary.csv has these rows."""
+    """Return the HTML of the batch in a folder with these rows of summary.csv."""
     clips = sorted((_clip_row(out, row) for row in rows), key=lambda clip: clip["rank"])
     counter = Counter(row["verdict"] or row["status"] for row in rows)
     counts = {name: counter[name] for name in dict.fromkeys((*FIRST, *LEVELS, *counter)) if counter[name]}
@@ -326,7 +326,7 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
         doubtful, thumbnail = sum(map(bool, motion.flags)), _thumbnail(motion)
         error_px = median_error_px(motion)
         cells = {**cells, "median_px": f"{error_px:.4g}" if math.isfinite(error_px) else ""}
-    except (OSError, InputError):  # failed, or damaged since
+    except (OSError, InputError):  # failed, or damaged since then
         doubtful, thumbnail = None, []
         cells = {**cells, "median_px": ""}
     state = cells["status"] if cells["status"] in FIRST else cells["verdict"]
@@ -358,7 +358,7 @@ def median_error_px(motion: Motion) -> float:
 
 
 def _dots(clips: Sequence[Mapping[str, Any]], name: str, title: str) -> dict[str, Any] | None:
-    """Return a quantity's distribution over the clips: a dot for each; None for fewer than two clips."""
+    """Return the distribution of a quantity over the clips, one dot per clip, or None for fewer than two clips."""
     values = {clip["cells"]["clip"]: float(value) for clip in clips if (value := clip["cells"].get(name))}
     if len(values) < 2:
         return None
@@ -370,7 +370,7 @@ def _dots(clips: Sequence[Mapping[str, Any]], name: str, title: str) -> dict[str
         if (value := values.get(clip["cells"]["clip"])) is None:
             continue
         x = 8 + (width - 16) * ((value - low) / (high - low) if high > low else 0.5)
-        columns[column := round(x / 8)] += 1  # dots of about one value stand on each other
+        columns[column := round(x / 8)] += 1  # dots of nearly equal values are stacked
         y = max(6.0, height - 8 - 7 * (columns[column] - 1))
         label = f"{clip['cells']['clip']}: {value:.3g}"
         dots.append({"x": f"{x:.0f}", "y": f"{y:.0f}", "label": label} | {k: clip[k] for k in ("page", "state")})

@@ -1,4 +1,4 @@
-"""Choose and encode the pictures of a video that a page carries: all of a short clip's, stills of a long one.
+"""Choose and encode the pictures of a video that a page contains: all of a short clip's, stills of a long one's.
 
 They are WebP pictures and no video file: every browser shows them, each frame is found exactly, and OpenCV encodes
 them quickly. The H.264 encoder is in none of OpenCV's wheels, and its VP8 and VP9 take ten times the time at twice the
@@ -24,9 +24,11 @@ STRIP_BYTES = 2_500_000
 LADDER = ((960, 55), (800, 50), (640, 50), (640, 35), (480, 35))
 """Widths and qualities, the best first; the first that fits into `STRIP_BYTES` is taken."""
 MARGIN = 0.2
-"""Room about the animal's boxes, relative to them."""
+"""Margin around the boxes of the animal, relative to their size."""
 SMALL_PX, WINDOW = 150.0, 2.6
-"""An animal shorter than this in the picture of its whole path is followed by a window of this many times its box."""
+"""Size in pixels below which an animal is followed by a moving window, and the window's size relative to the animal's
+box.
+"""
 WINDOW_PX = 640
 SMOOTH_S = 0.2
 MIME = "image/webp"
@@ -34,7 +36,7 @@ MIME = "image/webp"
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """The part of each frame that is kept: corners (T, 2), and one size (2,), px of the video."""
+    """Hold the part of each frame that is kept: corners (T, 2), and one size (2,), px of the video."""
 
     corners_px: Integers
     size_px: tuple[int, int]
@@ -44,21 +46,21 @@ class Cut:
 
 @dataclass(eq=False)
 class PictureStrip:
-    """Pictures of some frames, as the page has them."""
+    """Hold the pictures of some frames for a page."""
 
     cut: Cut
     rows: list[int] = field(default_factory=list)
     """Rows of the motion, increasing."""
     encoded: list[bytes] = field(default_factory=list)
     every: int = 1
-    """1: every frame that the video has; otherwise every nth."""
+    """1 for every frame of the video; n for every nth."""
     video: str = ""
     """Name of the video."""
     first_frame: int = 0
-    """Number that the video's first frame has in the clip."""
+    """Frame number of the clip that the video's first frame has."""
 
     def to_json(self) -> dict[str, Any]:
-        """Return what the player reads."""
+        """Return the data for the player."""
         return {
             "mime": MIME,
             "every": self.every,
@@ -72,7 +74,7 @@ class PictureStrip:
 
 
 def cut_of(points_px: Array, fps: float, picture_px: tuple[int, int]) -> Cut:
-    """Return what to keep of each picture.
+    """Return the part of each picture to keep.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Give the player of a page its data: the motion, the cameras' pictures, curves, stances and findings, packed.
+"""Give the player of a page its data: the motion, the cameras' pictures, curves, stances and findings.
 
 `player/data.js` reads it. Arrays over frames are whole numbers in base64, so that a page of 4,000 frames stays small.
 """
@@ -28,7 +28,7 @@ LARGEST_BYTE, NO_BYTE = 254, 255
 CAMERA_BYTES = 1_800_000
 """Largest size of the cameras' detections in a page before base64; the chosen camera is always there."""
 SPREADS = 600
-"""Frames whose uncertainty is in a page, evenly chosen: it changes slowly."""
+"""Number of frames whose uncertainty is stored, evenly spaced, since it changes slowly."""
 POSTURE_BYTES = 400_000
 """Largest size of the curves of the model's own angles, which a skeleton with anatomy has besides its flexions."""
 MISSING, FITS, OUTLIER = 0, 1, 2
@@ -38,7 +38,7 @@ MISSING, FITS, OUTLIER = 0, 1, 2
 def player_data(
     motion: Motion, analysis: ClipAnalysis | None, number: int = 0, pictures: PictureStrip | None = None
 ) -> dict[str, Any]:
-    """Return what the player shows, in JSON types.
+    """Return the player's data in JSON types.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ def player_data(
 
 
 def flag_runs(motion: Motion) -> Iterator[tuple[int, int, tuple[str, ...]]]:
-    """Yield the runs of rows with the same flags: first row, the one after the last, and the flags."""
+    """Yield the runs of rows with the same flags: first row, the row after the last, and the flags."""
     for flags, rows_of_run in groupby(range(len(motion.flags)), lambda t: motion.flags[t]):
         if flags:
             rows = [*rows_of_run]
@@ -142,7 +142,7 @@ def _spreads(covariance_m2: Array) -> Array:
     """Return the lower Cholesky factors of covariances (T, J, 3, 3), (T, J, 6): xx, yx, yy, zx, zy, zz."""
     known = np.isfinite(covariance_m2.sum(axis=(2, 3), keepdims=True))
     regular = np.where(known, covariance_m2, 0.0) + 1e-12 * np.eye(3)
-    values, vectors = np.linalg.eigh(regular)  # rounding can leave a variance just below 0
+    values, vectors = np.linalg.eigh(regular)  # rounding can make a variance slightly negative
     regular = (vectors * np.maximum(values, 1e-12)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
     factors = np.linalg.cholesky(regular)[..., [0, 1, 1, 2, 2, 2], [0, 0, 1, 0, 1, 2]]
     return np.where(known[..., 0], factors, np.nan)
@@ -163,7 +163,7 @@ def _grounds(motion: Motion) -> Iterator[dict[str, Any]]:
 
 
 def _camera_pose(motion: Motion, number: int) -> dict[str, Any]:
-    """Return where a camera stands and looks; of one that moves, in each frame."""
+    """Return the position and rotation of a camera, in each frame if it moves."""
     view, camera = motion.solution.views[number], motion.cameras[number]
     T_camera_world = np.asarray(view.T_camera_world)
     R, t = T_camera_world[..., :3, :3], T_camera_world[..., :3, 3]
@@ -202,7 +202,7 @@ def _cameras(motion: Motion, number: int) -> Iterator[dict[str, Any]]:
 
 
 def _detections(picture: Picture) -> dict[str, Any]:
-    far_px = 2.0 * max(picture.camera.image_size_px)  # points further off are not drawn
+    far_px = 2.0 * max(picture.camera.image_size_px)  # points further away are not drawn
     near_px = [np.where(np.abs(xy) < far_px, xy, np.nan) for xy in (picture.detected_px, picture.reprojected_px)]
     # A detector that has an offset of its own is compared with where it would see the joint.
     states = np.where(picture.present, FITS, MISSING)
@@ -256,7 +256,7 @@ def _panel(
     curves: Mapping[Any, tuple[Array, Array, bool]],
     least: float | None = None,
 ) -> dict[str, Any]:
-    """Return one strip. measured: False of an angle that comes mostly from the prior."""
+    """Return one panel; `measured` is False for an angle that comes mostly from the prior."""
     return {
         "title": title,
         "unit": unit,
@@ -275,7 +275,7 @@ def _panel(
 
 
 def _at(time_s: Array, sample_s: Array, values: Array) -> Array:
-    """Return samples at the frames' times: those nearest in time, NaN where none is near."""
+    """Return the samples nearest to the frames' times, NaN if none is near."""
     if not len(sample_s):
         return np.full(len(time_s), np.nan)
     step_s = float(np.median(np.diff(sample_s))) if len(sample_s) > 1 else np.inf

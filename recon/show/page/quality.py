@@ -1,4 +1,4 @@
-"""Say of every keypoint of a camera what the fit made of its detections, for the table of a page."""
+"""Describe how the fit used the detections of each keypoint of a camera, for a table of a page."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from recon.base.arrays import Array, median
 from recon.fit.motion import Motion, Picture
 
 STUCK_PX, STUCK_LEAST = 3.0, 5
-"""Outliers of a keypoint within this many pixels of one point, in at least this many frames, are stuck there."""
+"""Outliers of a keypoint within this distance (px) of one point, in at least this number of frames, are stuck."""
 SWAPS = ("left_right_swap", "left_right_swap_possible", "left_right_swap_mended", "clip_swapped_back")
 """Codes of findings on left-right swaps."""
 NEEDS_LOOK = 0.1
-"""Share of a keypoint's frames, of outliers and swaps, from which its row says that it needs a look."""
+"""Fraction of outliers and swaps in a keypoint's frames above which its row asks for a check."""
 
 
 def quality_tables(motion: Motion) -> list[dict[str, Any]]:
@@ -34,7 +34,7 @@ def _rows(motion: Motion, picture: Picture) -> Iterator[dict[str, Any]]:
         used, outliers = int(picture.present[:, j].sum()), int(picture.outliers[:, j].sum())
         rejected = 0 if counts is None else counts["rejected"]
         error_px, stuck = median(picture.distance_px[:, j]), stuck_at(picture, j)
-        # The worst first: outliers and swaps as shares of the frames, then the error.
+        # Worst first: by the fraction of outliers and swaps, then by the error.
         share = (outliers + int(swapped[:, j].sum())) / max(1, len(motion.frames))
         yield {
             "keypoint": j,
@@ -52,7 +52,7 @@ def _rows(motion: Motion, picture: Picture) -> Iterator[dict[str, Any]]:
 
 
 def swapped_frames(motion: Motion, picture: Picture) -> Array:
-    """Return in which frames a finding calls keypoints of a camera swapped, (T, J)."""
+    """Return a mask of keypoints that a finding calls swapped, (T, J)."""
     swapped = np.zeros(picture.present.shape, dtype=bool)
     for item in motion.findings:
         if item.code in SWAPS and item.camera in (None, picture.name):

@@ -1,4 +1,4 @@
-"""Figures of a result, for print: one function for each, which returns matplotlib's Figure. `save` writes it."""
+"""Draw figures of a result for print: each function returns a matplotlib Figure, which `save` writes."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Set the look of the figures and write them.
+"""Set the style of the figures and write them.
 
 Widths are those of a page (180 mm) or a column (85 mm), text is 8 points. Colours are those of Okabe and Ito without
 yellow, which is pale on paper; lines that have to be distinguished differ in dashes too. Time is viridis without its
@@ -45,7 +45,7 @@ PNG_DPI, PRINT_DPI = 200, 600
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
 MOST_DOTS = 500
-"""Largest number of dots in a line: more would touch and be slow to draw."""
+"""Largest number of dots in a line; more would touch and be slow to draw."""
 GREY, PALE = "#666666", "#BBBBBB"
 SMALL = 7.0
 """Points: ticks, legends, captions."""
@@ -55,11 +55,11 @@ _SHEET = Path(__file__).with_name("recon.mplstyle")
 
 @dataclass(frozen=True)
 class Print:
-    """How figures are drawn for a paper: width, small letters, and no titles."""
+    """Describe how figures are drawn for a paper: width, small letters, and no titles."""
 
     width_mm: float
     panel: Any = None
-    """Part of a figure of several into which the next one is drawn; None: a figure of its own."""
+    """Panel of a larger figure into which the next figure is drawn; None for a separate figure."""
 
 
 _PRINT: ContextVar[Print | None] = ContextVar("print", default=None)
@@ -72,7 +72,7 @@ _PRINT_SIZES = (
 
 @contextmanager
 def printing(width_mm: float, panel: Any = None) -> Iterator[None]:
-    """Draw the figures of this block for a paper: so wide, all text `PRINT_POINTS` high, without titles."""
+    """Draw the figures of this block for a paper: with a given width, text of size `PRINT_POINTS`, and no titles."""
     token = _PRINT.set(Print(width_mm, panel))
     try:
         yield
@@ -81,13 +81,13 @@ def printing(width_mm: float, panel: Any = None) -> Iterator[None]:
 
 
 def page_width_mm() -> float:
-    """Return the width of figures that are as wide as the page: `WIDTH_MM`, or that of the block of `printing`."""
+    """Return the width of full-page figures: `WIDTH_MM`, or that of the `printing` block."""
     printed = _PRINT.get()
     return WIDTH_MM if printed is None else printed.width_mm
 
 
 def is_printing() -> bool:
-    """Return whether figures are drawn for a paper, whose caption has what is said below them otherwise."""
+    """Return whether figures are drawn for a paper, whose caption replaces the text below them."""
     return _PRINT.get() is not None
 
 

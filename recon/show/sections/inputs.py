@@ -1,4 +1,4 @@
-"""Report the verdict, the clip, the skeleton and what was assumed."""
+"""Report the verdict, the clip, the skeleton and the assumptions."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def verdict_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def _assumed_by_one_camera(motion: Motion) -> str:
-    """Return what one camera cannot tell, in one sentence: lens, motion of the camera, frame rate, size."""
+    """Return one sentence on what one camera cannot determine: lens, camera motion, frame rate, size."""
     camera, focal_sigma = motion.camera, focal_sigma_of(motion.settings, 1)
     known_to = f" ± {percent(focal_sigma)}" if focal_sigma else ""
     lens = f"a {camera.model} lens with a focal length of {camera.matrix[0, 0]:.0f} px{known_to}"

@@ -1,4 +1,4 @@
-"""Report the path, the heading, the animal's size, and how much of the pose rests on the video."""
+"""Report the path, the heading, the animal's size, and how much of the pose comes from the video."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Report how many frames have a pose, and what the search left open."""
+"""Report how many frames have a pose, and what the search could not decide."""
 
 from __future__ import annotations
 

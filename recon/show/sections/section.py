@@ -1,4 +1,4 @@
-"""Define what a section of the report is."""
+"""Define a section of the report."""
 
 from __future__ import annotations
 
