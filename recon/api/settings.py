@@ -289,9 +289,10 @@ class FitSettings(Settings):
         """Return the options that the trajectory method's solver reads."""
         from recon.fit.clip_problem import TrajectoryOptions, focal_sigma_of
 
-        values = {field.name: getattr(self, field.name) for field in fields(TrajectoryOptions)}
-        given = {name: getattr(self, name) for name in ("focal_sigma", "camera_track", "hfov_deg")}
-        return TrajectoryOptions(**values | {"focal_sigma": focal_sigma_of(given, len(self.keypoints))})
+        values: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(TrajectoryOptions)}
+        camera_settings = {name: getattr(self, name) for name in ("focal_sigma", "camera_track", "hfov_deg")}
+        values["focal_sigma"] = focal_sigma_of(camera_settings, len(self.keypoints))
+        return TrajectoryOptions(**values)
 
     def plain(self, folder: Path | None = None) -> dict[str, Any]:
         """Return all settings that the method reads, as plain JSON types.
