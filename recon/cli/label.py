@@ -20,7 +20,8 @@ from recon.base.numbers import counted
 from recon.base.settings import Count, NameOrFile, Option, Settings
 from recon.cli.answers import Answer, say, wait_for_ctrl_c
 from recon.io.deeplabcut_project import find_project
-from recon.io.label_files import LABELED_DATA
+from recon.io.label_files import LABELED_DATA, require_label_names
+from recon.io.video import probe
 from recon.show.page.pages import rendered
 from recon.show.page.scripts import script, style
 
@@ -56,6 +57,8 @@ def label(settings: LabelSettings, console: Console) -> Answer:
     """
     video, project = settings.video, find_project(settings.out) if settings.out.is_dir() else None
     scorer = settings.scorer or (project.scorer if project else "") or SCORER
+    require_label_names(video.stem, scorer)
+    probe(video)
     skeleton = settings.skeleton
     if settings.names is not None:
         names = tuple(name.strip() for name in settings.names.split(","))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import refusal
+from command_line import refusal, refused
 
 from recon.api.label_frames import LabelSession, choose_frames
 from recon.io.formats import read_keypoints
@@ -95,3 +95,10 @@ def test_names_that_are_none_are_refused(film: Path, tmp_path: Path, names: tupl
     pytest.importorskip("tables")
     with refusal(("--names", "names")):
         LabelSession.open(film, tmp_path, names, "me", 3)
+
+
+def test_a_scorer_outside_the_folder_is_refused(film: Path, tmp_path: Path):
+    out = tmp_path / "project"
+    refused(("label", film, "--out", out, "--scorer", "../me"), ("labels", "scorer", "../me", "a name of a file"))
+    refused(("label", tmp_path / "none.mp4", "--out", out), ("none.mp4", "video", "no such file"))
+    assert not out.exists()
