@@ -138,8 +138,8 @@ class LabelSession:
                 for i, k in labels
             }
         labelled = {frame for frame, _ in session.points_px}
-        more = [frame for frame in choose_frames(video, count) if frame not in labelled]
-        session.frames = tuple(sorted([*labelled, *more[: max(0, count - len(labelled))]]))
+        new_frames = [frame for frame in choose_frames(video, count) if frame not in labelled]
+        session.frames = tuple(sorted([*labelled, *new_frames[: max(0, count - len(labelled))]]))
         session._write_pictures()
         return session
 
@@ -178,12 +178,12 @@ class LabelSession:
         """
         points_px = self._checked(rows)
         with self._lock:
-            before, self.points_px = self.points_px, points_px
+            previous_px, self.points_px = self.points_px, points_px
             try:
                 with self.output.staged(adds=True) as folder:
                     write_label_files(self._labels(), folder)
             except BaseException:
-                self.points_px = before
+                self.points_px = previous_px
                 raise
         return len(points_px)
 
@@ -215,8 +215,8 @@ class LabelSession:
         for (frame, k), point in self.points_px.items():
             xy_px[row_of[frame], k] = point
         numbers = np.array(frames, dtype=np.int64)
-        more = {"edges": self.edges, "size_px": self._size_px, "digits": self._digits}
-        return LabelledFrames(self.video.stem, self.scorer, self.names, numbers, xy_px, **more)
+        properties = {"edges": self.edges, "size_px": self._size_px, "digits": self._digits}
+        return LabelledFrames(self.video.stem, self.scorer, self.names, numbers, xy_px, **properties)
 
     def _write_pictures(self) -> None:
         """Write the pictures of the frames that have none yet."""

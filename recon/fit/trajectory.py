@@ -171,7 +171,7 @@ class SegmentFit:
     iterations: int = 0
 
     @classmethod
-    def before(cls, clip: ClipProblem, rows: slice, estimate: Estimate) -> SegmentFit:
+    def unsolved(cls, clip: ClipProblem, rows: slice, estimate: Estimate) -> SegmentFit:
         """Return a segment before its first round, with the noise that is expected."""
         noise, contact = np.ones((len(clip.views), len(clip.body.markers))), np.zeros((len(clip), len(clip.feet)))
         return cls(rows, estimate, LeastSquares(clip.body.detected, [], []), noise, np.zeros(0), contact, None)
@@ -220,7 +220,7 @@ def _solve_segments_from(clip: ClipProblem, start: TrajectorySolution) -> list[S
             continue
         estimate = Estimate(states[rows], np.inf, 0, False, shared)
         part = replace(part, prior_weight=weight)
-        segment = replace(SegmentFit.before(part, rows, estimate), noise_px=start.noise_px[:, rows])
+        segment = replace(SegmentFit.unsolved(part, rows, estimate), noise_px=start.noise_px[:, rows])
         segment = _solve_with_noise(part, segment)
         segments.append(replace(segment, prior_weight=weight))
     return segments
@@ -310,7 +310,7 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
     estimate = Estimate(
         interpolate_states(np.concatenate([states for _, states in first_states]), start_frames, T), np.inf, 0, False
     )
-    solved = SegmentFit.before(clip, rows, estimate)
+    solved = SegmentFit.unsolved(clip, rows, estimate)
     for i, (temperature, whole) in enumerate(stages):
         is_first, is_last = whole and (i == 0 or not stages[i - 1][1]), i == len(stages) - 1
         keeps_shape = is_first and clip.detector_is_measured  # which is close to the expected shape

@@ -145,13 +145,13 @@ def _origin(labels: LabelledFrames, i: int, k: int) -> str:
 def _coco(labels: LabelledFrames) -> dict[str, Any]:
     """Return COCO's document with one annotation per frame, whose image is named after the file."""
     width, height = labels.size_px
-    images, annotations = [], []
+    images, label_rows = [], []
     for i, frame in enumerate(labels.frames.tolist()):
         known, xy = labels.known[i], np.nan_to_num(labels.xy_px[i])
         images.append({"id": frame, "file_name": labels.picture(frame), "width": width, "height": height})
         visible = np.where(known, _LABELLED, 0)
         low, high = (xy[known].min(axis=0), xy[known].max(axis=0)) if known.any() else (np.zeros(2), np.zeros(2))
-        annotations.append(
+        label_rows.append(
             {
                 "id": i + 1,
                 "image_id": frame,
@@ -166,4 +166,4 @@ def _coco(labels: LabelledFrames) -> dict[str, Any]:
         )
     skeleton = [[a + 1, b + 1] for a, b in labels.edges]
     category = {"id": 1, "name": "animal", "keypoints": [*labels.names], "skeleton": skeleton}
-    return {"images": images, "annotations": annotations, "categories": [category]}
+    return {"images": images, "annotations": label_rows, "categories": [category]}
