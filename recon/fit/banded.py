@@ -32,16 +32,24 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from scipy.linalg import cholesky_banded
+from scipy.linalg.blas import dtrsm
 from scipy.linalg.lapack import dtbtrs
 
-from recon.base.arrays import Array
+from recon.base.arrays import Array, Integers
 
 _UNKNOWN = 1e-9
 """Precision added to an unknown whose covariance is lost to rounding, relative to its own precision."""
+_IN_BLOCKS = 8
+"""Number of right-hand sides from which on products of matrices are faster than LAPACK's solver, which takes one by
+one.
+"""
+_KEPT = 1 << 24
+"""Most numbers of windows that are kept until the shared unknowns are known, 128 MB."""
 
 
 @dataclass(frozen=True)
@@ -101,11 +109,22 @@ def step(pieces: Iterable[Normal], damping: float) -> tuple[Array, Array]:
     numpy.linalg.LinAlgError
         If a damped matrix is not positive definite, see `factored`.
     """
-    windows = [(window.solved(), window.reduced()) for window in eliminated(pieces, damping)]
-    solved, reduced = np.concatenate([part for part, _ in windows]), np.sum([part for _, part in windows], axis=0)
+    windows, kept = list[tuple[Window | Array, Array]](), 0
+    for window in eliminated(pieces, damping):
+        kept += window.factor.band.size + window.whitened.size
+        is_kept = window.whitened.shape[-1] >= _IN_BLOCKS and kept < _KEPT
+        windows.append((window if is_kept else window.solved(), window.reduced()))
+    reduced = np.sum([part for _, part in windows], axis=0)
     corner, gradient = reduced[:, :-1], reduced[:, -1]
     shared = -np.asarray(np.linalg.solve(corner + damping * np.eye(len(corner)), gradient), dtype=float)
-    return -solved[..., 0] - solved[..., 1:] @ shared, shared
+
+    def frames_step(part: Window | Array) -> Array:
+        if not isinstance(part, Window):
+            return -part[..., 0] - part[..., 1:] @ shared
+        white = part.whitened[..., 0] + part.whitened[..., 1:] @ shared
+        return -part.unwhiten(white)  # one right-hand side in place of all
+
+    return np.concatenate([frames_step(part) for part, _ in windows]), shared
 
 
 def eliminated(pieces: Iterable[Normal], damping: float | Array = 0.0, bounded: bool = False) -> Iterator[Window]:
@@ -195,15 +214,45 @@ class _Factor:
 
     def _solved(self, right: Array, transposed: Literal["N", "T"]) -> Array:
         flat = np.reshape(right, (self.band.shape[1], -1))
+        if flat.shape[1] >= _IN_BLOCKS:
+            return self._solved_in_blocks(flat, transposed).reshape(right.shape)
         return dtbtrs(self.band, flat, uplo="L", trans=transposed)[0].reshape(right.shape)
+
+    def _solved_in_blocks(self, right: Array, transposed: Literal["N", "T"]) -> Array:
+        """Return what `_solved` does for (TD, K), block row by block row of as many rows as the band has.
+
+        A column of the band begins at the diagonal: read with a stride that is shorter by one, it is a triangle of L.
+        """
+        size, count = self.band.shape
+        solution, starts = np.array(right, dtype=float, order="C"), [*range(0, count, size)]
+        row_stride, column_stride = self.band.strides
+        strides = row_stride, column_stride - row_stride
+        for first in starts if transposed == "N" else reversed(starts):
+            stop = min(first + size, count)
+            triangle = np.lib.stride_tricks.as_strided(self.band[:, first:], (stop - first, stop - first), strides)
+            block, rest = solution[first:stop], solution[stop : stop + self.width]
+            factor = np.asfortranarray(triangle)
+            if transposed == "N":
+                block[:] = dtrsm(1.0, factor, block.T, side=1, lower=1, trans_a=1).T
+                if len(rest):
+                    rest -= self.below(stop - self.width)[: len(rest)] @ block[-self.width :]
+            else:
+                if len(rest):
+                    block[-self.width :] -= self.below(stop - self.width)[: len(rest)].T @ rest
+                block[:] = dtrsm(1.0, factor, block.T, side=1, lower=1).T
+        return solution
 
     def below(self, column: int) -> Array:
         """Return the block of L below its diagonal block that begins at a column, (width, width)."""
-        row, column_offset = np.indices((self.width, self.width))
-        down = self.width + row - column_offset
-        return np.where(
-            down < len(self.band), self.band[np.minimum(down, len(self.band) - 1), column + column_offset], 0.0
-        )
+        down = self._rows_below
+        is_in_band = down < len(self.band)
+        columns = column + np.arange(self.width)
+        return np.where(is_in_band, self.band[np.minimum(down, len(self.band) - 1), columns], 0.0)
+
+    @cached_property
+    def _rows_below(self) -> Integers:
+        """Return by how many rows the entries of `below` are below the diagonal, (width, width)."""
+        return self.width + np.subtract.outer(np.arange(self.width), np.arange(self.width))
 
     def marginal_blocks(self) -> Array:
         """Return the blocks of the inverse near the diagonal, (T, W+1, D, D).

@@ -16,10 +16,10 @@ from functools import cached_property
 
 import numpy as np
 
-from recon.base.arrays import Array
+from recon.base.arrays import Array, Integers
 from recon.fit.banded import Normal, add_normal, step
 from recon.fit.body_shape import FreeShape
-from recon.fit.terms import COMMON_KEYPOINT_BIAS, LENGTHS, MARKER_TERMS, Linear, Span, Term, TermRows
+from recon.fit.terms import COMMON_KEYPOINT_BIAS, LENGTHS, MARKER_TERMS, Linear, Reprojection, Span, Term, TermRows
 from recon.geometry.kinematics import Tree, TreePose
 
 BANDS = 2
@@ -173,7 +173,13 @@ class LeastSquares:
                     gradient[at[first:last] + offset - start] += residual[first:last] @ slot
             while span is not None and span.first < stop:
                 by_shape = self._by_shape(span)
+                merged = self._cameras_in_step(span)
+                if merged:
+                    sums = _Sums(blocks, gradient, border, corner, shared_gradient)
+                    _add_detections(sums, columns, merged, span, start, by_shape)
                 for term in self.terms:
+                    if any(term is camera for camera in merged):
+                        continue
                     rows = _with_shape(term, span, by_shape)
                     first = span.first - start
                     add_normal(blocks, gradient, first, term.stencil, rows.residual, rows.jacobian)
@@ -239,6 +245,11 @@ class LeastSquares:
             if last:
                 return
 
+    def _cameras_in_step(self, span: Span) -> list[Reprojection]:
+        """Return the cameras whose detections are summed before they meet the state: those that read one frame."""
+        cameras = [term for term in self.terms if isinstance(term, Reprojection) and len(term.stencil) == 1]
+        return cameras if len(cameras) > 1 and len(span.pose.points_m[span.own_rows]) else []
+
     def _by_shape(self, span: Span) -> Array | None:
         """Return the derivatives of a span's markers by the shape, (n, J, 3, L + 3J), or None if the shape is fixed."""
         if self.shape is None or LENGTHS not in self.columns:
@@ -270,6 +281,103 @@ class LeastSquares:
                 for b, row in enumerate(term.stencil[a:], start=a):
                     blocks[term.frames(T) + column, row - column] += term.slots[b].T @ term.slots[a]
         return blocks
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """Hold the sums of a piece's normal equations, as in `Normal`."""
+
+    blocks: Array
+    gradient: Array
+    border: Array
+    corner: Array
+    shared_gradient: Array
+
+
+def _add_detections(
+    sums: _Sums,
+    columns: Mapping[str, slice],
+    cameras: Sequence[Reprojection],
+    span: Span,
+    start: int,
+    by_shape: Array | None,
+) -> None:
+    """Add what several cameras' detections say, in place, as `add_normal` and `_add_shared` do with each camera's rows.
+
+    Each camera knows a marker's derivatives B (2, 3) only by its position p, which moves by A with the state, by L with
+    the lengths, and by R with its own keypoint bias. With W = sum of B'B, the curvature is A'W A, A'W L and so on: the
+    wide products are made once for all cameras. `start` is the frame of the first row.
+    """
+    A = span.pose.jacobian[span.own_rows]
+    (N, J), D = A.shape[:2], A.shape[3]
+    rows = slice(span.first - start, span.first - start + N)
+    A_flat = A.reshape(N, 3 * J, D).swapaxes(1, 2)
+    L, R = _by_lengths_and_bias(columns, span, by_shape)
+    border, corner, gradient = sums.border[rows], sums.corner, sums.shared_gradient
+    W, pull = np.zeros((N, J, 3, 3)), np.zeros((N, J, 3))
+    for camera in cameras:
+        points = camera.point_rows(span)
+        B = points.by_point.swapaxes(2, 3)
+        W += B @ points.by_point
+        pull += (B @ points.residual[..., None])[..., 0]
+        by_shared = {name: values for name, values in points.by_shared.items() if name in columns}
+        if not by_shared:
+            continue
+        K = np.concatenate([*by_shared.values()], axis=2)
+        K_columns = np.concatenate([np.r_[columns[name]] for name in by_shared])
+        flat = K.reshape(2 * N * J, -1)
+        corner[np.ix_(K_columns, K_columns)] += flat.T @ flat
+        gradient[K_columns] += flat.T @ points.residual.ravel()
+        across = B @ K.reshape(N, J, 2, -1)  # B'K
+        border[..., K_columns] += A_flat @ across.reshape(N, 3 * J, -1)
+        if L is not None:
+            _add_pair(corner, columns[LENGTHS], K_columns, L.T @ across.reshape(3 * N * J, -1))
+        if R is not None:
+            by_bias = np.sum(R.swapaxes(2, 3) @ across, axis=0).reshape(3 * J, -1)
+            _add_pair(corner, columns[COMMON_KEYPOINT_BIAS], K_columns, by_bias)
+    sums.blocks[rows, 0] += A_flat @ (W @ A).reshape(N, 3 * J, D)
+    sums.gradient[rows] += (A_flat @ pull.reshape(N, 3 * J, 1))[..., 0]
+    W_L = None if L is None else (W @ L.reshape(N, J, 3, -1)).reshape(3 * N * J, -1)
+    if L is not None and W_L is not None:
+        lengths = columns[LENGTHS]
+        border[..., lengths] += A_flat @ W_L.reshape(N, 3 * J, -1)
+        corner[lengths, lengths] += L.T @ W_L
+        gradient[lengths] += L.T @ pull.ravel()
+    if R is not None:
+        bias, R_T, joints = columns[COMMON_KEYPOINT_BIAS], R.swapaxes(2, 3), np.arange(J)
+        W_R = W @ R
+        border[..., bias] += (A.swapaxes(2, 3) @ W_R).swapaxes(1, 2).reshape(N, D, 3 * J)
+        own = (bias.start + 3 * joints)[:, None] + np.arange(3)
+        corner[own[:, :, None], own[:, None]] += np.sum(R_T @ W_R, axis=0)
+        gradient[bias] += np.sum(R_T @ pull[..., None], axis=0).ravel()
+        if W_L is not None:
+            by_bias = np.sum(R_T @ W_L.reshape(N, J, 3, -1), axis=0).reshape(3 * J, -1)
+            _add_pair(corner, bias, np.r_[columns[LENGTHS]], by_bias)
+
+
+def _by_lengths_and_bias(
+    columns: Mapping[str, slice], span: Span, by_shape: Array | None
+) -> tuple[Array | None, Array | None]:
+    """Return the derivatives of markers by the lengths (3NJ, L), and by their own keypoint bias (N, J, 3, 3).
+
+    None where these are not unknown.
+    """
+    if by_shape is None:
+        is_free = span.rotations is not None and COMMON_KEYPOINT_BIAS in columns
+        return None, span.rotations[span.own_rows] if is_free and span.rotations is not None else None
+    own = by_shape[span.own_rows]
+    N, J = own.shape[:2]
+    count, joints = own.shape[3] - 3 * J, np.arange(J)
+    by_length = own[..., :count].reshape(3 * N * J, count)
+    if COMMON_KEYPOINT_BIAS not in columns:
+        return by_length, None
+    return by_length, own[..., count:].reshape(N, J, 3, J, 3)[:, joints, :, joints].swapaxes(0, 1)
+
+
+def _add_pair(corner: Array, rows: slice, columns: Integers, values: Array) -> None:
+    """Add the curvature between two kinds of shared unknowns, in place, on both sides of the diagonal."""
+    corner[rows, columns] += values
+    corner[columns, rows] += values.T
 
 
 def _with_shape(term: Term, span: Span, by_shape: Array | None) -> TermRows:

@@ -22,7 +22,7 @@ from typing import Protocol
 import numpy as np
 
 from recon.animal.prior import ANGLES, MotionPrior
-from recon.base.arrays import Array, Index
+from recon.base.arrays import Array, Bools, Index
 from recon.clip import View
 from recon.geometry.frames import euler_rotation_with_jacobian
 from recon.geometry.kinematics import ROOT, YAW, TreePose
@@ -105,6 +105,20 @@ class TermRows:
     residual: Array = field(default_factory=lambda: _ZERO[:0])
     jacobian: Array = field(default_factory=lambda: _ZERO[:0])
     by_shared: Mapping[str, Array] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class PointRows:
+    """Hold what one camera's detections give, before the markers' derivatives by the state."""
+
+    cost: Array
+    """(N,)."""
+    residual: Array
+    """(N, J, 2)."""
+    by_point: Array
+    """(N, J, 2, 3): derivatives by the markers at nominal size."""
+    by_shared: dict[str, Array]
+    """Derivatives (N, 2J, P) by the unknowns of the camera and by the size, by name."""
 
 
 class Term(Protocol):
@@ -290,30 +304,36 @@ class Reprojection:
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
         """Return the cost, residual and derivatives: see `Term`."""
+        if not jacobian:
+            return TermRows(self._errors(self._scene(span), span, jacobian=False)[0])
+        points, parts = self.point_rows(span), self._parts(span)
+        (N, J), D = points.residual.shape[:2], span.pose.jacobian.shape[-1]
+        slots = [
+            (points.by_point * share @ span.pose.jacobian[part]).reshape(N, 2 * J, 1, D) for part, share in parts
+        ]
+        rows = slots[0] if len(slots) == 1 else np.concatenate(slots, axis=2)
+        by_shared = points.by_shared
+        if span.rotations is not None:
+            by_common_bias, joints = np.zeros((N, J, 2, J, 3)), np.arange(J)
+            for part, share in parts:
+                by_common_bias[:, joints, :, joints] += (points.by_point * share @ span.rotations[part]).swapaxes(0, 1)
+            by_shared = by_shared | {COMMON_KEYPOINT_BIAS: by_common_bias.reshape(N, 2 * J, 3 * J)}
+        return TermRows(points.cost, points.residual.reshape(N, 2 * J), rows, by_shared)
+
+    def point_rows(self, span: Span) -> PointRows:
+        """Return the residuals of the detections, and their derivatives by the markers and the shared unknowns."""
         scene = self._scene(span)
         view, sigma = scene.view, scene.sigma_px
-        if jacobian:
-            projected, by_point, valid = view.project_with_jacobian(scene.world_m)
-        else:
-            (projected, valid), by_point = view.project(scene.world_m), None
-        unbiased_px, bias_m = projected, self._bias_m(span)
-        if bias_m is not None and self.px_per_m is not None:
-            projected = projected + self.px_per_m[scene.frames, None, None] * bias_m.reshape(-1, 2)
-        seen = view.present & valid
-        e = np.where(seen[..., None], projected - view.xy_px, 0.0) / sigma[..., None]
-        q = np.sum(e * e, axis=-1) / self.c**2
+        cost, e, q, seen, unbiased_px, by_point = self._errors(scene, span, jacobian=True)
         confidence = np.where(view.present, view.confidence, 0.0)
-        loss = np.where(valid, np.log1p(q), OUT_OF_SIGHT)
-        cost = 0.5 * self.c**2 * np.sum(loss * confidence, axis=1)
-        if by_point is None:
-            return TermRows(cost)
         root_weight = np.sqrt(np.where(seen, confidence / (1.0 + q), 0.0))[..., None]
         by_point = by_point * np.where(seen[..., None], root_weight / sigma[..., None], 0.0)[..., None]
-        (N, J), D = q.shape, span.pose.jacobian.shape[-1]  # N is 0 for a single frame without the next one
-        by_state = by_point * scene.size
-        slots = [(by_state * share @ span.pose.jacobian[part]).reshape(N, 2 * J, 1, D) for part, share in scene.parts]
-        rows = slots[0] if len(slots) == 1 else np.concatenate(slots, axis=2)
-        by_shared = self._by_scene(span, scene, by_point) | self._by_bias(span, scene, by_state, root_weight)
+        N, J = q.shape  # N is 0 for a single frame without the next one
+        by_shared = self._by_scene(span, scene, by_point)
+        if self._bias_m(span) is not None and self.px_per_m is not None:
+            weight = (root_weight / sigma[..., None])[..., 0]
+            px_per_bias = np.repeat(weight * self.px_per_m[scene.frames, None], 2, axis=1)
+            by_shared[keypoint_bias(self.number)] = px_per_bias[..., None] * np.eye(2 * J)
         if focal_scale(self.number) in span.shared:
             off_centre = np.where(seen[..., None], unbiased_px - view.camera.matrix[:2, 2], 0.0)
             by_focal = off_centre * root_weight / sigma[..., None]
@@ -324,7 +344,29 @@ class Reprojection:
             rotation = euler_rotation_with_jacobian(correction[:3])[1] @ in_camera[..., None, :, None]
             by_correction = np.concatenate([by_camera @ rotation[..., 0].swapaxes(-1, -2), by_camera], axis=-1)
             by_shared[extrinsic_correction(self.number)] = by_correction.reshape(N, 2 * J, 6)
-        return TermRows(cost, (e * root_weight).reshape(N, 2 * J), rows, by_shared)
+        return PointRows(cost, e * root_weight, by_point * scene.size, by_shared)
+
+    def _errors(self, scene: _Scene, span: Span, jacobian: bool) -> tuple[Array, Array, Array, Bools, Array, Array]:
+        """Return the cost (N,), the errors e (N, J, 2) in standard deviations, and their squares in units of the loss.
+
+        After these: which detections are seen, the projected markers without keypoint bias, and their derivatives by
+        the markers, which are empty unless `jacobian`.
+        """
+        view = scene.view
+        if jacobian:
+            projected, by_point, valid = view.project_with_jacobian(scene.world_m)
+        else:
+            (projected, valid), by_point = view.project(scene.world_m), _ZERO[:0]
+        unbiased_px, bias_m = projected, self._bias_m(span)
+        if bias_m is not None and self.px_per_m is not None:
+            projected = projected + self.px_per_m[scene.frames, None, None] * bias_m.reshape(-1, 2)
+        seen = view.present & valid
+        e = np.where(seen[..., None], projected - view.xy_px, 0.0) / scene.sigma_px[..., None]
+        q = np.sum(e * e, axis=-1) / self.c**2
+        confidence = np.where(view.present, view.confidence, 0.0)
+        loss = np.where(valid, np.log1p(q), OUT_OF_SIGHT)
+        cost = 0.5 * self.c**2 * np.sum(loss * confidence, axis=1)
+        return cost, e, q, seen, unbiased_px, by_point
 
     def _scene(self, span: Span) -> _Scene:
         """Return the markers when the pictures were taken, and the camera with its corrections."""
@@ -355,21 +397,6 @@ class Reprojection:
         if time_offset(self.number) in span.shared and self.drift_m is not None:
             by_offset = (by_point * scene.size) @ self.drift_m[scene.frames, ..., None]
             by_shared[time_offset(self.number)] = by_offset.reshape(N, 2 * J, 1)
-        return by_shared
-
-    def _by_bias(self, span: Span, scene: _Scene, by_state: Array, root_weight: Array) -> dict[str, Array]:
-        """Return the derivatives by the keypoint biases, the view's own and the common one, where they are unknown."""
-        N, J = by_state.shape[:2]
-        by_shared: dict[str, Array] = {}
-        if self._bias_m(span) is not None and self.px_per_m is not None:
-            weight = (root_weight / scene.sigma_px[..., None])[..., 0]
-            px_per_bias = np.repeat(weight * self.px_per_m[scene.frames, None], 2, axis=1)
-            by_shared[keypoint_bias(self.number)] = px_per_bias[..., None] * np.eye(2 * J)
-        if span.rotations is not None:
-            by_common_bias, joints = np.zeros((N, J, 2, J, 3)), np.arange(J)
-            for part, share in scene.parts:
-                by_common_bias[:, joints, :, joints] += (by_state * share @ span.rotations[part]).swapaxes(0, 1)
-            by_shared[COMMON_KEYPOINT_BIAS] = by_common_bias.reshape(N, 2 * J, 3 * J)
         return by_shared
 
     def _parts(self, span: Span) -> list[tuple[slice, float]]:

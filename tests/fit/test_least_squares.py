@@ -141,6 +141,36 @@ def test_shared_unknowns_have_the_gradient_of_the_cost(problem):
         assert (up - down) / (2 * h) == pytest.approx(exact, rel=2e-5, abs=1e-4 * np.linalg.norm(normal.gradient))
 
 
+def of_three_cameras(*, free_shape: bool) -> LeastSquares:
+    """Cameras with unknowns of their own, two in step and one late, and one body whose shape or common bias is free."""
+    problem, J, rng = with_shape() if free_shape else seen_late(), len(BODY.markers), np.random.default_rng(5)
+    late = next(term for term in problem.terms if isinstance(term, Reprojection))
+    cameras = [replace(late, view=replace(late.view, offset_frames=0.0), number=number) for number in (1, 2)]
+    cameras = [replace(camera, sigma_px=rng.uniform(5.0, 20.0, camera.sigma_px.shape)) for camera in cameras]
+    unknown = [
+        SharedUnknown(name(number), np.zeros(count), np.full(count, 0.1))
+        for number in (1, 2)
+        for name, count in ((extrinsic_correction, 6), (focal_scale, 1), (time_offset, 1), (keypoint_bias, 2 * J))
+    ]
+    if not free_shape:
+        unknown.append(SharedUnknown(COMMON_KEYPOINT_BIAS, np.zeros(3 * J), np.full(3 * J, 0.1)))
+    names = {u.name for u in problem.shared}
+    shared = [*problem.shared, *(u for u in unknown if u.name not in names)]
+    return replace(problem, terms=[*problem.terms, *cameras], shared=shared)
+
+
+@pytest.mark.parametrize("free_shape", [True, False])
+def test_summed_cameras_give_the_equations_of_each_cameras_rows(monkeypatch, free_shape):
+    problem, states, rng = of_three_cameras(free_shape=free_shape), some_states(), np.random.default_rng(6)
+    shared = {name: mean + 0.01 * rng.normal(size=mean.shape) for name, mean in problem.expected().items()}
+    summed = problem.normal(states, shared)
+    monkeypatch.setattr(LeastSquares, "_cameras_in_step", lambda *_: [])
+    by_rows = problem.normal(states, shared)
+    for name in ("blocks", "gradient", "border", "corner", "shared_gradient"):
+        expected = getattr(by_rows, name)
+        np.testing.assert_allclose(getattr(summed, name), expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
+
+
 def test_keypoints_that_all_cameras_see_displaced():
     """How residuals follow, at zero, from bodies with keypoints beside their markers, between two frames too."""
     problem, states, h = seen_late(shared=False), some_states(), 1e-6
