@@ -311,48 +311,50 @@ def _add_detections(
     A = span.pose.jacobian[span.own_rows]
     (N, J), D = A.shape[:2], A.shape[3]
     rows = slice(span.first - start, span.first - start + N)
-    A_flat = A.reshape(N, 3 * J, D).swapaxes(1, 2)
+    by_state = A.reshape(N, 3 * J, D).swapaxes(1, 2)
     L, R = _by_lengths_and_bias(columns, span, by_shape)
     border, corner, gradient = sums.border[rows], sums.corner, sums.shared_gradient
-    W, pull = np.zeros((N, J, 3, 3)), np.zeros((N, J, 3))
-    for camera in cameras:
-        points = camera.point_rows(span)
-        B = points.by_point.swapaxes(2, 3)
-        W += B @ points.by_point
-        pull += (B @ points.residual[..., None])[..., 0]
+    every_camera = [camera.point_rows(span) for camera in cameras]
+    names = dict.fromkeys(name for points in every_camera for name in points.by_shared if name in columns)
+    own_columns = np.sort(np.concatenate([np.zeros(0, dtype=int), *(np.r_[columns[name]] for name in names)]))
+    W, pull, across = np.zeros((N, J, 3, 3)), np.zeros((N, J, 3)), np.zeros((N, J, 3, len(own_columns)))
+    for points in every_camera:
+        B, e = points.by_point, points.residual
+        W += B[..., 0, :, None] * B[..., 0, None, :] + B[..., 1, :, None] * B[..., 1, None, :]
+        pull += (e[..., None, :] @ B)[..., 0, :]
         by_shared = {name: values for name, values in points.by_shared.items() if name in columns}
         if not by_shared:
             continue
         K = np.concatenate([*by_shared.values()], axis=2)
-        K_columns = np.concatenate([np.r_[columns[name]] for name in by_shared])
+        view_columns = np.concatenate([np.r_[columns[name]] for name in by_shared])
         flat = K.reshape(2 * N * J, -1)
-        corner[np.ix_(K_columns, K_columns)] += flat.T @ flat
-        gradient[K_columns] += flat.T @ points.residual.ravel()
-        across = B @ K.reshape(N, J, 2, -1)  # B'K
-        border[..., K_columns] += A_flat @ across.reshape(N, 3 * J, -1)
+        corner[np.ix_(view_columns, view_columns)] += flat.T @ flat
+        gradient[view_columns] += flat.T @ e.ravel()
+        across[..., np.searchsorted(own_columns, view_columns)] += B.swapaxes(2, 3) @ K.reshape(N, J, 2, -1)  # B'K
+    if len(own_columns):
+        border[..., own_columns] += by_state @ across.reshape(N, 3 * J, -1)
         if L is not None:
-            _add_pair(corner, columns[LENGTHS], K_columns, L.T @ across.reshape(3 * N * J, -1))
+            _add_pair(corner, columns[LENGTHS], own_columns, L.T @ across.reshape(3 * N * J, -1))
         if R is not None:
-            by_bias = np.sum(R.swapaxes(2, 3) @ across, axis=0).reshape(3 * J, -1)
-            _add_pair(corner, columns[COMMON_KEYPOINT_BIAS], K_columns, by_bias)
-    sums.blocks[rows, 0] += A_flat @ (W @ A).reshape(N, 3 * J, D)
-    sums.gradient[rows] += (A_flat @ pull.reshape(N, 3 * J, 1))[..., 0]
+            _add_pair(corner, columns[COMMON_KEYPOINT_BIAS], own_columns, _by_joint(R, across))
+    sums.blocks[rows, 0] += by_state @ (W @ A).reshape(N, 3 * J, D)
+    sums.gradient[rows] += (by_state @ pull.reshape(N, 3 * J, 1))[..., 0]
     W_L = None if L is None else (W @ L.reshape(N, J, 3, -1)).reshape(3 * N * J, -1)
     if L is not None and W_L is not None:
         lengths = columns[LENGTHS]
-        border[..., lengths] += A_flat @ W_L.reshape(N, 3 * J, -1)
+        border[..., lengths] += by_state @ W_L.reshape(N, 3 * J, -1)
         corner[lengths, lengths] += L.T @ W_L
         gradient[lengths] += L.T @ pull.ravel()
     if R is not None:
         bias, R_T, joints = columns[COMMON_KEYPOINT_BIAS], R.swapaxes(2, 3), np.arange(J)
         W_R = W @ R
-        border[..., bias] += (A.swapaxes(2, 3) @ W_R).swapaxes(1, 2).reshape(N, D, 3 * J)
+        by_joint = border[..., bias].reshape(N, D, J, 3).swapaxes(1, 2)  # a view
+        by_joint += A.swapaxes(2, 3) @ W_R
         own = (bias.start + 3 * joints)[:, None] + np.arange(3)
         corner[own[:, :, None], own[:, None]] += np.sum(R_T @ W_R, axis=0)
         gradient[bias] += np.sum(R_T @ pull[..., None], axis=0).ravel()
         if W_L is not None:
-            by_bias = np.sum(R_T @ W_L.reshape(N, J, 3, -1), axis=0).reshape(3 * J, -1)
-            _add_pair(corner, bias, np.r_[columns[LENGTHS]], by_bias)
+            _add_pair(corner, bias, np.r_[columns[LENGTHS]], _by_joint(R, W_L.reshape(N, J, 3, -1)))
 
 
 def _by_lengths_and_bias(
@@ -372,6 +374,13 @@ def _by_lengths_and_bias(
     if COMMON_KEYPOINT_BIAS not in columns:
         return by_length, None
     return by_length, own[..., count:].reshape(N, J, 3, J, 3)[:, joints, :, joints].swapaxes(0, 1)
+
+
+def _by_joint(R: Array, values: Array) -> Array:
+    """Return the sum over frames of R' v, (3J, P), of each joint's R (N, J, 3, 3) and v (N, J, 3, P)."""
+    N, J = R.shape[:2]
+    transposed = R.transpose(1, 3, 0, 2).reshape(J, 3, 3 * N)
+    return (transposed @ values.swapaxes(0, 1).reshape(J, 3 * N, -1)).reshape(3 * J, -1)
 
 
 def _add_pair(corner: Array, rows: slice, columns: Integers, values: Array) -> None:

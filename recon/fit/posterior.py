@@ -241,8 +241,7 @@ def posterior(problem: LeastSquares, body: Body, estimate: Estimate, variance_fa
             joints = _joint_covariances(body, states[rows], state_covariance, size, window_by_size)
         else:
             joints = _joint_covariances(body, states[rows], state_covariance, size, window_by_size)
-            _add_shape(joints, solution, body, states[rows], by_others, size)
-            _add_shared(state_covariance, by_others, solution.root)
+            _add_shape(joints, state_covariance, solution, body, states[rows], by_others, size)
         absolute[rows], relative[rows], by_size[rows] = joints
         angle_variance[0, rows] = np.diagonal(state_covariance, axis1=1, axis2=2)[:, YAW:]
         state_by_size[rows] = window_by_size
@@ -271,25 +270,34 @@ def _add_shared(state_covariance: Array, by_others: Array, root: Array) -> None:
 
 
 def _add_shape(
-    joints: tuple[Array, Array, Array], solution: _Curvature, body: Body, states: Array, by_others: Array, size: float
+    joints: tuple[Array, Array, Array],
+    state_covariance: Array,
+    solution: _Curvature,
+    body: Body,
+    states: Array,
+    by_others: Array,
+    size: float,
 ) -> None:
     """Add the uncertainty of the shared unknowns other than the size to the joints, which lengths also move directly.
 
-    `joints` holds absolute and relative covariances (n, J, 3, 3) and the derivatives by the size (n, J, 3), all changed
-    in place.
+    `joints` holds absolute and relative covariances (n, J, 3, 3) and the derivatives by the size (n, J, 3). These and
+    the covariance of the states change in place. A joint moves by X (3, D + L) with states and lengths, which together
+    have the covariance S (D + L, D + L): the covariance of the joint is X S X'.
     """
     absolute, relative, by_size = joints
-    shape = Shape.of_body(body)
+    shape, root_of_lengths = Shape.of_body(body), solution.root[solution.lengths]
     for first in range(0, len(states), _FRAMES_OF_SHAPE):
         rows = slice(first, first + _FRAMES_OF_SHAPE)
         pose, by_length = body.tree.pose_with_jacobian(states[rows]), shape.jacobian(body, states[rows])
         n, J, _, D = pose.jacobian.shape
-        by_shared = -(pose.jacobian.reshape(n, 3 * J, D) @ by_others[rows]).reshape(n, J, 3, -1)
-        by_shared[..., solution.lengths] += by_length
-        lasting = by_shared @ solution.root
-        absolute[rows] += lasting @ lasting.swapaxes(2, 3)
-        lasting -= lasting.mean(axis=1, keepdims=True)
-        relative[rows] += lasting @ lasting.swapaxes(2, 3)
+        root_of_states = -(by_others[rows].reshape(n * D, -1) @ solution.root).reshape(n, D, -1)
+        roots = np.concatenate([root_of_states, np.repeat(root_of_lengths[None], n, axis=0)], axis=1)
+        S = roots @ roots.swapaxes(1, 2)
+        state_covariance[rows] += S[:, :D, :D]
+        X = np.concatenate([pose.jacobian, by_length], axis=3)
+        for covariance, by_both in ((absolute, X), (relative, X - X.mean(axis=1, keepdims=True))):
+            moved = (by_both.reshape(n, 3 * J, -1) @ S).reshape(n, J, 3, -1)
+            covariance[rows] += moved @ by_both.swapaxes(2, 3)
         by_size[rows] += size * by_length @ solution.others_by_size[solution.lengths]
 
 

@@ -308,9 +308,7 @@ class Reprojection:
             return TermRows(self._errors(self._scene(span), span, jacobian=False)[0])
         points, parts = self.point_rows(span), self._parts(span)
         (N, J), D = points.residual.shape[:2], span.pose.jacobian.shape[-1]
-        slots = [
-            (points.by_point * share @ span.pose.jacobian[part]).reshape(N, 2 * J, 1, D) for part, share in parts
-        ]
+        slots = [(points.by_point * share @ span.pose.jacobian[part]).reshape(N, 2 * J, 1, D) for part, share in parts]
         rows = slots[0] if len(slots) == 1 else np.concatenate(slots, axis=2)
         by_shared = points.by_shared
         if span.rotations is not None:
