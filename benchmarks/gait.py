@@ -11,6 +11,7 @@ from question import Part, main
 
 PARTS = {
     "stances": Part("gait.py", data="cheetah-runs"),
+    "herds": Part("herds.py"),
     "strides": Part("strides.py", data="dog-mocap"),
     "speeds": Part("speeds.py", data="cheetah-runs"),
     "rates": Part("trajectory.py", ["--only", "rates"], data="cheetah-runs"),

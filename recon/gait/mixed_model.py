@@ -1,0 +1,216 @@
+"""Estimate what varies in an experiment: animals, runs of an animal, strides of a run, and the measurement.
+
+A stride's value is y = X b + a + r + s + m. The columns of X are the groups and the speed; a, r and s are independent
+deviations of the animal, the run and the stride with unknown variances. m is the measurement's error, the same for all
+strides of a run, with a known standard deviation. Variances come from restricted maximum likelihood (Patterson and
+Thompson 1971), effects from generalised least squares. Intervals of effects use Student's distribution with as many
+degrees of freedom as there are animals, less the number of columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.stats import nct, t
+
+from recon.base.arrays import Array
+
+LEVELS = "animal", "run", "stride"
+_LEAST = 1e-4
+"""Least standard deviation of a level, relative to that of all values."""
+
+
+@dataclass(frozen=True)
+class Variances:
+    """Standard deviations of an experiment's levels, in the quantity's unit."""
+
+    animal: float
+    run: float
+    stride: float
+    measurement: float = 0.0
+    """That of one run filmed by one camera."""
+
+    def of_mean(self, runs: float, strides: float, cameras: float = 1.0) -> float:
+        """Return the variance of the mean of an animal's runs."""
+        of_run = self.run**2 + self.measurement**2 / cameras + self.stride**2 / strides
+        return self.animal**2 + of_run / runs
+
+    @property
+    def icc(self) -> float:
+        """Return the intraclass correlation: the share of the variance of single strides that is between animals."""
+        total = self.of_mean(1, 1)
+        return self.animal**2 / total if total else float("nan")
+
+    def detectable_change(self, strides: float) -> float:
+        """Return the smallest change of an animal between two runs that 95 % of unchanged animals do not show."""
+        return 1.96 * float(np.sqrt(2 * (self.of_mean(1, strides) - self.animal**2)))
+
+
+@dataclass(frozen=True, eq=False)
+class MixedModel:
+    """A fitted model of an experiment."""
+
+    names: tuple[str, ...]
+    """The columns of the design, (P,)."""
+    effects: Array
+    """Their coefficients, shape (P,)."""
+    covariance: Array
+    """Of the coefficients, shape (P, P), without errors that all clips share."""
+    variances: Variances
+    animals: int
+    runs: int
+    strides: int
+
+    def contrast(self, weights: Array | Sequence[float], shared: float = 0.0) -> tuple[float, float, float, float]:
+        """Return a sum of effects, its standard deviation, and its 90 % interval.
+
+        Parameters
+        ----------
+        weights : ndarray
+            Weight of each effect, shape (P,).
+        shared : float
+            Relative error that all clips share, such as that of the size; more animals do not reduce it.
+        """
+        row = np.asarray(weights, dtype=float)
+        value = float(row @ self.effects)
+        sigma = float(np.sqrt(row @ self.covariance @ row + (shared * value) ** 2))
+        reach = float(t.ppf(0.95, max(self.animals - len(self.names), 1))) * sigma
+        return value, sigma, value - reach, value + reach
+
+
+def fit_mixed_model(
+    values: Array,
+    design: Array,
+    names: Sequence[str],
+    animals: Sequence[str],
+    runs: Sequence[str],
+    measurement_sigma: Array,
+) -> MixedModel:
+    """Fit the model to N strides.
+
+    Parameters
+    ----------
+    values : ndarray
+        The quantity of each stride, shape (N,).
+    design : ndarray
+        Groups and covariates, shape (N, P), of full rank.
+    names : sequence of str
+        Names of the columns, (P,).
+    animals, runs : sequence of str
+        Animal and run of each stride, (N,). Runs of different animals are different, whatever their names.
+    measurement_sigma : ndarray
+        Standard deviation of the error that all strides of a run share, shape (N,).
+
+    Returns
+    -------
+    MixedModel
+        A variance that the data do not show is 0.
+    """
+    unit = float(np.std(values)) or 1.0
+    scaled, scaled_sigma = values / unit, measurement_sigma / unit
+    single = [
+        _block(scaled[rows], design[rows], np.asarray(runs)[rows], scaled_sigma[rows])
+        for animal in dict.fromkeys(animals)
+        for rows in [np.asarray(animals) == animal]
+    ]
+
+    sizes = sorted({len(block.columns) for block in single})
+    blocks = [_stacked([block for block in single if len(block.columns) == size]) for size in sizes]
+
+    def cost(log_sigmas: Array) -> float:
+        return _solve(blocks, np.exp(log_sigmas))[2]
+
+    bounds = [(np.log(_LEAST), np.log(10.0))] * 3
+    starts = np.log([[0.5, 0.5, 0.5], [0.1, 0.3, 0.7]])
+    fits = [minimize(cost, start, method="L-BFGS-B", bounds=bounds) for start in starts]
+    sigmas = np.exp(min(fits, key=lambda fit: fit.fun).x)
+    effects, covariance, _ = _solve(blocks, sigmas)
+    animal, run, stride = np.where(sigmas > 2 * _LEAST, sigmas, 0.0) * unit
+    by_run = dict(zip(zip(animals, runs, strict=True), measurement_sigma, strict=True))
+    measured = float(np.sqrt(np.mean(np.square([*by_run.values()]))))
+    variances = Variances(float(animal), float(run), float(stride), measured)
+    counts = len(single), len(by_run), len(values)
+    return MixedModel(tuple(names), effects * unit, covariance * unit**2, variances, *counts)
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """The strides of one animal, or of B animals with equally many: (B, n, ...)."""
+
+    columns: Array
+    """Design and values, (n, P + 1)."""
+    same_run: Array
+    """1 where two strides share a run, (n, n)."""
+    known: Array
+    """Covariance of the measurement, (n, n)."""
+
+
+def _block(values: Array, design: Array, runs: Array, sigma: Array) -> _Block:
+    same_run = (runs[:, None] == runs).astype(float)
+    return _Block(np.column_stack([design, values]), same_run, same_run * np.multiply.outer(sigma, sigma))
+
+
+def _stacked(blocks: Sequence[_Block]) -> _Block:
+    return _Block(*(np.stack([getattr(block, name) for block in blocks]) for name in ("columns", "same_run", "known")))
+
+
+def _solve(blocks: Sequence[_Block], sigmas: Array) -> tuple[Array, Array, float]:
+    """Return effects, their covariance and minus twice the restricted likelihood for three standard deviations."""
+    animal, run, stride = sigmas**2
+    columns = blocks[0].columns.shape[-1]
+    moments, log_determinant = np.zeros((columns, columns)), 0.0
+    for block in blocks:
+        covariance = animal + run * block.same_run + block.known + stride * np.eye(block.columns.shape[1])
+        root = np.linalg.cholesky(covariance)
+        white = np.linalg.solve(root, block.columns)
+        moments += np.einsum("bni,bnj->ij", white, white)
+        log_determinant += 2 * float(np.log(np.diagonal(root, axis1=1, axis2=2)).sum())
+    information, right = moments[:-1, :-1], moments[:-1, -1]
+    effects = np.asarray(np.linalg.solve(information, right), dtype=float)
+    misfit = float(moments[-1, -1] - right @ effects)
+    covariance = np.asarray(np.linalg.inv(information), dtype=float)
+    return effects, covariance, log_determinant + float(np.linalg.slogdet(information)[1]) + misfit
+
+
+# -- how many animals --------------------------------------------------------------------------------------------------
+
+
+def power(effect: float, variances: Variances, animals: int, runs: int, strides: int, cameras: int = 1) -> float:
+    """Return how often a test at 5 % finds a difference between two groups.
+
+    Parameters
+    ----------
+    effect : float
+        The difference, in the quantity's unit.
+    variances : Variances
+        Standard deviations of the levels.
+    animals, runs, strides, cameras : int
+        Animals in each group, runs of an animal, strides of a run, and cameras that film a run.
+    """
+    if animals < 2:
+        return 0.0
+    sigma = np.sqrt(2 * variances.of_mean(runs, strides, cameras) / animals)
+    freedom = 2 * animals - 2
+    limit, shift = t.ppf(0.975, freedom), abs(effect) / max(float(sigma), 1e-12)
+    if shift > 30:
+        return 1.0
+    wrong_side = nct.cdf(-limit, freedom, shift) if shift < 5 else 0.0  # scipy's lower tail is NaN further out
+    return float(nct.sf(limit, freedom, shift) + wrong_side)
+
+
+def animals_needed(
+    effect: float, variances: Variances, runs: int, strides: int, cameras: int = 1, wanted: float = 0.8
+) -> int | None:
+    """Return the animals in each group that find an effect with a power; None if 1000 are too few."""
+    numbers = np.arange(2, 1001)
+    low, high = 0, len(numbers) - 1
+    if power(effect, variances, int(numbers[high]), runs, strides, cameras) < wanted:
+        return None
+    while low < high:
+        middle = (low + high) // 2
+        is_enough = power(effect, variances, int(numbers[middle]), runs, strides, cameras) >= wanted
+        low, high = (low, middle) if is_enough else (middle + 1, high)
+    return int(numbers[low])

@@ -1,0 +1,46 @@
+"""The mixed model of animals, runs and strides, and the plan of an experiment."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from recon.gait.mixed_model import Variances, animals_needed, fit_mixed_model, power
+
+TRUE = Variances(animal=0.30, run=0.20, stride=0.25, measurement=0.15)
+
+
+def test_components_and_effect_of_a_made_up_herd():
+    rng = np.random.default_rng(3)
+    animals, runs, values, groups = [], [], [], []
+    for k in range(60):
+        animal = 4.0 + 0.5 * (k % 2) + rng.normal(0, TRUE.animal)
+        for j in range(3):
+            run = animal + rng.normal(0, np.hypot(TRUE.run, TRUE.measurement))
+            values += [*(run + rng.normal(0, TRUE.stride, 4))]
+            animals += [f"animal {k}"] * 4
+            runs += [f"run {j}"] * 4
+            groups += [k % 2] * 4
+    design = np.column_stack([np.ones(len(values)), groups])
+    known = np.full(len(values), TRUE.measurement)
+    model = fit_mixed_model(np.array(values), design, ("all", "group"), animals, runs, known)
+    assert (model.animals, model.runs, model.strides) == (60, 180, 720)
+    for level in ("animal", "run", "stride"):
+        assert getattr(model.variances, level) == pytest.approx(getattr(TRUE, level), rel=0.25)
+    assert model.variances.measurement == pytest.approx(0.15)
+    value, sigma, low, high = model.contrast(np.array([0.0, 1.0]))
+    assert low < 0.5 < high
+    assert sigma == pytest.approx(np.sqrt(2 * TRUE.of_mean(3, 4) / 30), rel=0.25)
+    # An error that all clips share is not spread over the animals.
+    assert model.contrast(np.array([0.0, 1.0]), 0.5)[1] == pytest.approx(np.hypot(sigma, 0.5 * value))
+
+
+def test_a_plan_knows_what_more_animals_and_cameras_do():
+    assert TRUE.icc == pytest.approx(0.09 / (0.09 + 0.04 + 0.0625 + 0.0225))
+    assert TRUE.detectable_change(4) == pytest.approx(1.96 * np.sqrt(2 * (0.04 + 0.0225 + 0.0625 / 4)))
+    needed = animals_needed(0.5, TRUE, runs=2, strides=6)
+    assert needed is not None
+    assert power(0.5, TRUE, needed, 2, 6) >= 0.8 > power(0.5, TRUE, needed - 1, 2, 6)
+    assert power(0.5, TRUE, 8, 2, 6, cameras=4) > power(0.5, TRUE, 8, 2, 6)
+    assert power(0.0, TRUE, 8, 2, 6) == pytest.approx(0.05)
+    assert animals_needed(1e-4, TRUE, 1, 1) is None
