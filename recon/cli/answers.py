@@ -6,7 +6,8 @@ import json
 import shlex
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Sequence
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, ConsoleOptions, RenderableType
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 from rich.segment import Segment
 from rich.table import Column, Table
 from rich.text import Text
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
+LEAST_SHARE, LEAST_S = 0.03, 2.0
+"""Share of the work, and seconds, from which the time that is left is stated."""
 
 
 @dataclass(frozen=True)
@@ -101,8 +104,9 @@ class _Terminal(Console):
 
 
 def say(console: Console, text: str | Text, style: str = "") -> None:
-    """Print one line of any length, without markup and without line breaks where no terminal needs them."""
-    console.print(Text(printable(text), style) if isinstance(text, str) else text, soft_wrap=True)
+    """Print one line without markup: on a terminal broken between words, in a file or a pipe in one piece."""
+    line = Text(printable(text), style) if isinstance(text, str) else text
+    console.print(line, soft_wrap=not console.is_terminal)
 
 
 def verdict_texts(verdict: Verdict | None) -> Iterator[Text]:
@@ -164,10 +168,49 @@ def progress_bar(console: Console) -> Iterator[ProgressFunction]:
     if console.quiet or not console.is_terminal:  # some versions of rich end a disabled bar with an empty line
         yield silent
         return
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    remaining = RemainingTime()
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TaskProgressColumn(),
+        TextColumn("{task.fields[left]}"),
+    )
     with Progress(*columns, console=console, transient=True) as bar:
-        task = bar.add_task("reading", total=1.0)
-        yield lambda stage, share: bar.update(task, description=stage, completed=share)
+        task = bar.add_task("reading", total=1.0, left="")
+
+        def show(stage: str, share: float) -> None:
+            bar.update(task, description=stage, completed=share, left=remaining.text(share))
+
+        yield show
+
+
+class RemainingTime:
+    """Estimate the time that is left, from the time since the start and the share of the work that is done.
+
+    The pace of the last seconds alone, as rich takes it, is wrong by far where the work is done in large pieces.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock, self._began_s = clock, clock()
+
+    def text(self, share: float) -> str:
+        """Return the time left, such as "2 min 10 s left"; nothing while too little is known, or nothing is left."""
+        passed_s = self._clock() - self._began_s
+        if share < LEAST_SHARE or passed_s < LEAST_S or share >= 1:
+            return ""
+        left_s = passed_s * (1 - share) / share
+        step_s = 1 if left_s < 20 else 10 if left_s < 600 else 60
+        return f"{duration_text(max(step_s, round(left_s / step_s) * step_s))} left"
+
+
+def duration_text(seconds: float) -> str:
+    """Return a duration, such as "8 s", "2 min 10 s", "1 h 5 min"."""
+    whole = round(seconds)
+    minutes, rest = divmod(whole, 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours:
+        return f"{hours} h {minutes} min" if minutes else f"{hours} h"
+    return f"{whole} s" if not minutes else f"{minutes} min {rest} s" if rest else f"{minutes} min"
 
 
 def answer_of_fit(report: dict[str, Any], out: Path, page: Path | None = None, **fields: Any) -> Answer:

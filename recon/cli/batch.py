@@ -24,10 +24,15 @@ from recon.base.settings import Count, Integer, OneOrMore, Option, Settings
 from recon.check.verdict import NOTHING_AGAINST
 from recon.cli.answers import Answer, progress_bar, say, stop, table_of, terminal
 from recon.cli.commands import OptionsOf
+from recon.fit.result import LEVELS
 from recon.show.console import STYLES
 from recon.show.page.own_page import SUMMARY_PAGE
 
 CANNOT = "cannot be fitted"
+SOLVING = 0.5
+"""Share of a clip's time in which its fit reports progress; checks and files take the rest."""
+LISTED = 20
+"""Largest number of clips in the table at the end."""
 NAMED = 3
 """Largest number of clips with the same problem that are listed by name."""
 _STYLES = {"unsolved": "red", "failed": "red", "pending": "yellow"}
@@ -118,6 +123,7 @@ def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary],
         Command to suggest for one of the clips, with {out} for the folder.
     """
     summaries: list[Summary] = []
+    underway: dict[str, float] = {}
     began, ended = time.monotonic(), 0
     # Failures are printed even with --quiet.
     errors = terminal(stderr=True, soft_wrap=True) if console.quiet or not console.is_terminal else console
@@ -128,8 +134,11 @@ def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary],
                 nonlocal ended
                 summaries[:] = [so_far]
                 if event.kind == "progress":
-                    progress(f"{ended}/{left} {event.name}: {event.stage}", ended / max(left, 1))
+                    underway[event.name] = SOLVING * event.share
+                    done = ended + sum(underway.values())
+                    progress(f"{ended}/{left} {event.name}: {event.stage}", done / max(left, 1))
                     return
+                underway.pop(event.name, None)
                 ended, row = ended + 1, so_far.rows[event.name]
                 target = errors if row["status"] == "failed" else console
                 say(target, Text(f"[{ended}/{left}] ").append_text(_row_text(row)))
@@ -144,10 +153,32 @@ def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary],
     parts += [Text(f"{n} {status}", style) for status, n in counts.items() if (style := _STYLES.get(status))]
     seconds = time.monotonic() - began
     status_text = Text.assemble(Text(", ").join(parts), f" in {seconds:.0f} s. Summary: {summary.path}")
-    out, lines = summary.path.parent, [status_text, f"Open {summary.path.with_name(SUMMARY_PAGE)} in a browser."]
+    out, lines = (
+        summary.path.parent,
+        [*_table(summary), status_text, f"Open {summary.path.with_name(SUMMARY_PAGE)} in a browser."],
+    )
     if summary.verdicts():
         lines.append(f"Next: {clip_command.format(out=out)}recon compare {out} --out FOLDER, all of them.")
     return Answer({"summary": summary.path, "counts": counts, "clips": [*summary.rows.values()]}, lines)
+
+
+def _table(summary: Summary) -> list[Table | str]:
+    """Return a table of the clips, those to look at first; none for a single clip."""
+    rank = {level: place for place, level in enumerate(LEVELS)}
+    rows = sorted(summary.rows.values(), key=lambda row: (rank.get(row["verdict"] or "", -1), row["clip"]))
+    if len(rows) < 2:
+        return []
+    cells = []
+    for row in rows[:LISTED]:
+        state = row["verdict"] if row["status"].startswith("done") and row["verdict"] else row["status"]
+        pose = "" if row["pose_mm"] is None else f"{float(row['pose_mm']):.0f}"
+        speed = "" if row["mean_speed_m_s"] is None else f"{float(row['mean_speed_m_s']):.1f}"
+        frames = "" if row["frames"] is None else f"{float(row['frames']):.0f}"
+        styled = Text(state, STYLES.get(state, _STYLES.get(state, "")))
+        cells.append((row["clip"], styled, frames, pose, speed))
+    table = table_of("clip", "verdict", numbers=("frames", "pose off by, mm", "mean speed, m/s"), rows=cells)
+    more = [f"{counted(len(rows) - LISTED, 'more clip')}: see the summary."] if len(rows) > LISTED else []
+    return [table, *more]
 
 
 def _dry_run_answer(plan: Sequence[ClipPlan], problems: Sequence[Problems], strict: bool) -> Answer:

@@ -1,0 +1,44 @@
+"""What commands print on a terminal: lines, durations, and the time that is left."""
+
+from __future__ import annotations
+
+import io
+import re
+
+import pytest
+
+from recon.cli.answers import RemainingTime, duration_text, say, terminal
+
+
+def test_the_time_left_is_right_within_a_factor_of_two_where_work_comes_in_pieces():
+    """Eight clips of 30 s, two at a time: the pace of the last seconds would be none, or endless."""
+    now_s, shown = 0.0, {}
+    remaining = RemainingTime(lambda: now_s)
+    for tick in range(0, 121, 5):
+        now_s = float(tick)
+        ended, within = divmod(tick, 30)
+        shown[tick] = remaining.text((2 * ended + 2 * 0.5 * min(1.0, within / 15)) / 8)
+    assert shown[0] == shown[120] == ""
+    assert shown[60] == "1 min left"
+    for tick, text in shown.items():
+        numbers = [int(x) for x in re.findall(r"\d+", text)]
+        if numbers and tick < 110:
+            left_s = 60 * numbers[0] + sum(numbers[1:]) if "min" in text else numbers[0]
+            assert 0.5 <= left_s / (120 - tick) <= 2, (tick, text)
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(8, "8 s"), (130, "2 min 10 s"), (3900, "1 h 5 min"), (7200, "2 h")])
+def test_durations_have_two_units_at_most(seconds, text):
+    assert duration_text(seconds) == text
+
+
+def test_a_terminal_breaks_lines_between_words():
+    words = "Suspicious " * 12
+    narrow = terminal(file=io.StringIO(), width=80, force_terminal=True)
+    say(narrow, words)
+    lines = narrow.file.getvalue().split("\n")
+    assert {word for line in lines for word in line.split()} == {"Suspicious"}
+    assert max(map(len, lines)) <= 80
+    piped = terminal(file=io.StringIO(), width=80)
+    say(piped, words)
+    assert piped.file.getvalue() == words + "\n"
