@@ -63,10 +63,10 @@ MAX_VIEWS = 40
 """Largest number of pictures of a video. Standard deviations fall with the square root of the number: more add time
 and little else."""
 MAX_EXAMINED = 600
-"""Largest number of frames of a video in which the board is searched."""
+"""Largest number of frames of a video in which the board is searched for."""
 EXAMINED_HZ = 5.0
 SHARPNESS_KEPT = 0.7
-"""Least sharpness of a frame, relative to the sharp ones (their 75th percentile)."""
+"""Smallest sharpness of a frame, relative to that of the sharp ones (their 75th percentile)."""
 MIN_DIFFERENCE = 0.02
 """Least movement of the board's outline between two views, relative to the picture's diagonal; below it they are the
 same view."""
@@ -78,19 +78,19 @@ Corners = tuple[Index, Array]
 
 @dataclass(frozen=True)
 class Board:
-    """A board of squares, or a ChArUco board, which has markers in the light squares."""
+    """Describe a board of squares, or a ChArUco board, which has markers in the light squares."""
 
     columns: int
-    """Number of inner corners across; of squares, if there are markers."""
+    """Number of inner corners across, or of squares if there are markers."""
     rows: int
     square_m: float
     """The side of a square in metres."""
     marker_m: float | None = None
-    """Side of a marker; None: a chessboard."""
+    """Side of a marker; None for a chessboard."""
     dictionary: str = ""
     """OpenCV's name of the markers' dictionary."""
     legacy: bool = False
-    """The layout of OpenCV before 4.6, which differs for an even number of rows."""
+    """Whether the board has the layout of OpenCV before 4.6, which differs for an even number of rows."""
 
     def __str__(self) -> str:
         size, side = f"{self.columns}x{self.rows}", f"squares of {1000 * self.square_m:g} mm"
@@ -135,7 +135,7 @@ class Board:
                 return None
             xy = np.asarray(xy, dtype=float).reshape(-1, 2)
             if xy[0].sum() > xy[-1].sum():
-                xy = xy[::-1]  # half a turn maps the board onto itself, and which end comes first is arbitrary
+                xy = xy[::-1]  # a half turn maps the board onto itself, so the order of its ends is arbitrary
             return np.arange(len(xy)), _refined_corners(image, xy, 0.28)
         xy, ids, _, _ = cv2.aruco.CharucoDetector(self.charuco).detectBoard(image)
         if ids is None or len(ids) < MIN_CORNERS:
@@ -190,7 +190,7 @@ def _refined_corners(image: Gray, xy_px: Array, reach: float) -> Array:
     than the window stays.
     """
     distance = np.linalg.norm(xy_px[:, None] - xy_px, axis=2) + np.diag(np.full(len(xy_px), np.inf))
-    # The window is the same for all; in a tilted board the far corners decide.
+    # The window is the same for all corners; on a tilted board the far corners decide.
     half = int(np.clip(round(reach * np.percentile(distance.min(axis=1), 20)), 2, 15))
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
     start = xy_px.astype(np.float32).reshape(-1, 1, 2)
@@ -203,7 +203,7 @@ def _refined_corners(image: Gray, xy_px: Array, reach: float) -> Array:
 
 @dataclass(frozen=True)
 class BoardView:
-    """One picture in which the board was found.
+    """Hold one picture in which the board was found.
 
     name: the file's, or the frame's number.
     """
@@ -217,12 +217,12 @@ class BoardView:
 
 @dataclass(frozen=True)
 class BoardViews:
-    """Pictures of a board in some files."""
+    """Hold the pictures of a board in some files."""
 
     board: Board
     image_size_px: tuple[int, int]
     views: tuple[BoardView, ...]
-    """Views of the board from which the calibration is made."""
+    """Views of the board that the calibration uses."""
     without_board: tuple[str, ...]
     """Names of the pictures without the board."""
     with_board: int
@@ -379,7 +379,7 @@ def _outline(board: Board, ids: Index, xy_px: Array) -> Array:
     """Return the board's outermost corners (4, 2) in the picture, extrapolated without distortion."""
     points = board.points_m[ids, :2]
     homography, _ = cv2.findHomography(points, xy_px)
-    if homography is None:  # all corners on one line
+    if homography is None:  # all corners are on one line
         return np.tile(xy_px.mean(axis=0), (4, 1))
     return cv2.perspectiveTransform(board.outline_m[None, :, :2], np.asarray(homography, dtype=float))[0]
 
@@ -399,7 +399,7 @@ _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
 
 @dataclass(frozen=True)
 class _FittedBoardView(BoardView):
-    """One picture, with N corners."""
+    """Hold one picture, with N corners."""
 
     rotation: Array
     """Rotation (3, 3): X_camera = rotation X_board + translation_m."""
@@ -428,7 +428,7 @@ class _FittedBoardView(BoardView):
 
 @dataclass(frozen=True)
 class Calibration:
-    """A camera and the views that it comes from."""
+    """Hold a camera and the views used to calibrate it."""
 
     camera: Camera
     board: Board
@@ -499,7 +499,7 @@ def _solve(views: BoardViews, model: str, name: str) -> tuple[Camera, list[_Fitt
         rotation = np.asarray(cv2.Rodrigues(rotation_vector)[0], dtype=float)
         translation = np.asarray(translation_vector, dtype=float).ravel()
         projected, valid = camera.project(points[view.ids] @ rotation.T + translation)
-        # Where the lens model folds there is no projection: as wrong as can be, and finite.
+        # If the lens model folds, there is no projection: the error is set to a very large finite value.
         residual = np.where(valid[:, None], projected - view.xy_px, math.hypot(*size))
         fitted.append(_FittedBoardView(view.name, view.ids, view.xy_px, rotation, translation, residual, used=True))
     return camera, fitted
@@ -528,7 +528,7 @@ def _solve_fisheye(views: Sequence[BoardView], points: Array, size: tuple[int, i
         focal = size[0] / math.radians(field_deg)
         guess = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
         inputs = (objects, images, size, guess, np.zeros(coefficients))
-        with suppress(cv2.error):  # there is nothing to be found from some starts
+        with suppress(cv2.error):  # some starts lead to no solution
             solutions.append(cv2.fisheye.calibrate(*inputs, flags=flags, criteria=_CRITERIA))
     finite_solutions = [solution for solution in solutions if math.isfinite(solution[0])]
     if not finite_solutions:
@@ -546,7 +546,8 @@ def _sigma(views: Sequence[_FittedBoardView], points: Array, camera: Camera) -> 
     by_camera, by_pose = zip(*(_jacobian(view, points, camera) for view in views), strict=True)
     jacobian = np.hstack([np.vstack(by_camera), block_diag(*by_pose)])
     residual, n = np.concatenate([view.residual_px for view in views]), 4 + camera.distortion.size
-    scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-150)  # coefficients and pixels differ by many orders
+    # coefficients and pixels differ by many orders of magnitude
+    scale = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-150)
     try:
         inverse = np.linalg.inv((jacobian / scale).T @ (jacobian / scale))
     except np.linalg.LinAlgError:
@@ -576,7 +577,7 @@ Verdict = Literal["ok", "warning", "refused"]
 
 @dataclass(frozen=True)
 class _CalibrationCheck:
-    """A measured value and its limits."""
+    """Hold a measured value and its limits."""
 
     name: str
     quantity: str

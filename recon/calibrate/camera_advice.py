@@ -1,4 +1,4 @@
-"""Find camera positions from which the pixels determine an angle, or a joint.
+"""Find camera positions from which the pixels determine an angle or a joint.
 
 A mean stride runs through the middle of the picture: the prior's mean pose, which swings along its two widest
 directions. No search is needed: the posterior is that of a fit that has found this motion, and only needs the curvature
@@ -31,33 +31,33 @@ ELEVATIONS_RAD = np.radians([5, 30, 55, 80])
 """Elevations above the level of the animal's middle."""
 FPS, FRAMES = 60.0, 21
 STRIDES_HZ, LENGTHS_S = 3.0, 5.0
-"""Strides a second, and body lengths that the animal runs in a second."""
+"""Number of strides, and of body lengths, that the animal runs per second."""
 AWAY_LENGTHS = 4.0
-"""Default distance of the camera in lengths of the animal."""
+"""Default distance of the camera in body lengths."""
 PICTURE_PX = (1920, 1080)
 SAME = 1e-6
-"""Relative difference of standard deviations that are equal within rounding."""
+"""Relative difference below which standard deviations count as equal."""
 
 
 @dataclass(frozen=True, eq=False)
 class Advice:
-    """One camera on a sphere about the animal, at every position of the grid of `AZIMUTHS_RAD` and `ELEVATIONS_RAD`."""
+    """Describe one camera at every position of a grid of `AZIMUTHS_RAD` and `ELEVATIONS_RAD` around the animal."""
 
     target: str
-    """Angle or joint to be seen."""
+    """Angle or joint to measure."""
     unit: str
-    """"rad" of an angle, "m" of joints."""
+    """"rad" for an angle, "m" for joints."""
     distance_m: float
     sigma: Array
     """Median standard deviation over the frames, shape (E, A); infinite if the animal is not in the picture."""
     share: Array
-    """Share of the precision that comes from the pixels of all cameras, shape (E, A)."""
+    """Fraction of the precision that comes from the pixels of all cameras, shape (E, A)."""
     first_place: tuple[float, float] | None = None
-    """Azimuth and elevation of another camera that is present already."""
+    """Azimuth and elevation of another camera that is already placed."""
 
     @property
     def best(self) -> tuple[int, int]:
-        """Return the indices of elevation and azimuth with the least standard deviation.
+        """Return the indices of elevation and azimuth with the smallest standard deviation.
 
         The first if several are equally good, such as both sides of an animal.
         """
@@ -80,7 +80,7 @@ def advise(
     cameras: int = 1,
     progress: Callable[[float], None] = lambda share: None,
 ) -> list[Advice]:
-    """Return advice on where to put one or two cameras.
+    """Return advice on where to place one or two cameras.
 
     The first camera stands in its best position when advice on the second is given.
 
@@ -124,7 +124,7 @@ def advise(
 def known(
     body: Body, prior: MotionPrior, states: Array, cameras: Sequence[Camera], target: str | None = None
 ) -> tuple[float, float]:
-    """Return the standard deviation and the pixels' share of the precision, medians over frames.
+    """Return the standard deviation and the fraction of the precision due to the pixels, medians over frames.
 
     The standard deviation is in rad, or in m for a joint within the pose. cameras see the motion of states (T, D);
     (inf, 0) if none does. See `advise`.
@@ -168,7 +168,7 @@ def length_m(body: Body) -> float:
 
 
 def placed(camera: Camera, target_m: Array, azimuth_rad: float, elevation_rad: float, distance_m: float) -> Camera:
-    """Return the camera at a position about an animal that faces x, with the target in the middle of its picture."""
+    """Return the camera at a position around an animal that faces x, with the target in the middle of its picture."""
     level = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
     towards = -np.cos(elevation_rad) * level - np.sin(elevation_rad) * np.array([0.0, 0.0, 1.0])
     right = np.array([-level[1], level[0], 0.0])

@@ -1,4 +1,4 @@
-"""The published system: 21 unknowns of the 8U chain, solved one frame after the other.
+"""The published system: 21 unknowns of the 8U chain, solved frame by frame.
 
 C. van der Leek, "Kinematic Modeling and Dynamic Aspects of an Accelerating Quadruped", MSc(Eng), University of Cape
 Town, 2022. chain: the 8U chain and its unknowns; objectives: f1 to f5 and the priors; start: direction of travel and

@@ -1,4 +1,4 @@
-"""The 8U chain and the 21 unknowns of one frame, as published.
+"""Define the 8U chain and the 21 unknowns of one frame, as published.
 
 The chain (`recon.animal.chain`) has links with two angles each, theta and phi. The unknowns of one frame, in order, are
 
@@ -152,14 +152,14 @@ class UnknownsChain(Chain):
 
 
 def with_unknowns(chain: object) -> object:
-    """Return a chain as `UnknownsChain`; anything that is no chain stays as it is."""
+    """Return a chain as `UnknownsChain`; anything that is not a chain is returned unchanged."""
     if isinstance(chain, UnknownsChain) or not isinstance(chain, Chain):
         return chain
     return UnknownsChain(**{field.name: getattr(chain, field.name) for field in fields(Chain)})
 
 
 AnyChain = Annotated[UnknownsChain, BeforeValidator(with_unknowns)]
-"""The type of a field that also takes a plain chain, as files of earlier versions have it."""
+"""Type of a field that also accepts a plain chain, as in files of earlier versions."""
 
 
 def load_chain(name_or_path: str | Path) -> UnknownsChain:
@@ -196,7 +196,7 @@ def euler_angles(rotation: npt.ArrayLike) -> Array:
         For a matrix whose determinant is not positive.
     """
     matrices = np.asarray(rotation, dtype=float)
-    if (np.linalg.det(matrices) <= 0).any():  # older scipy takes them for rotations
+    if (np.linalg.det(matrices) <= 0).any():  # older versions of scipy accept them as rotations
         raise ValueError("a matrix with a determinant that is not positive is no rotation")
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Gimbal lock")

@@ -27,7 +27,7 @@ from recon.thesis.start import parse_start_angles
 
 
 def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
-    """Reconstruct one side of the animal as a chain, one frame after the other.
+    """Reconstruct one side of the animal as a chain, frame by frame.
 
     Frames that cannot be solved are part of the result.
 
@@ -46,29 +46,32 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
 
 
 def load_body(settings: FitSettings) -> Body:
-    """Return the body of the settings' chain. Raises InputError for a skeleton that is no chain."""
+    """Return the body of the settings' chain.
+
+    Raises InputError for a skeleton that is not a chain.
+    """
     return load_chain(settings.skeleton_name).body
 
 
-# -- what the optimiser did --------------------------------------------------------------------------------------------
+# -- the work of the optimiser -----------------------------------------------------------------------------------------
 
 FOLDER, SUMMARY, JACOBIAN = "solver", "solver.json", "jacobian.npz"
-"""By default the folder lies in the folder of results."""
+"""Names of the folder, which is in the results folder by default, and of files in it."""
 FIGURES_BEGIN = 0.5
-"""Share of the progress before the figures."""
+"""Progress, as a fraction of the whole, at which the figures begin."""
 
 
 class SolverSettings(Settings):
     """Settings of `recon solver`."""
 
     folder: Annotated[Path, Option(argument="DIR")]
-    """Folder of results of recon frame, as in results/clip."""
+    """Results folder of recon frame, such as results/clip."""
     out: Path | None = None
     """Folder for tables and figures. (default: solver in DIR)"""
     frame: Integer | None = None
-    """The frame whose search is shown. (default: the one with most evaluations)"""
+    """Frame whose search is shown. (default: the one with the most evaluations)"""
     figures: bool = True
-    """PNG and SVG beside the tables."""
+    """Write figures (PNG and SVG) next to the tables."""
     overwrite: bool = False
     """Replace earlier tables."""
 

@@ -1,4 +1,4 @@
-"""Figures of what the optimiser of the frame method did (`recon.thesis.inspect`)."""
+"""Draw figures of the work of the frame method's optimiser (`recon.thesis.inspect`)."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from recon.show.plots import style
 from recon.thesis.inspect import CAMERA_ANGLES, EXIT_FLAGS, SolverRecord
 
 _LEAST = 1e-12
-"""The smallest value that is drawn on a logarithmic axis."""
+"""Smallest value drawn on a logarithmic axis."""
 _DECADES = 1e-6
-"""Lower end of a logarithmic axis, as a share of its upper end: smaller values hardly matter."""
+"""Lower end of a logarithmic axis relative to its upper end: smaller values hardly matter."""
 _CONFIGURATIONS = 12
-"""Most frames of which configurations are drawn."""
+"""Largest number of frames whose configurations are drawn."""
 _UNDAMPED = 1e-8
-"""Steps with a smaller damping are Gauss-Newton steps."""
+"""Damping below which steps count as Gauss-Newton steps."""
 
 
 def solver_search(record: SolverRecord) -> Figure:

@@ -64,7 +64,7 @@ SENTENCES = {
     "ground_elsewhere": ("stand at z = 0.47 ± 0.04 m", {"height_m": 0.47, "sigma_m": 0.04}),
     "camera_unit": ("is 100 times that above the animal's feet", {"unit": "cm", "times": 100.2}),
     "subject_unlike_species": ("are 1.50 times those", {"times": 1.5, "expected_sigma": 0.1}),
-    "keypoints_normalised": ("parts of the picture, from 0 to 1", {}),
+    "keypoints_normalised": ("fractions of the picture size, from 0 to 1", {}),
     "keypoints_y_up": ("as if they counted y from below", {}),
     "upside_down": ("contradict each other: the animal runs upside down", {}),
     "pose_inverted": ("from the camera to the world", {}),

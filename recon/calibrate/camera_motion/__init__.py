@@ -1,1 +1,1 @@
-"""Find how a camera that turns about a fixed point was turned in each frame of its video, from the background."""
+"""Find from the background how a camera that turns about a fixed point was turned in each frame of its video."""

@@ -1,4 +1,4 @@
-"""Follow points between pictures and find how the camera has turned between them, and which way is up.
+"""Follow points between pictures, and find how the camera turned between them and which direction is up.
 
 A subject that the camera follows covers much of the picture, has more structure than the background, and its points
 agree with each other. They lie together, though, while the background surrounds them: a turn is worth the area of its
@@ -43,7 +43,7 @@ HULL_MARGIN = 0.15
 
 @dataclass(frozen=True)
 class GreyPicture:
-    """A grey picture, reduced by `scale`."""
+    """Hold a grey picture, reduced by `scale`."""
 
     grey: Image
     scale: int
@@ -60,7 +60,7 @@ class GreyPicture:
 
     @property
     def window_px(self) -> int:
-        """Return the side of the window compared around a point.
+        """Return the side of the window that is compared around a point.
 
         Smaller in small pictures, as the window should lie on one object.
         """
@@ -135,7 +135,7 @@ def described(frame: GreyPicture) -> tuple[Array, Image]:
 
 
 def same_scene(a: tuple[Array, Image], b: tuple[Array, Image]) -> bool:
-    """Return whether points of two pictures (pixels, descriptors) match by a homography, if not by a turn."""
+    """Return whether points of two pictures (pixels, descriptors) match by a homography, even if not by a turn."""
     pairs = matched(a[1], b[1])
     if len(pairs) < MIN_SAME:
         return False
@@ -146,7 +146,7 @@ def same_scene(a: tuple[Array, Image], b: tuple[Array, Image]) -> bool:
 
 
 def similar(a: GreyPicture, b: GreyPicture) -> bool:
-    """Return whether light and dark lie similarly in two pictures, as in neighbours of one take."""
+    """Return whether light and dark are distributed similarly in two pictures, as in neighbours of one take."""
     small = [cv2.resize(picture.grey, (16, 16), interpolation=cv2.INTER_AREA).ravel() for picture in (a, b)]
     return bool(np.asarray(np.corrcoef(small))[0, 1] > MIN_ALIKE)
 
@@ -205,7 +205,7 @@ ROUNDS = 6
 
 @dataclass(frozen=True, eq=False)
 class Orientation:
-    """Orientation and zoom of a camera.
+    """Hold the orientation and zoom of a camera.
 
     rotation (3, 3): world to camera. zoom: focal length relative to the camera file's.
     """
@@ -216,7 +216,7 @@ class Orientation:
 
 @dataclass(frozen=True, eq=False)
 class AgreedOrientation:
-    """A turn and its support.
+    """Hold a turn and its support.
 
     weights: (N,), 0 for points that do not agree. residual_px: (N, 2), seen minus expected. jacobian: (N, 2, 4) of the
     expected pixels, by a small turn (rad) in the camera frame and by log zoom. spread: value of the turn.
@@ -231,7 +231,7 @@ class AgreedOrientation:
 
     @property
     def agree(self) -> Bools:
-        """Return which points agree, shape (N,)."""
+        """Return a mask of the points that agree, shape (N,)."""
         return self.weights > 0
 
 
@@ -256,7 +256,7 @@ def spread(pixels: Array, size_px: tuple[int, int], weights: Array) -> tuple[Arr
 def agreed_turn(
     camera: Camera, rays: Array, seen_px: Array, background: Array, zoom: float, solve_zoom: bool, limit_px: float
 ) -> AgreedOrientation | None:
-    """Return the turn that takes world rays (N, 3) to the pixels (N, 2) of their points, at about that zoom.
+    """Return the turn, at about the given zoom, that takes world rays (N, 3) to the pixels (N, 2) of their points.
 
     background: (N,) from 0 to 1, how far each point has been background so far. limit_px: largest error of a point.
     None if too few points agree or they cover too little.
@@ -305,7 +305,7 @@ def _axes(a: Array, b: Array) -> Array:
 def refined(
     camera: Camera, rays: Array, seen_px: Array, orientation: Orientation, solve_zoom: bool, limit_px: float
 ) -> AgreedOrientation | None:
-    """Return the turn after robust least squares in pixels, from a turn nearby.
+    """Return the turn after robust least squares in pixels, starting from a turn nearby.
 
     Tukey's weights, with a limit that follows the scatter.
     """
@@ -386,12 +386,12 @@ def as_level(orientations: Sequence[Orientation], up: Array | None) -> tuple[Ori
     if up is None:
         reference = Rotation.from_matrix([turn.rotation for turn in orientations]).mean().as_matrix()
         up = tilted(0.0)
-    level = level_from_camera(up) @ reference  # from the old world
+    level = level_from_camera(up) @ reference  # from the previous world
     return tuple(replace(orientation, rotation=orientation.rotation @ level.T) for orientation in orientations)
 
 
 def tilted(tilt_rad: float) -> Array:
-    """Return up (3,) in a camera that looks down by an angle, its picture level sideways."""
+    """Return up (3,) for a camera that looks down by an angle and is level sideways."""
     return np.array([0.0, -math.cos(tilt_rad), -math.sin(tilt_rad)])
 
 
@@ -444,7 +444,7 @@ def read_marks(path: Path) -> tuple[LevelMark, ...]:
     for line, cells in rows:
         try:
             marks.append(_mark(*(cell.strip() for cell in cells)))
-        except (TypeError, ValueError):  # too few, or other than numbers
+        except (TypeError, ValueError):  # too few cells, or cells that are not numbers
             problems.append(Problem(path, f"line {line}", repr(",".join(cells))[:80], EXPECTED))
     raise_problems(first_problems(problems, path) if rows else [Problem(path, "lines", "none", EXPECTED)])
     return tuple(marks)

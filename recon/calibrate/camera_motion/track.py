@@ -1,4 +1,4 @@
-"""Track a turning camera: take frames one after the other, return how the camera was turned in each.
+"""Track a turning camera: process frames one after the other, and return its orientation in each.
 
 Keyframes are remembered and later frames are compared with them. Also draws a panorama of everything the camera has
 seen.
@@ -31,10 +31,10 @@ NEW_KEY_SUPPORT, MIN_SUPPORT = 0.6, 0.25
 """Shares of the greatest value of a rotation since the last keyframe: below the first there is a new keyframe, below
 the second the frame is lost."""
 BY_ZOOM = 5.0
-"""Loss of likeness of two pictures by the difference of their log zooms."""
+"""Reduction of the likeness of two pictures per difference of their log zooms."""
 KEYS_AT_ONCE, KEYS_TO_LINK = 3, 5
 MAX_PICTURES = 120
-"""Number of keyframes whose pictures are kept, the last ones used, to bound the memory."""
+"""Number of keyframes whose pictures are kept, the last ones used, to limit memory."""
 LEARNING = 0.15
 SETTLED, COME_APART, MAX_APART = 0.75, 0.6, 0.25
 """Agreement from which a point is background; share of agreeing background points below which the background has
@@ -43,7 +43,7 @@ MAX_PAIRS, MIN_BACKGROUND = 60, 0.4
 """Number of pairs of pictures that determine the focal length, those rotated furthest, and least agreement of their
 points with the background."""
 CLEARLY = 3.0
-"""Standard deviations from which a focal length differs from the camera file's."""
+"""Number of standard deviations above which a focal length differs from that of the camera file."""
 MIN_STILL, MAX_TORN = 0.4, 1
 """Least share of an old keyframe's background that has to stay in position, and the number of exceptions."""
 ADJUST_STEPS = 4
@@ -59,7 +59,7 @@ PAIR_FLOOR_PX = 0.15
 
 @dataclass(eq=False)
 class _Keyframe:
-    """A frame with which others are compared.
+    """Hold a frame with which other frames are compared.
 
     number: its index among those that have a turn. frame: None if the picture has been forgotten. points_px, rays: (N,
     2), (N, 3), camera frame. background: (N,) from 0 to 1, how far each point has been background. settled: (N,),
@@ -84,7 +84,7 @@ class _Keyframe:
 
 @dataclass(frozen=True, eq=False)
 class TurningMotion:
-    """Rotations of a camera over F frames of a video, N of which have one.
+    """Hold the rotations of a camera over F frames of a video, N of which have one.
 
     frames: (N,) numbers from 0. inliers, residual_px, sigma_rad, sigma_zoom: (N,). focal: log factor on the camera
     file's focal length by the turns, and its standard deviation; if it differs clearly, sigma_rad includes its effect
@@ -107,7 +107,7 @@ class TurningMotion:
 
 @dataclass(eq=False)
 class Tracker:
-    """Tracking of a turning camera, frame by frame.
+    """Track a turning camera frame by frame.
 
     masked: pixels (K, 2) of the animal in a frame, by its number, or None. State: frames with their turns, supports
     (points that agree, their root mean square in px) and links; lost frames; number of frames in which the background
@@ -189,7 +189,7 @@ class Tracker:
         return True
 
     def _predicted(self, number: int) -> Orientation:
-        """Return the orientation if the camera turns on as before."""
+        """Return the orientation if the camera continues to turn as before."""
         if len(self.orientations) < 2 or self.frames[-2:] != [number - 2, number - 1]:
             return self.orientations[-1]
         a, b = self.orientations[-2:]
@@ -208,7 +208,7 @@ class Tracker:
         return (agreement, points_seen) if agreement is not None and enough else None
 
     def _nearest(self, orientation: Orientation, count: int) -> list[_Keyframe]:
-        """Return keyframes with a picture that look the same way."""
+        """Return keyframes with a picture that look in a similar direction."""
         pictures = [key for key in self.keys if key.frame is not None]
         by_direction = sorted(pictures, key=lambda key: -float(orientation.rotation[2] @ key.orientation.rotation[2]))
         by_likeness = sorted(
@@ -231,7 +231,7 @@ class Tracker:
         return float(share_inside) - BY_ZOOM * abs(np.log(orientation.zoom / key.orientation.zoom))
 
     def _found_again(self, frame: GreyPicture, mask: Bools | None) -> Orientation | None:
-        """Return the orientation from recognised points, after a jerk or a stretch without background."""
+        """Return the orientation from recognised points, after a jerk or a period without background."""
         pixels, descriptors = turning.described(frame)
         recent = sorted((key for key in self.keys if key.frame is not None), key=lambda key: -key.used)[:20]
         rays, pixel_sets = [], []
@@ -364,7 +364,7 @@ class Tracker:
 
 
 class _Seen(NamedTuple):
-    """Points of some keyframes in one frame.
+    """Hold the points of some keyframes in one frame.
 
     of_key, place: (N,), their keyframe and their index in it. rays: (N, 3), world. pixels: (N, 2). background: (N,).
     """
@@ -463,7 +463,7 @@ def _adjust(
 
 
 class _TurnedPair(NamedTuple):
-    """Points (N, 2), (N, 2) followed from one picture to the other, and the rotation (3, 3) between them.
+    """Hold points (N, 2), (N, 2) followed from one picture to another, and the rotation (3, 3) between them.
 
     key: of the earlier picture.
     """
@@ -507,7 +507,7 @@ def _focal_factor(camera: Camera, pairs: Sequence[_TurnedPair], limit_px: float)
 
 
 def _information(camera: Camera, pair: _TurnedPair, log_factor: float) -> tuple[float, float]:
-    """Return a pair's information on the log factor, and its gradient."""
+    """Return the information of a pair of pictures on the log factor, and its gradient."""
     residual_px, *ends = (_left_px(camera, pair, log_factor + change) for change in (0.0, STEP, -STEP))
     slope, weights, size = (ends[0] - ends[1]) / (2 * STEP), _weights(residual_px), np.linalg.norm(residual_px, axis=1)
     used = max(float(weights.sum()), 1.0)
@@ -550,7 +550,7 @@ VIEW, PATH, ANIMAL = (0, 220, 255), (255, 200, 0), (80, 80, 255)
 
 @dataclass(frozen=True)
 class _Canvas:
-    """Longitude and latitude (rad) of the upper left corner's pixel, rad a pixel, and (width, height), even."""
+    """Hold longitude and latitude (rad) of the upper left pixel, rad per pixel, and (width, height), even."""
 
     west: float
     north: float
@@ -605,7 +605,7 @@ def thumbnail(picture: Image) -> Image:
 
 
 def panorama(camera: Camera, motion: TurningMotion, pictures: Sequence[Image], points: Mapping[int, Array]) -> Image:
-    """Draw the keyframes' pictures over each other, weighted by the depth within a picture.
+    """Draw the keyframes' pictures over each other, weighted by the distance from the picture's edge.
 
     Also the edges of the first, the middle and the last view, and the camera's and the animal's path. pictures:
     `thumbnail` of each keyframe. points: the animal's pixels (K, 2) by frame.
