@@ -129,7 +129,7 @@ def _mixture(
     `shrink` moves each covariance towards the average within all components; `extra` (A, A) is added.
     """
     scaled = poses / np.maximum(poses.std(axis=0), MISSING_BELOW_RAD)
-    with warnings.catch_warnings(action="ignore"):  # a cluster stays empty if poses repeat
+    with warnings.catch_warnings(action="ignore"):  # repeated poses can leave a cluster empty
         _, nearest = kmeans2(scaled, components, _K_MEANS_ITERATIONS, minit="++", rng=rng)
     share = np.eye(components)[nearest]
     for _ in range(_EM_ITERATIONS):

@@ -122,7 +122,7 @@ class _BodyFile(FileTable):
     markers: tuple[_Marker, ...]
     limbs: dict[str, tuple[str, ...]]
     anatomy: dict[str, tuple[str, str, str]] = Field(default_factory=dict)
-    """By joint, the markers above, at and below it; a left joint stands for the right one, too."""
+    """Markers above, at and below each joint; a left joint also stands for the right one."""
     mass: _Mass | None = None
 
 

@@ -475,7 +475,7 @@ def _named(options: Mapping[str, Any], settings: FitSettings) -> dict[str, Path]
 
 
 def with_corrections_in(folder: Path, settings: FitSettings) -> FitSettings:
-    """Return the settings of a fit with the corrections that its folder of results has, unless others are given."""
+    """Return the settings of a fit with the corrections in its results folder, unless others are given."""
     path = folder / CORRECTIONS
     is_there = settings.corrections is None and path.is_file() and not path.is_symlink()
     return replace(settings, corrections=path.absolute()) if is_there else settings

@@ -56,7 +56,7 @@ class Interrupts:
         ]
         for number in taken:
             signal.signal(number, self)
-            atexit.register(signal.signal, number, signal.SIG_IGN)  # Python's own end takes 0.3 s, and nothing is lost
+            atexit.register(signal.signal, number, signal.SIG_IGN)  # Python's own exit takes 0.3 s
         if taken and os.name == "posix":
             self._start_watch()
 

@@ -296,7 +296,7 @@ def _copied_sides(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
 # -- impossible motions ------------------------------------------------------------------------------------------------
 
 LEAST_S = 0.25
-"""Least length of a motion that is tested, in seconds."""
+"""Shortest motion that is tested, in seconds."""
 STILL, STILL_M_S, STILL_RAD_S, STILL_TRUNKS = 0.95, 0.3, 0.6, 0.5
 """Limits of an animal that stands still: the share of frames in which its speed is below the limit and below a trunk's
 length a second; the median of its joints' angular speeds; and its distance from its position, in trunk lengths.

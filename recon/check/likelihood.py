@@ -488,7 +488,7 @@ def _likeliest_rate(clip: ClipProblem, states: Array) -> tuple[float, float]:
         return _rate_cost(*_at_rate(thin, thin_states, RATE_STEP**steps, correlation_frames))
 
     steps, previous_steps = 0, 1
-    while steps != previous_steps and abs(steps) < RATE_STEPS:  # downhill
+    while steps != previous_steps and abs(steps) < RATE_STEPS:  # search downhill
         candidates: list[int] = [steps, steps - 1, steps + 1]
         steps, previous_steps = min(candidates, key=cost), steps
     if abs(steps) in (0, RATE_STEPS):

@@ -323,7 +323,7 @@ def _fill_amid(variance: Array, t: Array, errors: Sequence[Errors], per_frame: i
     products = shares[:, first] * shares[:, second] * np.where(first == second, 1.0, 2.0)
     least = _LEAST_PRODUCT * np.max(shares**2, axis=1, keepdims=True)
     frames = len(t) - 1 - width
-    by_frame = variance.reshape(3, frames, per_frame, -1)  # a view
+    by_frame = variance.reshape(3, frames, per_frame, -1)  # a view, not a copy
     for error in errors:
         factors = products * _correlation(step * (second - first), error.correlation_s)
         matters = (np.abs(factors) > least).any(axis=0)

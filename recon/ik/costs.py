@@ -35,7 +35,7 @@ def quadratic(matrix: Array, about: Array | float = 0.0) -> Cost:
 
 
 def joint_differences(chain: SerialChain) -> Cost:
-    """Return sum (q_{k+1} - q_k)^2 over consecutive joints, thetas and phis separately: an even bend."""
+    """Return sum (q_{k+1} - q_k)^2 over consecutive joints, thetas and phis separately, which favours an even bend."""
     D = np.concatenate([np.diff(np.eye(chain.n)[[*group]], axis=0) for group in chain.groups])
     return quadratic(2 * D.T @ D)
 

@@ -221,7 +221,8 @@ def write_bvh(rig: Armature, path: Path) -> None:
         margin = "  " * depth
         turns = () if bone is None else rig.bones[bone].turns
         angles = {turn.kind: sum(AXIS[turn.kind]) * np.degrees(turn.angle_rad) for turn in turns}
-        angles |= {kind: np.zeros(len(rig.root_m)) for kind in AXIS if kind not in angles}  # programs expect all three
+        # programs expect all three channels
+        angles |= {kind: np.zeros(len(rig.root_m)) for kind in AXIS if kind not in angles}
         columns.extend(angle[:, None] for angle in angles.values())
         channels = ["Xposition", "Yposition", "Zposition"] if depth == 0 else []
         channels += [_CHANNEL[kind] for kind in angles]

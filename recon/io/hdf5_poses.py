@@ -343,7 +343,7 @@ def _of_variables(path: Path, stored: Variables, attributes: Mapping[str, Any], 
         Problem(path, field, detail, expected) for field, (detail, expected, right) in wrong.items() if not right
     )
     ticks, fps = stored["time"][1] if "time" in stored else np.arange(len(values)), common.rate(attributes["fps"])
-    # Without the attribute, whole numbers are frames.
+    # Without the attribute, whole numbers are taken as frames.
     in_frames = (attributes["time_unit"] or ("frames" if ticks.dtype.kind in "iu" else "seconds")) == "frames"
     frames = frames_of_numbers(path, ticks.astype(float)) if in_frames else np.arange(len(ticks))
     extra: dict[str, Any] = {"fps": fps}

@@ -46,7 +46,7 @@ class Labels:
     numbers: Integers
     """(N,) int, the frame numbers that the labels' image names end in."""
     images: tuple[str, ...]
-    """N names, as in labeled-data/run/img0050.png."""
+    """Names of the N pictures, such as labeled-data/run/img0050.png."""
     clip: Integers
     """(N,) int, which of `clips` a picture comes from."""
     clips: tuple[str, ...]

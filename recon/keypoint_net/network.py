@@ -236,7 +236,7 @@ Window = tuple["torch.Tensor", float]
 
 
 def _inside(window: Window, size: Sequence[int]) -> torch.Tensor:
-    """Return which cells (B, K, h, w) are in the window; none for a keypoint that is NaN."""
+    """Return a mask of the cells (B, K, h, w) in the window, empty for a NaN keypoint."""
     return _distance2(window[0], size) <= window[1] ** 2
 
 

@@ -356,7 +356,7 @@ def make_batch(
 ) -> Batch:  # fmt: skip
     """Return the batch of a step, which depends only on the seed, the step and the pictures to draw from.
 
-    off_px: the second stage's distance from its points; 0 for the first stage.
+    `off_px` is the distance of the second stage's windows from their points, 0 for the first stage.
     """
     pictures, picture_backgrounds, points, near_points = [], [], [], []
     for i in range(size):

@@ -549,7 +549,7 @@ def kept(margins: dict[str, Array]) -> dict[str, dict[str, float]]:
 
 
 def least_share(motion: RobotMotion, model: MjModel) -> float:
-    """Return the least share of frames that keep a rule."""
+    """Return the smallest fraction of frames that obey a rule."""
     return min(rule["share"] for rule in kept(check(motion, model)[1]).values())
 
 

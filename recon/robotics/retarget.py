@@ -403,7 +403,7 @@ class Retargeting:
     animal: Animal
     window: StrideWindow
     clip: RobotMotion
-    """The whole clip."""
+    """Motion of the whole clip."""
     stride: RobotMotion
     """A stride that repeats."""
     spread_m: float

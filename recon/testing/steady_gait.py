@@ -58,7 +58,7 @@ class SteadyGait:
     def height_m(self, time_s: Array, rate: int = 0) -> Array:
         """Return the height of the centre of mass above its mean, or with rate=1 its velocity.
 
-        The forces, integrated twice over a stride.
+        The height follows from integrating the forces twice over a stride.
         """
         grid_s = np.arange(FINE) / FINE * self.stride_s
         upward_m_s2 = G_M_S2 * (np.sum([self.force_bw(foot, grid_s) for foot in self.landings], axis=0) - 1)

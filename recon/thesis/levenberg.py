@@ -42,8 +42,8 @@ def minimise(
 ) -> Minimum:
     """Return the minimum of half the squared residuals that a start (n,) leads to.
 
-    The Jacobian is asked for at accepted points only. tolerance: relative change of the cost and of the step, and
-    largest component of the gradient relative to the norms of its column and of the residuals.
+    The Jacobian is computed at accepted points only. `tolerance` limits the relative change of the cost and of the
+    step, and the largest component of the gradient relative to the norms of its column and of the residuals.
     """
     x, r, damping, scale = start.copy(), residual(start), initial_damping, np.zeros(len(start))
     nfev, njev, status = 1, 0, 0

@@ -82,7 +82,7 @@ SENTENCES = {
     "left_right_swap_mended": ("were swapped in frame 10, in all keypoints, and", {"part": "all keypoints"}),
     "clip_swapped_back": ("were swapped in frame 10, in all keypoints, and", {"part": "all keypoints"}),
     "frame_rate_stated": ("file says 60 frames per second, but --fps is 30", {"other_hz": 60.0, "given_hz": 30.0}),
-    "frame_rate": ("at about 60 frames per second, not 30", {"other_hz": 60.0, "given_hz": 30.0}),
+    "frame_rate": ("about 60 frames per second, not 30", {"other_hz": 60.0, "given_hz": 30.0}),
     "no_pose": ("too few points were detected in every frame", {}),
     "no_pose_unit": (
         "in cm (then they stand 5.12 m apart) or in mm (0.51 m)",
@@ -109,7 +109,7 @@ SENTENCES = {
     "cameras_out_of_step": ("by 1.5 frames or more", {"cameras": ("cam1", "cam2"), "apart_frames": 1.5}),
     "fit_explains_little": ("are 2.4 standard deviations or more off the pose", {"sigmas": 2.41}),
     "motion_unexplained": (
-        "the prior cats knows (misfit 3.1, where 1 is usual), and 17 % of the detections disagree",
+        "the prior cats (misfit 3.1, where 1 is usual), and 17 % of the detections disagree",
         {"prior": "cats", "misfit": 3.1, "share": 0.17},
     ),
     "motion_unlike_prior": (

@@ -185,7 +185,7 @@ class _Primitive(FileTable):
 
 
 class _Swing(FileTable):
-    """Describe the swing of a foot: its path's clearance above the higher end, and its speeds by phase."""
+    """Describe the swing of a foot: clearance of its path above the higher end, and speeds by phase."""
 
     clearance_m: PositiveLength
     rise_m_s: PositiveLength
@@ -496,7 +496,7 @@ class ClimbSettings(Settings):
     height: Annotated[Annotated[Number, Field(gt=0, le=10)] | None, Option(expected="metres, as in 0.045")] = None
     """Height of the step, metres; the footfalls' heights are in proportion. (default: the recipe's)"""
     figures: bool = True
-    """Write figures, as PNG and SVG, too."""
+    """Also write figures as PNG and SVG."""
     overwrite: bool = False
     """Replace earlier ones."""
 

@@ -39,7 +39,7 @@ WIDTH_MM, COLUMN_MM = 180.0, 85.0
 PAGE_MM = 235.0
 """Height of a page within its margins."""
 MM = 1 / 25.4
-"""Inches."""
+"""One millimetre in inches."""
 PNG_DPI, PRINT_DPI = 200, 600
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")

@@ -1,8 +1,8 @@
 """Write the animal in space and in the cameras' pictures as a recording for rerun.
 
-Also what the views share: colours, the geometry of the scene, and how lines, plots and states are written. On a full
-disk rerun's own writer waits for ever. It therefore writes into a pipe, from which the file is written here: a long
-recording is never in memory as a whole.
+The module also has what the views share: colours, the geometry of the scene, and functions that write lines, plots and
+states. Rerun's own writer hangs if the disk is full, so rerun writes into a pipe, and this module writes the file from
+the pipe without keeping a long recording in memory.
 """
 
 from __future__ import annotations

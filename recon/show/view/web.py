@@ -85,7 +85,7 @@ def _passed_on(address: str, kind: str, _rest: str, _data: object) -> Reply:
 
 
 def _content(address: str) -> bytes:
-    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))  # no proxy leads to this machine
+    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))  # a proxy cannot reach this machine
     with opener.open(address) as response:
         return response.read()
 
