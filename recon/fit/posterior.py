@@ -149,7 +149,8 @@ def curvature(problem: LeastSquares, estimate: Estimate, variance_factor: float)
         variance_scale = _bias_scale(S, without_bias, bias_columns, variance_m2, variance_factor)
         S[bias_columns, bias_columns] += np.diag((1.0 / variance_scale - 1.0) / variance_m2)
         prior_precision[bias_columns] /= variance_scale
-        beyond_m2 = (variance_scale - 1.0) * variance_m2[::3]
+        if solved_bias is None:  # a bias that was solved for is in the joints already
+            beyond_m2 = (variance_scale - 1.0) * variance_m2[::3]
     others_covariance, size_known = np.linalg.inv(S[n_size:, n_size:]), 0.0
     others_by_size = np.zeros(len(others_covariance))
     if n_size:

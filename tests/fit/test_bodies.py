@@ -120,19 +120,22 @@ def test_a_mouse_of_a_tenth_of_a_metre(tmp_path, undrawn):
     assert not json.loads((tmp_path / "analysed" / "analysis.json").read_text())["gait"]
 
 
-@pytest.mark.parametrize("skeleton", ["mouse-top", "dog-27", "human-25"])
-def test_intervals_widen_where_lengths_are_others(skeleton):
-    """A fifth beside the skeleton's: several cameras see keypoints further from the markers than expected."""
-    body = load_skeleton(skeleton)
-    views, true_m = rigs.random_clip(body, 0.2, 4, 0)
-    prior = prior_from_body(body)
-    solution = solve_trajectory(views, body, prior, rigs.FPS, TrajectoryOptions(fast=True))
-    place = coordinate_coverage(solution.joints_m - true_m, solution.covariance_m2, 0.9)
-    centred_m = aligned(solution.joints_m, true_m) - true_m
-    pose = coordinate_coverage(centred_m, solution.relative_covariance_m2, 0.9)
-    assert min(place, pose) > 0.83  # 0.65 to 0.82 with keypoints as near as expected
-    if max(place, pose) > 0.97:
-        pytest.xfail("intervals are too wide: lengths and offsets that are found explain more than is counted")
+def test_intervals_widen_where_lengths_are_others():
+    """A fifth beside the skeleton's: several cameras see keypoints further from the markers than expected.
+
+    One clip has but one draw of lengths and offsets, so that intervals that are right hold more of one clip, and less
+    of another.
+    """
+    shares = []
+    for skeleton in ("mouse-top", "dog-27", "human-25"):
+        body = load_skeleton(skeleton)
+        views, true_m = rigs.random_clip(body, 0.2, 4, 0)
+        solution = solve_trajectory(views, body, prior_from_body(body), rigs.FPS, TrajectoryOptions(fast=True))
+        centred_m = aligned(solution.joints_m, true_m) - true_m
+        place = coordinate_coverage(solution.joints_m - true_m, solution.covariance_m2, 0.9)
+        shares.append([place, coordinate_coverage(centred_m, solution.relative_covariance_m2, 0.9)])
+    assert np.min(shares) > 0.83  # 0.65 to 0.82 with keypoints as near as expected
+    assert np.all(np.mean(shares, axis=0) < 0.97)  # 0.98 where a bias that was found counts twice
 
 
 def seen_by_two(body: Body, true_m: np.ndarray, random: np.random.Generator) -> TrajectorySolution:
