@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
+from recon.animal.body import ROUGH_SIZE_SIGMA
 from recon.animal.chain import Chain, load_chain
 from recon.api.clip_cameras import cameras_in, other_camera_in, other_cameras
 from recon.api.clip_inputs import ClipInputs, prepare
@@ -64,6 +65,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
         options = replace(options, lengths_known=True)
     fit = _solve_first(inputs, options, solve)
     fit = _solve_again_with_fixed_cameras(fit, solve, settings.lengths_known)
+    fit = _refine_pair(fit, inputs, settings, solve)
     began = time.perf_counter()
     fit = _solve_again_without_gross_outliers(fit, solve)
     fit = _check_inputs(fit, as_motion(fit), inputs, settings)
@@ -93,7 +95,8 @@ def refit_clip(settings: FitSettings, motion: Motion) -> Motion:
     InputError
         As `fit_clip`.
     """
-    is_more = settings.seeks_cameras or settings.belt_speed_m_s is not None or settings.find_offsets
+    is_refined = any(item.code == "pair_refined" for item in motion.findings)
+    is_more = settings.seeks_cameras or is_refined or settings.belt_speed_m_s is not None or settings.find_offsets
     if is_more or settings.method == "frame" or not isinstance(motion.solution, TrajectorySolution):
         return fit_clip(settings)
     inputs = prepare(settings)
@@ -164,6 +167,25 @@ def _solve_again_with_fixed_cameras(fit: _Fit, solve: Solve, lengths_known: bool
     return replace(fit, options=options, solution=fixed, findings=(*fit.findings, *unrefined))
 
 
+def _refine_pair(fit: _Fit, inputs: ClipInputs, settings: FitSettings, solve: Solve) -> _Fit:
+    """Refine the poses of two cameras of which one is likelier turned or moved than as calibrated.
+
+    The animal's lengths have to be known roughly, as only they contradict the poses of a pair whose rays meet.
+    """
+    is_fixed = settings.cameras_known or settings.camera_track is not None or settings.belt_speed_m_s is not None
+    if is_fixed or fit.options.refine_cameras or len(fit.sources) != 2 or inputs.body.size_sigma > ROUGH_SIZE_SIGMA:
+        return fit
+    if not any(test.is_misplaced for test in fit.solution.second_cameras):
+        return fit
+    from recon.check.agreement import pair_refined, why_not_refined
+
+    options = replace(fit.options, refine_cameras=True, lengths_known=True)
+    refined = solve(fit.sources, options)
+    if not refined.posed.any() or why_not_refined(refined, fit.solution):
+        return fit
+    return replace(fit, options=options, solution=refined, findings=(*fit.findings, pair_refined(refined)))
+
+
 def _solve_again_without_gross_outliers(fit: _Fit, solve: Solve) -> _Fit:
     """Leave out detections that are far from any pose, unless no frame can be solved without them."""
     cleaned, outliers = without_gross_outliers(fit.sources, fit.solution)
@@ -217,7 +239,7 @@ def _as_motion(inputs: ClipInputs, settings: FitSettings, chain: Chain | None, f
 def _judge(fit: _Fit, motion: Motion, settings: FitSettings) -> Motion:
     """Return the motion with its flags, findings, refined cameras and verdict."""
     sources, solution = fit.sources, fit.solution
-    if settings.seeks_cameras:
+    if settings.seeks_cameras or fit.options.refine_cameras:
         corrections = zip(sources, solution.extrinsic_correction, solution.focal, strict=True)
         sources = tuple(
             replace(source, camera=source.camera.corrected(correction).with_focal_scale(scale))

@@ -116,7 +116,7 @@ def write_clip(
         write_report(report, folder / "report.json")
         (folder / CONFIG).write_text(settings.to_toml(out, known), encoding="utf-8")
         view.write(motion, folder / "motion.rrd")
-        if settings.seeks_cameras:
+        if settings.seeks_cameras or any(item.code == "pair_refined" for item in motion.findings):
             from recon.io.camera_files import write_cameras
 
             write_cameras([source.camera for source in motion.sources], folder / REFINED_CAMERAS)

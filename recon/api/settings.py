@@ -147,6 +147,8 @@ class FitSettings(Settings):
     """Time in seconds by which each camera began later than the first, such as 0.025; once per keypoint file."""
     fps_known: Annotated[bool, _RARE_TRAJECTORY] = False
     """Trust the frame rate: if the animal's motion contradicts it, the intervals widen but no warning is given."""
+    cameras_known: Annotated[bool, _RARE_TRAJECTORY] = False
+    """Trust the cameras' poses. (default: of two cameras, one that is likelier turned or moved is refined)"""
     find_offsets: Annotated[bool, _RARE_TRAJECTORY] = False
     """Find from the animal's motion when each camera began; the search starts at offset-s."""
     refine_cameras: Annotated[bool, _RARE_TRAJECTORY] = False
@@ -243,6 +245,8 @@ class FitSettings(Settings):
                 yield Problem("settings", name, "one keypoint file", "files of several cameras")
             if getattr(self, name) and name != "find_offsets" and self.camera_track is not None:
                 yield Problem("settings", name, "beside a camera track", "cameras that stand still")
+        if self.cameras_known and self.refine_cameras:
+            yield Problem("settings", "cameras_known", "beside refine_cameras", "one of the two")
         if self.height_m is not None and self.size is not None:
             yield Problem("settings", "height_m", f"{self.height_m:g} beside size, {self.size:g}", "one of the two")
         if self.camera_fps is not None and self.fps is not None:

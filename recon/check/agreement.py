@@ -672,6 +672,18 @@ def why_not_refined(refined: TrajectorySolution, fixed: TrajectorySolution) -> t
     return ()
 
 
+def pair_refined(refined: TrajectorySolution) -> Finding:
+    """Return the finding on the second of two cameras, whose pose was refined without being asked for."""
+    turn, shift = refined.extrinsic_correction[1, :3], refined.extrinsic_correction[1, 3:]
+    cameras = tuple(view.camera.name for view in refined.views)
+    return finding(
+        "pair_refined",
+        cameras=cameras,
+        turn_rad=float(np.linalg.norm(turn)),
+        shift_m=float(np.linalg.norm(shift)),
+    )
+
+
 def _medians_px(solution: TrajectorySolution) -> np.ndarray:
     """Return the median distance between detections and reprojected markers, (V,), infinite without a pose."""
     medians = []

@@ -20,7 +20,7 @@ from recon.fit.result import Finding, Severity
 
 NAMED = 5
 """Largest number of names listed in a sentence."""
-LENGTHS = ("height", "apart", "in_cm", "in_mm")
+LENGTHS = ("height", "apart", "shift", "in_cm", "in_mm")
 """Numbers of a finding that its sentence formats as lengths: height_m, with sigma_m if present, as height_length."""
 SWAPPED, OUTLIERS = "left-right swap", "gross outliers"
 """Flags of frames in which one camera's detections are wrong."""

@@ -143,6 +143,11 @@ class SecondCamera:
     late_frames: float
     """Estimated delay in frames if the clock is off."""
 
+    @property
+    def is_misplaced(self) -> bool:
+        """Return whether it is likelier turned or moved than as calibrated, and not clearly likelier late."""
+        return self.misplaced > max(0.0, self.late - 1.0)
+
 
 @dataclass(frozen=True, repr=False)
 class MotionSegment(Brief):

@@ -243,6 +243,23 @@ def test_refined_cameras_are_those_of_the_result(runs, tmp_path):
         read_cameras(tmp_path / "cameras.toml")
 
 
+def test_a_pair_of_which_one_is_likelier_turned_is_refined_by_itself(runs, tmp_path):
+    """By 2 degrees; not where the poses are said to be exact."""
+    scene = json.loads((runs / "scene.json").read_text())
+    beside = View(FISHEYE, ASIDE, np.zeros((1, 1, 2)), np.ones((1, 1)))
+    turned = beside.corrected(np.radians([2, 0, 0, 0, 0, 0])).T_camera_world
+    scene["cameras"][1] |= {"r": turned[:3, :3].tolist(), "t": turned[:3, 3, None].tolist()}
+    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    known = {"camera": tmp_path / "scene.json"}
+    motion = fit_clip(settings(runs, 1, 2, **known))
+    as_said = fit_clip(settings(runs, 1, 2, cameras_known=True, frames="10:36", fast=True, **known))
+    assert ["pair_refined" in {one.code for one in fit.findings} for fit in (motion, as_said)] == [True, False]
+    still_off = Rotation.from_matrix(np.asarray(motion.sources[1].camera.rotation) @ ASIDE[:3, :3].T).magnitude()
+    assert still_off < np.radians(1)
+    given = prepare(settings(runs, 1, 2, **known)).sources[1].camera
+    assert as_said.sources[1].camera.to_dict() == given.to_dict()
+
+
 def test_refined_cameras_are_taken_only_where_every_camera_fits(runs, monkeypatch):
     """A refinement that throws one camera away, as the robust cost of a small rig allows, is not taken."""
 
@@ -268,6 +285,8 @@ def test_refined_cameras_are_taken_only_where_every_camera_fits(runs, monkeypatc
 def test_only_several_cameras_that_stand_still_are_refined(runs):
     with refusal(("settings", "refine_cameras", "one keypoint file", "several cameras")):
         settings(runs, 1, refine_cameras=True)
+    with refusal(("settings", "cameras_known", "beside refine_cameras", "one of the two")):
+        settings(runs, 1, 2, refine_cameras=True, cameras_known=True)
     with refusal(("settings", "refine_cameras", "camera track", "stand still")):
         settings(runs, 1, 2, refine_cameras=True, camera_track=["cam1.csv"])
 

@@ -128,6 +128,10 @@ SENTENCES = {
         "agree better. Check both poses, or give the animal's lengths (--subject).",
         {"cameras": ("cam1", "cam2"), "log_likelihood_ratio": 9.06},
     ),
+    "pair_refined": (
+        "turned by 3.0 degrees and moved by 50 mm, as in cameras.toml",
+        {"cameras": ("cam1", "cam2"), "turn_rad": 0.0524, "shift_m": 0.05},
+    ),
     "pair_or_lengths": ("cam1, cam2 do not fit the lengths of this skeleton", {"cameras": ("cam1", "cam2")}),
     "too_fast": ("at 41 m/s, faster than any animal", {"speed_m_s": 41.2}),
     "second_solution": ("up to 0.30 m away", {"count": 2, "frames_total": 9, "apart_m": 0.3}),
