@@ -67,13 +67,14 @@ def test_the_body_has_the_lengths_that_were_found():
     assert set(free.body.keypoint_offset_m) == set(BODY.markers)
 
 
-def test_one_camera_keeps_the_lengths():
+def test_one_camera_keeps_the_lengths_and_is_less_sure_of_poses():
     free, known = (
         solve_trajectory(
             VIEWS[:1], BODY, prior_from_body(BODY), FPS, TrajectoryOptions(fast=True, lengths_known=is_known)
         )
         for is_known in (False, True)
     )
-    assert np.array_equal(free.joints_m, known.joints_m)
-    assert np.array_equal(free.covariance_m2, known.covariance_m2)
+    np.testing.assert_allclose(free.joints_m, known.joints_m, atol=2e-3)  # the size differs a little
+    variances = [np.trace(fit.relative_covariance_m2, axis1=2, axis2=3).mean() for fit in (free, known)]
+    assert variances[0] > 1.02 * variances[1]
     assert free.body == BODY
