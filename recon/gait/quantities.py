@@ -35,8 +35,8 @@ NEXT_STEP = 0.6
 LEAST_STRIDES = 3
 """Least number of strides on each side from which an asymmetry is measured."""
 SIDE_SIGMA = {"stance": 0.05, "excursion": 0.015}
-"""One standard deviation of the asymmetry that one camera puts between a near and a far side, measured on a dog
-(`benchmarks/gait.py --only strides`)."""
+"""One standard deviation of the asymmetry that one camera puts between a near and a far side; intervals with it hold
+on a dog's walks and runs (`benchmarks/gait.py --only strides`)."""
 
 
 @dataclass(frozen=True, eq=False)
