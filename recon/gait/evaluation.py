@@ -397,7 +397,7 @@ def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: 
 def _together(pose_m: Array, truth_m: Array) -> tuple[Array, Array]:
     """Return both poses (2, T, J, 3), centred on the mean of the common joints, and the means (2, T, 1, 3).
 
-    And the means (2, T, 1, 3).
+    The poses are NaN for all other joints.
     """
     common = np.where(common_joints(pose_m, truth_m)[..., None], np.stack([pose_m, truth_m]), np.nan)
     means = mean_along(common, axis=2)[:, :, None]
