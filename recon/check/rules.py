@@ -37,7 +37,7 @@ EXPLAINED_SIGMAS = 1.9
 EXPLAINED_DETECTORS = 3.0
 """The same limit in units of the detectors' usual errors, since a fit's own noise estimate can hide a misfit.
 
-Right views have 0.7 to 1.4, frames in random order 5 to 9: whichever run is left out.
+Right views have 0.7 to 1.4, frames in random order 5 to 9.
 """
 UNEXPLAINED_SHARE = 0.1
 """Share of outliers from which a motion that the prior does not know is not an animal's.

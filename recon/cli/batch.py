@@ -177,8 +177,8 @@ def _table(summary: Summary) -> list[Table | str]:
         styled = Text(state, STYLES.get(state, _STYLES.get(state, "")))
         cells.append((row["clip"], styled, frames, pose, speed))
     table = table_of("clip", "verdict", numbers=("frames", "pose off by, mm", "mean speed, m/s"), rows=cells)
-    more = [f"{counted(len(rows) - LISTED, 'more clip')}: see the summary."] if len(rows) > LISTED else []
-    return [table, *more]
+    notes = [f"{counted(len(rows) - LISTED, 'more clip')}: see the summary."] if len(rows) > LISTED else []
+    return [table, *notes]
 
 
 def _dry_run_answer(plan: Sequence[ClipPlan], problems: Sequence[Problems], strict: bool) -> Answer:

@@ -350,8 +350,8 @@ def _add_detections(
         W_R = W @ R
         by_joint = border[..., bias].reshape(N, D, J, 3).swapaxes(1, 2)  # a view
         by_joint += A.swapaxes(2, 3) @ W_R
-        own = (bias.start + 3 * joints)[:, None] + np.arange(3)
-        corner[own[:, :, None], own[:, None]] += np.sum(R_T @ W_R, axis=0)
+        diagonal = (bias.start + 3 * joints)[:, None] + np.arange(3)
+        corner[diagonal[:, :, None], diagonal[:, None]] += np.sum(R_T @ W_R, axis=0)
         gradient[bias] += np.sum(R_T @ pull[..., None], axis=0).ravel()
         if W_L is not None:
             _add_pair(corner, bias, np.r_[columns[LENGTHS]], _by_joint(R, W_L.reshape(N, J, 3, -1)))
@@ -367,13 +367,13 @@ def _by_lengths_and_bias(
     if by_shape is None:
         is_free = span.rotations is not None and COMMON_KEYPOINT_BIAS in columns
         return None, span.rotations[span.own_rows] if is_free and span.rotations is not None else None
-    own = by_shape[span.own_rows]
-    N, J = own.shape[:2]
-    count, joints = own.shape[3] - 3 * J, np.arange(J)
-    by_length = own[..., :count].reshape(3 * N * J, count)
+    by_unknown = by_shape[span.own_rows]
+    N, J = by_unknown.shape[:2]
+    count, joints = by_unknown.shape[3] - 3 * J, np.arange(J)
+    by_length = by_unknown[..., :count].reshape(3 * N * J, count)
     if COMMON_KEYPOINT_BIAS not in columns:
         return by_length, None
-    return by_length, own[..., count:].reshape(N, J, 3, J, 3)[:, joints, :, joints].swapaxes(0, 1)
+    return by_length, by_unknown[..., count:].reshape(N, J, 3, J, 3)[:, joints, :, joints].swapaxes(0, 1)
 
 
 def _by_joint(R: Array, values: Array) -> Array:
