@@ -104,7 +104,7 @@ class Fits:
         files = self.folder / "points.csv", self.folder / "corrections.csv"
         write_csv(keypoints, files[0])
         write_corrections(corrections or [], files[1])
-        settings = FitSettings(keypoints=files[0], camera=self.folder / "camera.toml", fps=keypoints.fps)
+        settings = FitSettings(keypoints=(files[0],), camera=(self.folder / "camera.toml",), fps=keypoints.fps)
         return fit_clip(replace(settings, corrections=files[1] if corrections else None))
 
     def error_mm(self, motion: Motion) -> float:

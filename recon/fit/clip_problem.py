@@ -129,7 +129,8 @@ class ClipProblem:
         if self.options.lengths_known or self.known_states is not None:
             return self
         if len(self.views) == 1:
-            is_rough = self.body.subject is None and self.prior.name == NONE
+            is_chain = self.body.one_sided  # whose lengths are those of the published animal
+            is_rough = self.body.subject is None and self.prior.name == NONE and not is_chain
             return replace(self, shape=FreeShape.of_body(self.body), solves_shape=False) if is_rough else self
         scale = constants.KNOWN_SHAPE_SCALE if self.detector_is_measured else constants.FIRST_SHAPE_SCALE
         return replace(self, shape=FreeShape.of_body(self.body), shape_scale=scale)

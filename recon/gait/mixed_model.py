@@ -31,7 +31,7 @@ class Variances:
     run: float
     stride: float
     measurement: float = 0.0
-    """That of one run filmed by one camera."""
+    """Standard deviation of one run's error as one camera measures it."""
 
     def of_mean(self, runs: float, strides: float, cameras: float = 1.0) -> float:
         """Return the variance of the mean of an animal's runs."""
@@ -54,11 +54,11 @@ class MixedModel:
     """A fitted model of an experiment."""
 
     names: tuple[str, ...]
-    """The columns of the design, (P,)."""
+    """Columns of the design, (P,)."""
     effects: Array
-    """Their coefficients, shape (P,)."""
+    """Coefficients of the columns, shape (P,)."""
     covariance: Array
-    """Of the coefficients, shape (P, P), without errors that all clips share."""
+    """Covariance of the effects, shape (P, P), without errors that all clips share."""
     variances: Variances
     animals: int
     runs: int

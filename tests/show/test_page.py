@@ -121,7 +121,7 @@ def test_a_page_says_what_the_report_says(page, folder):
     report = build_report(results)
     for text in (
         "Frames: 8 of 8 with a pose, 2 doubtful (some for several reasons: 1 no data, 1 data poor, 1 ambiguous depth).",
-        "The animal moved 2.1 m, at 9.0 m/s on average and at most 9",
+        "The animal moved 2.1 m, at 9.0 m/s (90 %: 8.1 to 9.9) on average and at most 9",
         *(one["text"] for one in report["findings"] if one["severity"] != "note"),
         *report["assumptions"]["sentences"],
         "few joints were seen and trusted",
@@ -307,7 +307,8 @@ def test_a_batch_has_a_table_with_what_is_to_be_looked_at_first(batch):
     page = Page(write_summary_page(batch))
     require_self_contained(page, batch, scripts=1)
     rows = [
-        re.sub(r"\s+", " ", row) for row in re.findall(r'<tr data-state="[\w ]+">(<td>.*?)</tr>', page.html, re.DOTALL)
+        re.sub(r"\s+", " ", row)
+        for row in re.findall(r'<tr data-state="[\w ]+" data-clip="[^"]*">(<td>.*?)</tr>', page.html, re.DOTALL)
     ]
     shown = [[html.unescape(v) for v in re.findall(r'data-v="([^"]*)"', row)][:2] for row in rows]
     assert shown == [["bad", "0"], ["dark", "1"], ["gone", "3"], [EVIL, "4"], ["good", "5"]]
