@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import webbrowser
 from collections.abc import Iterator
 from http import HTTPStatus
 from pathlib import Path
@@ -23,8 +22,9 @@ from recon.base.locks import sole_editor
 from recon.base.numbers import counted
 from recon.base.outputs import Output, ReadResults, output_file, require_suffix
 from recon.base.settings import Option
-from recon.cli.answers import Answer, say, wait_for_ctrl_c
+from recon.cli.answers import Answer
 from recon.cli.look import ResultSettings, first_in_clip, result_and_video
+from recon.cli.serving import saving, serve_until_ctrl_c
 from recon.fit.motion import Motion
 from recon.io.deeplabcut import write_csv
 from recon.io.hdf5_poses import write_deeplabcut
@@ -95,13 +95,9 @@ def fix(settings: FixSettings, console: Console) -> Answer:
             frames = motion.frames, settings.video, start
             threading.Thread(target=_decode, args=(*frames, pictures), daemon=True).start()
         server = _server(session, pictures, settings.video is not None)
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        say(console, f"The page is at {server.address}")
-        say(console, f"Corrections are saved in {out}. Ctrl-C ends the editor.")
-        if settings.browser:
-            webbrowser.open(server.address)
-        wait_for_ctrl_c()
-        server.shutdown()
+        serve_until_ctrl_c(
+            console, server, f"Corrections are saved in {out}. Ctrl-C ends the editor.", settings.browser
+        )
     lines = [f"{counted(len(session.corrections), 'correction')} in {out}."]
     if session.corrections:
         lines.append(f"Fit with them: recon fit --config {settings.folder / CONFIG} --corrections {out} --out again")
@@ -193,10 +189,7 @@ def _server(session: CorrectionSession, pictures: Path, has_video: bool) -> Loca
         is_cell = len(numbers) == 3 and all(number.isdecimal() and len(number) < 9 for number in numbers)
         return json_reply(session.lines_px(*map(int, numbers)) if is_cell else {})
 
-    def save(_rest: str, data: object) -> Reply:
-        try:
-            return json_reply({"saved": session.save(data)})
-        except InputError as error:
-            return json_reply({"problem": str(error)}, HTTPStatus.CONFLICT)
-
-    return LocalServer({"": page, "state": state, "picture": picture, "lines": lines}, {"corrections": save})
+    return LocalServer(
+        {"": page, "state": state, "picture": picture, "lines": lines},
+        {"corrections": saving(session.save, session.out)},
+    )

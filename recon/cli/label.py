@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-import webbrowser
 from http import HTTPStatus
 from pathlib import Path
 from typing import Annotated
@@ -13,12 +11,12 @@ from rich.console import Console
 
 from recon.animal.skeleton_file import load_skeleton
 from recon.api.label_frames import LabelSession
-from recon.base.errors import InputError, Problem
 from recon.base.local_server import LocalServer, Reply, json_reply
 from recon.base.locks import sole_editor
 from recon.base.numbers import counted
 from recon.base.settings import Count, NameOrFile, Option, Settings
-from recon.cli.answers import Answer, say, wait_for_ctrl_c
+from recon.cli.answers import Answer
+from recon.cli.serving import saving, serve_until_ctrl_c
 from recon.io.deeplabcut_project import find_project
 from recon.io.label_files import LABELED_DATA, require_label_names
 from recon.io.video import probe
@@ -71,13 +69,9 @@ def label(settings: LabelSettings, console: Console) -> Answer:
     with sole_editor(folder / f"CollectedData_{scorer}.csv"):
         session = LabelSession.open(video, settings.out, names, scorer, settings.frames, skeleton)
         server = label_server(session)
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        say(console, f"The page is at {server.address}")
-        say(console, f"Labels are saved in {session.output.folder}. Ctrl-C ends the page.")
-        if settings.browser:
-            webbrowser.open(server.address)
-        wait_for_ctrl_c()
-        server.shutdown()
+        serve_until_ctrl_c(
+            console, server, f"Labels are saved in {session.output.folder}. Ctrl-C ends the page.", settings.browser
+        )
     done = len({frame for frame, _ in session.points_px})
     lines = [f"{counted(len(session.points_px), 'label')} in {counted(done, 'frame')} are in {session.output.folder}."]
     if done:
@@ -102,15 +96,4 @@ def label_server(session: LabelSession) -> LocalServer:
         path = session.picture(int(rest)) if rest.isdecimal() and len(rest) < 10 else None
         return json_reply(None, HTTPStatus.NOT_FOUND) if path is None else Reply(path.read_bytes(), "image/png")
 
-    def save(_rest: str, data: object) -> Reply:
-        try:
-            return json_reply({"saved": session.save(data)})
-        except InputError as error:
-            return json_reply({"problem": str(error)}, HTTPStatus.CONFLICT)
-        except OSError as error:
-            problem = Problem(
-                session.output.folder, "file", error.strerror or str(error), "a disk that can be written to"
-            )
-            return json_reply({"problem": str(InputError(problem))}, HTTPStatus.CONFLICT)
-
-    return LocalServer({"": page, "picture": picture}, {"labels": save})
+    return LocalServer({"": page, "picture": picture}, {"labels": saving(session.save, session.output.folder)})
