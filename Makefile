@@ -80,6 +80,7 @@ format: $(DEV)
 docs: $(DEV)
 	rm -rf site
 	PYTHONPATH=docs $(BIN)/python -m zensical build --clean --strict
+	$(BIN)/python docs/live_page.py site/live
 
 docs-version: docs
 	$(BIN)/python docs/versions.py $(SITES)
