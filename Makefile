@@ -22,11 +22,12 @@ export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
 # Compiled modules are kept, whatever the environment says: the tests start many processes.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help demo test test-lowest test-quick lint format docs docs-version docs-figures notebooks samples benchmark wheel clean
+.PHONY: help demo test test-all test-lowest test-quick lint format docs docs-version docs-figures notebooks samples benchmark wheel clean
 
 help:
 	@echo 'make demo       reconstruct the sample clip into $(DEMO_OUT)/'
-	@echo 'make test       ruff, pyright and the tests'
+	@echo 'make test       ruff, pyright and the tests, but for those marked slow'
+	@echo 'make test-all   the same with the slow tests: all notebooks, statistics of many fits, fuzz, the site'
 	@echo 'make test-quick  the tests of files, commands, fits and pages, without types and style'
 	@echo 'make test-lowest  the same with the lowest versions that pyproject.toml allows'
 	@echo 'make lint       ruff, the rules on names and types, pyright'
@@ -46,6 +47,9 @@ demo: $(BASE)
 
 # pytest comes last, so that its summary is the last line. Tests run in one process for each processor.
 test: lint
+	$(BIN)/python -m pytest -m 'not slow' --numprocesses logical --maxprocesses 8 --dist worksteal
+
+test-all: lint
 	$(BIN)/python -m pytest --numprocesses logical --maxprocesses 8 --dist worksteal
 
 # Files in and out, commands, fits and pages: what other versions of the packages can break.

@@ -984,6 +984,7 @@ def some_left(clips: Path, done: dict[str, int]) -> int:
     return len(left[:1])
 
 
+@pytest.mark.slow
 @linux
 def test_ctrl_c_keeps_what_is_done(clips, in_the_middle, in_process):
     process, out, command = in_the_middle
@@ -1036,6 +1037,7 @@ def cluster() -> Iterator[Any]:
         yield cluster
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # Dask's own
 def test_dask_cluster(clips, tmp_path, cluster):
     (clips / "broken.csv").write_text("scorer,x\n")

@@ -120,6 +120,7 @@ def test_a_mouse_of_a_tenth_of_a_metre(tmp_path, undrawn):
     assert not json.loads((tmp_path / "analysed" / "analysis.json").read_text())["gait"]
 
 
+@pytest.mark.slow
 def test_intervals_widen_where_lengths_are_others():
     """A fifth beside the skeleton's: several cameras see keypoints further from the markers than expected.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from command_line import refusal
 from example_run import AHEAD, ASIDE, BODY, FPS, PRIOR, truth_m, view_of
 
@@ -43,6 +44,7 @@ def apart(found: np.ndarray, true: np.ndarray) -> tuple[float, float]:
     return float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))), float(off_m)
 
 
+@pytest.mark.slow
 def test_two_clips_tell_what_one_does_not():
     """The third camera did not film the first clip."""
     first = [view_of(truth_m(), AHEAD), view_of(truth_m(), ASIDE, seed=1), blind(view_of(truth_m(), BEHIND))]
@@ -60,6 +62,7 @@ def test_two_clips_tell_what_one_does_not():
     assert both.disagreement.max() < DISAGREEMENT
 
 
+@pytest.mark.slow
 def test_a_camera_that_was_touched_between_two_clips():
     turned = rigid(euler_rotation([0.0, np.radians(5.0), 0.0]), np.zeros(3)) @ ASIDE
     clips = [

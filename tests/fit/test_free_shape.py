@@ -37,6 +37,7 @@ def pose_error_m(solution: TrajectorySolution) -> float:
     return float(np.linalg.norm(aligned(solution.joints_m, TRUE_M) - TRUE_M, axis=-1).mean())
 
 
+@pytest.mark.slow
 def test_a_camera_that_was_left_out_is_predicted_better_than_by_triangulation():
     points_m = smoothed(triangulate_views(VIEWS[:3]), FPS).points_m
     triangulated_px, _ = VIEWS[3].project(np.nan_to_num(points_m))

@@ -280,6 +280,7 @@ class _Quiet(LeastSquares):
     """Without nonlinear terms, no span is posed."""
 
 
+@pytest.mark.slow
 def test_minimum_of_the_whole_problem_is_a_minimum():
     """No direction leads down, and scipy's dense solver, started there, stays."""
     problem = whole_problem()

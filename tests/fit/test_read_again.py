@@ -124,11 +124,13 @@ def away_for_a_minute(folder: Path) -> FitSettings:
 CLIPS = {name: one_camera(name) for name in builtin_names()}
 ODD = ("offset", "bare root", "away")
 """Whose points are written in every format, too."""
+SLOW = ("away",)
+"""Which has 146 frames."""
 CLIPS |= {"away": away_for_a_minute, "offset": one_began_earlier, "bare root": bare_root, "track": followed}
 CLIPS |= {"six, drafted": six_that_began_apart}
 
 
-@pytest.mark.parametrize("clip", CLIPS)
+@pytest.mark.parametrize("clip", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in CLIPS])
 def test_what_a_fit_writes_is_read_by_all_behind_it(clip, tmp_path, undrawn, monkeypatch):
     settings, out = CLIPS[clip](tmp_path), tmp_path / "out"
     if clip not in ODD:

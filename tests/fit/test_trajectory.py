@@ -246,6 +246,7 @@ def test_the_noisy_sample_with_the_chain():
     assert evaluate(found, read_pose3d(samples / "noisy_truth.csv")).mpjpe_m.mean < 0.04
 
 
+@pytest.mark.slow
 def test_real_views(shared_data):
     """Two real views, subject given: with a margin, what the benchmark measures."""
     for name, camera, below_m in (

@@ -438,6 +438,7 @@ def test_a_walking_dog_walks(shared_data: Path):
         assert 0.54 < found.name.duty_factor < 0.66
 
 
+@pytest.mark.slow
 def test_a_led_horse_walks(shared_data: Path):
     """Its labels were set by hand, and the skeleton is only roughly this horse's."""
     labels = shared_data / "horse-side" / "CollectedData_Byron.csv"

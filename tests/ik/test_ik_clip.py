@@ -196,6 +196,7 @@ def test_rates_for_control(folder, tmp_path):
     assert target["time_s"].iloc[-1] == pytest.approx(drive.iterations / 90)
 
 
+@pytest.mark.slow
 def test_a_comparison_has_a_figure_of_each_method(of_results):
     """Only two methods are drawn."""
     _, ran_in = of_results("recon ik results/clip --compare")
@@ -230,6 +231,7 @@ def test_a_cost_of_ones_own_a_factor_and_parameters_of_each_frame(folder):
     assert table["damped_lambda_m"].between(*RANGE).all()
 
 
+@pytest.mark.slow
 def test_parameters_refitted_on_the_way(folder):
     """At every frame those of the three before, which the animal's own pose and rates of this one are held against."""
     asked = {"follow": "stride", "compare": True, "dim": 2, "figures": False, "limits": False}

@@ -563,6 +563,7 @@ class TestRealFiles:
                 np.testing.assert_array_equal(camera.translation_m, np.ravel(entry["t"]))
                 assert camera.up[1] < -0.9  # filmed upright
 
+    @pytest.mark.slow
     def test_cheetah_runs_project_their_truth_onto_their_detections(self, shared_data):
         """The published 3D truth is itself a fit, which lies 10 to 25 px from the detections."""
         runs = sorted((shared_data / "cheetah-runs").glob("*/scene.json"))

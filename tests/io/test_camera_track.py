@@ -251,6 +251,7 @@ def test_a_world_whose_z_does_not_point_up_is_refused(tmp_path):
     assert len(read_camera_track(write_track(tmp_path / "track.csv", np.arange(3), down)).frames) == 3
 
 
+@pytest.mark.slow
 def test_a_drone_that_looks_down_on_the_animal_and_follows_it(tmp_path):
     """At 12 m; where in the picture up is may be anything. The depth is known to the animal's size."""
     truth = read_pose3d(SAMPLES / "whole_truth.csv")

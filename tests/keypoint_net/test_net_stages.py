@@ -89,6 +89,7 @@ def test_what_is_small_has_one_stage_and_what_is_large_two():
         assert network_scales(np.full((1, 2, 2), np.nan)) == (1.0, 1.0)
 
 
+@pytest.mark.slow
 def test_two_stages_from_labels_to_points(clip, tmp_path):
     """A run that is killed and goes on ends in the same weights; the points are in pixels of the clip."""
 

@@ -84,6 +84,8 @@ ONCE = {
     "recon retarget results/clip --robot a1 --out results/a1",
 }
 """Slow commands that several pages have. On the same result, they are run once."""
+SLOW = {"recon ik results/clip --compare --fitted --costs --dim 2"}
+"""Steps that take many seconds; `test_ik_clip.py` has the same options."""
 FIT = "recon fit clip.csv --camera camera.toml --fps 60 --out results/clip"
 """The fit of the sample, which pages begin with: `whole_results` has it, and `test_cli.py` the command."""
 
@@ -209,7 +211,12 @@ def folder_after(made_once, whole_results, of_results) -> Callable[[Path, int], 
 @pytest.mark.parametrize(
     ("page", "count"),
     [
-        pytest.param(page, number + 1, id=f"{name_of(page)}-{step.command or 'start'}")
+        pytest.param(
+            page,
+            number + 1,
+            id=f"{name_of(page)}-{step.command or 'start'}",
+            marks=pytest.mark.slow if step.command in SLOW else [],
+        )
         for page in PAGES
         for number, step in enumerate(steps(page))
     ],
@@ -360,6 +367,7 @@ def lost_links(pages: dict[Path, str]) -> Iterator[str]:
                 yield f"{page.name}: {link}"
 
 
+@pytest.mark.slow
 def test_the_site_is_built_and_read_without_the_net(tmp_path):
     pytest.importorskip("zensical")
     site = built_site(tmp_path)

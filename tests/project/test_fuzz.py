@@ -61,6 +61,7 @@ def pool() -> Iterator[ProcessPoolExecutor]:
             yield pool
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kinds", CASES)
 def test_spoilt_files_are_read_or_refused(kinds: str, pool: ProcessPoolExecutor, tmp_path: Path) -> None:
     """More than a tenth is read, as not all are spoilt beyond recognition."""

@@ -14,6 +14,8 @@ import pytest
 FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 RECORDED = FOLDER / "8_a_real_clip.ipynb"
+QUICK = {"7_the_8u_chain_in_motion"}
+"""Notebooks that take a few seconds."""
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")
 
 
@@ -49,7 +51,10 @@ def test_saved_as_run_from_top_to_bottom_with_figures(path: Path) -> None:
     assert path.stat().st_size < 600_000
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(path, id=path.stem, marks=[] if path.stem in QUICK else pytest.mark.slow) for path in NOTEBOOKS],
+)
 def test_runs_without_a_warning_and_gives_what_is_saved(path: Path, script: ModuleType, tmp_path: Path, monkeypatch):
     monkeypatch.setenv("RECON_SHARED_DATA", "")
     assert script.main(["--out", str(tmp_path), path.stem]) == 0
@@ -63,13 +68,16 @@ def test_runs_without_a_warning_and_gives_what_is_saved(path: Path, script: Modu
             assert not different, f"cell {number}: {different}; if that is meant, run `make notebooks`"
 
 
-def test_a_recording_goes_through_and_is_never_saved_in_the_project(
-    shared_data: Path, script: ModuleType, tmp_path: Path, monkeypatch
-) -> None:
+@pytest.mark.slow
+def test_a_recording_goes_through(shared_data: Path, script: ModuleType, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setenv("RECON_SHARED_DATA", str(shared_data))
     assert script.main(["--out", str(tmp_path), "8"]) == 0
     cells = nbformat.read(tmp_path / RECORDED.name, as_version=4).cells
     assert figures([output for cell in cells for output in cell.get("outputs", ())]) >= 8
+
+
+def test_a_recording_is_never_saved_in_the_project(script: ModuleType, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setenv("RECON_SHARED_DATA", str(tmp_path))
     given = []
 
     def stop(path: Path, recordings: str) -> None:

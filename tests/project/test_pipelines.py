@@ -65,6 +65,7 @@ def test_one_clip(said, folder):
     assert recon.Motion.load(folder / "results" / "one_clip").fps == 60
 
 
+@pytest.mark.slow
 def test_published_study(said, folder):
     text = said("published_study")
     assert text.startswith("30 frames converged; f1 has ")

@@ -374,6 +374,7 @@ def test_every_problem_at_once(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_real_run(shared_data, tmp_path):
     """A clip without a complete stride: nearest return, said so."""
     from recon import FitSettings

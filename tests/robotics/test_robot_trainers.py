@@ -235,6 +235,7 @@ def test_the_command_draws_an_ensemble(written):
             assert json.loads(str(file["source"]))["sample"] == number
 
 
+@pytest.mark.slow
 def test_bases_of_draws_are_moved_as_the_clips_is(animal, whole_results, tmp_path):
     settings = RetargetSettings(folder=whole_results, robot="a1", out=tmp_path)
     small = retarget(animal, load_robot("a1"), 0.2, 1.2)
