@@ -10,6 +10,7 @@ from __future__ import annotations
 from question import Part, main
 
 PARTS = {
+    "stated": Part("stated_errors.py", data="cheetah-runs"),
     "regions": Part("regions.py", data="cheetah-runs"),
     "verdict": Part("verdict.py", ["--jobs", "2"], data="cheetah-runs"),
     "simulated": Part("simulated_coverage.py", quick=["--clips", "4"]),

@@ -1,16 +1,20 @@
 """Make the pictures of these pages again (`python docs/figures.py`).
 
 They are what `recon analyse`, `recon overlay` and `recon skeleton check` draw of the bundled sample and of the skeleton
-in writing-a-skeleton.md, made smaller. `playback.png` is a screenshot of the viewer and is not made here.
+in writing-a-skeleton.md, made smaller, and the errors that `benchmarks/uncertainty.py` measured. `playback.png` is a
+screenshot of the viewer and is not made here.
 """
 
 from __future__ import annotations
 
+import json
 import tempfile
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
 from PIL import Image
 
 from recon import FitSettings, Motion, samples_folder
@@ -50,7 +54,33 @@ def plain_video(path: Path, size_px: tuple[int, int], fps: float, frames: int) -
             write(picture)
 
 
+def stated_errors() -> None:
+    """Draw the true error of every view in the interval that its fit stated."""
+    results = json.loads((HERE.parent / "benchmarks" / "results" / "uncertainty.json").read_text(encoding="utf-8"))
+    table = results["runs"]["stated"]["tables"][0]
+    views = pd.DataFrame(table["rows"], columns=table["header"])
+    columns = [number for number, name in enumerate(table["header"]) if "off by" in name]
+    colours = {"use": "#0072B2", "check": "#D55E00", "do not use": "#000000"}
+    figure = Figure(figsize=(9, 4), layout="constrained")
+    panels = figure.subplots(1, 2)
+    for axes, column in zip(panels, columns, strict=True):
+        error, expected, low, high = (views.iloc[:, column + k].astype(float) for k in range(4))
+        order = np.argsort(expected.to_numpy(), kind="stable")
+        rank = np.argsort(order)
+        for level, colour in colours.items():
+            rows = (views["verdict"] == level).to_numpy()
+            if rows.any():
+                axes.vlines(rank[rows], low[rows], high[rows], color=colour, alpha=0.35, linewidth=4)
+                axes.plot(rank[rows], error[rows], "o", color=colour, markersize=4, label=f"verdict: {level}")
+        axes.set(ylabel=table["header"][column].replace(", ", " (") + ")", xlabel="view, by stated error", xticks=[])
+        axes.set_ylim(bottom=0)
+        axes.spines[["top", "right"]].set_visible(False)
+    panels[0].legend(frameon=False, loc="upper left")
+    figure.savefig(HERE / "images" / "stated_errors.png", dpi=120)
+
+
 def main() -> None:
+    stated_errors()
     samples = samples_folder()
     (HERE / "images").mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
