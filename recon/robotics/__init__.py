@@ -1,1 +1,1 @@
-"""Robots: their legs, retargeting of an animal's motion, physics, climbing (docs/robot.md, docs/climb.md)."""
+"""Describe robots, retarget an animal's motion to them, check it with physics, and plan climbs (docs/robot.md)."""

@@ -1,4 +1,4 @@
-"""Climbing a step by potential fields: the torso moves by fields, the feet follow given paths (docs/climb.md).
+"""Plan how a robot climbs a step: potential fields move the torso, and the feet follow given paths (docs/climb.md).
 
-After D. Cohen, SUNFEST, University of Pennsylvania, 2005. World: x forward, y left, z up.
+The method is that of D. Cohen, SUNFEST, University of Pennsylvania, 2005. World: x forward, y left, z up.
 """

@@ -1,27 +1,30 @@
-"""Plan a climb frame by frame: feet follow their paths, fields carry the torso, and rules say what to keep away from.
+"""Plan a climb frame by frame: feet follow given paths, potential fields move the torso, and rules set the margins.
 
-Before each footfall the torso shifts over the three other feet, all four planted, at the pace of its caps. Then the
-foot rises, crosses and sinks at the speeds of the phases, while the torso stays in the equilibrium of its fields. The
-foot waits where the caps of a frame hold the torso back.
+Before each footfall all four feet are planted, and the torso shifts over the three feet that will stay down, as fast as
+its caps allow. Then the foot rises, crosses and sinks at the speeds of these phases, while the torso stays in the
+equilibrium of its fields. Whenever the caps delay the torso, the foot waits.
 
-r is a leg's vector from hip to foot in body axes, X and Y the lateral and the forward axis. Every leg has three fields
-of one form, the slope of a well of its coordinate q:
+r is a leg's vector from hip to foot in body axes; X and Y are the lateral and the forward axis. Every leg has three
+fields of the same form: the slope of a potential well of a coordinate q.
 
     radial  q = |r|                        the hip is pushed along r
     swing   q = atan2(forwards, down)      along X x r, in the plane whose normal is lateral
     flap    q = atan2(outwards, down)      along r x Y, in the plane whose normal is forward
 
-and the balance field pulls the centre of mass to the level centroid of the planted feet, at distance d, with
+The balance field pulls the centre of mass towards the horizontal centroid of the planted feet, at distance d, with
 gain tanh(sharpness d).
 
-The publication (D. Cohen, SUNFEST, University of Pennsylvania, 2005) leaves open how an angle's force is divided by
-the length of the leg, and what it does to the torso's rotation. Here each field is the gradient of one energy in all of
-the torso's degrees of freedom, so that there is a minimum: the force of an angle is slope (X x r) / |X x r|^2, and its
-moment is that of the same force at the foot.
+The publication does not say how an angle's force depends on the length of the leg, nor how it turns the torso. Here
+each field is the gradient of one energy in all the torso's degrees of freedom, so that an equilibrium exists: the force
+of an angle is slope (X x r) / |X x r|^2, and its moment is that of the same force at the foot.
 
-In the file of a recipe legs are numbered left front, left rear, right front, right rear, as the published footfalls
-are, and positions are given to the right and forwards. In Python legs are in the order of `LEGS`, and x is forwards, y
-left, z up.
+Recipe files number the legs as the published footfalls do: left front, left rear, right front, right rear. Positions in
+these files are given to the right and forwards. In Python, legs are in the order of `LEGS`; x is forwards, y left and z
+up.
+
+References
+----------
+D. Cohen, SUNFEST, University of Pennsylvania, 2005.
 """
 
 from __future__ import annotations
@@ -56,35 +59,35 @@ from recon.show.plots.style import COLOURS, GREY, PALE, SMALL, add_legend, drawi
 from recon.show.view.scene import LIMB_COLOURS, TimePlot
 
 NONE = -1
-"""The lifted leg when all are planted."""
+"""Index that stands for "no leg": all four feet are planted."""
 AROUND = (0, 2, 3, 1)
-"""The legs in counterclockwise order, seen from above."""
+"""Indices into `LEGS`, counterclockwise as seen from above."""
 LEFT = np.array([1.0 if label[0] == "L" else -1.0 for label in LEGS])
 MAX_WAIT = 400
-"""Most frames that a foot waits."""
+"""Maximum number of frames that a foot waits."""
 MAX_EVALUATIONS = 100
-"""Most evaluations of the fields in one frame."""
+"""Maximum number of evaluations of the fields in one frame."""
 NUDGE, SETTLED = 1e-6, 1e-8
-"""Metres and radians: change of the torso by which the stiffness is computed; length of a step that ends the search."""
+"""Change of the torso for numerical derivatives, and step length below which the search ends, in metres and radians."""
 NEWTON_REACH_M, TRUST_RAD = 0.03, 0.5
-"""Longest step of Newton's method."""
+"""Longest shift and largest turn of one Newton step."""
 SHIN_POINTS = (0.25, 0.5, 0.75)
-"""Points of a shin that must not touch the ground or the step, as shares of the way from foot to knee."""
+"""Points of a shin that must not touch the ground or the step, as fractions of the distance from foot to knee."""
 ROUNDING_M = 1e-9
-"""Depth by which a planted foot may be under the surface that it stands on."""
+"""Depth below the surface that still counts as standing on it: rounding errors."""
 RECIPES = Path(__file__).parent / "recipes"
 IN_FILES = (0, 2, 1, 3)
-"""Indices into `LEGS` of the legs of a file, and the reverse."""
+"""Indices into `LEGS` by the leg numbers of recipe files; the inverse is the same."""
 PLANAR, SPATIAL = (0, 1, 2, 4), (0, 1, 2, 3, 4, 5)
-"""Degrees of freedom of a torso: x, y, z and pitch, or roll and yaw as well."""
+"""Degrees of freedom of the torso: x, y, z and pitch, or roll and yaw as well."""
 
 
 Gain = Annotated[float, Field(strict=True, gt=0, lt=1e9, allow_inf_nan=False)]
-"""A weight of a recipe, of any size above 0; a larger one can only be damage."""
+"""Positive weight in a recipe. The upper limit only rejects damaged files."""
 
 
 def _all_legs(value: object) -> tuple[object, object, object, object]:
-    """Return one number for all legs, or two for the front and the rear legs, as a number per leg."""
+    """Return one number per leg from one number for all legs or from two for the front and the rear legs."""
     front, rear = value if isinstance(value, list) and len(value) == 2 else (value, value)
     return (front, front, rear, rear)
 
@@ -94,16 +97,19 @@ _PositiveLegs = Annotated[tuple[Gain, Gain, Gain, Gain], BeforeValidator(_all_le
 
 
 class _Well(FileTable):
-    """Describe a potential of a coordinate q of each leg, with a wall at either end; raise ValueError."""
+    """Describe a potential well of a coordinate q, with numbers for each leg and a wall at either end.
+
+    Raises ValueError if the bounds are out of order.
+    """
 
     gain: _PositiveLegs
     """Slope per unit of q."""
     natural: _Legs
-    """The q of the least energy."""
+    """q of the lowest energy."""
     least: _Legs
-    """The q of the lower wall."""
+    """q of the lower wall."""
     most: _Legs
-    """The q of the upper wall."""
+    """q of the upper wall."""
     low: _PositiveLegs
     """Sharpness of the lower wall, per unit of q."""
     high: _PositiveLegs
@@ -116,7 +122,7 @@ class _Well(FileTable):
         return self
 
     def slope(self, q: Array) -> Array:
-        """Return the slope at q (legs,): almost flat between least and most (the dead zone), and steep outside."""
+        """Return the slope at q (legs,), which is small between the walls (least and most) and steep outside."""
         deviation, above, below = (q - np.array(bounds) for bounds in (self.natural, self.most, self.least))
         return np.array(self.gain) * deviation * (np.exp(self.high * above) + np.exp(-np.array(self.low) * below))
 
@@ -125,13 +131,13 @@ class _Balance(FileTable):
     """Describe the field that pulls the torso over its feet."""
 
     gain: Gain
-    """Force far from the centroid."""
+    """Force at a large distance from the centroid."""
     sharpness: Gain
-    """Per metre."""
+    """Steepness of the force near the centroid, per metre."""
 
 
 class Fields(FileTable):
-    """Hold the wells of the legs, and the field that balances the torso."""
+    """Hold the potential wells of the legs and the field that balances the torso."""
 
     radial: _Well
     swing: _Well
@@ -140,19 +146,19 @@ class Fields(FileTable):
 
 
 class Step(FileTable):
-    """Describe a step across the path: the ground is level at 0 up to edge_m forward (x), and at height_m beyond."""
+    """Describe a step across the path: the ground is at height 0 up to x = edge_m, and at height_m beyond."""
 
     edge_m: Length
     height_m: Length
 
     def distance_m(self, points_m: Array) -> Array:
-        """Return distances (...) of points (..., 3) from the surface of ground and step, negative inside."""
+        """Return the distances (...) of points (..., 3) from the surface of ground and step, negative inside."""
         x, z = points_m[..., 0] - self.edge_m, points_m[..., 2] - self.height_m
         outside = np.hypot(np.maximum(-x, 0), np.maximum(z, 0))
         return np.minimum(points_m[..., 2], np.where((x > 0) & (z < 0), -np.minimum(x, -z), outside))
 
     def corner_m(self, points_m: Array) -> Array:
-        """Return distances (...) of points (..., 3) from the step's edge, negative inside the step."""
+        """Return the distances (...) of points (..., 3) from the step's edge, negative inside the step."""
         x, z = points_m[..., 0] - self.edge_m, points_m[..., 2] - self.height_m
         return np.where((x > 0) & (z < 0), -1.0, 1.0) * np.hypot(x, z)
 
@@ -161,11 +167,11 @@ class _Footfall(FileTable):
     """Describe one footfall."""
 
     leg: Annotated[int, Field(strict=True, ge=1, le=4), AfterValidator(lambda number: IN_FILES[number - 1])]
-    """Index into `LEGS`."""
+    """Leg that moves, as an index into `LEGS`."""
     forward_m: Length
     up_m: Length
     sideways_m: Length = 0.0
-    """To the right."""
+    """Displacement to the right."""
 
     @property
     def vector_m(self) -> Array:
@@ -177,15 +183,15 @@ class _Primitive(FileTable):
 
     name: str
     rise_rad: PositiveLength
-    """Slope of the feet's rising paths."""
+    """Angle at which the feet rise, measured from the forward direction."""
     lower_rad: PositiveLength
-    """Slope of the feet's sinking paths."""
+    """Angle at which the feet sink, measured from the backward direction."""
     footfalls: Annotated[tuple[_Footfall, ...], Field(min_length=1)]
     fields: Fields
 
 
 class _Swing(FileTable):
-    """Describe the swing of a foot: clearance of its path above the higher end, and speeds by phase."""
+    """Describe a foot's swing: the clearance of its path above the higher end, and a speed for each phase."""
 
     clearance_m: PositiveLength
     rise_m_s: PositiveLength
@@ -194,14 +200,14 @@ class _Swing(FileTable):
 
 
 class _Pace(FileTable):
-    """Limit the torso's movement in a frame."""
+    """Limit the torso's shift and turn per frame."""
 
     max_step_m: PositiveLength
     max_turn_rad: PositiveLength
 
 
 class Recipe(FileTable):
-    """Hold the recipe of a climb."""
+    """Describe a climb: robot, stance, step, footfalls and fields."""
 
     robot: str
     """Name of the robot."""
@@ -209,17 +215,17 @@ class Recipe(FileTable):
     """Number of the torso's degrees of freedom."""
     fps: Gain
     stance_m: Annotated[tuple[tuple[Length, Length], ...], Field(min_length=4, max_length=4)]
-    """Initial positions of the feet, right and forward, in the order of the file."""
+    """Initial positions of the feet, (right, forward), in the leg order of recipe files."""
     step: Step
     swing: _Swing
     motion: _Pace
     primitives: Annotated[tuple[_Primitive, ...], Field(min_length=1)]
     about: str = ""
-    """Purpose of the recipe, and source of its numbers."""
+    """Purpose of the recipe and source of its numbers."""
 
     @property
     def free(self) -> tuple[int, ...]:
-        """Return the torso's degrees of freedom."""
+        """Return the indices of the torso's free coordinates among x, y, z, roll, pitch and yaw."""
         return PLANAR if self.dofs == 4 else SPATIAL
 
     @property
@@ -230,19 +236,19 @@ class Recipe(FileTable):
 
 
 def bundled() -> list[str]:
-    """Return the names of the recipes that come with the package."""
+    """Return the names of the recipes in the package."""
     return sorted(p.stem for p in RECIPES.glob("*.toml"))
 
 
 def load_recipe(recipe: str | Path) -> Recipe:
-    """Return a recipe that comes with the package by name, or one from a file; raise InputError."""
+    """Return a recipe of the package by name, or one from a file; raise InputError."""
     path = RECIPES / f"{recipe}.toml" if str(recipe) in bundled() else Path(recipe)
     table = read_toml(path, f"a recipe of a climb: a TOML file, or one of {', '.join(bundled())}")
     return validated(Recipe, table, path)
 
 
 def raised(recipe: Recipe, height_m: float) -> Recipe:
-    """Return a recipe for a step of another height, with all heights in proportion."""
+    """Return the recipe for a step of another height, with the heights of its footfalls scaled in proportion."""
     ratio = height_m / recipe.step.height_m
 
     def higher(primitive: _Primitive) -> _Primitive:
@@ -275,13 +281,13 @@ class Climb:
     recipe: Recipe
     motion: RobotMotion
     lifted: Integers
-    """(T,): the lifted leg, or `NONE`."""
+    """(T,): index of the lifted leg, or `NONE`."""
     footfall: Integers
-    """(T,): index of the footfall within the recipe; the last also for the final shift."""
+    """(T,): index of the footfall within the recipe; the final shift has the index of the last footfall."""
     evaluations: Integers
-    """(T,): evaluations of the fields."""
+    """(T,): number of evaluations of the fields."""
     settled: Bools
-    """(T,): whether the equilibrium was reached."""
+    """(T,): whether the search for the equilibrium converged."""
 
     @property
     def pitch_rad(self) -> Array:
@@ -290,9 +296,9 @@ class Climb:
 
     @cached_property
     def margins(self) -> dict[str, Array]:
-        """Return the least margin of each rule by frame (T,).
+        """Return the smallest margin (T,) of each rule in every frame.
 
-        It is negative where the rule is broken, infinite where it does not apply.
+        A margin is negative if the rule is broken, and infinite if the rule does not apply.
         """
         step, feet, robot = self.recipe.step, self.motion.feet_m, self.motion.robot
         targets, places = leg_targets(self.motion.pose, np.zeros(3), feet), [self.motion.points(x) for x in LEGS]
@@ -300,7 +306,7 @@ class Climb:
         shins = np.concatenate([feet + f * (knees - feet) for f in SHIN_POINTS], axis=1)
         edge = np.where(feet[..., 2] > step.height_m / 2, 1, -1) * (feet[..., 0] - step.edge_m)
         legs = list(enumerate(robot.legs.values()))
-        # Where a foot is out of reach, its leg has no angles; that it is out of reach is said already.
+        # A leg whose foot is out of reach has no angles. "reach" reports it, so "limits" leaves it out.
         limits = [np.nan_to_num(leg.margins(leg.closed_angles(targets[:, k])), nan=np.inf) for k, leg in legs]
         is_lifted = self.lifted[:, None] == np.arange(4)
         margins = {
@@ -317,12 +323,12 @@ class Climb:
 
     @property
     def least(self) -> dict[str, tuple[float, int]]:
-        """Return the least margin of each rule, in its unit, and its frame."""
+        """Return the smallest margin of each rule, in the rule's unit, and the frame in which it occurs."""
         frames = {name: int(values.argmin()) for name, values in self.margins.items()}
         return {name: (float(self.margins[name][k]) * RULES[name].per_unit, k) for name, k in frames.items()}
 
     def problems(self) -> list[str]:
-        """Return in words what is wrong; empty for a valid climb."""
+        """Return a sentence for each broken rule, none for a valid climb."""
         step, feet = self.recipe.step, self.motion.feet_m
         least = ((RULES[name], *margin_and_frame) for name, margin_and_frame in self.least.items())
         problems = [f"{rule.title}: {value:.2f} {rule.unit} in frame {k}" for rule, value, k in least if not value >= 0]
@@ -335,9 +341,9 @@ class Climb:
 
 
 def support_m(centre_m: Array, feet_m: Array, lifted: Integers) -> Array:
-    """Return distances (..., 8) from the centre of mass (..., 2) to the sides of the polygon of the planted feet.
+    """Return the distances (..., 8) from the centre of mass (..., 2) to the sides of the polygon of the planted feet.
 
-    Feet are (..., 4, 2). A line between feet that is not a side of the polygon has an infinite distance.
+    feet_m has shape (..., 4, 2). A line between two feet that is not a side of the polygon has an infinite distance.
     """
     feet = feet_m[..., AROUND, :]
     up = np.asarray(lifted)[..., None] == np.array(AROUND)
@@ -345,7 +351,7 @@ def support_m(centre_m: Array, feet_m: Array, lifted: Integers) -> Array:
     for separations in (1, 2):
         a, b = feet, np.roll(feet, -separations, axis=-2)
         side, to_centre = b - a, centre_m[..., None, :] - a
-        # The legs go round counterclockwise: inside is on the left of every side.
+        # Legs are in counterclockwise order, so the inside is on the left of every side.
         left = (side[..., 0] * to_centre[..., 1] - side[..., 1] * to_centre[..., 0]) / np.linalg.norm(side, axis=-1)
         applies = ~(up | np.roll(up, -1, axis=-1)) if separations == 1 else np.roll(up, -1, axis=-1)
         distances.append(np.where(applies, left, np.inf))
@@ -356,9 +362,9 @@ def support_m(centre_m: Array, feet_m: Array, lifted: Integers) -> Array:
 
 
 def plan(robot: Quadruped, recipe: Recipe) -> Climb:
-    """Return the climb of a recipe, whose `problems` say whether it is valid.
+    """Plan the climb of a recipe; the result's `problems` tell whether it is valid.
 
-    Raises InputError unless the legs are swing, flap and knee in closed form.
+    Raises InputError unless all legs have a swing, a flap and a knee joint in closed form, the swing joint first.
     """
     if any(leg.closed is None or leg.closed.first != "swing" for leg in robot.legs.values()):
         expected = "a robot whose legs are given by dimensions, their swing joint first (aibo is one)"
@@ -371,9 +377,9 @@ def plan(robot: Quadruped, recipe: Recipe) -> Climb:
     rows: list[tuple] = []
 
     def settle(fields: Fields, without: int, *label: int) -> None:
-        """Add a frame in the fields without one leg, and more while the caps hold the torso back.
+        """Add a frame in the fields of the planted legs, and further frames while the caps delay the torso.
 
-        The feet wait in these further frames.
+        The feet wait in the further frames.
         """
         nonlocal torso, goal
         for _ in range(MAX_WAIT):
@@ -403,10 +409,20 @@ def plan(robot: Quadruped, recipe: Recipe) -> Climb:
 
 
 def wrench(fields: Fields, hips_m: Array, feet_m: Array, without: int, torso: Array) -> Array:
-    """Return force in world axes and moment about the centre of mass in body axes (N, 6) for torsos.
+    """Return the force in world axes and the moment about the centre of mass in body axes (N, 6) of N torsos.
 
-    torso: T_world_body (N, 4, 4). hips_m: (4, 3), in body axes. feet_m: (4, 3), in the world. without: the leg whose
-    foot the balance field leaves out, or `NONE`.
+    Parameters
+    ----------
+    fields : Fields
+        Fields of the legs and of the balance.
+    hips_m : (4, 3)
+        Hips in body axes.
+    feet_m : (4, 3)
+        Feet in the world.
+    without : int
+        Leg whose foot the balance field leaves out, or `NONE`.
+    torso : (N, 4, 4)
+        T_world_body.
     """
     rotation, place_m = torso[:, :3, :3], torso[:, :3, 3]
     arm = (feet_m - place_m[:, None]) @ rotation
@@ -428,10 +444,11 @@ def wrench(fields: Fields, hips_m: Array, feet_m: Array, without: int, torso: Ar
 def equilibrium(
     fields: Fields, hips_m: Array, feet_m: Array, without: int, start: Array, free: tuple[int, ...]
 ) -> tuple[Array, int, bool]:
-    """Return the torso of the least energy near the start, the number of evaluations, and whether the search converged.
+    """Return the torso of lowest energy near the start, the number of evaluations, and whether the search converged.
 
-    Newton's method on forces and moments, with the magnitudes of the stiffness. free: the indices of those of x, y, z,
-    roll, pitch, yaw that are free; the other parameters are those of `wrench`.
+    The search uses Newton's method on forces and moments, with the absolute values of the stiffness's eigenvalues.
+    `free` holds the indices of the free coordinates among x, y, z, roll, pitch and yaw. The other parameters are those
+    of `wrench`.
     """
     columns, n, torso = list(free), len(free), start
     nudges = np.zeros((2 * n + 1, 6))
@@ -454,7 +471,7 @@ def _moved(torso: Array, step: Array) -> Array:
 
 
 def swing_path(recipe: Recipe, primitive: _Primitive, start_m: Array, end_m: Array) -> Array:
-    """Return the positions (n, 3) of a foot in the frames of its step: up at one angle, across, down at another."""
+    """Return the positions (n, 3) of a swinging foot in each frame: up at one angle, across, down at another."""
     s = recipe.swing
     corners = path_corners(start_m, end_m, s.clearance_m, primitive.rise_rad, primitive.lower_rad)
     points = []
@@ -465,11 +482,11 @@ def swing_path(recipe: Recipe, primitive: _Primitive, start_m: Array, end_m: Arr
 
 
 def path_corners(start_m: Array, end_m: Array, clearance_m: float, rise_rad: float, lower_rad: float) -> Array:
-    """Return the corners (4, 3) of a foot's path from start_m (3,) to end_m (3,), like a trapezoid.
+    """Return the four corners (4, 3) of a foot's trapezoidal path from start_m (3,) to end_m (3,).
 
-    The foot rises at rise_rad above the forward direction (more than a right angle: leaning back) and sinks at
-    lower_rad above the backward direction, in the plane of forward (x) and up. Between them it crosses, also sideways,
-    clearance_m above the higher end. If both slopes need more than the length of the path, they are steeper, and meet.
+    The foot rises at rise_rad above the forward direction (more than a right angle leans back) and sinks at lower_rad
+    above the backward direction, in the vertical plane along x. In between it crosses, also sideways, at clearance_m
+    above the higher end. If the two slopes do not fit into the length of the path, both become steeper until they meet.
     """
     top = max(start_m[2], end_m[2]) + clearance_m
     ahead, back = (top - start_m[2]) / np.tan(rise_rad), (top - end_m[2]) / np.tan(lower_rad)
@@ -481,13 +498,13 @@ def path_corners(start_m: Array, end_m: Array, clearance_m: float, rise_rad: flo
 
 
 def capped(step: Array, max_step_m: float, max_turn_rad: float) -> Array:
-    """Return a step (6,), shortened as a whole until its shift and its turn are within the caps."""
+    """Return a step (6,), scaled down as a whole until its shift and its turn are within the caps."""
     shift, turn = float(np.linalg.norm(step[:3])), float(np.linalg.norm(step[3:]))
     return step / max(1.0, shift / max_step_m, turn / max_turn_rad)
 
 
 class ClimbSettings(Settings):
-    """The settings of `recon climb`."""
+    """Settings of `recon climb`."""
 
     recipe: Annotated[str, Option(argument="RECIPE")] = "found-50"
     """found-50, published-50, highest-spatial, or a file .toml."""
@@ -505,7 +522,7 @@ class ClimbSettings(Settings):
 
 REPORT, PLAYBACK = "report.json", "climb.rrd"
 FILES = ("joints.csv", "base.csv", "feet.csv", "margins.csv", REPORT, PLAYBACK, MANIFEST)
-"""Files of every climb, besides figures."""
+"""Files that every climb writes, besides its figures."""
 _COLUMNS = 4
 
 
@@ -553,7 +570,7 @@ def _report(climb: Climb, settings: ClimbSettings) -> dict[str, Any]:
 
 
 def _lifted(climb: Climb, frame: int) -> str:
-    """Return the label of the lifted leg; empty if there is none."""
+    """Return the label of the lifted leg, or an empty string."""
     leg = int(climb.lifted[frame])
     return "" if leg == NONE else LEGS[leg]
 
@@ -587,7 +604,7 @@ def _title(climb: Climb) -> str:
 
 
 def climb_footfalls(climb: Climb) -> Figure:
-    """Draw the robot from the right: at the start, in the middle of every footfall, and at the end."""
+    """Draw the robot from the right at the start, in the middle of every footfall, and at the end."""
     frames = [0]
     for k in np.unique(climb.footfall):
         up = np.flatnonzero((climb.footfall == k) & (climb.lifted != NONE))
