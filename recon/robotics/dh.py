@@ -1,15 +1,17 @@
 """Make chains from Denavit-Hartenberg parameters in both conventions, and answer `recon robot`.
 
-modified (Craig):  T_{i-1, i} = Rx(alpha_{i-1}) Tx(a_{i-1}) Rz(theta_i) Tz(d_i) standard:          T_{i-1, i} =
-Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)
+Transforms between two links, from left to right::
 
-A joint that turns adds q to theta, one that slides adds it to d. A row of the modified convention holds a and alpha of
-the link before the joint, a row of the standard one those of the link after it, as in printed tables.
+    modified (Craig)  T_{i-1, i} = Rx(alpha_{i-1}) Tx(a_{i-1}) Rz(theta_i) Tz(d_i)
+    standard          T_{i-1, i} = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)
 
-Each answer is what `--json` prints, in metres and radians. Questions are typed in degrees. All configurations of a
-chain that put its end at one position are found from many fixed random starts, by MINPACK's Levenberg-Marquardt with
-the exact Jacobian. Every start that ends on the target counts, and equal solutions count once. More starts can find
-more solutions: it is not proven that there are no others.
+A revolute joint adds q to theta, a sliding joint adds q to d. As in printed tables, a row holds a and alpha of the link
+before the joint in the modified convention, and of the link after the joint in the standard convention.
+
+Answers are what `--json` prints, in metres and radians; command-line options are in degrees. The configurations that
+put the end of a chain at a given position are found from many random starts (with a fixed seed) by MINPACK's
+Levenberg-Marquardt with the exact Jacobian. Equal solutions count once. More starts can find more solutions: nothing
+proves that the list is complete.
 """
 
 from __future__ import annotations
@@ -37,26 +39,26 @@ from recon.robotics.quadruped import LEGS, Length, Limits, body_pose, leg_target
 
 Convention = Literal["modified", "standard"]
 _PARALLEL = 1e-9
-"""Sine of an angle between axes, or distance in metres, that counts as 0."""
+"""Sine of the angle between two axes, or distance in metres, below which the value counts as 0."""
 
 
 @dataclass(frozen=True)
 class DHRow:
-    """Hold one link of a table of Denavit and Hartenberg."""
+    """Hold one row of a Denavit-Hartenberg table."""
 
     __pydantic_config__ = FileTable.model_config
     a_m: Length = 0.0
-    """The length of the link."""
+    """Length of the link."""
     alpha_rad: Length = 0.0
-    """The twist of the link."""
+    """Twist of the link."""
     d_m: Length = 0.0
-    """The offset along the joint's axis, with q = 0."""
+    """Offset along the joint's axis at q = 0."""
     theta_rad: Length = 0.0
-    """The angle about the joint's axis, with q = 0."""
+    """Angle about the joint's axis at q = 0."""
     slides: StrictBool = False
     """Whether q adds to d instead of theta."""
     limits: Limits | None = None
-    """The limits of q."""
+    """Lower and upper limit of q."""
 
 
 class _DHFile(FileTable):
@@ -65,15 +67,15 @@ class _DHFile(FileTable):
 
 
 def load_dh(path: Path) -> tuple[SerialChain, Convention, list[DHRow]]:
-    """Return the chain of a table in TOML (docs/robot.md), its convention and its rows; raise InputError."""
+    """Return the chain of a table in a TOML file (docs/robot.md), its convention and its rows; raise InputError."""
     file = validated(_DHFile, read_toml(path, "a table of Denavit-Hartenberg parameters (TOML)"), path)
     return dh_chain(file.joints, file.convention), file.convention, file.joints
 
 
 def dh_chain(rows: Sequence[DHRow], convention: Convention) -> SerialChain:
-    """Return the chain of the rows, from the base.
+    """Return the chain of the rows, starting at the base.
 
-    Raises ValueError for an unknown convention, and without rows.
+    Raises ValueError if there are no rows, or if the convention is unknown.
     """
     if convention not in ("modified", "standard") or not rows:
         raise ValueError(f"rows and the convention, modified or standard, expected, got {len(rows)}, {convention!r}")
@@ -95,11 +97,11 @@ def dh_chain(rows: Sequence[DHRow], convention: Convention) -> SerialChain:
 
 
 def dh_table(chain: SerialChain) -> tuple[RigidTransform, tuple[DHRow, ...], RigidTransform]:
-    """Return any chain as base * rows * tool.
+    """Return the base transform, the rows (modified convention) and the tool transform of any chain.
 
-    The rows are modified (Craig), with a_m and alpha_rad 0 in the first; base and tool hold what the parameters cannot.
-    z goes along each joint's axis, x along the common normal to the next axis, or through the previous origin if the
-    axes are parallel.
+    The chain is base * rows * tool. a_m and alpha_rad of the first row are 0; base and tool hold the part that
+    Denavit-Hartenberg parameters cannot express. z is along each joint's axis. x is along the common normal to the next
+    axis, or through the previous origin if the axes are parallel.
     """
     zero = np.zeros(chain.n)
     axes, positions = chain.joint_axes(zero), chain.positions(zero)
@@ -116,7 +118,7 @@ def dh_table(chain: SerialChain) -> tuple[RigidTransform, tuple[DHRow, ...], Rig
                 # position_after - position = s z + t normal - u z_after
                 along = np.linalg.solve(np.column_stack([z, normal, -z_after]), position_after - positions[j])
                 origin, normal = positions[j] + along[0] * z, normal if along[1] >= -1e-12 else -normal
-        # Where the normal does not determine x, keep the previous x: theta is then 0.
+        # If the normal does not determine x, keep the previous x, which makes theta 0.
         x = normal if np.linalg.norm(normal) > _PARALLEL else x
         x = x - (x @ z) * z
         size = float(np.linalg.norm(x))
@@ -128,7 +130,7 @@ def dh_table(chain: SerialChain) -> tuple[RigidTransform, tuple[DHRow, ...], Rig
 
 
 def _row(step: RigidTransform, slides: bool) -> DHRow:
-    """Return the parameters of a step Rx(alpha) Tx(a) Rz(theta) Tz(d), from its matrix."""
+    """Return the parameters of a step Rx(alpha) Tx(a) Rz(theta) Tz(d) from its matrix."""
     T = step.as_matrix()
     alpha = np.arctan2(-T[1, 2], T[2, 2])
     d = -np.sin(alpha) * T[1, 3] + np.cos(alpha) * T[2, 3]
@@ -141,7 +143,7 @@ def _transform(R: ArrayLike, p: Array) -> RigidTransform:
 
 
 def _nearest_on_axis(origin: Array, z: Array, point: Array) -> Array:
-    """Return the point nearest to `point` on the axis through `origin` along z."""
+    """Return the point of the axis through `origin` along z that is nearest to `point`."""
     return origin + ((point - origin) @ z) * z
 
 
@@ -153,7 +155,7 @@ def _across(z: Array) -> Array:
 
 
 def _along(axis: Literal["x", "z"], distance_m: float, angle_rad: float) -> RigidTransform:
-    """Return a screw: a translation along an axis and a rotation about it, which commute."""
+    """Return a screw: a translation along an axis and a rotation about the same axis."""
     shift = distance_m * np.eye(3)["xyz".index(axis)]
     return RigidTransform.from_components(shift, Rotation.from_euler(axis, angle_rad))
 
@@ -164,7 +166,7 @@ _THREE = Option(expected="3 numbers with commas, as in 0.1,-20,3", metavar="X,Y,
 
 
 class PoseSettings(Settings):
-    """The settings of `recon robot pose`."""
+    """Settings of `recon robot pose`."""
 
     robot: Annotated[str, Option(argument="ROBOT")]
     """a1, go2, aibo, or a file .toml, .urdf or .xml (MJCF)."""
@@ -179,7 +181,7 @@ class PoseSettings(Settings):
 
 
 class TableSettings(Settings):
-    """The settings of `recon robot dh`."""
+    """Settings of `recon robot dh`."""
 
     source: Annotated[str, Option(argument="SOURCE")]
     """A table of parameters (.toml), a robot (a1, go2, aibo, or a file), or a .urdf or .xml."""
@@ -198,13 +200,13 @@ class TableSettings(Settings):
 ENDLESS = "the joints can move on without moving the end: one of endlessly many"
 STARTS = 100
 SAME = 1e-4
-"""rad or m: configurations that differ by less count as one."""
+"""Largest difference, in rad or m, between configurations that count as the same."""
 REACHED = 1e-7
-"""Largest error of a solution, relative to the chain's length."""
+"""Largest error of a solution as a fraction of the chain's length."""
 
 
 def pose_of(settings: PoseSettings) -> dict[str, Any]:
-    """Return what `recon robot pose` answers: each leg's angles with the body moved and turned, the feet planted."""
+    """Return the answer of `recon robot pose`: the angles of each leg for a moved and turned body on planted feet."""
     machine, position = load_robot(settings.robot), settings.move or (0.0, 0.0, 0.0)
     turned = {name: float(np.radians(getattr(settings, name))) for name in ("roll", "pitch", "yaw")}
     body_frame = body_pose(position, turned["roll"], turned["pitch"], turned["yaw"])
@@ -225,10 +227,10 @@ def pose_of(settings: PoseSettings) -> dict[str, Any]:
 
 
 def chain_of(settings: TableSettings) -> dict[str, Any]:
-    """Return the answer of `recon robot dh`.
+    """Return the answer of `recon robot dh`: the chain's table, and its forward or inverse kinematics if asked for.
 
-    The chain is that of a table of parameters (TOML), a leg of a robot, or a chain of a URDF or MJCF file, by default
-    to its only leaf.
+    The chain comes from a table of parameters (TOML), from a leg of a robot, or from a URDF or MJCF file, by default
+    the chain to the file's only leaf.
     """
     chain, table = _chain(settings.source, settings.tip)
     if table is None:
@@ -254,7 +256,7 @@ def chain_of(settings: TableSettings) -> dict[str, Any]:
 
 
 def _numbers(option: str, text: str) -> list[float]:
-    """Return the numbers of a text such as "1,2.5,-3". Raises InputError."""
+    """Return the numbers of a text such as "1,2.5,-3"; raise InputError."""
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:
@@ -265,10 +267,10 @@ def _numbers(option: str, text: str) -> list[float]:
 
 
 def _chain(source: str, tip: str | None) -> tuple[SerialChain, dict[str, Any] | None]:
-    """Return a chain, and its table if it was read from one.
+    """Return a chain, and its table if the chain was read from a table.
 
-    The chain is a robot's leg with the label `tip`; the chain of a URDF or MJCF file to a link, by default its only
-    leaf; or that of a table.
+    The chain is a robot's leg if `tip` is the label of a leg. From a URDF or MJCF file, it leads to the link `tip`, by
+    default to the only leaf.
     """
     if tip in LEGS:
         return load_robot(source).legs[tip].chain, None
@@ -310,32 +312,33 @@ def _within(chain: SerialChain, q: Array) -> bool:
 def all_solutions(
     chain: SerialChain, place_m: ArrayLike, rotation: ArrayLike | None = None, starts: int = STARTS
 ) -> tuple[Array, bool]:
-    """Return all configurations with the end effector at a position.
+    """Return all configurations that put the end effector at a position.
 
     Parameters
     ----------
     chain : SerialChain
         A chain of n joints.
     place_m : (3,)
-        The position of the end effector, m.
+        Position of the end effector in the chain's base frame, m.
     rotation : (3, 3), optional
-        Its rotation; None: any.
+        Rotation of the end effector; by default any rotation.
     starts : int
         Number of random starts.
 
     Returns
     -------
     solutions : (m, n)
-        Turning joints in [-pi, pi), whatever the limits.
+        Joint coordinates, rad or m. Limits are ignored; angles are in [-pi, pi).
     isolated : bool
-        False where the joints can move on without moving the end effector: one solution of endlessly many is given.
+        False if the joints can keep moving without moving the end effector. Then `solutions` holds one of infinitely
+        many.
     """
     target = np.asarray(place_m, float)
     size = max(float(chain.lengths_m.sum()), float(np.linalg.norm(target)), 1e-9)
     turns = ~np.asarray(chain.sliding, bool)
 
     def equations(q: Array) -> tuple[Array, Array]:
-        """Return residuals (12 + n,) and their derivatives; the last n are 0, so that there are at least n."""
+        """Return residuals (12 + n,) and their derivatives; the last n are 0, since MINPACK needs at least n."""
         R, p = chain.pose(q)
         J = chain.geometric_jacobian(q)
         error, slope = np.zeros(12 + chain.n), np.zeros((12 + chain.n, chain.n))

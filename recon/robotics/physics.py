@@ -1,12 +1,12 @@
-"""Check whether a robot can do a motion, by MuJoCo's inverse dynamics: limits, torques, forces on the ground.
+"""Check with MuJoCo's inverse dynamics whether a robot can do a motion: limits, torques and ground forces.
 
-A robot's own file is used as it is, without meshes. A robot that is described by its dimensions becomes, with its
-masses, a body with its inertia, capsules as thick as `LEGS_APART` says for links, and points for feet.
+A robot from a URDF or MJCF file is used without its meshes. A robot that is described by dimensions and masses becomes
+a body with inertia, links that are capsules as thick as `LEGS_APART` says, and feet that are points.
 
-For every frame those forces of the standing feet, within the friction cone, are computed that leave the smallest rest
-of the forces that the body's motion requires. The rest, in weights, is the margin `forces`. It covers friction, the
-centre of pressure, since feet push only where they stand, and flights that are not free fall. `carried` moves the base
-until every rule is kept, and `followed` simulates a robot that follows the resulting motion.
+For every frame, the forces of the standing feet are chosen within the friction cone such that the unmet part of the
+forces that the body's motion requires is smallest. This unmet part, as a fraction of the weight, is the margin
+`forces`. It covers friction, the centre of pressure (feet push only where they stand) and flights that are not free
+fall. `carried` moves the base until every rule is kept; `followed` simulates a robot that follows the resulting motion.
 """
 
 from __future__ import annotations
@@ -40,42 +40,45 @@ GAINS = (100.0, 2.0)
 """Stiffness and damping of a joint, N m / rad and N m s / rad."""
 TIMESTEP_S, TORQUES_HZ = 5e-4, 500.0
 STEP_S, STEP = 1e-4, 1e-5
-"""Time between velocities whose difference gives an acceleration; change of a state whose difference gives a
-derivative."""
+"""Time between two velocities whose difference gives an acceleration, and change of a state for a numerical
+derivative.
+"""
 SLOPES = np.array([[0, 0, 1], *([x, y, 1] for x, y in FRICTION * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]]))])
-"""Forces that span the friction cone."""
+"""Forces (5, 3) whose non-negative combinations fill the friction cone: a pyramid and its axis."""
 TRIES = 5
-"""Attempts to find forces that also keep the torques' limits."""
+"""Maximum number of attempts to find forces that also keep the torque limits."""
 STRETCHED = 0.05
-"""A foot does not move in directions in which its leg reaches less than this share of its best direction."""
+"""Fraction of a leg's best direction below which the foot is considered unable to move in a direction."""
 CHANGES = ((1.0, 1.0), (1.0, 0.8), (1.0, 0.6), (1.0, 0.5), (1.0, 0.4), (1.3, 0.8), (1.3, 0.6), (1.3, 0.5))
-"""Factors on times and lengths that are tried in this order: shorter strides first, since a slower robot has to leap
-higher over the same share of a stride.
+"""Factors on times and lengths in the order in which they are tried. Shorter strides come first, since a slower robot
+has to leap higher to be in the air for the same fraction of a stride.
 """
 DEGREE, MOST = 5, 10.0
-"""Degree of the polynomials by which forces rise and fall; their largest coefficient, in weights."""
+"""Degree of the polynomials by which forces rise and fall, and their largest coefficient as a fraction of the
+weight.
+"""
 TURNS, HOPELESS = 12, 50.0
-"""Most steps; excess over the limits after three steps from which further steps do not help."""
+"""Maximum number of steps, and excess over the limits after three steps above which further steps do not help."""
 UNIT, TORQUE, WITHIN, NEAR = 0.02, 0.05, 0.02, 3.0
-"""Units that a step weighs alike: rest of the weight, excess of torques, and of rates and angles, over the aim, as
-shares of their limits; weight of the base's deviation (of the standing height, and rad).
+"""Residuals of weight 1: unmet part of the weight; excess of torques; excess of rates and angles, all as fractions of
+their limits. NEAR is the weight of the base's deviation (fraction of the standing height, and rad).
 """
 AIM = {"base": 0.0, "torques": 0.85, "rates": 0.95, "angles": 0.97}
-"""Shares of the limits that are aimed at."""
+"""Fractions of the limits that the optimisation aims at."""
 WIDER_RAD = 0.4
-"""Angle by which joints may exceed their limits on the way to a base with which they keep them."""
+"""Angle by which joints may exceed their limits in intermediate steps."""
 
 
 class Rule(NamedTuple):
-    """Describe a rule that every frame has to keep, and how its margin is shown."""
+    """Describe a rule that every frame has to keep, and how its margin is printed."""
 
     title: str
     unit: str
     """Unit of the printed margin."""
     least: float = 0.0
-    """Smallest margin that keeps the rule."""
+    """Smallest margin that still keeps the rule."""
     advice: str = ""
-    """What to change if it is not kept."""
+    """What to change if the rule is broken."""
     per_unit: float = 1.0
     """Factor from the margin to the printed value."""
 
@@ -91,14 +94,14 @@ RULES = {
 
 
 def simulated(robot: Quadruped) -> MjModel:
-    """Return MuJoCo's model of a robot that is free in the world; raise InputError for a robot without masses."""
+    """Return MuJoCo's model of a robot whose base moves freely; raise InputError if the robot has no masses."""
     if Path(robot.source).suffix.lower() in SUFFIXES:
         return read_model(robot.source, free=True)
     return described(robot).compile()
 
 
 def described(robot: Quadruped) -> MjSpec:
-    """Return MuJoCo's description of a robot that is given by its dimensions; raise InputError without masses."""
+    """Return MuJoCo's description of a robot given by its dimensions; raise InputError if the robot has no masses."""
     mujoco = require_mujoco(robot.source)
     if robot.masses is None:
         raise InputError(Problem(robot.source, "masses", "none", "masses and max_torque_n_m (docs/robot.md)"))
@@ -123,7 +126,7 @@ def described(robot: Quadruped) -> MjSpec:
                 if np.linalg.norm(to_next) > 1e-3
                 else {"type": sphere}
             )
-            # Legs meet those of other legs only.
+            # A leg collides with other legs, not with itself.
             contacts = {"contype": (1 << k) if j else 0, "conaffinity": (15 & ~(1 << k)) if j else 0}
             body.add_geom(**kind, size=[thick, 0, 0], mass=masses.links_kg[j], **contacts)
         foot = {"name": f"{label} foot", "type": sphere, "size": [FOOT_M, 0, 0], "pos": to_next}
@@ -132,13 +135,13 @@ def described(robot: Quadruped) -> MjSpec:
 
 
 class _Demand(NamedTuple):
-    """Hold the forces that N states of a robot, with rates and accelerations, require.
+    """Hold the forces that N states of a robot require with their rates and accelerations.
 
     The 6 + J columns are the base's position, its rotation about its own axes, and the joints.
     """
 
     needed: Array
-    """(N, 6 + J): forces, moments and torques, without those of the ground."""
+    """(N, 6 + J): required forces, moments and torques, without the forces from the ground."""
     moves: Array
     """(N, 4, 3, 6 + J): derivatives of the feet's positions."""
 
@@ -179,7 +182,7 @@ def _demand_of(robot: Quadruped, model: MjModel, states: Array, rates: Array, be
 
 
 def _apart(motion: RobotMotion, model: MjModel, time_s: Array) -> Array:
-    """Return the deepest penetration of two parts (K,), a negative distance; 0 if none touch."""
+    """Return the deepest penetration (K,) of two parts as a negative distance, or 0 if none touch."""
     mujoco = require_mujoco(motion.robot.source)
     data, distances = mujoco.MjData(model), np.zeros(len(time_s))
     for k, coordinates in enumerate(_places(model, motion.robot, motion.states(time_s))):
@@ -199,21 +202,22 @@ def _places(model: MjModel, robot: Quadruped, states: Array) -> Array:
 
 
 def _units(motion: RobotMotion, model: MjModel, torques: float) -> Array:
-    """Return factors (6 + J) that make shares of forces, moments and torques.
+    """Return factors (6 + J) that turn forces, moments and torques into fractions.
 
-    Forces and moments on the base are shares of the weight, torques shares of their limits times a factor.
+    Forces and moments on the base become fractions of the weight. Torques become fractions of their limits, times
+    `torques`.
     """
     weight = float(model.body_subtreemass[root_of(model)]) * float(np.linalg.norm(model.opt.gravity))
     limits = model.jnt_actfrcrange[[model.joint(name).id for name in motion.robot.joints], 1]
     of_base = np.array([1, 1, 1, *[1 / motion.robot.stand_m] * 3]) / weight
-    return np.concatenate([of_base, torques / np.where(limits > 0, limits, np.inf)])  # a file may state none
+    return np.concatenate([of_base, torques / np.where(limits > 0, limits, np.inf)])  # a file may not state a limit
 
 
 def balanced(motion: RobotMotion, model: MjModel, time_s: Array) -> Array:
-    """Return the rest (K, 6 + J) of a motion's required forces at times (K,).
+    """Return the part (K, 6 + J) of a motion's required forces that the standing feet do not provide at times (K,).
 
-    It is the part of the base's forces that the standing feet, in the friction cone, do not provide, and the joints'
-    torques with the forces of the feet.
+    The columns of the base are the forces and moments that feet within the friction cone cannot provide. The columns of
+    the joints are the torques that the joints need in addition to the forces of the feet.
     """
     asked, plain = _demand_of(motion.robot, model, *_states(motion, time_s)), _units(motion, model, 1.0)
     left = asked.needed.copy()
@@ -236,7 +240,7 @@ def _states(motion: RobotMotion, time_s: Array) -> tuple[Array, Array, Array]:
 
 
 def check(motion: RobotMotion, model: MjModel) -> tuple[Array, dict[str, Array]]:
-    """Return times (K,), and a motion's margins (K,) by the names of `RULES`."""
+    """Return times (K,), and the margins (K,) of a motion by the names of `RULES`."""
     duration = float(motion.time_s[-1] - motion.time_s[0])
     time = motion.time_s[0] + np.linspace(0.0, duration, max(2, round(duration * RATE_HZ) + 1))
     states, rates = motion.states(time), motion.states(time, 1)
@@ -255,9 +259,16 @@ def check(motion: RobotMotion, model: MjModel) -> tuple[Array, dict[str, Array]]
 def followed(motion: RobotMotion, strides: int = 1) -> tuple[Array, Array]:
     """Simulate a robot, given by its dimensions, that follows a motion.
 
-    At every step of the simulation each joint gets, within its limits, the torque that the motion requires with the
-    forces of the standing feet, plus a spring and a damper (`GAINS`) towards its angle and rate in the motion. The
-    ground is level, with a friction of 1.
+    In every step of the simulation each joint gets a torque within its limits: the torque that the motion requires,
+    given the forces of the standing feet, plus a spring and a damper (`GAINS`) towards the motion's angle and rate. The
+    ground is level, with a friction coefficient of 1.
+
+    Parameters
+    ----------
+    motion : RobotMotion
+        The motion to follow.
+    strides : int
+        Number of repetitions.
 
     Returns
     -------
@@ -302,12 +313,13 @@ def followed(motion: RobotMotion, strides: int = 1) -> tuple[Array, Array]:
 
 
 def carried(motion: RobotMotion, model: MjModel, hopeless: float = HOPELESS) -> tuple[RobotMotion, Array]:
-    """Return a motion whose base is moved by as little as the robot needs to do it, and the shifts (N, 6).
+    """Move a motion's base as little as possible so that the robot can do the motion, and return the shifts (N, 6).
 
-    The base's path is a cubic spline with a knot per frame. The forces of each stance are in the friction cone and rise
-    from 0 and fall to 0 like Bernstein's polynomials. Both are solved together by least squares: of the base's required
-    forces that the feet leave, of the excess of torques, rates and angles over their limits, and of the base's
-    deviation. Steps are Levenberg and Marquardt's, with the derivatives of the whole robot's dynamics.
+    The base's path is a cubic spline with one knot per frame. The forces of each stance are within the friction cone;
+    they rise from 0 and fall to 0 as sums of Bernstein polynomials. Path and forces are found together by least squares
+    over three terms: the required forces that the feet do not provide; the excess of torques, rates and angles over
+    their limits; the deviation of the base. The solver is Levenberg-Marquardt with derivatives of the whole robot's
+    dynamics.
 
     Parameters
     ----------
@@ -316,12 +328,12 @@ def carried(motion: RobotMotion, model: MjModel, hopeless: float = HOPELESS) -> 
     model
         MuJoCo's model of the robot (`simulated`).
     hopeless : float
-        In place of `HOPELESS`.
+        Excess over the limits after three steps above which the search is given up.
 
     Returns
     -------
     motion : RobotMotion
-        The first motion that keeps every rule, or else the last one tried.
+        The first motion that keeps every rule, or the last one tried.
     shifts : (N, 6)
         Changes of the base's position, yaw, pitch and roll.
     """
@@ -363,10 +375,10 @@ def carried(motion: RobotMotion, model: MjModel, hopeless: float = HOPELESS) -> 
 
 
 class _Carrying:
-    """Hold the least squares of `carried`, over K frames.
+    """Hold the least-squares problem of `carried` over K frames.
 
-    Rows are the rest of the base's required forces; torques, rates and angles as shares of their limits; pushes; and
-    the base's deviation. Columns are the base's path and the pushes.
+    Rows are the unmet part of the base's required forces; torques, rates and angles as fractions of their limits; the
+    coefficients of the foot forces (`pushes`); and the base's deviation. Columns are the base's path and the pushes.
     """
 
     def __init__(self, motion: RobotMotion, model: MjModel) -> None:
@@ -379,7 +391,7 @@ class _Carrying:
         self.everywhere = self._spline(motion.time_s)
         self.units = _units(motion, model, 1.0)
         lower, upper, self.fastest = robot.limits()
-        lower, upper = np.maximum(lower, -1e3), np.minimum(upper, 1e3)  # a file may state none
+        lower, upper = np.maximum(lower, -1e3), np.minimum(upper, 1e3)  # a file may not state limits
         self.middle, self.half = (lower + upper) / 2, (upper - lower) / 2
         wider = {}
         for label, leg in robot.legs.items():
@@ -400,7 +412,7 @@ class _Carrying:
         self.limited = slice(6 * K, sum(sizes[:4]))
 
     def _spline(self, time_s: Array, order: int = 0) -> Array:
-        """Return the derivatives (K, n) of the base by the spline's coefficients at times (K,).
+        """Return the matrix (K, n) that maps the spline's coefficients to the base, or a time derivative, at times (K,).
 
         order: of the derivative in time, 0 for none.
         """
@@ -421,21 +433,22 @@ class _Carrying:
         return forces
 
     def values(self, motion: RobotMotion, demand: _Demand, moved: Array, pushes: Array) -> Array:
-        """Return the rows for a motion and the forces that it requires."""
+        """Return the rows' values for a motion and the forces that the motion requires."""
         states, rates, _ = _states(motion, self.time_s)
         left = self.units * (demand.needed - np.einsum("kfi,kfij->kj", self._forces(pushes), demand.moves))
         shares = [left[:, :6], left[:, 6:], rates[:, 6:] / self.fastest, (states[:, 6:] - self.middle) / self.half]
         return np.concatenate([*(part.ravel() for part in shares), pushes - MOST / 2, self.near @ moved.ravel()])
 
     def beyond(self, values: Array) -> Array:
-        """Return the excess of the rows over what is allowed, weighted."""
+        """Return the weighted excess of the rows over their allowed values."""
         return self.weights * np.maximum(np.abs(values) - self.allowed, 0.0)
 
     def slopes(self, motion: RobotMotion, demand: _Demand, pushes: Array) -> sparse.csr_array:
-        """Return the rows' sparse derivatives by the base's path and by the pushes."""
+        """Return the sparse derivatives of the rows with respect to the base's path and the pushes."""
         states = _states(motion, self.time_s)
         K, J, forces = len(self.time_s), len(self.fastest), self._forces(pushes)
-        # How states go with the base's: the joints of a leg whose foot is held turn with it.
+        # Derivatives of the states by the base's pose: the joints of a leg move with the base so that its foot stays
+        # planted.
         moves = motion.robot.tree.pose_with_jacobian(states[0]).jacobian[:, motion.robot.foot_markers]
         state_rates, ends = (
             np.zeros((K, 6 + J, 6)),
@@ -466,7 +479,7 @@ class _Carrying:
             return ((nudged.needed - by_feet).reshape(K, 6, -1) - unmet[:, None]).swapaxes(1, 2) / STEP
 
         def rows(*parts: Array) -> Array:
-            """Return derivatives by the spline's coefficients, from those by the base's deviation."""
+            """Return derivatives by the spline's coefficients from derivatives by the base's deviation."""
             by = (np.einsum("kij,kn->kinj", part, way) for part, way in zip(parts, self.ways, strict=False))
             return np.sum([*by], axis=0).reshape(K, parts[0].shape[1], -1)
 
@@ -492,9 +505,9 @@ class _Carrying:
         )
 
     def step(self, slopes: sparse.csr_array, values: Array, damping: float) -> Array:
-        """Return the step of all unknowns with the least sum of squares of the excess.
+        """Return the step of all unknowns that minimises the sum of squares of the excess.
 
-        It is found by Newton steps, each as long as the sum falls, since a row counts only while it exceeds its limit.
+        A row counts only while it exceeds its limit, so the minimum is found by Newton steps, each with a line search.
         """
         size = slopes.shape[1]
         slack = sparse.block_diag([damping * self.near.T @ self.near, 1e-3 * sparse.eye_array(self.n_pushes)])
@@ -522,7 +535,7 @@ class _Carrying:
 
 
 def _pushes(motion: RobotMotion, time_s: Array) -> list[tuple[int, Array]]:
-    """Return the foot of each stance, and the polynomials (K, .) of its forces at times (K,)."""
+    """Return the foot of each stance, and the polynomials (K, .) of that foot's forces at times (K,)."""
     lasts, loops, stance_pushes = float(motion.time_s[-1] - motion.time_s[0]), motion.advance_m is not None, []
     for foot in range(len(LEGS)):
         spans = [(motion.time_s[a], motion.time_s[b]) for a, b in stances(motion.standing[:, foot])]
@@ -541,7 +554,7 @@ def _pushes(motion: RobotMotion, time_s: Array) -> list[tuple[int, Array]]:
 
 
 def kept(margins: dict[str, Array]) -> dict[str, dict[str, float]]:
-    """Return by rule the share of frames that keep it, and the least margin, for the report."""
+    """Return, for each rule, the fraction of frames that keep the rule and the smallest margin, for the report."""
     return {
         name: {"share": float(np.mean(margins[name] >= rule.least)), "least": float(margins[name].min())}
         for name, rule in RULES.items()
@@ -549,14 +562,14 @@ def kept(margins: dict[str, Array]) -> dict[str, dict[str, float]]:
 
 
 def least_share(motion: RobotMotion, model: MjModel) -> float:
-    """Return the smallest fraction of frames that obey a rule."""
+    """Return the smallest fraction, over all rules, of frames that keep a rule."""
     return min(rule["share"] for rule in kept(check(motion, model)[1]).values())
 
 
 def margins_figure(time_s: Array, margins: Mapping[str, Array], rules: Mapping[str, Rule], title: str) -> Figure:
-    """Draw the margins (K,) of each rule over time.
+    """Draw the margins (K,) of each rule over time, with a dot at the smallest.
 
-    A margin is infinite where the rule does not apply; a dot marks the least.
+    A margin is infinite where the rule does not apply; such frames are left out.
     """
     with drawing(40.0 * -(-len(margins) // 2), title=title) as figure:
         panels = np.ravel(figure.subplots(-(-len(margins) // 2), 2, sharex=True))

@@ -1,9 +1,10 @@
-"""Write a robot's motion, next to the animal that it follows, as a rerun recording.
+"""Write a robot's motion, next to the animal that the robot follows, as a rerun recording.
 
-Entities: `world/robot`, its legs and body; `world/robot/feet`, the standing feet; `world/animal`, scaled to the robot's
-size, with a view of its own; `world/support`, the polygon of three or more standing feet; `world/ground`, `world/path`,
-`world/step` (static); `world/followed` and `world/animal/followed`, invisible; `angles/<leg>` in degrees; `<leg>`, in
-stance. Timelines: `frame`, the sample, and `time`, the robot's.
+Entities: `world/robot`, legs and body; `world/robot/feet`, the standing feet; `world/animal`, the animal scaled to the
+robot's size, with a view of its own; `world/support`, the polygon of three or more standing feet; `world/ground`,
+`world/path` and `world/step`, which do not move; `world/followed` and `world/animal/followed`, invisible points that
+the views follow; `angles/<leg>` in degrees; `<leg>`, whether the leg is in stance. Timelines: `frame`, the sample, and
+`time`, the robot's time.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from recon.show.view import laid_out, scene, state_rows, time_view
 ROBOT = scene.DETECTION
 STEP = (58, 62, 72)
 GRID_LINES = 60
-"""Most lines of the grid across the path."""
+"""Maximum number of lines of the grid across the path."""
 
 
 def write_robot(
@@ -41,21 +42,22 @@ def write_robot(
     Parameters
     ----------
     motion : RobotMotion
-        N samples.
+        Motion of N samples.
     path : Path
-        The file.
+        File to write.
     companion : tuple, optional
-        The animal next to the robot: its points (N, J, 3) in the robot's world and scaled to its size, and its motion.
+        The animal next to the robot: its points (N, J, 3) in the robot's world, scaled to the robot's size, and its
+        motion.
     step : tuple, optional
-        A step across the path, which goes along x: the position of its edge, and its height.
+        A step across a path along x: the x of its edge, and its height, m.
     plots : sequence of TimePlot
-        Plots before those of the angles, which then share one panel.
+        Plots in front of the plots of angles, which then share one panel.
     title : str
-        By default the robot's title.
+        Title; by default that of the robot.
     """
     scene.require_whole()
     series, size = [_angles(motion, label) for label in LEGS], motion.robot.stand_m
-    # The middle of what is to be seen, near the ground, and half its size: of the robot, and of the animal.
+    # Centre of each view, near the ground, and half the extent of the view: for the robot and for the animal.
     middle, half = motion.pose.translation * (1.0, 1.0, 0.1), 1.2 * size
     clouds, animal_middle = [motion.feet_m.reshape(-1, 3), motion.pose.translation], middle
     if step is not None:
@@ -119,7 +121,7 @@ def _write_robot(motion: RobotMotion, log: scene.Log) -> None:
     polygons = scene.strips([_polygon(feet, stand) for feet, stand in zip(motion.feet_m, motion.standing, strict=True)])
     log.draw("world/support", rr.LineStrips3D, polygons, colors=scene.TRAIL, radii=0.008 * size)
     log.fix("world/path", rr.LineStrips3D([motion.pose.translation], colors=scene.PATH, radii=0.008 * size))
-    if motion.robot.source.lower().endswith(".urdf"):  # its own shapes, as rerun reads them
+    if motion.robot.source.lower().endswith(".urdf"):  # the robot's own shapes, as rerun reads them
         urdf = rr.urdf.UrdfTree.from_file_path(motion.robot.source, "shapes")
         urdf.log_urdf_to_recording(log.stream)
         for name, angles in zip(motion.robot.joints, motion.angles_rad.T, strict=True):
