@@ -78,7 +78,7 @@ def dh_chain(rows: Sequence[DHRow], convention: Convention) -> SerialChain:
     Raises ValueError if there are no rows, or if the convention is unknown.
     """
     if convention not in ("modified", "standard") or not rows:
-        raise ValueError(f"rows and the convention, modified or standard, expected, got {len(rows)}, {convention!r}")
+        raise ValueError(f"expected rows and 'modified' or 'standard', got {len(rows)} rows and {convention!r}")
     link = [_along("x", row.a_m, row.alpha_rad) for row in rows]
     joint = [_along("z", row.d_m, row.theta_rad) for row in rows]
     nothing = RigidTransform.identity()
@@ -148,7 +148,7 @@ def _nearest_on_axis(origin: Array, z: Array, point: Array) -> Array:
 
 
 def _across(z: Array) -> Array:
-    """Return a unit vector at right angles to z: along x, unless z is."""
+    """Return a unit vector at right angles to z: in the plane of z and x, or z and y."""
     x = np.eye(3)[0 if abs(z[0]) < 0.9 else 1]
     x = x - (x @ z) * z
     return x / np.linalg.norm(x)
@@ -171,33 +171,33 @@ class PoseSettings(Settings):
     robot: Annotated[str, Option(argument="ROBOT")]
     """a1, go2, aibo, or a file .toml, .urdf or .xml (MJCF)."""
     move: Annotated[_Three | None, _THREE] = None
-    """The body forwards, left and up from where it stands, metres, as in 0,0,-0.02. (default: 0,0,0)"""
+    """Shift of the body forwards, left and up from standing, metres, as in 0,0,-0.02. (default: 0,0,0)"""
     roll: Annotated[Number, Option(expected="degrees, as in 10")] = 0.0
-    """Degrees, right side down."""
+    """Roll in degrees, right side down."""
     pitch: Annotated[Number, Option(expected="degrees, as in 10")] = 0.0
-    """Degrees, nose down."""
+    """Pitch in degrees, nose down."""
     yaw: Annotated[Number, Option(expected="degrees, as in 10")] = 0.0
-    """Degrees, to the left."""
+    """Yaw in degrees, to the left."""
 
 
 class TableSettings(Settings):
     """Settings of `recon robot dh`."""
 
     source: Annotated[str, Option(argument="SOURCE")]
-    """A table of parameters (.toml), a robot (a1, go2, aibo, or a file), or a .urdf or .xml."""
+    """Table of Denavit-Hartenberg parameters (.toml), robot (a1, go2, aibo or a file), or .urdf or .xml file."""
     tip: str | None = None
-    """Leg, LF, RF, LH or RH; of a .urdf or .xml, too, the link at the end. (default: the only leaf)"""
+    """Leg (LF, RF, LH or RH), or the link at the end for a .urdf or .xml file. (default: the only leaf)"""
     angles: Annotated[str | None, Option(metavar="NUMBERS")] = None
-    """Where is the end at these, degrees (metres of joints that slide)? As in 0,45,-90."""
+    """Show where the end is at these angles, degrees (metres for sliding joints), as in 0,45,-90."""
     place: Annotated[_Three | None, _THREE] = None
-    """All angles that put the end there: base or body axes, metres, as in 0.4,0.1,0.2."""
+    """Show all angles that put the end at this position, base or body axes, metres, as in 0.4,0.1,0.2."""
     turned: Annotated[_Three | None, _THREE] = None
-    """With --place: the end's roll, pitch and yaw, degrees, as in 0,90,0. (default: any)"""
+    """Roll, pitch and yaw of the end for --place, degrees, as in 0,90,0. (default: any)"""
 
 
 # -- answers ----------------------------------------------------------------------------------------
 
-ENDLESS = "the joints can move on without moving the end: one of endlessly many"
+ENDLESS = "the joints can move without moving the end: this is one of infinitely many solutions"
 STARTS = 100
 SAME = 1e-4
 """Largest difference, in rad or m, between configurations that count as the same."""
@@ -220,7 +220,7 @@ def pose_of(settings: PoseSettings) -> dict[str, Any]:
             "foot_m": foot,
             "angles_rad": q if reached else None,
             "margin_rad": float(leg.margins(q).min()),
-            "why": "" if reached else "out of reach, or of a joint's limits",
+            "why": "" if reached else "out of reach, or outside a joint's limits",
         }
     turn_angles = {f"{name}_rad": angle for name, angle in turned.items()}
     return {"robot": machine.title, "position_m": position, **turn_angles, "legs": legs}

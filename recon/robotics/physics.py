@@ -85,10 +85,10 @@ class Rule(NamedTuple):
 
 RULES = {
     "joint_limits": Rule("joints within their limits", "rad", -1e-6, "a smaller --scale"),
-    "joint_rates": Rule("joint rates, left of the limit", "share", -1e-6, "--fit-limits, or a larger --slower"),
-    "torques": Rule("torques, left of the limit", "share", 0.0, "--fit-limits, or a larger --slower"),
-    "forces": Rule("forces that standing feet lack", "weight", -0.1, "--fit-limits"),
-    "legs_apart": Rule("legs that run into each other", "m", 0.0, "a smaller --scale"),
+    "joint_rates": Rule("reserve of the joint rates", "share", -1e-6, "--fit-limits, or a larger --slower"),
+    "torques": Rule("reserve of the torques", "share", 0.0, "--fit-limits, or a larger --slower"),
+    "forces": Rule("missing force of the standing feet", "weight", -0.1, "--fit-limits"),
+    "legs_apart": Rule("colliding legs", "m", 0.0, "a smaller --scale"),
     "ground": Rule("lowest point above the ground", "m", -1e-3, "a smaller --scale"),
 }
 
@@ -412,7 +412,7 @@ class _Carrying:
         self.limited = slice(6 * K, sum(sizes[:4]))
 
     def _spline(self, time_s: Array, order: int = 0) -> Array:
-        """Return the matrix (K, n) that maps the spline's coefficients to the base, or a time derivative, at times (K,).
+        """Return the matrix (K, n) from the spline's coefficients to the base, or its derivative, at times (K,).
 
         order: of the derivative in time, 0 for none.
         """
@@ -580,7 +580,7 @@ def margins_figure(time_s: Array, margins: Mapping[str, Array], rules: Mapping[s
             axes.axhline(per_unit * enough, color=GREY, lw=0.8)
             axes.plot(time_s, drawn_rules, color="k", lw=0.9)
             axes.plot(time_s[least], drawn_rules[least], "o", ms=3, color="k")
-            axes.set_title(f"{label}: least {drawn_rules[least]:.3g} {unit}", fontsize=SMALL, loc="left", pad=2)
+            axes.set_title(f"{label}: minimum {drawn_rules[least]:.3g} {unit}", fontsize=SMALL, loc="left", pad=2)
             axes.set_ylabel(unit, fontsize=SMALL)
         for axes in panels[-2:]:
             axes.set_xlabel("time (s)")

@@ -80,7 +80,7 @@ def write_robot(
         shown = rrb.Horizontal(shown, _scene(animal_tree, "world/animal/followed", animal_middle[0], half, of_robot))
     angles = [time_view(s) for s in series]
     angles = [rrb.Tabs(*angles)] if plots else angles
-    below = rrb.Horizontal(*(time_view(s) for s in plots), *angles, state_rows(LEGS, "Feet that stand"))
+    below = rrb.Horizontal(*(time_view(s) for s in plots), *angles, state_rows(LEGS, "Standing feet"))
     fps = min(len(motion.time_s) / float(motion.time_s[-1]), len(motion.time_s) / 4)
     with scene.recording(path, laid_out(rrb.Vertical(shown, below, row_shares=[3, 2]), fps)) as stream:
         stream.send_recording_name(encodable(f"{motion.robot.name} {path.stem}"))

@@ -1,38 +1,38 @@
-"""Describe four-legged robots: hips, and legs with their joints' names, limits and rates.
+"""Describe four-legged robots: hips, and legs with the names, limits and rates of their joints.
 
-They are read from files: TOML with dimensions and limits (docs/robot.md), URDF or MJCF. Built-in robots are the files
-of `robots`.
+Robots are read from files: TOML with dimensions and limits (docs/robot.md), URDF or MJCF. The built-in robots are the
+files in `robots`.
 
 Body axes: x forwards, y left, z up. Legs are LF, RF, LH, RH (left or right, fore or hind). Joint angles are the robot's
-own: those of the closed form with signs for the built-in robots and others described by their dimensions, and those of
-the file for URDF and MJCF. World: z up. Yaw, pitch and roll turn about z, y and x in this order, so that a positive
-pitch puts the nose down.
+own: for robots described by their dimensions, such as the built-in ones, the angles of the closed form with signs; for
+URDF and MJCF, the angles of the file. World: z up. Yaw, pitch and roll turn about z, y and x in this order, so that a
+positive pitch puts the nose down.
 
-Legs of three joints have a closed form: swing, flap and knee, with offsets at the knee and the foot. Leg axes, at the
-hip: x lateral (outwards), y forward, z up, written for the right front leg. The other legs mirror x, y or both, and
-keep the same angles. a swing, b flap, s knee; l1 thigh, l2 shin, uo offset at the knee, lo at the foot. In the plane of
-the leg the foot lies P forward and Q below the hip,
+A leg of three joints has a closed form: swing, flap and knee, with offsets at the knee and the foot. Leg axes have
+their origin at the hip: x lateral (outwards), y forward, z up, as seen at the right front leg. For the other legs x, y
+or both are mirrored, and the angles have the same meaning. Symbols: a swing, b flap, s knee; l1 thigh, l2 shin, uo
+offset at the knee, lo at the foot. In the plane of the leg the foot is P forward of the hip and Q below:
 
     P = lo cos s + l2 sin s + uo        Q = l1 + l2 cos s - lo sin s
 
-With the swing joint first and the flap joint on it (the Sony Aibo's):
+If the swing joint comes first and carries the flap joint (as in the Sony Aibo):
 
     x = Q sin b        y = Q cos b sin a + P cos a        z = P sin a - Q cos a cos b
 
-With the flap joint first and the swing joint `lateral_m` = d further out (most robots of today), Y and Z the position
-in the plane that the flap joint turns:
+If the flap joint comes first and the swing joint is `lateral_m` = d further out (as in most robots of today), Y and Z
+are the position in the plane that the flap joint turns:
 
     Y = Q sin a + P cos a        Z = P sin a - Q cos a
     x = d cos b - Z sin b        y = Y        z = d sin b + Z cos b
 
-The inverse starts with the knee, from P^2 + Q^2 = n^2, the squared distance of the foot from the swing joint:
+The inverse starts at the knee, from P^2 + Q^2 = n^2, the squared distance of the foot from the swing joint:
 
     s = atan2(q, p) -+ acos(-r / sqrt(p^2 + q^2))
     p = 2 (uo lo + l1 l2)    q = 2 (l2 uo - l1 lo)    r = lo^2 + l2^2 + uo^2 + l1^2 - n^2
 
-The two signs are the two ways to bend the knee. The sign beyond the stretched leg, atan2(q, p), is taken, so that the
-knee never bends backwards. The other angles follow from linear pairs. Two flaps reach a foot, with the leg pointing
-down or up; the one within 90 degrees of down is taken.
+The two signs are the two ways to bend the knee. The solution beyond the stretched leg, atan2(q, p), is used, so that
+the knee never bends backwards. The other angles follow from linear pairs. Two flap angles reach a foot, one with the
+leg pointing down and one with the leg pointing up; the one within 90 degrees of down is used.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ from recon.ik.methods import LeastNorm
 
 MjModel: TypeAlias = Any
 MjSpec: TypeAlias = Any
-"""MuJoCo's model and description of a robot, whose package has no types."""
+"""MuJoCo's model and specification. The package mujoco has no types."""
 LEGS = ("LF", "RF", "LH", "RH")
 IK_TOLERANCE_M = 1e-5
 _BISECTIONS = 12
@@ -73,48 +73,52 @@ _BISECTIONS = 12
 LEG_ANGLES = ("swing", "flap", "knee")
 Length = Annotated[float, Field(strict=True, gt=-1e6, lt=1e6, allow_inf_nan=False)]
 PositiveLength = Annotated[float, Field(strict=True, gt=1e-6, lt=1e6, allow_inf_nan=False)]
-"""Numbers in the file of a robot or a recipe, mostly metres or radians; a number outside these limits can only be
-damage."""
+"""Numbers in the file of a robot or a recipe, mostly metres or radians. The limits only reject damaged files."""
 
 
 def _ordered(limits: tuple[float, float]) -> tuple[float, float]:
     if limits[0] > limits[1]:
-        raise ValueError("the lower one first")
+        raise ValueError("the lower limit first")
     return limits
 
 
 Limits = Annotated[tuple[Length, Length], AfterValidator(_ordered)]
 
 _ROUNDING = 1e-12
-"""Share of the leg by which a target may lie outside the reach: a stretched leg must reach its own foot."""
+"""Distance beyond the reach, as a fraction of the leg, that still counts as reached, so that a stretched leg reaches
+its own foot.
+"""
 
 
 @dataclass(frozen=True)
 class Leg:
-    """Describe a leg with a thigh and a shin; feet are (..., 3) in leg axes, angles swing, flap and knee (..., 3)."""
+    """Describe a leg with a thigh and a shin.
+
+    Feet have shape (..., 3), in leg axes. Angles are swing, flap and knee, shape (..., 3), radians.
+    """
 
     __pydantic_config__ = FileTable.model_config
     first: Literal["swing", "flap"]
-    """The joint next to the body."""
+    """Joint next to the body."""
     thigh_m: PositiveLength
     shin_m: PositiveLength
     knee_offset_m: Length = 0.0
-    """Forwards, at right angles to the thigh."""
+    """Offset forwards, at right angles to the thigh."""
     foot_offset_m: Length = 0.0
-    """Forwards, at right angles to the shin."""
+    """Offset forwards, at right angles to the shin."""
     lateral_m: Length = 0.0
-    """Distance from the flap joint out to the swing joint, if the flap joint is the first."""
+    """Distance from the flap joint out to the swing joint, if the flap joint comes first."""
     mirror: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    """1 or -1 for each axis, 1 for the right front leg."""
+    """Factor 1 or -1 for each leg axis: 1 as in the right front leg, -1 mirrored."""
 
     @property
     def order(self) -> list[int]:
-        """Return the angles in the order of the joints from the hip down."""
+        """Return the indices into (swing, flap, knee) in the order of the joints from the hip down."""
         return [0, 1, 2] if self.first == "swing" else [1, 0, 2]
 
     @cached_property
     def chain(self) -> SerialChain:
-        """Return the same leg joint by joint, in the order from the hip down, not mirrored."""
+        """Return the leg as a chain of joints from the hip down, not mirrored."""
         out, swing, flap = (self.lateral_m, 0.0, 0.0), (1, 0, 0), (0, -1, 0)
         return joint_chain(
             [(0, 0, 0), out, (0.0, self.knee_offset_m, -self.thigh_m)],
@@ -124,13 +128,13 @@ class Leg:
 
     @property
     def stretched_rad(self) -> float:
-        """Return the knee's angle with the foot farthest from the swing joint."""
+        """Return the knee angle at which the foot is farthest from the swing joint."""
         p, q, _ = self._pqr
         return float(np.arctan2(q, p))
 
     @property
     def distances_m(self) -> tuple[float, float]:
-        """Return the least and the largest distance of the foot from the swing joint."""
+        """Return the smallest and the largest distance of the foot from the swing joint."""
         upper, lower = np.hypot(self.thigh_m, self.knee_offset_m), np.hypot(self.shin_m, self.foot_offset_m)
         return float(abs(upper - lower)), float(upper + lower)
 
@@ -141,17 +145,17 @@ class Leg:
         return 2 * (uo * lo + l1 * l2), 2 * (l2 * uo - l1 * lo), lo * lo + l2 * l2 + uo * uo + l1 * l1
 
     def in_plane(self, knee_rad: Array) -> tuple[Array, Array]:
-        """Return the coordinates P and Q (...) of the foot in the leg's plane, in metres."""
+        """Return the foot's coordinates P and Q (...) in the plane of the leg, in metres."""
         c, s = np.cos(knee_rad), np.sin(knee_rad)
         P = self.foot_offset_m * c + self.shin_m * s + self.knee_offset_m
         return P, self.thigh_m + self.shin_m * c - self.foot_offset_m * s
 
     def forward(self, angles_rad: ArrayLike) -> Array:
-        """Return the positions of the feet from the hip, for angles (..., 3)."""
+        """Return the positions (..., 3) of the feet relative to the hip for angles (..., 3)."""
         return self.chain.end(np.asarray(angles_rad, float)[..., self.order]) * self.mirror
 
     def inverse(self, feet_m: ArrayLike) -> Array:
-        """Return the angles of feet regardless of the limits; NaN out of reach."""
+        """Return the angles (..., 3) for feet (..., 3); NaN if a foot is out of reach. Joint limits are ignored."""
         x, y, z = np.moveaxis(np.asarray(feet_m, float) * self.mirror, -1, 0)
         d, swing_first = self.lateral_m, self.first == "swing"
         z2 = x * x + z * z - d * d
@@ -160,7 +164,7 @@ class Leg:
         cosine = (n2 - r_plus_n2) / np.hypot(p, q)
         s = np.arctan2(q, p) + np.arccos(np.clip(cosine, -1.0, 1.0))
         P, Q = self.in_plane(s)
-        # U^2 = y^2 + z^2 - P^2 and atan2 in place of asin(x / Q), which loses half the digits at 90 degrees.
+        # U^2 = y^2 + z^2 - P^2 with atan2: asin(x / Q) would lose half the digits at 90 degrees.
         square = y * y + z * z - P * P if swing_first else z2
         root = np.sqrt(np.maximum(square, 0.0))
         if swing_first:
@@ -175,14 +179,14 @@ class Leg:
         return np.where(reached[..., None], np.stack([a, b, s], axis=-1), np.nan)
 
     def slack_m(self, feet_m: Array) -> Array:
-        """Return the distance of feet from the edge of the reach (...), negative outside.
+        """Return the distance (...) of feet from the edge of the reach, negative outside.
 
-        For a leg with the swing joint first.
+        Only for a leg whose swing joint comes first.
         """
         distance, (shortest, longest) = np.linalg.norm(feet_m, axis=-1), self.distances_m
         p, q, r_plus_n2 = self._pqr
         bend = np.arccos(np.clip((distance**2 - r_plus_n2) / np.hypot(p, q), -1.0, 1.0))
-        # A bent leg does not come nearer to the axis of its swing joint than P.
+        # The foot of a bent leg cannot come closer than P to the axis of the swing joint.
         beyond_axis = np.hypot(feet_m[..., 1], feet_m[..., 2]) - np.abs(self.in_plane(self.stretched_rad + bend)[0])
         return np.minimum(np.minimum(distance - shortest, longest - distance), beyond_axis)
 
@@ -197,16 +201,18 @@ def _wrapped(angle: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RobotLeg:
-    """Describe a leg of n joints, in their order from the hip down; feet are points in body axes."""
+    """Describe a leg of n joints, in order from the hip down; feet are points in body axes."""
 
     chain: SerialChain
-    """The leg joint by joint in body axes, with names and limits; its end effector is the foot."""
+    """Chain of the joints in body axes, with names and limits. Its end effector is the foot."""
     neutral_m: Array
-    """(3,): the foot of the standing leg."""
+    """(3,): foot of the standing leg."""
     home_rad: Array | None = None
-    """(n,): angles of the standing leg, from which a leg without a closed form is solved; None if it cannot stand."""
+    """(n,): angles of the standing leg, from which the angles of a leg without a closed form are solved; None if the
+    leg cannot stand.
+    """
     closed: Leg | None = None
-    """The leg's closed form, in leg axes."""
+    """Closed form of the leg, in leg axes."""
     signs: Array | None = None
     """(n,): signs of the joints' own angles relative to those of the closed form."""
 
@@ -217,26 +223,26 @@ class RobotLeg:
 
     @cached_property
     def hip_m(self) -> Array:
-        """Return the position (3,) of the first joint."""
+        """Return the position (3,) of the first joint in body axes."""
         return self.chain.positions(np.zeros(self.chain.n))[0]
 
     def margins(self, angles_rad: Array) -> Array:
-        """Return the distance of each angle from its nearer limit (..., n), negative outside, NaN without an angle."""
+        """Return the distance (..., n) of each angle from its nearer limit, negative outside, NaN for NaN angles."""
         return np.minimum(angles_rad - self.chain.lower_rad, self.chain.upper_rad - angles_rad)
 
     def closed_angles(self, feet_m: Array) -> Array:
-        """Return angles (T, n) of feet (T, 3) in closed form, regardless of the limits; NaN out of reach."""
+        """Return angles (T, n) for feet (T, 3) in closed form; NaN if out of reach. Joint limits are ignored."""
         assert self.closed is not None
         assert self.signs is not None
         return self.closed.inverse(_to_leg_axes(feet_m - self.hip_m))[..., self.closed.order] * self.signs
 
     def slack_m(self, feet_m: Array) -> Array:
-        """Return the distance of feet (T, 3) from the edge of the closed form's reach (T,), negative outside."""
+        """Return the distance (T,) of feet (T, 3) from the edge of the closed form's reach, negative outside."""
         assert self.closed is not None
         return self.closed.slack_m(_to_leg_axes(feet_m - self.hip_m))
 
     def angles(self, feet_m: Array) -> Array:
-        """Return angles (T, n) of feet (T, 3), each near the previous ones; NaN if none is within the limits."""
+        """Return angles (T, n) for feet (T, 3), each close to the previous ones; NaN if none is within the limits."""
         if self.closed is not None:
             solved = self.closed_angles(feet_m)
             return np.where(np.all(self.margins(solved) >= 0, axis=-1)[..., None], solved, np.nan)
@@ -254,7 +260,7 @@ class RobotLeg:
 
 @dataclass(frozen=True)
 class Masses:
-    """Hold a robot's masses and its motors' torques, those of a leg in the order of its joints."""
+    """Hold the masses of a robot and the torques of its motors, those of a leg in the order of its joints."""
 
     __pydantic_config__ = FileTable.model_config
     body_kg: PositiveLength
@@ -271,12 +277,12 @@ class Quadruped:
     name: str
     title: str
     legs: Mapping[str, RobotLeg]
-    """Legs by LF, RF, LH, RH, in this order."""
+    """Legs by label: LF, RF, LH, RH, in this order."""
     stand_m: float
     """Standing height of the hips."""
     source: str = ""
     masses: Masses | None = None
-    """Masses of a robot that is described by its dimensions."""
+    """Masses, for a robot that is described by its dimensions."""
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -284,7 +290,7 @@ class Quadruped:
         return tuple(name for leg in self.legs.values() for name in leg.joints)
 
     def limits(self) -> tuple[Array, Array, Array]:
-        """Return the lower and upper limit and the rate (joints,) of all legs' joints."""
+        """Return the lower limits, upper limits and fastest rates (joints,) of the joints of all legs."""
         names = ("lower_rad", "upper_rad", "max_rate_rad_s")
         chains = [leg.chain for leg in self.legs.values()]
         lower, upper, rate = (np.concatenate([getattr(chain, name) for chain in chains]) for name in names)
@@ -292,10 +298,10 @@ class Quadruped:
 
     @cached_property
     def tree(self) -> Tree:
-        """Return the tree of the body, free in the world, and all legs.
+        """Return the kinematic tree of the body, which moves freely in the world, and of all legs.
 
-        Its state is the body's position, yaw, pitch and roll and then `joints`. Its markers are the body's origin and,
-        of each leg, its joints and its foot.
+        The state is the body's position, yaw, pitch and roll, then `joints`. The markers are the body's origin and the
+        joints and the foot of each leg.
         """
         segments, markers = [Segment("base", None, "free")], [Marker("base", "base")]
         for label, leg in self.legs.items():
@@ -317,12 +323,12 @@ class Quadruped:
 
     @cached_property
     def ground_m(self) -> float:
-        """Return the height of the ground in body axes when the robot stands: the mean of the feet."""
+        """Return the height of the ground in body axes when the robot stands: the mean height of its feet."""
         return float(np.mean([leg.neutral_m[2] for leg in self.legs.values()]))
 
     @cached_property
     def folding_m(self) -> Array:
-        """Return the height (4,) to which each leg can lift its foot from standing, in the order of `LEGS`."""
+        """Return the height (4,) to which each leg can lift its foot when the robot stands, in the order of `LEGS`."""
         heights = []
         for leg in self.legs.values():
             reached_m, unreached = 0.0, -float(leg.neutral_m[2])
@@ -335,17 +341,17 @@ class Quadruped:
 
 
 def reach(chain: SerialChain, q: Array, foot_m: Array) -> Array | None:
-    """Return angles (n,) within the limits that put the end effector at a foot; None if none are found from q."""
-    # Rates do not limit a single place: an iteration is given the time that the slowest joint takes for a turn.
+    """Return angles (n,) within the limits that put the end effector at foot_m, or None if a search from q fails."""
+    # Rates should not limit a single position, so every iteration lasts as long as the slowest joint needs for a turn.
     interval = 2 * np.pi / float(chain.max_rate_rad_s.min())
     run = drive_to(chain, q, foot_m, LeastNorm(), IK_TOLERANCE_M, max_iterations=200, interval_s=interval)
     return run.q[-1] if run.reached else None
 
 
 def standing(chain: SerialChain, foot_m: Array) -> Array | None:
-    """Return angles (n,) of the standing leg.
+    """Return the angles (n,) of the standing leg, or None if no angles are found.
 
-    They are solved from the middle of the limits, or else from random angles within them.
+    The search starts from the middle of the limits, then from random angles within the limits.
     """
     turns = _turns(chain)
     starts = [turns.mean(axis=0), *np.random.default_rng(0).uniform(turns[0], turns[1], (30, chain.n))]
@@ -361,15 +367,15 @@ def _to_leg_axes(v: Array) -> Array:
 
 
 def body_pose(position_m: ArrayLike, roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> RigidTransform:
-    """Return T_world_body of positions (..., 3) and angles (...)."""
+    """Return T_world_body for positions (..., 3) and angles (...)."""
     angles = np.stack(np.broadcast_arrays(yaw_rad, pitch_rad, roll_rad), axis=-1)
     return RigidTransform.from_components(np.asarray(position_m, float), Rotation.from_euler("ZYX", angles))
 
 
 def leg_targets(pose: RigidTransform, hips_m: ArrayLike, feet_m: ArrayLike) -> Array:
-    """Return feet from their hips in body axes (..., L, 3).
+    """Return the feet relative to their hips, in body axes (..., L, 3).
 
-    `pose` is T_world_body (...), hips are (L, 3) in body axes, and feet (L, 3) or (..., L, 3) in the world.
+    `pose` is T_world_body (...). Hips are (L, 3) in body axes; feet are (L, 3) or (..., L, 3) in the world.
     """
     hips, feet = np.asarray(hips_m, float), np.asarray(feet_m, float)
     position, R = np.asarray(pose.translation), np.asarray(pose.rotation.as_matrix())
@@ -377,7 +383,7 @@ def leg_targets(pose: RigidTransform, hips_m: ArrayLike, feet_m: ArrayLike) -> A
 
 
 def feet_in_world(pose: RigidTransform, hips_m: ArrayLike, targets_m: ArrayLike) -> Array:
-    """Return feet (..., L, 3) in the world of targets (..., L, 3) from the hips, the inverse of `leg_targets`."""
+    """Return the feet (..., L, 3) in the world from their positions relative to the hips; see `leg_targets`."""
     position, R = np.asarray(pose.translation), np.asarray(pose.rotation.as_matrix())
     return np.einsum("...lk,...jk->...lj", np.asarray(targets_m) + np.asarray(hips_m), R) + position[..., None, :]
 
@@ -385,14 +391,14 @@ def feet_in_world(pose: RigidTransform, hips_m: ArrayLike, targets_m: ArrayLike)
 # -- robot files: TOML with dimensions and limits, URDF or MJCF --------------------------------------------------------
 
 STAND = 0.7
-"""Standing height of the hips of a robot from a URDF or MJCF file, as a share of the stretched leg's length."""
+"""Standing height of the hips as a fraction of the stretched leg's length, for a robot from a URDF or MJCF file."""
 SHORTEST_M = 1e-3
-"""Least length of a leg in a URDF file."""
+"""Smallest length of a leg in a URDF or MJCF file."""
 SUFFIXES = (".urdf", ".xml")
 LARGEST = 1e6
-"""The largest length or angle; larger ones can only be damage."""
+"""Largest plausible length or angle: larger numbers mean a damaged file."""
 LEAST_MASS_KG, LEAST_INERTIA_KG_M2 = 1e-6, 1e-9
-"""Mass and inertia of links whose file states none: their positions do not depend on them."""
+"""Mass and inertia of links without any in the file. Kinematics does not depend on them."""
 
 
 class _Joint(FileTable):
@@ -432,24 +438,24 @@ class _RobotFile(FileTable):
 
 
 def builtin_robots() -> tuple[str, ...]:
-    """Return the names of the robots that come with the package."""
+    """Return the names of the built-in robots."""
     return builtin_names("robotics/robots", ".toml")
 
 
 def load_robot(robot: str | Path) -> Quadruped:
-    """Return a built-in robot by name, or one from a file: .toml, .urdf or .xml (MJCF).
+    """Return a built-in robot by name, or a robot from a file: .toml, .urdf or .xml (MJCF).
 
-    Raises InputError, also for a robot that cannot stand, and for joints that share a name.
+    Raises InputError if the file is not valid, if the robot cannot stand, or if joints share a name.
     """
     if (path := Path(robot)).suffix.lower() in SUFFIXES:
         robot_of_file = _quadruped_of_model(path)
     else:
-        choice = (*builtin_robots(), "a file .urdf or .xml")
+        choice = (*builtin_robots(), "a .urdf or .xml file")
         table, _ = named_table(robot, "robotics/robots", "--robot", "robot", choice)
         robot_of_file = _quadruped(str(robot), table)
     problems = []
     if len({*robot_of_file.joints}) < len(robot_of_file.joints):
-        problems.append(Problem(robot_of_file.source, "joints", "a name that several joints share", "a name for each"))
+        problems.append(Problem(robot_of_file.source, "joints", "joints that share a name", "one name per joint"))
     for label, leg in robot_of_file.legs.items():
         if not np.isfinite(leg.angles(leg.neutral_m[None])).all():
             problems.append(_cannot_stand(robot_of_file.source, label))
@@ -478,7 +484,7 @@ def _quadruped(source: str, table: dict[str, Any]) -> Quadruped:
         lower, upper = np.sort(limits[:, leg.order] * signs, axis=0)
         chain = joint_chain(
             offsets[:3],
-            # A rotation's axis is mirrored with the opposite sign.
+            # Mirroring reverses the axis of a rotation.
             in_body[4:7] * np.prod(mirror) * signs[:, None],
             tool_m=offsets[3],
             limits_rad=(lower, upper),
@@ -490,16 +496,17 @@ def _quadruped(source: str, table: dict[str, Any]) -> Quadruped:
 
 
 def _cannot_stand(source: str, label: str) -> Problem:
-    detail = f"a leg {label} that does not reach the ground within its limits"
-    return Problem(source, "stand_m", detail, "a height that it can stand at")
+    detail = f"leg {label} does not reach the ground within its limits"
+    return Problem(source, "stand_m", detail, "a height at which the robot can stand")
 
 
 def _quadruped_of_model(path: Path) -> Quadruped:
-    """Return a robot whose legs are the four chains of at least three moving joints that end in a leaf.
+    """Return a robot from a URDF or MJCF file.
 
-    The positions of the hips say which leg is which. If several leaves hang on the same joints, the lowest is the foot.
-    The hips stand at `STAND` of the stretched legs' length, each foot below the leg's second joint. Raises InputError
-    for another number of chains.
+    The legs are the four chains of at least three moving joints that end in a leaf. The positions of the hips decide
+    which leg is which. If several leaves hang on the same joints, the lowest one is the foot. The hips stand at `STAND`
+    of the stretched legs' length, each foot below the second joint of its leg. Raises InputError if the number of
+    chains is not four.
     """
     model = read_model(path)
     names, chain_of_leaf = body_names(model), {}
@@ -527,7 +534,8 @@ def _quadruped_of_model(path: Path) -> Quadruped:
     neutral = hips - [0.0, 0.0, stand]
     legs = {}
     for label, chain, foot in zip(labels, chains, neutral, strict=True):
-        if (home := standing(chain, foot)) is None:  # after a second's search: the other legs are mostly like it
+        # The search takes a second, and the other legs usually fail too: stop at the first.
+        if (home := standing(chain, foot)) is None:
             raise InputError(_cannot_stand(str(path), label))
         legs[label] = RobotLeg(chain, foot, home)
     called = model.names.split(b"\0")[0].decode() or path.stem
@@ -535,34 +543,35 @@ def _quadruped_of_model(path: Path) -> Quadruped:
 
 
 def _turns(chain: SerialChain) -> Array:
-    """Return limits (2, n); a joint without limits gets half a turn each way."""
+    """Return the limits (2, n), with half a turn each way for joints without limits."""
     return np.array([np.maximum(chain.lower_rad, -np.pi), np.minimum(chain.upper_rad, np.pi)])
 
 
-# -- models read by MuJoCo (extra robots), without meshes, which need further files and do not affect kinematics -------
+# -- models read by MuJoCo (extra robots), without meshes: these need more files, and kinematics does not need them ----
 
 
 def require_mujoco(source: str | Path) -> ModuleType:
-    """Return the module mujoco; raise InputError about `source` if it is not installed."""
+    """Return the module mujoco; raise InputError about `source` if the module is not installed."""
     try:
         import mujoco
     except ImportError:
         expected = f"the package mujoco: {install_command('robots')}"
-        raise InputError(Problem(source, "robot", "no MuJoCo, which reads and simulates it", expected)) from None
+        raise InputError(Problem(source, "robot", "MuJoCo is not installed", expected)) from None
     return mujoco
 
 
 def read_model(path: str | Path, free: bool = False) -> MjModel:
-    """Return a file as MuJoCo's model, with its fixed joints.
+    """Return MuJoCo's model of a file, with its fixed joints and without its meshes.
 
-    free: lets its root move freely in the world. Raises InputError for any other kind of file, and without MuJoCo.
+    With `free`, the root of the model moves freely in the world. Raises InputError for other kinds of files, and if
+    MuJoCo is not installed.
     """
     path = Path(path)
     mujoco = require_mujoco(path)
     if not path.is_file():
         raise InputError(Problem(path, "file", "no such file", "a URDF or MJCF file"))
     name = utf8_path(path)
-    mujoco.set_mju_user_warning(lambda message: None)  # instead of a file in the working folder
+    mujoco.set_mju_user_warning(lambda message: None)  # MuJoCo would write warnings to a file in the working folder
     try:
         spec = mujoco.MjSpec.from_file(name)
         spec.compiler.fusestatic = False
@@ -574,21 +583,21 @@ def read_model(path: str | Path, free: bool = False) -> MjModel:
         if free and not any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in spec.joints):
             spec.worldbody.first_body().add_freejoint()
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # masses that nothing moves by: kinematics do not need them
+            warnings.simplefilter("ignore")  # warnings about moving parts without mass: kinematics needs no masses
             model = spec.compile()
-    except (ValueError, RuntimeError, mujoco.FatalError) as error:  # also where it has no memory
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:  # MuJoCo also reports a lack of memory by these
         detail = " ".join(str(error).split())[:160]
         raise InputError(Problem(path, "content", detail, "a URDF or MJCF file")) from None
     for quantity, numbers in {"links": model.body_pos, "limits": model.jnt_range}.items():
         if not (np.abs(numbers) < LARGEST).all():
-            raise InputError(Problem(path, quantity, "numbers that no robot has", "metres and radians"))
+            raise InputError(Problem(path, quantity, "implausibly large numbers", "metres and radians"))
     return model
 
 
 def rates_of(path: Path) -> dict[str, float]:
-    """Return the joints' fastest rates from a URDF file, which MuJoCo does not keep.
+    """Return the joints' maximum rates from a URDF file; MuJoCo does not keep them.
 
-    MJCF has none. Raises InputError for limits that are not numbers.
+    The result is empty for MJCF, which has no rates. Raises InputError for limits that are not numbers.
     """
     try:
         stated = {j.get("name", ""): j.find("limit") for j in ElementTree.parse(path).getroot().iter("joint")}
@@ -598,16 +607,16 @@ def rates_of(path: Path) -> dict[str, float]:
             if limit is not None
         }
     except (ElementTree.ParseError, ValueError) as error:
-        raise InputError(Problem(path, "limit", str(error)[:120], "numbers in a whole file")) from None
+        raise InputError(Problem(path, "limit", str(error)[:120], "a complete file with numbers as limits")) from None
     rates = {name: rate for name, (_, _, rate) in limits.items() if rate}
-    wrong = [(n, f"limits {low:g}, {up:g}", "the lower one first") for n, (low, up, _) in limits.items() if low > up]
+    wrong = [(n, f"limits {low:g}, {up:g}", "the lower limit first") for n, (low, up, _) in limits.items() if low > up]
     wrong += [(n, f"velocity {r:g}", "a rate above 0") for n, r in rates.items() if not 1e-6 < r < LARGEST]
     raise_problems(Problem(path, f"joint {name}", detail, expected) for name, detail, expected in wrong)
     return rates
 
 
 def body_names(model: MjModel) -> list[str]:
-    """Return the names of all bodies but the world; a body without a name is named by its number, as body 3."""
+    """Return the names of all bodies except the world; a body without a name is called by its number, "body 3"."""
     return [model.body(k).name or f"body {k}" for k in range(1, model.nbody)]
 
 
@@ -623,10 +632,10 @@ def leaves_of(model: MjModel) -> list[int]:
 
 
 def foot_of(model: MjModel, leaf: int) -> Array:
-    """Return the position (3,) of a foot in the leaf's axes.
+    """Return the position (3,) of the foot in the axes of a leaf.
 
-    It is the leaf's origin, unless a joint moves the leaf, as at the legs' ends in MJCF files: then it is the middle of
-    the farthest sphere on the leaf, or of the farthest shape without a sphere.
+    The foot is at the leaf's origin if no joint moves the leaf. Otherwise, as at the ends of legs in MJCF files, the
+    foot is the centre of the leaf's farthest sphere, or of its farthest shape if there is no sphere.
     """
     shapes = [g for g in range(model.ngeom) if model.geom_bodyid[g] == leaf]
     shapes = [g for g in shapes if model.geom_type[g] == 2] or shapes
@@ -636,7 +645,7 @@ def foot_of(model: MjModel, leaf: int) -> Array:
 
 
 def way_to(model: MjModel, tip: int) -> list[int]:
-    """Return the bodies after the root up to `tip`; empty if the tip does not hang on the root."""
+    """Return the bodies from the root (not included) to `tip`; none if `tip` is not a descendant of the root."""
     bodies, root = [], root_of(model)
     while tip not in (root, 0):
         bodies.append(tip)
@@ -645,16 +654,16 @@ def way_to(model: MjModel, tip: int) -> list[int]:
 
 
 def moving(model: MjModel, bodies: list[int]) -> list[int]:
-    """Return the joints of bodies, in their order."""
+    """Return the indices of the joints of bodies, in the order of the bodies."""
     return [j for k in bodies for j in range(model.body_jntadr[k], model.body_jntadr[k] + model.body_jntnum[k])]
 
 
 def model_chain(model: MjModel, path: Path, tip: str, end_m: ArrayLike = (0.0, 0.0, 0.0)) -> SerialChain:
-    """Return the chain from the root to a body, with its limits; fixed joints are part of the links.
+    """Return the chain from the root to a body, with its limits; fixed joints become part of the links.
 
-    It is in the axes of the root. Its end effector is at `end_m` (3,) in the axes of the tip. Its joints are those that
-    move. Joints without limits of their angle turn freely, those without a rate as fast as `MAX_RATE_RAD_S`. Raises
-    InputError for joints of another kind.
+    The chain is in the root's axes, and its end effector is at `end_m` (3,) in the axes of the tip. An angle without
+    limits turns freely; a joint without a rate gets `MAX_RATE_RAD_S`. Raises InputError if a joint neither turns nor
+    slides.
     """
     names, start = body_names(model), root_of(model)
     if tip not in names:
@@ -662,8 +671,8 @@ def model_chain(model: MjModel, path: Path, tip: str, end_m: ArrayLike = (0.0, 0
     way = way_to(model, last := names.index(tip) + 1)
     joints = moving(model, way)
     if not joints:
-        detail = f"none that moves from {names[start - 1]} to {tip}"
-        raise InputError(Problem(path, "chain", detail, "a link that joints move"))
+        detail = f"no moving joint from {names[start - 1]} to {tip}"
+        raise InputError(Problem(path, "chain", detail, "a link moved by joints"))
     unlike = [model.joint(j).name for j in joints if model.jnt_type[j] not in (2, 3)]  # slide, hinge
     raise_problems(Problem(path, f"joint {name}", "another kind", "joints that turn or slide") for name in unlike)
     mujoco = require_mujoco(path)
@@ -673,7 +682,7 @@ def model_chain(model: MjModel, path: Path, tip: str, end_m: ArrayLike = (0.0, 0
     steps = np.diff([data.xpos[start], *data.xanchor[joints], end], axis=0) @ root_axes
     axes, turns = data.xaxis[joints] @ root_axes, model.body_quat[way]
     if not np.isfinite([*steps, *axes]).all() or not (axes.any(axis=1).all() and turns.any(axis=1).all()):
-        # the numbers of a file are beyond those of floats
+        # numbers in the file that overflow to infinity or NaN
         lost = f"a joint between the root and {tip} without an axis or a position"
         raise InputError(Problem(path, "chain", lost, "axes of joints, and positions in metres"))
     rates = rates_of(path)

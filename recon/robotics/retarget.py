@@ -1,32 +1,33 @@
-"""Turn an animal's motion into a reference for a legged machine, and put the reference on a quadruped.
+"""Turn an animal's motion into a reference for legged robots, and put the reference on a quadruped.
 
-The reference has the animal's own size and time. World: z up, the ground at 0, x along the travel. The base is the
-middle of the trunk. Its height, pitch and roll are deviations from their means, since a machine has a standing pose of
-its own. Roll is that of the lines between hips and between shoulders. Height, angles and heading are smoothed over
-`SMOOTH_S`, since a fit's errors last a few frames and a body is heavy.
+The reference has the animal's size and timing. World: z up, the ground at 0, x along the travel. The base is the middle
+of the trunk. Height, pitch and roll of the base are deviations from their means, since a robot has a standing pose of
+its own. Roll is the roll of the lines between the hips and between the shoulders. Height, angles and heading are
+smoothed over `SMOOTH_S`: errors of a fit last a few frames, and a heavy body does not move that fast.
 
-Feet are in heading axes (x forwards, y left, level) from the base, relative to each foot's middle position: halfway
-between foremost and rearmost, and the mean to the side. Heights of feet are above the ground, less the mean height in
-stance, because a marker lies above the sole.
+Feet are in heading axes (x forwards, y left, level), relative to the base and to each foot's middle position: halfway
+between the foremost and the rearmost position, and the mean position sideways. Heights of feet are above the ground,
+minus the mean height in stance, because a marker is above the sole.
 
 One factor, the scale, turns the animal's lengths into the robot's. The robot's base follows the scaled path of the
-animal. It stands at its own height; the scaled deviations of height, pitch and roll are added, limited to `LIFT`,
-`PITCH_RAD` and `ROLL_RAD` by a tanh. A foot is at its neutral position under the hip, plus the scaled displacement of
-the animal's foot from its middle position, and stands when the animal's does. It is lifted as high as the scaled
-animal's foot, limited by a tanh to the share `CLEARANCE` of the height by which the leg can be folded.
+animal at the robot's own height. The scaled deviations of height, pitch and roll are added, limited to `LIFT`,
+`PITCH_RAD` and `ROLL_RAD` by a tanh. A foot's position is its neutral position under the hip, plus the scaled
+displacement of the animal's foot from its middle position. A foot stands when the animal's foot stands. It is lifted as
+high as the animal's foot, scaled, but a tanh limits the lift to the fraction `CLEARANCE` of the height by which the leg
+can be folded.
 
-Unless it is given, the scale is the largest up to stand_m / leg_m at which all feet, in the clip and in the stride that
-repeats, are within the legs' reach and the joints' limits. Unless it is given, the pace is as slow as the limits of the
-joints' rates require, and never faster than the animal's. With a given scale, a foot out of reach is drawn towards its
-neutral position until it is in reach.
+By default, the scale is the largest one up to stand_m / leg_m at which all feet are within reach and joint limits, in
+the clip and in the repeating stride. By default, the motion is slowed down just as much as the limits of the joints'
+rates require, and never sped up. If the scale is given, a foot out of reach is moved towards its neutral position until
+it is within reach.
 
-In stance a foot stays at the stance's mean position, on the ground. During a swing its path is shifted from that of the
-previous stance to that of the next. The foot leaves its foothold for this path, and returns to a foothold, within the
-share `EASE` of the swing, so that its acceleration does not jump at lift-off and touch-down.
+In stance a foot stays at the stance's mean position, on the ground. In swing, the animal's path is shifted smoothly
+from the previous foothold to the next. The robot's foot leaves the ground for this path, and returns from it, within
+the fraction `EASE` of the swing, so that its acceleration does not jump at lift-off and touch-down.
 
-An animal with a flexible back gathers its feet so far in a gallop that fore and hind legs would meet on a rigid body.
-Hind feet then pass outside the fore feet, as a cheetah's do: by the smallest of `SPREADS` that keeps the legs' lines
-`LEGS_APART` from each other.
+In a gallop, an animal with a flexible back brings its feet so close together that the fore and hind legs of a robot
+with a rigid body would meet. The robot's hind feet then pass outside its fore feet, as a cheetah's do, by the smallest
+of `SPREADS` that keeps the lines of the legs `LEGS_APART` from each other.
 """
 
 from __future__ import annotations
@@ -51,9 +52,9 @@ from recon.robotics.quadruped import LEGS, Quadruped, RobotLeg, body_pose, feet_
 
 SMOOTH_S = 0.02
 MIN_SAMPLES = 40
-"""Fewest samples of a reference: four frames."""
+"""Smallest number of samples of a reference: four frames."""
 HARMONICS = 8
-"""Number of harmonics in a closed stride, which smooths the seam where it was cut."""
+"""Number of harmonics of a closed stride; the low number smooths the seam where the stride was cut."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,20 +62,21 @@ class Reference:
     """Hold the motion that a robot follows, at N evenly spaced times."""
 
     time_s: Array
-    """(N,)"""
+    """(N,): times."""
     base_m: Array
-    """(N, 3): x and y in the world, z the deviation of the height."""
+    """(N, 3): x and y in the world; z is the height's deviation from its mean."""
     roll_pitch_yaw_rad: Array
-    """(N, 3)"""
+    """(N, 3): roll, pitch and yaw of the trunk."""
     feet_m: Array
-    """(N, 4, 3), in the order of `LEGS`."""
+    """(N, 4, 3): feet in heading axes, in the order of `LEGS`."""
     standing: Bools
-    """(N, 4)"""
+    """(N, 4): whether each foot stands."""
     leg_m: float
     """Length of the animal's legs."""
     advance_m: Array | None = None
-    """(2,): for a closed stride, the displacement from its first to its last sample, which agree otherwise; None for a
-    clip."""
+    """(2,): displacement from the first to the last sample of a closed stride, which are equal otherwise; None for a
+    clip.
+    """
 
 
 @dataclass(frozen=True)
@@ -84,34 +86,46 @@ class StrideWindow:
     first: int
     last: int
     source: str
-    """Origin of the stride: "given"; "stride", a complete one of a foot; or "return", where all feet come back nearest
-    to their starting positions.
+    """How the stride was found: "given" by the user; "stride", a complete stride of one foot; "return", the samples
+    between which all feet come closest to returning.
     """
     gap_percent: float
-    """Distance between its ends, in percent of the extent of the feet's paths, mean over the feet."""
+    """Distance between the feet's positions at both ends, in percent of the extent of the feet's paths, mean over the
+    feet.
+    """
 
 
 @dataclass(frozen=True, eq=False)
 class Animal:
-    """Hold an animal's motion, and the reference that was made from it."""
+    """Hold an animal's motion and the reference made from it."""
 
     reference: Reference
     analysis: ClipAnalysis
     gait: Gait
     rotation: Rotation
-    """Together with origin_m, takes the upright frame to the reference's world."""
+    """Rotation from the upright frame to the reference's world, about origin_m."""
     origin_m: Array
     rows: Index
-    """(N,): the samples of the analysis' fine grid that the reference is made from."""
+    """(N,): samples of the analysis's fine grid from which the reference is made."""
 
 
 # -- the clip --------------------------------------------------------------------------------------------------------
 
 
 def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) -> Animal:
-    """Return the reference of an animal's motion.
+    """Return an animal's motion as a reference for robots.
 
-    stride_s: as for `analyse`. Raises InputError if the clip shows no feet, or too few frames with all feet.
+    Parameters
+    ----------
+    motion : Motion
+        The animal's motion.
+    stride_s : tuple of float, optional
+        Start and end of a stride, s, as for `analyse`.
+
+    Raises
+    ------
+    InputError
+        If the clip does not show all four feet, or if too few consecutive frames show all feet and the trunk.
     """
     analysis = analyse(motion, stride_s=stride_s)
     if (gait := analysis.gait) is None or not {*LEGS} <= {*motion.foot_names}:
@@ -124,7 +138,7 @@ def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) ->
     ranges = frame_ranges(np.flatnonzero(np.isfinite(columns).all(axis=1)))
     rows = np.arange(*max(ranges, key=lambda stretch: stretch[1] - stretch[0], default=(0, 0)))
     if len(rows) < MIN_SAMPLES:
-        detail = f"{len(rows) // 10} frames in a row with all feet and the trunk"
+        detail = f"{len(rows) // 10} consecutive frames with all feet and the trunk"
         raise InputError(Problem(motion.file, "frames", detail, f"at least {MIN_SAMPLES // 10}"))
     time, body, trunk = tracks.time_s[rows], tracks.body_m[rows], (front - rear)[rows]
     chord = body[-1] - body[0]
@@ -166,7 +180,7 @@ def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) ->
 def _angles(analysis: ClipAnalysis, rows: Index, to_world: Rotation, trunk: Array) -> Array:
     """Return roll, pitch and yaw (N, 3) of the trunk.
 
-    The roll is that of the lines between the first joints of the limbs to a left and a right foot.
+    The roll is that of the lines between the first joints of left and right limbs.
     """
     motion, ahead = analysis.motion, to_world.apply(trunk)
     yaw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
@@ -187,9 +201,9 @@ def _angles(analysis: ClipAnalysis, rows: Index, to_world: Rotation, trunk: Arra
 
 
 def stride_window(animal: Animal) -> StrideWindow:
-    """Return the given stride, or a complete one, or the nearest return of all feet.
+    """Return the given stride, or a complete one, or the part of the clip after which all feet nearly return.
 
-    The complete stride is the first of the foot with the most strides. If no foot has landed twice, a stride lasts at
+    The complete stride is the first one of the foot with the most strides. If no foot lands twice, the stride lasts at
     least from the first touch-down to the end of the clip.
     """
     feet, time = animal.reference.feet_m, animal.reference.time_s
@@ -222,8 +236,8 @@ def stride_window(animal: Animal) -> StrideWindow:
 def closed_stride(animal: Animal, window: StrideWindow) -> Reference:
     """Return the window as a stride that repeats and goes straight on.
 
-    Gaps are spread evenly over the stride, and `HARMONICS` are kept. A foot without stance in the window stands when it
-    stands one stride earlier or later.
+    The gap between the ends is spread evenly over the stride, and `HARMONICS` harmonics are kept. A foot without stance
+    in the window stands at the phases at which it stands elsewhere in the clip.
     """
     whole = animal.reference
     n = window.last - window.first
@@ -264,61 +278,62 @@ def closed_stride(animal: Animal, window: StrideWindow) -> Reference:
 
 PITCH_RAD, ROLL_RAD = 0.25, 0.15
 LIFT = 0.15
-"""Largest rise of the body, as a share of the standing height of the hips."""
+"""Largest rise of the body as a fraction of the standing height of the hips."""
 CLEARANCE = 0.7
 SPREADS = (0.0, 0.1, 0.2, 0.3, 0.4)
 LEGS_APART = 0.15
-"""Distance of the legs' lines, and the spreads above, as shares of the standing height of the hips; legs are about as
-thick.
+"""Smallest distance between the lines of two legs, and the spreads above, as fractions of the standing height of the
+hips. Legs are about this thick.
 """
 SCALES = 0.97 ** np.arange(76)
-"""Scales that are tried, as shares of the largest."""
+"""Scales to try, as fractions of the largest."""
 _EVERY = 5
-"""Samples between those on which a scale is tried first; half a frame."""
+"""Step between the samples on which a scale is tested first: half a frame."""
 _BISECTIONS = 25
 CLEAR = 0.05
-"""Height within which paths of swinging feet are bent away from the ground, as a share of the standing height."""
+"""Height within which paths of swinging feet are bent away from the ground, as a fraction of the standing height."""
 EASE, SOFT = 0.28, 0.1
-"""Shares of a swing's duration, and of the height of a foot's path within which the path is bent to stay above the
-ground."""
+"""Fraction of a swing in which a foot leaves or reaches its foothold, and fraction of a path's height within which the
+path is bent to stay above the ground.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class KeptMotion:
     """Hold a robot's motion at N times as plain arrays.
 
-    Its 4 legs are in the order of `LEGS`, its joints in that of robot.joints.
+    The 4 legs are in the order of `LEGS`, the joints in the order of the robot's `joints`.
     """
 
     scale: float
     slower: float
     time_s: Array
-    """(N,): the robot's times."""
+    """(N,): times of the robot."""
     angles_rad: Array
-    """(N, joints)"""
+    """(N, joints): joint angles."""
     position_m: Array
-    """(N, 3): of the body in the world."""
+    """(N, 3): position of the body in the world."""
     quaternion_xyzw: Array
-    """(N, 4): of the body in the world."""
+    """(N, 4): rotation of the body in the world."""
     feet_m: Array
-    """(N, 4, 3): the feet's intended positions in the world."""
+    """(N, 4, 3): intended positions of the feet in the world."""
     standing: Bools
-    """(N, 4)"""
+    """(N, 4): whether each foot stands."""
     short: Bools
-    """(N, 4): feet that were out of reach."""
+    """(N, 4): whether each foot was out of reach."""
     advance_m: Array | None = None
-    """As in `Reference`."""
+    """(2,): displacement over a repeating stride, as in `Reference`."""
 
 
 @dataclass(frozen=True, eq=False)
 class RobotMotion(KeptMotion):
-    """Hold the arrays of a robot's motion, and the robot."""
+    """Hold the arrays of a robot's motion and the robot."""
 
     robot: Quadruped = field(kw_only=True)
 
     @cached_property
     def pose(self) -> RigidTransform:
-        """Return the base's poses in the world, T_world_body, N of them."""
+        """Return the N poses of the base in the world, T_world_body."""
         return RigidTransform.from_components(self.position_m, Rotation.from_quat(self.quaternion_xyzw))
 
     def leg_angles(self, label: str) -> Array:
@@ -328,7 +343,7 @@ class RobotMotion(KeptMotion):
 
     @cached_property
     def _spline(self) -> CubicSpline:
-        """Return a spline through the states of `Quadruped.tree`, minus the displacement of a repeating stride."""
+        """Return a spline through the states of `Quadruped.tree`; a repeating stride is without its displacement."""
         turn = np.unwrap(self.pose.rotation.as_euler("ZYX"), axis=0)
         states = np.hstack([self.position_m, turn, self.angles_rad])
         if self.advance_m is None:
@@ -339,7 +354,7 @@ class RobotMotion(KeptMotion):
     def states(self, time_s: Array, derivative: int = 0) -> Array:
         """Return the states (K, 6 + joints) of `Quadruped.tree` at times (K,), or their derivatives.
 
-        They come from cubic splines through the samples, ten for each of the clip's frames.
+        They are values of cubic splines through the samples, of which there are ten for each frame of the clip.
         """
         states = self._spline(time_s, derivative)
         if self.advance_m is not None and derivative < 2:
@@ -348,29 +363,29 @@ class RobotMotion(KeptMotion):
         return states
 
     def stands_at(self, time_s: Array) -> Bools:
-        """Return which feet stand at the samples nearest to times (K,), shape (K, 4)."""
+        """Return whether each foot stands (K, 4) at the samples nearest to times (K,)."""
         return self.standing[np.argmin(np.abs(self.time_s[None] - time_s[:, None]), axis=1)]
 
     @cached_property
     def rate_share(self) -> Array:
-        """Return the fastest rate of each joint (joints,) between two samples, relative to its limit."""
+        """Return the fastest rate of each joint (joints,) between two samples as a fraction of its limit."""
         rates = np.diff(self.angles_rad, axis=0) / np.diff(self.time_s)[:, None]
         return np.abs(rates).max(axis=0) / self.robot.limits()[2]
 
     @cached_property
     def margin_rad(self) -> Array:
-        """Return the least distance of each joint (joints,) from a limit, negative beyond it."""
+        """Return the smallest distance of each joint (joints,) from its limits, negative beyond a limit."""
         lower, upper, _ = self.robot.limits()
         return np.minimum(self.angles_rad - lower, upper - self.angles_rad).min(axis=0)
 
     def points(self, label: str) -> Array:
-        """Return a leg's hip, joints and foot in the world (N, ., 3)."""
+        """Return the hip, the joints and the foot of a leg in the world (N, ., 3)."""
         along = self.robot.legs[label].chain.positions(self.leg_angles(label))
         return feet_in_world(self.pose, np.zeros(3), along)
 
     @cached_property
     def apart_m(self) -> float:
-        """Return the least distance between the fore and the hind leg of a side, by nine points along each link."""
+        """Return the smallest distance between the fore and hind leg of a side, from nine points along each link."""
         share, legs = np.linspace(0.0, 1.0, 9)[:, None], {}
         for label in LEGS:
             points = self.points(label)[::_EVERY]
@@ -381,9 +396,9 @@ class RobotMotion(KeptMotion):
 
     @cached_property
     def slip_m(self) -> Array:
-        """Return the largest slip of each foot (4,) in any stance, from the joints' angles at and between samples.
+        """Return the largest slip of each foot (4,) in any stance, from the joint angles at and between samples.
 
-        It is 0 for a foot that never stands.
+        The slip of a foot that never stands is 0.
         """
         fine = np.linspace(self.time_s[0], self.time_s[-1], 2 * len(self.time_s) - 1)
         feet = self.robot.tree.pose(self.states(fine)).points_m[:, self.robot.foot_markers]
@@ -392,22 +407,22 @@ class RobotMotion(KeptMotion):
 
     @cached_property
     def closing_percent(self) -> float:
-        """Return the largest difference of an angle between the ends of a repeating stride, % of its range."""
+        """Return the largest difference of an angle between both ends of a repeating stride, % of the angle's range."""
         return 100 * float(np.max(np.abs(self.angles_rad[-1] - self.angles_rad[0]) / np.ptp(self.angles_rad, axis=0)))
 
 
 @dataclass(frozen=True, eq=False)
 class Retargeting:
-    """Hold a robot's motion that follows an animal's."""
+    """Hold a robot's motion that follows an animal's motion."""
 
     animal: Animal
     window: StrideWindow
     clip: RobotMotion
-    """Motion of the whole clip."""
+    """Motion over the whole clip."""
     stride: RobotMotion
     """A stride that repeats."""
     spread_m: float
-    """Distance of each hind foot outside its neutral position."""
+    """Distance by which each hind foot is outside its neutral position."""
 
 
 def retarget(
@@ -426,9 +441,9 @@ def retarget(
     robot : Quadruped
         The robot.
     scale : float, optional
-        Factor of lengths; by default the largest that fits.
+        Factor on lengths; by default the largest that fits.
     slower : float, optional
-        Factor of times; by default as the joints' rates require.
+        Factor on times; by default as large as the joints' rates require.
     window : StrideWindow, optional
         The stride; by default that of `stride_window`.
     """
@@ -440,7 +455,7 @@ def retarget(
 def on_robot(
     clip: Reference, stride: Reference, robot: Quadruped, scale: float | None = None, slower: float | None = None
 ) -> tuple[RobotMotion, RobotMotion, float]:
-    """Return a clip and a stride of it as a robot's motions, and the spread of the hind feet; see `retarget`."""
+    """Return a clip and one of its strides as robot motions, and the spread of the hind feet; see `retarget`."""
     tried: list[tuple[float, list[RobotMotion], float]] = []
     enough = LEGS_APART * robot.stand_m
     for share in SPREADS:
@@ -462,12 +477,12 @@ def on_robot(
 
 
 def slowed(motion: RobotMotion, factor: float) -> RobotMotion:
-    """Return a motion slowed down by a factor."""
+    """Return a motion with all times multiplied by a factor."""
     return replace(motion, slower=factor * motion.slower, time_s=factor * motion.time_s)
 
 
 def largest_scale(references: tuple[Reference, ...], robot: Quadruped, spread_m: float = 0.0) -> float:
-    """Return the largest scale at which every foot is in reach; half of the largest if none of `SCALES` is."""
+    """Return the largest scale at which every foot is within reach, or half the largest if none of `SCALES` fits."""
     largest = robot.stand_m / references[0].leg_m
 
     def fits(scale: float, every: int) -> bool:
@@ -485,7 +500,10 @@ def largest_scale(references: tuple[Reference, ...], robot: Quadruped, spread_m:
 def place(
     reference: Reference, robot: Quadruped, scale: float, spread_m: float = 0.0
 ) -> tuple[RigidTransform, Array, Bools]:
-    """Return T_world_body (N), the feet in the world (N, 4, 3) with their footholds, and which of them stand (N, 4)."""
+    """Return T_world_body (N), the feet in the world (N, 4, 3), and which feet stand (N, 4).
+
+    The feet are on their footholds in stance.
+    """
     roll, pitch, yaw = reference.roll_pitch_yaw_rad.T
     position = scale * reference.base_m
     position[:, 2] = _within(position[:, 2], LIFT * robot.stand_m) - robot.ground_m
@@ -494,7 +512,8 @@ def place(
     neutral = np.array([leg.neutral_m * (1.0, 1.0, 0.0) for leg in robot.legs.values()])
     neutral[:, 1] += [spread_m * (label[1] == "H") * (1 if label[0] == "L" else -1) for label in LEGS]
     ways = scale * reference.feet_m
-    room = np.maximum(CLEARANCE * robot.folding_m, 1e-9)  # some height also where legs cannot bend
+    # legs that cannot bend still get a positive limit, to avoid a division by 0
+    room = np.maximum(CLEARANCE * robot.folding_m, 1e-9)
     ways[..., 2] = np.where(ways[..., 2] > 0, _within(ways[..., 2], room), ways[..., 2])
     standing = reference.standing
     advance = None if reference.advance_m is None else scale * reference.advance_m
@@ -503,7 +522,7 @@ def place(
         paths = [planted(reference.time_s, raw[:, k], standing[:, k], advance) for k in range(len(LEGS))]
         return np.stack(paths, axis=1)
 
-    # Footholds shift the middle of each foot's path: centre the path under the hip again.
+    # Footholds shift the middle of each foot's path, so centre the path under the hip again.
     moved = leg_targets(level, neutral, on_ground(feet_in_world(level, neutral, ways)))[..., 0]
     ways[..., 0] -= (moved.min(axis=0) + moved.max(axis=0)) / 2
     return pose, on_ground(feet_in_world(level, neutral, ways)), standing
@@ -512,7 +531,7 @@ def place(
 def posed(robot: Quadruped, time_s: Array, pose: RigidTransform, feet_m: Array, standing: Bools) -> RobotMotion:
     """Return the motion of a robot from poses and feet.
 
-    pose: T_world_body (N). feet_m: (N, 4, 3), in the world. standing: (N, 4). Feet out of reach are drawn in.
+    pose: T_world_body (N). feet_m: (N, 4, 3), in the world. standing: (N, 4). Feet out of reach are moved into reach.
     """
     targets = leg_targets(pose, np.zeros(3), feet_m)
     solved = [drawn_in(leg, targets[:, k]) for k, leg in enumerate(robot.legs.values())]
@@ -523,9 +542,9 @@ def posed(robot: Quadruped, time_s: Array, pose: RigidTransform, feet_m: Array, 
 
 
 def drawn_in(leg: RobotLeg, feet_m: Array) -> tuple[Array, Bools]:
-    """Return angles (T, n) of feet (T, 3) in body axes, and which of them (T,) are out of reach.
+    """Return angles (T, n) for feet (T, 3) in body axes, and which feet (T,) are out of reach.
 
-    A foot out of reach is drawn towards its neutral position as little as needed.
+    A foot out of reach is moved towards its neutral position by as little as possible.
     """
     angles = leg.angles(feet_m)
     short = ~np.asarray(np.isfinite(angles).all(axis=1))
@@ -555,9 +574,9 @@ def stances(standing: Bools) -> list[tuple[int, int]]:
 
 
 def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | None = None) -> Array:
-    """Return a path (N, 3) with footholds where a foot stands (N,), nowhere below the ground, z = 0.
+    """Return a path (N, 3) that stays on a foothold while the foot stands (N,), and never goes below the ground, z = 0.
 
-    advance_m: (2,), for a stride that repeats, the displacement from its first to its last sample.
+    advance_m: (2,), displacement from the first to the last sample of a repeating stride.
     """
     if advance_m is not None:
         n, period, ahead = len(time_s) - 1, time_s[-1] - time_s[0], np.append(advance_m, 0.0)
@@ -585,16 +604,17 @@ def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | No
 
 
 def _swings(time_s: Array, standing: Bools) -> tuple[Array, Array, Array, Array, Array]:
-    """Return the standing samples before and after each sample (N,), the times to them, and the duration of the swing.
+    """Return the standing samples before and after each sample (N,), the times to both, and the swing's duration.
 
-    These are the last standing sample before it and the first after it, the times since the one and until the other.
+    The five arrays are: index of the last standing sample so far (-1 without any); index of the next one (N without
+    any); time since the former; time until the latter; duration of the swing.
     """
     samples = np.arange(len(time_s))
     last_standing = np.maximum.accumulate(np.where(standing, samples, -1))
     next_standing = np.minimum.accumulate(np.where(standing, samples, len(samples))[::-1])[::-1]
     since, until = time_s - np.append(time_s, -np.inf)[last_standing], np.append(time_s, np.inf)[next_standing] - time_s
     swing = since + until
-    # A swing that the clip cuts is as long as the longest other one.
+    # A swing that is cut by the clip's ends is assumed as long as the longest complete swing.
     longest = swing[np.isfinite(swing)].max() or time_s[-1] - time_s[0]
     return last_standing, next_standing, since, until, np.where(np.isfinite(swing) & ~standing, swing, longest)
 
@@ -615,9 +635,10 @@ def swinging(motion: RobotMotion) -> Array:
 
 
 def moved_by(motion: RobotMotion, shifts: Array, robot: Quadruped | None = None) -> RobotMotion:
-    """Return a motion with its base moved by `shifts` (N, 6): its position, yaw, pitch and roll.
+    """Return a motion with its base moved by `shifts` (N, 6): position, yaw, pitch and roll.
 
-    Standing feet stay in place, swinging feet move with the base. robot: the same robot with other limits.
+    Standing feet stay where they are; swinging feet move with the base. `robot` may be the same robot with other
+    limits.
     """
     yaw, pitch, roll = motion.pose.rotation.as_euler("ZYX").T + shifts[:, 3:].T
     pose, loose = body_pose(motion.pose.translation + shifts[:, :3], roll, pitch, yaw), swinging(motion)[..., None]

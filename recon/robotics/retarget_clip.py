@@ -1,21 +1,25 @@
-"""Write a reconstruction on a quadruped robot: joint angles, base, footholds, report, playback, and an ensemble.
+"""Write a reconstruction on a quadruped robot: joint angles, base, footholds, report, playback and an ensemble.
 
-Every sample of an ensemble is a whole clip drawn from the posterior (`recon.fit.posterior`), put on the robot at the
-scale and the pace of the fitted motion. Each is one file in the layout of `--format`, and all are stacked in
+Every sample of an ensemble is a whole clip, drawn from the posterior (`recon.fit.posterior`) and put on the robot at
+the scale and pace of the fitted motion. Each sample is a file in the layout of `--format`. All samples together are in
 `samples.npz`: `time_s` (N,); for K samples `base_position` (K, N, 3), `base_quaternion_wxyz` (K, N, 4),
-`joint_positions` (K, N, joints) and `contacts` (K, N, 4); the names; and the verdict on the fit.
+`joint_positions` (K, N, joints) and `contacts` (K, N, 4); the names of joints and contacts; and, as `source`, where the
+motion comes from, with the verdict on the fit.
 
-Programs that train policies read a motion sampled at a rate of their own, with velocities. Everything is computed from
-the states of the robot's tree and their derivatives (`RobotMotion.states`), so that velocities fit the positions
-exactly.
+Programs that train policies read motions with velocities, at a rate of their own. Positions and velocities are both
+computed from the states of the robot's tree and their derivatives (`RobotMotion.states`), so that they agree exactly.
 
-Bodies are the base, the links, named after the joint that moves them (without "_joint"), and the feet. A link's frame
-is at its joint, and turned like the base when all angles are 0. World: z up, the ground at 0. A whole number of frames
-fills the duration, at the rate nearest to the one asked for. The last frame of a stride is its first, one stride later.
+Bodies are the base; the links, named after the joints that move them (without "_joint"); and the feet. A link's frame
+is at its joint, and parallel to the base's frame when all angles are 0. World: z up, the ground at 0. The rate is the
+one nearest to the requested rate that fits a whole number of frames into the duration. The last frame of a stride
+equals its first, one stride later.
 
-Layouts: AMP's JSON is that of A. Escontrela et al., Adversarial Motion Priors Make Good Substitutes for Complex Reward
-Functions, 2022: 61 numbers a frame, legs in the order RF, LF, RH, LH, quaternions xyzw, velocities and toes in the
-base's axes. Isaac Lab's NPZ and mjlab's have quaternions wxyz and velocities in the world.
+Layouts: AMP's JSON has 61 numbers a frame, legs in the order RF, LF, RH, LH, quaternions xyzw, and velocities and toes
+in the base's axes. Isaac Lab's NPZ and mjlab's have quaternions wxyz and velocities in the world.
+
+References
+----------
+A. Escontrela et al., Adversarial Motion Priors Make Good Substitutes for Complex Reward Functions, 2022 (AMP).
 """
 
 from __future__ import annotations
@@ -56,33 +60,35 @@ MOST_SAMPLES, RATE_HZ = 10_000, 50.0
 
 
 class RetargetSettings(Settings):
-    """The settings of `recon retarget`."""
+    """Settings of `recon retarget`."""
 
     folder: Annotated[Path, Option(argument="DIR")]
-    """Folder of results, as in results/clip."""
+    """Results folder of a fit, as in results/clip."""
     robot: str
     """a1, go2, aibo, or a file .toml, .urdf or .xml (MJCF)."""
     out: Path
     """Folder for tables, report and playback."""
     scale: Annotated[Positive | None, Option(expected="a number above 0")] = None
-    """Factor on the animal's lengths. (default: the largest within reach and limits)"""
+    """Factor on the animal's lengths. (default: the largest within reach and joint limits)"""
     slower: Annotated[Positive | None, Option(expected="a number above 0")] = None
-    """Factor on the animal's times. (default: what the joints' rates ask for, at least 1)"""
+    """Factor on the animal's times. (default: as large as the joints' rates require, at least 1)"""
     stride: Annotated[StrideTimes | None, STRIDE] = None
     format: Literal["amp", "isaaclab", "mjlab", "mjlab-csv"] | None = None
-    """For programs that train policies, also: amp, isaaclab, mjlab or mjlab-csv, with velocities."""
+    """Also write files for programs that train policies, with velocities: amp, isaaclab, mjlab or mjlab-csv."""
     rate: Annotated[Positive, Option(expected="a number above 0")] = RATE_HZ
-    """Frames a second of --format."""
+    """Frames per second of --format."""
     samples: Annotated[
         Annotated[Integer, Field(ge=2, le=MOST_SAMPLES)] | None, Option(expected=f"a number from 2 to {MOST_SAMPLES}")
     ] = None
-    """Number of further motions, drawn from the fit's posterior, as in 32."""
+    """Number of further motions to draw from the fit's posterior, as in 32."""
     check: bool = False
-    """By MuJoCo (the extra robots), frame by frame: limits, torques, forces on the ground, legs that meet: table,
-    figure, and what to change."""
+    """Check limits, torques, ground forces and colliding legs frame by frame with MuJoCo (the extra robots); write a
+    table, a figure and advice.
+    """
     fit_limits: bool = False
-    """The least change of stride, time and the base's path, also of the draws', with which the robot can do it, by
-    MuJoCo (the extra robots); the check of before and after."""
+    """Change stride, duration and base path as little as needed for the robot to do the motion, also for --samples,
+    with MuJoCo (the extra robots), and check before and after.
+    """
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: bool = False
     """Replace earlier ones."""
@@ -92,7 +98,7 @@ REPORT, STACKED = "report.json", "samples.npz"
 REPEATS = 3
 """Number of strides in the playback of a stride."""
 SLIP_M = 0.002
-"""Slip in a stance from which there is a note."""
+"""Slip in a stance above which the report has a note."""
 
 
 def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any]]:
@@ -153,9 +159,10 @@ def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any
 
 
 def within_limits(done: Retargeting, model: MjModel) -> tuple[Retargeting, dict[str, Any]]:
-    """Return clip and stride with moved bases and the first change that keeps every rule, and this change.
+    """Return the clip and the stride with moved bases, after the first change that keeps every rule, and this change.
 
-    Changes are those of `physics.CHANGES`. If none keeps every rule, it is the one that keeps most.
+    The changes are those of `physics.CHANGES`. If none keeps every rule, the result is for the one that keeps them in
+    most frames.
     """
     tried: list[tuple[float, Retargeting, Retargeting]] = []
     for slower, scale in physics.CHANGES:
@@ -184,7 +191,7 @@ def within_limits(done: Retargeting, model: MjModel) -> tuple[Retargeting, dict[
 
 
 def checked(done: Retargeting, model: MjModel, folder: Path | None = None) -> dict[str, Any]:
-    """Return MuJoCo's check of clip and stride for the report, and write its tables and figures into a folder."""
+    """Check clip and stride with MuJoCo for the report, and write tables and figures if a folder is given."""
     answers = {}
     for name, motion, prefix in (("clip", done.clip, ""), ("stride", done.stride, "stride_")):
         time, margins = physics.check(motion, model)
@@ -246,30 +253,30 @@ def _notes(done: Retargeting) -> list[str]:
     notes = [doubtful_text(doubt) for doubt in done.animal.gait.doubtful]
     if window.source == "return":
         notes.append(
-            "the clip holds no complete stride: the one that repeats is made of the nearest return of all feet, "
-            f"whose ends are {window.gap_percent:.0f} % of the feet's paths apart, closed"
+            "the clip has no complete stride: the repeating stride is the part after which the feet come closest to "
+            f"where they started; the gap of {window.gap_percent:.0f} % of the feet's paths was closed"
         )
     parts = {"clip": done.clip, "stride": done.stride}
     for name, part in parts.items():
         if part.short.any():
             feet = ", ".join(label for label, short in zip(LEGS, part.short.T, strict=True) if short.any())
             share = 100 * part.short.any(axis=1).mean()
-            notes.append(f"{name}: {feet} out of reach in {share:.0f} % of the time, drawn in")
+            notes.append(f"{name}: {feet} out of reach for {share:.0f} % of the time, and moved into reach")
         fast = [joint for joint, share in zip(part.robot.joints, part.rate_share, strict=True) if share > 1 + 1e-9]
         if fast:
             worst = part.rate_share.max()
-            notes.append(f"{name}: faster than the limit, up to {worst:.1f} times: {', '.join(fast)}")
+            notes.append(f"{name}: up to {worst:.1f} times the rate limit: {', '.join(fast)}")
         if part.slip_m.max() > SLIP_M:
             notes.append(f"{name}: feet slip by up to {1000 * part.slip_m.max():.1f} mm in stance")
     if min(part.apart_m for part in parts.values()) < LEGS_APART * done.clip.robot.stand_m:
         near = [1000 * part.apart_m for part in parts.values()]
         notes.append(
             f"fore and hind leg of a side come within {near[0]:.0f} mm of each other in the clip, {near[1]:.0f} mm in "
-            "the stride, measured between their lines"
+            "the stride, measured between the centre lines of their links"
         )
     stands = done.clip.standing.any(axis=0)
     if not stands.all():
-        notes.append(f"no stance was found of {', '.join(np.array(LEGS)[~stands])}")
+        notes.append(f"no stance was found for {', '.join(np.array(LEGS)[~stands])}")
     return notes
 
 
@@ -306,7 +313,7 @@ def _table(path: Path, columns: list[str], *parts: Array) -> None:
 
 
 def companion(done: Retargeting) -> tuple[Array, Motion]:
-    """Return the animal, scaled to the robot's size, to the left of the robot, at the samples of the clip."""
+    """Return the animal, scaled to the robot's size and shifted to the robot's left, at the samples of the clip."""
     animal, motion = done.animal, done.clip
     fitted = animal.analysis.motion
     points = np.stack([animal.analysis.moved(name).series.value[animal.rows] for name in fitted.names], axis=1)
@@ -317,7 +324,7 @@ def companion(done: Retargeting) -> tuple[Array, Motion]:
 
 
 def repeated(stride: RobotMotion, times: int) -> RobotMotion:
-    """Return a stride repeated a number of times."""
+    """Return a stride repeated `times` times."""
     assert stride.advance_m is not None
     n = len(stride.time_s) - 1
     step, period = np.append(stride.advance_m, 0.0), stride.time_s[-1]
@@ -337,14 +344,14 @@ def repeated(stride: RobotMotion, times: int) -> RobotMotion:
     )
 
 
-# -- an ensemble of what the animal's motion may have been -------------------------------------------------------------
+# -- an ensemble of motions that the data allow ------------------------------------------------------------------------
 
 
 def drawn(done: Retargeting, settings: RetargetSettings, count: int, model: MjModel | None = None) -> list[RobotMotion]:
-    """Return clips drawn from the posterior of the animal's motion, at the same scale and pace.
+    """Return clips drawn from the posterior of the animal's motion, at the same scale and pace as the fitted motion.
 
-    With MuJoCo's model of the robot, stances are those of the clip, and bases are moved as `physics.carried` does. The
-    errors raised are those of `problem_of`.
+    With MuJoCo's model of the robot, the clips have the stances of the fitted clip, and their bases are moved by
+    `physics.carried`. Raises the errors of `problem_of`.
     """
     fitted, robot = done.animal.analysis.motion, done.clip.robot
     problem = problem_of(fitted, settings.folder)
@@ -364,8 +371,8 @@ def write_ensemble(
 ) -> dict[str, Any]:
     """Write the files of an ensemble into an existing folder, and return the spread of the samples.
 
-    The spread is standard deviations of the base's position (m, by axis) and of the joints' angles (rad), medians over
-    the clip, for the report.
+    The spread holds the standard deviations of the base's position (m, by axis) and of the joint angles (rad), medians
+    over the clip, for the report.
     """
     first = motions[0]
     places = np.stack([motion.position_m for motion in motions])
@@ -399,15 +406,17 @@ def write_ensemble(
 KEPT, SCHEMA = "robot.npz", {"name": "recon.robot", "version": 1}
 AMP_LEGS = ("RF", "LF", "RH", "LH")
 AMP_JOINTS = 3
-"""Number of joints of a leg in the layout."""
+"""Number of joints of a leg in AMP's layout."""
 STEP_S = 1e-6
-"""Time between positions whose difference is a velocity; they are on a tangent, so that it is exact to round-off."""
+"""Time between positions whose difference is a velocity. They lie on a tangent, so the velocity is exact to
+round-off.
+"""
 
 
 class RobotSamples:
     """Sample a motion at the rate nearest to `rate_hz` that gives a whole number of frames.
 
-    There are K evenly spaced frames, the robot's joints in its own order, and B bodies, the base first. Raises
+    Arrays hold K evenly spaced frames, the robot's joints in the robot's order, and B bodies, the base first. Raises
     InputError about the option if fewer than two frames fit.
     """
 
@@ -415,8 +424,8 @@ class RobotSamples:
         duration = float(motion.time_s[-1] - motion.time_s[0])
         frames = round(duration * rate_hz)
         if frames < 1:
-            expected = f"at least {1 / duration:.1f}, two frames of its {duration:.2f} s"
-            raise InputError(Problem(option, "frames a second", f"{rate_hz:g}", expected))
+            expected = f"at least {1 / duration:.1f}, for two frames in {duration:.2f} s"
+            raise InputError(Problem(option, "frames per second", f"{rate_hz:g}", expected))
         self.robot, self.loops, self.rate_hz = motion.robot, motion.advance_m is not None, frames / duration
         self.time_s = np.linspace(0.0, duration, frames + 1)
         at, tree = motion.time_s[0] + self.time_s, motion.robot.tree
@@ -426,7 +435,7 @@ class RobotSamples:
         self.feet_stand = motion.stands_at(at)  # (K, 4), in the order of `LEGS`
         straight = tree.orientations(np.zeros((1, tree.n_state)))[0].transpose(0, 2, 1)
         segment = [[s.name for s in tree.segments].index(marker.segment) for marker in tree.markers]
-        # Along the tangent, so that what is written of the joints and what is written of the bodies belong together.
+        # Step along the tangent, so that the velocities of joints and of bodies agree.
         present, previous, following = (states + step * changes for step in (0.0, -STEP_S, STEP_S))
         (self.position_m, p, q), (turned, A, B) = (  # (K, B, 3)
             [pose_of(s) for s in (present, previous, following)]
@@ -448,9 +457,9 @@ class RobotSamples:
 
 
 def _bodies(robot: Quadruped) -> tuple[list[str], list[int]]:
-    """Return the names of all bodies, and the indices of the feet, in the order of `LEGS`.
+    """Return the names of all bodies, and the indices of the feet in the order of `LEGS`.
 
-    A foot is named FL_foot if the leg's joints are named FL_hip_joint and so on.
+    A foot is called FL_foot if the names of the leg's joints start with FL_.
     """
     names, feet = ["base"], []
     for label, leg in robot.legs.items():
@@ -467,7 +476,7 @@ def _bodies(robot: Quadruped) -> tuple[list[str], list[int]]:
 def _amp(samples: RobotSamples, path: Path, origin: Mapping[str, Any]) -> None:
     robot = samples.robot
     if any(len(leg.joints) != AMP_JOINTS for leg in robot.legs.values()):
-        expected = f"a robot with {AMP_JOINTS} joints a leg, or another format"
+        expected = f"a robot with {AMP_JOINTS} joints per leg, or another format"
         raise InputError(Problem(robot.name, "joints for amp", f"{len(robot.joints)}", expected))
     order = [joint for label in AMP_LEGS for joint in robot.legs[label].joints]
     columns = [robot.joints.index(joint) for joint in order]
@@ -506,8 +515,8 @@ _NPZ = {
         *("body_lin_vel_w", "body_ang_vel_w"),
     ),
 }
-"""By layout, the names of the arrays: joints' names, angles and rates; bodies' positions, quaternions, velocities and
-angular velocities.
+"""Names of the arrays by layout: joint names, angles and rates; positions, quaternions, velocities and angular
+velocities of bodies.
 """
 
 
@@ -529,9 +538,9 @@ def _npz(layout: str, samples: RobotSamples, path: Path, origin: Mapping[str, An
 
 
 def _mjlab_csv(samples: RobotSamples, path: Path, origin: Mapping[str, Any]) -> None:
-    """Write a table without a header, as its readers expect: x y z, qx qy qz qw, joints.
+    """Write a table without a header, in the columns that mjlab expects: x y z, qx qy qz qw, joints.
 
-    A JSON file of the same name describes it.
+    A JSON file of the same name describes the table.
     """
     table = np.concatenate([samples.position_m[:, 0], samples.quaternions[:, 0], samples.angles_rad], axis=1)
     np.savetxt(path, table, delimiter=",", fmt="%.17g")
@@ -545,22 +554,23 @@ FORMATS: dict[str, tuple[str, Callable[[RobotSamples, Path, Mapping[str, Any]], 
     "mjlab": ("mjlab.npz", partial(_npz, "mjlab")),
     "mjlab-csv": ("mjlab.csv", _mjlab_csv),
 }
-"""By name, the file's name and the function that writes it."""
+"""File name and writing function by the name of the format."""
 
 
 def write_for_trainer(
     motion: RobotMotion, name: str, rate_hz: float, path: Path, origin: Mapping[str, Any], option: str = "--rate"
 ) -> float:
-    """Write a file in one of `FORMATS`, and return its rate.
+    """Write a file in one of `FORMATS`, and return the file's frame rate.
 
-    The file states its origin. Raises InputError as `RobotSamples` does, and for a robot that the format cannot hold.
+    The file states where the motion comes from. Raises InputError like `RobotSamples`, and if the format cannot hold
+    the robot.
     """
     samples = RobotSamples(motion, rate_hz, option)
     FORMATS[name][1](samples, path, origin)
     return samples.rate_hz
 
 
-# -- motions that are kept, for `recon convert` ------------------------------------------------------------------------
+# -- motions kept for `recon convert` ----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -573,7 +583,7 @@ class _Kept:
 
 
 def keep(clip: RobotMotion, stride: RobotMotion, robot: str, origin: Mapping[str, Any], path: Path) -> None:
-    """Write both motions as they are, so that `convert` can make files in any of `FORMATS` at any rate."""
+    """Write both motions unchanged, so that `convert` can make files in any of `FORMATS` at any rate."""
     names = [field.name for field in fields(KeptMotion)]
     save_record(
         _Kept(robot, origin, *(KeptMotion(**picked(motion, *names)) for motion in (clip, stride))), path, SCHEMA
@@ -581,8 +591,8 @@ def keep(clip: RobotMotion, stride: RobotMotion, robot: str, origin: Mapping[str
 
 
 def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any]]:
-    """Return the clip, the stride, and their origin as files state it; raise InputError."""
-    arrays = load_record(_Kept, path, SCHEMA, "motions of a robot, as `recon retarget` writes them")
+    """Return the clip, the stride, and the origin that the file states; raise InputError."""
+    arrays = load_record(_Kept, path, SCHEMA, "motions of a robot, written by `recon retarget`")
     named = arrays.robot if arrays.robot in builtin_robots() else str(path.parent / arrays.robot)
     robot = load_robot(named)
 
@@ -608,7 +618,8 @@ def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any
 def convert(folder: Path, out: Path, name: str, rate_hz: float | None, output: outputs.Output) -> str:
     """Carry out `recon convert` for a folder of `recon retarget`, and return a sentence about the files.
 
-    The clip goes into `out`, the stride that repeats into a file next to it, both or none. name: one of `FORMATS`.
+    The clip is written to `out`, the repeating stride to a file next to it, both or neither. `name` is one of
+    `FORMATS`.
     """
     stride = out.with_name(f"stride_{out.name}")
     names = out.name, stride.name

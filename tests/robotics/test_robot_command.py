@@ -77,7 +77,7 @@ def test_pose_with_planted_feet():
 
 def test_pose_beyond_limits_and_reach():
     low = answer("pose", "aibo", "--move", "0,0,-0.09")["legs"]["LF"]
-    assert (low["angles_rad"], low["why"]) == (None, "out of reach, or of a joint's limits")
+    assert (low["angles_rad"], low["why"]) == (None, "out of reach, or outside a joint's limits")
     ended = run("robot", "pose", "aibo", "--move", "0,0,0.2")
     assert "RH: out of reach" in ended.out
 
@@ -116,7 +116,7 @@ def test_dh_of_a_table(puma):
     assert len(found["solutions"]) == 8
     assert any(np.allclose(np.degrees(s["q"]), [10, 20, 30, 40, 50, 60], atol=1e-4) for s in found["solutions"])
     assert 0 < sum(s["within_limits"] for s in found["solutions"]) < 8
-    assert "endlessly many" in run("robot", "dh", puma, "--place", "0.4,0.1,0.3").out
+    assert "infinitely many" in run("robot", "dh", puma, "--place", "0.4,0.1,0.3").out
 
 
 def test_dh_of_a_urdf(urdf):

@@ -160,7 +160,7 @@ def test_given_factors_are_kept_and_what_they_break_is_said(whole):
     assert (solved.clip.scale, solved.clip.slower) == (0.3, 1.0)
     notes = "; ".join(report_of(solved)["notes"])
     assert "out of reach" in notes
-    assert says(notes, "the limit")
+    assert says(notes, "rate limit")
     # Limits hold all the same: feet are drawn in.
     assert solved.clip.margin_rad.min() >= 0
     assert solved.clip.short.any()

@@ -367,7 +367,7 @@ def plan(robot: Quadruped, recipe: Recipe) -> Climb:
     Raises InputError unless all legs have a swing, a flap and a knee joint in closed form, the swing joint first.
     """
     if any(leg.closed is None or leg.closed.first != "swing" for leg in robot.legs.values()):
-        expected = "a robot whose legs are given by dimensions, their swing joint first (aibo is one)"
+        expected = "a robot such as aibo, with legs given by dimensions and the swing joint first"
         raise InputError(Problem(robot.name, "legs", "other legs", expected))
     hips, feet, pace = np.array([leg.hip_m for leg in robot.legs.values()]), recipe.feet_m, recipe.motion
     fields = recipe.primitives[0].fields
@@ -507,13 +507,13 @@ class ClimbSettings(Settings):
     """Settings of `recon climb`."""
 
     recipe: Annotated[str, Option(argument="RECIPE")] = "found-50"
-    """found-50, published-50, highest-spatial, or a file .toml."""
+    """found-50, published-50, highest-spatial or a .toml file."""
     out: Path
     """Folder for tables, figures and playback."""
     height: Annotated[Annotated[Number, Field(gt=0, le=10)] | None, Option(expected="metres, as in 0.045")] = None
     """Height of the step, metres; the footfalls' heights are in proportion. (default: the recipe's)"""
     figures: bool = True
-    """Also write figures as PNG and SVG."""
+    """Write figures as PNG and SVG, too."""
     overwrite: bool = False
     """Replace earlier ones."""
 
@@ -635,5 +635,5 @@ def climb_footfalls(climb: Climb) -> Figure:
         figure.supylabel("up (m)", fontsize=8)
         lines = [Line2D([], [], color=colour) for colour in COLOURS[:2]]
         lines.append(Line2D([], [], color=PALE, ls=dashed))
-        add_legend(figure, lines, ["left legs", "right legs", "foot that is up"])
+        add_legend(figure, lines, ["left legs", "right legs", "lifted foot"])
     return figure
