@@ -1,4 +1,4 @@
-"""Train a small keypoint network on a few labels, and turn videos into keypoint files with it.
+"""Train a small keypoint network on a few labels, and turn videos into keypoint files with the trained network.
 
-It needs torch (extra `net`), which is imported where it is used.
+The package torch (extra `net`) is imported only in the functions that need it.
 """

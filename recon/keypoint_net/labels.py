@@ -1,7 +1,7 @@
 """Read labelled pictures, split them for training, and compare predictions with labels (`recon evaluate-2d`).
 
 Labels are DeepLabCut's label files, with the images of a project folder or the frames of one video. The split decides
-which pictures a network learns from and which pictures it is judged by.
+which pictures a network learns from and which pictures it is evaluated on.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from recon.show.plain import picked
 
 SPLIT = "Which pictures"
 OUTSIDE = 0.1
-"""Share of the labels that may lie outside their pictures."""
+"""Fraction of the labels that may lie outside their pictures."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,93 +42,98 @@ class Labels:
 
     names: tuple[str, ...]
     xy_px: Array
-    """(N, K, 2), NaN where a point is not labelled."""
+    """(N, K, 2): labels, NaN where a point is not labelled."""
     numbers: Integers
-    """(N,) int, the frame numbers that the labels' image names end in."""
+    """(N,): frame numbers, from the ends of the image names."""
     images: tuple[str, ...]
     """Names of the N pictures, such as labeled-data/run/img0050.png."""
     clip: Integers
-    """(N,) int, which of `clips` a picture comes from."""
+    """(N,): index into `clips` for each picture."""
     clips: tuple[str, ...]
     """Folders of the project, or the video."""
     pictures: tuple[Image, ...]
-    """N arrays (height, width, 3; blue, green, red), one size within a clip."""
+    """N arrays (height, width, 3), channels blue, green, red; the same size within a clip."""
     source: str
-    """The file or the project that was read."""
+    """File or project that was read."""
     notes: tuple[str, ...] = ()
     """Decisions of the reader, in sentences."""
 
     @property
     def labelled(self) -> Bools:
-        """Return which of the K keypoints are labelled in each of the N pictures, (N, K)."""
+        """Return whether each of the K keypoints is labelled in each of the N pictures, (N, K)."""
         return known_points(self.xy_px)
 
     def scaled(self, scale: float) -> Labels:
-        """Return pictures and labels at another size; the centres of pixels lie at whole numbers."""
+        """Return pictures and labels at another size. The centres of pixels are at whole numbers."""
         pictures = tuple(resize(picture, scale) for picture in self.pictures)
         return replace(self, pictures=pictures, xy_px=scale_points(self.xy_px, scale))
 
 
 class LabelSource(Settings):
-    """Choose labelled pictures, and which of them to learn from."""
+    """Choose labelled pictures, and how they are split for training, validation and test."""
 
     data: Annotated[Path, Option(argument="DATA")]
     """DeepLabCut project (its folder or config.yaml), or a video (with --labels)."""
     labels: Path | None = None
     """Label file of the video, as in CollectedData_me.csv."""
     first_frame: Integer = 0
-    """Number that the labels give to the video's first frame: 50 where 0050.png is frame 0."""
+    """Frame number that the labels use for the video's first frame, as in 50 if 0050.png is the first frame."""
     individual: str | None = None
-    """The animal, where the labels name several."""
+    """Name of the animal, if the labels have several."""
     rename: Annotated[str | None, RENAME] = None
     validation: Annotated[str, Option(panel=SPLIT)] = "0.2"
-    """Pictures to judge and calibrate by: a share, or frame numbers A:B (B excluded)."""
+    """Pictures for validation and calibration: a share, or frame numbers A:B (B excluded)."""
     test: Annotated[str, Option(panel=SPLIT)] = "0"
-    """Pictures for the final test only, given like --validation."""
+    """Pictures for the final test only, in the form of --validation."""
 
 
 def known_points(xy_px: Array) -> Bools:
-    """Return which points (..., 2) have both coordinates, (...)."""
+    """Return whether points (..., 2) have both coordinates, shape (...)."""
     return np.asarray(np.isfinite(xy_px).all(axis=-1), dtype=np.bool_)
 
 
 def resize(picture: Image, scale: float) -> Image:
-    """Return a picture in the size that `scaled_size` gives; pixel (x, y) moves to `scale_points`."""
+    """Return a picture resized to `scaled_size`; pixel (x, y) moves as in `scale_points`."""
     if scale == 1.0:
         return picture
     size = scaled_size((picture.shape[1], picture.shape[0]), scale)
     transform = np.array([[scale, 0.0, (scale - 1) / 2], [0.0, scale, (scale - 1) / 2]])
-    if scale < 0.8:  # each pixel is the mean of those that it covers
+    if scale < 0.8:  # averages the pixels that each new pixel covers
         picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.5 * (1 / scale - 1) ** 0.5 + 0.15 / scale), np.uint8)
     return np.asarray(cv2.warpAffine(picture, transform, size, borderMode=cv2.BORDER_REPLICATE), np.uint8)
 
 
 def scaled_size(size_px: tuple[int, int], scale: float) -> tuple[int, int]:
-    """Return a size (width, height) in pixels times a scale, at least one pixel."""
+    """Return a size (width, height) in pixels multiplied by a scale, at least one pixel."""
     return max(1, round(size_px[0] * scale)), max(1, round(size_px[1] * scale))
 
 
 def scale_points(xy_px: Array, scale: float) -> Array:
-    """Scale pixel coordinates with whole numbers at the centres of pixels, from one size of picture to another."""
+    """Scale pixel coordinates from one size of picture to another. The centres of pixels are at whole numbers."""
     return (xy_px + 0.5) * scale - 0.5
 
 
 def read_labels(data: Path, labels: Path | None = None, **options: Any) -> Labels:
-    """Read a project folder, its config.yaml, or a video with its label file.
+    """Read the labelled pictures of a project folder, of its config.yaml, or of a video with its label file.
 
     Parameters
     ----------
     data : Path
         The project or the video.
     labels : Path, optional
-        The label file of the video.
+        Label file of the video.
     **options
         The other fields of `LabelSource`.
+
+    Returns
+    -------
+    Labels
+        N labelled pictures of K keypoints.
 
     Raises
     ------
     InputError
-        With every problem: labels without a picture, unreadable pictures, files that do not fit each other.
+        If labels have no picture, if pictures cannot be read, or if files do not belong together. Lists every problem.
     """
     s = LabelSource(data=data, labels=labels, **options)
     if labels is None:
@@ -137,7 +142,9 @@ def read_labels(data: Path, labels: Path | None = None, **options: Any) -> Label
             raise InputError(Problem("--labels", "file", "none", f"the label file (CSV or H5) of the video {data}"))
         read = _read_project(data, project, s.individual)
     elif data.is_dir():
-        raise InputError(Problem("--labels", "file", str(labels), f"none: the folder {data} has its own label files"))
+        raise InputError(
+            Problem("--labels", "file", str(labels), f"no --labels: the folder {data} has its own label files")
+        )
     else:
         read = _read_video(data, labels, s.first_frame, s.individual)
     if s.rename is not None:
@@ -145,18 +152,20 @@ def read_labels(data: Path, labels: Path | None = None, **options: Any) -> Label
         read = replace(read, names=names, xy_px=read.xy_px[:, keep], notes=(*read.notes, note))
     sizes = np.array([picture.shape[1::-1] for picture in read.pictures], float)[:, None]
     outside = read.labelled & ((read.xy_px < -0.5) | (read.xy_px > sizes - 0.5)).any(axis=2)
-    if outside.sum() > OUTSIDE * read.labelled.sum():  # too many to be the labels of these pictures
+    if outside.sum() > OUTSIDE * read.labelled.sum():  # too many outside: the labels belong to other pictures
         i, k = np.argwhere(outside)[0]
-        detail = f"{outside.sum()} of {read.labelled.sum()} points outside, {read.names[k]} in {read.images[i]} first"
-        raise InputError(Problem(read.source, "labels", detail, "labels that lie in their pictures"))
+        detail = (
+            f"{outside.sum()} of {read.labelled.sum()} points are outside, first {read.names[k]} in {read.images[i]}"
+        )
+        raise InputError(Problem(read.source, "labels", detail, "labels inside their pictures"))
     return read
 
 
 def read_label_file(path: Path, individual: str | None = None) -> tuple[Keypoints, tuple[str, ...]]:
-    """Return points as labelled, NaN for missing labels, and the name of each row's image.
+    """Return the labelled points, NaN for missing labels, and the name of each row's image.
 
-    A row without an image is named by its number. Raises InputError for a file that is not a table of DeepLabCut, or
-    has no labels.
+    A row without an image is named by its number. Raises InputError if the file is not a DeepLabCut table, or if it has
+    no labels.
     """
     keypoints, images = _read_rows(path, individual)
     if not keypoints.present.any():
@@ -177,7 +186,7 @@ def _read_rows(path: Path, individual: str | None) -> tuple[Keypoints, tuple[str
 def _read_video(video: Path, path: Path, first_frame: int, individual: str | None) -> Labels:
     (keypoints, images), info = collect_problems(lambda: read_label_file(path, individual), lambda: probe(video))
     if keypoints.frames[0] < first_frame:
-        expected = f"{keypoints.frames[0]} or less: the labels begin with frame {keypoints.frames[0]}"
+        expected = f"at most {keypoints.frames[0]}, the first frame of the labels"
         raise InputError(Problem("--first-frame", "number", str(first_frame), expected))
     numbers, pictures, decoded = (keypoints.frames - first_frame).tolist(), {}, 0
     labelled_numbers = {*numbers}
@@ -188,10 +197,10 @@ def _read_video(video: Path, path: Path, first_frame: int, individual: str | Non
     if missing := [image for image, number in zip(images, numbers, strict=True) if number not in pictures]:
         stated = "" if info.stated_frames in (None, decoded) else f" (the file states {info.stated_frames})"
         expected = (
-            f"a picture for each of the {len(numbers)} labelled frames; none for {len(missing)} of them, {missing[0]} "
-            "first. --first-frame says which number the labels give to the video's first frame"
+            f"a picture for each of the {len(numbers)} labelled frames; {len(missing)} have none, first {missing[0]}. "
+            "--first-frame is the number that the labels use for the video's first frame"
         )
-        raise InputError(Problem(video, "frames", f"{decoded} frames that can be decoded{stated}", expected))
+        raise InputError(Problem(video, "frames", f"{decoded} decodable frames{stated}", expected))
     return _of_clip(video, keypoints, images, [pictures[number] for number in numbers], path)
 
 
@@ -206,7 +215,7 @@ def _read_project(folder: Path, project: Project | None, individual: str | None)
     folder, scorer = (folder, "") if project is None else (project.folder, project.scorer)
     files = label_files(folder, scorer)
     if not files:
-        expected = "labeled-data/*/CollectedData_*.csv or .h5, as in a DeepLabCut project whose frames are labelled"
+        expected = "labeled-data/*/CollectedData_*.csv or .h5, as in a DeepLabCut project with labelled frames"
         raise InputError(Problem(folder, "label files", "none", expected))
     parts = [
         part for part in collect_problems(*(lambda f=f: _read_folder(f, individual) for f in files)) if part is not None
@@ -223,7 +232,7 @@ def _read_project(folder: Path, project: Project | None, individual: str | None)
 
 
 def _read_folder(path: Path, individual: str | None) -> Labels | None:
-    """Return the pictures next to a label file; None if nothing is labelled yet."""
+    """Return the pictures next to a label file, or None if nothing is labelled yet."""
     keypoints, images = _read_rows(path, individual)
     if not keypoints.present.any():
         return None
@@ -233,7 +242,7 @@ def _read_folder(path: Path, individual: str | None) -> Labels | None:
         picture = read_picture(file, cv2.IMREAD_COLOR)
         if picture is None:
             description = "a picture that cannot be read" if file.is_file() else "no such picture"
-            problems.append(Problem(file, "picture", description, f"the picture that {path.name} labels"))
+            problems.append(Problem(file, "picture", description, f"the picture labelled in {path.name}"))
         else:
             pictures.append(picture)
     sizes = sorted({p.shape[1::-1] for p in pictures})
@@ -245,7 +254,7 @@ def _read_folder(path: Path, individual: str | None) -> Labels | None:
 
 
 def extents_px(xy_px: Array) -> Array:
-    """Return diagonals (N,) of the boxes around labelled points (N, K, 2); NaN with fewer than two."""
+    """Return the diagonal (N,) of the box around labelled points (N, K, 2), NaN with fewer than two points."""
     is_known = known_points(xy_px)
     points = np.where(is_known[..., None], xy_px, np.nan)
     extent_px = np.fmax.reduce(points, axis=1) - np.fmin.reduce(points, axis=1)
@@ -255,18 +264,18 @@ def extents_px(xy_px: Array) -> Array:
 def body_length_px(xy_px: Array) -> float:
     """Return the length of the animal in pictures with points (N, K, 2), in pixels.
 
-    It is the median diagonal of the box around its points, over the pictures that show most of the animal; NaN if no
-    picture has two points.
+    The length is the median diagonal of the box around the points, over the pictures that show most of the animal. It
+    is NaN if no picture has two points.
     """
     counts = known_points(xy_px).sum(axis=1)
     return median(extents_px(xy_px)[counts >= max(2, 0.7 * counts.max(initial=0))])
 
 
 def sides(names: Sequence[str]) -> tuple[int, ...]:
-    """Return for each keypoint the index of the one that it becomes in a mirror.
+    """Return the index of each keypoint's mirror partner.
 
-    Partners differ in their side as `recon.animal` knows it, or in a leg's letters (fl/fr, lf/rf). A keypoint without a
-    partner is its own.
+    Partners differ by side, either by the names that `recon.animal` knows or by the letters of a leg (fl/fr, lf/rf). A
+    keypoint without a partner has its own index.
     """
     by_name = {name: k for k, name in enumerate(names)}
     return tuple(next((by_name[m] for m in _mirrored(name) if m in by_name), k) for k, name in enumerate(names))
@@ -277,7 +286,7 @@ _OTHER = str.maketrans("lrLR", "rlRL")
 
 
 def _mirrored(name: str) -> Iterator[str]:
-    """Yield names that a keypoint's mirror image may have; rl is a rear left leg, or a right one."""
+    """Yield the names that a keypoint's mirror partner may have. "rl" may mean rear left, or right."""
     if (opposite := other_side(name)) != name:
         yield opposite
     for leg in _LEG.finditer(name):
@@ -286,25 +295,36 @@ def _mirrored(name: str) -> Iterator[str]:
                 yield name[:index] + name[index].translate(_OTHER) + name[index + 1 :]
 
 
-# -- which pictures are learned from ---------------------------------------------------------------------------------
+# -- the split into training, validation and test --------------------------------------------------------------------
 
 PARTS = ("train", "validation", "test")
-"""Pictures to train on; to judge and calibrate by meanwhile; and for the test at the end."""
+"""Pictures to train on, to evaluate and calibrate on meanwhile, and for the test at the end."""
 BLOCKS = 10
-"""Number of runs of consecutive pictures that a share is held out in, or fewer and longer ones: neighbours in time look
-alike, so that single pictures would be judged by what the network has seen.
+"""Largest number of runs of consecutive pictures into which the pictures are divided to hold out a share. Neighbours in
+time look similar: a single held-out picture would be almost the same as a picture of the training.
 """
 
 
 _Choice = float | tuple[int | None, int | None]
-"""A share of the pictures, or a half-open range of their numbers."""
+"""Fraction of the pictures, or half-open range of their numbers."""
 
 
 def split_labels(labels: Labels, validation: str, test: str, seed: int) -> dict[str, Integers]:
-    """Return for each of `PARTS` its indices into the labelled pictures, increasing.
+    """Split the labelled pictures, and return increasing indices for each of `PARTS`.
 
-    validation, test: a share as in "0.2", or frame numbers as in "110:150". Raises InputError if no picture is left to
-    train on.
+    Parameters
+    ----------
+    labels : Labels
+        The labelled pictures.
+    validation, test : str
+        A share as in "0.2", or frame numbers as in "110:150".
+    seed : int
+        Seed of the random choice.
+
+    Raises
+    ------
+    InputError
+        If a part is not valid, or if no labelled picture is left to train on.
     """
     chosen = collect_problems(lambda: _parse(validation, "--validation"), lambda: _parse(test, "--test"))
     remaining = np.arange(len(labels.images))
@@ -313,13 +333,13 @@ def split_labels(labels: Labels, validation: str, test: str, seed: int) -> dict[
     validation_pictures = _choose(labels, remaining, chosen[0], seed + 1, "--validation")
     train = np.setdiff1d(remaining, validation_pictures)
     if not labels.labelled[train].any():
-        description = f"no labelled picture of {len(labels.images)} left to train on"
-        raise InputError(Problem("--validation, --test", "split", description, "smaller parts"))
+        description = f"none of {len(labels.images)} pictures with labels is left to train on"
+        raise InputError(Problem("--validation, --test", "split", description, "smaller shares"))
     return dict(zip(PARTS, (train, validation_pictures, test_pictures), strict=True))
 
 
 def frames_by_part(labels: Labels, split: dict[str, Integers]) -> dict[str, dict[str, list[str]]]:
-    """Return frame numbers by part and clip."""
+    """Return the frame numbers of each part and clip as text."""
     numbers: dict[str, dict[str, list[str]]] = {part: {} for part in split}
     for part, indices in split.items():
         for c in np.unique(labels.clip[indices]):
@@ -367,34 +387,34 @@ def _choose(labels: Labels, remaining: Integers, choice: _Choice, seed: int, opt
 BINS = 10
 PCK_PX = (2.5, 5.0, 10.0)
 PCK_RELATIVE = (0.05, 0.1, 0.2)
-"""Distances as shares of the body length, the median diagonal of the box around an animal's labels."""
+"""Distances as fractions of the body length, which is the median diagonal of the box around an animal's labels."""
 
 
 class Evaluate2DSettings(Settings):
-    """The settings of `recon evaluate-2d`."""
+    """Settings of `recon evaluate-2d`."""
 
     predicted: Annotated[Path, Option(argument="PREDICTED")]
-    """Keypoints of any known format, as in run.csv."""
+    """Predicted keypoints in any known format, as in run.csv."""
     labels: Annotated[Path, Option(argument="LABELS")]
     """Labels in DeepLabCut's layout, as in CollectedData_me.csv."""
     first_frame: Integer = 0
-    """Number that the labels give to frame 0 of the predictions."""
+    """Frame number that the labels use for frame 0 of the predictions."""
     frames: FrameRange | None = None
     """Frame numbers of the labels to compare, A:B (B excluded)."""
     individual: str | None = None
-    """The animal, where the files name several."""
+    """Name of the animal, if the files have several."""
     rename: Annotated[str | None, RENAME] = None
     likelihood_min: Annotated[Number, Option(expected="a number from 0 to 1")] = 0.5
-    """Least likelihood of the points in the rows of likely points."""
+    """Smallest likelihood of a "likely" point."""
     tolerance_px: Annotated[Positive, Option(expected="pixels above 0")] = 5.0
-    """Distance within which a point counts as right, for the reliability of the likelihoods."""
+    """Largest distance of a correct point from its label, for the reliability of the likelihoods."""
 
 
 def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str, Any]:
-    """Compare a file of predictions with a label file; `evaluate_2d` describes the result.
+    """Compare a file of predictions with a label file; see `evaluate_2d` for the result.
 
-    options: further fields of `Evaluate2DSettings`. Raises InputError for files that cannot be read or have no frames
-    or keypoints in common.
+    options: further fields of `Evaluate2DSettings`. Raises InputError if a file cannot be read, or if the files have no
+    frames or keypoints in common.
     """
     o = Evaluate2DSettings(predicted=predicted, labels=labels, **options)
 
@@ -409,15 +429,15 @@ def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str
     common = [name for name in truth.names if name in guess.names]
     problems = []
     if not common:
-        expected = f"some of: {', '.join(truth.names)}; --rename with a file of these lines, completed"
+        expected = f"some of: {', '.join(truth.names)}; or --rename with a file of these lines, completed"
         lines = tuple(map_to_write(guess.names, truth.names))
         problems.append(Problem(predicted, "keypoints", ", ".join(guess.names), expected, lines))
-    numbers = guess.frames + o.first_frame  # in the labels' numbers
+    numbers = guess.frames + o.first_frame  # in the numbering of the labels
     rows_t = np.flatnonzero(np.isin(truth.frames, numbers))
     if not len(rows_t):
         first, last = truth.frames[[0, -1]]
-        expected = f"some of the labels' frames {first} to {last} that are asked for; --first-frame"
-        numbers_text = f"frames {numbers[0]} to {numbers[-1]}, in the labels' numbers"
+        expected = f"some of the labels' frames {first} to {last}, or another --first-frame"
+        numbers_text = f"frames {numbers[0]} to {numbers[-1]} in the labels' numbering"
         problems.append(Problem(predicted, "frames", numbers_text, expected))
     raise_problems(problems)
     rows_g = pd.Index(numbers).get_indexer(pd.Index(truth.frames[rows_t]))
@@ -436,29 +456,29 @@ def evaluate_2d(
     likelihood_min: float = 0.5,
     tolerance_px: float = 5.0,
 ) -> dict[str, Any]:
-    """Return scores of points against labels.
+    """Return scores of predicted points against labels.
 
     Parameters
     ----------
     names : tuple of K str
         The keypoints.
     xy_px : (N, K, 2)
-        Predicted points, NaN where there is none.
+        Predicted points, NaN where missing.
     likelihood : (N, K)
-        Their likelihoods.
+        Likelihoods of the points.
     label_px : (N, K, 2)
-        Labels, NaN where there is none.
+        Labels, NaN where missing.
     length_px : float
-        The length of the animal.
+        Length of the animal.
     likelihood_min, tolerance_px : float
-        Least likelihood of a likely point; largest distance from its label at which a point is right.
+        Smallest likelihood of a likely point; largest distance from its label at which a point is correct.
 
     Returns
     -------
     dict
-        `frames`, their number; scores (`_score`) of `all` points, of the `likely` ones, and with the animal's sides
-        allowed to be swapped (`swaps_forgiven`, None where no names differ in their side), by keypoint (`per_keypoint`,
-        `likely_per_keypoint`); and the `reliability` of the likelihoods, None without any.
+        `frames`, the number of frames; scores (see `_score`) of `all` points, of the `likely` points, and with the
+        animal's sides allowed to be swapped (`swaps_forgiven`, None if no names differ by side); the same by keypoint
+        (`per_keypoint`, `likely_per_keypoint`); and the `reliability` of the likelihoods, None without likelihoods.
     """
     errors, partner = np.linalg.norm(xy_px - label_px, axis=2), sides(names)
     likely = np.where(likelihood >= likelihood_min, errors, np.nan)
@@ -484,7 +504,7 @@ def evaluate_2d(
 
 
 def _forgiving_errors_px(xy_px: Array, label_px: Array, partner: tuple[int, ...]) -> Array:
-    """Return errors (N, K) with each pair of sides as predicted or swapped, whichever is better."""
+    """Return errors (N, K) with each left-right pair as predicted or swapped, whichever has the smaller error."""
     direct = np.linalg.norm(xy_px - label_px, axis=2)
     swapped = np.linalg.norm(xy_px[:, list(partner)] - label_px, axis=2)
     cost = np.stack([direct, swapped])
@@ -493,11 +513,12 @@ def _forgiving_errors_px(xy_px: Array, label_px: Array, partner: tuple[int, ...]
 
 
 def _score(errors: Array, labelled: Bools, length_px: float) -> dict[str, Any]:
-    """Return scores of errors (..., K) that are NaN where not labelled or not found.
+    """Return scores of errors (..., K), which are NaN if a point is not labelled or not found.
 
-    The scores are the number of labelled `points`; the share of them that was `found` and is likely enough; RMSE and
-    median over those, NaN without any; and by distance (`pck_px`) and by part of the body length (`pck_relative`) the
-    shares of all labelled points within it. A point that was not found is wrong.
+    The scores are the number of labelled `points`; the fraction of them that was `found` (predicted, and likely
+    enough); RMSE and median of the errors of those, NaN if there are none; and the fractions of all labelled points
+    within given distances in px (`pck_px`) and in body lengths (`pck_relative`). A point that was not found counts as
+    wrong.
     """
     n = int(labelled.sum())
     found_errors = errors[labelled & np.isfinite(errors)]
@@ -516,23 +537,23 @@ def _score(errors: Array, labelled: Bools, length_px: float) -> dict[str, Any]:
 
 
 def reliability(likelihood: Array, right: Bools, bins: int = BINS) -> dict[str, Any]:
-    """Return how reliable likelihoods are.
+    """Return how well likelihoods agree with the fractions of correct points.
 
     Parameters
     ----------
     likelihood : (N,)
         From 0 to 1.
     right : (N,)
-        Whether each point is right.
+        Whether each point is correct.
     bins : int
         Number of bins of equal width.
 
     Returns
     -------
     dict
-        `points`, their number; `expected_calibration_error`, the mean difference of likelihood and share of right
-        points, NaN without any; and for each of the `bins` with points its ends, their number, their mean likelihood
-        and the share that is right.
+        `points`, the number of points; `expected_calibration_error`, the mean difference between likelihood and
+        fraction of correct points, NaN without any; and `bins`: for each bin with points, its ends, the number of
+        points, their mean likelihood and the fraction of correct points.
     """
     bin_of_point, rows = np.minimum((likelihood * bins).astype(int), bins - 1), []
     for b in np.unique(bin_of_point):

@@ -1,24 +1,24 @@
 """Find the position and likelihood of each keypoint in a picture by a network, and carry out `recon predict`.
 
-An encoder of residual blocks leads down to 1/32 of the picture, and a decoder back up to 1/4 (`STRIDE`). All layers are
-convolutions, so that pictures may have any size; there are about 2.7 million parameters for any number of keypoints. An
-animal that is large in the pictures has two networks: one for the whole animal in small pictures, and one for the
-surroundings of each of its points at full size.
+An encoder of residual blocks leads down to 1/32 of the picture's size, a decoder back up to 1/4 (`STRIDE`). All layers
+are convolutions, so pictures may have any size. The network has about 2.7 million parameters for any number of
+keypoints. For an animal that is large in the pictures there are two networks: one for the whole animal in small
+pictures, and one for the surroundings of each of its points at full size.
 
-A softmax over the grid makes probabilities of a keypoint's scores. The point is at the maximum of the probability after
-a small blur (`BLUR` cells): a broad peak beats a sharp one of less weight. Between cells of the grid, a parabola
-through the logarithm of the blurred probability at the peak and its neighbours finds the maximum; it is exact for a
-Gaussian, which is what the network is trained on. The raw likelihood is the probability within the tolerance of the
-point.
+A softmax over the grid turns a keypoint's scores into probabilities. The point is at the maximum of the probability
+after a small blur (`BLUR` cells), so that a broad peak beats a sharp peak of less weight. Between cells of the grid,
+the maximum is that of a parabola through the logarithm of the blurred probability at the peak and its neighbours. The
+parabola is exact for a Gaussian, the shape that the network is trained on. The raw likelihood is the probability within
+the tolerance of the point.
 
-A network is more certain about pictures that it has learned from than about others. The validation pictures show which
-points are right (within the tolerance of their label). A logistic function of the raw likelihood's logit is fitted to
-them, and turns it into the share of points that are right.
+A network is overconfident in pictures that it was trained on. Therefore the likelihoods are calibrated on the
+validation pictures: a logistic function of the raw likelihood's logit is fitted to whether points are correct (within
+the tolerance of their labels), and gives the fraction of points that are correct.
 
-The optional package torch is imported where it is used.
+The optional package torch is imported only in the functions that need it.
 
-`recon predict` takes a video and writes a keypoint file. The frames go through the network in batches, while the next
-ones are decoded. Pictures stay in memory for a few batches only; the points, 12 bytes each, grow with the video.
+`recon predict` reads a video and writes a keypoint file. The frames go through the network in batches while the next
+frames are decoded. Only a few batches of pictures are in memory at a time; the points take 12 bytes each.
 """
 
 from __future__ import annotations
@@ -64,32 +64,31 @@ FORMAT = 1
 MODEL_FILE = "model.pt"
 
 CHANNELS = 6
-"""Three colours, and their differences to the still background."""
+"""Three colours, and their differences from the still background."""
 GREY, SPREAD, DIFFERENCE = 115.0, 64.0, 64.0
-"""Levels that become 0 and 1, and the difference that becomes 1."""
+"""Levels that are scaled to 0 and 1, and the difference that is scaled to 1."""
 STRIDE = 4
-"""Pixels between neighbouring cells of the grid; cell (0, 0) is pixel (0, 0)."""
+"""Pixels between neighbouring cells of the grid; cell (0, 0) is at pixel (0, 0)."""
 WIDTHS, BLOCKS = (16, 32, 64, 128, 192), (0, 1, 2, 2, 2)
-"""Channels and residual blocks at 1/2, 1/4, ... 1/32 of the picture."""
+"""Channels and residual blocks at 1/2, 1/4, ... 1/32 of the picture's size."""
 SECOND_WIDTHS, SECOND_BLOCKS = (16, 32, 64, 96), (0, 1, 2, 2)
-"""Widths and blocks of the second stage, which sees parts of a large animal at full size: less context, and less work.
-"""
+"""Channels and blocks of the second stage. It sees parts of a large animal at full size, and needs less context."""
 HEAD = 48
 
 SIGMA = 0.9
-"""Standard deviation of the Gaussian that the network is trained on, in cells of the grid."""
+"""Standard deviation, in cells of the grid, of the Gaussian that the network is trained on."""
 LEAST_SIGMA = 0.15
-"""Standard deviation of a point in cells, if the probability is no broader than the Gaussian."""
+"""Smallest standard deviation of a point in cells, for a probability no broader than the Gaussian."""
 BLUR = 0.8
-"""Standard deviation, in cells of the grid."""
+"""Standard deviation of the blur, in cells of the grid."""
 FAR = 4.0
 _REACH = 3
 NOWHERE = -1e4
-"""Score of cells outside the window."""
+"""Score of the cells outside the window."""
 MARGIN_PX = 32
-"""Margin around the second stage's window, to show its surroundings."""
+"""Margin around the second stage's window that shows its surroundings."""
 SURE = 0.05
-"""Raw likelihood from which a point has to be inside the second stage's part of a picture."""
+"""Raw likelihood above which a point has to be inside the second stage's part of a picture."""
 
 _EDGE = 1e-4
 _PRIOR, _PRIOR_SIGMA = np.array([1.0, 0.0]), np.array([0.5, 2.0])
@@ -103,7 +102,7 @@ THREADS = Option("Threads on the CPU. (default: one for each core)", "1 or more"
 
 
 def require_torch() -> ModuleType:
-    """Return the package torch; raise InputError, which says what to install, if it is missing."""
+    """Return the package torch; if torch is missing, raise InputError with the command that installs it."""
     try:
         import torch  # pyright: ignore[reportMissingImports]
     except ImportError:
@@ -113,7 +112,7 @@ def require_torch() -> ModuleType:
 
 
 def choose_device(name: str) -> torch.device:
-    """Return the device of a name; auto is CUDA or MPS if there is one, else the CPU."""
+    """Return the device of a name; "auto" is CUDA or MPS if available, else the CPU."""
     torch = require_torch()
     is_available = {"cpu": True, "cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
     if name == "auto":
@@ -126,14 +125,14 @@ def choose_device(name: str) -> torch.device:
 
 
 def use_threads(count: int | None) -> None:
-    """Set the number of CPU threads: the given one, or as many as this process may use."""
+    """Set the number of CPU threads, by default as many as this process may use."""
     require_torch().set_num_threads(count or available_cores())
 
 
 def fast_half(device: torch.device) -> torch.dtype | None:
-    """Return bfloat16 if a device computes faster with it than with float32, else None.
+    """Return bfloat16 if a device computes faster in bfloat16 than in float32, else None.
 
-    float16 is not used: its range is too small for gradients unless they are scaled.
+    float16 is not used: gradients would underflow in its range unless they are scaled.
     """
     torch = require_torch()
     if device.type == "cuda":
@@ -165,7 +164,7 @@ def build_network(keypoints: int, widths: tuple[int, ...], blocks: tuple[int, ..
             super().__init__()
             self.first = conv(width, width)
             self.second = nn.Sequential(nn.Conv2d(width, width, 3, 1, 1, bias=False), nn.BatchNorm2d(width))
-            nn.init.zeros_(self.second[1].weight)  # the block begins as the identity
+            nn.init.zeros_(self.second[1].weight)  # the block starts as the identity
 
         def forward(self, x: torch.Tensor) -> torch.Tensor:
             return functional.relu(x + self.second(self.first(x)))
@@ -178,7 +177,7 @@ def build_network(keypoints: int, widths: tuple[int, ...], blocks: tuple[int, ..
                 nn.Sequential(conv(a, b, stride=2), *(Residual(b) for _ in range(n)))
                 for a, b, n in zip(ins, widths, blocks, strict=True)
             )
-            outs = (HEAD, *widths[2:])  # widths of the decoder, from 1/4 down; the deepest is the encoder's
+            outs = (HEAD, *widths[2:])  # widths of the decoder from 1/4 down; the last one is the encoder's
             self.across = nn.ModuleList(nn.Conv2d(w, o, 1) for w, o in zip(widths[1:-1], outs[:-1], strict=True))
             self.up = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in pairwise(outs))
             self.mix = nn.ModuleList(conv(o, o) for o in outs[:-1])
@@ -202,7 +201,7 @@ def build_network(keypoints: int, widths: tuple[int, ...], blocks: tuple[int, ..
 def new_network(keypoints: int, two_stages: bool) -> torch.nn.Module:
     """Return a network with random weights.
 
-    A network of two stages is a dict of `first`, for the whole animal, and `second`, for its parts.
+    A network of two stages is a dict of `first`, for the whole animal, and `second`, for parts of the animal.
     """
     first = build_network(keypoints, WIDTHS, BLOCKS)
     if not two_stages:
@@ -212,17 +211,17 @@ def new_network(keypoints: int, two_stages: bool) -> torch.nn.Module:
 
 
 def stages(network: torch.nn.Module) -> tuple[torch.nn.Module, ...]:
-    """Return the one or two stages of a network of `new_network`."""
+    """Return the one or two stages of a network made by `new_network`."""
     return tuple(network.children()) if isinstance(network, require_torch().nn.ModuleDict) else (network,)
 
 
 def on_device(network: torch.nn.Module, device: torch.device) -> torch.nn.Module:
-    """Return a network on a device, in the layout in which convolutions are fastest."""
+    """Return a network on a device, in the memory layout for fast convolutions."""
     return network.to(device).to(memory_format=require_torch().channels_last)  # pyright: ignore[reportCallIssue]
 
 
 def as_input(pictures: NDArray[np.uint8], background: Image | None, device: torch.device) -> torch.Tensor:
-    """Return (B, 6, H, W), the network's input for pictures (B, H, W, 3) with one background, or one for each."""
+    """Return the network's input (B, 6, H, W) for pictures (B, H, W, 3) with one background, or one each."""
     torch = require_torch()
     x = torch.from_numpy(pictures).to(device).float()
     backgrounds = x if background is None else torch.from_numpy(np.ascontiguousarray(background)).to(device).float()
@@ -232,11 +231,11 @@ def as_input(pictures: NDArray[np.uint8], background: Image | None, device: torc
 # -- scores and points -------------------------------------------------------------------------------------------------
 
 Window = tuple["torch.Tensor", float]
-"""Region of each keypoint: its centre (B, K, 2) and its radius, in cells of the grid."""
+"""Region of each keypoint: centre (B, K, 2) and radius, in cells of the grid."""
 
 
 def _inside(window: Window, size: Sequence[int]) -> torch.Tensor:
-    """Return a mask of the cells (B, K, h, w) in the window, empty for a NaN keypoint."""
+    """Return a mask (B, K, h, w) of the cells in the window, empty for a NaN keypoint."""
     return _distance2(window[0], size) <= window[1] ** 2
 
 
@@ -250,7 +249,7 @@ def _distance2(xy: torch.Tensor, size: Sequence[int]) -> torch.Tensor:
 
 
 def probabilities(scores: torch.Tensor, window: Window | None = None) -> torch.Tensor:
-    """Return probabilities (B, K, h, w), float32; the grid of each keypoint adds up to 1."""
+    """Return probabilities (B, K, h, w), float32, that add up to 1 over the grid of each keypoint."""
     scores = scores.float()
     if window is not None:
         scores = scores.masked_fill(~_inside(window, scores.shape[2:]), NOWHERE)
@@ -258,7 +257,7 @@ def probabilities(scores: torch.Tensor, window: Window | None = None) -> torch.T
 
 
 def decode(probability: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return points (B, K, 2) in cells of the grid, and the probability (B, K) within `tolerance` cells of them."""
+    """Return points (B, K, 2) in cells of the grid, and the probability (B, K) within `tolerance` cells."""
     import torch  # pyright: ignore[reportMissingImports]
 
     b, k, h, w = probability.shape
@@ -283,7 +282,7 @@ def decode(probability: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, t
     x = refined(column, w, [blurred[n, row, (column + d).clamp(0, w - 1)] for d in (-1, 0, 1)])
     y = refined(row, h, [blurred[n, (row + d).clamp(0, h - 1), column] for d in (-1, 0, 1)])
     xy = torch.stack([x, y], dim=1).view(b, k, 2)
-    # A cell at the tolerance's edge counts in part.
+    # A cell that the tolerance's circle cuts counts in part.
     share = (tolerance + 0.5 - _distance2(xy, (h, w)).sqrt()).clamp(0, 1)
     return xy, (probability * share).sum(dim=(2, 3)).clamp(0, 1)
 
@@ -291,8 +290,8 @@ def decode(probability: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, t
 def variance(probability: torch.Tensor, xy: torch.Tensor) -> torch.Tensor:
     """Return the variance (B, K) of points (B, K, 2) along each axis, in cells squared.
 
-    It is the excess of the probability's (B, K, h, w) breadth around them over that of the Gaussian that the network is
-    trained on. Probability farther away counts as at `FAR`.
+    The variance is that of the probability (B, K, h, w) around each point, minus the variance of the Gaussian that the
+    network is trained on. Probability further away than `FAR` counts as if it were at `FAR`.
     """
     spread = 0.5 * (probability * _distance2(xy, probability.shape[2:]).clamp(max=FAR**2)).sum(dim=(2, 3))
     return (spread - SIGMA**2).clamp_min(0) + LEAST_SIGMA**2
@@ -301,7 +300,8 @@ def variance(probability: torch.Tensor, xy: torch.Tensor) -> torch.Tensor:
 def loss(scores: torch.Tensor, xy: torch.Tensor, window: Window | None = None) -> torch.Tensor:
     """Return the mean cross-entropy with a Gaussian around each labelled point, 0 without labels.
 
-    xy: points (B, K, 2) in cells of the grid, NaN if not labelled. Only cells inside the window count, if there is one.
+    xy: points (B, K, 2) in cells of the grid, NaN if not labelled. If a window is given, only the cells inside the
+    window count.
     """
     import torch  # pyright: ignore[reportMissingImports]
 
@@ -322,11 +322,11 @@ def loss(scores: torch.Tensor, xy: torch.Tensor, window: Window | None = None) -
 # -- likelihoods -------------------------------------------------------------------------------------------------------
 
 Calibration = tuple[float, float]
-"""slope and offset: likelihood = expit(slope * logit(raw) + offset)."""
+"""Slope and offset: likelihood = expit(slope * logit(raw) + offset)."""
 
 
 def calibrated(raw: Array, calibration: Calibration | None) -> Array:
-    """Return calibrated likelihoods from raw ones; NaN stays NaN."""
+    """Return calibrated likelihoods for raw likelihoods; NaN stays NaN."""
     if calibration is None:
         return np.clip(raw, 0.0, 1.0)
     slope, offset = calibration
@@ -334,10 +334,10 @@ def calibrated(raw: Array, calibration: Calibration | None) -> Array:
 
 
 def fit_calibration(raw: Array, right: Bools) -> Calibration | None:
-    """Return the calibration from raw likelihoods (N,) and whether their points are right (N,); None without points.
+    """Fit the calibration to raw likelihoods (N,) and whether their points are correct (N,); None without points.
 
-    It is fitted by maximum likelihood with a weak prior on slope and offset, which keeps both finite if all points are
-    right.
+    The fit is by maximum likelihood with a weak prior on slope and offset, which keeps both finite if all points are
+    correct.
     """
     if not len(raw):
         return None
@@ -361,18 +361,18 @@ _Pixels = Annotated[float, Field(gt=0, lt=1e6)]
 
 @dataclass(frozen=True)
 class Spec:
-    """Describe a network, for its weights."""
+    """Describe a network, as stored with its weights."""
 
     names: Annotated[tuple[str, ...], Field(min_length=1, max_length=1000)]
     """Names of the keypoints."""
     scale: Annotated[float, Field(gt=1e-3, lt=1e3)]
     """Scale of the network's pictures relative to the clip's."""
     body_length_px: _Pixels
-    """Length of the animal in the labelled pictures, before scaling."""
+    """Length of the animal in the labelled pictures before scaling."""
     tolerance_px: _Pixels
-    """Distance within which a point counts as right, for its likelihood; in the labelled pictures, before scaling."""
+    """Largest distance of a correct point from its label, in the labelled pictures before scaling."""
     first: Annotated[float, Field(gt=1e-3, le=1)] = 1.0
-    """Scale of the first stage's pictures relative to the network's; 1 with a single stage."""
+    """Scale of the first stage's pictures relative to the network's; 1 if there is only one stage."""
     calibration: Calibration | None = None
 
     @property
@@ -382,9 +382,9 @@ class Spec:
 
     @property
     def reach_cells(self) -> float:
-        """Return the radius of the second stage's window around a point of the first, in cells of its own grid.
+        """Return the radius, in cells of the second stage's grid, of its window around a point of the first stage.
 
-        It is the distance within which the first stage expects the point.
+        It is the error that is allowed for the first stage.
         """
         return self.tolerance_px * self.scale / STRIDE
 
@@ -402,7 +402,7 @@ class TrainedNetwork:
     def points(self, pictures: Sequence[Image], background: Image | None) -> tuple[Array, Array]:
         """Return points (B, K, 2) in pixels of the clip and raw likelihoods (B, K).
 
-        pictures: of one size, at the network's scale.
+        pictures: all of the same size, at the network's scale.
         """
         first = self.spec.first
         small = np.stack([resize(picture, first) for picture in pictures])
@@ -416,10 +416,10 @@ class TrainedNetwork:
     def _refined(
         self, xy_px: Array, raw: Array, variance_px2: Array, pictures: Sequence[Image], background: Image | None
     ) -> Array:
-        """Return points (B, K, 2) from both stages, each stage weighted by its certainty.
+        """Return points (B, K, 2) from both stages, weighted by their variances.
 
-        The second stage sees the part of each picture with most points; points elsewhere stay as the first stage found
-        them.
+        The second stage sees the part of each picture that holds most points. The first stage's points outside that
+        part are kept.
         """
         low, size = part_of(xy_px, raw, STRIDE * self.spec.reach_cells + MARGIN_PX, pictures[0].shape[1::-1])
         parts = [(slice(y, y + size[1]), slice(x, x + size[0])) for x, y in low]
@@ -455,9 +455,9 @@ class TrainedNetwork:
 def part_of(
     xy_px: Array, raw: Array, margin_px: float, size_px: Sequence[int]
 ) -> tuple[NDArray[np.int64], tuple[int, int]]:
-    """Return the part of pictures of `size_px` around points (B, K, 2) that are likely enough.
+    """Return the part of pictures of `size_px` that contains the likely points among points (B, K, 2).
 
-    It is returned as its first pixel in each picture (B, 2), and one size (width, height) for all.
+    The part is given by its first pixel in each picture (B, 2) and one size (width, height) for all pictures.
     """
     sure = (raw >= np.minimum(SURE, raw.max(axis=1, keepdims=True)))[..., None]
     low = np.where(sure, xy_px, np.inf).min(axis=1) - margin_px
@@ -469,12 +469,12 @@ def part_of(
 
 
 def to_cells(xy_px: Array, device: torch.device) -> torch.Tensor:
-    """Return points in pixels as points in cells of the grid."""
+    """Convert points in pixels to points in cells of the grid."""
     return require_torch().from_numpy((xy_px / STRIDE).astype(np.float32)).to(device)
 
 
 def save_torch(content: dict[str, Any], path: Path) -> None:
-    """Write a file of torch, whole or not at all."""
+    """Write a torch file, whole or not at all."""
     buffer = BytesIO()
     require_torch().save(content, buffer)
     with staged_file(path) as staged:
@@ -482,23 +482,23 @@ def save_torch(content: dict[str, Any], path: Path) -> None:
 
 
 def model_file(folder: Path) -> Path:
-    """Return the path of a folder's network; raise InputError if `recon train` wrote none there."""
+    """Return the path of a folder's network; raise InputError if the folder has none."""
     path = folder / MODEL_FILE if folder.is_dir() else folder
     if not path.is_file():
-        expected = f"the {MODEL_FILE} of a folder that `recon train` wrote"
+        expected = f"the {MODEL_FILE} of a folder written by `recon train`"
         raise InputError(Problem("--model", "file", f"{path}, no such file", expected))
     return path
 
 
 def load_model(folder: Path, device: torch.device) -> TrainedNetwork:
-    """Return the network of a folder that `recon train` wrote; raise InputError if it cannot be used."""
+    """Load the network that `recon train` wrote into a folder; raise InputError if it cannot be used."""
     path = model_file(folder)
     content = load_torch(path)
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise InputError(Problem(path, "model", "a file of another kind or version", "one that `recon train` wrote"))
+        raise InputError(Problem(path, "model", "a file of another kind or version", "a file written by `recon train`"))
     try:
         spec_table = content["spec"]
-        if calibration_02 := spec_table.get("calibrations", {}).get("fast"):  # written by version 0.2
+        if calibration_02 := spec_table.get("calibrations", {}).get("fast"):  # format of version 0.2
             spec_table["calibration"] = calibration_02["slope"], calibration_02["offset"]
         names = [field.name for field in dataclasses.fields(Spec)]
         spec = validated(Spec, {name: spec_table[name] for name in names if name in spec_table}, path)
@@ -507,8 +507,8 @@ def load_model(folder: Path, device: torch.device) -> TrainedNetwork:
     except InputError:
         raise
     except (KeyError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-        damage = f"a network with missing or altered parts ({' '.join(str(error).split())[:100]})"
-        raise InputError(Problem(path, "model", damage, "one as `recon train` wrote it")) from None
+        damage = f"missing or altered parts ({' '.join(str(error).split())[:100]})"
+        raise InputError(Problem(path, "model", damage, "an unchanged file of `recon train`")) from None
     return TrainedNetwork(spec, on_device(network, device).eval(), device, fast_half(device))
 
 
@@ -516,18 +516,18 @@ MAX_PICKLE_BYTES = 1 << 22
 
 
 def load_torch(path: Path) -> dict[str, Any]:
-    """Return numbers and plain types that torch saved; raise InputError for other and for damaged files."""
+    """Load numbers and plain types saved by torch; raise InputError for damaged files and other kinds of files."""
     torch = require_torch()
     try:
-        # torch writes a zip archive, and raises almost any exception for other and damaged files.
+        # torch writes zip archives, and raises almost any exception for other or damaged files.
         with zipfile.ZipFile(path) as archive:
             check_unpacked_size(archive)
             if any(info.file_size > MAX_PICKLE_BYTES for info in archive.infolist() if info.filename.endswith(".pkl")):
-                raise ValueError("more than names and sizes")  # torch reads them slowly
+                raise ValueError("more than names and sizes")  # torch would take long to unpickle more
         return torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
-        damage = "a file that torch cannot read, of another kind or damaged"
-        raise InputError(Problem(path, "model", damage, "a file that `recon train` wrote")) from error
+        damage = "torch cannot read it: another kind of file, or damaged"
+        raise InputError(Problem(path, "model", damage, "a file written by `recon train`")) from error
 
 
 # -- recon predict: a video in, a keypoint file out --------------------------------------------------------------------
@@ -536,14 +536,14 @@ WRITERS = {f.suffixes[0]: f.write for f in FORMATS if f.name == "deeplabcut"}
 
 
 LIKELY = 0.5
-"""Points less likely than this are rings in the overlay."""
+"""Likelihood below which points are drawn as rings in the overlay."""
 PIXELS = 2**20
-"""Most pixels of a batch, at the network's scale."""
+"""Maximum number of pixels of a batch, at the network's scale."""
 WAITING = 2
-"""Number of batches that are decoded ahead."""
+"""Number of batches to decode ahead."""
 LOST_SHARE, LOST_FRAMES = 0.01, 3
-"""A count of frames that is at most this much too high is an error of the video's header; more missing frames mean a
-damaged video.
+"""Largest excess of the frame count in a video's header over the decoded frames that is taken for an error of the
+header. If more frames are missing, the video is damaged.
 """
 
 _Chunk = tuple[list[int], list[float], list[Image], list[Image]]
@@ -553,20 +553,20 @@ pictures if they are drawn on.
 
 
 class PredictSettings(Settings):
-    """The settings of `recon predict`."""
+    """Settings of `recon predict`."""
 
     video: Annotated[Path, Option(argument="VIDEO")]
-    """The video, as in run.mp4."""
+    """Video file, as in run.mp4."""
     model: Annotated[Path, Option(metavar="DIR")]
     """Folder of a trained network, as in models/run."""
     out: Path
-    """The keypoint file, .csv or .h5, in DeepLabCut's layout."""
+    """Keypoint file to write, .csv or .h5, in DeepLabCut's layout."""
     overlay: Path | None = None
-    """A new video with the points drawn, .mp4 (MPEG-4), .webm (VP8) or .avi (Motion JPEG)."""
+    """Also write a video with the points drawn: .mp4 (MPEG-4), .webm (VP8) or .avi (Motion JPEG)."""
     device: Annotated[str, DEVICE] = "auto"
     threads: Annotated[Count | None, THREADS] = None
     partial: bool = False
-    """Accept a video of which fewer frames can be decoded than it states."""
+    """Accept a video with fewer decodable frames than its header states."""
     overwrite: bool = False
     """Replace existing files."""
 
@@ -576,7 +576,8 @@ def run_prediction(
 ) -> Keypoints:
     """Carry out `recon predict`: write a keypoint file in DeepLabCut's layout, and return the keypoints.
 
-    options: the other fields of `PredictSettings`. Raises InputError before anything is written.
+    options: the other fields of `PredictSettings`. Raises InputError for invalid input before anything is written, and
+    after the prediction if too many frames cannot be decoded.
     """
     s = PredictSettings(video=video, model=model, out=out, **options)
     output = output or output_file(out, "predict", s.overwrite, input_paths(s))
@@ -599,7 +600,7 @@ def _overlay_output(s: PredictSettings, overlay: Path) -> Output:
 
 
 def predict_video(trained: TrainedNetwork, settings: PredictSettings, progress: Progress = silent) -> Keypoints:
-    """Return the network's points in every frame, without smoothing, with calibrated likelihoods.
+    """Return the network's points in every frame, not smoothed, with calibrated likelihoods.
 
     Raises InputError if too many frames cannot be decoded.
     """
@@ -629,8 +630,8 @@ def predict_video(trained: TrainedNetwork, settings: PredictSettings, progress: 
             progress(f"frame {of_chunk[-1]}", min(1.0, count / total))
         lost = (stated := info.stated_frames or 0) - count
         if not settings.partial and lost > max(LOST_FRAMES, LOST_SHARE * stated):
-            expected = f"the {stated} that the file states; --partial takes what can be decoded"
-            raise InputError(Problem(video, "frames", f"{count} that can be decoded", expected))
+            expected = f"{stated} frames, as the file states; --partial accepts fewer"
+            raise InputError(Problem(video, "frames", f"{count} decodable frames", expected))
     numbers, times_s, xy_px, likelihood = (np.concatenate(column) for column in zip(*results, strict=True))
     note = missing_note(video, times_s)
     properties: dict[str, Any] = {"fps": info.fps, "image_size_px": info.size_px, "source": str(video)}
@@ -649,7 +650,7 @@ def _chunks(video: Path, info: VideoInfo, scale: float, keep: bool) -> Generator
 
 
 def draw_points(picture: Image, xy_px: Array, likelihood: Array) -> Image:
-    """Return a copy with dots at points (K, 2); those less likely than `LIKELY` are rings."""
+    """Return a copy with a dot at each point (K, 2), or a ring if the point is less likely than `LIKELY`."""
     drawn = picture.copy()
     radius = max(2.0, max(picture.shape[:2]) / 160)
     for point, point_likelihood, colour in zip(xy_px, likelihood, point_colours(len(xy_px)), strict=True):
@@ -664,7 +665,7 @@ def draw_points(picture: Image, xy_px: Array, likelihood: Array) -> Image:
 def point_colours(count: int) -> list[Colour]:
     """Return a colour (blue, green, red) for each keypoint.
 
-    Colours are evenly spaced around the colour wheel, bright and dark in turn.
+    Hues are evenly spaced around the colour wheel; bright and dark colours alternate.
     """
     colours = (hsv_to_rgb(k / count, 0.85, 0.75 if k % 2 else 1.0) for k in range(count))
     return [(round(255 * blue), round(255 * green), round(255 * red)) for red, green, blue in colours]

@@ -1,13 +1,14 @@
-"""Make batches of training pictures in a thread, while the network learns from the previous ones.
+"""Make batches of training pictures in a thread while the network learns from earlier batches.
 
-New pictures are made from the labelled ones: turned, scaled, moved, mirrored, pasted elsewhere, in different light,
-blurred, covered in part and noisy. Each depends only on its random generator, which is seeded by the run's seed and the
-picture's number: a run that continues after a break draws the same pictures.
+New pictures are made from the labelled ones by rotating, scaling, moving and mirroring them, pasting the animal
+elsewhere, changing the light, blurring, covering parts, and adding noise. Each picture depends only on its random
+generator, which is seeded by the run's seed and the picture's number. A run that continues after a break therefore
+draws the same pictures.
 
-The still background of a clip is the picture of a camera on a tripod without moving objects. The network gets, in
-addition to a picture, its difference from this background, which shows what is new in the scene in any scene and light.
-Training pastes the animal elsewhere on it. If the camera moves, or if there are too few pictures, there is no
-background, and the difference is 0.
+The still background of a clip is what a camera on a tripod sees without moving objects. The network's input is a
+picture and the picture's difference from this background, which shows in any scene and light what has moved. Training
+also pastes the animal onto other parts of the background. If the camera moves, or if there are too few pictures, there
+is no background, and the difference is 0.
 """
 
 from __future__ import annotations
@@ -29,44 +30,44 @@ from recon.io.video import Image, probe, read_frames
 from recon.keypoint_net.labels import Labels, body_length_px, known_points, resize, scaled_size
 
 NETWORK_LENGTH_PX = 120.0
-"""Length of the animal in the network's pictures; clips are scaled to it, unless they are near it."""
+"""Length of the animal in the network's pictures. Clips are scaled to this length unless they are close to it."""
 FULL_LENGTH_PX = 480.0
-"""Largest length of the animal in the pictures of a second stage: labels are no more precise than this."""
+"""Largest length of the animal in the pictures of a second stage. Labels are not precise enough to gain from more."""
 TWO_STAGES = 1.5
-"""An animal that is longer than NETWORK_LENGTH_PX by this factor is first located in small pictures, and each of its
-points then refined at full size.
+"""Factor by which an animal is longer than NETWORK_LENGTH_PX if it is first located in small pictures and its points
+are then refined at full size.
 """
 PART_PX = (128, 128)
 """Size of training pictures of the second stage."""
 OFF = 0.75
-"""Largest error of the first stage that is assumed in training, relative to the second stage's window."""
+"""Largest error of the first stage in training, as a fraction of the second stage's window."""
 CROP = 1.4
 """Size of training pictures, relative to the animal's length."""
 MARGIN = 0.12
-"""Margin around the animal's labelled points, relative to its length."""
+"""Margin around the animal's labelled points, relative to the animal's length."""
 NO_BACKGROUND = 0.2
-"""Share of the training pictures whose difference to the background is left out."""
+"""Fraction of the training pictures whose difference from the background is left out."""
 AHEAD = 3
-"""Number of batches that are made ahead of the network."""
+"""Number of batches to make ahead of the network."""
 
 LEAST_PICTURES = 8
 MOST_PICTURES = 60
 MOST_BYTES = 2**28
-"""Most bytes of a video's pictures in memory at a time."""
+"""Maximum number of bytes of a video's pictures in memory at a time."""
 STILL_LEVELS = 12.0
-"""Largest difference from the background, in grey levels, of most of a picture if the camera is still."""
+"""Largest difference of a still pixel from the background, in grey levels."""
 STILL_SHARE = 0.6
-"""Share of a picture's pixels that stay the same if the camera is still."""
+"""Fraction of a picture's pixels that are still if the camera is still."""
 MOVED_LEVELS = 22.0
-"""Grey levels by which the animal differs from the background, in at least one colour."""
+"""Difference between the animal and the background, in grey levels, in at least one colour."""
 
 
 @dataclass(frozen=True)
 class Augmentation:
-    """Hold ranges of random changes of a picture; shares are probabilities.
+    """Hold ranges of random changes of a picture.
 
-    Each value is drawn evenly between the ends of its range, or in its logarithm if it is a factor. partner: for each
-    keypoint the index of its mirror image; None: pictures are not mirrored.
+    Each value is drawn uniformly within its range, and the logarithm uniformly if the value is a factor. Shares are
+    probabilities. `partner` is the index of each keypoint's mirror partner; None means that pictures are not mirrored.
     """
 
     rotation_deg: float = 20.0
@@ -86,26 +87,26 @@ class Augmentation:
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """Hold a picture to learn from, h by w pixels, with K points."""
+    """Hold a picture to learn from, h by w pixels, with K keypoints."""
 
     picture: Image
-    """The picture, shape (h, w, 3)."""
+    """(h, w, 3): the picture."""
     background: Image | None
-    """Median picture of the clip, of the same shape; None if the camera moves."""
+    """(h, w, 3): median picture of the clip; None if the camera moves."""
     mask: Image | None
     """(h, w): the animal's pixels; None if the camera moves."""
     xy_px: Array
-    """(K, 2), NaN where not labelled."""
+    """(K, 2): points, NaN where not labelled."""
     length_px: float
-    """The length of the animal in pixels."""
+    """Length of the animal in pixels."""
     part: bool = False
-    """Whether pictures show the surroundings of one of its points, instead of the whole animal."""
+    """Whether training pictures show the surroundings of one of the points instead of the whole animal."""
 
 
 def augment(
     example: Example, size_px: tuple[int, int], options: Augmentation, rng: np.random.Generator
 ) -> tuple[Image, Image | None, Array]:
-    """Return a picture of `size_px` (width, height), its background, and the points in it (K, 2), NaN where outside."""
+    """Return a new picture of `size_px` (width, height), its background, and its points (K, 2), NaN if outside."""
     partner = options.partner if options.partner is not None and rng.random() < 0.5 else None
     transform = _affine(example, size_px, options, partner is not None, rng)
     picture = _warp(example.picture, transform, size_px)
@@ -134,7 +135,7 @@ def augment(
 
 
 def motion_blur(picture: Image, length_px: float, angle_rad: float) -> Image:
-    """Return a picture as if it had moved evenly along a line while it was taken."""
+    """Return a picture blurred as by a uniform motion along a line during the exposure."""
     half = max(1, math.ceil(length_px / 2))
     kernel = np.zeros((2 * half + 1, 2 * half + 1), np.float32)
     for t in np.linspace(-0.5, 0.5, 8 * half + 1):
@@ -149,7 +150,7 @@ def motion_blur(picture: Image, length_px: float, angle_rad: float) -> Image:
 def _affine(
     example: Example, size_px: tuple[int, int], options: Augmentation, mirrored: bool, rng: np.random.Generator
 ) -> Array:
-    """Return a map (2, 3) of the animal's middle, or of one of its points, to a random point of the picture."""
+    """Return a map (2, 3) that moves the animal's middle, or one of its points, to a random point of the picture."""
     points = example.xy_px[known_points(example.xy_px)]
     height, width = example.picture.shape[:2]
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0)) if len(points) else rng.uniform(0, [width, height])
@@ -173,7 +174,7 @@ def _warp(picture: Image, transform: Array, size_px: tuple[int, int], constant: 
 
 
 def _other_background(background: Image, size_px: tuple[int, int], rng: np.random.Generator) -> Image:
-    """Return another part of the clip's own background, or its mirror image."""
+    """Return another part of the clip's background, mirrored at random."""
     height, width = background.shape[:2]
     scale = math.exp(rng.uniform(-0.4, 0.5)) * max(1.0, 0.7 * size_px[0] / width, 0.7 * size_px[1] / height)
     mirror = -1.0 if rng.random() < 0.5 else 1.0
@@ -185,7 +186,7 @@ def _other_background(background: Image, size_px: tuple[int, int], rng: np.rando
 def _random_light(
     size_px: tuple[int, int], options: Augmentation, rng: np.random.Generator
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32] | None]:
-    """Return a table (256, 3) of each colour's levels, and a factor for each pixel (H, W, 1) if a patch is lit."""
+    """Return a table (256, 3) of new levels for each colour, and a factor per pixel (H, W, 1) if a patch is lit."""
     levels = np.arange(256)[:, None] / 255.0
     gamma = math.exp(rng.uniform(-options.gamma, options.gamma))
     contrast = math.exp(rng.uniform(-options.contrast, options.contrast))
@@ -213,7 +214,7 @@ def _in_light(picture: Image, light: tuple[NDArray[np.uint8], NDArray[np.float32
 def _partly_covered(
     picture: Image, background: Image | None, length_px: float, options: Augmentation, rng: np.random.Generator
 ) -> Image:
-    """Return a picture with up to three rectangles of one colour, or of the background, in front of the animal."""
+    """Return a picture with up to three rectangles in front of the animal, of one colour or cut from the background."""
     if rng.random() >= options.cutout:
         return picture
     picture = picture.copy()
@@ -232,7 +233,7 @@ def _partly_covered(
 
 
 def background_of(pictures: Sequence[Image]) -> Image | None:
-    """Return the median of one clip's pictures; None if they are few, or if the camera moves."""
+    """Return the median of one clip's pictures, or None if there are too few or if the camera moves."""
     if len(pictures) < LEAST_PICTURES:
         return None
     picked = [pictures[i] for i in np.unique(np.linspace(0, len(pictures) - 1, MOST_PICTURES).round().astype(int))]
@@ -244,7 +245,7 @@ def background_of(pictures: Sequence[Image]) -> Image | None:
 
 
 def backgrounds(labels: Labels, left_out: Integers) -> tuple[Image | None, ...]:
-    """Return a background for each clip, from its pictures without those of `left_out` (indices)."""
+    """Return a background for each clip, from its pictures except those in `left_out` (indices)."""
     medians = []
     for c in range(len(labels.clips)):
         of_clip = np.flatnonzero(labels.clip == c)
@@ -254,7 +255,7 @@ def backgrounds(labels: Labels, left_out: Integers) -> tuple[Image | None, ...]:
 
 
 def background_of_video(video: Path, scale: float) -> Image | None:
-    """Return the background of a video at the network's scale; only few pictures are in memory at a time."""
+    """Return the background of a video at the network's scale, with only a few pictures in memory at a time."""
     info = probe(video)
     width, height = scaled_size(info.size_px, scale)
     count = int(np.clip(MOST_BYTES // (3 * width * height), LEAST_PICTURES, MOST_PICTURES))
@@ -264,7 +265,7 @@ def background_of_video(video: Path, scale: float) -> Image | None:
 
 
 def moving_mask(picture: Image, background: Image, xy_px: Array, margin_px: float) -> Image:
-    """Return a mask (height, width), 0 to 255, of pixels near points (K, 2) that differ from the background."""
+    """Return a mask (height, width), 0 to 255, of the pixels near points (K, 2) that differ from the background."""
     region = np.zeros(picture.shape[:2], np.uint8)
     points = xy_px[known_points(xy_px)]
     if len(points):
@@ -274,7 +275,8 @@ def moving_mask(picture: Image, background: Image, xy_px: Array, margin_px: floa
         region = cv2.dilate(region, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
     moved = (cv2.absdiff(picture, background).max(axis=2) > MOVED_LEVELS).astype(np.uint8) * 255
     moved = cv2.bitwise_and(cv2.morphologyEx(moved, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)), region)
-    # Holes are where the animal looks like the background; what lies between its legs is open to the ground.
+    # Fill holes, where the animal looks like the background. The space between its legs is open to the ground, so
+    # stays.
     gap = 2 * max(1, round(0.25 * margin_px)) + 1
     moved = cv2.morphologyEx(moved, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (gap, gap)))
     outlines, _ = cv2.findContours(moved, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -290,7 +292,7 @@ T = TypeVar("T")
 
 
 def prefetched(items: Generator[T], count: int) -> Generator[T]:
-    """Yield the items of a generator, none of which is None, made by a thread up to `count` ahead."""
+    """Yield the items of a generator, made by a thread up to `count` items ahead; no item may be None."""
     with ThreadPoolExecutor(max_workers=1, thread_name_prefix="ahead") as executor:
         waiting = deque(executor.submit(next, items, None) for _ in range(count))
         try:
@@ -303,16 +305,15 @@ def prefetched(items: Generator[T], count: int) -> Generator[T]:
 
 
 Batch = tuple[NDArray[np.uint8], NDArray[np.uint8], Array, Array | None]
-"""Pictures (B, H, W, 3); their backgrounds (B, H, W, 3), or the pictures themselves, which makes the difference 0; K
-points of each (B, K, 2), NaN if not labelled or outside the picture; and positions near them (B, K, 2), such as a first
-stage finds, None for the first stage itself.
+"""Pictures (B, H, W, 3); backgrounds (B, H, W, 3), or the pictures themselves for a difference of 0; points (B, K, 2),
+NaN if not labelled or outside; and centres of the second stage's windows (B, K, 2), None for the first stage.
 """
 
 
 def network_scales(xy_px: Array) -> tuple[float, float]:
-    """Return the scale of the pictures of the network's last stage, and the scale from there to its first stage.
+    """Return the scale of the pictures of the network's last stage, and the first stage's scale relative to it.
 
-    The second is 1 with a single stage. xy_px: labels (N, K, 2).
+    The latter is 1 if there is only one stage. xy_px: labels (N, K, 2).
     """
     length = body_length_px(xy_px)
     scale = NETWORK_LENGTH_PX / length if np.isfinite(length) and length > 0 else 1.0
@@ -323,7 +324,7 @@ def network_scales(xy_px: Array) -> tuple[float, float]:
 
 
 def crop_size(labels: Labels, scale: float) -> tuple[int, int]:
-    """Return the size (width, height) of training pictures if the labelled pictures are scaled by `scale`.
+    """Return the size (width, height) of training pictures for labelled pictures scaled by `scale`.
 
     Training pictures are as large as the scaled pictures, or smaller if the animal is small in them.
     """
@@ -354,9 +355,9 @@ def make_batch(
     examples: Sequence[Example], size_px: tuple[int, int], options: Augmentation, size: int, seed: int, step: int,
     pool: Integers, off_px: float = 0.0,
 ) -> Batch:  # fmt: skip
-    """Return the batch of a step, which depends only on the seed, the step and the pictures to draw from.
+    """Return the batch of a step, which depends only on the seed, the step and the pictures in the pool.
 
-    `off_px` is the distance of the second stage's windows from their points, 0 for the first stage.
+    `off_px` is the largest distance of the second stage's windows from their points, 0 for the first stage.
     """
     pictures, picture_backgrounds, points, near_points = [], [], [], []
     for i in range(size):

@@ -1,13 +1,13 @@
 """Train a network on labelled pictures (`recon train`).
 
-The optimiser is AdamW. After a warm-up, its learning rate falls along a cosine to almost 0, twice. The final weights
-are a moving average of the optimiser's. The first part of a run learns from the training pictures and is judged by
-the validation pictures, which also calibrate the likelihoods. The last part, from `FINISH` on, learns from both, so
-that no label is lost.
+The optimiser is AdamW. The learning rate warms up, then falls along a cosine to almost 0, twice. The final weights are
+a moving average of the optimiser's weights. The first part of a run learns from the training pictures. The validation
+pictures evaluate it and calibrate its likelihoods. The last part, from `FINISH` on, learns from both, so that no label
+is wasted.
 
 A run depends only on its settings, its labels and its device: augmentation depends on the seed and the step, and a
-checkpoint holds everything else. With a fixed number of steps, a run that was stopped and continued ends in the same
-weights bit for bit. With a fixed number of minutes, the speed of the machine decides the number of steps.
+checkpoint holds everything else. If the number of steps is given, a run that was stopped and continued ends with the
+same weights, bit for bit. If the number of minutes is given, the speed of the machine decides the number of steps.
 """
 
 from __future__ import annotations
@@ -53,55 +53,58 @@ if TYPE_CHECKING:
 CHECKPOINT_FILE = "checkpoint.pt"
 REPORT_FILES = ("training.json", "suspicious.csv", "worst.png", "training.png", "training.svg")
 TOLERANCE = 0.04
-"""Distance within which a point counts as right for its likelihood, relative to the body length."""
+"""Largest distance of a correct point from its label, as a fraction of the body length."""
 LEARNING_RATE, WEIGHT_DECAY = 2e-3, 0.05
 FINISH = 0.6
-"""Share of a run after which it learns from the validation pictures, too."""
+"""Fraction of a run after which the validation pictures are learned from, too."""
 FINISH_RATE = 0.5
-"""Learning rate at the beginning of this part, relative to the highest rate before."""
+"""Initial learning rate of this last part, relative to the highest rate before."""
 WARM_UP = 0.04
 EVALUATIONS = 30
 MOST_AVERAGED = 300.0
-"""Most steps over which the weights are averaged; fewer at the beginning."""
+"""Maximum number of steps over which the weights are averaged; fewer at the beginning."""
 TRAINING = "Training"
 
 
 class TrainSettings(Settings):
     """Choose how a network is trained."""
 
-    minutes: Annotated[Number, Field(ge=0.05), Option("Time to train.", "0.05 minutes or more", panel=TRAINING)] = 15.0
+    minutes: Annotated[
+        Number, Field(ge=0.05), Option("Time to train, minutes.", "0.05 minutes or more", panel=TRAINING)
+    ] = 15.0
     steps: Annotated[Count | None, Option(expected="1 or more", panel=TRAINING)] = None
-    """Number of steps, instead of a time, so that every run has the same."""
+    """Number of steps, instead of a time. Runs with the same number of steps give the same result."""
     batch: Annotated[Count, Option(expected="1 or more", panel=TRAINING)] = 8
-    """Pictures in a step."""
+    """Number of pictures per step."""
     seed: Annotated[
         Integer, Field(ge=0), Option("Seed of weights, split and augmentation.", "0 or more", panel=TRAINING)
     ] = 0
     mirror: Annotated[bool, Option(panel=TRAINING)] = False
-    """Train on mirror pictures, too, in which left and right, or near and off, change their names: for animals that are
-    labelled going one way and filmed going both. Takes longer to learn."""
+    """Also train on mirrored pictures, in which left and right names are exchanged: for animals that are labelled going
+    one way and filmed going both ways. Training takes longer.
+    """
 
     def of_training(self) -> dict[str, Any]:
-        """Return the training settings alone, without those of a subclass."""
+        """Return the training settings alone, without the fields of subclasses."""
         return {name: getattr(self, name) for name in TrainSettings.infos()}
 
 
 class TrainRunSettings(data.LabelSource, TrainSettings):
-    """The settings of `recon train`."""
+    """Settings of `recon train`."""
 
     out: Annotated[Path, Option(metavar="DIR")]
     """Folder for the network and its report, as in models/horse."""
     device: Annotated[str, net.DEVICE] = "auto"
     threads: Annotated[Count | None, net.THREADS] = None
     resume: bool = False
-    """Go on from the checkpoint in DIR."""
+    """Continue from the checkpoint in DIR."""
     overwrite: bool = False
-    """Begin again in a DIR that has a network."""
+    """Start again in a DIR that already has a network."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingRun:
-    """Hold the fixed inputs of a run; pictures are at the network's scale."""
+    """Hold the fixed inputs of a run, with pictures at the network's scale."""
 
     settings: TrainSettings
     spec: net.Spec
@@ -121,27 +124,27 @@ class State:
     optimizer: torch.optim.Optimizer
     step: int = 0
     share: float = 0.0
-    """Share of the run that is done, which decides the learning rate."""
+    """Fraction of the run that is done, which decides the learning rate."""
     seconds: float = 0.0
-    """Total time of all parts of the run."""
+    """Total time of the run, over all its parts, s."""
     calibration: net.Calibration | None = None
     judged: tuple[list[float], list[bool]] = ([], [])
-    """Calibrated likelihoods of the labelled validation points, and which of these points are right."""
+    """Calibrated likelihoods of the labelled validation points, and which of these points are correct."""
     history: list[dict[str, float]] = field(default_factory=list)
-    """A row for each evaluation."""
+    """One row for each evaluation."""
     losses: list[float] = field(default_factory=list)
     """Losses of the steps since the last evaluation."""
     threads: int = 0
-    """Number of CPU threads; 0 if none were chosen yet."""
+    """Number of CPU threads, or 0 if not yet chosen."""
 
     @property
     def finishing(self) -> bool:
-        """Return whether the run learns from the validation pictures, too."""
+        """Return whether the run also learns from the validation pictures."""
         return self.share >= FINISH
 
 
 def prepare(labels: data.Labels, s: TrainRunSettings, device: torch.device) -> TrainingRun:
-    """Return the fixed inputs of a run: the split, the network's scales, pictures and backgrounds."""
+    """Return the fixed inputs of a run: split, network scales, pictures and backgrounds."""
     split = data.split_labels(labels, s.validation, s.test, s.seed)
     learned = np.concatenate([split["train"], split["validation"]])
     scale, first = pictures.network_scales(labels.xy_px[learned])
@@ -155,10 +158,20 @@ def prepare(labels: data.Labels, s: TrainRunSettings, device: torch.device) -> T
 def train(
     run: TrainingRun, output: Output, resume: bool = False, threads: int | None = None, progress: Progress = silent
 ) -> State:
-    """Train, or continue to train, to the end.
+    """Train, or continue to train, to the end of the run.
 
-    out: the folder that gets a checkpoint at each evaluation, and the model at the end. threads: of the CPU; by default
-    those that the run had before, or all.
+    Parameters
+    ----------
+    run : TrainingRun
+        The fixed inputs.
+    output : Output
+        Folder that gets a checkpoint at each evaluation, and the model at the end.
+    resume : bool
+        Continue from the folder's checkpoint.
+    threads : int, optional
+        Number of CPU threads; by default as many as the run had before, or all.
+    progress : callable
+        Called with a text and the fraction that is done.
     """
     torch = net.require_torch()
     torch.backends.cudnn.deterministic, torch.backends.cudnn.benchmark = True, False
@@ -204,7 +217,7 @@ def train(
 
 
 def _sources(run: TrainingRun) -> tuple[Any, ...]:
-    """Return for each stage a function that makes the batch of a step from a pool of pictures."""
+    """Return, for each stage, a function that makes the batch of a step from a pool of pictures."""
     settings, spec = run.settings, run.spec
     options = pictures.Augmentation(partner=data.sides(spec.names) if settings.mirror else None)
     labels, backgrounds = run.scaled, run.backgrounds
@@ -215,7 +228,7 @@ def _sources(run: TrainingRun) -> tuple[Any, ...]:
     first = partial(pictures.make_batch, pictures.examples_of(labels, backgrounds), size_px, *last)
     if not spec.two_stages:
         return (first,)
-    # Drawings and blur on a part are as large as on the whole animal in its smaller picture.
+    # Scale blur and drawn patches so that they are as large relative to the animal as in the first stage's pictures.
     part_settings = {"part": True, "length_px": pictures.NETWORK_LENGTH_PX}
     parts = [
         dataclasses.replace(example, **part_settings) for example in pictures.examples_of(run.scaled, run.backgrounds)
@@ -225,10 +238,10 @@ def _sources(run: TrainingRun) -> tuple[Any, ...]:
 
 
 def schedule(share: float) -> float:
-    """Return the factor of the learning rate at a share of the run.
+    """Return the factor of the learning rate at a fraction of the run.
 
-    It is a warm-up and a cosine, and another cosine for the last part. The rate is almost 0 at the calibration, as it
-    is at the end.
+    The factor follows a warm-up and a cosine, then another cosine for the last part. It is almost 0 at the calibration
+    and at the end.
     """
     if share < FINISH:
         return min(1.0, (share + 1e-3) / WARM_UP) * _cosine(share / FINISH)
@@ -273,9 +286,10 @@ def _learn(
 
 
 def _evaluate(state: State, run: TrainingRun, calibrates: bool) -> None:
-    """Judge the network by the validation pictures.
+    """Evaluate the network on the validation pictures.
 
-    calibrates: fit the calibration, too, at the end of the first part, before the network learns from these pictures.
+    With `calibrates`, also fit the calibration. That is done at the end of the first part, before the network learns
+    from these pictures.
     """
     indices = run.split["validation"]
     if not run.labels.labelled[indices].any():
@@ -333,11 +347,11 @@ def _save_checkpoint(state: State, run: TrainingRun, output: Output) -> None:
 
 
 def _resumed(run: TrainingRun, out: Path) -> State:
-    """Return the state of a checkpoint; raise InputError if it belongs to other keypoints, settings or pictures."""
+    """Return the state of a checkpoint; raise InputError if keypoints, settings or pictures differ."""
     path = out / CHECKPOINT_FILE
     content = net.load_torch(path)
     if not isinstance(content, dict) or "optimizer" not in content:
-        raise InputError(Problem(path, "checkpoint", "a file of another kind", "one that `recon train` wrote"))
+        raise InputError(Problem(path, "checkpoint", "a file of another kind", "a file written by `recon train`"))
     problems = []
     if content["names"] != list(run.spec.names):
         expected = f"those of the labels: {', '.join(run.spec.names)}"
@@ -345,14 +359,14 @@ def _resumed(run: TrainingRun, out: Path) -> State:
     for name, value in run.settings.of_training().items():
         was = content["settings"].get(name)
         if to_plain(value) != to_plain(was):
-            problems.append(Problem(path, f"setting {name}", str(was), f"{value}, as now given"))
+            problems.append(Problem(path, f"setting {name}", str(was), f"{value}, as given now"))
     if not problems and content["split"] != data.frames_by_part(run.labels, run.split):
         problems.append(Problem(path, "pictures", "a different split", "the labels and split of the run so far"))
     state = _begin(run)
     same = content["network"].keys() == state.network.state_dict().keys() and {*_PLAIN} <= content.keys()
     if not problems and not same:
-        expected = "one of this version of recon; --overwrite begins again"
-        problems.append(Problem(path, "network", "one that another version began", expected))
+        expected = "a network of this version of recon; --overwrite starts again"
+        problems.append(Problem(path, "network", "started by another version", expected))
     raise_problems(problems)
     for name in _TORCH:
         getattr(state, name).load_state_dict(content[name])
@@ -363,26 +377,28 @@ def _resumed(run: TrainingRun, out: Path) -> State:
 
 WORST = 6
 LEAST_WIDTH_PX = 560
-"""Least width of the pictures; smaller ones are enlarged."""
+"""Minimum width of the pictures; smaller pictures are enlarged."""
 LABEL, LINE = (255, 255, 255), (60, 60, 230)
 FAR, APART = 0.2, 0.15
-"""Body lengths from which a label is suspicious: from the network's point, and from the other labels."""
+"""Distances, in body lengths, from the network's point and from the other labels beyond which a label is suspicious."""
 REASONS = {
-    "network": "body lengths from where the network sees it",
-    "others": "body lengths farther from every other label than usual",
+    "network": "body lengths from the network's point",
+    "others": "body lengths further from every other label than usual",
 }
 LEARNED = 5.0
-"""A suspicious label is also further from the network's point than this multiple of its keypoint's median distance, so
-that the network has learned the keypoint.
+"""A label is also suspicious only beyond this multiple of its keypoint's median distance from the network's points,
+because a larger median means that the network has not learned the keypoint.
 """
 FITS = 2.0
-"""A network fits its labels if its median error in the pictures that it learned from is at most this multiple of the
-tolerance. Only such a network judges labels."""
+"""Largest median error, as a multiple of the tolerance, in the pictures that a network learned from. A network with
+larger errors does not judge labels.
+"""
 USUAL_MINUTES, USUAL_STEPS, USUAL_PICTURES = 15.0, 1000, 40
-"""A useful network takes about as long on two cores, as many steps, and as many labelled pictures (`python
-benchmarks/net.py --only circle`: 1.1 px after 1,000 steps with 40 pictures)."""
+"""Time on two cores, number of steps and number of labelled pictures of a useful network (`python benchmarks/net.py
+--only circle`: 1.1 px after 1,000 steps with 40 pictures).
+"""
 USUAL = 0.95
-"""Quantile of the distance between two keypoints up to which it counts as usual."""
+"""Quantile of the distance between two keypoints up to which the distance counts as usual."""
 MOST = 30
 
 
@@ -398,9 +414,9 @@ def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[
             length_px = length_px if np.isfinite(length_px) else spec.body_length_px
             points = spec.names, xy_px[indices], likelihood[indices], truth, length_px
             judged[name] = data.evaluate_2d(*points, tolerance_px=spec.tolerance_px)
-    # The network as it was calibrated, before it learned from the validation pictures.
+    # Score the network as it was calibrated, before it learned from the validation pictures.
     reliability_before = data.reliability(np.array(state.judged[0]), np.array(state.judged[1], bool))
-    # In other pictures a disagreement says more about the network.
+    # In other pictures, a disagreement may be the network's error.
     learned = np.concatenate([split["train"], split["validation"]])
     learned_points = np.full_like(xy_px, np.nan)
     learned_points[learned] = xy_px[learned]
@@ -472,7 +488,7 @@ def training_figure(history: Sequence[Mapping[str, float]]) -> Figure:
 
 
 def expectations(run: TrainingRun) -> list[str]:
-    """Return in sentences what a training run has, and what a useful network would take."""
+    """Return sentences on what a training run has, and what a useful network needs."""
     settings, labels = run.settings, run.labels
     labelled_count = int(labels.labelled.any(axis=1).sum())
     planned = f"{settings.steps} steps" if settings.steps else f"{settings.minutes:g} minutes"
@@ -483,18 +499,16 @@ def expectations(run: TrainingRun) -> list[str]:
     ]
     is_short = settings.steps < USUAL_STEPS if settings.steps else settings.minutes < USUAL_MINUTES
     if is_short and run.device.type == "cpu":
-        sentences.append(
-            f"{planned} may be too few: raise --{'steps' if settings.steps else 'minutes'} for a real use."
-        )
+        sentences.append(f"{planned} may be too few: raise --{'steps' if settings.steps else 'minutes'} for real use.")
     if labelled_count < USUAL_PICTURES:
-        sentences.append(f"{labelled_count} pictures may be too few: label more for a real use.")
+        sentences.append(f"{labelled_count} pictures may be too few: label more for real use.")
     return sentences
 
 
 def _write_worst(labels: data.Labels, errors: Array, xy_px: Array, indices: Integers, path: Path) -> None:
-    """Draw the pictures with the largest mean error, no two of them neighbours in time.
+    """Draw the pictures with the largest mean errors, no two of them neighbours in time.
 
-    Each label has a ring, its prediction a dot, and a line joins them.
+    A ring marks each label, a dot the prediction, and a line joins both.
     """
     mean_px, chosen = np.array([mean(of_one) for of_one in errors]), []
     for i in indices[np.argsort(-np.nan_to_num(mean_px[indices], nan=-np.inf))]:
@@ -524,9 +538,8 @@ def _write_worst(labels: data.Labels, errors: Array, xy_px: Array, indices: Inte
 def suspicious_labels(labels: data.Labels, xy_px: Array, length_px: float) -> list[dict[str, Any]]:
     """Return labels that are probably wrong, the most suspicious first.
 
-    A label is suspicious if the network, once trained, puts the keypoint somewhere else and is not tempted by the
-    label; or if the label is farther from every other label of its picture than this keypoint is from them in other
-    pictures.
+    A label is suspicious if the trained network finds the keypoint elsewhere although it learned from this label, or if
+    the label is farther from every other label of its picture than usual.
 
     Parameters
     ----------
@@ -535,14 +548,14 @@ def suspicious_labels(labels: data.Labels, xy_px: Array, length_px: float) -> li
     xy_px : (N, K, 2)
         The network's points in pixels of the clip, NaN in pictures that it has not learned from.
     length_px : float
-        The length of the animal.
+        Length of the animal.
 
     Returns
     -------
     list of dict
-        Image and keypoint, `x_px` and `y_px`; the distances in body lengths that speak against the label, by the
-        network and by the other labels (NaN where unknown); its rank, the sum of those that exceed their limits; the
-        reasons in words.
+        `image`, `keypoint`, `x_px`, `y_px`; `network` and `others`, the distances in body lengths from the network's
+        point and beyond the usual distance from the other labels (NaN if unknown); `rank`, the sum of the distances
+        that exceed their limits; `reasons`, in words.
     """
     clues = {
         "network": np.linalg.norm(xy_px - labels.xy_px, axis=2) / length_px,
@@ -561,7 +574,7 @@ def suspicious_labels(labels: data.Labels, xy_px: Array, length_px: float) -> li
 
 
 def _excess_distance_px(xy_px: Array) -> Array:
-    """Return how much farther than usual (N, K) each label is from the others, by the mildest of them, px."""
+    """Return the smallest excess (N, K) over the usual distance, from each label to the other labels, px."""
     n, k = xy_px.shape[:2]
     distance = np.linalg.norm(xy_px[:, :, None] - xy_px[:, None], axis=3)
     distance[:, range(k), range(k)] = np.nan
@@ -584,9 +597,25 @@ def run_training(
 ) -> dict[str, Any]:
     """Carry out `recon train`, and return the training report.
 
-    out: the folder that gets the network, a checkpoint and the report. options: device, threads, resume and overwrite,
-    as in the command. announce: called with each sentence of `expectations` before the first step. Raises InputError,
-    with every problem, before anything is written.
+    Parameters
+    ----------
+    source : LabelSource
+        The labelled pictures.
+    settings : TrainSettings
+        Training settings.
+    out : Path
+        Folder that gets the network, a checkpoint and the report.
+    progress : callable
+        Called with a text and the fraction that is done.
+    announce : callable
+        Called with each sentence of `expectations` before the first step.
+    **options
+        device, threads, resume and overwrite, as in the command.
+
+    Raises
+    ------
+    InputError
+        Before anything is written, with every problem.
     """
     training_settings = picked(source, *data.LabelSource.infos()) | picked(settings, *TrainSettings.infos())
     s = TrainRunSettings(out=out, **training_settings, **options)
@@ -609,12 +638,12 @@ def run_training(
 
 
 def _check_folder(s: TrainRunSettings) -> None:
-    checkpoint, expected = s.out / CHECKPOINT_FILE, "the checkpoint of a stopped run; for a new run, leave out --resume"
+    checkpoint, expected = s.out / CHECKPOINT_FILE, "the checkpoint of a stopped run; leave out --resume for a new run"
     if s.resume and not checkpoint.is_file():
         raise InputError(Problem(checkpoint, "checkpoint", "no such file", expected))
     _output(s).require((net.MODEL_FILE, CHECKPOINT_FILE, *REPORT_FILES))
 
 
 def _output(s: TrainRunSettings) -> Output:
-    content = "a network, --resume to go on with it"
+    content = "a network; --resume continues its training"
     return Output(s.out, "train", s.overwrite or s.resume, input_paths(s), content=content)

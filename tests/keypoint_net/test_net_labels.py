@@ -53,8 +53,8 @@ def test_a_label_that_is_missing_in_part_is_missing(clip):
 @pytest.mark.parametrize(
     ("first_frame", "expected"),
     [
-        (0, ("run.avi", "frames", "10 frames", ["8 labelled frames", "--first-frame"])),
-        (51, ("--first-frame", "number", 51, "50 or less")),
+        (0, ("run.avi", "frames", "10 decodable frames", ["8 labelled frames", "--first-frame"])),
+        (51, ("--first-frame", "number", 51, "at most 50")),
     ],
 )
 def test_labels_that_match_no_frame(clip, first_frame, expected):

@@ -374,7 +374,8 @@ def test_figure_of_margins(aibo):
     support = 1000 * found.margins["support"]
     shown = {name: found.margins[name] for name in ("support", "corner")}
     figure = margins_figure(found.motion.time_s, shown, RULES, "a title")
-    assert figure.axes[0].get_title(loc="left") == f"{RULES['support'].title}: minimum {found.least['support'][0]:.3g} mm"
+    title = f"{RULES['support'].title}: minimum {found.least['support'][0]:.3g} mm"
+    assert figure.axes[0].get_title(loc="left") == title
     assert figure.axes[0].lines[2].get_ydata()[0] == support.min()
 
 
