@@ -1,7 +1,7 @@
-"""Draw pictures of a calibration board as a camera with known intrinsics takes them.
+"""Draw pictures of a calibration board as taken by a camera with known intrinsics.
 
-The outlines of everything dark are projected through `Camera.project` and filled on a finer grid, which is then
-averaged over each pixel: no picture is warped, so that nothing but the camera model decides where a corner is.
+The outlines of all dark areas are projected by `Camera.project`, filled on a finer grid, and averaged over each pixel.
+No picture is warped, so the positions of the corners depend on the camera model alone.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ BOARD_CAMERAS = {
     "radtan": Camera("cam", _NORMAL, np.array([-0.3, 0.1, 0.001, -0.0007, -0.01]), "radtan", SIZE_PX),
     "fisheye": Camera("cam", _WIDE, np.array([0.03, -0.01, 0.004, -0.001]), "fisheye", SIZE_PX),
 }
-"""A camera of each lens model that is calibrated from boards."""
+"""One camera for each lens model that can be calibrated from boards."""
 
 
 def draw_board(
@@ -45,19 +45,19 @@ def draw_board(
     Parameters
     ----------
     board
-        The board, as `recon.calibrate.parse_board` gives it.
+        The board, as returned by `recon.calibrate.parse_board`.
     camera
         A camera of any lens model.
     rotation, translation_m
         Pose of the board in the camera's frame, (3, 3) and (3,).
     oversample
-        Number of finer cells along each side of a pixel.
+        Number of cells of the finer grid along each side of a pixel.
     blur_px
         Standard deviation of a Gaussian blur.
     noise
         Standard deviation of white noise, in grey levels of 255.
     rng
-        Source of the noise.
+        Random generator of the noise.
 
     Returns
     -------
@@ -74,7 +74,7 @@ def draw_board(
         following = np.roll(quads, -1, axis=1)
         outlines = (quads[:, :, None] * (1 - share) + following[:, :, None] * share).reshape(len(quads), -1, 3)
         xy_px, valid = camera.project(outlines @ rotation.T + translation_m)
-        # Pixel centres lie at whole numbers in both grids.
+        # Pixel centres are at whole numbers in both grids.
         fine = ((xy_px + 0.5) * oversample - 0.5) * 2**FRACTION_BITS
         for outline in fine[np.asarray(valid.all(axis=1))]:
             if np.abs(outline).max() < 2**30:
@@ -90,7 +90,7 @@ def draw_board(
 def board_poses(
     board: Board, camera: Camera, count: int, rng: np.random.Generator, max_tilt_rad: float = 0.7, fill: float = 0.55
 ) -> list[tuple[Array, Array]]:
-    """Return poses of a board that is held by hand: tilted every way, over the whole picture.
+    """Return poses of a hand-held board, tilted in all directions, over the whole picture.
 
     Parameters
     ----------
@@ -99,11 +99,11 @@ def board_poses(
     count
         Number of poses.
     rng
-        Source of the poses.
+        Random generator of the poses.
     max_tilt_rad
-        Largest tilt towards the picture's plane.
+        Largest angle between the board and the picture's plane.
     fill
-        Share of the picture's height that a board in the middle fills.
+        Fraction of the picture's height that a board in the middle fills.
 
     Returns
     -------
@@ -122,7 +122,7 @@ def board_poses(
         distance = extent * camera.matrix[1, 1] / (size[1] * fill) * rng.uniform(0.7, 1.4)
         if not valid:
             continue
-        # At the edge of a wide picture a board is held towards the camera.
+        # At the edge of a wide picture, a board is turned towards the camera.
         facing, _ = Rotation.align_vectors([ray], [[0.0, 0.0, 1.0]])
         rotation = facing.as_matrix() @ rotation
         translation = ray * distance - rotation @ board.outline_m.mean(axis=0)
@@ -134,7 +134,7 @@ def board_poses(
 
 @cache
 def _dark_quads_m(board: Board) -> Array:
-    """Return everything dark on the board as quadrilaterals (Q, 4, 3)."""
+    """Return all dark areas of the board as quadrilaterals (Q, 4, 3)."""
     return _dark_squares_m(board) if board.marker_m is None else _dark_of_charuco_m(board)
 
 
@@ -144,7 +144,7 @@ def _dark_squares_m(board: Board) -> Array:
 
 
 def _dark_of_charuco_m(board: Board) -> Array:
-    """Return the squares without a marker, and the dark bits of the markers."""
+    """Return the squares without a marker and the dark bits of the markers."""
     assert board.marker_m is not None
     markers = np.asarray(board.charuco.getObjPoints(), dtype=float).reshape(-1, 4, 3)
     light = {tuple((m.mean(axis=0)[:2] / board.square_m).astype(int)) for m in markers}

@@ -1,7 +1,7 @@
-"""Read bone files as other programs do, to test what `recon convert` writes.
+"""Read bone files as other programs do, to test the output of `recon convert`.
 
-The readers share nothing with recon's writers: OpenSim's Python package and Blender's (`pip install opensim bpy`),
-bvhio, trimesh, and readers of the formats' descriptions with ElementTree, json and scipy.
+The readers share no code with recon's writers: they are OpenSim's and Blender's Python packages (`pip install opensim
+bpy`), bvhio, trimesh, and small readers written from the formats' descriptions with ElementTree, json and scipy.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def read_mot(path: Path) -> dict[str, list[float]]:
 
 
 def read_osim_as_xml(path: Path) -> Joints:
-    """Return the markers of a model in the motion next to it, by the XML alone."""
+    """Return the markers of a model in the motion file next to it, from the XML alone."""
     model = ElementTree.parse(path).getroot().find("Model")
     assert model is not None
     motion = read_mot(path.with_suffix(".mot"))
@@ -58,7 +58,7 @@ def read_osim_as_xml(path: Path) -> Joints:
                 values = np.array(motion[name])[:, None] * _numbers(axis, "axis")
                 if kind == "rotation":
                     turn = turn * Rotation.from_rotvec(values)
-                else:  # along the axes of the joint's frame, which for the only one that moves are the ground's
+                else:  # The only translating joint has its axes along the ground's.
                     position = position + values
         poses[joint.findtext("socket_child_frame") or ""] = turn, position
     joints = {}
@@ -73,7 +73,7 @@ def _numbers(element: ElementTree.Element, name: str) -> Array:
 
 
 def read_osim_with_opensim(path: Path) -> Joints:
-    """Return the markers of a model in the motion next to it, by OpenSim."""
+    """Return the markers of a model in the motion file next to it, computed by OpenSim."""
     import opensim  # pyright: ignore[reportMissingImports]
 
     opensim.Logger.setLevelString("error")
@@ -93,7 +93,7 @@ def read_osim_with_opensim(path: Path) -> Joints:
 
 
 def read_trc_with_opensim(path: Path) -> Joints:
-    """Return the markers of the .trc file next to a model, by OpenSim."""
+    """Return the markers of the .trc file next to a model, read by OpenSim."""
     import opensim  # pyright: ignore[reportMissingImports]
 
     table = opensim.TimeSeriesTableVec3(str(path.with_suffix(".trc")))
@@ -108,7 +108,7 @@ def read_trc_with_opensim(path: Path) -> Joints:
 
 
 def read_gltf_as_json(path: Path) -> Joints:
-    """Return the nodes of a skin, moved by the animation, by the JSON alone."""
+    """Return the nodes of a skin, moved by the animation, from the JSON alone."""
     content = path.read_bytes()
     magic, version, size, length, kind = struct.unpack_from("<4sIII4s", content)
     assert (magic, version, size, kind) == (b"glTF", 2, len(content), b"JSON")
@@ -147,7 +147,7 @@ def read_gltf_as_json(path: Path) -> Joints:
 
 
 def read_gltf_with_trimesh(path: Path) -> Joints:
-    """Return the nodes in the first frame, which is all that trimesh reads."""
+    """Return the nodes in the first frame, the only frame that trimesh reads."""
     import trimesh
 
     graph = trimesh.load_scene(path).graph
@@ -155,7 +155,7 @@ def read_gltf_with_trimesh(path: Path) -> Joints:
 
 
 def read_gltf_with_blender(path: Path) -> Joints:
-    """Return the heads of the bones, by Blender."""
+    """Return the heads of the bones, read by Blender."""
     return _read_with_blender(path, lambda blender: blender.ops.import_scene.gltf(filepath=str(path)), first_frame=0)
 
 
@@ -163,9 +163,9 @@ def read_gltf_with_blender(path: Path) -> Joints:
 
 
 def read_bvh_with_bvhio(path: Path) -> Joints:
-    """Return the joints, by bvhio."""
+    """Return the joints, read by bvhio."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # its dependencies' warnings
+        warnings.simplefilter("ignore")  # warnings of bvhio's dependencies
         import bvhio
 
         root, count = bvhio.readAsHierarchy(str(path)), bvhio.readAsBvh(str(path)).FrameCount
@@ -178,14 +178,14 @@ def read_bvh_with_bvhio(path: Path) -> Joints:
 
 
 def read_bvh_with_blender(path: Path) -> Joints:
-    """Return the heads of the bones, by Blender."""
+    """Return the heads of the bones, read by Blender."""
     return _read_with_blender(
         path, lambda blender: blender.ops.import_anim.bvh(filepath=str(path), frame_start=1), first_frame=1
     )
 
 
 def _read_with_blender(path: Path, read: Callable[..., object], first_frame: int) -> Joints:
-    """Return the heads of the bones. Blender has z up, and the file's times have to be those of the scene's rate."""
+    """Return the heads of the bones. Blender has z up, and samples a file at the frame rate of the scene."""
     import bpy  # pyright: ignore[reportMissingImports]
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -222,7 +222,7 @@ READERS: dict[str, tuple[tuple[str, Callable[[Path], Joints]], ...]] = {
 
 
 def largest_error_m(joints: Joints, names: tuple[str, ...], xyz_m: Array) -> float:
-    """Return the largest distance along an axis from joints (T, J, 3), z up, in the first frames that were read."""
+    """Return the largest distance along any axis from joints (T, J, 3), z up, in the first frames of a file."""
     expected = np.stack([xyz_m[..., 0], xyz_m[..., 2], -xyz_m[..., 1]], axis=2)
     positions = np.stack([joints[name] for name in names], axis=1)
     return float(np.abs(positions - expected[: len(positions)]).max())

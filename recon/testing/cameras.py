@@ -1,4 +1,4 @@
-"""Set up simulated cameras: aimed at a point, around an animal, or panning after it."""
+"""Set up simulated cameras: aimed at a point, around an animal, or following the animal."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from recon.testing.gallop import SyntheticClip
 
 SHAKE_DEG, SHAKE_S = 0.3, 0.033
-"""Standard deviation of a handheld camera's shake about each axis, and the time over which it is smooth."""
+"""Standard deviation of a handheld camera's shake about each axis, and the time over which the shake is smooth."""
 FOLLOW_S = 0.05
-"""Time over which the turn after an animal is smooth."""
+"""Time over which the rotation that follows an animal is smooth."""
 
 
 def level_rotation(centre_m: Array, target_m: Array) -> Array:
-    """Return R_camera_world (3, 3) of a camera at a point without roll that looks at a target; the world's z is up."""
+    """Return R_camera_world (3, 3) of a level camera at a point that looks at a target; the world's z is up."""
     ahead = (target_m - centre_m) / np.linalg.norm(target_m - centre_m)
     right = np.cross(ahead, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -34,28 +34,28 @@ def level_rotation(centre_m: Array, target_m: Array) -> Array:
 
 
 def aim_camera(lens: Camera, centre_m: Array, target_m: Array) -> Camera:
-    """Give a camera a pose.
+    """Return a camera with a pose that looks at a point.
 
     Parameters
     ----------
     lens
         A camera; its pose, if any, is replaced.
     centre_m
-        Its centre (3,) in a world with z up, metres.
+        Centre (3,) of the camera in a world with z up, metres.
     target_m
-        The point (3,) that it looks at, without roll.
+        Point (3,) that the camera looks at, without roll.
 
     Returns
     -------
     Camera
-        The same lens with this pose, in a world that it says to be z-up.
+        The same lens with this pose, in a world that is marked as z-up.
     """
     rotation = level_rotation(np.asarray(centre_m, dtype=float), np.asarray(target_m, dtype=float))
     return replace(lens, rotation=rotation, translation_m=-rotation @ centre_m, world_z_up=True)
 
 
 def camera_ring(count: int, length_m: float, random: np.random.Generator) -> list[Camera]:
-    """Set up cameras around an animal of a given length, five lengths off, that look at it; the world's z is up."""
+    """Set up cameras five lengths away around an animal of a given length; the world's z is up."""
     cameras = []
     for i in range(count):
         bearing = 2 * np.pi * (i + random.uniform(-0.2, 0.2)) / count
@@ -66,7 +66,7 @@ def camera_ring(count: int, length_m: float, random: np.random.Generator) -> lis
 
 
 def level_pose(centre_m: Sequence[float], heading_rad: float) -> Array:
-    """Return T_camera_world (4, 4) of a level camera at a point (3,) that looks along a heading about z, 0 along x."""
+    """Return T_camera_world (4, 4) of a level camera at a point (3,), looking along a heading about z (0: along x)."""
     right = np.array([np.sin(heading_rad), -np.cos(heading_rad), 0.0])
     ahead = np.array([np.cos(heading_rad), np.sin(heading_rad), 0.0])
     rotation = np.stack([right, [0.0, 0.0, -1.0], ahead])
@@ -74,7 +74,7 @@ def level_pose(centre_m: Sequence[float], heading_rad: float) -> Array:
 
 
 def make_view(camera: Camera, points_m: Array, T_camera_world: Array, sigma_px: float = 2.0, seed: int = 0) -> View:
-    """Return what a camera sees of points.
+    """Return a camera's detections of points.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def make_view(camera: Camera, points_m: Array, T_camera_world: Array, sigma_px: 
     points_m
         Points (T, K, 3) in the world, metres.
     T_camera_world
-        Pose (4, 4) of the camera, or (T, 4, 4) of one that moves.
+        Pose (4, 4) of the camera, or poses (T, 4, 4) of a moving camera.
     sigma_px
         Standard deviation of the detections' noise.
     seed
@@ -100,26 +100,26 @@ def make_view(camera: Camera, points_m: Array, T_camera_world: Array, sigma_px: 
 
 
 def turn_view(view: View, angle_deg: float, random: np.random.Generator) -> View:
-    """Turn the camera of a view about a random axis through its centre; its detections stay."""
+    """Turn the camera of a view about a random axis through its centre; the detections stay the same."""
     axis = random.normal(size=3)
     turn = Rotation.from_rotvec(np.radians(angle_deg) * axis / np.linalg.norm(axis)).as_matrix()
     return replace(view, T_camera_world=rigid(turn, np.zeros(3)) @ view.T_camera_world)
 
 
 def panning_camera(clip: SyntheticClip, seed: int = 0) -> Callable[[float], Camera]:
-    """Turn a clip's camera after the middle of the animal, with the shake of a hand.
+    """Turn a clip's camera to follow the middle of the animal, with the shake of a hand.
 
     Parameters
     ----------
     clip
-        A clip of a camera that stands still.
+        A clip of a still camera.
     seed
         Seed of the shake. The first frame has none.
 
     Returns
     -------
     Callable
-        The camera at a time in frames.
+        Function from a time in frames to the camera.
     """
     level, centre = clip.camera.rotation, clip.camera.centre_world
     assert level is not None

@@ -1,4 +1,4 @@
-"""Count how much of a known truth lies in the regions and intervals that a fit states."""
+"""Count how much of a known truth lies in the regions and intervals stated by a fit."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from recon.fit.posterior import DEGREES_OF_FREEDOM, radius, sigmas
 
 
 def cumulative(deviations: float) -> float:
-    """Return the share of one quantity's distribution below a number of standard deviations from its middle."""
+    """Return the fraction of a Student's t distribution below a number of standard deviations from its mean."""
     nu = DEGREES_OF_FREEDOM
     return float(stdtr(nu, deviations * np.sqrt(nu / (nu - 2))))
 
 
 def coverage(error: Array, covariance: Array, level: float) -> float:
-    """Return the share of errors inside the regions that should contain the share `level`.
+    """Return the fraction of errors inside the regions that should contain the fraction `level`.
 
     Parameters
     ----------
     error
         Estimate minus truth, (..., k).
     covariance
-        As the fit states it, (..., k, k). Errors or covariances that are NaN do not count.
+        Covariance stated by the fit, (..., k, k). NaN errors or covariances do not count.
     level
-        Share that the regions should contain, as in 0.9.
+        Fraction that the regions should contain, as in 0.9.
 
     Returns
     -------
     float
-        The share, about `level` if the stated uncertainty is right; NaN without any error.
+        The fraction, about `level` if the stated uncertainty is right; NaN without errors.
     """
     deviations = sigmas(error, covariance)
     is_known = np.isfinite(deviations)
@@ -40,6 +40,6 @@ def coverage(error: Array, covariance: Array, level: float) -> float:
 
 
 def coordinate_coverage(error: Array, covariance: Array, level: float) -> float:
-    """Return the share of single coordinates of errors (..., k) inside their intervals that should contain `level`."""
+    """Return the fraction of coordinates of errors (..., k) inside intervals that should contain `level`."""
     sigma = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
     return float(np.mean(np.abs(error) < radius(level) * sigma))

@@ -1,8 +1,8 @@
-"""Write the sample of a whole cheetah in the files of other programs' detectors, with their keypoint names.
+"""Write the sample of a whole cheetah in the file formats and keypoint names of other programs' detectors.
 
-Each file has the names and the layout that the detector's program writes: DeepLabCut 3 (`video_inference_superanimal`,
-FMPose3D's 2D, a project of one animal), the annotations of AP-10K, and what MMPose's demo saves of a video. Keypoints
-that the sample lacks lie in the middle of the others, so that a wrong assignment shows.
+Each file has the names and the layout of the detector's program: DeepLabCut 3 (`video_inference_superanimal`, the 2D
+file of FMPose3D, a project of one animal), AP-10K annotations, and MMPose's demo for a video. Keypoints that the sample
+lacks are in the middle of the others, so that a wrong assignment is visible.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from recon.clip import Keypoints
 
 
 def split_names(*lines: str) -> tuple[str, ...]:
-    """Return names that are separated by commas."""
+    """Return the names in a comma-separated text."""
     return tuple(word.strip() for line in lines for word in line.split(","))
 
 
@@ -54,7 +54,7 @@ HORSE_10 = split_names(
     "Girth,Wither,Nearhindhock,Nearhindfetlock,Nearhindfoot,Hip,Stifle,Offhindhock,Offhindfetlock,Offhindfoot,Ischium",
 )
 UNSEEN = 10
-"""Frame in which no detector sees the animal."""
+"""Frame in which no detector detects the animal."""
 
 
 def detect(sample: Keypoints, names: Sequence[str], bundled: str | None) -> Array:
@@ -67,7 +67,7 @@ def detect(sample: Keypoints, names: Sequence[str], bundled: str | None) -> Arra
     names
         Names of the K keypoints of the detector.
     bundled
-        Bundled map of these names to the sample's; None if they are the same.
+        Bundled map from these names to the sample's; None if the names are the same.
 
     Returns
     -------
@@ -87,7 +87,7 @@ def detect(sample: Keypoints, names: Sequence[str], bundled: str | None) -> Arra
 
 
 def write_deeplabcut(path: Path, names: Sequence[str], values: Array, scorer: str, padding: float) -> None:
-    """Write a table of three animals as DeepLabCut 3 does; the first is the sample's, the others are `padding`."""
+    """Write a table of three animals as DeepLabCut 3 does: first the sample's, then two filled with `padding`."""
     import pandas as pd
 
     levels = [[scorer], ["animal0", "animal1", "animal2"], list(names), ["x", "y", "likelihood"]]
@@ -102,14 +102,14 @@ def write_deeplabcut(path: Path, names: Sequence[str], values: Array, scorer: st
 
 
 def write_superanimal(path: Path, sample: Keypoints) -> None:
-    """Write the file of DeepLabCut 3's SuperAnimal-Quadruped."""
+    """Write a file of DeepLabCut 3's SuperAnimal-Quadruped."""
     values = detect(sample, SUPERANIMAL, "superanimal-quadruped")
     scorer = "superanimal_quadruped_hrnet_w32_fasterrcnn_resnet50_fpn_v2"
     write_deeplabcut(path, SUPERANIMAL, values, scorer, padding=-1.0)
 
 
 def write_fmpose3d(path: Path, sample: Keypoints) -> None:
-    """Write the 2D file of FMPose3D."""
+    """Write a 2D file of FMPose3D."""
     write_deeplabcut(path, ANIMAL3D, detect(sample, ANIMAL3D, "animal3d"), "DLC_fmpose3d_animals", padding=0.0)
 
 
@@ -125,7 +125,7 @@ def write_acinoset(path: Path, sample: Keypoints) -> None:
 
 
 def write_ap_10k(path: Path, sample: Keypoints) -> None:
-    """Write AP-10K annotations of a video's frames: every species has the same keypoints."""
+    """Write AP-10K annotations of a video's frames; all species have the same keypoints."""
     values = detect(sample, AP_10K, "ap-10k")
     species = [{"id": i, "name": name, "supercategory": "Felidae", "keypoints": AP_10K, "skeleton": [[1, 2], [1, 3]]}
                for i, name in enumerate(("cheetah", "lion"), start=19)]  # fmt: skip
@@ -143,7 +143,7 @@ def write_ap_10k(path: Path, sample: Keypoints) -> None:
 
 
 def write_mmpose(path: Path, sample: Keypoints) -> None:
-    """Write what `topdown_demo_with_mmdet.py --save-predictions` saves of a video."""
+    """Write a file as `topdown_demo_with_mmdet.py --save-predictions` does for a video."""
     values = detect(sample, MMPOSE_AP_10K, "ap-10k")
     values = np.where(np.isnan(values), 0.0, values)
     meta = {"dataset_name": "ap10k", "num_keypoints": 17, "keypoint_id2name": dict(enumerate(MMPOSE_AP_10K))}
@@ -174,4 +174,4 @@ FILES: dict[str, tuple[str | None, Callable[[Path, Keypoints], None]]] = {
     "mmpose.json": ("ap-10k", write_mmpose),
     "acinoset.csv": (None, write_acinoset),
 }
-"""Each file's bundled map of names and its writer, by the file's name."""
+"""Bundled map of names and writer of each file, by file name."""

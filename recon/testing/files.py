@@ -1,4 +1,4 @@
-"""Write keypoint, label, truth and camera files of simulated clips, as other programs write theirs."""
+"""Write keypoint, label, truth and camera files of simulated clips in the formats of other programs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SCORER = "recon_synthetic"
 
 
 def write_keypoints(keypoints: Keypoints, path: Path, decimals: int, scorer: str = SCORER) -> None:
-    """Write DeepLabCut's CSV layout; a missing point has empty coordinates and likelihood 0."""
+    """Write keypoints in DeepLabCut's CSV layout; a missing point has empty coordinates and likelihood 0."""
     rows = [
         ["scorer"] + [scorer] * 3 * len(keypoints.names),
         ["bodyparts"] + [name for name in keypoints.names for _ in range(3)],
@@ -34,7 +34,7 @@ def write_keypoints(keypoints: Keypoints, path: Path, decimals: int, scorer: str
 
 
 def write_labels(keypoints: Keypoints, frames: Integers, path: Path, scorer: str = SCORER) -> None:
-    """Write DeepLabCut's label file of some frames: rows named by image, empty cells where a point is missing."""
+    """Write DeepLabCut's label file of some frames: rows named by image, empty cells for missing points."""
     rows = [
         ["scorer"] + [scorer] * 2 * len(keypoints.names),
         ["bodyparts"] + [name for name in keypoints.names for _ in range(2)],
@@ -47,7 +47,7 @@ def write_labels(keypoints: Keypoints, frames: Integers, path: Path, scorer: str
 
 
 def write_truth(clip: SyntheticClip, path: Path, decimals: int = 6) -> None:
-    """Write a clip's joint positions in the world, metres."""
+    """Write the joint positions of a clip in the world, metres."""
     rows = [
         ["bodyparts"] + [name for name in clip.names for _ in range(3)],
         ["coords"] + ["x", "y", "z"] * len(clip.names),
@@ -58,7 +58,7 @@ def write_truth(clip: SyntheticClip, path: Path, decimals: int = 6) -> None:
 
 
 def write_outliers(keypoints: Keypoints, outliers: Bools, path: Path) -> None:
-    """Write which detections are gross outliers (T, K), by frame and keypoint."""
+    """Write which detections (T, K) are gross outliers, by frame and keypoint."""
     rows = [[str(keypoints.frames[t]), keypoints.names[k]] for t, k in np.argwhere(outliers)]
     _write(path, [["frame", "keypoint"], *rows])
 
@@ -93,7 +93,7 @@ def track_rows(frames: Integers, poses: Array) -> list[list[float]]:
 
 
 def write_track(path: Path, frames: Integers, poses: Array, intrinsics_px: Array | None = None) -> Path:
-    """Write the CSV table of a moving camera, with fx, fy, cx, cy (N, 4) of each frame if they are given."""
+    """Write the CSV table of a moving camera, with fx, fy, cx, cy (N, 4) of each frame if given."""
     rows, header = track_rows(frames, poses), TRACK_HEADER
     if intrinsics_px is not None:
         header = f"{header},fx,fy,cx,cy"
@@ -104,7 +104,7 @@ def write_track(path: Path, frames: Integers, poses: Array, intrinsics_px: Array
 
 
 def write_damaged_video(path: Path) -> Path:
-    """Write a video of 40 frames of which a tenth of the bytes are 0."""
+    """Write a video of 40 frames in which a tenth of the bytes are 0."""
     writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (64, 48))
     noise = np.random.default_rng(0)
     for _ in range(40):

@@ -1,6 +1,6 @@
 """Draw a film of a simulated cheetah, for tests that need a video with a known truth.
 
-Shaded limbs with a spotted coat, a textured ground with the animal's shadow, motion blur and sensor noise.
+The film has shaded limbs with a spotted coat, a textured ground with the animal's shadow, motion blur and sensor noise.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from recon.testing.gallop import SyntheticClip, project_clip, whole_gallop
 
 Colour = tuple[float, float, float]
 
-# Markers at both ends of a part of `cheetah-24`, its radii there and how far it hangs below the markers, metres.
+# Markers at both ends of each part of `cheetah-24`, the part's radii there, and how far it hangs below the markers, m.
 _LEG = (("knee", 0.075, 0.05), ("ankle", 0.045, 0.028), ("paw", 0.028, 0.03))
 PARTS: tuple[tuple[str, str, float, float, float], ...] = (
     ("tail_base", "tail1", 0.035, 0.03, 0.0),
@@ -36,17 +36,17 @@ PARTS: tuple[tuple[str, str, float, float, float], ...] = (
 )
 COAT, SPOT, BELLY = (70.0, 130.0, 185.0), (30.0, 50.0, 75.0), (140.0, 180.0, 210.0)
 SKY, HAZE, SAND, SHRUB = (205.0, 165.0, 120.0), (215.0, 205.0, 195.0), (105.0, 150.0, 180.0), (50.0, 90.0, 85.0)
-"""Blue, green, red."""
+"""Colours: blue, green, red."""
 EXPOSURE, EXPOSURES = 0.4, 5
-"""Share of the time between two frames in which a picture is taken, and in how many moments it is drawn."""
+"""Exposure as a fraction of the time between two frames, and number of moments drawn during the exposure."""
 NOISE = 2.5
-"""Grey levels, standard deviation."""
+"""Standard deviation of the sensor noise, grey levels."""
 LIGHT = np.array([-0.35, 0.25, 0.9])
-"""Towards the sun, in the world."""
+"""Direction towards the sun, in the world."""
 _SHIFT = 4
 
 FPS, FRAMES, LABELLED = 120, 90, 40
-"""Frame rate and length of the film, and how many of its frames have labels."""
+"""Frame rate of the film, number of frames, and number of frames with labels."""
 SIZE_PX = (640, 360)
 FOCAL_PX, DISTANCE_M, HEIGHT_M = 640.0, 11.5, 1.7
 """Camera of the film: focal length, distance from the animal's path, and height above the ground."""
@@ -64,16 +64,16 @@ def render_frames(
     names
         Names of the J markers of `cheetah-24`.
     camera_at
-        The camera at a time in frames. A camera that stands still is always the same object.
+        Function from a time in frames to the camera. A still camera is always the same object.
     ground_m
         Height of the ground, metres.
     seed
-        Seed of the ground and the coat: the same world for any camera.
+        Seed of the ground and the coat, which are the same for any camera.
 
     Yields
     ------
     Image
-        One picture a frame, exposed evenly around its moment.
+        One picture per frame, exposed symmetrically about the frame's time.
     """
     rng = np.random.default_rng(seed)
     drawn_camera = camera_at(0)
@@ -91,7 +91,7 @@ def render_frames(
 
 
 def _parts() -> list[tuple[str, str, float, float, float]]:
-    """Return all parts of the body, with those of the legs."""
+    """Return all parts of the body, including those of the legs."""
     parts = list(PARTS)
     for side in "lr":
         for leg, root in (("front", "shoulder"), ("back", "hip")):
@@ -110,7 +110,7 @@ def _between(points_m: Array, t: float) -> Array:
 
 
 def draw_scene(camera: Camera, ground_m: float, rng: np.random.Generator) -> Array:
-    """Draw the sky, shrubs on the horizon, and sand whose grain gets finer with distance: (height, width, 3)."""
+    """Draw a picture (height, width, 3) of the sky, shrubs on the horizon, and sand that gets finer with distance."""
     width, height = camera.image_size_px
     x, y = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
     rays, _ = camera.rays(np.stack([x, y], axis=-1).reshape(-1, 2))
@@ -141,7 +141,7 @@ def draw_scene(camera: Camera, ground_m: float, rng: np.random.Generator) -> Arr
 
 
 def _noise(rng: np.random.Generator, points: NDArray[np.float32], cell: float) -> Array:
-    """Return smooth noise of mean 0 and standard deviation of about 1 at points (h, w, 2), in grains of size `cell`."""
+    """Return smooth noise, of mean 0 and standard deviation about 1, at points (h, w, 2), in grains of size `cell`."""
     table = np.pad(rng.standard_normal((256, 256)).astype(np.float32), (0, 1), mode="wrap")
     index = np.mod(points / cell, 256).astype(np.float32)
     return np.asarray(cv2.remap(table, index[..., 0], index[..., 1], cv2.INTER_LINEAR), float) * 1.5
@@ -171,7 +171,7 @@ def _draw_animal(
     canvas = np.clip(picture, 0, 255).astype(np.uint8)
     nearest = min(depth for depth, _, _ in parts)
     for depth, ends, part in sorted(parts, key=lambda p: -p[0]):
-        shade = 1.0 - 0.45 * min(1.0, (depth - nearest) / 0.35)  # the far legs stand in the body's shade
+        shade = 1.0 - 0.45 * min(1.0, (depth - nearest) / 0.35)  # the far legs are in the shade of the body
         _draw_part(canvas, ends, part, camera, shade, spots[part[:2]])
     return canvas.astype(float)
 
@@ -179,7 +179,7 @@ def _draw_animal(
 def _draw_part(
     canvas: Image, ends: Array, part: tuple[str, str, float, float, float], camera: Camera, light: float, spots: Array
 ) -> None:
-    """Draw a part that is lit from above, from the dark outline to a bright line near the top, then its spots."""
+    """Draw a body part lit from above, from the dark outline to a bright line near the top, then its spots."""
     at_camera = camera.world_to_camera(ends)
     xy, _ = camera.project(at_camera)
     focal = camera.matrix[0, 0]
@@ -207,7 +207,7 @@ def _draw_part(
 def _draw_shadow(
     scene: Array, parts: list[tuple[Array, tuple[str, str, float, float, float]]], camera: Camera, ground_m: float
 ) -> Array:
-    # Seen at a grazing angle, a shadow is flat: it is drawn upright on a taller canvas, which is then pressed down.
+    # Seen at a grazing angle, a shadow is flat. It is drawn upright on a taller canvas, which is then compressed.
     steep = abs(camera.centre_world[2] - ground_m) / float(np.mean([camera.world_to_camera(e)[:, 2] for e, _ in parts]))
     tall = np.zeros((round(scene.shape[0] / steep) + 1, scene.shape[1]), np.uint8)
     for ends, part in parts:
@@ -244,21 +244,21 @@ def _disc(canvas: Image, centre: Array, radius: float, colour: Array) -> None:
 
 @dataclass(frozen=True)
 class PanningFilm:
-    """A clip of a camera that turns after the animal."""
+    """Hold a clip of a camera that turns to follow the animal."""
 
     clip: SyntheticClip
-    """The camera without a pose, its keypoints, and the truth in the world of the camera's track.
+    """Camera without a pose, its keypoints, and the truth in the world of the camera's track.
 
-    In that world z is up, the camera is in the origin and looks along y in the first frame, `tilt_deg` down.
+    In that world z is up. The camera is at the origin and looks along y, `tilt_deg` downwards, in the first frame.
     """
     rotations: Array
     """R_camera_world (T, 3, 3)."""
     tilt_deg: float
-    """How far the camera looks down in the first frame, degrees."""
+    """Angle by which the camera looks down in the first frame, degrees."""
 
 
 def film_clip() -> tuple[SyntheticClip, float]:
-    """Return the clip of a film of a gallop by a camera that stands still, and the height of the ground in metres."""
+    """Return the clip of a film of a gallop by a still camera, and the height of the ground in metres."""
     clip, _ = whole_gallop(FPS, FRAMES)
     paws = [i for i, name in enumerate(clip.names) if name.endswith("paw")]
     ground_m = float(np.quantile(clip.truth_m[:, paws, 2], 0.02)) - 0.03
@@ -274,12 +274,12 @@ def film_clip() -> tuple[SyntheticClip, float]:
 
 
 def labelled_frames() -> Integers:
-    """Return the frames of the film that have labels, spread evenly."""
+    """Return the numbers of the film's labelled frames, spread evenly."""
     return np.linspace(0, FRAMES - 1, LABELLED).round().astype(int)
 
 
 def write_film(folder: Path, clip: SyntheticClip, pictures: Iterable[Image]) -> None:
-    """Write a film with its camera, labels and truth into an existing folder, as rendered.mp4 and rendered_*."""
+    """Write a film, as rendered.mp4, with its camera, labels and truth, as rendered_*, into an existing folder."""
     with video_writer(folder / "rendered.mp4", SIZE_PX, FPS) as write:
         for picture in pictures:
             write(picture)
@@ -290,14 +290,14 @@ def write_film(folder: Path, clip: SyntheticClip, pictures: Iterable[Image]) -> 
 
 
 def panning_film(clip: SyntheticClip, camera_at: Callable[[float], Camera]) -> PanningFilm:
-    """Let a camera that turns film a clip.
+    """Return the clip as filmed by a camera that turns.
 
     Parameters
     ----------
     clip
-        The clip of a camera that stands still.
+        The clip of a still camera.
     camera_at
-        The camera at a time in frames, as `recon.testing.cameras.panning_camera` gives it.
+        Function from a time in frames to the camera, as returned by `recon.testing.cameras.panning_camera`.
 
     Returns
     -------
@@ -317,7 +317,7 @@ def panning_film(clip: SyntheticClip, camera_at: Callable[[float], Camera]) -> P
 
 
 def _project_moving(clip: SyntheticClip, camera_at: Callable[[float], Camera]) -> SyntheticClip:
-    """Return the clip with the detections of the camera of each frame."""
+    """Return the clip with detections by each frame's camera."""
     keypoints = clip.keypoints
     xy_px = np.empty(keypoints.xy_px.shape)
     for t, points_m in enumerate(clip.truth_m):

@@ -1,13 +1,14 @@
 """Simulate a cheetah that accelerates in a gallop, seen by one camera, with its truth.
 
-The motion is a formula. Speed and stride frequency rise towards a limit; the links' inclinations to the ground are
-short Fourier series of the stride's phase whose swing grows slowly with speed. The coefficients come from an
-optimisation: feet nearly still and on the ground in stance, clear of it in swing, angles and rates within the ranges of
-the skeleton `cheetah-8u`, and means and spreads of the angles near those of galloping cheetahs in AcinoSet (Joska et
-al. 2021). The transverse angles, the trunk's yaw and roll and its sway to the side are slow waves drawn from a seed.
+The motion is given by formulas. Speed and stride frequency rise towards a limit. The links' inclinations to the ground
+are short Fourier series of the stride's phase, whose amplitude grows slowly with speed. The coefficients come from an
+optimisation with these aims: the feet are nearly still and on the ground in stance, and clear of the ground in swing;
+angles and rates are within the ranges of the skeleton `cheetah-8u`; means and spreads of the angles are near those of
+galloping cheetahs in AcinoSet (Joska et al. 2021). The transverse angles, the trunk's yaw and roll and its sideways
+sway are slow waves drawn from a seed.
 
-World: right-handed, z up, metres; the ground passes through the origin in the middle of the first second's path; the
-camera stands on the side of negative y. Near means the side of the animal that faces the camera.
+World: right-handed, z up, metres. The ground passes through the origin in the middle of the first second's path. The
+camera is on the side of negative y. "Near" means the side of the animal that faces the camera.
 """
 
 from __future__ import annotations
@@ -38,23 +39,25 @@ KEYPOINT_NAMES = (
 )
 IMAGE_SIZE_PX = (1920, 1080)
 MARGIN_PX = 20.0
-"""All joints of the first second keep at least this distance from the picture's edges."""
+"""Smallest distance of all joints from the picture's edges in the first second."""
 
 START_SPEED_M_S, TOP_SPEED_M_S = 9.5, 20.0
 START_STRIDES_HZ, TOP_STRIDES_HZ = 3.2, 3.5
 RISE_S = 0.85
-"""Time in which speed and stride frequency come nearer to their limits by a factor e."""
+"""Time in which the distance of speed and stride frequency from their limits falls by a factor e."""
 START_PHASE = 0.40
-"""The clip begins shortly before the near forefoot's mid-stance; hind stance begins at phase 0, fore stance at 0.42."""
+"""Phase of the first frame, shortly before the near forefoot's mid-stance; hind stance begins at 0, fore stance at
+0.42.
+"""
 SLOPE = 0.03
-"""The ground rises by this in the direction of travel."""
+"""Slope of the ground, which rises in the direction of travel."""
 WIDTH_M = 0.18
 """Lateral distance between the near and the far legs."""
 
 _HIND_LAG, _FORE_LAG = 0.08, 0.11
-"""By how much of a stride the far leg follows the near one."""
+"""Delay of the far leg behind the near leg, as a fraction of the stride."""
 _SWING_SPEED_M_S, _SWING_POWER = 14.0, 0.26
-"""Speed at which the series below hold, and how their swing about the mean grows with it."""
+"""Speed at which the series below hold, and exponent of speed by which their amplitude grows."""
 # Inclination of each link to the ground (rad; 0 forwards, pi/2 down), and the root's height (m), over the stride's
 # phase: mean, then cosine and sine of each harmonic. tail_base -> spine -> neck_base are T5 and T1.
 _SERIES: dict[str, tuple[float, ...]] = {
@@ -72,19 +75,19 @@ _SERIES: dict[str, tuple[float, ...]] = {
 
 @dataclass(frozen=True, eq=False)
 class SyntheticClip:
-    """A simulated clip and its truth; T frames, K keypoints (15 of the chain `cheetah-8u`, 24 of `cheetah-24`)."""
+    """Hold a simulated clip and its truth: T frames, K keypoints (15 for `cheetah-8u`, 24 for `cheetah-24`)."""
 
     keypoints: Keypoints
-    """Exact detections, missing where they fall outside the picture."""
+    """Exact detections, missing if outside the picture."""
     camera: Camera
     truth_m: Array
-    """(T, K, 3), world, metres."""
+    """(T, K, 3): true positions in the world, metres."""
     names: tuple[str, ...]
-    """The K keypoints."""
+    """(K,): names of the keypoints."""
     state: Array
-    """(T, D), states of `cheetah-8u` for the near side's legs, in the camera frame."""
+    """(T, D): states of `cheetah-8u` for the near side's legs, in the camera frame."""
     side: Side
-    """The animal's near side."""
+    """Side of the animal that faces the camera."""
 
 
 def gallop(
@@ -97,7 +100,8 @@ def gallop(
 ) -> SyntheticClip:
     """Simulate a cheetah that covers about 13 m and three strides in the first second, and then reaches 20 m/s.
 
-    The camera is still and holds the first second in the picture. Points that leave the picture later are missing.
+    The camera is still, and the animal is in the picture for the first second. Points that leave the picture later are
+    missing.
 
     Parameters
     ----------
@@ -125,7 +129,7 @@ def gallop(
         If the heading is more than 1.2 rad from the picture's plane.
     """
     if abs(heading_rad) > 1.2:
-        raise ValueError(f"the heading must lie within 1.2 rad of the picture's plane, got {heading_rad}")
+        raise ValueError(f"the heading must be within 1.2 rad of the picture's plane, got {heading_rad}")
     chain = load_chain("cheetah-8u")
     side: Side = "right" if direction == "right" else "left"
     rng = np.random.default_rng(seed)
@@ -168,7 +172,7 @@ def gallop(
 
 @dataclass(frozen=True, eq=False)
 class _Waves:
-    """Slow waves about small means, each array (W,)."""
+    """Hold slow waves about small means, each array (W,)."""
 
     mean: Array
     amplitude: Array
@@ -177,7 +181,7 @@ class _Waves:
 
     @classmethod
     def draw(cls, rng: np.random.Generator, count: int) -> _Waves:
-        """Draw waves with standard deviations of 0.05 to 0.13 and means within 0.04."""
+        """Draw waves with standard deviations from 0.05 to 0.13 and means within 0.04."""
         return cls(
             mean=rng.uniform(-0.04, 0.04, count),
             amplitude=math.sqrt(2) * rng.uniform(0.05, 0.13, count),
@@ -186,18 +190,18 @@ class _Waves:
         )
 
     def __call__(self, t: Array) -> Array:
-        """(T,) seconds -> (T, W)."""
+        """Return the waves (T, W) at times (T,), seconds."""
         return self.mean + self.amplitude * np.sin(2 * np.pi * t[:, None] * self.frequency_hz + self.phase_rad)
 
 
 def _rising(t: Array, start: float, top: float) -> tuple[Array, Array]:
-    """Return a quantity that rises from start towards top, and its integral over time, each (T,)."""
+    """Return a quantity (T,) that rises from start towards top, and its integral (T,) over time."""
     gap = (top - start) * np.exp(-t / RISE_S)
     return top - gap, top * t - RISE_S * (top - start - gap)
 
 
 def _series(name: str, phase: Array, swing: Array) -> Array:
-    """Return one of `_SERIES` (T,) with its excursions about the mean scaled by `swing`."""
+    """Return one of `_SERIES` (T,), with its deviations from the mean scaled by `swing`."""
     mean, *terms = _SERIES[name]
     angle = 2 * np.pi * phase
     return mean + swing * sum(
@@ -207,7 +211,7 @@ def _series(name: str, phase: Array, swing: Array) -> Array:
 
 
 def _thetas(chain: UnknownsChain, phase: Array, swing: Array, hind_lag: float, fore_lag: float) -> Array:
-    """Return the sagittal angles (T, A) of the links to their parents."""
+    """Return the sagittal angles (T, A) of the links relative to their parents."""
     trunk = {name: _series(name, phase, swing) for name in ("T5", "T1")}
     hind = {name: _series(name, phase - hind_lag, swing) for name in ("T6", "T7", "T8")}
     fore = {name: _series(name, phase - fore_lag, swing) for name in ("T2", "T3", "T4")}
@@ -220,10 +224,10 @@ def _thetas(chain: UnknownsChain, phase: Array, swing: Array, hind_lag: float, f
 def _run(
     chain: UnknownsChain, t: Array, heading_rad: float, direction: Direction, waves: list[_Waves]
 ) -> tuple[Array, Array, Array, Array]:
-    """Return the animal at times t (T,), seconds.
+    """Return the animal's states, orientation and joints at times t (T,), seconds.
 
-    These are states (T, D) without position and orientation, R_world_local (T, 3, 3), and the joints (T, J, 3) in the
-    world with the near and with the far legs.
+    The states (T, D) are without position and orientation, which are R_world_local (T, 3, 3). The joints (T, J, 3) are
+    in the world, once with the near legs and once with the far legs.
     """
     speed, distance = _rising(t, START_SPEED_M_S, TOP_SPEED_M_S)
     _, strides = _rising(t, START_STRIDES_HZ, TOP_STRIDES_HZ)
@@ -266,7 +270,7 @@ def _run(
 
 
 def _place_camera(model: CameraModel, points_m: Array) -> Camera:
-    """Move the camera back from its least distance until world points (N, 3) lie within the picture's margin."""
+    """Move the camera back from its smallest distance until world points (N, 3) are inside the picture's margin."""
     width, height = IMAGE_SIZE_PX
     if model == "pinhole":
         bare, distance_m = Camera.from_hfov(60.0, IMAGE_SIZE_PX, name="synthetic pinhole"), 14.0
@@ -283,11 +287,11 @@ def _place_camera(model: CameraModel, points_m: Array) -> Camera:
         if valid.all() and inside.all():
             return camera
         distance_m += 0.25
-    raise ValueError("no position of the camera holds the animal in the picture")
+    raise ValueError("no camera position has the whole animal in the picture")
 
 
 def _look(camera: Camera, centre_m: Array, target_m: Array, roll_rad: float) -> Camera:
-    """Set the camera's centre in the world (3,), its axis towards a target (3,), and its roll about that axis."""
+    """Return the camera with a centre in the world (3,), an axis towards a target (3,), and a roll about that axis."""
     forward = (target_m - centre_m) / np.linalg.norm(target_m - centre_m)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
@@ -299,7 +303,7 @@ def _look(camera: Camera, centre_m: Array, target_m: Array, roll_rad: float) -> 
 def add_noise(
     keypoints: Keypoints, sigma_px: float = 2.0, dropout: float = 0.05, outlier: float = 0.02, seed: int = 0
 ) -> tuple[Keypoints, Bools]:
-    """Give detections the noise, gaps and gross outliers of a keypoint network.
+    """Add the noise, gaps and gross outliers of a keypoint network to detections.
 
     Parameters
     ----------
@@ -308,18 +312,18 @@ def add_noise(
     sigma_px
         Standard deviation of the Gaussian noise of each coordinate.
     dropout
-        Share of points that go missing, to a whole point.
+        Fraction of points that go missing, rounded to a whole number of points.
     outlier
-        Share of points that land 40 to 300 px away in any direction, within the picture if its size is known; to a
-        whole point.
+        Fraction of points, rounded likewise, that land 40 to 300 px away in a random direction, within the picture if
+        its size is known.
     seed
-        Seed of everything random.
+        Random seed.
 
     Returns
     -------
     tuple
-        The detections, and which of them are gross outliers (T, K). Good points have likelihoods of 0.9 to 1, outliers
-        of 0.6 to 0.98, missing points 0.
+        The detections, and which of them are gross outliers (T, K). Likelihoods are 0.9 to 1 for good points, 0.6 to
+        0.98 for outliers, and 0 for missing points.
     """
     rng = np.random.default_rng(seed)
     shape = keypoints.confidence.shape
@@ -349,7 +353,7 @@ def add_noise(
 
 
 def project_clip(camera: Camera, clip: SyntheticClip) -> Keypoints:
-    """Return exact detections of a clip's truth by a camera; points outside the picture are missing."""
+    """Return a camera's exact detections of a clip's truth; points outside the picture are missing."""
     xy_px, valid = camera.project(camera.world_to_camera(clip.truth_m))
     visible = valid & camera.in_image(xy_px)
     return Keypoints(
@@ -367,7 +371,7 @@ def whole_gallop(
 ) -> tuple[SyntheticClip, SyntheticClip]:
     """Simulate the skeleton `cheetah-24` in the gallop of `gallop`.
 
-    The poses are those nearest to the gallop's trunk and legs; the head stays level and the tail swings.
+    The poses are closest to the gallop's trunk and legs; the head stays level and the tail swings.
 
     Parameters
     ----------
@@ -379,7 +383,7 @@ def whole_gallop(
     Returns
     -------
     tuple
-        The clip with the markers as its truth, and the same with the points that the detector detects.
+        The clip with the markers as its truth, and the same clip with the points that the detector detects.
     """
     clip = gallop(fps=fps, n_frames=n_frames)
     body = load_skeleton("cheetah-24")

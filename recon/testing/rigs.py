@@ -1,4 +1,4 @@
-"""Simulate an animal of any skeleton before a ring of cameras: views for a solver, or the files of a clip."""
+"""Simulate an animal of any skeleton inside a ring of cameras: views for a solver, or the files of a clip."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FPS, FRAMES = 60.0, 72
 BIAS = 0.5
 """Standard deviation of the keypoints' bias along each axis, relative to the skeleton's keypoint_sigma_m."""
 SIGMA_PX, MISSING = 2.0, 0.05
-"""Noise of detections, and the share of them that is missing."""
+"""Standard deviation of detections, and fraction of detections that are missing."""
 
 
 def body_length_m(body: Body) -> float:
@@ -37,21 +37,22 @@ def _expected_points(body: Body) -> Array:
 
 
 def random_motion(body: Body, random: np.random.Generator, frames: int = FRAMES, fps: float = FPS) -> Array:
-    """Draw a motion: every angle swings about its expected value, and the animal goes along a bent path.
+    """Draw a motion in which every angle swings about its expected value and the animal follows a bent path.
 
     Parameters
     ----------
     body
         The animal.
     random
-        Source of the frequencies, phases and heading.
+        Random generator of the frequencies, phases and heading.
     frames, fps
-        Number of frames T, and their rate in Hz.
+        Number of frames T, and frame rate in Hz.
 
     Returns
     -------
     Array
-        States (T, D). The lowest point is about the ground z = 0; the speed is two thirds of a body length a second.
+        States (T, D). The lowest point is close to the ground z = 0; the speed is two thirds of a body length per
+        second.
     """
     time_s, n, length_m = np.arange(frames) / fps, body.n_state - 4, body_length_m(body)
     swing = np.sin(2 * np.pi * random.uniform(0.5, 2.0, n) * time_s[:, None] + random.uniform(0, 2 * np.pi, n))
@@ -66,16 +67,16 @@ def random_motion(body: Body, random: np.random.Generator, frames: int = FRAMES,
 
 
 def random_clip(body: Body, length_sigma: float, cameras: int, seed: int) -> tuple[list[View], Array]:
-    """Simulate an individual before a ring of cameras.
+    """Simulate an individual inside a ring of cameras.
 
     Parameters
     ----------
     body
         The skeleton that a fit will assume.
     length_sigma
-        Standard deviation of the individual's lengths about the skeleton's, as a share; left and right are equal.
+        Relative standard deviation of the individual's lengths from the skeleton's; left and right are equal.
     cameras
-        Number of cameras, five body lengths off.
+        Number of cameras, five body lengths away.
     seed
         Seed of the lengths, the keypoints' bias, the motion, the cameras and the noise.
 
@@ -114,7 +115,7 @@ def write_rig_clip(
     Parameters
     ----------
     folder
-        Existing folder; it gets cam1.csv, cam2.csv, ... and rig.toml.
+        Existing folder, to which cam1.csv, cam2.csv, ... and rig.toml are written.
     skeleton
         Name of the skeleton.
     states
@@ -128,7 +129,8 @@ def write_rig_clip(
     target_height_m
         Height of the point that the cameras look at.
     sigma_px
-        Noise of the detections. One in twenty has a low likelihood, and keypoints have a bias (`BIAS`).
+        Standard deviation of the detections. One detection in twenty has a low likelihood, and keypoints have a bias
+        (`BIAS`).
 
     Returns
     -------

@@ -1,8 +1,8 @@
-"""Simulate a gallop and a trot that the feet's vertical forces carry: masses, poses and forces are known exactly.
+"""Simulate a gallop and a trot whose vertical forces carry the animal: masses, poses and forces are known exactly.
 
-Each foot stands for a share of the stride with a force of a given shape. The centre of mass moves up and down as these
-forces and gravity say, and forwards at a constant speed. The paws stand still on level ground, and swing in between.
-The trunk is where the skeleton's segments have their centre of mass at the right point.
+Each foot stands for a fraction of the stride with a force of a given shape. The centre of mass moves up and down by
+these forces and gravity, and forwards at a constant speed. The paws stand still on level ground, and swing in between.
+The trunk is placed such that the centre of mass of the skeleton's segments is at the right point.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ from recon.gait.kinematics import at_frames
 from recon.geometry.kinematics import PITCH, ROOT
 
 FINE = 4096
-"""Instants of a stride at which the forces are integrated."""
+"""Number of instants per stride at which the forces are integrated."""
 LEGS = {"H": ("hind_thigh", "hind_shin", "hind_foot"), "F": ("fore_upper", "fore_lower", "fore_foot")}
 CENTRE_M, PAW_M, LIFT_M = 0.46, 0.02, 0.1
-"""Mean height of the centre of mass, height of a standing paw's marker, and how much higher it swings."""
+"""Mean height of the centre of mass, height of a standing paw's marker, and height by which a paw is lifted."""
 
 
 @dataclass(frozen=True)
 class SteadyGait:
-    """A steady gait on level ground."""
+    """Describe a steady gait on level ground."""
 
     speed_m_s: float
     stride_s: float
     duty_factor: float
     landings: Mapping[str, float]
-    """Phase of the touch-down by foot (LH, RH, LF, RF), as a share of the stride."""
+    """Phase of the touch-down of each foot (LH, RH, LF, RF), as a fraction of the stride."""
     fore: float
-    """Share of the impulse that the fore feet carry."""
+    """Fraction of the impulse from the fore feet."""
     skew: float
-    """Exponent of time in the force of a stance: 1 is half a sine, lower values rise faster than they fall."""
+    """Exponent of time in the force of a stance: 1 gives half a sine, lower values rise faster than they fall."""
     lift_off_speed: float = 0.22
-    """Speed of a paw at lift-off, relative to its speed in the middle of the swing."""
+    """Speed of a paw at lift-off as a fraction of its speed in the middle of the swing."""
     touch_down_speed: float = 0.12
-    """Speed of a paw at touch-down, relative to its speed in the middle of the swing."""
+    """Speed of a paw at touch-down as a fraction of its speed in the middle of the swing."""
 
     def force_bw(self, foot: str, time_s: Array) -> Array:
         """Return the vertical force of a foot at times (T,), in body weights."""
@@ -56,9 +56,9 @@ class SteadyGait:
         return np.where(progress < 1, peak * np.sin(np.pi * np.minimum(progress, 1.0) ** self.skew), 0.0)
 
     def height_m(self, time_s: Array, rate: int = 0) -> Array:
-        """Return the height of the centre of mass above its mean, or with rate=1 its velocity.
+        """Return the height of the centre of mass above its mean at times (T,), or its velocity with rate=1.
 
-        The height follows from integrating the forces twice over a stride.
+        The height comes from integrating the forces twice over a stride.
         """
         grid_s = np.arange(FINE) / FINE * self.stride_s
         upward_m_s2 = G_M_S2 * (np.sum([self.force_bw(foot, grid_s) for foot in self.landings], axis=0) - 1)
@@ -69,11 +69,11 @@ class SteadyGait:
         return CubicSpline(np.append(grid_s, self.stride_s), closed, bc_type="periodic")(time_s % self.stride_s, rate)
 
     def paw_m(self, foot: str, time_s: Array) -> Array:
-        """Return a paw's marker (T, 2): position along the path, but for a constant, and height, metres."""
+        """Return a paw's marker (T, 2): position along the path, up to a constant, and height, metres."""
         strides = time_s / self.stride_s - self.landings[foot]
         swing = np.maximum(strides % 1.0 - self.duty_factor, 0.0) / (1 - self.duty_factor)
         middle = (self.lift_off_speed + self.touch_down_speed) / 2
-        # The integral of a speed that is that of lift-off at first, that of touch-down at last, and 1 in the middle.
+        # Integral of a speed that begins as at lift-off, ends as at touch-down, and is 1 in the middle.
         progress = self.lift_off_speed * swing + (self.touch_down_speed - self.lift_off_speed) * swing**2 / 2
         progress = progress + (1 - middle) / np.pi * (1 - np.cos(np.pi * swing))
         progress = progress / (middle + 2 * (1 - middle) / np.pi)
@@ -82,9 +82,9 @@ class SteadyGait:
         return np.stack([ahead_m, PAW_M + LIFT_M * np.sin(np.pi * swing) ** 2], axis=1)
 
     def states(self, body: Body, time_s: Array) -> Array:
-        """Return states (T, D) of `cheetah-24` that runs along x with a straight back.
+        """Return states (T, D) of a `cheetah-24` that runs along x with a straight back.
 
-        The trunk is moved until the centre of mass is at its point exactly, and the legs with it.
+        The trunk, and the legs with it, is moved until the centre of mass is exactly at its point.
         """
         segments = {segment.name: segment for segment in body.tree.segments}
         column = {name: i for i, name in enumerate(body.state_names)}
@@ -118,7 +118,7 @@ TROT = SteadyGait(3.0, 0.45, 0.42, {"LH": 0.0, "RF": 0.0, "RH": 0.5, "LF": 0.5},
 
 
 def centre_m(body: Body, states: Array) -> Array:
-    """Return the centre of mass (T, 3) of the segments' masses, in the middles of their capsules."""
+    """Return the centre of mass (T, 3) from the segments' masses, each in the middle of its capsule."""
     share = np.array([body.mass[segment.name][0] for segment in body.tree.segments])
     middles = middles_m(body.tree, capsules(body.tree, body.markers))
     positions_m = body.tree.origins(states) + np.einsum("tsij,sj->tsi", body.tree.orientations(states), middles)
@@ -131,9 +131,9 @@ def with_exact_states(motion: Motion, states: Array, fps: float) -> Motion:
     Parameters
     ----------
     motion
-        A motion of T frames, whose body and cameras stay.
+        A motion of T frames, whose body and cameras are kept.
     states
-        The new states (T, D), which count as known to a tenth of a millimetre.
+        The new states (T, D), with a stated uncertainty of a tenth of a millimetre.
     fps
         The new frame rate, Hz.
 
@@ -162,29 +162,29 @@ def with_exact_states(motion: Motion, states: Array, fps: float) -> Motion:
 
 @dataclass(frozen=True)
 class ForceErrors:
-    """Errors of an analysis of a steady gait."""
+    """Hold the errors of an analysis of a steady gait."""
 
     centre_m: float
-    """Largest error of the centre of mass at a frame, metres."""
+    """Largest error of the centre of mass in a frame, metres."""
     kinetic_j_kg: float
-    """Largest error of its kinetic energy, forwards or up, without two frames at either end."""
+    """Largest error of the centre of mass's kinetic energy, forwards or up, without two frames at either end, J/kg."""
     rms_bw: float
-    """RMS error of single feet's forces, in stances that are complete in the clip, body weights."""
+    """RMS error of single feet's forces in stances that are complete in the clip, body weights."""
     timed_rms_bw: float
-    """RMS error with the true times of touch-down and lift-off, body weights."""
+    """The same RMS error, with the true times of touch-down and lift-off, body weights."""
     inside: float
-    """Share of the forces in their 90 % intervals."""
+    """Fraction of the forces within their 90 % intervals."""
 
 
 def compare_forces(run: SteadyGait, analysis: ClipAnalysis) -> ForceErrors:
-    """Compare an analysis with the gait that the animal really had.
+    """Compare an analysis with the gait that was simulated.
 
     Parameters
     ----------
     run
         The simulated gait.
     analysis
-        Of a motion with the gait's states; it has forces and a gait.
+        Analysis of a motion with the gait's states, which has forces and a gait.
 
     Returns
     -------

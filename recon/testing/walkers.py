@@ -1,4 +1,4 @@
-"""Simulate a person who walks and a mouse that runs about: states of `human-25` and `mouse-top`."""
+"""Simulate a walking person and a running mouse: states of `human-25` and `mouse-top`."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from recon.animal.skeleton_file import load_skeleton
 from recon.base.arrays import Array
 
 STANCE_SHARE = 0.62
-"""Share of the stride in which a foot stands."""
+"""Fraction of the stride in which a foot stands."""
 ROOT_HEIGHT_M, ANKLE_HEIGHT_M = 0.8, 0.055
 
 
 def walking_person(frames: int, fps: float, speed_m_s: float = 1.0, strides_hz: float = 0.9) -> Array:
-    """Return states (T, D) of `human-25` that walks along x on the ground z = 0.
+    """Return states (T, D) of a `human-25` that walks along x on the ground z = 0.
 
-    The knees are a little bent. A foot stands flat for `STANCE_SHARE` of the stride, and the leg's two links follow it.
+    The knees are slightly bent. A foot stands flat for `STANCE_SHARE` of the stride, and the two links of the leg
+    follow it.
     """
     body = load_skeleton("human-25")
     column, time_s = {name: i for i, name in enumerate(body.state_names)}, np.arange(frames) / fps
@@ -47,7 +48,7 @@ def walking_person(frames: int, fps: float, speed_m_s: float = 1.0, strides_hz: 
 
 
 def running_mouse(frames: int, fps: float) -> Array:
-    """Return states (T, D) of `mouse-top` on a bent path through an open field, its back 25 mm above the ground."""
+    """Return states (T, D) of a `mouse-top` on a bent path through an open field, its back 25 mm above the ground."""
     body = load_skeleton("mouse-top")
     time_s, rng = np.arange(frames) / fps, np.random.default_rng(3)
     states = np.zeros((frames, body.n_state))

@@ -329,7 +329,7 @@ NETWORK, LABELS = ["--model", "{model}"], ["--labels", "{clip}/labels.csv"]
         ([*PREDICT[:2], *NETWORK, "--out", "p.txt"], ("--out", "file", "'p.txt'", "ends in .csv or .h5")),
         ([*PREDICT, *NETWORK, "--device", "tpu"], ("--device", "device", "'tpu'", "one of: auto")),
         ([*TRAIN, *LABELS, "--steps", "0"], ("--steps", "steps", "'0'", "1 or more")),
-        ([*TRAIN, *LABELS, "--first-frame", "9"], ("clip.avi", "frames", f"{FRAMES} decodable frames", "--first-frame")),
+        ([*TRAIN, *LABELS, "--first-frame", "9"], ("clip.avi", "frames", f"{FRAMES} decodable", "--first-frame")),
         ([*TRAIN, "--labels", "{clip}/no.csv"], ("no.csv", "file", "no such file")),
     ],
 )

@@ -169,7 +169,7 @@ def test_the_command_writes_both_with_the_verdict(whole_results, written, tmp_pa
             assert json.loads(str(file["source"]))["verdict"]["level"] in ("use", "check")
     refused(
         ["retarget", whole_results, "--robot", "go2", "--format", "amp", "--rate", "0.5", "--out", tmp_path / "go2"],
-        ("--rate", "frames a second", 0.5, ["2.9", "two frames"]),
+        ("--rate", "frames per second", 0.5, ["2.9", "two frames"]),
     )
 
 
@@ -190,7 +190,7 @@ def test_a_robots_folder_is_converted_at_any_rate(whole_results, written, tmp_pa
     refused(["convert", robot, out, "--to", "trc"], ("--to", "format", "'trc'", ["amp", "mjlab-csv"]))
     refused(["convert", robot, tmp_path / "motion.bvh"], (tmp_path / "motion.bvh", "extension", "'.bvh'", ".json"))
     slow = tmp_path / "slow.json"  # enough for the clip, too few for the stride: neither is written
-    refused(["convert", robot, slow, "--fps", "1.2"], ("--fps", "frames a second", "1.2", "two frames"))
+    refused(["convert", robot, slow, "--fps", "1.2"], ("--fps", "frames per second", "1.2", "two frames"))
     assert not slow.exists()
     later, expected = tmp_path / "x.json", ("--to", "format", "'amp'", "recon retarget")
     refused(["convert", whole_results, later, "--to", "amp"], expected)
@@ -203,7 +203,7 @@ def test_a_robots_folder_is_converted_at_any_rate(whole_results, written, tmp_pa
 
 
 def test_a_robot_for_which_a_layout_has_no_room(solved, tmp_path):
-    with refusal(("--rate", "frames a second", 0.1, ["2.6", "two frames"])):
+    with refusal(("--rate", "frames per second", 0.1, ["2.6", "two frames"])):
         RobotSamples(solved.stride, 0.1)
 
 
