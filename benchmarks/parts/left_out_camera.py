@@ -11,9 +11,14 @@ The methods: the fit; robust triangulation (`recon triangulate`); the same with 
 camera: the fit only.
 
 The clips: the real runs (a folder as in `cheetah_runs.py`, without it the cheetah-runs of $RECON_SHARED_DATA), with
-keypoints on the markers ("none") and where the shipped detector has them, which was measured on these runs; a simulated
-mouse, rat-sized mouse and person whose lengths are 10 % off the skeleton's, whose keypoints lie off the markers all the
-time, and 2 px of noise (`recon.testing.rigs`). One thread.
+keypoints on the markers ("none"), where they are in the other runs ("others"), or where the shipped detector has them
+("acinoset", which was measured on these runs); a recorded rat in made-up cameras, whose skeleton is drafted from an
+earlier part of the recording; and a simulated mouse, person and dog whose lengths are 10 % off the skeleton's
+(`recon.testing.rigs`). The keypoints of the rat and the simulated animals lie off the markers all the time, and have
+2 px of noise. One thread.
+
+The first table has a row for each clip, the second one for each kind of animal. "Worst": of all clips of that kind, the
+largest median of the fit relative to the best of the other methods.
 """
 
 from __future__ import annotations
@@ -22,38 +27,48 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import argparse
+import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from arguments import parser_of
-from cameras import run_of
-from markdown_table import print_header, print_row
+import pandas as pd
+from arguments import parser_of, runs_of
+from cameras import as_seen, run_of
+from markdown_table import print_header, print_row, print_table
+from recordings import recordings
 from trajectory import PRIOR, SKELETON, prior_of
 
 from recon import Body, load_skeleton
 from recon.animal.prior import MotionPrior, prior_from_body
 from recon.animal.skeleton_file import with_detector_offsets
-from recon.clip import View
+from recon.api.skeleton_draft import drafted
+from recon.clip import View, still_view
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.posterior import radius
 from recon.fit.prediction import predicted_keypoints
 from recon.fit.trajectory import solve_trajectory
 from recon.fit.triangulation import Triangulation, smoothed, triangulate_views
-from recon.testing.rigs import FPS, random_clip
+from recon.geometry.camera import Camera
+from recon.testing.cameras import camera_ring
+from recon.testing.rigs import FPS, MISSING, SIGMA_PX, random_clip
 
 METHODS = "fit", "triangulated", "with splines", "aniposelib"
-OUTLIER_PX = 200.0
-"""Detections this far from everything are the detector's errors, and count in no share."""
+RAT_FPS, RAT_DRAFT, RAT_CLIP = 50.0, slice(0, 500), slice(700, 800)
+"""Frame rate of the recorded rat, the frames that draft its skeleton, and those of the clip."""
+RAT_LENGTH_M, RAT_BIAS_M = 0.2, 0.005
+"""Length of the rat, and how far its keypoints lie from the recorded points along each axis, one standard deviation."""
 
 
 @dataclass(frozen=True, eq=False)
 class Clip:
     """A clip to leave cameras out of."""
 
+    kind: str
     name: str
     views: list[View]
     body: Body
@@ -105,7 +120,7 @@ def aniposelib_prediction(views: Sequence[View], out: View) -> Prediction | None
         points.append(focal_px * plane)
     group = CameraGroup(cameras)
     try:
-        points_m = group.triangulate_optim(np.array(points), init_progress=False, init_ransac=len(views) > 2)
+        points_m = group.triangulate_optim(np.array(points), init_progress=False)
     except Exception as error:  # of scipy, where too few points are seen
         print(f"aniposelib: {error}")
         return None
@@ -142,85 +157,168 @@ def choices(clip: Clip, out: int, cameras: str) -> list[int]:
     return list(min(combinations(others, 2), key=lambda pair: abs(float(unit[pair[0]] @ unit[pair[1]]))))
 
 
-def scored(clip: Clip, cameras: str, outs: Sequence[int], anipose: bool) -> dict[str, object]:
-    errors: dict[str, list[np.ndarray]] = {}
-    inside: dict[str, list[np.ndarray]] = {}
-    seconds = 0.0
+@dataclass(eq=False)
+class Score:
+    """Errors of all methods in cameras that were left out."""
+
+    errors_px: dict[str, list[np.ndarray]] = field(default_factory=dict)
+    """Errors (n,) of each method, over the points that all methods give."""
+    is_inside: dict[str, list[np.ndarray]] = field(default_factory=dict)
+    """Whether these detections are inside the regions of 90 %."""
+    seconds: list[float] = field(default_factory=list)
+    """Durations of the fits."""
+
+    def median_px(self, method: str) -> float:
+        """Return the median error of a method, NaN if it was not run."""
+        return float(np.median(np.concatenate(self.errors_px[method]))) if method in self.errors_px else np.nan
+
+    def inside(self, method: str) -> float:
+        """Return the share of detections in the regions of a method."""
+        return float(np.mean(np.concatenate(self.is_inside[method]))) if method in self.is_inside else np.nan
+
+    @property
+    def ratio(self) -> float:
+        """Return the fit's median error relative to that of the best other method, NaN without any."""
+        others = [self.median_px(method) for method in METHODS[1:] if method in self.errors_px]
+        return self.median_px("fit") / min(others) if others else np.nan
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """Return the cells of a row: see `COLUMNS`."""
+        medians = [number_text(self.median_px(method)) for method in METHODS]
+        shares = [number_text(100 * self.inside(method), 0) for method in (METHODS[0], METHODS[2])]
+        return (*medians, number_text(self.ratio), *shares)
+
+
+COLUMNS = (*(f"{method}, px" for method in METHODS), "fit / best other", "fit inside 90 %", "splines inside 90 %")
+
+
+def number_text(value: float, digits: int = 2) -> str:
+    """Return a number as text, empty if unknown."""
+    return f"{value:.{digits}f}" if np.isfinite(value) else ""
+
+
+def scored(clip: Clip, cameras: str, outs: Sequence[int], anipose: bool) -> Score:
+    """Leave some cameras of a clip out, one at a time."""
+    score = Score()
     for out in outs:
         view = clip.views[out].mask_outside_image()
-        made, took = predictions(clip, choices(clip, out, cameras), out, anipose)
-        seconds += took
-        off = {name: p.xy_px - view.xy_px for name, p in made.items()}
+        made, seconds = predictions(clip, choices(clip, out, cameras), out, anipose)
+        score.seconds.append(seconds)
+        off = {name: prediction.xy_px - view.xy_px for name, prediction in made.items()}
         common = np.all([np.isfinite(e[..., 0]) for e in off.values()], axis=0)
         for name, e in off.items():
-            errors.setdefault(name, []).append(np.linalg.norm(e, axis=-1)[common])
+            score.errors_px.setdefault(name, []).append(np.linalg.norm(e, axis=-1)[common])
             covariance = made[name].covariance_px2
             if covariance is not None:
                 square = np.einsum("na,nab,nb->n", e[common], np.linalg.inv(covariance[common]), e[common])
-                inside.setdefault(name, []).append(square < radius(0.9, 2) ** 2)
-    row: dict[str, object] = {"clip": clip.name, "cameras": cameras}
-    for name in METHODS:
-        row[f"{name}, px"] = np.median(np.concatenate(errors[name])) if name in errors else ""
-    rivals = [float(row[f"{name}, px"]) for name in METHODS[1:] if name in errors]  # type: ignore[arg-type]
-    row["fit / best other"] = float(row["fit, px"]) / min(rivals) if rivals else ""  # type: ignore[arg-type]
-    for name in METHODS[:3:2]:
-        row[f"{name} inside 90 %"] = f"{100 * np.mean(np.concatenate(inside[name])):.0f}" if name in inside else ""
-    row["fit, s"] = seconds / len(outs)
-    return row
+                score.is_inside.setdefault(name, []).append(square < radius(0.9, 2) ** 2)
+    return score
+
+
+def together(scores: Iterable[Score]) -> Score:
+    """Return all scores as one."""
+    total = Score()
+    for score in scores:
+        for mine, parts in ((total.errors_px, score.errors_px), (total.is_inside, score.is_inside)):
+            for name, arrays in parts.items():
+                mine.setdefault(name, []).extend(arrays)
+        total.seconds += score.seconds
+    return total
 
 
 def real_clips(folder: Path, detectors: Sequence[str], quick: bool) -> Iterator[Clip]:
-    body = load_skeleton(SKELETON)
-    for path in sorted(folder.resolve().glob("*/meta.json")):
-        run = run_of(path.parent)
+    """Yield the real runs, with each detector."""
+    body, runs = load_skeleton(SKELETON), [run_of(path) for path in runs_of(folder.resolve())]
+    for run in runs:
         for detector in detectors:
-            seen = with_detector_offsets(body, detector)
-            yield Clip(
-                f"{path.parent.name}, {detector}", list(run.views.values()), seen, prior_of(PRIOR), run.fps, quick
-            )
+            seen = as_seen(body, run, runs, posed=True) if detector == "others" else None
+            seen = seen or with_detector_offsets(body, detector)
+            kind = f"cheetah, detector {detector}"
+            yield Clip(kind, run.folder.name, list(run.views.values()), seen, prior_of(PRIOR), run.fps, quick)
 
 
 def simulated_clips(quick: bool) -> Iterator[Clip]:
+    """Yield simulated animals that differ from their skeletons."""
     for name, skeleton in (("mouse", "mouse-top"), ("person", "human-25"), ("dog", "dog-27")):
         body = load_skeleton(skeleton)
         for seed in range(1 if quick else 2):
             views, _ = random_clip(body, 0.1, 4, seed)
-            yield Clip(f"{name} {seed + 1}", views, body, prior_from_body(body), FPS, quick)
+            yield Clip(f"simulated {name}", f"{name} {seed + 1}", views, body, prior_from_body(body), FPS, quick)
+
+
+def rat_clips(quick: bool) -> Iterator[Clip]:
+    """Yield the recorded rat before made-up cameras."""
+    table = pd.read_csv(recordings("rat-poses") / "rat23.csv", index_col="frame")
+    names = [column.removesuffix("_x") for column in table.columns[::3]]
+    points_m = table.to_numpy().reshape(len(table), -1, 3) / 1000
+    for seed in range(1 if quick else 2):
+        random = np.random.default_rng(seed)
+        detected_m = points_m + in_trunk(points_m, names, random.normal(0, RAT_BIAS_M, (len(names), 3)))
+        middle = np.mean(points_m[RAT_CLIP], axis=(0, 1)) * (1, 1, 0)
+        cameras = camera_ring(4, RAT_LENGTH_M, random)
+        frames, past = (
+            [seen_by(camera, detected_m[part] - middle, random) for camera in cameras] for part in (RAT_CLIP, RAT_DRAFT)
+        )
+        drafted_m = triangulate_views(past).points_m
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "rat.toml"
+            path.write_text(drafted(names, drafted_m, RAT_FPS, "rat", Path("rat.csv"))[1], encoding="utf-8")
+            body = load_skeleton(path)
+        order = [names.index(marker) for marker in body.markers]
+        views = [replace(v, xy_px=v.xy_px[:, order], confidence=v.confidence[:, order]) for v in frames]
+        yield Clip("recorded rat", f"rat {seed + 1}", views, body, prior_from_body(body), RAT_FPS, quick)
+
+
+def in_trunk(points_m: np.ndarray, names: Sequence[str], offsets_m: np.ndarray) -> np.ndarray:
+    """Turn offsets (J, 3) with the heading of the trunk, (T, J, 3)."""
+    ahead = points_m[:, names.index("SpineF")] - points_m[:, names.index("SpineL")]
+    c, s = (ahead[:, :2] / np.linalg.norm(ahead[:, :2], axis=1, keepdims=True)).T[..., None]
+    x, y, z = np.broadcast_to(offsets_m, points_m.shape).transpose(2, 0, 1)
+    return np.stack([c * x - s * y, s * x + c * y, z], axis=2)
+
+
+def seen_by(camera: Camera, points_m: np.ndarray, random: np.random.Generator) -> View:
+    """Return detections of points with noise and gaps, as those of simulated animals."""
+    xy_px, valid = camera.project(camera.world_to_camera(points_m))
+    xy_px = xy_px + random.normal(0, SIGMA_PX, xy_px.shape)
+    present = valid & (random.uniform(size=valid.shape) > MISSING)
+    return still_view(camera, np.where(present[..., None], xy_px, np.nan), present.astype(float))
+
+
+def clips_of(options: argparse.Namespace) -> Iterator[Clip]:
+    """Yield the clips that the command line asks for."""
+    if "runs" in options.only:
+        yield from real_clips(options.folder, options.detectors, options.quick)
+    if "simulated" in options.only:
+        yield from simulated_clips(options.quick)
+    if "rat" in options.only and recordings("rat-poses").is_dir():
+        yield from rat_clips(options.quick)
 
 
 def main() -> None:
-    parser = parser_of(__doc__, "--quick", kind="cheetah-runs", only=("runs", "simulated"))
+    """Print a table of clips, and one of the kinds of animals."""
+    parser = parser_of(__doc__, "--quick", kind="cheetah-runs", only=("runs", "simulated", "rat"))
     parser.add_argument("--cameras", nargs="+", default=["all", "two", "one"])
-    parser.add_argument("--detectors", nargs="+", default=["none", "acinoset"])
-    parser.add_argument("--runs", nargs="+", type=int, help="numbers of the runs, from 0")
-    parser.add_argument("--frames", type=int, help="only so many frames, the middle ones")
+    parser.add_argument("--detectors", nargs="+", default=["none", "others"], help="none, others or acinoset")
     parser.add_argument("--outs", type=int, help="only so many cameras are left out")
     parser.add_argument("--no-anipose", action="store_true")
-    given = parser.parse_args()
-    clips: list[Clip] = []
-    if "runs" in given.only:
-        every = list(real_clips(given.folder, given.detectors, given.quick))
-        count = len(given.detectors)
-        clips += [c for i, c in enumerate(every) if given.runs is None or i // count in given.runs]
-    if "simulated" in given.only:
-        clips += list(simulated_clips(given.quick))
-    header_printed = False
-    ratios: dict[str, list[float]] = {}
-    for clip in clips:
-        if given.frames and given.frames < len(clip.views[0].xy_px):
-            first = (len(clip.views[0].xy_px) - given.frames) // 2
-            clip = replace(clip, views=[view.part(slice(first, first + given.frames)) for view in clip.views])
-        outs = [o for o, v in enumerate(clip.views) if v.present.sum() > 100][: given.outs]
-        for cameras in given.cameras:
-            row = scored(clip, cameras, outs, not given.no_anipose)
-            if not header_printed:
-                print_header(tuple(row))
-                header_printed = True
-            print_row(tuple(f"{v:.2f}" if isinstance(v, float) else v for v in row.values()))
-            if row["fit / best other"] != "":
-                ratios.setdefault(cameras, []).append(float(row["fit / best other"]))  # type: ignore[arg-type]
-    for cameras, values in ratios.items():
-        print(f"\nCameras {cameras}: fit / best other, mean {np.mean(values):.3f}, worst {np.max(values):.3f}")
+    options = parser.parse_args()
+    scores: dict[tuple[str, str], list[Score]] = {}
+    print_header(("clip", "cameras", *COLUMNS, "fit, s"))
+    for clip in clips_of(options):
+        outs = [out for out, view in enumerate(clip.views) if view.present.sum() > 100][: options.outs]
+        for cameras in options.cameras:
+            score = scored(clip, cameras, outs, not options.no_anipose)
+            scores.setdefault((clip.kind, cameras), []).append(score)
+            name = clip.name if clip.name.startswith(clip.kind) else f"{clip.kind}: {clip.name}"
+            print_row((name, cameras, *score.cells, f"{np.mean(score.seconds):.1f}"))
+    rows = [
+        (kind, cameras, *together(parts).cells, number_text(max(part.ratio for part in parts)))
+        for (kind, cameras), parts in scores.items()
+    ]
+    print()
+    print_table(("animal", "cameras", *COLUMNS, "worst"), rows)
 
 
 if __name__ == "__main__":

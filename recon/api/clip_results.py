@@ -38,7 +38,7 @@ from recon.fit.motion_forms import MOTION
 from recon.fit.result import TrajectorySolution
 from recon.show.plain import write_report
 from recon.show.report import build_report
-from recon.show.tables import CLIP_OUTPUTS, REPROJECTION, camera_files, of_any_camera, write_tables
+from recon.show.tables import CLIP_OUTPUTS, REPROJECTION, SHAPE, camera_files, of_any_camera, write_tables
 
 T = TypeVar("T")
 FIT = "fit"
@@ -61,7 +61,8 @@ def output_files(settings: FitSettings, out: Path) -> list[str]:
         with suppress(InputError):  # the fit raises this error too
             tables = camera_files([camera.name for camera, _ in read_clip_cameras(settings)])
     refined = [REFINED_CAMERAS] if settings.seeks_cameras else []
-    return [*(name for name in OUTPUT_FILES if name != REPROJECTION), *tables, *refined]
+    shape = [SHAPE] if len(settings.keypoints) > 1 and not settings.lengths_known else []
+    return [*(name for name in OUTPUT_FILES if name != REPROJECTION), *tables, *refined, *shape]
 
 
 def output_of(settings: FitSettings, out: Path, overwrite: bool) -> Output:

@@ -82,7 +82,10 @@ class Posterior:
     size_precision: float
     """Precision of the size due to the pixels; 0 if they do not determine it."""
     shared_sigma: dict[str, Array]
-    """Standard deviations (P,) of the shared unknowns that were solved for, by name."""
+    """Standard deviations (P,) of the shared unknowns that were solved for, and of lengths and offsets, by name.
+
+    Those of lengths include the size's.
+    """
 
     @property
     def angle_data_share(self) -> Array:
@@ -258,7 +261,7 @@ def posterior(problem: LeastSquares, body: Body, estimate: Estimate, variance_fa
         state_by_size=state_by_size,
         joint_by_size_m=by_size,
         size_precision=solution.size_known / variance_factor,
-        shared_sigma=_shared_sigma(problem, solution, variance_factor),
+        shared_sigma=_shared_sigma(problem, solution, body.subject is not None, variance_factor),
     )
 
 
@@ -324,11 +327,31 @@ def _without_pixels(problem: LeastSquares, body: Body, estimate: Estimate) -> tu
     return _data_share(*variances), angle_variance
 
 
-def _shared_sigma(problem: LeastSquares, solution: _Curvature, variance_factor: float) -> dict[str, Array]:
-    """Return the standard deviations (P,) of the shared unknowns that were solved for, by name."""
-    sigma = np.sqrt(variance_factor * np.diagonal(np.linalg.inv(solution.shared_precision)))
-    columns = replace(problem, shared=[*problem.shared, *problem.nuisance]).columns
-    return {unknown.name: sigma[columns[unknown.name]] for unknown in problem.shared}
+def _shared_sigma(
+    problem: LeastSquares, solution: _Curvature, is_measured: bool, variance_factor: float
+) -> dict[str, Array]:
+    """Return the standard deviations (P,) of the shared unknowns: see `Posterior.shared_sigma`.
+
+    is_measured: whether the animal's lengths were measured; otherwise they are stated as if nothing was known of them,
+    as an individual's may differ from the skeleton's more than those of the fit do.
+    """
+    unknowns = {unknown.name: unknown for unknown in (*problem.shared, *problem.nuisance)}
+    columns, precision = replace(problem, shared=[*unknowns.values()]).columns, solution.shared_precision
+    sigma = np.sqrt(variance_factor * np.diagonal(np.linalg.inv(precision)))
+    solved = [unknown.name for unknown in problem.shared]
+    sigmas = {name: sigma[columns[name]] for name in (*solved, *(unknowns.keys() & {LENGTHS, COMMON_KEYPOINT_BIAS}))}
+    if LENGTHS not in sigmas:
+        return sigmas
+    lengths, precision = columns[LENGTHS], precision.copy()
+    if not is_measured:
+        wide = np.maximum(unknowns[LENGTHS].sigma, constants.LENGTH_SIGMA / np.sqrt(variance_factor))
+        precision[lengths, lengths] += np.diag(wide**-2.0 - unknowns[LENGTHS].sigma ** -2.0)
+    covariance = variance_factor * np.linalg.inv(precision)
+    variance = np.diagonal(covariance)[lengths].copy()
+    if SIZE in columns:  # the logarithms of a length and of the size add up
+        size = columns[SIZE].start
+        variance += 2.0 * covariance[lengths, size] + covariance[size, size]
+    return sigmas | {LENGTHS: np.sqrt(np.maximum(variance, 0.0))}
 
 
 def with_size(covariance_m2: Array, by_size_m: Array, size: float, size_sigma: float) -> Array:

@@ -173,6 +173,26 @@ class MotionSegment(Brief):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class SolvedShape(Brief):
+    """Hold the lengths and the keypoint offsets that a fit of several cameras estimated."""
+
+    names: tuple[str, ...]
+    """Segments and markers whose distance from their origin was estimated (L); right sides equal the left ones."""
+    lengths_m: Array
+    """(L,): their lengths, size included."""
+    lengths_sigma_m: Array
+    """(L,): standard deviations."""
+    expected_lengths_m: Array
+    """(L,): lengths of the skeleton or subject."""
+    offsets_m: Array
+    """(J, 3): keypoints minus markers, in the frames of the markers' segments, size included."""
+    offsets_sigma_m: Array
+    """(J, 3): standard deviations."""
+    expected_offsets_m: Array
+    """(J, 3): offsets of the detector; 0 if it was not measured."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Solution(Brief):
     """Hold an animal's motion over T frames, as every method returns it.
 
@@ -299,6 +319,8 @@ class TrajectorySolution(Solution):
     sideslip_rad: float
     """Constant angle, to the left, between the trunk and the direction of travel; 0 if not estimated."""
     sideslip_sigma_rad: float
+    shape: SolvedShape | None = None
+    """Lengths and keypoint offsets; None if they were not estimated."""
 
     method: ClassVar = "trajectory"
     record_tag: ClassVar = "trajectory"

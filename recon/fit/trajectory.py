@@ -43,7 +43,7 @@ from recon.fit.body_shape import FreeShape
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
 from recon.fit.least_squares import Estimate, LeastSquares, SharedUnknown
 from recon.fit.posterior import Posterior, PriorMisfit, posterior, prior_misfit_of, with_noise_about_bias, with_size
-from recon.fit.result import SHAPES, Ground, MotionSegment, SecondCamera, TrajectorySolution
+from recon.fit.result import SHAPES, Ground, MotionSegment, SecondCamera, SolvedShape, TrajectorySolution
 from recon.fit.starts import approach, interpolate_states
 from recon.fit.terms import (
     COMMON_KEYPOINT_BIAS,
@@ -127,7 +127,7 @@ def solve_trajectory(
     with threadpool_limits(1, user_api="blas"):
         segments = solve_segments(clip, progress) if start is None else _solve_segments_from(clip, start)
         clip, segments = _with_one_shape(clip, segments)
-        solution = _solution(clip, segments, began)
+        solution = _solution(clip, segments, body, began)
     return solution if start is None else _with_misfit_of(start, solution)
 
 
@@ -445,8 +445,8 @@ def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Arr
 # -- the result --------------------------------------------------------------------------------------------------------
 
 
-def _solution(clip: ClipProblem, segments: Sequence[SegmentFit], began: float) -> TrajectorySolution:
-    """Return the result of all segments together."""
+def _solution(clip: ClipProblem, segments: Sequence[SegmentFit], expected: Body, began: float) -> TrajectorySolution:
+    """Return the result of all segments together; `expected` is the body with the shape that is not estimated."""
     correlation_frames, unshaped = clip.correlation_frames, clip
     clip = with_solved_shape(clip, segments[0]) if segments else clip
     posteriors = [
@@ -513,8 +513,52 @@ def _solution(clip: ClipProblem, segments: Sequence[SegmentFit], began: float) -
         iterations=sum(segment.iterations for segment in segments),
         starts=sum(len(tried) for segment in segments for _, tried in segment.windows),
         **shared,
+        shape=_solved_shape(unshaped, clip.body, expected, segments, posteriors, size),
         stage_s={"all": time.perf_counter() - began},
     )
+
+
+def _solved_shape(
+    clip: ClipProblem,
+    body: Body,
+    expected: Body,
+    segments: Sequence[SegmentFit],
+    posteriors: Sequence[Posterior],
+    size: float,
+) -> SolvedShape | None:
+    """Return the lengths and offsets of the solved body, or None if they were not estimated.
+
+    The segments' estimates count by their frames, as their errors are independent.
+    """
+    if clip.shape is None or len(clip.views) == 1 or not segments:
+        return None
+    frames = np.array([segment.rows.stop - segment.rows.start for segment in segments])
+    shares, J = (frames / frames.sum())[:, None], len(body.markers)
+    sigmas = {}
+    for name, n in ((LENGTHS, len(clip.shape.lengths)), (COMMON_KEYPOINT_BIAS, 3 * J)):
+        of_segments = [segment_posterior.shared_sigma.get(name, np.zeros(n)) for segment_posterior in posteriors]
+        sigmas[name] = np.linalg.norm(shares * of_segments, axis=0)
+    names = clip.shape.lengths.lengths
+    lengths_m, expected_lengths_m = (_lengths_m(shown, names) for shown in (body, expected))
+    offsets_m, expected_offsets_m = (
+        np.array([shown.keypoint_offset_m.get(marker, (0.0, 0.0, 0.0)) for marker in body.markers])
+        for shown in (body, expected)
+    )
+    return SolvedShape(
+        names,
+        size * lengths_m,
+        size * lengths_m * sigmas[LENGTHS],
+        expected_lengths_m,
+        size * offsets_m,
+        size * sigmas[COMMON_KEYPOINT_BIAS].reshape(J, 3),
+        expected_offsets_m,
+    )
+
+
+def _lengths_m(body: Body, names: Sequence[str]) -> Array:
+    """Return the distances (L,) of segments and markers from their origins."""
+    items = {item.name: item for item in (*body.tree.markers, *body.tree.segments)}
+    return np.array([np.linalg.norm(items[name].offset_m) for name in names])
 
 
 def _with_expected_shape_spread(clip: ClipProblem, problem: LeastSquares) -> LeastSquares:

@@ -98,6 +98,24 @@ def to_correct(motion: Motion, path: Path) -> None:
     write_rows(path, [TO_CORRECT_COLUMNS], rows)
 
 
+SHAPE = "shape.csv"
+"""Table of a fit that estimated the animal's lengths and keypoint offsets."""
+SHAPE_COLUMNS = "quantity", "name", "axis", "value_m", "sigma_m", "expected_m"
+
+
+def shape(motion: Motion, path: Path) -> None:
+    """Write the lengths and the keypoint offsets that were estimated, with standard deviations and expected values."""
+    solved = getattr(motion.solution, "shape", None)
+    if solved is None:
+        return
+    lengths = zip(solved.lengths_m, solved.lengths_sigma_m, solved.expected_lengths_m, strict=True)
+    rows = [("length", name, "", *values) for name, values in zip(solved.names, lengths, strict=True)]
+    offsets = np.stack([solved.offsets_m, solved.offsets_sigma_m, solved.expected_offsets_m], axis=2)
+    for name, of_axes in zip(motion.joints, offsets, strict=True):
+        rows += [("offset", name, axis, *values) for axis, values in zip("xyz", of_axes, strict=True)]
+    write_rows(path, [SHAPE_COLUMNS], rows)
+
+
 _EVERY_CLIP = pose3d, angles, quality, pose3d_sigma, angles_sigma, to_correct
 CLIP_OUTPUTS: dict[str, Callable[[Motion, Path], None]] = {f"{table.__name__}.csv": table for table in _EVERY_CLIP}
 """Tables of every clip, by file name."""
@@ -110,6 +128,7 @@ def write_tables(motion: Motion, folder: Path) -> None:
     """Write every table of a motion into a folder that exists."""
     for name, write in CLIP_OUTPUTS.items():
         write(motion, folder / name)
+    shape(motion, folder / SHAPE)
     for camera, file in enumerate(camera_files([picture.name for picture in motion.pictures])):
         reprojection(motion, folder / file, camera)
 

@@ -68,6 +68,19 @@ def test_the_body_has_the_lengths_that_were_found():
     assert set(free.body.keypoint_offset_m) == set(BODY.markers)
 
 
+def test_lengths_are_stated_with_intervals_that_hold():
+    shape = solved(3, False).shape
+    assert shape is not None
+    factors = np.random.default_rng(0).normal(size=len(shape.names)) * np.log1p(0.1)  # as `random_clip` draws them
+    true_m = shape.expected_lengths_m * np.exp(factors)
+    off = np.abs(shape.lengths_m - true_m) / shape.lengths_sigma_m
+    assert np.mean(off < 1.645) > 0.8
+    assert np.median(shape.lengths_sigma_m / true_m) < 0.1
+    assert shape.offsets_m.shape == shape.offsets_sigma_m.shape == (len(BODY.markers), 3)
+    assert np.all(shape.offsets_sigma_m > 0)
+    assert solved(3, True).shape is None
+
+
 def test_one_camera_keeps_the_lengths_and_is_less_sure_of_poses():
     free, known = (
         solve_trajectory(

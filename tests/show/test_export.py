@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from exact_tables import read_csv
 
+from recon.fit.motion import Motion
+from recon.fit.result import SolvedShape
 from recon.io.formats import read_keypoints
 from recon.io.positions import read_pose3d
 from recon.show import tables
+from recon.show.report import build_report
 from recon.show.tables import write_tables
 
 
@@ -123,6 +126,24 @@ def test_every_writer_writes(motion, tmp_path, request):
         assert text.count(b"\n") >= (2 if path.name == "to_correct.csv" else 7)
         assert b"\r" not in text
         assert b"nan" not in text
+
+
+def test_lengths_and_offsets_that_were_estimated_have_a_table(small_trajectory, tmp_path):
+    J, lengths_m = len(small_trajectory.joints), np.array([0.5, 0.25])
+    offsets_m = 0.01 * np.arange(3.0 * J).reshape(J, 3)
+    names, expected_m = ("neck", "l_thigh"), np.array([0.45, 0.3])
+    shape = SolvedShape(names, lengths_m, 0.1 * lengths_m, expected_m, offsets_m, 0.1 + offsets_m, 0 * offsets_m)
+    motion = replace(small_trajectory, solution=replace(small_trajectory.solution, shape=shape))
+    tables.write_tables(motion, tmp_path)
+    table = read_csv(tmp_path / "shape.csv")
+    assert table["quantity"].tolist() == ["length"] * 2 + ["offset"] * 3 * J
+    assert table.iloc[1][["name", "value_m", "sigma_m", "expected_m"]].tolist() == ["l_thigh", 0.25, 0.025, 0.3]
+    assert table["name"].tolist()[2:5] == [small_trajectory.joints[0]] * 3
+    np.testing.assert_allclose(table["value_m"][2:], offsets_m.ravel())
+    section = build_report(motion)["size"]["shape"]
+    assert (section["lengths"], section["length_sigma"]) == (2, pytest.approx(0.1))
+    motion.save(tmp_path / "motion")
+    np.testing.assert_array_equal(Motion.load(tmp_path / "motion").solution.shape.offsets_m, offsets_m)
 
 
 def test_every_camera_has_its_table(two_cameras, tmp_path):

@@ -183,8 +183,11 @@ def _trajectory_sentences(motion: Motion) -> Iterator[str]:
     size_source, size_text = given_size(motion), "this clip hardly says it"
     if sources := size_sources(solution):
         size_text = f"by {' and '.join(sources)} it is {plus_minus(solution.size, solution.size_sigma)}"
+    proportions = f"The proportions are those of {body.title!r}, {measured}."
+    if solution.shape is not None:
+        proportions = f"The proportions are estimated, and expected to be about those of {body.title!r}, {measured}."
     yield (
-        f"The proportions are those of {body.title!r}, {measured}. How large the animal is, a factor on all its "
+        f"{proportions} How large the animal is, a factor on all its "
         f"lengths, distances and speeds, is expected to be 1{size_source and f' ({size_source})'} with a standard "
         f"deviation of {solution.size_prior_sigma:.2g}; {size_text}."
     )
@@ -194,7 +197,10 @@ def _trajectory_sentences(motion: Motion) -> Iterator[str]:
         offsets = "on the markers"
     elif detector == OWN:
         offsets = "next to the markers, as the skeleton's or the subject's file says"
-    yield f"Keypoints are taken to lie {offsets}."
+    if solution.shape is None:
+        yield f"Keypoints are taken to lie {offsets}."
+    else:
+        yield f"How far keypoints lie from the markers is estimated, and they are expected to lie {offsets}."
     source = f"as in the motions that the prior {file_name(solution.prior)} was made from"
     if solution.prior == NO_PRIOR:
         source = "as the skeleton's file says, each angle on its own"

@@ -10,9 +10,9 @@ import numpy as np
 
 from recon.animal.prior import NONE as NO_PRIOR
 from recon.base.arrays import mean, median
-from recon.base.numbers import decimals, percent
+from recon.base.numbers import decimals, length_text, percent
 from recon.fit.motion import MEASURED_SHARE, Motion
-from recon.fit.result import TrajectorySolution
+from recon.fit.result import SolvedShape, TrajectorySolution
 from recon.gait.kinematics import MIN_POINTS, frame_jitter_m, jitter_errors, point_kinematics
 from recon.show.plain import file_name, picked
 from recon.show.sections.section import Line, camera_name
@@ -109,6 +109,19 @@ def size_data(motion: Motion) -> dict[str, Any]:
         "subject": file_name(subject),
         "lengths": motion.title,
         "measured": bool(given_size(motion) or size_sources(solution)),
+        "shape": _shape_data(solution.shape),
+    }
+
+
+def _shape_data(shape: SolvedShape | None) -> dict[str, Any] | None:
+    """Return the medians of the lengths and keypoint offsets that were estimated."""
+    if shape is None:
+        return None
+    return {
+        "lengths": len(shape.names),
+        "length_sigma": median(shape.lengths_sigma_m / shape.lengths_m),
+        "keypoint_offset_m": median(np.linalg.norm(shape.offsets_m, axis=1)),
+        "keypoint_offset_sigma_m": median(shape.offsets_sigma_m),
     }
 
 
@@ -124,6 +137,12 @@ def size_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
         yield "size", f"as given ({size_source}), ±{percent(data['sigma'])}"
     else:
         yield "size", f"not measured: all metres and m/s assume average size ({animal}, ±{percent(data['sigma'])})"
+    if (shape := data["shape"]) is not None:
+        lengths = f"estimated with the pose, ±{percent(shape['length_sigma'])} (median of {shape['lengths']})"
+        yield (
+            "lengths",
+            f"{lengths}; keypoints lie {length_text(shape['keypoint_offset_m'])} from the joints: shape.csv",
+        )
 
 
 def given_size(motion: Motion) -> str:
