@@ -153,6 +153,10 @@ class LeftOut(Brief):
     confidence: np.ndarray = field(default_factory=lambda: np.zeros(0))
     """(N,): likelihoods, 0 to 1."""
 
+    def count(self, reason: str) -> int:
+        """Return the number of detections that were left out for a reason."""
+        return int((self.reason == self.reasons.index(reason)).sum()) if reason in self.reasons else 0
+
     def and_points(self, keypoints: Keypoints, points: np.ndarray, reason: str, later_frames: int = 0) -> LeftOut:
         """Return these and further points (T, K); the clip's frame numbers are `later_frames` after the file's."""
         rows, columns = np.nonzero(points)

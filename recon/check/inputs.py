@@ -28,6 +28,7 @@ from recon.check.likelihood import (
     other_picture_finding,
     unit_square_finding,
 )
+from recon.check.stretch import stretch_finding
 from recon.check.swaps import swap_finding, swaps
 from recon.clip import Keypoints, Source, View, frame_ranges, leave_out
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
@@ -102,7 +103,7 @@ def input_findings(
                 ]
                 findings += found_swaps
                 if len(motion.sources) == 1 and not (found_swaps or moves):
-                    moves += lens_findings(baseline, solution.noise_px[number])
+                    moves += [*lens_findings(baseline, solution.noise_px[number])] or _stretched(ground_clip, solution)
         findings += pictures
         slides = [item.numbers.get("slide_m_s") for item in moves]
         # such gliding also appears if the rate is too high
@@ -115,15 +116,26 @@ def input_findings(
     return tuple(findings)
 
 
+def _stretched(clip: ClipProblem, solution: TrajectorySolution) -> list[Finding]:
+    """Return the finding on a stretched picture, if any, by the longest segment of a clip that one camera sees."""
+    segment = solution.longest_segment
+    if segment is None:
+        return []
+    states = solution.states[segment.rows].copy()
+    states[:, ROOT] = (states[:, ROOT] - clip.origin_m) / solution.size
+    part = replace(clip.part(segment.rows), prior_weight=segment.prior_weight)
+    item = stretch_finding(part, states, solution.noise_px[:, segment.rows], solution.size)
+    return [] if item is None else [item]
+
+
 def _of_rate(
     clip: ClipProblem, solution: TrajectorySolution, stated_hz: float | None, is_known: bool
 ) -> Sequence[Finding]:
     """Return the finding on the frame rate, if any; only a note if the user knows the rate."""
-    posed = np.isfinite(solution.states[:, 0])
-    segments = [segment.rows for segment in solution.segments if posed[segment.rows].all()]
-    if not segments:
+    segment = solution.longest_segment
+    if segment is None:
         return ()
-    longest = max(segments, key=lambda rows: rows.stop - rows.start)
+    longest = segment.rows
     states = solution.states[longest].copy()
     states[:, ROOT] = (states[:, ROOT] - clip.origin_m) / solution.size
     poor_share = np.mean([bool({*flags} & {"no data", "data poor"}) for flags in solution.flags[longest]]) > MOSTLY_POOR
@@ -386,7 +398,8 @@ def _along(motion: Motion) -> tuple[Array, Array]:
 
 # -- gross outliers ----------------------------------------------------------------------------------------------------
 
-_WHY = "in frames whose detections are gross outliers"
+GROSS = "in frames whose detections are gross outliers"
+"""Reason for leaving out the detections of a frame."""
 MOST = 0.5
 """Largest fraction of frames that may be outliers; with more, the fit or another input is wrong."""
 
@@ -415,7 +428,7 @@ def without_gross_outliers(
         rows: Bools = ratios > CLEAR
         rows &= rows.sum() <= MOST * view.present.any(axis=1).sum()
         points, numbers = source.keypoints.present & rows[:, None], source.keypoints.frames
-        keypoints, cleaning = leave_out(source.keypoints, source.cleaning, points, _WHY, source.later_frames)
+        keypoints, cleaning = leave_out(source.keypoints, source.cleaning, points, GROSS, source.later_frames)
         kept.append(replace(source, keypoints=keypoints, cleaning=cleaning))
         for first, stop in frame_ranges(np.flatnonzero(rows)):
             frames, ratio = (int(numbers[first]), int(numbers[stop - 1]) + 1), float(ratios[first:stop].sum())

@@ -17,9 +17,10 @@ from recon.animal.prior import mean_speed_m_s, prior_from_body
 from recon.animal.skeleton_file import builtin_names, load_skeleton
 from recon.base.arrays import Array
 from recon.base.errors import InputError
-from recon.check.codes import FLAG_OF, FLAGS, finding, sort_findings
+from recon.check.codes import FLAGS, SWAPPED, finding, sort_findings
 from recon.check.constants import MANY_FRAMES
-from recon.check.inputs import FASTEST_M_S
+from recon.check.inputs import FASTEST_M_S, GROSS
+from recon.clip import UNLIKELY, Source
 from recon.fit import constants
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.motion import Motion
@@ -53,8 +54,6 @@ OUT_OF_STEP_SIGMAS = 3.0
 """Difference between two cameras' time offsets, in expected standard deviations, above which it is an error."""
 FARTHEST = 100.0
 """Distance between cameras, in animal sizes, that only another unit can explain."""
-FLAGGED = 0.9
-"""Fraction of frames with a flag above which it is reported: hardly any frame is left without the flag."""
 FEW_FRAMES = 12
 """Number of frames below which a clip shows little more than a single frame."""
 SIZE_SIGMAS = 2.5
@@ -83,8 +82,11 @@ def findings_of(motion: Motion) -> tuple[Finding, ...]:
 
 
 def many_outliers(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if many detections are outliers."""
-    count, share = _outliers(motion)
+    """Yield a finding if many detections are outliers, with those of frames that were left out as a whole."""
+    used = sum(int(picture.present.sum()) for picture in motion.pictures)
+    gross = sum(source.cleaning.left_out.count(GROSS) for source in motion.sources)
+    count = _outliers(motion)[0] + gross
+    share = count / max(used + gross, 1)
     if share > MANY_OUTLIERS:
         yield finding("many_outliers", count=count, share=share)
 
@@ -153,16 +155,37 @@ def missing_as_constant(motion: Motion) -> Iterator[Finding]:
 def likelihoods_low(motion: Motion) -> Iterator[Finding]:
     """Yield a finding on cameras most of whose points have low likelihoods."""
     for source in motion.sources:
-        used, rejected = source.cleaning.total("used"), source.cleaning.total("rejected")
-        if rejected > MANY_FRAMES * (used + rejected):
-            share, limit = rejected / (used + rejected), source.cleaning.likelihood_min
-            yield finding("likelihoods_low", camera=source.camera.name, share=share, limit=limit)
+        unlikely, total = _unlikely(source), source.cleaning.total("used") + source.cleaning.total("rejected")
+        if unlikely > MANY_FRAMES * total:
+            limit = source.cleaning.likelihood_min
+            yield finding("likelihoods_low", camera=source.camera.name, share=unlikely / total, limit=limit)
+
+
+def many_left_out(motion: Motion) -> Iterator[Finding]:
+    """Yield a finding if more than a third of the detections do not count, for several reasons together."""
+    if [*likelihoods_low(motion), *many_outliers(motion)]:
+        return
+    used, rejected = (sum(source.cleaning.total(name) for source in motion.sources) for name in ("used", "rejected"))
+    unlikely, outliers = sum(map(_unlikely, motion.sources)), _outliers(motion)[0]
+    share = (rejected + outliers) / max(used + rejected, 1)
+    if share > MANY_FRAMES:
+        counts = {"of low likelihood": unlikely, "outliers": outliers, "far outside": rejected - unlikely}
+        reasons = ", ".join(f"{count} {reason}" for reason, count in counts.items() if count)
+        yield finding("many_left_out", share=share, reasons=reasons)
+
+
+def _unlikely(source: Source) -> int:
+    """Return the number of detections that were left out for their likelihoods."""
+    cleaning = source.cleaning
+    other_reasons = (reason for reason in cleaning.left_out.reasons if reason != UNLIKELY)
+    return cleaning.total("rejected") - sum(map(cleaning.left_out.count, other_reasons))
 
 
 COMMON: tuple[Rule, ...] = (
     likelihoods_low,
     missing_as_constant,
     many_outliers,
+    many_left_out,
     detections_not_explained,
     keypoints_that_do_not_fit,
     camera_taken_level,
@@ -341,18 +364,11 @@ def second_solution(motion: Motion) -> Iterator[Finding]:
 
 
 def frames_flagged(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if most frames have a flag; flags due to other findings do not count."""
-    flags = [
-        {*flags}.intersection(FLAGS).difference(FLAG_OF.values())
-        for flags, t in zip(motion.flags, motion.solved, strict=True)
-        if t
-    ]
-    poor = [frame_flags - {"ambiguous depth"} for frame_flags in flags]  # the expected error includes ambiguous depth
-    if sum(map(bool, poor)) > MANY_FRAMES * len(flags):
-        flags = poor
-    elif sum(map(bool, flags)) <= FLAGGED * len(flags):
-        flags = []
-    if count := sum(map(bool, flags)):
+    """Yield a finding if more than a third of the frames have a flag."""
+    counted = {*FLAGS} - {SWAPPED}  # a swap has a finding of its own, as far as it matters
+    flags = [{*flags} & counted for flags, is_solved in zip(motion.flags, motion.solved, strict=True) if is_solved]
+    count = sum(map(bool, flags))
+    if count > MANY_FRAMES * len(flags):
         commonest = max(FLAGS, key=lambda name: sum(name in frame_flags for frame_flags in flags))
         yield finding("frames_flagged", count=count, frames_total=len(flags), flag=commonest, meaning=FLAGS[commonest])
 

@@ -98,6 +98,45 @@ class Evidence:
 
 def evidence_of(motion: Motion) -> Evidence:
     """Return the evidence for the verdict on a motion of which some frame has a pose."""
+    solution = motion.solution
+    frames = _frame_evidence(motion)
+    is_trajectory = isinstance(solution, TrajectorySolution)
+    has_learned_prior = is_trajectory and solution.prior != NONE
+    # The covariances of a trajectory contain the focal length.
+    focal_sigma = 0.0 if is_trajectory else focal_sigma_of(motion.settings, len(motion.sources)) or 0.0
+    distance_m = float(frames.distances_m.mean(axis=1).min())
+    return Evidence(
+        trunk_m=float(frames.trunk_m.mean()),
+        posterior_m=float(frames.posterior_m.mean()),
+        misfit=max(
+            (segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None), default=1.0
+        ),
+        distance_m=distance_m,
+        end_on=float(frames.end_on.mean(axis=1).min()),
+        unseen=frames.unseen,
+        position_sigma_m=math.hypot(float(frames.position_sigma_m.mean()), focal_sigma * distance_m),
+        slowness=max(RATE_HZ / motion.fps, 1.0) if has_learned_prior else 1.0,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _FrameEvidence:
+    """Hold the quantities of `Evidence` for each of the n frames with a pose and each of the V cameras."""
+
+    trunk_m: Array
+    """(n,)."""
+    posterior_m: Array
+    """(n,)."""
+    position_sigma_m: Array
+    """(n,)."""
+    distances_m: Array
+    """(V, n): distances from the cameras."""
+    end_on: Array
+    """(V, n): cosines between the trunk and the lines of sight."""
+    unseen: float
+
+
+def _frame_evidence(motion: Motion) -> _FrameEvidence:
     solution, posed = motion.solution, motion.solved
     joints_m, relative = solution.joints_m[posed], solution.relative_covariance_m2[posed]
     middle_m = joints_m.mean(axis=1)
@@ -111,23 +150,32 @@ def evidence_of(motion: Motion) -> Evidence:
     rear, front = motion.forward
     trunk_m = joints_m[:, front] - joints_m[:, rear]
     sights_m = [middle_m - np.broadcast_to(view.centre_m, (len(posed), 3))[posed] for view in solution.views]
-    distance_m = min(float(np.linalg.norm(sight_m, axis=-1).mean()) for sight_m in sights_m)
-    is_trajectory = isinstance(solution, TrajectorySolution)
-    has_learned_prior = is_trajectory and solution.prior != NONE
-    # The covariances of a trajectory contain the focal length.
-    focal_sigma = 0.0 if is_trajectory else focal_sigma_of(motion.settings, len(motion.sources)) or 0.0
-    return Evidence(
-        trunk_m=float(np.linalg.norm(trunk_m, axis=-1).mean()),
-        posterior_m=solution.posterior_factor * _MEAN_OF_NORM * float(np.sqrt(variance).mean()),
-        misfit=max(
-            (segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None), default=1.0
-        ),
-        distance_m=distance_m,
-        end_on=min(float(np.abs(_cosine(trunk_m, sight_m)).mean()) for sight_m in sights_m),
+    return _FrameEvidence(
+        trunk_m=np.linalg.norm(trunk_m, axis=-1),
+        posterior_m=solution.posterior_factor * _MEAN_OF_NORM * np.sqrt(variance).mean(axis=1),
+        position_sigma_m=np.sqrt(np.maximum(middle_variance, 0.0)),
+        distances_m=np.array([np.linalg.norm(sight_m, axis=-1) for sight_m in sights_m]),
+        end_on=np.array([np.abs(_cosine(trunk_m, sight_m)) for sight_m in sights_m]),
         unseen=float(np.average(unseen, weights=variance.mean(axis=0))),
-        position_sigma_m=math.hypot(float(np.sqrt(np.maximum(middle_variance, 0.0)).mean()), focal_sigma * distance_m),
-        slowness=max(RATE_HZ / motion.fps, 1.0) if has_learned_prior else 1.0,
     )
+
+
+def frame_rms_m(motion: Motion) -> Array:
+    """Return the expected RMS distance of the joints from their true positions in each frame, (T,), both centred.
+
+    It varies over the frames as the expected error of the verdict varies over clips, and its mean agrees with that
+    error. Without an expected error it is the posterior's.
+    """
+    verdict, posed = motion.verdict, motion.solved
+    if verdict is None or verdict.pose_m is None or not posed.any():
+        return motion.relative_rms_m
+    frames = _frame_evidence(motion)
+    end_on, distance_m = frames.end_on.min(axis=0), frames.distances_m.min(axis=0)
+    logarithm = POWERS["posterior"] * np.log(frames.posterior_m) + POWERS["distance"] * np.log(distance_m)
+    relative = np.exp(logarithm + POWERS["end_on"] * end_on**8)
+    rms_m = np.full(len(posed), np.nan)
+    rms_m[posed] = verdict.pose_m.expected / _MEAN_OF_NORM * relative / relative.mean()
+    return rms_m
 
 
 def _cosine(a: Array, b: Array) -> Array:

@@ -326,6 +326,12 @@ class TrajectorySolution(Solution):
     record_tag: ClassVar = "trajectory"
 
     @property
+    def longest_segment(self) -> MotionSegment | None:
+        """Return the longest segment all of whose frames have states, or None."""
+        segments = [segment for segment in self.segments if np.isfinite(self.states[segment.rows, 0]).all()]
+        return max(segments, key=lambda segment: segment.rows.stop - segment.rows.start, default=None)
+
+    @property
     def second_cameras(self) -> list[SecondCamera]:
         """Return the tests of the second camera, one per segment that has a test."""
         return [segment.second_camera for segment in self.segments if segment.second_camera is not None]

@@ -71,8 +71,11 @@ POOR_SHARE, POORER_SHARE = 1 / 3, 0.8
 """A frame is "data poor" if a smaller fraction of all joints, or of the joints trusted in good frames, is trusted in
 it.
 """
-END_ON_RAD = np.radians(30)
-"""Angle between line of sight and trunk below which only perspective shows the depth: "ambiguous depth"."""
+END_ON_RAD = np.radians(25)
+"""Angle between line of sight and trunk below which only perspective shows the depth: "ambiguous depth".
+
+Median errors of the frames of 32 real views: 137 mm below 15 degrees, 75 mm to 25 degrees, 52 mm from 45 degrees on.
+"""
 TESTED_S = 5.0
 """Seconds of a clip used to test the second camera."""
 ALTERNATIVE_M, ALTERNATIVE_COST = 0.1, 20.0

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from recon.check.to_correct import to_correct as worth_correcting
+from recon.check.verdict import frame_rms_m
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.gait.dynamics import FORCE_COLUMNS, G_M_S2, OVER_STRIDE, over_stride
@@ -57,7 +58,8 @@ def angles_sigma(motion: Motion, path: Path) -> None:
 def quality(motion: Motion, path: Path) -> None:
     """Write the flags of each frame, separated by semicolons, and the numbers behind them."""
     flags = [";".join(flags) for flags in motion.flags]
-    columns = (motion.frames, flags, *(getattr(motion, name) for name in QUALITY_COLUMNS[2:]))
+    values = (getattr(motion, name) for name in QUALITY_COLUMNS[2:-1])
+    columns = (motion.frames, flags, *values, frame_rms_m(motion))
     write_rows(path, [QUALITY_COLUMNS], zip(*columns, strict=True))
 
 

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from recon.check.codes import by_effect, finding, sentence
-from recon.check.inputs import _of_rate
-from recon.check.rules import frames_flagged, likelihoods_low, pair_disagrees
-from recon.check.verdict import add_verdict
+from recon.check.inputs import GROSS, _of_rate
+from recon.check.rules import frames_flagged, likelihoods_low, many_left_out, many_outliers, pair_disagrees
+from recon.check.verdict import add_verdict, frame_rms_m
+from recon.clip import leave_out
 from recon.fit.result import SecondCamera
 
 TRUNK_M = 0.7
@@ -89,8 +90,9 @@ def test_a_pair_is_not_blamed_for_the_lengths_of_a_rough_skeleton(small_trajecto
     [
         ("data poor", 0.25, False),
         ("data poor", 0.5, True),
-        ("ambiguous depth", 0.8, False),
-        ("ambiguous depth", 1, True),
+        ("ambiguous depth", 0.25, False),
+        ("ambiguous depth", 0.5, True),
+        ("gross outliers", 0.5, True),
     ],
 )
 def test_a_third_of_poor_frames_is_named(small_trajectory, flag, share, is_named):
@@ -112,3 +114,35 @@ def test_a_third_of_the_detections_left_out_is_named(small_trajectory, used, rej
     source = replace(source, cleaning=replace(source.cleaning, keypoints=keypoints))
     found = [*likelihoods_low(replace(small_trajectory, sources=(source,)))]
     assert [item.severity for item in found] == ["warning"] * count
+
+
+def without_frames(motion, rows, reason=GROSS):
+    """Leave out every detection of some rows, as gross outliers are."""
+    (source,) = motion.sources
+    points = source.keypoints.present & np.isin(np.arange(len(motion.frames)), rows)[:, None]
+    keypoints, cleaning = leave_out(source.keypoints, source.cleaning, points, reason)
+    return replace(motion, sources=(replace(source, keypoints=keypoints, cleaning=cleaning),))
+
+
+def test_frames_that_were_left_out_as_gross_outliers_count_as_outliers(small_trajectory):
+    assert not [*many_outliers(small_trajectory)]
+    (item,) = many_outliers(without_frames(small_trajectory, [0, 1, 2, 4]))
+    assert item.severity == "warning"
+    assert item.numbers["share"] == pytest.approx(4 / 7, abs=0.03)
+    assert not [*likelihoods_low(without_frames(small_trajectory, [0, 1, 2, 4]))]
+
+
+def test_detections_left_out_for_several_reasons_are_named_together(small_trajectory):
+    far = without_frames(small_trajectory, [0, 1, 2], "far outside the picture")
+    (item,) = many_left_out(far)
+    assert item.severity == "warning"
+    assert "69 far outside" in item.numbers["reasons"]
+    assert item.numbers["share"] > 1 / 3
+    assert not [*many_left_out(small_trajectory)]
+
+
+def test_the_frames_errors_agree_with_that_of_the_clip(small_trajectory):
+    judged = add_verdict(small_trajectory)
+    expected_m = frame_rms_m(judged)[judged.solved]
+    assert expected_m.mean() == pytest.approx(judged.verdict.pose_m.expected / 0.92)
+    assert frame_rms_m(small_trajectory) == pytest.approx(small_trajectory.relative_rms_m, nan_ok=True)

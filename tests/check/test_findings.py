@@ -141,6 +141,8 @@ SENTENCES = {
     ),
     "few_frames": ("A clip of 8 frames shows little", {"count": 8}),
     "many_outliers": ("51 detections (57 %) disagree", {"count": 51, "share": 0.566}),
+    "many_left_out": ("40 % of the detections do not count (9 outliers)", {"share": 0.4, "reasons": "9 outliers"}),
+    "picture_stretched": ("look stretched to 1.33 times its width", {"factor": 1.33, "sigmas": 4.0}),
     "keypoints_do_not_fit": (
         "75 % of the 40 detections of nose, l_eye disagree",
         {"share": 0.75, "used": 40, "keypoints": ("nose", "l_eye")},

@@ -9,6 +9,7 @@ from typing import Any
 from recon.base.arrays import finite, mean, median
 from recon.base.numbers import length_text, plus_minus
 from recon.check.codes import FLAGS
+from recon.check.verdict import frame_rms_m
 from recon.fit.motion import Motion
 from recon.show.plain import frame_count
 from recon.show.sections.keypoints import counts
@@ -33,7 +34,7 @@ def summary_data(motion: Motion) -> dict[str, Any]:
         **counts(motion),
         "mean_weight": mean(motion.solution.weight),
         "place_sigma_m": median(motion.place_sigma_m),
-        "relative_rms_m": median(motion.relative_rms_m),
+        "relative_rms_m": median(frame_rms_m(motion)),
     }
 
 

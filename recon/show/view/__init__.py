@@ -42,6 +42,7 @@ from recon.animal.naming import without_side
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem
 from recon.base.file_names import encodable
+from recon.check.verdict import frame_rms_m
 from recon.fit.motion import Motion, Picture
 from recon.gait.clip import ClipAnalysis
 from recon.gait.gait import interval_of
@@ -352,7 +353,7 @@ def other_plots(motion: Motion) -> Iterator[TimePlot]:
     lines = {"median of the joints": median_px, "worst but for outliers": worst}
     yield _plot("residuals", "Reprojection (px)", lines, colours=(scenes.LIMB_COLOURS[1], scenes.EDGE))
 
-    lines = {"joint within the pose": motion.relative_rms_m, "position in depth": motion.place_sigma_m}
+    lines = {"joint within the pose": frame_rms_m(motion), "position in depth": motion.place_sigma_m}
     yield _plot("uncertainty", "One sigma (m)", lines, colours=(scenes.LIMB_COLOURS[1], scenes.LINK))
 
 
