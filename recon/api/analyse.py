@@ -27,8 +27,7 @@ from recon.gait.dynamics import OVER_STRIDE, Dynamics, findings_of_dynamics, ove
 from recon.gait.gait import Gait, Stride, doubtful_text, interval_of
 from recon.gait.quantities import GaitQuantity
 from recon.show.plain import picked, to_json
-from recon.show.tables import TABLES, write_analysis
-from recon.show.workbook import DICTIONARY, LONG, WORKBOOK, write_long, write_workbook
+from recon.show.tables import DICTIONARY, LONG, TABLES, WORKBOOK, write_analysis
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -122,8 +121,12 @@ def run_analysis(settings: AnalyseSettings, progress: Progress = silent) -> Writ
         with output.staged() as staging:
             write_analysis(analysis, staging)
             if settings.tables_format == "xlsx":
+                from recon.show.workbook import write_workbook  # here, as pandas is slow to import
+
                 write_workbook(analysis, settings.folder.absolute().name, staging / WORKBOOK)
             elif settings.tables_format == "long":
+                from recon.show.workbook import write_long
+
                 write_long(analysis, staging, settings.decimal_comma)
             (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
             names = [path.name for path in staging.iterdir()]

@@ -12,7 +12,6 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from scipy.ndimage import median_filter
 from threadpoolctl import threadpool_limits
 
 from recon.animal.body import opposites
@@ -267,6 +266,8 @@ def step_ratios(tracks: Array) -> Array | None:
     Each keypoint of the tracks (T, K, 2 or 3), in pixels, is compared with itself, because visibility changes and paws
     are faster than the trunk. The ratio of a frame is the median over its keypoints.
     """
+    from scipy.ndimage import median_filter  # here, as it is slow to import
+
     steps = np.diff(tracks, axis=0)
     times = np.full(steps.shape[:2], np.nan)
     for j in range(steps.shape[1]):

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from scipy.ndimage import median_filter
 from scipy.sparse.csgraph import minimum_spanning_tree
 
 from recon.animal.anatomy import FLEXES_CAUDALLY, joint_and_side
@@ -115,6 +114,8 @@ def _lengths(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _running_median(values: Array) -> Array:
+    from scipy.ndimage import median_filter  # here, as it is slow to import
+
     known = np.isfinite(values)
     result = np.full(len(values), np.nan)
     if known.any():

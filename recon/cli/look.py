@@ -35,7 +35,6 @@ from recon.cli.answers import Answer, say, verdict_texts, wait_for_ctrl_c
 from recon.fit.motion import Motion
 from recon.gait.clip import analyse
 from recon.io.video import Image, missing_note, probe, require_codec, size_problems, video_writer
-from recon.show import view as viewer
 from recon.show.overlay import SIDE_COLOURS, Overlay, canvas_size, clip_frames, draw_frame, draw_tiles
 from recon.show.page.own_page import PAGE, SUMMARY_PAGE
 from recon.show.page.pages import Neighbours, clip_page, jpeg
@@ -443,6 +442,8 @@ def write_recording(settings: ViewSettings, progress: Progress = silent) -> Answ
 
 def _write(settings: ViewSettings, path: Path) -> str | None:
     """Write a recording, and return a note on the video."""
+    from recon.show import view as viewer  # here, as rerun is slow to import
+
     motion, number = result_and_video(settings)
     analysis = analyse(motion) if (settings.folder / FOLDER / ANALYSIS).is_file() else None
     with staged_file(path) as staged:
@@ -453,7 +454,9 @@ def _write(settings: ViewSettings, path: Path) -> str | None:
 def _show(playback: Path, settings: ViewSettings, console: Console) -> None:
     """Open a recording in the viewer, or serve it to browsers until Ctrl-C."""
     if not settings.web:
-        viewer.open_viewer(playback)
+        from recon.show.view import open_viewer
+
+        open_viewer(playback)
         return
     from recon.show.view.web import served
 

@@ -28,9 +28,7 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.interpolate import CubicSpline, make_smoothing_spline
 from scipy.linalg import solveh_banded
-from scipy.optimize import brentq
 
 from recon.base.arrays import Array, Brief, Index
 from recon.base.errors import InputError, Problem
@@ -215,6 +213,8 @@ def series_kinematics(
     ValueError
         If the times do not increase.
     """
+    from scipy.interpolate import CubicSpline  # here, as it is slow to import
+
     T, d = values.shape
     N = (T - 1) * oversampling + 1 if T else 0
     fine_s = np.interp(np.arange(N) / oversampling, np.arange(T), time_s) if T else np.empty(0)
@@ -243,6 +243,8 @@ def _stretches(time_s: Array, values: Array, max_gap_s: float, min_points: int) 
 
 def _curve(t: Array, x: Array, weight: Array, lam: float) -> Curve:
     """Return the curve(time (M,), order of the derivative) -> (M, ...) through x (n, ...); lam 0: exact."""
+    from scipy.interpolate import CubicSpline, make_smoothing_spline
+
     known = np.isfinite(x)
     if x.ndim == 1 and known.sum() > 4:  # errors are unknown in frames without a pose, which the curve bridges
         t, x, weight = t[known], x[known], weight[known]
@@ -259,6 +261,8 @@ def _discrepancy_lam(t: Array, x: Array, weight: Array) -> float:
 
     If a straight line is that close, the result is the largest lam in the range.
     """
+    from scipy.optimize import brentq
+
     scale, h, variance = np.mean(weight**2) * ((t[-1] - t[0]) / len(t)) ** 3, np.diff(t), weight**-2.0
     # Reinsch's equations of the curve's second derivatives g at the inner times: (R + lam Q' W^-1 Q) g = Q' x, whose
     # bands are these, and x - f = lam W^-1 Q g
@@ -314,6 +318,8 @@ def _fill_amid(variance: Array, t: Array, errors: Sequence[Errors], per_frame: i
     `per_frame` samples a frame. The `_REACH` frames at either end are left out: elsewhere the samples of every frame
     depend on the values around it in the same way.
     """
+    from scipy.interpolate import CubicSpline
+
     width, step = 2 * _REACH, (t[-1] - t[0]) / (len(t) - 1)
     spline = CubicSpline(step * np.arange(2 * width), np.eye(2 * width))
     shares = _evaluate(spline, step * (width - 1 + np.arange(per_frame) / per_frame))[:, :, _REACH:-_REACH].reshape(

@@ -31,7 +31,6 @@ from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from recon.base.arrays import Array, Brief, mean
 from recon.gait.kinematics import AngleKinematics, frame_times, joint_index, series_kinematics
@@ -289,6 +288,8 @@ def diameter(path: Array) -> float:
     """Return the largest distance between any two points of a path (N, d)."""
     if path.shape[1] == 1:
         return float(np.ptp(path))
+    from scipy.spatial import ConvexHull, QhullError  # here, as it is slow to import
+
     with suppress(QhullError):  # flat
         path = path[ConvexHull(path).vertices]  # the two points farthest apart are corners of the hull
     rows = [path[i : i + CHUNK] for i in range(0, len(path), CHUNK)]

@@ -18,7 +18,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pandas as pd
 
 from recon.animal.body import Side
 from recon.base.arrays import Array, Bools, Index, Integers, finite, mean_along
@@ -150,6 +149,8 @@ def smoothed_headings(forward_m: Array, fps: float) -> Array:
 
     Frames without one have that of the last frame with one; x if there is none at all.
     """
+    import pandas as pd  # slow to import
+
     frames = 2 * round(0.5 * HEADING_S * fps) + 1
     level = pd.DataFrame(forward_m[:, :2]).rolling(frames, center=True, min_periods=1).mean()
     level = level.ffill().bfill().fillna({0: 1.0, 1: 0.0}).to_numpy()

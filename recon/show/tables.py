@@ -25,6 +25,8 @@ from recon.gait.kinematics import AngleKinematics
 from recon.gait.phase import field_means
 from recon.io.writing import write_columns, write_rows, write_table
 
+WORKBOOK, LONG, DICTIONARY = "analysis.xlsx", "analysis_long.csv", "analysis_dictionary.csv"
+"""Files of `recon.show.workbook`."""
 QUALITY_COLUMNS = ("frame", "flags", "alternative_m", "detections", "mean_weight", "place_sigma_m", "relative_rms_m")
 
 

@@ -18,9 +18,8 @@ from recon.base.package import version
 from recon.base.tables import guarded
 from recon.gait.clip import ClipAnalysis
 from recon.io.writing import formats_extra
-from recon.show.tables import TABLES
+from recon.show.tables import DICTIONARY, LONG, TABLES
 
-WORKBOOK, LONG, DICTIONARY = "analysis.xlsx", "analysis_long.csv", "analysis_dictionary.csv"
 KEYS = ("time_s", "frame", "percent", "start_s")
 """Columns of numbers that say where a value belongs, besides all columns of texts."""
 UNITS = {

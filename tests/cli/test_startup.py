@@ -31,6 +31,10 @@ def test_the_start_imports_nothing_slow(option):
     assert modules & SLOW == set()
 
 
+def test_the_help_of_a_page_waits_for_no_figures_and_no_viewer():
+    assert imported_by("report", "--help") & {"pandas", "rerun", "matplotlib", "torch", "scipy.interpolate"} == set()
+
+
 def test_a_fit_imports_what_it_uses(tmp_path):
     samples = ROOT / "data" / "samples"
     fit = (

@@ -163,7 +163,7 @@ def pages(small_trajectory, two_cameras, whole_results, tmp_path_factory) -> dic
     with pytest.MonkeyPatch.context() as patch:
         for name in ("whole", "film", "several", "refused"):
             if name != "whole":  # whose figures are looked at
-                patch.setattr("recon.show.page.pages.svg_of", lambda figure: "<svg></svg>")
+                patch.setattr("recon.show.plots.style.svg_of", lambda figure: "<svg></svg>")
             chosen = PageSettings(folder=folder / name, video=video if name == "film" else None)
             _page_of_clip(chosen, silent, whole_batch=True)
     return {name: folder / name / "report.html" for name in verdicts} | {"batch": write_summary_page(folder)}

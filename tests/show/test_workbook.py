@@ -11,10 +11,8 @@ from command_line import refused
 
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, analyse
-from recon.show.tables import TABLES
+from recon.show.tables import DICTIONARY, LONG, TABLES
 from recon.show.workbook import (
-    DICTIONARY,
-    LONG,
     analysis_tables,
     long_table,
     meaning_of,

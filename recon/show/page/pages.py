@@ -13,12 +13,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from matplotlib.figure import Figure
 
 from recon.base.arrays import Array, finite
 from recon.base.errors import InputError, printable
@@ -36,12 +35,11 @@ from recon.show.page.pictures import PictureStrip
 from recon.show.page.player_data import flag_runs, player_data
 from recon.show.page.quality import quality_tables
 from recon.show.page.scripts import script, style
-from recon.show.plots.configurations import composites
-from recon.show.plots.flexion import joint_flexion
-from recon.show.plots.over_time import footfall, forces, speeds
-from recon.show.plots.style import png_of, svg_of
 from recon.show.report import build_report
 from recon.show.sentences import analysis_sentences
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 JPEG_QUALITY = 80
 PNG_DPI = 190.0
@@ -72,6 +70,8 @@ def _without_unseen(value: object) -> object:
 
 def inline(figure: Figure, largest: int) -> str:
     """Return a figure for a page: <svg>, or a PNG if that would have more than `largest` characters."""
+    from recon.show.plots.style import png_of, svg_of  # here, as matplotlib is slow to import
+
     svg = svg_of(figure)
     if len(svg) <= largest:
         return svg  # matplotlib has escaped its texts
@@ -214,6 +214,10 @@ def _group(heading: str, text: str, figures: Sequence[Figure], width: str = "wid
 
 
 def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
+    from recon.show.plots.configurations import composites
+    from recon.show.plots.flexion import joint_flexion
+    from recon.show.plots.over_time import footfall, forces, speeds
+
     motion, reference_motion, gait = analysis.motion, analysis.reference_motion, analysis.gait
     ground = None if gait is None else gait.tracks.grounds
     options = {"ground": ground, "sides": motion.limb_sides}

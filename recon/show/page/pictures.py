@@ -14,7 +14,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import pandas as pd
 
 from recon.base.arrays import Array, Integers
 from recon.io.video import Image
@@ -85,6 +84,8 @@ def cut_of(points_px: Array, fps: float, picture_px: tuple[int, int]) -> Cut:
     picture_px
         Width and height.
     """
+    import pandas as pd  # slow to import
+
     picture = np.array(picture_px)
     corners = np.zeros((len(points_px), 2), dtype=int)
     known = np.isfinite(points_px.sum(axis=2)).any(axis=1)
