@@ -1,1 +1,1 @@
-"""Find cameras from pictures of a board or from a video, and plan where to put them."""
+"""Find cameras from pictures of a board or from a video, and advise where to put cameras."""

@@ -1,25 +1,25 @@
 """Detect calibration boards and calibrate a camera from views of them.
 
-Views come from pictures or from a video, of which the sharp and different frames are used. A board's frame lies in its
-surface: x to the right, y down, z away from the viewer, metres; a board that is seen squarely is parallel to the camera
-frame. Corners are the points in which four squares meet.
+Views come from pictures, or from the frames of a video that are sharp and differ from each other. A board's frame lies
+in its surface: x to the right, y down, z away from the viewer, metres. The frame of a board seen head-on is parallel to
+the camera frame. Corners are the points in which four squares meet.
 
-From views to a camera: OpenCV's solvers, their residuals, and the uncertainty of the result. Model of a corner: the
-board's point through the view's pose (6 unknowns for each view), the lens and the matrix. OpenCV finds the least
-squares. The residuals are those of `Camera.project`, the model that the rest of the package uses, so that a difference
-between the two would show as an error.
+Each corner is modelled as the board's point, moved by the view's pose (6 unknowns per view) and projected by the lens
+and the camera matrix. OpenCV minimises the squared errors. The residuals are computed by `Camera.project`, the model
+that the rest of the package uses, so that a difference between the two models would show as an error.
 
-A picture whose error (root mean square over its corners) is more than `DROP_FACTOR` times that of the median picture is
-left out, and the rest solved again, up to `ROUNDS` times. Errors of good pictures lie within a factor of two of the
-median, whatever the lens. A picture beyond three has moved, bent or wrongly read corners. Since least squares are not
-robust, one such picture moves the focal length by more than all others determine it. Errors below `DROP_FLOOR_PX` are
-those of a good detector and are never left out. Pictures that are left out are listed with the error that caused it.
+A picture whose error (root mean square over its corners) is more than `DROP_FACTOR` times the median picture's is left
+out, and the remaining pictures are solved again, up to `ROUNDS` times. Errors of good pictures are within a factor of
+two of the median for all lenses; a picture beyond a factor of three has moved, bent or wrongly detected corners. Least
+squares are not robust: one such picture can change the focal length by more than the uncertainty from all the others.
+Errors below `DROP_FLOOR_PX` are as small as those of a good detector, and never a reason to leave a picture out. The
+report lists the pictures that were left out, with their errors.
 
-**Is the result good enough?** Each limit has two steps: beyond the first it is a warning, beyond the second a reason to
-refuse. Three quantities matter for a reconstruction. The first is the scale of the picture (the focal length: 1 % is 1
-% of every distance from the camera, little compared with the 3 to 10 % to which an animal's size is known). The second
-is the direction of the axis (the principal point: 1 % of the width is about 0.6 degrees). The third is a lens model
-that holds all over the picture, since the animal may be anywhere in it.
+**Is the result good enough?** Each quantity has two limits: beyond the first there is a warning, beyond the second the
+calibration is refused. Three properties matter for a reconstruction. The first is the focal length: an error of 1 % is
+1 % of every distance from the camera, which is small compared with the 3 to 10 % to which an animal's size is known.
+The second is the principal point: 1 % of the width is about 0.6 degrees. The third is that the lens model is valid all
+over the picture, since the animal may be anywhere in it.
 """
 
 from __future__ import annotations
@@ -50,45 +50,48 @@ from recon.io.video import probe, read_frames, read_picture
 Gray = npt.NDArray[np.uint8]
 UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 MIN_CORNERS = 8
-"""Least number of corners: a pose has six unknowns and needs four corners; twice that leaves residuals that can
-reveal a wrong pose."""
+"""Minimum number of corners. A pose has six unknowns and needs four corners; twice as many leave residuals that can
+reveal a wrong pose.
+"""
 
-CHESSBOARD_FORM = "chessboard:9x6:25mm (inner corners, one fewer than squares each way; side of a square)"
+CHESSBOARD_FORM = "chessboard:9x6:25mm (inner corners, one fewer than squares in each direction; side of a square)"
 _SIZE = r"(\d+)x(\d+):(\d+(?:\.\d*)?|\.\d+)(mm|cm|m)"
 _CHESSBOARD = re.compile(f"chessboard:{_SIZE}")
 _CHARUCO = re.compile(rf"charuco:{_SIZE}:(\d+(?:\.\d*)?|\.\d+)(mm|cm|m):(\w+)(:legacy)?")
 CHARUCO_FORM = "charuco:5x7:40mm:30mm:DICT_4X4_50 (squares; side of a square; side of a marker; dictionary)"
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp")
 MAX_VIEWS = 40
-"""Largest number of pictures of a video. Standard deviations fall with the square root of the number: more add time
-and little else."""
+"""Maximum number of frames of a video. Standard deviations fall with the square root of the number, so more frames
+mostly cost time.
+"""
 MAX_EXAMINED = 600
-"""Largest number of frames of a video in which the board is searched for."""
+"""Maximum number of frames of a video in which the board is searched for."""
 EXAMINED_HZ = 5.0
 SHARPNESS_KEPT = 0.7
-"""Smallest sharpness of a frame, relative to that of the sharp ones (their 75th percentile)."""
+"""Minimum sharpness of a frame relative to the 75th percentile of all frames."""
 MIN_DIFFERENCE = 0.02
-"""Least movement of the board's outline between two views, relative to the picture's diagonal; below it they are the
-same view."""
+"""Minimum movement of the board's outline between two views, as a fraction of the picture's diagonal. With less
+movement the views count as the same.
+"""
 
 
 Corners = tuple[Index, Array]
-"""Corners of a board in one picture: rows (N,) of the board's `points_m`, and pixels (N, 2)."""
+"""Corners of a board in a picture: rows (N,) of the board's `points_m`, and pixels (N, 2)."""
 
 
 @dataclass(frozen=True)
 class Board:
-    """Describe a board of squares, or a ChArUco board, which has markers in the light squares."""
+    """Describe a chessboard, or a ChArUco board, which has markers in the light squares."""
 
     columns: int
-    """Number of inner corners across, or of squares if there are markers."""
+    """Number of inner corners across, or of squares for a board with markers."""
     rows: int
     square_m: float
-    """The side of a square in metres."""
+    """Side of a square in metres."""
     marker_m: float | None = None
     """Side of a marker; None for a chessboard."""
     dictionary: str = ""
-    """OpenCV's name of the markers' dictionary."""
+    """Name of the markers' dictionary in OpenCV."""
     legacy: bool = False
     """Whether the board has the layout of OpenCV before 4.6, which differs for an even number of rows."""
 
@@ -101,7 +104,7 @@ class Board:
 
     @cached_property
     def charuco(self) -> cv2.aruco.CharucoBoard:
-        """Return OpenCV's board, for one with markers."""
+        """Return OpenCV's object for a board with markers."""
         assert self.marker_m is not None
         size = (self.columns, self.rows)
         board = cv2.aruco.CharucoBoard(size, self.square_m, self.marker_m, _dictionary(self.dictionary))
@@ -110,14 +113,14 @@ class Board:
 
     @cached_property
     def points_m(self) -> Array:
-        """Return the corners (K, 3) in the board frame, metres, row by row, as OpenCV numbers them."""
+        """Return the corners (K, 3) in the board frame, metres, row by row in OpenCV's order."""
         first = 0 if self.marker_m is None else 1
         y, x = np.mgrid[first : self.rows, first : self.columns]
         return self.square_m * np.stack((x.ravel(), y.ravel(), np.zeros(x.size)), axis=1)
 
     @cached_property
     def outline_m(self) -> Array:
-        """Return the corners (4, 3) of the outermost squares."""
+        """Return the four outer corners (4, 3) of the board's squares, metres."""
         x0 = y0 = -1 if self.marker_m is None else 0
         x1, y1 = self.columns, self.rows
         return self.square_m * np.array([(x0, y0, 0.0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0)])
@@ -125,8 +128,8 @@ class Board:
     def detect(self, image: Gray) -> Corners | None:
         """Return the corners in a picture (height, width), or None.
 
-        A chessboard is found whole or not at all; a ChArUco board has the corners between markers that were read, if
-        they are enough.
+        A chessboard is detected as a whole or not at all. A ChArUco board gives the corners between the markers that
+        were read, or None if these are too few.
         """
         if self.marker_m is None:
             size = (self.columns, self.rows)
@@ -135,19 +138,19 @@ class Board:
                 return None
             xy = np.asarray(xy, dtype=float).reshape(-1, 2)
             if xy[0].sum() > xy[-1].sum():
-                xy = xy[::-1]  # a half turn maps the board onto itself, so the order of its ends is arbitrary
+                xy = xy[::-1]  # a half turn maps the board onto itself, so the order of the corners is arbitrary
             return np.arange(len(xy)), _refined_corners(image, xy, 0.28)
         xy, ids, _, _ = cv2.aruco.CharucoDetector(self.charuco).detectBoard(image)
         if ids is None or len(ids) < MIN_CORNERS:
             return None
-        # As far as the nearest marker, which would pull the corner towards its own.
+        # Limit the window to the nearest marker, whose corner would attract the corner that is refined.
         reach = 0.45 * (1 - self.marker_m / self.square_m)
         xy = _refined_corners(image, np.asarray(xy, dtype=float).reshape(-1, 2), reach)
         return np.ravel(ids).astype(np.intp), xy
 
 
 def parse_board(text: str) -> Board:
-    """Return the board of a description such as `CHESSBOARD_FORM` or `CHARUCO_FORM`; `:legacy` may follow the second.
+    """Return the board described by a text such as `CHESSBOARD_FORM` or `CHARUCO_FORM` (which `:legacy` may follow).
 
     Raises InputError.
     """
@@ -158,13 +161,13 @@ def parse_board(text: str) -> Board:
     board = Board(int(columns), int(rows), float(square) * UNITS_M[unit])
     problems = []
     if min(board.columns, board.rows) < 3 or not board.square_m > 0:
-        problems = [Problem("--board", "size", repr(text), "three or more columns and rows, of a size above 0")]
+        problems = [Problem("--board", "size", repr(text), "three or more columns and rows, and a size above 0")]
     if markers:
         size, unit, dictionary, legacy = markers
         marker_m = float(size) * UNITS_M[unit]
         board = replace(board, marker_m=marker_m, dictionary=dictionary.upper(), legacy=bool(legacy))
         if not 0 < marker_m < board.square_m:
-            expected = f"less than {square}{unit} of a square"
+            expected = f"less than the side of a square, {square}{unit}"
             problems.append(Problem("--board", "side of a marker", size + unit, expected))
         dictionaries = sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_") and name == name.upper())
         needed = board.columns * board.rows // 2
@@ -183,14 +186,14 @@ def _dictionary(name: str) -> cv2.aruco.Dictionary:
 
 
 def _refined_corners(image: Gray, xy_px: Array, reach: float) -> Array:
-    """Return corners (N, 2) moved to the edges' intersection, within `reach` of the distance to the next corner.
+    """Return corners (N, 2) moved to the intersection of the edges, within `reach` of the distance to the next corner.
 
-    That halves the error of the detectors' corners. The window must see neither the board's edge nor a neighbour: real
-    chessboards have the smallest errors with 0.3, and from 0.4 outer corners drift. A corner that would move by more
-    than the window stays.
+    This halves the detectors' errors. The window must contain neither the board's edge nor another corner. On real
+    chessboards the errors are smallest at a reach of 0.3; from 0.4 on, outer corners drift. A corner that would move by
+    more than the window is left where it was.
     """
     distance = np.linalg.norm(xy_px[:, None] - xy_px, axis=2) + np.diag(np.full(len(xy_px), np.inf))
-    # The window is the same for all corners; on a tilted board the far corners decide.
+    # The window is the same for all corners; on a tilted board, the distant corners determine its size.
     half = int(np.clip(round(reach * np.percentile(distance.min(axis=1), 20)), 2, 15))
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
     start = xy_px.astype(np.float32).reshape(-1, 1, 2)
@@ -203,26 +206,26 @@ def _refined_corners(image: Gray, xy_px: Array, reach: float) -> Array:
 
 @dataclass(frozen=True)
 class BoardView:
-    """Hold one picture in which the board was found.
+    """Hold a picture in which the board was detected.
 
-    name: the file's, or the frame's number.
+    name: name of the file, or number of the frame.
     """
 
     name: str
     ids: Index
-    """Rows of the board's `points_m`, shape (N,)."""
+    """(N,): rows of the board's `points_m`."""
     xy_px: Array
-    """The corners in pixels, shape (N, 2)."""
+    """(N, 2): corners in pixels."""
 
 
 @dataclass(frozen=True)
 class BoardViews:
-    """Hold the pictures of a board in some files."""
+    """Hold the pictures of a board from some files."""
 
     board: Board
     image_size_px: tuple[int, int]
     views: tuple[BoardView, ...]
-    """Views of the board that the calibration uses."""
+    """Views of the board to calibrate from."""
     without_board: tuple[str, ...]
     """Names of the pictures without the board."""
     with_board: int
@@ -235,9 +238,10 @@ class BoardViews:
 
 
 def collect(paths: Iterable[Path]) -> list[Path]:
-    """Return pictures, including those in folders, or one video alone.
+    """Return the picture files of paths, including those in folders, or a single video.
 
-    Raises InputError for every path that does not exist, every folder without pictures, and a video among others.
+    Raises InputError with every path that does not exist, every folder without pictures, and every video among other
+    files.
     """
     files: list[Path] = []
     problems = []
@@ -254,17 +258,17 @@ def collect(paths: Iterable[Path]) -> list[Path]:
             files.append(path)
     videos = [file for file in files if _is_video(file)]
     if videos and len(files) > 1:
-        expected = "one video alone, or pictures and folders of pictures"
+        expected = "a single video, or pictures and folders of pictures"
         problems.append(Problem(videos[0], "inputs", f"a video among {len(files)} files", expected))
     raise_problems(problems)
     return list(dict.fromkeys(files))
 
 
 def find_views(files: Sequence[Path], board: Board, progress: Progress = silent) -> BoardViews:
-    """Find a board in pictures or in one video, as `collect` returns them.
+    """Find a board in pictures or in one video, as returned by `collect`.
 
-    Raises InputError, with every problem at once, for files that cannot be read, pictures that differ in size, and if
-    no picture shows the board.
+    Raises InputError, with every problem at once, if files cannot be read, if pictures differ in size, or if no picture
+    shows the board.
     """
     is_video, sizes = _is_video(files[0]), dict[str, tuple[int, int]]()
     problems, names_without, views_found = list[Problem](), list[str](), list[BoardView]()
@@ -272,11 +276,11 @@ def find_views(files: Sequence[Path], board: Board, progress: Progress = silent)
     for name, share, image in _frames(files[0]) if is_video else _images(files):
         progress("looking for the board", share)
         if image is None:
-            problems.append(Problem(name, "file", "no picture that OpenCV can read", ", ".join(IMAGE_SUFFIXES)))
+            problems.append(Problem(name, "file", "OpenCV cannot read this picture", ", ".join(IMAGE_SUFFIXES)))
             continue
         sizes[name] = (image.shape[1], image.shape[0])
         if len(set(sizes.values())) > 1 or problems:
-            continue  # it is an error already; what remains is to name all of it
+            continue  # the input is refused already; the loop only goes on to list all problems
         corners = board.detect(image)
         if corners is None:
             names_without.append(name)
@@ -289,10 +293,10 @@ def find_views(files: Sequence[Path], board: Board, progress: Progress = silent)
         problems.append(_mixed_sizes(sizes))
     raise_problems(problems)
     if not views_found:
-        expected = f"a {board}: is that the board? It may have the layout of OpenCV before 4.6: try :legacy"
+        expected = f"a {board}: is this the right board? For the layout of OpenCV before 4.6, add :legacy"
         if board.marker_m is None:
-            expected = f"a {board}, whole and with a white margin: is that the board? --board counts inner corners, "
-            expected += "one fewer than squares each way"
+            expected = f"a whole {board} with a white margin: is this the right board? --board counts inner corners, "
+            expected += "one fewer than squares in each direction"
         examined_text = f"none in {len(names_without)} {'frames' if is_video else 'pictures'}"
         raise InputError(Problem(files[0] if len(files) == 1 else "pictures", "board", examined_text, expected))
     views = [views_found[i] for i in choose(np.array(sharpness), np.array(outlines))] if is_video else views_found
@@ -304,9 +308,9 @@ def _is_video(path: Path) -> bool:
 
 
 def _images(files: Sequence[Path]) -> Iterator[tuple[str, float, Gray | None]]:
-    """Yield the name of each picture, the share of all before it, and the picture, upright as its camera says.
+    """Yield each picture's name, the fraction of pictures before it, and the picture, rotated upright by its EXIF tag.
 
-    None instead of a picture that cannot be read.
+    A picture that cannot be read is None.
     """
     unique = len({file.name for file in files}) == len(files)
     for done, file in enumerate(files):
@@ -316,7 +320,7 @@ def _images(files: Sequence[Path]) -> Iterator[tuple[str, float, Gray | None]]:
 
 
 def _frames(path: Path) -> Iterator[tuple[str, float, Gray]]:
-    """Yield some frames of a video, as `_images` does pictures."""
+    """Yield some frames of a video in the form of `_images`."""
     info = probe(path)
     count = info.stated_frames or sum(1 for _ in read_frames(path, step=2**31))
     step = max(1, math.ceil(max((info.fps or 30.0) / EXAMINED_HZ, count / MAX_EXAMINED)))
@@ -330,16 +334,24 @@ def _mixed_sizes(sizes: dict[str, tuple[int, int]]) -> Problem:
     found_sizes = "; ".join(
         f"{width}x{height} ({', '.join(names[:3])})" for (width, height), names in names_of_size.items()
     )
-    expected = "one size, that of the clips, and one orientation: a calibration is valid for one resolution"
+    expected = "pictures of one size and orientation, those of the clips: a calibration is valid for one resolution"
     return Problem("pictures", "size", found_sizes, expected)
 
 
 def choose(sharpness: Array, outlines: Array, count: int = MAX_VIEWS) -> list[int]:
-    """Return frames that are sharp and as different as possible, in order.
+    """Return the indices of frames that are sharp and as different as possible, in order.
 
-    sharpness: (N,). outlines: (N, 4, 2), the board's corners relative to the picture's diagonal. The first is the
-    sharpest; every next one is, among the sharp ones, the farthest from all chosen (root mean square over the outline),
-    until `count` are chosen or the farthest is a repetition.
+    The first choice is the sharpest frame. Every further choice is the sharp frame that is farthest from all chosen
+    ones (root mean square over the outline), until `count` are chosen or the farthest is a repetition.
+
+    Parameters
+    ----------
+    sharpness : (N,)
+        Sharpness of each frame.
+    outlines : (N, 4, 2)
+        Outer corners of the board in each frame, as fractions of the picture's diagonal.
+    count : int
+        Maximum number of frames.
     """
     sharp_rows = np.flatnonzero(sharpness >= SHARPNESS_KEPT * np.percentile(sharpness, 75))
     first = int(np.argmax(sharpness))
@@ -358,9 +370,9 @@ def choose(sharpness: Array, outlines: Array, count: int = MAX_VIEWS) -> list[in
 def corner_sharpness(image: Gray, xy_px: Array) -> float:
     """Return the sharpness of a board in a picture (height, width): about 1 / the width of an edge (px).
 
-    Around each of its corners (N, 2), the root of the smaller eigenvalue of the mean outer product of the gradients,
-    relative to the contrast: motion in one direction blurs the edges across it, and leaves the larger eigenvalue
-    unchanged.
+    The sharpness around a corner (N, 2) is the square root of the smaller eigenvalue of the gradients' mean outer
+    product, relative to the contrast. Motion in one direction blurs the edges across it and so reduces the smaller
+    eigenvalue only.
     """
     half = 5
     scores = []
@@ -376,7 +388,7 @@ def corner_sharpness(image: Gray, xy_px: Array) -> float:
 
 
 def _outline(board: Board, ids: Index, xy_px: Array) -> Array:
-    """Return the board's outermost corners (4, 2) in the picture, extrapolated without distortion."""
+    """Return the board's outer corners (4, 2) in the picture, extrapolated without distortion."""
     points = board.points_m[ids, :2]
     homography, _ = cv2.findHomography(points, xy_px)
     if homography is None:  # all corners are on one line
@@ -391,24 +403,25 @@ DROP_FLOOR_PX = 0.3
 ROUNDS = 3
 COVERAGE_COLUMNS = 320
 MIN_VIEWS = 3
-"""Least number of views. Each view of a plane gives two equations for the four numbers of the matrix; this is one
-more than needed."""
+"""Minimum number of views. Each view of a plane gives two equations for the four numbers of the matrix, so two are
+enough; this is one more.
+"""
 FISHEYE_STARTS_DEG = (60.0, 100.0, 140.0, 180.0)
 _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
 
 
 @dataclass(frozen=True)
 class _FittedBoardView(BoardView):
-    """Hold one picture, with N corners."""
+    """Hold a fitted picture with N corners."""
 
     rotation: Array
-    """Rotation (3, 3): X_camera = rotation X_board + translation_m."""
+    """(3, 3): X_camera = rotation X_board + translation_m."""
     translation_m: Array
-    """Translation, shape (3,)."""
+    """(3,): translation of the board."""
     residual_px: Array
-    """Projected minus detected corners, shape (N, 2)."""
+    """(N, 2): projected minus detected corners."""
     used: bool
-    """False for an outlier that was left out."""
+    """Whether the picture was used; False for an outlier."""
 
     @cached_property
     def rms_px(self) -> float:
@@ -434,8 +447,9 @@ class Calibration:
     board: Board
     views: tuple[_FittedBoardView, ...]
     sigma: tuple[float, ...]
-    """One standard deviation of each parameter (see `parameters`), from the residuals and the views' geometry,
-    without errors of the lens model."""
+    """Standard deviation of each parameter (see `parameters`), from the residuals and the geometry of the views,
+    without errors of the lens model.
+    """
 
     @cached_property
     def used(self) -> tuple[_FittedBoardView, ...]:
@@ -458,9 +472,26 @@ class Calibration:
 
 
 def calibrate(views: BoardViews, model: str, name: str = "cam1") -> Calibration:
-    """Return the camera that explains the views best.
+    """Return the camera that fits the views best.
 
-    Raises InputError if they are too few or determine nothing.
+    Parameters
+    ----------
+    views : BoardViews
+        Pictures of the board.
+    model : str
+        Name of the lens model.
+    name : str
+        Name of the camera.
+
+    Returns
+    -------
+    Calibration
+        The camera, its uncertainty, and the views that were used.
+
+    Raises
+    ------
+    InputError
+        If there are too few views, or if they do not determine a camera.
     """
     if len(views.views) < MIN_VIEWS:
         found_views = f"the board in {len(views.views)} of {views.examined} pictures"
@@ -492,21 +523,21 @@ def _solve(views: BoardViews, model: str, name: str) -> tuple[Camera, list[_Fitt
         matrix, distortion, rotations, translations = solve(views.views, points, size, lens.calibrated)
         camera = Camera(name, np.asarray(matrix, dtype=float), np.asarray(distortion, dtype=float), model, size)
     except (cv2.error, ValueError) as error:
-        expected = "boards tilted in different ways, over the whole picture"
+        expected = "views with different tilts, over the whole picture"
         raise InputError(Problem("pictures", f"{model} model", "no solution", expected)) from error
     fitted = []
     for view, rotation_vector, translation_vector in zip(views.views, rotations, translations, strict=True):
         rotation = np.asarray(cv2.Rodrigues(rotation_vector)[0], dtype=float)
         translation = np.asarray(translation_vector, dtype=float).ravel()
         projected, valid = camera.project(points[view.ids] @ rotation.T + translation)
-        # If the lens model folds, there is no projection: the error is set to a very large finite value.
+        # If the lens model folds, there is no projection, and the error is set to a very large finite value.
         residual = np.where(valid[:, None], projected - view.xy_px, math.hypot(*size))
         fitted.append(_FittedBoardView(view.name, view.ids, view.xy_px, rotation, translation, residual, used=True))
     return camera, fitted
 
 
 def _solve_standard(views: Sequence[BoardView], points: Array, size: tuple[int, int], coefficients: int) -> _Solution:
-    """Solve with OpenCV's first five coefficients, or with none."""
+    """Solve for OpenCV's first five coefficients, or for none."""
     fixed = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
     objects = [points[view.ids].astype(np.float32) for view in views]
     images = [view.xy_px.astype(np.float32).reshape(-1, 1, 2) for view in views]
@@ -517,11 +548,11 @@ def _solve_standard(views: Sequence[BoardView], points: Array, size: tuple[int, 
 
 
 def _solve_fisheye(views: Sequence[BoardView], points: Array, size: tuple[int, int], coefficients: int) -> _Solution:
-    """Solve from several fields of view, because OpenCV stays near the one it starts from."""
+    """Solve from several fields of view, because OpenCV's result stays near its initial value."""
     objects = [points[view.ids].reshape(1, -1, 3) for view in views]
     images = [view.xy_px.reshape(1, -1, 2) for view in views]
     names = ("CALIB_USE_INTRINSIC_GUESS", "CALIB_RECOMPUTE_EXTRINSIC", "CALIB_FIX_SKEW")
-    # OpenCV 4 has flags of its own for fisheyes, of other values; OpenCV 5 has one set for all lenses.
+    # OpenCV 4 has separate flags for fisheye lenses; OpenCV 5 has the same flags for all lenses.
     flags = sum(getattr(cv2.fisheye if hasattr(cv2.fisheye, "CALIB_FIX_SKEW") else cv2, name) for name in names)
     solutions: list[Any] = []
     for field_deg in FISHEYE_STARTS_DEG:
@@ -538,10 +569,10 @@ def _solve_fisheye(views: Sequence[BoardView], points: Array, size: tuple[int, i
 
 
 def _sigma(views: Sequence[_FittedBoardView], points: Array, camera: Camera) -> Array:
-    """Return standard deviations of the camera's parameters, infinite if the pictures do not determine them.
+    """Return the standard deviations of the camera's parameters, infinite if the pictures do not determine them.
 
-    The unknowns are the parameters and the poses. The residuals' variance is their sum of squares over the degrees of
-    freedom.
+    The unknowns are the parameters and the poses. The variance of the residuals is their sum of squares divided by the
+    degrees of freedom.
     """
     by_camera, by_pose = zip(*(_jacobian(view, points, camera) for view in views), strict=True)
     jacobian = np.hstack([np.vstack(by_camera), block_diag(*by_pose)])
@@ -557,7 +588,7 @@ def _sigma(views: Sequence[_FittedBoardView], points: Array, camera: Camera) -> 
 
 
 def _jacobian(view: _FittedBoardView, points: Array, camera: Camera) -> tuple[Array, Array]:
-    """Return derivatives of a view's pixels by the camera (2N, 4 + coefficients) and the pose (2N, 6)."""
+    """Return the derivatives of a view's pixels by the camera (2N, 4 + coefficients) and by the pose (2N, 6)."""
     rotation = np.asarray(cv2.Rodrigues(view.rotation)[0], dtype=float)
     objects = points[view.ids].reshape(-1, 1, 3)
     pose, n = (rotation, view.translation_m), camera.distortion.size
@@ -583,9 +614,9 @@ class _CalibrationCheck:
     quantity: str
     unit: str
     warn: float
-    """Limit of a warning: a largest value, or a least one if `at_least`."""
+    """Limit beyond which there is a warning: a minimum if `at_least`, otherwise a maximum."""
     refuse: float
-    """Limit of a refusal: a largest value, or a least one if `at_least`."""
+    """Limit beyond which the calibration is refused: a minimum if `at_least`, otherwise a maximum."""
     at_least: bool
     advice: str
     value: float
@@ -602,53 +633,56 @@ class _CalibrationCheck:
         return not math.isnan(bound) and not (self.value >= bound if self.at_least else self.value <= bound)
 
     def __str__(self) -> str:
-        """Return the measured value, the limit that it exceeds, by how much, and advice."""
+        """Return the measured value and, if it exceeds a limit, the limit, by how much, and advice."""
         bound = self.refuse if self.verdict == "refused" else self.warn
         unit = f" {self.unit}" if self.unit else ""
         if self.verdict == "ok":
             return f"{self.name}: {self.quantity} {self.value:.3g}{unit}"
         side = "at least" if self.at_least else "at most"
         return (
-            f"{self.name}: {self.quantity} {self.value:.3g}{unit}, {side} {bound:g} wanted "
+            f"{self.name}: {self.quantity} {self.value:.3g}{unit}, {side} {bound:g} needed "
             f"({abs(self.value - bound):.2g} {'short' if self.at_least else 'over'}): {self.advice}"
         )
 
 
 LIMITS = (
-    # three determine the matrix, two more the lens; with six an error of one can still be seen in the others
+    # three determine the matrix, two more the lens; with six, an error in one still shows in the others
     ("images", "pictures used", "", 10, 6, True, "take more pictures"),
-    # with one in four outliers the median itself is uncertain
-    ("dropped", "pictures left out as outliers", "%", 10, 25, False, "look for a board that bends, or moves"),
-    # corners are found to 0.05-0.3 px; more is a wrong lens model or board. Relative to the width above 1920
-    ("rms", "reprojection error", "px of 1920", 0.5, 1.0, False, "check the board's numbers, flatness, and --model"),
-    # the lens is measured there and extrapolated elsewhere, by polynomials
-    ("coverage", "share of the picture where the board was", "%", 60, 30, True, "move the board over all of it"),
-    # the distortion is largest there
+    # if one in four is an outlier, the median itself is uncertain
+    ("dropped", "pictures left out as outliers", "%", 10, 25, False, "look for a board that bends or moves"),
+    # corners are detected to 0.05-0.3 px; larger errors mean a wrong lens model or board; in px of 1920 above that
+    # width
+    ("rms", "reprojection error", "px of 1920", 0.5, 1.0, False,
+     "check --board, --model, and that the board is flat"),
+    # the lens is measured inside this area, and extrapolated by polynomials outside
+    ("coverage", "share of the picture where the board was", "%", 60, 30, True,
+     "move the board over the whole picture"),
+    # the distortion is largest at the borders
     ("border", "widest strip along a border without a corner", "% of the side", 12, math.nan, False,
      "hold the board at the borders, partly outside if it is a ChArUco board"),
-    # parallel boards say nothing new: a longer focal length and a longer distance look the same
+    # parallel boards add no information: a longer focal length and a longer distance look the same
     ("tilt", "largest angle between two boards", "degrees", 40, 20, True, "tilt the board by 30 to 45 degrees"),
-    # about one axis, only one of fx and fy is determined by perspective
+    # if boards are tilted about one axis only, perspective determines only one of fx and fy
     ("tilt axes", "spread of the tilt in its least varied direction", "degrees", 6, 2, True,
      "tilt the board sideways as well as forwards"),
-    # errors of the lens model itself are not included: expect three times as much
+    # errors of the lens model are not included: expect three times as much
     ("focal length", "standard deviation of fx or fy", "%", 0.3, 1.0, False, "take more pictures, closer and tilted"),
     ("principal point", "standard deviation of cx or cy", "% of the width", 0.3, 1.0, False,
      "take more pictures, tilted and at the borders"),
-    # pixels of today's sensors are square to 0.1 %
+    # the pixels of modern sensors are square to 0.1 %
     ("aspect", "difference between fx and fy", "%", 0.5, 5.0, False, "check that the video is not stretched"),
-    # lenses are centred to some 2 %
+    # lenses are centred to about 2 %
     ("centre", "distance of the principal point from the middle", "% of the width", 5, 15, False,
      "check that the picture is not cropped"),
-    # there the fitted polynomial turns back; a circular fisheye picture has such corners by nature
-    ("folded", "part of the picture where the lens model has no ray", "%", 0.0, 5.0, False,
+    # the fitted polynomial turns back there; a circular fisheye picture always has such corners
+    ("folded", "part of the picture without a ray in the lens model", "%", 0.0, 5.0, False,
      "cover the borders, or use another --model"),
 )  # fmt: skip
-"""First fields of each `_CalibrationCheck`, all but its value."""
+"""All fields of `_CalibrationCheck` except its value."""
 
 
 def check(calibration: Calibration) -> tuple[_CalibrationCheck, ...]:
-    """Return the checks of `LIMITS` with a calibration's values."""
+    """Return the checks of `LIMITS` for a calibration."""
     camera, used = calibration.camera, calibration.used
     width, height = camera.image_size_px
     values, sigma = calibration.parameters, calibration.sigma
@@ -675,7 +709,7 @@ def check(calibration: Calibration) -> tuple[_CalibrationCheck, ...]:
 
 
 def coverage(calibration: Calibration) -> Bools:
-    """Return which cells of the picture lie among the corners of some used picture, shape (rows, columns)."""
+    """Return which cells of the picture (rows, columns) are among the corners of some used picture."""
     width, height = calibration.camera.image_size_px
     scale = COVERAGE_COLUMNS / width
     mask = np.zeros((max(1, round(height * scale)), COVERAGE_COLUMNS), dtype=np.uint8)

@@ -1,8 +1,8 @@
-"""Find camera positions from which the pixels determine an angle or a joint.
+"""Find camera positions from which the pixels determine an angle or a joint well.
 
-A mean stride runs through the middle of the picture: the prior's mean pose, which swings along its two widest
-directions. No search is needed: the posterior is that of a fit that has found this motion, and only needs the curvature
-of the problem there (`recon.fit.posterior`).
+The motion is a mean stride through the middle of the picture: the prior's mean pose, varied along its two directions of
+largest variance. No fit is needed. The expected uncertainty is that of a fit that has found this motion, so it follows
+from the curvature of the problem there (`recon.fit.posterior`).
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from recon.geometry.camera import Camera
 from recon.geometry.kinematics import ROOT
 
 AZIMUTHS_RAD = np.radians(np.arange(0, 360, 30))
-"""Azimuths about the animal, from above counter-clockwise: 0 ahead of it, a quarter turn to its left."""
+"""Azimuths around the animal, counterclockwise from above: 0 is ahead of the animal, a quarter turn is to its left."""
 ELEVATIONS_RAD = np.radians([5, 30, 55, 80])
 """Elevations above the level of the animal's middle."""
 FPS, FRAMES = 60.0, 21
 STRIDES_HZ, LENGTHS_S = 3.0, 5.0
-"""Number of strides, and of body lengths, that the animal runs per second."""
+"""Number of strides, and of body lengths, per second."""
 AWAY_LENGTHS = 4.0
 """Default distance of the camera in body lengths."""
 PICTURE_PX = (1920, 1080)
@@ -41,7 +41,7 @@ SAME = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Advice:
-    """Describe one camera at every position of a grid of `AZIMUTHS_RAD` and `ELEVATIONS_RAD` around the animal."""
+    """Describe how well a camera measures a target from each of `AZIMUTHS_RAD` and `ELEVATIONS_RAD`."""
 
     target: str
     """Angle or joint to measure."""
@@ -49,17 +49,17 @@ class Advice:
     """"rad" for an angle, "m" for joints."""
     distance_m: float
     sigma: Array
-    """Median standard deviation over the frames, shape (E, A); infinite if the animal is not in the picture."""
+    """(E, A): median standard deviation over the frames; infinite if the animal is not in the picture."""
     share: Array
-    """Fraction of the precision that comes from the pixels of all cameras, shape (E, A)."""
+    """(E, A): fraction of the precision that comes from the pixels of all cameras."""
     first_place: tuple[float, float] | None = None
-    """Azimuth and elevation of another camera that is already placed."""
+    """Azimuth and elevation of a camera that is already placed."""
 
     @property
     def best(self) -> tuple[int, int]:
         """Return the indices of elevation and azimuth with the smallest standard deviation.
 
-        The first if several are equally good, such as both sides of an animal.
+        If several positions are equally good, such as both sides of an animal, the result is the first of them.
         """
         row, column = np.argwhere(self.sigma <= (1 + SAME) * self.sigma.min())[0]
         return int(row), int(column)
@@ -80,27 +80,29 @@ def advise(
     cameras: int = 1,
     progress: Callable[[float], None] = lambda share: None,
 ) -> list[Advice]:
-    """Return advice on where to place one or two cameras.
+    """Return advice on where to put one or two cameras.
 
-    The first camera stands in its best position when advice on the second is given.
+    The advice on a second camera assumes that the first camera is in its best position.
 
     Parameters
     ----------
     body, prior : Body, MotionPrior
         The animal and its motion.
     target : str, optional
-        An angle of the body's states, without its position and heading, or a marker; None: all markers.
+        An angle of the body's states (not its position or heading), or a marker; by default all markers.
     hfov_deg : float
         Horizontal field of view.
     distance_m : float, optional
         Distance of a camera from the animal's middle, by default `AWAY_LENGTHS`.
     cameras : int
         1 or 2.
+    progress : callable
+        Called with the fraction that is done.
 
     Raises
     ------
     ValueError
-        For a name that the body lacks, and for a field of view outside (0, 180) degrees.
+        If the body lacks the target, or if the field of view is outside (0, 180) degrees.
     """
     states, lens = mean_stride(body, prior), Camera.from_hfov(hfov_deg, PICTURE_PX)
     middle = body.tree.pose(states).points_m.mean(axis=(0, 1))
@@ -124,10 +126,10 @@ def advise(
 def known(
     body: Body, prior: MotionPrior, states: Array, cameras: Sequence[Camera], target: str | None = None
 ) -> tuple[float, float]:
-    """Return the standard deviation and the fraction of the precision due to the pixels, medians over frames.
+    """Return a target's standard deviation and the fraction of its precision due to pixels, medians over frames.
 
-    The standard deviation is in rad, or in m for a joint within the pose. cameras see the motion of states (T, D);
-    (inf, 0) if none does. See `advise`.
+    The standard deviation is in rad for an angle, and in m for a joint relative to the pose. The cameras see the motion
+    of states (T, D). The result is (inf, 0) if no camera sees the animal. `target` is as in `advise`.
     """
     views = [_seen(body, states, camera) for camera in cameras]
     if not any(view.present.any() for view in views):
@@ -168,7 +170,7 @@ def length_m(body: Body) -> float:
 
 
 def placed(camera: Camera, target_m: Array, azimuth_rad: float, elevation_rad: float, distance_m: float) -> Camera:
-    """Return the camera at a position around an animal that faces x, with the target in the middle of its picture."""
+    """Return a camera that looks at target_m from a position around an animal that faces x."""
     level = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
     towards = -np.cos(elevation_rad) * level - np.sin(elevation_rad) * np.array([0.0, 0.0, 1.0])
     right = np.array([-level[1], level[0], 0.0])
@@ -177,7 +179,7 @@ def placed(camera: Camera, target_m: Array, azimuth_rad: float, elevation_rad: f
 
 
 def _seen(body: Body, states: Array, camera: Camera) -> View:
-    """Return the detections of the markers that are in the picture."""
+    """Return the detections of the markers inside the picture."""
     pixels, valid = camera.project(camera.world_to_camera(body.detected.pose(states).points_m))
     is_seen = valid & camera.in_image(pixels)
     return still_view(camera, np.where(is_seen[..., None], pixels, np.nan), is_seen.astype(float))

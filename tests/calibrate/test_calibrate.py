@@ -229,7 +229,7 @@ def test_parallel_boards_are_refused():
     where = [(r, t - r @ centre) for r, t in where]
     said = refused(exact_views(camera, board, where))
     assert {"tilt", "tilt axes"} <= set(said)
-    match = re.search(r"two boards ([\d.]+) degrees, at least 20 wanted \(([\d.]+) short\)", said["tilt"])
+    match = re.search(r"two boards ([\d.]+) degrees, at least 20 needed \(([\d.]+) short\)", said["tilt"])
     assert match is not None
     assert float(match[1]) + float(match[2]) == pytest.approx(20, abs=0.6)
 
@@ -334,7 +334,7 @@ def test_all_bad_inputs_are_named_at_once(tmp_path):
     for number, shape in enumerate([(60, 80), (60, 80), (80, 60)]):
         cv2.imwrite(str(tmp_path / f"{number}.png"), np.zeros(shape, np.uint8))
     sizes = ("pictures", "size", "80x60 (0.png, 1.png); 60x80 (2.png)", "one size")
-    with refusal((tmp_path / "text.png", "file", "no picture"), sizes):
+    with refusal((tmp_path / "text.png", "file", "cannot read"), sizes):
         find_views(collect([tmp_path]), parse_board(CHESS))
     with refusal((tmp_path / "0.png", "board", "1 pictures", ["9x6", "25 mm"])):
         find_views([tmp_path / "0.png"], parse_board(CHESS))

@@ -1,1 +1,1 @@
-"""Find from the background how a camera that turns about a fixed point was turned in each frame of its video."""
+"""Find the orientation of a camera that turns about a fixed point, in each frame of its video, from the background."""

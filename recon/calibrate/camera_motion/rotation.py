@@ -1,8 +1,8 @@
 """Follow points between pictures, and find how the camera turned between them and which direction is up.
 
-A subject that the camera follows covers much of the picture, has more structure than the background, and its points
-agree with each other. They lie together, though, while the background surrounds them: a turn is worth the area of its
-points times their spread, not their number.
+A subject that the camera follows can cover much of the picture and have more structure than the background, and its
+points agree with each other. But these points are close together, whereas background points surround them. Therefore
+rotations are ranked by the area that their points cover times the points' spread, not by the number of points.
 """
 
 from __future__ import annotations
@@ -25,17 +25,19 @@ from recon.io.common import first_problems, frame_number, number, text_rows
 from recon.io.video import Image
 
 WORK_PX = 1280
-"""Longest side of the working pictures: larger pictures are reduced by a whole number."""
+"""Maximum side of the working pictures. Larger pictures are reduced by a whole factor."""
 CELLS = (16, 9)
-"""Cells across the longer and the shorter side. Points are taken from each cell, so that a finely structured part of
-the picture does not outnumber the rest."""
+"""Cells across the longer and the shorter side. Points are taken from each cell, so that finely structured parts of the
+picture do not outnumber the rest.
+"""
 POINTS_IN_CELL = 3
 BLOCK_PX, LEVELS = 5, 3
 MIN_CORNER = 4e-5
-"""Least smaller eigenvalue of the structure: noise of two grey levels stays below 3e-5."""
+"""Minimum of the smaller eigenvalue of the structure tensor. Noise of two grey levels stays below 3e-5."""
 MAX_UNLIKE, LEAST_UNLIKE = 3.0, 8.0
-"""Largest difference of a point's surroundings, relative to the median of all, and in grey levels: larger if it is
-hidden."""
+"""Largest difference of a point's surroundings between two pictures, relative to the median of all points, and in grey
+levels. A larger difference means that the point is hidden.
+"""
 ORB_POINTS, MIN_SAME = 700, 20
 MIN_ALIKE = 0.7
 HULL_MARGIN = 0.15
@@ -43,7 +45,7 @@ HULL_MARGIN = 0.15
 
 @dataclass(frozen=True)
 class GreyPicture:
-    """Hold a grey picture, reduced by `scale`."""
+    """Hold a grey picture, reduced by a factor `scale`."""
 
     grey: Image
     scale: int
@@ -62,23 +64,23 @@ class GreyPicture:
     def window_px(self) -> int:
         """Return the side of the window that is compared around a point.
 
-        Smaller in small pictures, as the window should lie on one object.
+        Small pictures have smaller windows, since a window should be on a single object.
         """
         return int(np.clip(max(self.grey.shape) // 40, 11, 21)) | 1
 
     def full_px(self, work_px: Array) -> Array:
-        """Return pixels (N, 2) of the original."""
+        """Return pixels (N, 2) of the original picture from pixels of the working picture."""
         return (work_px + 0.5) * self.scale - 0.5
 
     def work_px(self, full_px: Array) -> Array:
-        """Return pixels (N, 2) of the working picture."""
+        """Return pixels (N, 2) of the working picture from pixels of the original picture."""
         return (full_px + 0.5) / self.scale - 0.5
 
 
 def corners(frame: GreyPicture, masked: Bools | None = None) -> Array:
-    """Return the strongest corners of every cell, pixels (N, 2) of the original, outside the mask.
+    """Return the strongest corners of every cell outside the mask, as pixels (N, 2) of the original picture.
 
-    masked: of the working picture.
+    masked: mask of the working picture.
     """
     grey = cv2.GaussianBlur(frame.grey, (0, 0), 1.0)
     strength = cv2.cornerMinEigenVal(grey, BLOCK_PX)
@@ -99,9 +101,9 @@ def corners(frame: GreyPicture, masked: Bools | None = None) -> Array:
 
 
 def followed(earlier: GreyPicture, later: GreyPicture, points_px: Array, guess_px: Array) -> tuple[Array, Bools]:
-    """Return the positions of points (N, 2) in another picture, and which were found.
+    """Return the positions of points (N, 2) in another picture, and whether each was found.
 
-    guess_px (N, 2): expected positions.
+    guess_px: expected positions (N, 2).
     """
     if not len(points_px):
         return np.zeros((0, 2)), np.zeros(0, bool)
@@ -124,7 +126,7 @@ def followed(earlier: GreyPicture, later: GreyPicture, points_px: Array, guess_p
 
 
 def described(frame: GreyPicture) -> tuple[Array, Image]:
-    """Return pixels (N, 2) and descriptors (N, 32) of points that can be recognised at any position."""
+    """Return pixels (N, 2) and descriptors (N, 32) of points that can be recognised anywhere in another picture."""
     side = frame.window_px * 3 // 2
     finder = cv2.ORB.create(ORB_POINTS, edgeThreshold=side, patchSize=side)
     points, descriptors = finder.detectAndCompute(frame.grey, None)
@@ -135,7 +137,7 @@ def described(frame: GreyPicture) -> tuple[Array, Image]:
 
 
 def same_scene(a: tuple[Array, Image], b: tuple[Array, Image]) -> bool:
-    """Return whether points of two pictures (pixels, descriptors) match by a homography, even if not by a turn."""
+    """Return whether points of two pictures (pixels, descriptors) match by a homography."""
     pairs = matched(a[1], b[1])
     if len(pairs) < MIN_SAME:
         return False
@@ -146,13 +148,13 @@ def same_scene(a: tuple[Array, Image], b: tuple[Array, Image]) -> bool:
 
 
 def similar(a: GreyPicture, b: GreyPicture) -> bool:
-    """Return whether light and dark are distributed similarly in two pictures, as in neighbours of one take."""
+    """Return whether light and dark are distributed similarly in two pictures, as in neighbouring frames of a take."""
     small = [cv2.resize(picture.grey, (16, 16), interpolation=cv2.INTER_AREA).ravel() for picture in (a, b)]
     return bool(np.asarray(np.corrcoef(small))[0, 1] > MIN_ALIKE)
 
 
 def matched(a: Image, b: Image) -> Integers:
-    """Return pairs (N, 2) of descriptors that are each other's nearest."""
+    """Return the index pairs (N, 2) of descriptors that are each other's nearest neighbours."""
     if not len(a) or not len(b):
         return np.zeros((0, 2), np.int64)
     matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(a, b)
@@ -160,7 +162,7 @@ def matched(a: Image, b: Image) -> Integers:
 
 
 def hull_mask(frame: GreyPicture, points_px: Array) -> Bools:
-    """Return a mask (height, width) of the working picture: the widened hull of points (N, 2)."""
+    """Return a mask (height, width) of the working picture: the hull of points (N, 2), widened by a margin."""
     mask = np.zeros(frame.grey.shape, np.uint8)
     points = frame.work_px(points_px[np.isfinite(points_px).all(axis=1)])
     if len(points):
@@ -173,12 +175,12 @@ def hull_mask(frame: GreyPicture, points_px: Array) -> Bools:
 
 
 def focus_px(camera: Camera) -> Array:
-    """Return the point (2,) that zooming does not move."""
+    """Return the point (2,) of the picture that zooming does not move."""
     return camera.matrix[:2, 2]
 
 
 def rays_of(camera: Camera, pixels: Array, zoom: float = 1.0) -> tuple[Array, Bools]:
-    """Return unit rays (N, 3) of pixels (N, 2), and their validity.
+    """Return unit rays (N, 3) of pixels (N, 2), and whether each ray is valid.
 
     zoom: focal length relative to the camera file's.
     """
@@ -186,20 +188,22 @@ def rays_of(camera: Camera, pixels: Array, zoom: float = 1.0) -> tuple[Array, Bo
 
 
 def pixels_of(camera: Camera, rays: Array, zoom: float = 1.0) -> tuple[Array, Bools]:
-    """Return the pixels (N, 2) of rays: the inverse of `rays_of`."""
+    """Return the pixels (N, 2) of rays, and their validity; the inverse of `rays_of`."""
     pixels, valid = camera.project(rays)
     return focus_px(camera) + zoom * (pixels - focus_px(camera)), valid
 
 
-# -- a turn ------------------------------------------------------------------------------------------------------------
+# -- a rotation of the camera ------------------------------------------------------------------------------------------
 
 GRID = (12, 12)
 TRIALS, CANDIDATES = 300, 10
 MIN_APART = 0.12
-"""Least distance of the two points from which a rotation is tried, as a share of the picture's diagonal."""
+"""Minimum distance of the two points that give a trial rotation, as a fraction of the picture's diagonal."""
 MIN_POINTS, MIN_SPREAD = 15, 0.2
 FINAL_LIMIT, LEAST_LIMIT = 0.5, 0.2
-"""Factors of the limit of a rotation that is tried: the largest, however widely the points scatter, and the least."""
+"""Largest and smallest factor on the error limit of a rotation; in between, the limit follows the scatter of the
+points.
+"""
 ROUNDS = 6
 
 
@@ -207,7 +211,7 @@ ROUNDS = 6
 class Orientation:
     """Hold the orientation and zoom of a camera.
 
-    rotation (3, 3): world to camera. zoom: focal length relative to the camera file's.
+    rotation (3, 3): from the world to the camera. zoom: focal length relative to the camera file's.
     """
 
     rotation: Array
@@ -216,10 +220,10 @@ class Orientation:
 
 @dataclass(frozen=True, eq=False)
 class AgreedOrientation:
-    """Hold a turn and its support.
+    """Hold an orientation and its support.
 
-    weights: (N,), 0 for points that do not agree. residual_px: (N, 2), seen minus expected. jacobian: (N, 2, 4) of the
-    expected pixels, by a small turn (rad) in the camera frame and by log zoom. spread: value of the turn.
+    weights: (N,), 0 for points that do not agree. residual_px: (N, 2), seen minus expected. jacobian: (N, 2, 4), of the
+    expected pixels by a small rotation (rad) in the camera frame and by log zoom. spread: covered area times spread.
     """
 
     orientation: Orientation
@@ -236,7 +240,7 @@ class AgreedOrientation:
 
 
 def spread(pixels: Array, size_px: tuple[int, int], weights: Array) -> tuple[Array, Array]:
-    """Return the area of the picture (0 to 1) that H sets of points cover, and their spread.
+    """Return the fraction of the picture's area that H sets of points cover, and how widely the points spread.
 
     weights: (H, N), from 0 to 1. The spread is 1 for an evenly covered picture.
     """
@@ -256,10 +260,10 @@ def spread(pixels: Array, size_px: tuple[int, int], weights: Array) -> tuple[Arr
 def agreed_turn(
     camera: Camera, rays: Array, seen_px: Array, background: Array, zoom: float, solve_zoom: bool, limit_px: float
 ) -> AgreedOrientation | None:
-    """Return the turn, at about the given zoom, that takes world rays (N, 3) to the pixels (N, 2) of their points.
+    """Return the orientation, near the given zoom, that takes world rays (N, 3) to the pixels (N, 2) of their points.
 
-    background: (N,) from 0 to 1, how far each point has been background so far. limit_px: largest error of a point.
-    None if too few points agree or they cover too little.
+    The result is None if too few points agree, or if the points cover too little of the picture. background: (N,) from
+    0 to 1, how consistently each point has been background so far. limit_px: largest error of a point.
     """
     if len(rays) < MIN_POINTS:
         return None
@@ -288,7 +292,7 @@ def agreed_turn(
 
 
 def _tried(rays: Array, seen: Array, pixels: Array, size_px: tuple[int, int]) -> Array:
-    """Return turns (H, 3, 3) from pairs of points that are far enough from each other."""
+    """Return trial rotations (H, 3, 3) from pairs of points that are far enough apart in the picture."""
     rng = np.random.default_rng(0)
     i, j = rng.integers(0, len(rays), (2, 2 * TRIALS))
     is_apart = np.linalg.norm(pixels[i] - pixels[j], axis=1) > MIN_APART * np.hypot(*size_px)
@@ -297,7 +301,7 @@ def _tried(rays: Array, seen: Array, pixels: Array, size_px: tuple[int, int]) ->
 
 
 def _axes(a: Array, b: Array) -> Array:
-    """Return right-handed axes (H, 3, 3), as columns, of pairs of rays."""
+    """Return right-handed axes (H, 3, 3), as columns, for pairs of rays."""
     columns = [a + b, a - b, np.cross(b, a)]
     return np.stack([c / np.linalg.norm(c, axis=1, keepdims=True) for c in columns], axis=2)
 
@@ -305,9 +309,9 @@ def _axes(a: Array, b: Array) -> Array:
 def refined(
     camera: Camera, rays: Array, seen_px: Array, orientation: Orientation, solve_zoom: bool, limit_px: float
 ) -> AgreedOrientation | None:
-    """Return the turn after robust least squares in pixels, starting from a turn nearby.
+    """Return the orientation refined by robust least squares in pixels, starting close to the solution.
 
-    Tukey's weights, with a limit that follows the scatter.
+    Weights are Tukey's, with a limit that follows the scatter.
     """
     free_columns = slice(0, 4 if solve_zoom else 3)
     limit, rounds = limit_px, ROUNDS
@@ -330,12 +334,12 @@ def refined(
 
 
 def tukey(size: Array, limit: float) -> Array:
-    """Return Tukey's weights of residuals of these sizes, 0 from the limit on."""
+    """Return Tukey's weights for residuals of given sizes; they are 0 from the limit on."""
     return np.maximum(1 - (size / limit) ** 2, 0) ** 2
 
 
 def normal_equations(jacobian: Array, weights: Array, residual_px: Array) -> tuple[Array, Array]:
-    """Return the matrix (P, P) and the right-hand side (P,) of N points: (N, 2, P), (N,), (N, 2)."""
+    """Return the normal matrix (P, P) and right-hand side (P,) from (N, 2, P), (N,), (N, 2) of N points."""
     flat = jacobian.reshape(-1, jacobian.shape[-1])
     weighted = (jacobian * weights[:, None, None]).reshape(flat.shape)
     return weighted.T @ flat, weighted.T @ residual_px.ravel()
@@ -349,7 +353,7 @@ def _linearised(camera: Camera, rays: Array, seen_px: Array, orientation: Orient
     zero = np.zeros_like(x)
     by_turn = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(
         -1, 3, 3
-    )  # derivative of exp(w) p, that is w x p
+    )  # derivative of exp(w) p by w, from w x p
     jacobian = np.concatenate([orientation.zoom * by_point @ by_turn, from_focus[:, :, None]], axis=2)
     is_known = np.isfinite(from_focus[:, :1])
     return np.where(is_known, seen_px - focus_px(camera) - from_focus, 1e9), np.where(
@@ -358,7 +362,7 @@ def _linearised(camera: Camera, rays: Array, seen_px: Array, orientation: Orient
 
 
 def expected_px(camera: Camera, rays: Array, orientation: Orientation) -> tuple[Array, Bools]:
-    """Return the pixels (N, 2) of world rays (N, 3), and whether they are in the picture."""
+    """Return the pixels (N, 2) of world rays (N, 3), and whether they are inside the picture."""
     pixels, valid = pixels_of(camera, rays @ orientation.rotation.T, orientation.zoom)
     return pixels, valid & camera.in_image(np.where(valid[:, None], pixels, -1e9))
 
@@ -366,43 +370,44 @@ def expected_px(camera: Camera, rays: Array, orientation: Orientation) -> tuple[
 # -- which way is up ---------------------------------------------------------------------------------------------------
 
 COLUMNS = ("kind", "frame", "x1", "y1", "x2", "y2")
-EXPECTED = f"a table (.csv) with the columns {', '.join(COLUMNS)}: horizon or vertical, and two points of it, px"
+EXPECTED = f"a table (.csv) with the columns {', '.join(COLUMNS)}: horizon or vertical, and two of its points, px"
 MARKED_PX = 2.0
-"""One standard deviation of a marked point."""
+"""Standard deviation of a marked point."""
 MAX_SIGMA_RAD = math.radians(3.0)
-"""Largest uncertainty of the upward direction: a single vertical, or parallel ones, do not determine it."""
+"""Largest accepted uncertainty of the upward direction. One vertical, or parallel ones, do not determine it."""
 
 
 LevelMark = tuple[str, int, tuple[tuple[float, float], tuple[float, float]]]
-"""Horizon or vertical, a frame, and two points (px) of the horizon, or of an upright object, in its picture."""
+""""horizon" or "vertical", frame number, and two points (px) of the horizon or of an upright object in this frame."""
 
 
 def as_level(orientations: Sequence[Orientation], up: Array | None) -> tuple[Orientation, ...]:
-    """Return the turns from a world with z up, y away from the camera.
+    """Return orientations relative to a world with z up and y away from the camera.
 
-    up: (3,) in the first frame's camera. None: the mean frame looks level.
+    up: upward direction (3,) in the first frame's camera. If None, the mean frame is assumed to look level.
     """
     reference = orientations[0].rotation
     if up is None:
         reference = Rotation.from_matrix([turn.rotation for turn in orientations]).mean().as_matrix()
         up = tilted(0.0)
-    level = level_from_camera(up) @ reference  # from the previous world
+    level = level_from_camera(up) @ reference  # from the previous world to the level world
     return tuple(replace(orientation, rotation=orientation.rotation @ level.T) for orientation in orientations)
 
 
 def tilted(tilt_rad: float) -> Array:
-    """Return up (3,) for a camera that looks down by an angle and is level sideways."""
+    """Return the upward direction (3,) for a camera that looks down by an angle and is level sideways."""
     return np.array([0.0, -math.cos(tilt_rad), -math.sin(tilt_rad)])
 
 
 def up_by_marks(
     source: Path, marks: Sequence[LevelMark], camera: Camera, orientations: Mapping[int, Orientation]
 ) -> tuple[Array, float]:
-    """Return up (3,) in the first frame's camera, and its standard deviation in rad.
+    """Return the upward direction (3,) in the first frame's camera, and its standard deviation in rad.
 
-    The horizon's rays lie level, and an upright object lies in the plane through its ends' rays: up is at right angles
-    to all of the former and to the normals of the latter. orientations: by frame. Raises InputError for a frame without
-    a turn, a point outside the lens's range, and for marks that do not determine up.
+    Rays to the horizon are level, and an upright object is in the plane of the rays to its ends. The upward direction
+    is therefore perpendicular to the former rays and to the normals of these planes. orientations: by frame number.
+    Raises InputError if a frame has no orientation, if a point is outside the lens's range, or if the marks do not
+    determine the upward direction.
     """
     first = orientations[min(orientations)].rotation
     rows, problems = [], []
@@ -410,23 +415,23 @@ def up_by_marks(
         orientation = orientations.get(frame)
         rays, valid = rays_of(camera, np.array(ends_px), orientation.zoom if orientation else 1.0)
         if orientation is None:
-            problems.append(Problem(source, "frame", str(frame), "one of the video in which the turn was found"))
+            problems.append(
+                Problem(source, "frame", str(frame), "a frame of the video whose camera orientation is known")
+            )
         elif not valid.all():
-            problems.append(Problem(source, f"frame {frame}", str(ends_px), "points of the picture"))
+            problems.append(Problem(source, f"frame {frame}", str(ends_px), "points inside the picture"))
         else:
             level = rays if kind == "horizon" else np.cross(*rays)[None]
             rows.append(level @ orientation.rotation @ first.T)
     raise_problems(dict.fromkeys(problems))
-    # A ray is as exact as a mark over the focal length; a plane's normal as two marks over the length between them,
-    # which is that of the cross product.
+    # The error of a ray is that of a mark over the focal length. The error of a plane's normal is that of two marks
+    # over the distance between them, which is the length of the cross product.
     A = np.concatenate(rows) * camera.matrix[0, 0] / MARKED_PX
     _, size, directions = np.linalg.svd(A, full_matrices=True)
     sigma = math.sqrt(np.sum(size[:2] ** -2.0)) if len(size) > 1 and size[1] > 0 else math.inf
     if sigma > MAX_SIGMA_RAD:
-        found_text = "marks that do not determine the upward direction"
-        raise InputError(
-            Problem(source, "marks", found_text, "two points of the horizon, or verticals far from each other")
-        )
+        found_text = "they do not determine the upward direction"
+        raise InputError(Problem(source, "marks", found_text, "two points of the horizon, or verticals far apart"))
     up = directions[2]
     return (up if up[1] < 0 else -up), sigma
 

@@ -1,7 +1,7 @@
-"""Track a turning camera: process frames one after the other, and return its orientation in each.
+"""Track a turning camera: process frames one after the other, and return the camera's orientation in each.
 
-Keyframes are remembered and later frames are compared with them. Also draws a panorama of everything the camera has
-seen.
+Keyframes are remembered, and later frames are compared with them. This module also draws a panorama of everything the
+camera has seen.
 """
 
 from __future__ import annotations
@@ -24,46 +24,50 @@ from recon.geometry.camera import Camera
 from recon.io.video import Image
 
 LIMIT = 1 / 320
-"""Largest error of a point that agrees with a rotation, as a share of the picture's longer side."""
+"""Largest error of a point that agrees with a rotation, as a fraction of the picture's longer side."""
 MIN_CORNERS = 40
 NEW_KEY_LIKENESS, MIN_LIKENESS = 0.7, 0.25
 NEW_KEY_SUPPORT, MIN_SUPPORT = 0.6, 0.25
-"""Shares of the greatest value of a rotation since the last keyframe: below the first there is a new keyframe, below
-the second the frame is lost."""
+"""Fractions of the best support of a rotation since the last keyframe. Below the first, the frame becomes a keyframe;
+below the second, the frame is lost.
+"""
 BY_ZOOM = 5.0
-"""Reduction of the likeness of two pictures per difference of their log zooms."""
+"""Reduction of the likeness of two pictures per unit of difference in log zoom."""
 KEYS_AT_ONCE, KEYS_TO_LINK = 3, 5
 MAX_PICTURES = 120
-"""Number of keyframes whose pictures are kept, the last ones used, to limit memory."""
+"""Maximum number of keyframes whose pictures stay in memory: those used last."""
 LEARNING = 0.15
 SETTLED, COME_APART, MAX_APART = 0.75, 0.6, 0.25
-"""Agreement from which a point is background; share of agreeing background points below which the background has
-come apart; and the share of such frames beyond which the camera has not only turned."""
+"""Agreement above which a point counts as background; fraction of agreeing background points below which the background
+has come apart; and fraction of such frames above which the camera has not only turned.
+"""
 MAX_PAIRS, MIN_BACKGROUND = 60, 0.4
-"""Number of pairs of pictures that determine the focal length, those rotated furthest, and least agreement of their
-points with the background."""
+"""Number of pairs of pictures that determine the focal length (those turned furthest), and minimum agreement of their
+points with the background.
+"""
 CLEARLY = 3.0
-"""Number of standard deviations above which a focal length differs from that of the camera file."""
+"""Number of standard deviations beyond which a focal length differs clearly from that of the camera file."""
 MIN_STILL, MAX_TORN = 0.4, 1
-"""Least share of an old keyframe's background that has to stay in position, and the number of exceptions."""
+"""Minimum fraction of an old keyframe's background that has to stay in position, and number of exceptions."""
 ADJUST_STEPS = 4
 PICTURE_FLOOR_PX = 0.1
-"""Common error of all points of a picture, in pixels, which their scatter does not show."""
+"""Error that all points of a picture have in common, in pixels, and that their scatter does not show."""
 MIN_PAIR_POINTS, MIN_PAIRS = 30, 4
 WIDEST = 0.7
-"""Largest logarithm of a factor on the focal length that is tried."""
+"""Largest absolute logarithm of a factor on the focal length that is tried."""
 STEP, STEPS, ROUNDS, COARSE_ROUNDS = 1e-3, 6, 4, 2
 PAIR_FLOOR_PX = 0.15
-"""Common error of all points of a pair of pictures, in pixels."""
+"""Error that all points of a pair of pictures have in common, in pixels."""
 
 
 @dataclass(eq=False)
 class _Keyframe:
     """Hold a frame with which other frames are compared.
 
-    number: its index among those that have a turn. frame: None if the picture has been forgotten. points_px, rays: (N,
-    2), (N, 3), camera frame. background: (N,) from 0 to 1, how far each point has been background. settled: (N,),
-    whether a point was background. known: result of `described`. used: the last frame that was compared with it.
+    number: index among the frames that have an orientation. frame: None if the picture was removed from memory.
+    points_px, rays: (N, 2) and (N, 3), in the camera frame. background: (N,) from 0 to 1, how consistently each point
+    has been background. settled: (N,), whether a point was ever clearly background. known: result of `described`. used:
+    number of the last frame that was compared with this keyframe.
     """
 
     number: int
@@ -84,12 +88,13 @@ class _Keyframe:
 
 @dataclass(frozen=True, eq=False)
 class TurningMotion:
-    """Hold the rotations of a camera over F frames of a video, N of which have one.
+    """Hold the orientations of a camera in N of the F frames of a video.
 
-    frames: (N,) numbers from 0. inliers, residual_px, sigma_rad, sigma_zoom: (N,). focal: log factor on the camera
-    file's focal length by the turns, and its standard deviation; if it differs clearly, sigma_rad includes its effect
-    on the turns. lost: numbers of the frames without enough background. keys: (K,) indices among the N frames.
-    turned_only: whether the background has stayed together. cut: number of the frame in which another take begins.
+    frames: (N,) frame numbers from 0. inliers, residual_px, sigma_rad, sigma_zoom: (N,). focal: log factor on the
+    camera file's focal length, measured from the rotations, and its standard deviation; if the factor is clearly not 0,
+    sigma_rad includes its effect on the orientations. lost: numbers of the frames without enough background. keys: (K,)
+    indices of keyframes among the N frames. turned_only: whether the background stayed together. cut: number of the
+    frame in which another take begins, or None.
     """
 
     frames: Integers
@@ -109,10 +114,11 @@ class TurningMotion:
 class Tracker:
     """Track a turning camera frame by frame.
 
-    masked: pixels (K, 2) of the animal in a frame, by its number, or None. State: frames with their turns, supports
-    (points that agree, their root mean square in px) and links; lost frames; number of frames in which the background
-    came apart, and shares of old keyframes' backgrounds that stayed in position. support: greatest value of a turn
-    since the last keyframe. last: the last frame that was aligned.
+    masked: function from a frame's number to the animal's pixels (K, 2), or None. The other fields are the state:
+    frames with their orientations, supports (number of agreeing points, and their root mean square error in px) and
+    links; lost frames; torn_frames, the number of frames in which the background came apart; still_shares, the
+    fractions of old keyframes' backgrounds that stayed in position; support, the best spread since the last keyframe;
+    last, the last frame that was aligned.
     """
 
     camera: Camera
@@ -134,7 +140,7 @@ class Tracker:
     def add(self, number: int, picture: Image) -> bool:
         """Add a frame and return whether it could be aligned.
 
-        Afterwards `cut` says whether it belongs to another take.
+        If the frame begins another take, `cut` is its number afterwards.
         """
         frame = GreyPicture.from_colour(picture)
         points = self.masked(number)
@@ -189,7 +195,7 @@ class Tracker:
         return True
 
     def _predicted(self, number: int) -> Orientation:
-        """Return the orientation if the camera continues to turn as before."""
+        """Return the orientation that the camera has if it continues to turn as before."""
         if len(self.orientations) < 2 or self.frames[-2:] != [number - 2, number - 1]:
             return self.orientations[-1]
         a, b = self.orientations[-2:]
@@ -221,7 +227,7 @@ class Tracker:
         return chosen or [key for _, key in by_likeness[:1]]
 
     def _likeness(self, key: _Keyframe, orientation: Orientation) -> float:
-        """Return the share of a frame's picture that is in the keyframe's, less if it is larger or smaller there."""
+        """Return the fraction of a frame's picture inside a keyframe's picture, reduced by a difference in zoom."""
         width, height = self.camera.image_size_px
         x, y = np.meshgrid(np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 9))
         rays, valid = turning.rays_of(self.camera, np.column_stack([x.ravel(), y.ravel()]), orientation.zoom)
@@ -231,7 +237,7 @@ class Tracker:
         return float(share_inside) - BY_ZOOM * abs(np.log(orientation.zoom / key.orientation.zoom))
 
     def _found_again(self, frame: GreyPicture, mask: Bools | None) -> Orientation | None:
-        """Return the orientation from recognised points, after a jerk or a period without background."""
+        """Return the orientation from recognised points, after a jerk or after frames without background."""
         pixels, descriptors = turning.described(frame)
         recent = sorted((key for key in self.keys if key.frame is not None), key=lambda key: -key.used)[:20]
         rays, pixel_sets = [], []
@@ -251,7 +257,7 @@ class Tracker:
     # -- learning the background --
 
     def _learn(self, agreement: AgreedOrientation, seen: _Seen) -> bool:
-        """Learn which points are background, and return whether the background has come apart."""
+        """Update which points are background, and return whether the background has come apart."""
         settled = still_agreeing = 0
         for k, key in enumerate(seen.keys):
             is_own = seen.of_key == k
@@ -268,7 +274,7 @@ class Tracker:
     def _look_back(self, agreement: AgreedOrientation, seen: _Seen) -> None:
         """Record how much of an old keyframe's settled background is still in position.
 
-        The keyframe is the oldest that looks the same way.
+        The keyframe is the oldest that looks in the same direction.
         """
         k = min(range(len(seen.keys)), key=lambda k: seen.keys[k].number)
         key = seen.keys[k]
@@ -317,7 +323,7 @@ class Tracker:
         return index, key.number, orientation.rotation @ key.orientation.rotation.T, zooms, normal, gradient
 
     def _new_key(self, frame: GreyPicture, mask: Bools | None, agreement: AgreedOrientation, seen: _Seen) -> None:
-        """Make the frame a keyframe; its points are as trusted as the nearest that were followed into it."""
+        """Make the frame a keyframe, with points that are trusted like the nearest points followed into the frame."""
         points = turning.corners(frame, mask)
         background = np.full(len(points), 0.5)
         if len(points) >= MIN_CORNERS:
@@ -341,7 +347,7 @@ class Tracker:
     # -- all of them --
 
     def finish(self) -> TurningMotion:
-        """Adjust all frames together and return the motion of the camera."""
+        """Adjust all frames together and return the camera's motion."""
         frames, lost = np.array(self.frames, dtype=np.int64), np.array(self.lost, dtype=np.int64)
         inliers, residual = np.array(self.supports, dtype=float).reshape(-1, 2).T
         keys = np.array([key.number for key in self.keys], dtype=np.int64)
@@ -366,7 +372,8 @@ class Tracker:
 class _Seen(NamedTuple):
     """Hold the points of some keyframes in one frame.
 
-    of_key, place: (N,), their keyframe and their index in it. rays: (N, 3), world. pixels: (N, 2). background: (N,).
+    of_key, place: (N,), keyframe of each point and the point's index in it. rays: (N, 3), world. pixels: (N, 2).
+    background: (N,).
     """
 
     keys: list[_Keyframe]
@@ -402,22 +409,24 @@ class _Seen(NamedTuple):
         return cls(keys, *joined)
 
 
-# -- all frames and keyframes, adjusted to what each saw of the others: a return shows no drift ------------------------
+# -- adjust all frames and keyframes together, so that a camera that returns shows no drift ----------------------------
 
 
 _FrameLink = tuple[int, int, Array, Array, Array, Array]
-"""A frame's points in a keyframe: both indices among the frames; turn (3, 3), log zooms (2,), H (5, 5) and g (5,).
-The cost is e'He - 2 g'e, with e the rotation (rad) from keyframe to frame beyond that turn, and the differences of
-the two log zooms from these."""
+"""Link from a keyframe to a frame: index of the frame, index of the keyframe, rotation (3, 3), log zooms (2,), H (5, 5)
+and g (5,). The cost is e'He - 2 g'e. e holds the rotation (rad) from keyframe to frame beyond that rotation, and the
+differences of the two log zooms from those.
+"""
 
 
 def _adjust(
     orientations: Sequence[Orientation], links: Sequence[_FrameLink], solve_zoom: bool, floor_rad: float
 ) -> tuple[tuple[Orientation, ...], Array, Array]:
-    """Return the turns of the N frames, of which the first is fixed, with standard deviations of turns and zooms.
+    """Return the adjusted orientations of N frames, and the standard deviations of rotations and zooms.
 
-    Those of the turns (N,) are in rad per axis against the first frame, those of the zooms (N,) relative. links: at
-    least one of every other frame. floor_rad: see PICTURE_FLOOR_PX.
+    The first frame is fixed. Standard deviations of rotations (N,) are in rad per axis relative to the first frame,
+    those of zooms (N,) are relative. links: every frame but the first has at least one. floor_rad: see
+    PICTURE_FLOOR_PX.
     """
     n, p = len(orientations), 4 if solve_zoom else 3
     rotation = np.stack([orientation.rotation for orientation in orientations])
@@ -444,7 +453,8 @@ def _adjust(
             log_zoom = log_zoom + step[:, 3]
     assert information is not None
     assert factor is not None
-    # A keyframe's variance is from the inverse. Any other frame's is its own plus the mean of its keyframes'.
+    # A keyframe's variance comes from the inverse. Other frames have their own variance plus the mean of their
+    # keyframes'.
     variance = np.full((n, p), np.nan)
     for k in np.unique(key).tolist():
         variance[k] = np.diag(factor.solve(np.eye(n * p, p, -k * p))[k * p : (k + 1) * p])
@@ -459,13 +469,13 @@ def _adjust(
     return adjusted, np.hypot(np.sqrt((sigma[:, :3] ** 2).mean(axis=1)), floor_rad), sigma_zoom
 
 
-# -- the focal length: points that a turn takes across the picture keep their angles at one length only ----------------
+# -- the focal length: points keep their angles under rotations across the picture only for the right focal length -----
 
 
 class _TurnedPair(NamedTuple):
-    """Hold points (N, 2), (N, 2) followed from one picture to another, and the rotation (3, 3) between them.
+    """Hold points (N, 2), (N, 2) followed from one picture to another, and the rotation (3, 3) between the pictures.
 
-    key: of the earlier picture.
+    key: number of the earlier picture.
     """
 
     key: int
@@ -475,15 +485,15 @@ class _TurnedPair(NamedTuple):
 
 
 def _furthest_turned(pairs: Sequence[_TurnedPair]) -> list[_TurnedPair]:
-    """Return the pairs of frames between which the camera has turned furthest."""
+    """Return the pairs of frames between which the camera turned furthest."""
     return sorted(pairs, key=lambda pair: -float(Rotation.from_matrix(pair.turn).magnitude()))[:MAX_PAIRS]
 
 
 def _focal_factor(camera: Camera, pairs: Sequence[_TurnedPair], limit_px: float) -> tuple[float, float] | None:
-    """Return the log factor of the focal length against the camera file's, and its standard deviation.
+    """Return the log factor of the focal length relative to the camera file's, and its standard deviation.
 
-    limit_px: largest error of a point. The standard deviation combines that of the points and the scatter between
-    earlier pictures. None if too few pairs have points.
+    The standard deviation combines that of the points and the scatter between earlier pictures. The result is None if
+    too few pairs have points. limit_px: largest error of a point.
     """
     if len(pairs) < MIN_PAIRS:
         return None
@@ -507,7 +517,7 @@ def _focal_factor(camera: Camera, pairs: Sequence[_TurnedPair], limit_px: float)
 
 
 def _information(camera: Camera, pair: _TurnedPair, log_factor: float) -> tuple[float, float]:
-    """Return the information of a pair of pictures on the log factor, and its gradient."""
+    """Return a pair's information on the log factor, and the gradient."""
     residual_px, *ends = (_left_px(camera, pair, log_factor + change) for change in (0.0, STEP, -STEP))
     slope, weights, size = (ends[0] - ends[1]) / (2 * STEP), _weights(residual_px), np.linalg.norm(residual_px, axis=1)
     used = max(float(weights.sum()), 1.0)
@@ -518,11 +528,11 @@ def _information(camera: Camera, pair: _TurnedPair, log_factor: float) -> tuple[
 
 
 def _left_px(camera: Camera, pair: _TurnedPair, log_factor: float, rounds: int = ROUNDS) -> Array:
-    """Return the residuals (N, 2) of a pair's points in its second picture, after the best rotation."""
+    """Return the residuals (N, 2) of a pair's points in its second picture after the best rotation."""
     zoom = float(np.exp(log_factor))
     (a, is_known), (b, is_seen) = (turning.rays_of(camera, points_px, zoom) for points_px in (pair.a_px, pair.b_px))
     is_known &= is_seen
-    turn = Rotation.from_rotvec(Rotation.from_matrix(pair.turn).as_rotvec() / zoom)  # as far in the picture
+    turn = Rotation.from_rotvec(Rotation.from_matrix(pair.turn).as_rotvec() / zoom)  # the same shift in the picture
     residual_px = np.full(pair.a_px.shape, 1e9)
     for number in range(rounds):
         if number:
@@ -533,7 +543,7 @@ def _left_px(camera: Camera, pair: _TurnedPair, log_factor: float, rounds: int =
 
 
 def _weights(left_px: Array) -> Array:
-    """Return Tukey's weights (N,) of residuals (N, 2)."""
+    """Return Tukey's weights (N,) for residuals (N, 2)."""
     size = np.linalg.norm(left_px, axis=1)
     return turning.tukey(size, max(4 * float(np.median(size)), 1.0))
 
@@ -544,13 +554,15 @@ WIDTH_PX, HEIGHT_PX = 1920, 1080
 """Largest size of the panorama."""
 THUMBNAIL_PX = 400
 COARSE_PX = 8
-"""Step of the panorama's pixels whose position in a picture is computed; the others are interpolated."""
+"""Step between the pixels of the panorama whose position in a picture is computed; those in between are
+interpolated.
+"""
 VIEW, PATH, ANIMAL = (0, 220, 255), (255, 200, 0), (80, 80, 255)
 
 
 @dataclass(frozen=True)
 class _Canvas:
-    """Hold longitude and latitude (rad) of the upper left pixel, rad per pixel, and (width, height), even."""
+    """Hold longitude and latitude (rad) of the upper left pixel, rad per pixel, and an even size (width, height)."""
 
     west: float
     north: float
@@ -559,7 +571,7 @@ class _Canvas:
 
     @classmethod
     def around(cls, camera: Camera, orientations: Sequence[Orientation]) -> _Canvas:
-        """Return the canvas that covers all views. Longitudes continue in the camera's direction past half a turn."""
+        """Return a canvas that covers all views. Longitudes continue in the camera's direction beyond half a turn."""
         middle = np.unwrap([_angles(orientation.rotation[2])[0] for orientation in orientations])
         angles = [_angles(_edge(camera, view), centre) for view, centre in zip(orientations, middle, strict=True)]
         west, south = np.nanmin(angles, axis=(0, 2))
@@ -569,14 +581,14 @@ class _Canvas:
         return cls(float(west), float(north), float(step), size)
 
     def place(self, rays: Array) -> Array:
-        """Return pixels (N, 2) of world rays (N, 3), as near to the canvas as possible."""
+        """Return the pixels (N, 2) of world rays (N, 3), as close to the canvas as whole turns allow."""
         lon, lat = _angles(rays, self.west + self.step * self.size_px[0] / 2)
         return np.column_stack([(lon - self.west) / self.step, (self.north - lat) / self.step])
 
     def warped(self, camera: Camera, orientation: Orientation, picture: Image) -> tuple[Image, Array]:
-        """Return a picture on the canvas, and the depth of each pixel (height, width) in it.
+        """Return a picture warped onto the canvas, and the depth (height, width) of each pixel inside the picture.
 
-        The depth is 1 in its middle, 0 outside. picture: of the camera's size or smaller.
+        The depth is 1 in the middle of the picture and 0 outside. picture: of the camera's size or smaller.
         """
         width, height = self.size_px
         x, y = np.meshgrid(*(np.arange(0, n + COARSE_PX, COARSE_PX, dtype=float) for n in self.size_px))
@@ -599,7 +611,7 @@ class _Canvas:
 
 
 def thumbnail(picture: Image) -> Image:
-    """Return a picture as small as the panorama needs."""
+    """Return a picture reduced to the size that the panorama needs."""
     scale = min(1.0, THUMBNAIL_PX / max(picture.shape))
     return np.asarray(cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
 
@@ -607,8 +619,8 @@ def thumbnail(picture: Image) -> Image:
 def panorama(camera: Camera, motion: TurningMotion, pictures: Sequence[Image], points: Mapping[int, Array]) -> Image:
     """Draw the keyframes' pictures over each other, weighted by the distance from the picture's edge.
 
-    Also the edges of the first, the middle and the last view, and the camera's and the animal's path. pictures:
-    `thumbnail` of each keyframe. points: the animal's pixels (K, 2) by frame.
+    The edges of the first, the middle and the last view are drawn, too, and the paths of the camera and of the animal.
+    pictures: `thumbnail` of each keyframe. points: the animal's pixels (K, 2) by frame.
     """
     canvas = _Canvas.around(camera, motion.orientations)
     sum_of_pictures = np.zeros((canvas.size_px[1], canvas.size_px[0], 3), np.float32)
@@ -631,7 +643,7 @@ def panorama(camera: Camera, motion: TurningMotion, pictures: Sequence[Image], p
 
 
 def _draw_path(canvas: _Canvas, picture: Image, rays: Array, colour: tuple[int, int, int]) -> None:
-    """Draw world rays (N, 3) as a line, broken where they are NaN or leave at one side for the other."""
+    """Draw world rays (N, 3) as a line, broken where rays are NaN or where the line leaves one side for the other."""
     for a, b in pairwise(canvas.place(rays)):
         if np.isfinite([a, b]).all() and abs(a[0] - b[0]) < canvas.size_px[0] / 2:
             (x0, y0), (x1, y1) = np.rint([a, b]).astype(int).tolist()
@@ -639,7 +651,7 @@ def _draw_path(canvas: _Canvas, picture: Image, rays: Array, colour: tuple[int, 
 
 
 def _edge(camera: Camera, view: Orientation) -> Array:
-    """Return world rays (N, 3) once around the picture of a view."""
+    """Return world rays (N, 3) around the edge of a view's picture."""
     width, height = (n - 1 for n in camera.image_size_px)
     corners = np.array([(0, 0), (width, 0), (width, height), (0, height), (0, 0)], dtype=float)
     outline = np.concatenate(np.linspace(corners[:-1], corners[1:], 17, axis=1))
@@ -649,7 +661,7 @@ def _edge(camera: Camera, view: Orientation) -> Array:
 def _angles(rays: Array, middle_rad: float = 0.0) -> tuple[Array, Array]:
     """Return longitude and latitude of rays (..., 3).
 
-    The longitude goes from the y axis to the x axis, within half a turn of the middle.
+    The longitude is measured from the y axis towards the x axis, within half a turn of the middle.
     """
     x, y, z = np.moveaxis(rays, -1, 0)
     return middle_rad + (np.arctan2(x, y) - middle_rad + np.pi) % (2 * np.pi) - np.pi, np.arctan2(z, np.hypot(x, y))
