@@ -28,6 +28,8 @@ from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.trajectory import solve_trajectory
 
 LOGGER = logging.getLogger("recon")
+CHECKS_BEGIN = 0.9
+"""Fraction of a fit's time after which the checks of the input begin (one camera, 600 frames)."""
 
 
 @dataclass(frozen=True)
@@ -56,23 +58,31 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
 
         return fit_frames(settings, progress)
     inputs = prepare(settings)
-    solve = partial(_solve, inputs, settings.belt_speed_m_s, progress)
+    solve = partial(_solve, inputs, settings.belt_speed_m_s)
     chain = load_chain(settings.skeleton_name) if inputs.body.one_sided else None
     as_motion = partial(_as_motion, inputs, settings, chain)
 
     options = settings.trajectory_options()
     if options.refine_cameras and len(inputs.sources) == 2:  # two refined cameras cannot separate lengths from the pose
         options = replace(options, lengths_known=True)
-    fit = _solve_first(inputs, options, solve)
+    solving = _part_of(progress, 0.0, CHECKS_BEGIN)
+    fit = _solve_first(inputs, options, partial(solve, progress=solving))
     fit = _solve_again_with_fixed_cameras(fit, solve, settings.lengths_known)
     fit = _refine_pair(fit, inputs, settings, solve)
     began = time.perf_counter()
+    checking = _part_of(progress, CHECKS_BEGIN, 1.0)
+    checking("gross outliers", 0.0)
     fit = _solve_again_without_gross_outliers(fit, solve)
+    checking("input files", 0.1)
     fit = _check_inputs(fit, as_motion(fit), inputs, settings)
+    checking("left and right", 0.6)
     fit = _solve_again_without_swaps(fit, inputs, settings, solve)
     fit = _with_stage_time(fit, "input_findings", time.perf_counter() - began)
+    checking("cameras", 0.8)
     fit = _check_agreement(fit, as_motion(fit), inputs)
+    checking("verdict", 0.9)
     motion = _with_correction_gain(_judge(fit, as_motion(fit), settings), fit, inputs)
+    checking("verdict", 1.0)
     _log(motion)
     return motion
 
@@ -110,12 +120,17 @@ def refit_clip(settings: FitSettings, motion: Motion) -> Motion:
     return _judge(fit, _as_motion(inputs, settings, chain, fit), settings)
 
 
+def _part_of(progress: Progress, begin: float, end: float) -> Progress:
+    """Return the progress of a part of the work, from fraction `begin` to fraction `end` of all of it."""
+    return lambda stage, share: progress(stage, begin + (end - begin) * share)
+
+
 def _solve(
     inputs: ClipInputs,
     belt_speed_m_s: float | None,
-    progress: Progress,
     sources: tuple[Source, ...],
     options: TrajectoryOptions,
+    progress: Progress = silent,
 ) -> TrajectorySolution:
     """Solve for the motion from the sources.
 

@@ -40,6 +40,8 @@ from recon.show.plain import write_report
 from recon.show.report import build_report
 from recon.show.tables import CLIP_OUTPUTS, REPROJECTION, SHAPE, camera_files, of_any_camera, write_tables
 
+WRITING_BEGINS = 0.9
+"""Fraction of the time of `recon fit` after which the files are written."""
 T = TypeVar("T")
 FIT = "fit"
 """Manifest kind of the files of a fit."""
@@ -145,10 +147,10 @@ def fit_into(out: Path, settings: FitSettings, progress: Progress = silent) -> d
     fitted.
     """
     start, sha256 = time.perf_counter(), input_digests(settings)
-    motion = fit_clip(settings, progress)
+    motion = fit_clip(settings, lambda stage, share: progress(stage, WRITING_BEGINS * share))
     require_same_inputs(settings, sha256)
     solve_s = time.perf_counter() - start
-    progress("writing", 1.0)
+    progress("writing", WRITING_BEGINS)
     return write_clip(motion, settings, out, solve_s, sha256)
 
 

@@ -179,6 +179,7 @@ def progress_bar(console: Console) -> Iterator[ProgressFunction]:
         task = bar.add_task("reading", total=1.0, left="")
 
         def show(stage: str, share: float) -> None:
+            share = max(share, bar.tasks[0].completed)  # a clip whose cameras are out of step is solved several times
             bar.update(task, description=stage, completed=share, left=remaining.text(share))
 
         yield show

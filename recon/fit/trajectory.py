@@ -63,6 +63,10 @@ MARGIN_S = 0.25
 """Time by which a segment extends beyond its first and last detections."""
 WINDOW_S = 1.0
 """Length of the windows in which a clip is started."""
+STARTS_END, ROUNDS_END = 0.2, 0.8
+"""Fractions of a solve's time after which the starts and the rounds are done; the posterior is the rest."""
+ROUND_EFFORT = 5.0
+"""Time of a round with estimated noise relative to one of the mixture of poses, in clips of 600 frames."""
 _TEMPERATURES = (8.0, 3.0, 1.0)
 """Temperatures that flatten the mixture of poses, one after the other."""
 _MORE_ROUNDS = 3
@@ -325,7 +329,9 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
             misfit = prior_misfit_of(solved.problem, solved.estimate)
             clip = replace(clip, prior_weight=clip.prior_weight * misfit.prior_weight)
             solved = replace(solved, prior_misfit=solved.prior_misfit or misfit, prior_weight=clip.prior_weight)
-        progress("whole clip", 0.4 + 0.6 * (i + 1) / len(stages))
+        done = sum(ROUND_EFFORT if is_whole else 1.0 for _, is_whole in stages[: i + 1])
+        all_effort = sum(ROUND_EFFORT if is_whole else 1.0 for _, is_whole in stages)
+        progress("whole clip", STARTS_END + (ROUNDS_END - STARTS_END) * done / all_effort)
     settled = solved.prior_misfit is None or not solved.prior_misfit.unlike
     for _ in range(int(rounds == 1 and solved.prior_weight < 1) if settled else _MORE_ROUNDS):
         solved = _solve_round(clip, solved, 1.0, whole=True)
@@ -417,7 +423,7 @@ def _windows(clip: ClipProblem, progress: Progress) -> list[tuple[slice, list[Es
         frames = slice(int(window_frames[0]), int(window_frames[-1]) + 1)
         if np.any(is_present[frames].sum(axis=1) >= MIN_JOINTS):
             windows.append((frames, approach(clip.part(frames))))
-        progress("starts", 0.4 * (i + 1) / len(windows_of_frames))
+        progress("starts", STARTS_END * (i + 1) / len(windows_of_frames))
     return windows
 
 
