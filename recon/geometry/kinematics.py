@@ -358,6 +358,10 @@ class Tree(Brief):
         return points[len(self.segments) :], axes, moved
 
 
+Moved = tuple[Array, Array, Array]
+"""What `Tree.moved` returns."""
+
+
 def derivatives(tree: Tree, state: Array) -> tuple[Array, Array, Callable[[Array], Array]]:
     """Return first and second derivatives of the markers for one state (D,), for inverse kinematics.
 
@@ -371,8 +375,13 @@ def derivatives(tree: Tree, state: Array) -> tuple[Array, Array, Callable[[Array
     curvature : function
         From weights (J, 3) to the weighted sum (D - 3, D - 3) of the markers' second derivatives.
     """
+    return derivatives_of(tree, tree.moved(state[None], np.ones(1)))
+
+
+def derivatives_of(tree: Tree, moved_now: Moved) -> tuple[Array, Array, Callable[[Array], Array]]:
+    """Return what `derivatives` returns, from what `Tree.moved` returns for the one state."""
     plan, J = tree.plan, len(tree.markers)
-    _, axes, moved = tree.moved(state[None], np.ones(1))
+    _, axes, moved = moved_now
     axes, moved = axes[..., 0], moved[..., 0]
     jacobian = np.zeros((J, 3, tree.n_state))
     jacobian.reshape(-1)[plan.entries] = moved if plan.merge is None else plan.merge @ moved

@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from recon.animal.chain import UVW_BODY
 from recon.base.arrays import Array, Bools, Index
-from recon.geometry.kinematics import AXES, Marker, Segment, Tree, derivatives
+from recon.geometry.kinematics import AXES, Marker, Moved, Segment, Tree, derivatives_of
 
 Curvature = Callable[[Array], Array]
 Limits = tuple[ArrayLike, ArrayLike]
@@ -60,6 +60,7 @@ class SerialChain:
     """(dim, 3): from the axes of the tree's world to those of the base frame."""
     tool_rotation: Array = field(default_factory=lambda: np.eye(3))
     """(3, 3): of the end effector on the last link."""
+    _latest: dict[bytes, Moved] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not np.all(self.lower_rad <= self.upper_rad):
@@ -87,6 +88,8 @@ class SerialChain:
 
     def end(self, q: Array) -> Array:
         """Return the position of the end effector (..., dim), metres."""
+        if q.ndim == 1:
+            return (0.0 + self._moved(q)[0][..., 0] @ self.base.T).reshape(self.dim)  # the root is at the origin
         return (self.tree.pose(self._states(q)).points_m[:, 0] @ self.base.T).reshape(*q.shape[:-1], self.dim)
 
     def pose(self, q: Array) -> tuple[Array, Array]:
@@ -104,7 +107,7 @@ class SerialChain:
 
         The curvature is a function of mu (dim,): the sum (n, n) of mu_i times the Hessian of coordinate i.
         """
-        jacobian, _, curvature = derivatives(self.tree, self._states(q)[0])
+        jacobian, _, curvature = derivatives_of(self.tree, self._moved(q))
 
         def weighted_curvature(mu: Array) -> Array:
             return curvature(mu[None] @ self.base)[np.ix_(self.columns - 3, self.columns - 3)]
@@ -118,15 +121,25 @@ class SerialChain:
 
     def joint_axes(self, q: Array) -> Array:
         """Return unit vectors (n, 3) along the joint axes of a chain of `joint_chain`, in the base frame."""
-        return derivatives(self.tree, self._states(q)[0])[1]
+        return derivatives_of(self.tree, self._moved(q))[1].copy()
 
     def geometric_jacobian(self, q: Array) -> Array:
         """Return the geometric Jacobian (6, n) of a chain of `joint_chain`.
 
         Its rows are the velocity (m/s) and the angular velocity (rad/s) of the end effector.
         """
-        jacobian, axes, _ = derivatives(self.tree, self._states(q)[0])
+        jacobian, axes, _ = derivatives_of(self.tree, self._moved(q))
         return np.concatenate([jacobian[0, :, self.columns].T, axes.T * ~self.sliding])
+
+    def _moved(self, q: Array) -> Moved:
+        """Return the tree's `moved` for q (n,); that of the latest q is kept, as a step ends where the next begins."""
+        key = q.tobytes()
+        moved = self._latest.get(key)
+        if moved is None:
+            moved = self.tree.moved(self._states(q), np.ones(1))
+            self._latest.clear()
+            self._latest[key] = moved
+        return moved
 
     def _states(self, q: Array) -> Array:
         """Return the states (N, D) of the tree."""

@@ -249,6 +249,7 @@ def _moved(
     while not isinstance(dx := ask(len(steps), ends[-1], last, stopped), str):
         started = time.perf_counter()
         last, q, stopped = _one_interval(chain, q, dx, method(len(steps)), interval_s)
+        ends.append(chain.end(q))
         times.append(time.perf_counter() - started)
         for joint in stopped:
             low, high = float(chain.lower_rad[joint]), float(chain.upper_rad[joint])
@@ -257,7 +258,6 @@ def _moved(
             limits.setdefault(name, f"{name} at its {side} limit of {limit:.2f} rad (step {len(steps)})")
         steps.append(last)
         path.append(q)
-        ends.append(chain.end(q))
     return Run(
         q=np.array(path),
         dq=np.array([*(step.dq for step in steps), np.zeros(chain.n)]),

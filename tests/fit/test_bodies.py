@@ -147,6 +147,7 @@ def seen_by_two(body: Body, true_m: np.ndarray, random: np.random.Generator) -> 
     return solve_trajectory(views, body, prior_from_body(body), rigs.FPS, TrajectoryOptions(fast=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("skeleton", "frames", "size"), [("dog-27", 150, 1.1), ("mouse-top", 72, 1.2)])
 def test_two_cameras_in_their_places_are_not_named(skeleton, frames, size, monkeypatch):
     """One goes in a circle for longer than is judged; the small one is as large as one of ten."""
