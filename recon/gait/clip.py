@@ -1,14 +1,14 @@
-"""Analyse a fitted clip: kinematics, angles, gait, vector fields, and closures.
+"""Analyse a fitted clip: kinematics, angles, gait, vector fields and closures.
 
-A fit without uncertainty (the frame method) has joints that jitter from frame to frame, and the derivatives of exact
-splines through them are mostly noise. Its paths and angles are therefore smoothed by their own jitter, and everything
-else is derived from the smoothed ones.
+The joints of a fit without uncertainty (the frame method) jitter from frame to frame, and the derivatives of exact
+splines through them are mostly noise. Paths and angles of such a fit are therefore smoothed according to the jitter,
+and everything else is computed from the smoothed ones.
 
-The errors of a fit with uncertainty have three parts that last for different times: the animal's size, which moves it
-away from a single camera in every frame by the same factor; the position of the whole animal; and the pose. The latter
-two change with the errors of detections and with the animal's motion. Their correlation time is the geometric mean of
-these two times (`lasts_s`), multiplied by a factor that makes the standard deviations of velocities large enough on
-average in real runs (`python benchmarks/gait.py --only rates`).
+The errors of a fit with uncertainty have three parts that last for different times: the animal's size, which changes
+the distance from a single camera by the same factor in every frame; the position of the whole animal; and the pose. The
+latter two change as fast as the errors of detections and the animal's motion. Their correlation time is the geometric
+mean of the times of these two (`lasts_s`), multiplied by a factor with which the standard deviations of velocities are
+large enough on average in real runs (`python benchmarks/gait.py --only rates`).
 """
 
 from __future__ import annotations
@@ -41,24 +41,26 @@ if TYPE_CHECKING:
     import pandas as pd
 
 POSITION_LASTS, POSE_LASTS = 2.0, 0.6
-"""Correlation times of the errors of the animal's position, and of those of the joints relative to their mean, in
-units of `lasts_s`. Both come from running cheetahs; they hold to a twentieth for a dog's walk, which is three times
-slower."""
+"""Correlation times of the errors of the animal's position, and of the joints relative to their mean, in units of
+`lasts_s`. Both were measured on running cheetahs, and are right to 5 % for the walk of a dog, which is three times
+slower.
+"""
 RUNNING_S = 0.1
-"""`lasts_s` of a running animal. All stances are found with it: with their own value the stances of a walking dog
-come out 5 to 20 % too short."""
+"""`lasts_s` of a running animal, with which all stances are found. With its own `lasts_s`, the stances of a walking dog
+would be 5 to 20 % too short.
+"""
 SPEED_KNOWN = 0.2
 """Largest relative standard deviation of a peak speed at which speeds count as known."""
 UNSEEN_S = 0.2
-"""Time over which detections before and after determine the position of a foot; beyond this time only the prior
+"""Longest time before and after a frame from which detections determine a foot's position; beyond it, only the prior
 does.
 """
 BELT_GIVEN = (
-    "The analysis had the belt's speed, and the fit did not: fit again with --set belt-speed-m-s for the best result."
+    "Only the analysis used the belt's speed, the fit did not: fit again with --set belt-speed-m-s for the best result."
 )
 STIFF_RAD = 1e-6
-"""Smallest change of the back's angle; a skeleton whose back changes less has no flexion, because its joints are on one
-segment.
+"""Smallest change of the back's angle. If the back changes less, its joints are on one segment, and there is no
+flexion.
 """
 
 
@@ -66,8 +68,8 @@ segment.
 class ClipAnalysis(Brief):
     """Hold the analysis of a motion of T frames; each part is computed on first use.
 
-    The fine grid has N times, ten per frame. Every part except the gait's ground needs `MIN_POINTS` frames with a pose,
-    which `analyse` checks.
+    The fine grid has N times, ten per frame. Every part except the gait's ground needs `MIN_POINTS` frames with a pose;
+    `analyse` checks this.
     """
 
     motion: Motion
@@ -85,13 +87,13 @@ class ClipAnalysis(Brief):
     def errors(self) -> Sequence[Errors]:
         """Return the errors of the size, the position and the pose.
 
-        If the fit has no errors over time, the errors follow from the jitter.
+        If the fit has no errors over time, they are estimated from the jitter.
         """
         return _errors(self.motion, lasts_s(self.motion.upright.xyz_m, self.motion.fps))
 
     @cached_property
     def pose(self) -> Pose3D:
-        """Return the upright pose that angles, gait and fields are derived from; smoothed if the motion jitters."""
+        """Return the upright pose for angles, gait and fields; smoothed if the motion jitters."""
         pose = self.motion.upright
         if not self.motion.jitters:
             return pose
@@ -125,7 +127,7 @@ class ClipAnalysis(Brief):
     @cached_property
     def angles(self) -> dict[str, AngleKinematics]:
         """Return the angle at every inner joint of a chain and the flexion of the spine, if the skeleton has one."""
-        # A common displacement of all joints does not change the angles.
+        # A displacement of all joints together does not change the angles.
         errors = () if self.motion.jitters else self.errors[-1:]
         result, fps, (rear, front) = {}, self.motion.fps, self.motion.forward_names
         for along in limb_chains(self.motion).values():
@@ -143,7 +145,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def skeleton_angles(self) -> dict[str, AngleKinematics]:
-        """Return the angles of the fit itself by name."""
+        """Return the angles of the fit itself, by name."""
         motion = self.motion
         sigma = np.maximum(np.nan_to_num(motion.posture_sigma_rad), 1e-6)
         stated = [[Errors(column, self.errors[-1].correlation_s)] for column in sigma.T]
@@ -207,8 +209,8 @@ class ClipAnalysis(Brief):
     def stride(self) -> Stride | None:
         """Return the stride that phase portraits show, or None.
 
-        This is the given stride, or the first complete stride of the foot with the most strides; for a chain, the
-        stride of its end effector, if it has one.
+        It is the given stride, or the first complete stride of the foot with the most strides. For a chain it is the
+        first stride of the end effector.
         """
         if self.given is not None:
             return self.given
@@ -220,7 +222,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def end_effector(self) -> EndEffector | None:
-        """Return the path of a chain's fore foot relative to the reference joint; None for a whole animal."""
+        """Return the path of a chain's fore foot relative to the reference joint, or None for a whole animal."""
         motion = self.motion
         label = next((label for label in motion.foot_names if label.endswith("F")), None)
         if motion.chain is None or label is None:
@@ -232,7 +234,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def _effector_stride(self) -> Stride | None:
-        """The first stride of a chain's end effector."""
+        """Return the first stride of a chain's end effector."""
         motion, effector = self.motion, self.end_effector
         span_s = None if effector is None else effector.stride_s(motion.time_s)
         if effector is None or span_s is None:
@@ -246,7 +248,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def dynamics(self) -> Dynamics | None:
-        """Return centre of mass, energy and vertical forces; None for a skeleton without masses or with one side."""
+        """Return centre of mass, energy and vertical forces, or None without masses or with one side only."""
         return dynamics(self.motion, self.gait, self.errors)
 
     @property
@@ -282,12 +284,12 @@ class ClipAnalysis(Brief):
     def why_no_speed(self) -> str | None:
         """Return why no joint's speed is known, or None if it is known or the fit states its uncertainty.
 
-        An error of the animal's depth is common to all joints.
+        The speed is unknown if the depth of the animal is too uncertain: its errors are common to all joints.
         """
         if not self.motion.jitters:
             return None
         if self.motion.solution.position_lasts_s is None:
-            return "every frame was solved by itself, and the depth of one frame is hardly known"
+            return "each frame was solved separately, and the depth in a single frame is hardly known"
         peak, sigma = self.reference_motion.peak_speed_m_s, self.reference_motion.peak_speed_sigma_m_s
         return f"its peak is {interval_text(peak, sigma, 'm/s')}" if sigma > SPEED_KNOWN * peak else None
 
@@ -307,7 +309,7 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def closures(self) -> dict[str, phase.Closure]:
-        """Return degrees of closure of the portraits without gaps over `stride`; empty without a stride."""
+        """Return degrees of closure of the portraits over `stride` that have no gaps; empty without a stride."""
         if self.stride is None:
             return {}
         complete = {
@@ -328,13 +330,12 @@ def analyse(
     stride_s : tuple of float, optional
         Start and end of the stride that phase portraits show, in seconds; None for the first complete stride.
     belt_speed_m_s : float, optional
-        Speed of a treadmill's belt, m/s, if the fit was not given it.
+        Speed of a treadmill's belt, m/s, if the fit was made without this speed.
 
     Raises
     ------
     InputError
-        If fewer than four frames have a pose, the stride is outside the clip, or the fit was already given a belt
-        speed.
+        If fewer than four frames have a pose, the stride is outside the clip, or the fit already had a belt speed.
     """
     motion = motion if belt_speed_m_s is None else over_belt(motion, belt_speed_m_s)
     stride = None if stride_s is None else stride_given(motion, stride_s)
@@ -348,7 +349,7 @@ def analyse(
 def over_belt(motion: Motion, speed_m_s: float) -> Motion:
     """Return a motion relative to a treadmill's belt, without the finding that its feet slide.
 
-    Raises InputError if the fit had the belt's speed.
+    Raises InputError if the fit already had the belt's speed.
     """
     if (fitted_m_s := motion.settings.get("belt_speed_m_s")) is not None:
         raise InputError(Problem("--belt-speed", "speed", f"{speed_m_s:g}", f"none: the fit had {fitted_m_s:g} m/s"))
@@ -361,9 +362,9 @@ def over_belt(motion: Motion, speed_m_s: float) -> Motion:
 
 
 def stride_given(motion: Motion, stride_s: tuple[float, float]) -> Stride:
-    """Return the stride given by `--stride`, which belongs to no foot.
+    """Return the stride given by `--stride`, which does not belong to a foot.
 
-    Raises InputError for times that are not in the clip.
+    Raises InputError for times outside the clip.
     """
     start_s, end_s = stride_s
     first_s, last_s = motion.time_s[[0, -1]]
@@ -398,7 +399,7 @@ def _errors(motion: Motion, last_s: float) -> Sequence[Errors]:
     lasting_s = motion.solution.position_lasts_s
     if motion.jitters and lasting_s is None:
         return kinematics.lasting_errors(motion.upright.xyz_m, motion.fps)
-    # The errors common to all joints; the relative errors of a single joint can exceed its absolute ones.
+    # The common errors of all joints: the relative errors of a single joint can exceed its absolute errors.
     floor = 1e-4
     position = np.sqrt(np.maximum(motion.upright_sigma_m**2 - motion.upright_relative_sigma_m**2, floor**2))
     of_pose = Errors(np.maximum(motion.upright_relative_sigma_m, floor), POSE_LASTS * last_s)
@@ -413,7 +414,7 @@ def _errors(motion: Motion, last_s: float) -> Sequence[Errors]:
 
 
 def _position_errors(motion: Motion, position_sigma: Array, position_lasts_s: float) -> tuple[Errors, Errors]:
-    """Return the errors of the size and the remaining errors of the position (T, J, 3), as one camera leaves them."""
+    """Return the errors of the size and the remaining errors of the position (T, J, 3) for a single camera."""
     solution, floor = motion.solution, 1e-4
     size_sigma = getattr(solution, "size_sigma", None) or 0.0
     from_camera_m = solution.joints_m - solution.views[0].centre_m[:, None]
@@ -425,8 +426,8 @@ def _position_errors(motion: Motion, position_sigma: Array, position_lasts_s: fl
 def lasts_s(xyz_m: Array, fps: float) -> float:
     """Return the geometric mean of the correlation time of detections' errors and the time in which the pose changes.
 
-    The latter, at most as long, is the root mean square distance of the joints of the pose (T, J, 3), relative to their
-    mean, from their average position, divided by that of their speed.
+    The latter is the root mean square distance of the joints (T, J, 3), relative to their mean, from their average
+    position, divided by the root mean square of their speed. It is at most the former.
     """
     from_mean_m = xyz_m - xyz_m.mean(axis=1, keepdims=True)
     speed_m_s = fps * np.diff(from_mean_m, axis=0)
@@ -465,7 +466,7 @@ def _with_sigma(
 
 
 def _seen(motion: Motion, pose: Pose3D) -> Pose3D:
-    """Return the pose without a foot while no camera sees it or the joint above it for more than `UNSEEN_S`."""
+    """Return the pose without a foot while it and the joint above it are unseen for more than `UNSEEN_S`."""
     xyz_m = pose.xyz_m.copy()
     for joint in motion.foot_names.values():
         foot = motion.names.index(joint)

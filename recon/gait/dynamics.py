@@ -1,22 +1,24 @@
 """Compute the centre of mass, energy and vertical forces of the feet, with intervals, from a skeleton's masses.
 
-Everything is per kilogram of the animal; forces are in body weights. The centre of mass is that of the segments, each
-in the middle of its capsules, about which it turns as a rod with the capsules' radius of gyration. Its uncertainty is
-that of position and pose (`recon.gait.clip`) and of the masses. Derivatives are those of splines
-(`recon.gait.kinematics`). Differentiated twice, the centre of mass does not give the forces of one stance: they are 0.6
-to 1.3 body weights off even from several cameras. Least squares of its heights against the forces integrated twice,
-with the stated errors, improve the forces of simulated runs by 5 % and those over plates not at all; for the balance of
-pitch the net acceleration is not known well enough. Instead each stance has a shape,
+All values are per kilogram of the animal; forces are in body weights. The centre of mass is that of the segments, each
+with its mass in the middle of its capsules; about this point a segment turns as a rod with the capsules' radius of
+gyration. The uncertainty is that of position and pose (`recon.gait.clip`) and of the masses. Derivatives are those of
+splines (`recon.gait.kinematics`).
+
+The second derivative of the centre of mass does not give the forces of single stances: even from several cameras its
+error is 0.6 to 1.3 body weights. A least-squares fit of the forces, integrated twice, to the heights of the centre of
+mass improves the forces of simulated runs by 5 %, and those measured by plates not at all. The net acceleration is not
+known well enough for a balance of pitch moments. Instead each stance has a shape,
 
     F(s) = peak * sin(pi s^SKEW),  s from 0 at touch-down to 1 at lift-off,
 
-and all stances of a stride together have the impulse of the body's weight over the stride, as over a level stride the
-height returns to its start. The duration of the stride is that of the strides at a stance's time. `GALLOP_FORE` says
-how fore and hind feet share the impulse; feet of a pair share it equally within `FOOT`. Intervals come from draws of
-all of these and of the stances' times. The force at an instant is the mean of the draws: its maximum is lower than the
-peak, whose time is not known exactly. The shape and the spread within a pair are those of force plates under two
-galloping cheetahs (`benchmarks/gait.py`); those of another animal or gait may differ by more. Joint torques are
-left out: their intervals would be wider than the values.
+and all stances of a stride together have the impulse of the body's weight over the stride, because over a level stride
+the height returns to its initial value. The duration of the stride is that of the strides around a stance.
+`GALLOP_FORE` is the fraction of the impulse on the fore feet; the feet of a pair share their part equally within
+`FOOT`. Intervals come from random draws of all these quantities and of the stances' times. The force at an instant is
+the mean of the draws. Its maximum is lower than the peak, whose time is not known exactly. The shape and the spread
+within a pair were measured by force plates under two galloping cheetahs (`benchmarks/gait.py`); other animals or gaits
+may differ by more. Joint torques are left out, because their intervals would be wider than the values.
 """
 
 from __future__ import annotations
@@ -44,30 +46,34 @@ if TYPE_CHECKING:
 
 G_M_S2 = 9.81
 KINETIC = ("kinetic_forwards", "kinetic_sideways", "kinetic_up")
-"""The kinetic energies of the centre of mass."""
+"""Components of the kinetic energy of the centre of mass."""
 SKEW = 0.8
-"""Exponent of time in the force over a stance; the force rises faster than it falls, so its centre is at 0.41 of the
+"""Exponent of time in the force over a stance. The force rises faster than it falls, so its centre is at 0.41 of the
 stance (0.36 to 0.48).
 """
 GALLOP_FORE, OTHER_FORE = (0.44, 0.11), (0.5, 0.16)
-"""The fore feet's share of the impulse and one sigma of it. At a gallop: the mean and the spread of 0.30 of cheetahs at
-18 m/s, 0.38 of greyhounds at their fastest (J. Exp. Biol. 215:2425), 0.43 of dogs that accelerate, 0.60 of dogs that
-do not (212:1930) and 0.50 of racehorses (222:jeb204107). In other gaits: a guess."""
+"""Fraction of the impulse on the fore feet, and its standard deviation. For a gallop: mean and spread of 0.30 of
+cheetahs at 18 m/s, 0.38 of greyhounds at their fastest (J. Exp. Biol. 215:2425), 0.43 of accelerating dogs, 0.60 of
+dogs at constant speed (212:1930) and 0.50 of racehorses (222:jeb204107). For other gaits: a guess.
+"""
 FOOT = 0.4
-"""One standard deviation of the logarithm of a foot's impulse relative to its pair's mean."""
+"""Standard deviation of the logarithm of a foot's impulse relative to its pair's mean."""
 STANCES_ALIKE = 0.2
-"""One standard deviation of a stance's duration, relative to those of the strides at its time: 0.07 to 0.21 by the
-markers of a dog that walks, trots and gallops; the fore and hind feet of galloping racehorses are 9 to 20 % apart
-(J. Exp. Biol. 209:4389)."""
+"""Standard deviation of a stance's duration relative to the strides around it: 0.07 to 0.21 from the markers of a dog
+that walks, trots and gallops; the fore and hind feet of galloping racehorses differ by 9 to 20 % (J. Exp. Biol.
+209:4389).
+"""
 DRAWS, SEED = 400, 0
 NODES = 41
-"""Number of times in and around a stance at which the force is drawn; the force is interpolated between them."""
+"""Number of times in and around a stance at which the force is drawn. Values in between are interpolated."""
 FLIGHT_FRAMES, OFF_GRAVITY = 5, 3.0
-"""Smallest number of frames of a flight that determine an acceleration; and the number of standard deviations from
-gravity above which there is a finding.
+"""Smallest number of frames of a flight that determine an acceleration, and number of standard deviations from gravity
+above which there is a finding.
 """
 NET_FRAMES = 500
-"""Largest number of frames used for the net acceleration of a clip, because errors last for several frames."""
+"""Maximum number of frames used for the net acceleration of a clip. More add little, because errors last for several
+frames.
+"""
 MASS_LASTS_S = 10.0
 """Correlation time of errors of masses, which are constant."""
 
@@ -80,33 +86,34 @@ class Dynamics(Brief):
     """
 
     centre: JointKinematics
-    """The centre of mass, in the upright frame."""
+    """Motion of the centre of mass in the upright frame."""
     net_acceleration_m_s2: tuple[float, float]
-    """Acceleration of the centre over the clip along its direction of travel, and one standard deviation."""
+    """Acceleration of the centre of mass along its direction of travel over the clip, and its standard deviation."""
     internal_j_kg: Array
-    """Kinetic energy of the segments about the centre of mass, shape (N,)."""
+    """(N,): kinetic energy of the segments about the centre of mass."""
     internal_sigma_j_kg: Array
-    """One standard deviation, shape (N,)."""
+    """(N,): standard deviation of `internal_j_kg`."""
     angular_momentum: Array
-    """Angular momentum about the centre of mass, m^2/s per kilogram, shape (N, 3)."""
+    """(N, 3): angular momentum about the centre of mass, m^2/s per kilogram."""
     angular_momentum_sigma: Array
-    """One standard deviation, shape (N, 3)."""
+    """(N, 3): standard deviation of `angular_momentum`."""
     ground_m: Array
-    """Height of the ground under the centre of mass, shape (N,)."""
+    """(N,): height of the ground under the centre of mass."""
     forces: pd.DataFrame
     """Table with one row per stance that is completely in the clip: foot, start_s and end_s; peak_bw of the vertical
     force and impulse_bw_s, each with the ends of its interval (peak_low_bw, ...).
     """
     force: Mapping[str, Array]
-    """Expected vertical force of each foot and the ends of its 90 % interval, shape (N, 3)."""
+    """(N, 3): expected vertical force of each foot and the ends of its 90 % interval."""
     flights: pd.DataFrame
-    """Table of the rows of the clip in which no foot stands, within the errors of touch-down and lift-off: first,
-    stop, start_s and end_s; up_m_s2, the acceleration of the centre of mass by the parabola through its heights
-    (-`G_M_S2` in free fall), and sigma_m_s2, one standard deviation by the errors of position, pose and masses."""
+    """Table of the parts of the clip in which no foot stands, within the errors of touch-down and lift-off: first,
+    stop, start_s and end_s; up_m_s2, the acceleration of a parabola through the heights of the centre of mass
+    (-`G_M_S2` in free fall); and sigma_m_s2, its standard deviation from the errors of position, pose and masses.
+    """
 
     @cached_property
     def ways(self) -> Array:
-        """Return the directions (3, 3), in columns: forwards along the centre's path over the clip, sideways, up."""
+        """Return the directions (3, 3) forwards along the centre's path over the clip, sideways, and up, in columns."""
         level_m = self.centre.series.value[:, :2]
         known_m = level_m[np.isfinite(level_m[:, 0])]
         direction = known_m[-1] - known_m[0] if len(known_m) > 1 else np.array([1.0, 0.0])
@@ -115,7 +122,7 @@ class Dynamics(Brief):
 
     @cached_property
     def energy_j_kg(self) -> dict[str, Array]:
-        """Return potential, kinetic forwards, sideways and up, internal, and total energy, each of shape (N,)."""
+        """Return potential, kinetic (forwards, sideways, up), internal and total energy, each of shape (N,)."""
         series = self.centre.series
         energy = {"potential": G_M_S2 * (series.value[:, 2] - self.ground_m)}
         energy |= dict(zip(KINETIC, 0.5 * (series.rate @ self.ways).T ** 2, strict=True))
@@ -124,7 +131,7 @@ class Dynamics(Brief):
 
     @cached_property
     def energy_sigma_j_kg(self) -> dict[str, Array]:
-        """Return one standard deviation of each energy, shape (N,)."""
+        """Return the standard deviation (N,) of each energy."""
         series = self.centre.series
         kinetic_sigma = np.abs(series.rate @ self.ways) * np.sqrt(series.rate_sigma**2 @ self.ways**2)
         sigma = {"potential": G_M_S2 * series.value_sigma[:, 2]} | dict(zip(KINETIC, kinetic_sigma.T, strict=True))
@@ -155,7 +162,7 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
     net = kinematics.net_acceleration(
         motion.time_s[every_few], centre_m[every_few], [error[every_few] for error in centre_errors]
     )
-    # The rotation about the centre is computed at frames: the rods' paths on the fine grid would take far longer.
+    # The rotation about the centre is computed at the frames only: on the fine grid it would take far longer.
     flat_rods_m = (rods_m - centre_m[:, None, None]).reshape(len(rods_m), -1)
     rod_motion = kinematics.series_kinematics(motion.time_s, flat_rods_m, oversampling=1)
     value, rate = (values.reshape(len(values), -1, 3) for values in (rod_motion.value, rod_motion.rate))
@@ -184,7 +191,7 @@ def dynamics(motion: Motion, gait: Gait | None, errors: Sequence[Errors]) -> Dyn
 def _rods(motion: Motion) -> Array:
     """Return two points of each segment, upright, shape (T, S, 2, 3).
 
-    With half of the segment's mass at each point, the rod has the moment of inertia of the segment's capsules about an
+    A rod with half of the segment's mass at each point has the moment of inertia of the segment's capsules about an
     axis across the longest capsule.
     """
     tree = motion.body.tree
@@ -214,11 +221,11 @@ def _nearest(motion: Motion, rods_m: Array) -> Integers:
 def _turning_sigma(
     at_m: Array, rate_m_s: Array, share: Array, share_sigma: Array, end_joints: Integers, errors: Errors
 ) -> Array:
-    """Return one standard deviation (T, 4) of the internal energy and the angular momentum of the rods.
+    """Return the standard deviations (T, 4) of the internal energy and the angular momentum of the rods.
 
-    at_m: ends of rods (T, E, 3), two for each segment, with shares (E,) of the mass, those of segments with standard
-    deviations (S,). The ends have the errors of their joints: equal for all ends of a joint, independent between
-    joints. Errors that last for `correlation_s` move at sigma / correlation_s.
+    at_m: ends of rods (T, E, 3), two for each segment. share: fractions (E,) of the mass; share_sigma: their standard
+    deviations by segment (S,). The ends have the errors of their joints: equal for all ends of a joint, independent
+    between joints. An error that lasts for `correlation_s` has the rate sigma / correlation_s.
     """
     axes = np.eye(3)
     by_rate = np.concatenate([rate_m_s[:, :, :, None], np.cross(at_m[:, :, None], axes)], axis=3)
@@ -247,9 +254,9 @@ MEAN_OF_PEAK = float(shape(_GRID).mean())
 
 
 def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
-    """Return drawn times of touch-down and lift-off and drawn impulses (D, S) of S stances.
+    """Draw times of touch-down and lift-off and impulses (D, S) of S stances.
 
-    The first draw holds the middle of every distribution.
+    The first draw is the middle of every distribution.
     """
     rng, stances = np.random.default_rng(SEED), gait.stances
     count, feet = len(stances), gait.tracks.feet
@@ -328,8 +335,8 @@ def _forces(gait: Gait) -> tuple[pd.DataFrame, dict[str, Array]]:
 def _flights(motion: Motion, gait: Gait, centre_m: Array, by_mass_m: Array, errors: Sequence[Errors]) -> pd.DataFrame:
     """Return the table of flights between the first and the last stance, for an animal with four known feet.
 
-    by_mass_m (T, S, 3): shift of the centre by one standard deviation of each segment's share; errors (T, 3): of the
-    centre, without those.
+    by_mass_m: (T, S, 3), shift of the centre by one standard deviation of each segment's mass fraction. errors: (T, 3),
+    those of the centre from all other causes.
     """
     import pandas as pd
 
@@ -356,7 +363,7 @@ def off_gravity(flights: pd.DataFrame) -> pd.Series:
 
 
 def findings_of_dynamics(motion: Motion, result: Dynamics) -> tuple[Finding, ...]:
-    """Return a finding if the flight furthest from free fall deviates far more than its uncertainty."""
+    """Return a finding if the flight that differs most from free fall deviates far more than its uncertainty."""
     deviation = off_gravity(result.flights).abs()
     if not (deviation > OFF_GRAVITY).any():
         return ()
@@ -367,16 +374,16 @@ def findings_of_dynamics(motion: Motion, result: Dynamics) -> tuple[Finding, ...
 
 
 OVER_STRIDE = {"net_work": "_j_kg", "net_power": "_w_kg", "net_acceleration": "_m_s2", "exchange": ""}
-"""Quantities of a stride, and their units."""
+"""Quantities of a stride and the units in their columns."""
 
 
 def over_stride(result: Dynamics, start_s: float, end_s: float) -> dict[str, tuple[float, float, float]]:
     """Return the changes over a stride, each with the ends of its interval.
 
-    Net work and power are those of the total energy without the internal one; the net acceleration is that of the
-    centre of mass along its path. Exchange is Cavagna's recovery: of the rises of two energies, that of height and
-    moving up and that of moving level, the share that one energy takes from the other; near 1 for a pendulum and near 0
-    for a spring.
+    Net work and power are those of the total energy without the internal energy. The net acceleration is that of the
+    centre of mass along its path. The exchange is Cavagna's recovery: the fraction of the rises of two energies that
+    one takes from the other. The two are potential energy with the vertical kinetic energy, and the horizontal kinetic
+    energy. The exchange is near 1 for a pendulum and near 0 for a spring.
     """
     series, energy, sigma = result.centre.series, result.energy_j_kg, result.energy_sigma_j_kg
     ends = np.minimum(np.searchsorted(series.time_s, [start_s, end_s - 1e-9]), len(series.time_s) - 1)

@@ -1,12 +1,14 @@
-"""Find the boundaries of strides from the end effector, the foot of a chain, as published.
+"""Find the boundaries of strides from the end effector, the foot of a chain, as in the publication.
 
-The end effector moves relative to the body along the direction of travel and up and down. A boundary between two
-strides is where its horizontal position is a local minimum, so that its horizontal velocity crosses zero upwards, near
-an extremum of its height: the foot is rearmost and begins to swing. A minimum counts if it is among the lowest
-`BACK` of the range, and if the foot has moved forwards by `AWAY` of the range since the last one; the lower of two
-minima without that is the boundary. The stride goes from one boundary to the next.
+The end effector moves relative to the body along the direction of travel, and up and down. At a boundary between two
+strides its horizontal position has a local minimum, so its horizontal velocity crosses zero upwards, near an extremum
+of its height: the foot is rearmost and begins to swing. A minimum counts if it is among the lowest `BACK` of the range,
+and if the foot has moved forwards by `AWAY` of the range since the last minimum. Of two minima without such a movement
+between them, the lower one is the boundary. A stride lasts from one boundary to the next.
 
-Source: C. van der Leek, MSc(Eng), University of Cape Town, 2022.
+References
+----------
+C. van der Leek, MSc(Eng), University of Cape Town, 2022.
 """
 
 from __future__ import annotations
@@ -30,11 +32,11 @@ class EndEffector:
 
     foot: str
     time_s: Array
-    """(N,)"""
+    """(N,): times."""
     forward_m: Array
     """(N,): along the travel, NaN in gaps."""
     up_m: Array
-    """(N,)"""
+    """(N,): height."""
     forward_rate_m_s: Array
     """(N,): horizontal velocity."""
     boundaries_s: Array
@@ -63,7 +65,7 @@ def end_effector(foot: str, time_s: Array, foot_m: Array, body_m: Array, heading
     foot_m, body_m : ndarray
         Positions of the foot and of the body's reference joint, z up, shape (T, 3), NaN where unknown.
     heading : ndarray
-        Direction that the animal faces, shape (3,), for a body that hardly moves.
+        Direction in which the animal faces, shape (3,), for a body that hardly moves.
     """
     known = body_m[np.isfinite(body_m).all(axis=1)]
     chord = (known[-1] - known[0])[:2] if len(known) else np.full(2, np.nan)
@@ -87,7 +89,7 @@ def end_effector(foot: str, time_s: Array, foot_m: Array, body_m: Array, heading
 
 
 def _sign_changes(values: Array) -> Index:
-    """Return the indices before which values change their sign."""
+    """Return the indices before which values change sign."""
     with np.errstate(invalid="ignore"):
         return np.flatnonzero(values[:-1] * values[1:] < 0) + 1
 

@@ -1,13 +1,13 @@
 """Compare a reconstruction with the truth: MPJPE and related errors.
 
-Positions are arrays (T, J, 3) in metres with NaN for missing. A joint counts in the frames in which both sides have it;
-centring, scaling and rotating use these common joints only.
+Positions are arrays (T, J, 3) in metres, NaN where missing. A joint counts in the frames in which both sides have it.
+Centring, scaling and rotating use only these common joints.
 
-Every mean is taken over frames of the mean within the frame, so that all frames have equal weight, however many of
-their joints are known.
+Every mean is first taken within a frame and then over frames, so that all frames have equal weight for any number of
+known joints.
 
-The errors of a fit differ from frame to frame. If one motion of the whole clip removes most of the error, the two files
-have different axes, units or names (`mismatches`).
+The errors of a fit differ from frame to frame. If a single motion of the whole clip removes most of the error, the two
+files have different axes, units or names (`mismatches`).
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ from recon.io.common import Pose3D
 from recon.io.positions import read_pose3d
 
 PCK_THRESHOLDS_M, PCK_LARGEST = (0.05, 0.1, 0.15), 1 / 3
-"""Thresholds, divided by ten until the largest is at most this fraction of the animal's extent, since a whole mouse
-lies within 0.15 m.
+"""Thresholds of PCK. They are divided by ten until the largest is at most this fraction of the animal's extent, since a
+whole mouse is smaller than 0.15 m.
 """
 SAME_RATE = 2e-3
-"""Relative difference of frame rates, such as 29.97 and 30, that counts as equal."""
+"""Relative difference of frame rates that counts as equal, as between 29.97 and 30."""
 WHOLE_FRAME = 1e-4
-"""Distance from a frame, in frames, below which a time belongs to that frame."""
+"""Distance from a frame, in frames, below which a time belongs to the frame."""
 POSE3D, TRIANGULATED = "pose3d.csv", "triangulation.json"
 """Files of `recon triangulate`."""
 LEVELS = (0.5, 0.9)
@@ -84,12 +84,12 @@ class Evaluation(Brief):
     pa_mpjpe_m: _Score
     """Error after a similarity transform (Procrustes) of each frame."""
     position_m: float
-    """Error of the mean of a frame's common joints, mean over the frames."""
+    """Distance between the means of a frame's common joints, mean over the frames."""
     pck: tuple[tuple[float, _Score], ...]
-    """Fraction of centred errors up to each threshold (m)."""
+    """Thresholds (m), each with the fraction of centred errors up to it."""
     inside: dict[str, tuple[float, ...]]
-    """Fraction of the coordinates within the intervals that the reconstruction states, for each of `LEVELS`: "place"
-    for positions, "pose" after centring. Empty if it states none.
+    """Fraction of the coordinates within the intervals stated by the reconstruction, for each of `LEVELS`: "place" for
+    positions, "pose" after centring. Empty if no intervals are stated.
     """
     frames_not_scored: int
     frames_without_pa: int
@@ -98,7 +98,7 @@ class Evaluation(Brief):
     frames_only_in_pose: tuple[tuple[int, int], ...]
     frames_only_in_truth: tuple[tuple[int, int], ...]
     notes: tuple[str, ...]
-    """Probable causes, if one motion of the whole clip, or an exchange of names, removes most of the error."""
+    """Probable causes, if a motion of the whole clip, or an exchange of names, removes most of the error."""
     verdict: Verdict | None = None
     """Verdict on the clip, if a results folder is scored."""
 
@@ -145,14 +145,14 @@ def evaluate_files(
     Parameters
     ----------
     pose_path, truth_path : path
-        Files for `read_pose3d`, or a folder of results of `recon fit`, whose standard deviations are then compared with
+        Files for `read_pose3d`, or a results folder of `recon fit`, whose standard deviations are then compared with
         the errors.
     anyway : bool
         Accept results whose verdict is "do not use".
     unit, up : str, optional
         Unit and upward axis of the reference, if its file does not state them.
     rename : str, optional
-        Map of the joints' names, for the file that is scored, or for the reference if a folder of results is scored.
+        Map of the joints' names, for the scored file, or for the reference if a results folder is scored.
 
     Raises
     ------
@@ -169,23 +169,23 @@ def evaluate_files(
     result = replace(evaluate(pose, truth, sigmas_m), verdict=verdict)
     notes = *pose.notes, *truth.notes, *result.notes, *_counted_from_one(pose, truth, result)
     common_count, smaller_count = len(result.frames), min(len(pose.frames), len(truth.frames))
-    # Otherwise one set of frames contains the other, for example if only a few frames were labelled.
+    # One set of frames may contain the other, for example if only a few frames were labelled.
     if common_count <= smaller_count / 2:
         shared = f"only {common_count} of {smaller_count} frame numbers are in both"
-        notes += (f"{shared}: the reference may be that of another run",)
+        notes += (f"{shared}: the reference may belong to another run",)
     notes += () if rename else tuple(_other_names(pose, truth, result))
     if _is_result(truth_path) and not _is_result(pose_path):
         notes += (
-            f"the reference, {truth_path}, is a result of recon fit, and what is scored is not: perhaps exchanged",
+            f"the reference, {truth_path}, is a result of recon fit, the scored file is not: are they exchanged?",
         )
     return replace(result, notes=tuple(dict.fromkeys(notes)))
 
 
 def at_frames_of(truth: Pose3D, pose: Pose3D) -> Pose3D:
-    """Return a reference interpolated at the times of a pose's frames, if it has another frame rate.
+    """Return a reference interpolated at the times of a pose's frames, if the frame rates differ.
 
     Frame 0 of both is at 0 s. An interpolated position is unknown if one of its neighbours is unknown. Raises
-    InputError without a common time.
+    InputError if the two have no time in common.
     """
     if pose.fps is None or truth.fps is None or abs(pose.fps / truth.fps - 1) <= SAME_RATE:
         return truth
@@ -225,16 +225,16 @@ def _renamed(pose: Pose3D, rename: str) -> Pose3D:
 
 
 def _other_names(pose: Pose3D, truth: Pose3D, result: Evaluation) -> Iterator[str]:
-    """Yield a note if one of the package's maps gives the two files more joints in common."""
+    """Yield a note if one of the package's name maps gives the two files more joints in common."""
     for name in fitting_maps(pose.names, truth.names)[:1]:
         count = len({*_renamed(pose, name).names} & {*truth.names})
-        yield f"--rename {name}: {count} joints are in common, not {len(result.names)}."
+        yield f"--rename {name} would give {count} joints in common instead of {len(result.names)}."
 
 
 def _counted_from_one(pose: Pose3D, truth: Pose3D, result: Evaluation) -> Iterator[str]:
-    """Yield a note if one side counts frames from 1, as TRC files do, and the other from 0.
+    """Yield a note if one side counts frames from 1, as TRC files do, and the other counts from 0.
 
-    The note is given only if this makes the positions agree better.
+    The note is given only if counting alike makes the positions agree better.
     """
     first_frames = int(pose.frames[0]), int(truth.frames[0])
     if sorted(first_frames) != [0, 1]:
@@ -295,14 +295,10 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
     problems = []
     if not names:
         examples = " and ".join(", ".join(p.names[:5]) for p in (pose, truth))
-        problems.append(
-            Problem(pose_name, "joints", f"none in common ({examples})", f"joints that are in {truth_name}")
-        )
+        problems.append(Problem(pose_name, "joints", f"none in common ({examples})", f"joints of {truth_name}"))
     if not len(frames):
         examples = " and ".join(f"{p.frames[0]} to {p.frames[-1]}" if len(p.frames) else "none" for p in (pose, truth))
-        problems.append(
-            Problem(pose_name, "frames", f"none in common ({examples})", f"frames that are in {truth_name}")
-        )
+        problems.append(Problem(pose_name, "frames", f"none in common ({examples})", f"frames of {truth_name}"))
     if not problems and not common.any():
         problems.append(Problem(pose_name, "positions", "no joint known on both sides in any frame", "at least one"))
     raise_problems(problems)
@@ -357,7 +353,7 @@ def _inside(error_m: np.ndarray, sigma_m: np.ndarray) -> tuple[float, ...]:
 
 
 def common_joints(pose_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
-    """Return a mask of joints that have all three coordinates on both sides, shape (T, J)."""
+    """Return a mask (T, J) of the joints with all three coordinates on both sides."""
     return np.all(~np.isnan(pose_m + truth_m), axis=2)
 
 
@@ -367,7 +363,7 @@ def joint_errors(pose_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray:
 
 
 def score(values: np.ndarray) -> _Score:
-    """Return the means of values (T, J) that may be NaN."""
+    """Return the means of values (T, J), some of which may be NaN."""
     per_frame = mean_along(values, axis=1)
     return _Score(mean=float(mean_along(per_frame, axis=0)), per_frame=per_frame, per_joint=mean_along(values, axis=0))
 
@@ -375,16 +371,16 @@ def score(values: np.ndarray) -> _Score:
 def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: bool = False) -> np.ndarray:
     """Return the pose (T, J, 3) aligned with the truth in each frame, by least squares (Umeyama 1991).
 
-    The means of the common joints coincide. With `scale`, the pose is also scaled by one factor, which cannot be
-    negative because that would mirror the animal; with `turn`, it is also rotated, without reflection. NaN in frames
-    with fewer than 3 common joints, which do not determine a rotation.
+    The means of the common joints coincide. With `scale`, the pose is also scaled by a factor, which cannot be negative
+    because this would mirror the animal. With `turn`, the pose is also rotated, without reflection. Frames with fewer
+    than 3 common joints are NaN, since these do not determine a rotation.
     """
     centred, (pose_mean, truth_mean) = _together(pose_m, truth_m)
     aligned_m, (pose_part, truth_part) = pose_m - pose_mean, np.nan_to_num(centred)
     if turn:
         is_enough = np.isfinite(centred[0]).all(axis=2).sum(axis=1)[:, None, None] >= 3
         u, _, vt = np.linalg.svd(np.swapaxes(pose_part, 1, 2) @ truth_part)
-        vt[:, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]  # the direction that matters least
+        vt[:, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]  # the direction with the smallest singular value
         aligned_m, pose_part = (part @ (u @ vt) for part in (np.where(is_enough, aligned_m, np.nan), pose_part))
     if scale:
         product, square = (np.sum(pose_part * part, axis=(1, 2)) for part in (truth_part, pose_part))
@@ -397,7 +393,7 @@ def aligned(pose_m: np.ndarray, truth_m: np.ndarray, scale: bool = False, turn: 
 def _together(pose_m: Array, truth_m: Array) -> tuple[Array, Array]:
     """Return both poses (2, T, J, 3), centred on the mean of the common joints, and the means (2, T, 1, 3).
 
-    The poses are NaN for all other joints.
+    All other joints are NaN.
     """
     common = np.where(common_joints(pose_m, truth_m)[..., None], np.stack([pose_m, truth_m]), np.nan)
     means = mean_along(common, axis=2)[:, :, None]
@@ -407,22 +403,23 @@ def _together(pose_m: Array, truth_m: Array) -> tuple[Array, Array]:
 # -- files that do not belong together ---------------------------------------------------------------------------------
 
 SHARE = 1 / 3
-"""Fraction of an error that may remain for the error to count as explained."""
+"""Fraction of an error that may remain if the error counts as explained."""
 SMALL = 0.05
-"""Error, relative to the animal's size, below which no explanation is needed. Size: root mean square distance of the
-joints from their mean.
+"""Error relative to the animal's size below which no explanation is needed. The size is the root mean square distance
+of the joints from their mean.
 """
 SCALED = 2.0
 """Factor between the sizes within which no explanation is needed, since one camera hardly determines the size."""
 UNLIKE = 0.3
-"""An error above this part of the size is that of another clip: running cheetahs are 0.27 to 0.67 of their size
-apart, and the poorest fit in docs/benchmarks.md is off by 0.22."""
+"""Error relative to the size above which the two are different clips: running cheetahs differ by 0.27 to 0.67 of their
+size, and the poorest fit in docs/benchmarks.md has an error of 0.22.
+"""
 FAR = 4.0
-"""Distance between the two, in sizes, above which they are in different positions."""
+"""Distance between the two, in sizes, above which they are at different positions."""
 
 
 def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[Finding, ...]:
-    """Return findings on two sets of positions (T, J, 3) that do not belong together, in metres, NaN for missing."""
+    """Return findings on two sets of positions (T, J, 3), in metres, that do not belong together; NaN for missing."""
     rows = np.isfinite(pose_m + truth_m).all(axis=2).sum(axis=1) >= 3
     pose_m, truth_m = pose_m[rows], truth_m[rows]
     if not rows.any():
@@ -437,7 +434,7 @@ def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[Fin
                 finding(code, error_mm=1000 * error, left_mm=1000 * remaining, **numbers),
                 remaining,
             )
-    if error_left > UNLIKE * size:  # regardless of any cause that removes part of the error
+    if error_left > UNLIKE * size:  # another clip, even if a motion removes part of the error
         error_left = min(error_left, _error(_turned(pose, truth)[0], truth))
     if error_left > UNLIKE * size:
         return (finding("reference_unlike", left_mm=1000 * error_left, share=error_left / size),)
@@ -455,7 +452,7 @@ def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[Fin
 def _explanations(pose_m: Array, truth_m: Array, names: Sequence[str]) -> Iterator[tuple[str, float, dict[str, Any]]]:
     """Yield possible explanations, the simplest first: code, remaining error and numbers.
 
-    Each explanation includes the best rotation of the whole clip.
+    Each explanation includes the best single rotation of the whole clip.
     """
     (pose, truth), sides = _together(pose_m, truth_m)[0], opposites(names)
     candidates = [("reference_rotated", pose, truth)]

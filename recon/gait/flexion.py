@@ -1,12 +1,13 @@
 """Measure anatomical joint angles in degrees, over time and over the stride.
 
-The skeleton's file says which three markers meet at a joint (`[anatomy]`). The flexion is the angle between the line
+The skeleton's file states which three markers meet at a joint (`[anatomy]`). The flexion is the angle between the line
 from the first marker to the joint and the line from the joint to the third marker, in the sagittal plane of the segment
-that carries the first marker: 0 for a straight joint, positive for flexion, negative for extension beyond straight.
+that carries the first marker. It is 0 for a straight joint, positive for flexion, and negative for extension beyond
+straight.
 
-Standard deviations are those of the fit's angles, linear, each angle independent of the others, and `MODEL_RAD` for the
-skeleton, whose joints turn about fixed axes. Over a stride, curves are means over the strides of the foot of the same
-limb; the posterior's uncertainty and the spread between strides are reported separately.
+Standard deviations combine the uncertainty of the fit's angles, propagated linearly and taken as independent, and
+`MODEL_RAD` for the skeleton, whose joints turn about fixed axes. Curves over a stride are means over the strides of the
+limb's own foot. The posterior's uncertainty and the spread between strides are reported separately.
 """
 
 from __future__ import annotations
@@ -23,13 +24,11 @@ from recon.fit.motion import Motion
 from recon.gait.gait import Gait, Stride
 
 MODEL_RAD = np.radians(5.0)
-"""One standard deviation of an angle for all motion that a skeleton of hinges cannot follow
-(`benchmarks/flexion.py`).
-"""
+"""Standard deviation of an angle from all motion that a skeleton of hinges cannot follow (`benchmarks/flexion.py`)."""
 PERCENT = np.arange(101.0)
-"""Percent of the stride, from touch-down to touch-down."""
+"""Percent of the stride, from one touch-down to the next."""
 LEAST_KNOWN = 0.9
-"""Smallest fraction of a stride's frames that need a pose for the stride to count."""
+"""Smallest fraction of a stride's frames with a pose for the stride to count."""
 _STEP_RAD = 1e-4
 _ROWS_AT_ONCE = 2000
 """Number of frames whose derivatives are computed at once."""
@@ -46,7 +45,7 @@ class JointFlexion(Brief):
     angle_rad: Array
     """Flexion, shape (T,)."""
     sigma_rad: Array
-    """One standard deviation, shape (T,); NaN if unknown."""
+    """(T,): standard deviation; NaN if unknown."""
 
     @property
     def name(self) -> str:
@@ -65,12 +64,12 @@ class StrideCurve(Brief):
     mean_rad: Array
     """Mean over the strides, shape (101,)."""
     posterior_sigma_rad: Array
-    """One standard deviation from the fit's uncertainty, root mean square over the strides, shape (101,)."""
+    """Standard deviation from the fit's uncertainty, root mean square over the strides, shape (101,)."""
     between_sigma_rad: Array
-    """One standard deviation between strides, shape (101,); NaN for a single stride."""
+    """Standard deviation between strides, shape (101,); NaN for a single stride."""
     strides: int
     duty_factor: float
-    """Fraction of the stride for which the foot stands, starting at 0 %."""
+    """Fraction of the stride for which the foot stands, from 0 % on."""
 
     @property
     def name(self) -> str:
@@ -119,7 +118,7 @@ def joint_flexions(motion: Motion) -> tuple[JointFlexion, ...]:
 
 
 def _variance(body: Body, states: Array, size: float, angle_sigma: Array) -> Array:
-    """Return the variance (A, T) of the flexions by the fit's angles (T, D - 3), each independent of the others."""
+    """Return the variance (A, T) of the flexions from independent errors of the fit's angles (T, D - 3)."""
     variance = np.zeros((len(body.anatomy), len(states)))
     every_few = states[:: -(-len(states) // 3)]
     for column in range(3, states.shape[1]):
@@ -141,8 +140,7 @@ def _change(body: Body, states: Array, size: float, step: Array) -> Array:
 def stride_curves(flexions: Sequence[JointFlexion], gait: Gait | None, time_s: Array) -> tuple[StrideCurve, ...]:
     """Return the mean curve of each joint over the complete strides of the foot of its limb.
 
-    The curves of spine and neck are means over the strides of the foot with the most strides. Joints without strides
-    are left out.
+    For spine and neck, the strides are those of the foot with the most strides. Joints without strides are left out.
     """
     if gait is None or not gait.strides:
         return ()
@@ -159,7 +157,7 @@ def stride_curves(flexions: Sequence[JointFlexion], gait: Gait | None, time_s: A
 
 
 def _foot_of(flexion: JointFlexion, strides: Mapping[str, Sequence[Stride]], reference: str) -> str | None:
-    """Return the foot of a joint's limb, the reference foot if the joint has no limb, or None without strides."""
+    """Return the foot of a joint's limb, the reference foot for a joint without a limb, or None without strides."""
     girdle = GIRDLE[flexion.joint]
     if flexion.side is None or girdle is None:
         return reference
@@ -176,7 +174,7 @@ def _curve_over(flexion: JointFlexion, foot: str, strides: Sequence[Stride], tim
         is_known = np.isfinite(flexion.angle_rad)
         if not is_inside.any() or is_known[is_inside].mean() < LEAST_KNOWN:
             continue
-        # Strides between lift-offs end with their swing: their touch-down is the duty factor before their end.
+        # A stride between lift-offs ends with its stance, so touch-down is the duty factor before its end.
         touch_down_s = stride.end_s - stride.duty_factor * stride.duration_s if stride.at == "lift-off" else None
         at_s = stride.start_s + PERCENT / 100 * stride.duration_s
         if touch_down_s is not None:

@@ -57,39 +57,42 @@ BODY = ("neck_base", "tail_base")
 
 OVERSAMPLING = 10
 MAX_GAP_S = 0.05
-"""Longest gap of a foot or the body that is bridged; a longer gap could hide a touch-down."""
+"""Longest gap of a foot or the body that is interpolated. A longer gap could hide a touch-down."""
 SLOW, SWING = (0.16, 0.32), 1.3
-"""Speed of a standing foot over the ground, relative to its speed in the swing: certainly standing, and at most; and
-the smallest speed in the swing, relative to the body's.
+"""Speed of a standing foot over the ground relative to its speed in the swing, once for certain standing and once at
+most; and smallest speed in the swing relative to the body's speed.
 """
 LANDS, LIFTS, EVENT_SIGMAS = 0.12, 0.22, (0.05, 0.1)
-"""Relative speed at touch-down and at lift-off, fitted to force plates, and one standard deviation of each."""
+"""Relative speed at touch-down and at lift-off, fitted to force plates, and the standard deviation of each."""
 SPEED_ERROR = 0.6
 """Apparent speed of a standing foot, in standard deviations of its speed. `benchmarks/parts/gait.py --held-out` chooses
-the value on two of three kinds of recordings and times the third with it."""
+the value on two of three kinds of recordings, and times the stances of the third with this value.
+"""
 LOW = (0.15, 0.3)
-"""Height of a standing foot above the ground in leg lengths: certainly standing, and at most."""
+"""Height of a standing foot above the ground in leg lengths, once for certain standing and once at most."""
 INTERVAL = 0.9
 """Probability with which the intervals contain times and duty factors."""
 MIN_STANCE_S = 0.02
 """Shortest stance, far below the 0.06 s of a galloping cheetah."""
 SLOPE_SIGMA, HEIGHT_SIGMA_M = 0.1, 0.03
-"""One standard deviation of the ground's slopes, and of a standing foot's marker about the plane."""
+"""Standard deviation of the ground's slopes, and of a standing foot's marker about the plane."""
 
 PERIOD_OF_CLIP, PERIOD_SIGMA, PERIODIC = (0.5, 1 / 0.6), 0.08, 0.9
-"""Shortest and longest period searched for in a clip without a complete stride, relative to its duration; one
-standard deviation of the result, relative to it, measured on a dog's strides cut to 0.7 to 1.2 of their duration;
-and the least share of the feet's motion that the period has to explain."""
+"""Shortest and longest period that is searched for in a clip without a complete stride, relative to the clip's
+duration; relative standard deviation of the result, measured on a dog's strides cut to 0.7 to 1.2 of their duration;
+and smallest fraction of the feet's motion that the period has to explain.
+"""
 AGREE = 0.2
-"""Tolerance of a stride's duration: a stride that misses a stance is twice as long, and the ends of a correct one
-are off by two of some ten frames at most."""
+"""Relative tolerance of a stride's duration. A stride with a missed stance in it is twice as long, and the ends of a
+correct stride are off by at most two of about ten frames.
+"""
 
 TOGETHER = 0.05
-"""Largest difference between two touch-downs of a pair, in strides, at which the feet land together: bound."""
+"""Largest difference, in strides, between two touch-downs of a pair that land together (bound)."""
 ALTERNATE = 0.4
-"""Smallest difference, in strides, at which the feet of a pair alternate (0.5 is exact): a symmetrical gait."""
+"""Smallest difference, in strides, between feet of a pair that alternate (0.5 is exact), as in symmetrical gaits."""
 IN_PHASE = 0.125
-"""Trot and pace: largest phase of the fore foot against its diagonal or same-sided hind foot (Hildebrand's eighths)."""
+"""Largest phase of a fore foot relative to its diagonal (trot) or same-sided (pace) hind foot: Hildebrand's eighths."""
 STEADY, MOST = 0.5, 2 / 3
 """Smallest mean resultant length of a steady phase; and the fraction of strides with a duty factor above one half that
 makes a walk, or below one half that makes a run.
@@ -98,7 +101,7 @@ makes a walk, or below one half that makes a run.
 
 @dataclass(frozen=True)
 class Stance:
-    """Hold one stance: the time of a foot on the ground."""
+    """Hold one stance: the time for which a foot is on the ground."""
 
     foot: str
     start_s: float
@@ -108,13 +111,13 @@ class Stance:
     end_frame: float
     """Row of the clip at which the stance ends, with a fraction."""
     begins: bool = True
-    """False if the clip, or a gap in it, cuts the beginning, so that the time is only a bound."""
+    """False if the clip, or a gap in it, cuts the beginning, so that the stance may have begun earlier."""
     ends: bool = True
     """False if the clip, or a gap in it, cuts the end."""
     start_sigma_s: float = np.nan
-    """One standard deviation, NaN if the clip cuts the beginning."""
+    """Standard deviation of the beginning, NaN if the clip cuts it."""
     end_sigma_s: float = np.nan
-    """One standard deviation, NaN if the clip cuts the end."""
+    """Standard deviation of the end, NaN if the clip cuts it."""
 
     @property
     def duration_s(self) -> float:
@@ -123,12 +126,12 @@ class Stance:
 
     @property
     def start_interval_s(self) -> tuple[float, float]:
-        """Return the `INTERVAL` of the touch-down, NaN if the clip cuts it."""
+        """Return the `INTERVAL` of the touch-down, NaN if the clip cuts the touch-down."""
         return interval_of(self.start_s, self.start_sigma_s)[1:]
 
     @property
     def end_interval_s(self) -> tuple[float, float]:
-        """Return the `INTERVAL` of the lift-off, NaN if the clip cuts it."""
+        """Return the `INTERVAL` of the lift-off, NaN if the clip cuts the lift-off."""
         return interval_of(self.end_s, self.end_sigma_s)[1:]
 
 
@@ -140,10 +143,11 @@ class Plane:
     height_m: float
     slope: tuple[float, float]
     spread_m: float
-    """Robust standard deviation of the slow feet about it."""
+    """Robust standard deviation of the slow feet from the plane."""
     samples: int
-    """Number of samples of slow feet (fine grid). 0: no foot was slow, and the plane is level through the lowest
-    position of any foot."""
+    """Number of samples of slow feet (fine grid). If it is 0, the plane is level through the lowest position of any
+    foot.
+    """
 
     def above(self, xyz_m: Array) -> Array:
         """Return the heights (...) of points (..., 3) above the plane."""
@@ -164,17 +168,17 @@ class Tracks(Brief):
     foot_speed_m_s: Array
     """The horizontal speeds of the feet, shape (N, F)."""
     foot_speed_sigma_m_s: Array
-    """One standard deviation of the feet's speeds, shape (N, F); 0 for paths without errors."""
+    """Standard deviation of the feet's speeds, shape (N, F); 0 for paths without errors."""
     body_speed_m_s: Array
     """The horizontal speed of the body, shape (N,)."""
     slow_m_s: Array
-    """Speeds (4, F) below which each foot certainly stands, stands at most, has landed, and has not lifted."""
+    """Speeds (4, F) below which each foot certainly stands, possibly stands, has landed, and has not lifted."""
     swing_m_s: Array
-    """Each foot's speed in the swing above its speed at rest, shape (F,)."""
+    """Speed of each foot in the swing, minus its apparent speed at rest, shape (F,)."""
     height_m: Array
     """Heights of the feet above the ground, shape (N, F)."""
     grounds: tuple[tuple[slice, Plane], ...]
-    """Rows of the clip and the plane under the feet in them, one pair per segment of the clip."""
+    """Rows of the clip and the plane under the feet in these rows, one pair for each segment of the clip."""
     leg_m: float
 
     @cached_property
@@ -189,31 +193,31 @@ class Tracks(Brief):
         return float(np.quantile(relative, 0.9)) if len(relative) else 1.0
 
     def above_ground(self, xyz_m: Array) -> Array:
-        """Return the heights (N, ...) of points (N, ..., 3) above their segment's ground; NaN outside all segments."""
+        """Return the heights (N, ...) of points (N, ..., 3) above their segment's ground, NaN outside all segments."""
         return _above(self.grounds, xyz_m)
 
 
 @dataclass(frozen=True)
 class Stride:
-    """Hold one stride: the time from one touch-down of a foot to its next.
+    """Hold one stride: the time from one touch-down of a foot to the next.
 
-    If the clip does not contain two touch-downs of the foot, the stride goes from one lift-off to the next. A stride
-    given by the user belongs to no foot; its length and duty factor are NaN.
+    If the clip does not contain two touch-downs of the foot, the stride lasts from one lift-off to the next. A stride
+    given by the user does not belong to a foot; its length and duty factor are NaN.
     """
 
     foot: str
     start_s: float
     end_s: float
     length_m: float
-    """Horizontal distance that the body travels in the stride."""
+    """Horizontal distance that the body travels during the stride."""
     duty_factor: float
-    """Fraction of the stride for which the foot stands; that stance is completely in the clip."""
+    """Fraction of the stride for which the foot stands, in a stance that is completely in the clip."""
     duty_sigma: float
-    """One standard deviation of the duty factor."""
+    """Standard deviation of the duty factor."""
     at: Literal["touchdown", "lift-off", "end effector", "given"]
-    """Event at which the stride begins and ends."""
+    """Event at the beginning and the end of the stride."""
     others_s: float = np.nan
-    """Median duration of the strides of all feet around that time, for a stride that does not count."""
+    """Median duration of the strides of all feet around this time, for a stride that does not count."""
 
     @property
     def duration_s(self) -> float:
@@ -233,14 +237,15 @@ class _GaitName(Brief):
     name: str
     """walk, trot, pace, bound, half-bound, rotary gallop, transverse gallop, or unknown."""
     criterion: str
-    """The criterion that decided the name."""
+    """Criterion that decided the name."""
     phase: Mapping[str, float]
-    """Each foot's touch-down after the first foot's, in strides, [0, 1)."""
+    """Touch-down of each foot after the first foot's, in strides, [0, 1)."""
     duty_factor: float
-    """Median over the strides, which one cut stance does not move; NaN without strides."""
+    """Median over the strides, which a single cut stance does not change; NaN without strides."""
     duty_sigma: float
-    """One standard deviation of the duty factor, NaN without strides. A foot's events are shifted equally in all its
-    strides, so the number of feet counts and not that of strides."""
+    """Standard deviation of the duty factor, NaN without strides. A foot's events are shifted equally in all its
+    strides, so only more feet reduce it, not more strides.
+    """
 
     @property
     def duty_interval(self) -> tuple[float, float]:
@@ -253,31 +258,31 @@ class _GaitName(Brief):
 class Gait(Brief):
     """Hold the gait of a clip.
 
-    Lengths and frequencies are means over complete strides, duty factors are medians; all are NaN if there are no
-    complete strides.
+    Lengths and frequencies are means over complete strides, duty factors are medians. All are NaN without complete
+    strides.
     """
 
     tracks: Tracks
     stances: tuple[Stance, ...]
     strides: tuple[Stride, ...]
     order: tuple[str, ...]
-    """The feet in the order of their touch-downs in the clip."""
+    """Feet in the order of their touch-downs in the clip."""
     stride_length_m: float
     stride_frequency_hz: float
     stride_s: float
-    """Duration of a stride, from complete strides or the pose's period; NaN if neither is known."""
+    """Duration of a stride, from complete strides or the period of the pose; NaN if neither is known."""
     stride_sigma_s: float
-    """One standard deviation of the duration."""
+    """Standard deviation of the duration."""
     duty_factor: Mapping[str, float]
     speed_m_s: float
     name: _GaitName
     doubtful: tuple[Stride, ...] = ()
-    """Strides whose duration contradicts the other feet; none of them is in `strides`."""
+    """Strides whose durations contradict the other feet. They are not in `strides`."""
 
     def stride_time(self, start_s: float, end_s: float) -> tuple[float, float]:
-        """Return the mean duration of the strides around a time and its standard deviation.
+        """Return the mean duration of the strides around a time, and its standard deviation.
 
-        The values of the whole clip are used if no stride around that time is complete.
+        If no stride around that time is complete, the values are those of the whole clip.
         """
         near = [stride for stride in self.strides if stride.start_s < end_s and stride.end_s > start_s]
         return _mean_time(near, 1) if near else (self.stride_s, self.stride_sigma_s)
@@ -306,7 +311,7 @@ def interval_of(value: _Value, sigma: _Value | float) -> tuple[_Value, _Value, _
 def interval_text(value: float, sigma: float, unit: str, sign: str = "") -> str:
     """Format a value with its interval, such as "16.2 m/s (90 %: 14.2 to 18.1)", or the value alone without sigma.
 
-    With `sign` "+", positive values have a sign.
+    If `sign` is "+", positive values get a sign.
     """
     _, low, high = interval_of(value, sigma)
     return interval(value, low, high, unit, level="90 %", sign=sign)
@@ -341,12 +346,12 @@ def pose_tracks(
     segments : sequence of slice
         Rows of each segment, which has its own ground.
     restless : bool
-        Whether the poses jitter, so that standing feet seem to move at the 10th percentile of their speed.
+        Whether the poses jitter. Standing feet then seem to move, at the 10th percentile of their speed.
 
     Raises
     ------
     InputError
-        Names every joint that the pose lacks.
+        If the pose lacks joints; names all of them.
     ValueError
         If there are fewer than `MIN_POINTS` frames.
     """
@@ -359,7 +364,7 @@ def pose_tracks(
         return kinematics.series_kinematics(time_s, points_m, errors, oversampling=OVERSAMPLING, max_gap_s=MAX_GAP_S)
 
     def foot_path(at: int) -> tuple[Array, Array, Array]:
-        """Yield positions, speeds and their deviations, one foot at a time because a path of a long clip is large."""
+        """Return positions, speeds and standard deviations of one foot; the path of a long clip needs much memory."""
         series = path(pose.xyz_m[:, at], [error[:, at] for error in errors])
         velocity, speed = series.rate[:, :2], np.linalg.norm(series.rate[:, :2], axis=1)
         deviation = (series.rate_sigma if len(errors) else 0 * series.rate)[:, :2]
@@ -407,8 +412,8 @@ def _above(grounds: Sequence[tuple[slice, Plane]], xyz_m: Array) -> Array:
 def ground_plane(foot_m: Array, slow: Bools) -> Plane:
     """Fit a plane to the feet (N, F, 3) where they are slow (N, F).
 
-    Least squares with Tukey's weights and a prior on the slopes. If no foot is slow, the plane is level through the
-    lowest position.
+    The fit is by least squares with Tukey's weights and a prior on the slopes. If no foot is slow, the plane is level
+    through the lowest position.
     """
     points_m = foot_m[slow]
     if not len(points_m):
@@ -416,7 +421,7 @@ def ground_plane(foot_m: Array, slow: Bools) -> Plane:
         return Plane((0.0, 0.0), lowest, (0.0, 0.0), np.nan, 0)
     middle = np.median(points_m[:, :2], axis=0)
     design = np.column_stack([np.ones(len(points_m)), points_m[:, :2] - middle])
-    # Samples of the fine grid within one stance are not independent, so the prior counts as at least one of them.
+    # Samples of the fine grid within a stance are not independent: the prior has at least the weight of one of them.
     prior = np.diag([0.0, 1.0, 1.0]) * (HEIGHT_SIGMA_M / SLOPE_SIGMA) ** 2
     weight = np.ones(len(points_m))
     parameters, spread = np.zeros(3), 0.0
@@ -435,7 +440,7 @@ def ground_plane(foot_m: Array, slow: Bools) -> Plane:
 
 
 def stances(tracks: Tracks) -> tuple[Stance, ...]:
-    """Return all feet's stances in the order of their beginnings; none if the ground is unknown."""
+    """Return the stances of all feet in the order of their beginnings; none if the ground is unknown."""
     if why_no_ground(tracks):
         return ()
     result = [s for k in range(len(tracks.feet)) for s in _stances_of(tracks, k)]
@@ -459,7 +464,7 @@ def _stances_of(tracks: Tracks, k: int) -> list[Stance]:
     certain_speed, largest_speed, landing_speed, lifting_speed = tracks.slow_m_s[:, k]
     slow_rows = np.flatnonzero(speed < certain_speed)
     certain_rows = slow_rows[height[slow_rows] < LOW[0] * tracks.leg_m]
-    is_known = np.pad(np.isfinite(speed), 1)  # by the index after
+    is_known = np.pad(np.isfinite(speed), 1)  # index i of the array is for the step before sample i
     result = []
     may_stand = np.less(speed, largest_speed) & np.less(height, LOW[1] * tracks.leg_m)
     for first, end in frame_ranges(np.flatnonzero(may_stand)):
@@ -485,9 +490,9 @@ def _stances_of(tracks: Tracks, k: int) -> list[Stance]:
 
 
 def _event_sigma_s(tracks: Tracks, k: int, i: int, most_s: float, threshold_sigma: float) -> float:
-    """Return the standard deviation in seconds of an event of the k-th foot at the i-th instant.
+    """Return the standard deviation, in seconds, of an event of the k-th foot at the i-th instant.
 
-    most_s: time from the event to the middle of the stance; threshold_sigma: one standard deviation of the threshold,
+    most_s: time from the event to the middle of the stance. threshold_sigma: standard deviation of the threshold,
     relative to the speed in the swing.
     """
     nearby = slice(max(i - OVERSAMPLING // 2, 0), i + OVERSAMPLING // 2 + 1)
@@ -499,7 +504,7 @@ def _event_sigma_s(tracks: Tracks, k: int, i: int, most_s: float, threshold_sigm
 
 
 def match_stances(first_set: Sequence[Stance], second_set: Sequence[Stance]) -> list[tuple[Stance, Stance]]:
-    """Return pairs of overlapping stances of the same foot, if each overlaps the other most."""
+    """Return the pairs of overlapping stances of the same foot in which each overlaps the other most."""
 
     def best_match(stance: Stance, candidates: Sequence[Stance]) -> Stance | None:
         overlaps = [(min(stance.end_s, o.end_s) - max(stance.start_s, o.start_s), -i) for i, o in enumerate(candidates)]
@@ -522,7 +527,7 @@ def gait(tracks: Tracks) -> Gait:
     touch_downs = sorted((s for s in all_stances if s.begins), key=lambda s: s.start_s)
     why_unknown = why_no_ground(tracks)
     if why_unknown is None and not {*FEET} <= {*tracks.feet}:
-        why_unknown = f"only gaits of four feet have names; here are {', '.join(tracks.feet)}"
+        why_unknown = f"only gaits of four feet have names; the feet here are {', '.join(tracks.feet)}"
     return Gait(
         tracks=tracks,
         stances=all_stances,
@@ -548,9 +553,9 @@ def pose_gait(pose: Pose3D, fps: float, errors: Sequence[Errors] = (), **options
 
 
 def strides(tracks: Tracks, all_stances: tuple[Stance, ...]) -> tuple[Stride, ...]:
-    """Return the complete strides, whose two touch-downs and whose stance are in the clip.
+    """Return the complete strides: both touch-downs and the stance are in the clip.
 
-    A foot without two touch-downs has its strides between two lift-offs.
+    For a foot without two touch-downs, strides last from one lift-off to the next.
     """
     result, all_stand = [], _all_stand(tracks, all_stances)
     for foot in tracks.feet:
@@ -560,7 +565,7 @@ def strides(tracks: Tracks, all_stances: tuple[Stance, ...]) -> tuple[Stride, ..
         event: Literal["touchdown", "lift-off"] = "touchdown" if landings else "lift-off"
         for start, end, stance in landings or liftings:
             a, b = np.searchsorted(tracks.time_s, [start, end])
-            # A stance may be hidden where a foot or the body was not tracked in between.
+            # A gap in the track of a foot or of the body may hide a stance.
             step = np.diff(tracks.body_m[a : b + 1, :2], axis=0)
             is_lost = not np.isfinite(step).all() or np.isnan(tracks.foot_m[a : b + 1, tracks.feet.index(foot)]).any()
             if not is_lost and all_stand[a : b + 1].mean() < 0.5:
@@ -572,7 +577,7 @@ def strides(tracks: Tracks, all_stances: tuple[Stance, ...]) -> tuple[Stride, ..
 
 
 def _all_stand(tracks: Tracks, all_stances: Sequence[Stance]) -> Bools:
-    """Return a mask of the times at which all feet of a four-footed animal stand, shape (N,)."""
+    """Return a mask (N,) of the times at which all feet of a four-footed animal stand."""
     stands = np.zeros((len(tracks.time_s), len(tracks.feet)), dtype=bool)
     for stance in all_stances:
         first, stop = np.searchsorted(tracks.time_s, [stance.start_s, stance.end_s])
@@ -587,7 +592,7 @@ def _counted(all_strides: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple
         np.array([getattr(s, field) for s in all_strides]) for field in ("start_s", "end_s", "duration_s")
     )
     for stride in all_strides:
-        # Not all strides are examined, because a long clip has thousands.
+        # A long clip has thousands of strides, so only nearby strides are examined.
         longest_s = lasts_s.max()
         nearby = slice(*np.searchsorted(start_s, [stride.start_s - 2 * longest_s, stride.end_s + longest_s]))
         overlapping = (start_s[nearby] < stride.end_s) & (end_s[nearby] > stride.start_s)
@@ -600,15 +605,15 @@ def _counted(all_strides: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple
 
 
 def doubtful_text(stride: Stride) -> str:
-    """Return one sentence on why a stride does not count."""
+    """Return a sentence on why a stride does not count."""
     text = f"{stride.foot}'s stride from {stride.start_s:.3f} to {stride.end_s:.3f} s does not count"
     return f"{text}: strides of all feet around its time last {stride.others_s:.3f} s"
 
 
 def _stride_time(tracks: Tracks, counted: Sequence[Stride]) -> tuple[float, float]:
-    """Return the stride's duration in seconds and its standard deviation, from strides or the pose's period.
+    """Return the stride's duration in seconds and its standard deviation, from strides or from the period of the pose.
 
-    The result is NaN if neither is known.
+    Both are NaN if neither is known.
     """
     if counted:
         return _mean_time(counted, len(counted))
@@ -624,9 +629,9 @@ def _mean_time(counted: Sequence[Stride], count: int) -> tuple[float, float]:
 
 
 def pose_period_s(tracks: Tracks) -> float:
-    """Return the stride's duration in a clip that holds no complete stride, s; NaN if unknown.
+    """Return the stride's duration in a clip without a complete stride, s; NaN if unknown.
 
-    The period whose first two harmonics best fit the feet's positions relative to the body, with a weak prior against
+    It is the period whose first two harmonics best fit the feet's positions relative to the body, with a weak prior on
     both harmonics.
     """
     values = (tracks.foot_m - tracks.body_m[:, None])[::OVERSAMPLING].reshape(-1, 3 * len(tracks.feet))
@@ -651,7 +656,7 @@ def name_gait(
 ) -> _GaitName:
     """Name the gait by the phases of the four feet (`classify`).
 
-    `stride_s` is the duration of a stride, NaN if unknown; `why_unknown` is the reason why stances of four feet are
+    `stride_s` is the duration of a stride, NaN if unknown. `why_unknown` is the reason why stances of four feet are
     missing.
     """
     duties = np.array([s.duty_factor for s in counted])
@@ -660,28 +665,28 @@ def name_gait(
     if why_unknown is None and (lacking := [foot for foot in FEET if not any(s.foot == foot for s in all_stances)]):
         why_unknown = f"no stance of {', '.join(lacking)}"
     if why_unknown is None and np.isnan(stride_s):
-        why_unknown = "no complete stride, and too little of one to tell how long it lasts"
+        why_unknown = "no complete stride, and too little of a stride to determine its duration"
     if why_unknown is not None:
         return _GaitName("unknown", why_unknown, dict.fromkeys(FEET, np.nan), *duty)
     period = float(np.median([s.duration_s for s in counted])) if counted else stride_s
     phase = {"LH": 0.0} | {foot: _lag(all_stances, "LH", foot, period) for foot in ("RH", "LF", "RF")}
-    # A foot that never landed together with LH in view may have landed together with RH.
+    # The times of LH and a foot may not overlap in the clip: then take the phase through RH.
     for foot in ("LF", "RF"):
         if np.isnan(phase[foot]):
             phase[foot] = (phase["RH"] + _lag(all_stances, "RH", foot, period)) % 1.0
     name, criterion = classify(phase, duty[0])
     if not counted:
-        criterion = f"no complete stride, but the motion is that of one of {period:.2f} s: {criterion}"
+        criterion = f"no complete stride, but the motion has a period of {period:.2f} s: {criterion}"
     if name in ("walk", "trot", "pace") and 1 - MOST < (share := float(np.mean(duties > 0.5))) < MOST:
-        name, criterion = "unknown", f"{criterion}: over 0.5 in {percent(share)} of the strides, walk or run is open"
+        name, criterion = "unknown", f"{criterion}: over 0.5 in {percent(share)} of strides, walk or run is undecided"
     return _GaitName(name, criterion, phase, *duty)
 
 
 def _lag(all_stances: tuple[Stance, ...], reference: str, foot: str, period_s: float) -> float:
-    """Return the time from a foot's touch-down to the nearest of another foot, in strides, [0, 1), as a circular mean.
+    """Return the phase of a foot's touch-down after another foot's, in strides, [0, 1), as a circular mean.
 
-    Lift-offs are used if the clip holds no touch-down of one of the feet. NaN if it holds neither, or if the times are
-    not `STEADY`.
+    Each time is taken to the nearest touch-down of the other foot. If the clip has no touch-down of one of the feet,
+    lift-offs are used. The result is NaN if it has neither, or if the times are not `STEADY`.
     """
     for is_known, event in (("begins", "start_s"), ("ends", "end_s")):
         reference_s, foot_s = (
@@ -690,7 +695,7 @@ def _lag(all_stances: tuple[Stance, ...], reference: str, foot: str, period_s: f
         )
         if len(reference_s) and len(foot_s):
             lags_s = foot_s - reference_s[np.argmin(np.abs(foot_s[:, None] - reference_s), axis=1)]
-            # Events further apart than a stride have drifted out of step.
+            # Events that are more than a stride apart have drifted out of phase.
             nearby_s = lags_s[np.abs(lags_s) <= max(period_s, np.abs(lags_s).min())]
             resultant = np.mean(np.exp(2j * np.pi * nearby_s / period_s))
             return float(np.angle(resultant) / (2 * np.pi) % 1.0) if np.abs(resultant) >= STEADY else np.nan
@@ -700,17 +705,18 @@ def _lag(all_stances: tuple[Stance, ...], reference: str, foot: str, period_s: f
 def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
     """Return the name of a gait and the criterion that decided it.
 
-    Symmetrical, both pairs at least 0.4 apart: walk if the duty factor is over 0.5; otherwise trot or pace if the fore
-    feet land within 0.125 of the diagonal or of the same-sided hind foot. Asymmetrical, both pairs less than 0.4 apart:
-    bound if both pairs land within 0.05, half-bound if only the hind pair does; gallop if neither does, transverse if
-    the same side leads (lands second) in both pairs, rotary if not.
+    In symmetrical gaits both pairs are at least 0.4 apart. The gait is a walk if the duty factor is over 0.5; otherwise
+    a trot or a pace if the fore feet land within 0.125 of the diagonal or of the same-sided hind foot. In asymmetrical
+    gaits both pairs are less than 0.4 apart. The gait is a bound if both pairs land within 0.05, and a half-bound if
+    only the hind pair does; otherwise it is a gallop, transverse if the same side leads (lands second) in both pairs,
+    else rotary.
 
     Parameters
     ----------
     phase : mapping
         Touch-down of LH, RH, LF and RF, in strides.
     duty_factor : float
-        Mean share of a stride for which a foot stands.
+        Mean fraction of a stride for which a foot stands.
 
     References
     ----------
@@ -726,7 +732,7 @@ def classify(phase: Mapping[str, float], duty_factor: float) -> tuple[str, str]:
         lateral = float(np.angle(sides.mean()) / (2 * np.pi) % 1.0)
         measured += f"; fore {lateral:.2f} after the same-sided hind foot, duty factor {duty_factor:.2f}"
         if np.isnan(duty_factor):
-            return "unknown", measured + ": walk or run is open"
+            return "unknown", measured + ": walk or run is undecided"
         if duty_factor > 0.5:
             return "walk", measured
         if abs(_signed(lateral - 0.5)) <= IN_PHASE:

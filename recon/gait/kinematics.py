@@ -41,16 +41,17 @@ Angle = Callable[[Array, Array, Array], Array]
 MAX_GAP_S = 0.2
 """Longest time between two known frames over which missing frames are interpolated."""
 MIN_POINTS = 4
-"""Smallest number of values for a cubic."""
+"""Smallest number of values of a cubic spline."""
 OVERSAMPLING = 10
 MIN_SMOOTHING_POINTS = 5
 """Smallest number of points for smoothing."""
 _LOG10_LAM = (-16.0, 8.0)
 """Range of lam, relative to (span / number of values)^3: from an exact spline to a straight line."""
 JITTER_LASTS_S, JITTER_TIMES = 0.05, 2.0
-"""Correlation time of the errors of a method that solves frame by frame, and their size relative to the jitter
-within that time. With these values the standard deviations of its speeds are right to a quarter in each of five real
-runs (`python benchmarks/gait.py --only speeds`)."""
+"""Correlation time of the errors of a method that solves frame by frame, and their size relative to the jitter within
+that time. With these values the standard deviations of speeds are right to 25 % in each of five real runs (`python
+benchmarks/gait.py --only speeds`).
+"""
 
 _WINDOW, _MARGIN = 200, 40
 """Frames of an exact spline whose standard deviations are computed at once, and frames on either side that enter: a
@@ -65,12 +66,12 @@ STRAIGHT_SIGMAS = 2.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Errors(Brief):
-    """Hold errors of values: standard deviations, and how long an error lasts."""
+    """Hold the standard deviations of errors, and how long an error lasts."""
 
     sigma: Array
-    """Standard deviations of the values, in their shape and unit; with signs for one error that lasts."""
+    """Standard deviations of the values, in their shape and unit; with signs if one error lasts throughout."""
     correlation_s: float = 0.0
-    """Correlation time of the errors; 0 for independent frames, inf for one error throughout."""
+    """Correlation time of the errors: 0 for independent frames, inf for one error throughout."""
 
     def __getitem__(self, index) -> Errors:
         """Return the errors of a part of the values."""
@@ -85,7 +86,7 @@ class Series(Brief):
     """
 
     time_s: Array
-    """(N,), every `oversampling`-th is a frame."""
+    """(N,): times; every `oversampling`-th is a frame."""
     value: Array
     """The values at the N times, shape (N, d)."""
     rate: Array
@@ -93,7 +94,7 @@ class Series(Brief):
     acceleration: Array
     """(N, d), per second^2 in the values' unit."""
     value_sigma: Array
-    """One standard deviation, shape (N, d); NaN without errors, as are the next two."""
+    """(N, d): standard deviations of the values. All three are NaN without errors."""
     rate_sigma: Array
     """Standard deviations of the rates, shape (N, d)."""
     acceleration_sigma: Array
@@ -112,8 +113,9 @@ class JointKinematics(Brief):
     acceleration_m_s2: Array
     """(N,): norm of the acceleration."""
     speed_sigma_m_s: Array
-    """Linear standard deviation of the speed, shape (N,); NaN without errors. Noise also raises a norm by about
-    sigma^2 / norm, which is not subtracted."""
+    """Standard deviation of the speed by linear propagation, shape (N,); NaN without errors. Noise also raises the
+    speed itself, by about sigma^2 / speed, which is not subtracted.
+    """
     acceleration_sigma_m_s2: Array
     """Standard deviations of the acceleration, shape (N,)."""
     distance_m: float
@@ -122,17 +124,17 @@ class JointKinematics(Brief):
     """Mean speed over the time of the known spans."""
     peak_speed_m_s: float
     peak_speed_sigma_m_s: float
-    """The standard deviation of the peak speed; NaN without errors."""
+    """Standard deviation of the peak speed; NaN without errors."""
     peak_speed_time_s: float
     peak_acceleration_m_s2: float
     peak_acceleration_sigma_m_s2: float
-    """The standard deviation of the peak acceleration; NaN without errors."""
+    """Standard deviation of the peak acceleration; NaN without errors."""
 
     @property
     def why_no_acceleration(self) -> str:
-        """Return the sentence that figures show instead of an acceleration that is not known well enough, or "".
+        """Return the sentence that figures show instead of an acceleration that is not known well enough.
 
-        Empty if it is known.
+        The sentence is empty if the acceleration is known.
         """
         values, is_known = self.acceleration_m_s2, np.isfinite(self.acceleration_m_s2)
         if is_known.any() and np.mean(self.acceleration_sigma_m_s2[is_known] > values[is_known]) <= 0.5:
@@ -147,11 +149,11 @@ class AngleKinematics(Brief):
     series: Series
     """(N, 1), rad, rad/s, rad/s^2."""
     range_rad: tuple[float, float]
-    """The smallest and the largest angle."""
+    """Smallest and largest angle."""
     peak_rate_rad_s: float
-    """The largest magnitude of the rate."""
+    """Largest absolute rate."""
     peak_acceleration_rad_s2: float
-    """The largest magnitude of the acceleration."""
+    """Largest absolute acceleration."""
 
     @property
     def range_of_motion_rad(self) -> float:
@@ -235,7 +237,7 @@ def series_kinematics(
 
 
 def _stretches(time_s: Array, values: Array, max_gap_s: float, min_points: int) -> list[Index]:
-    """Return the rows of known values (T, d), split at long gaps, without parts of too few values."""
+    """Return the rows of known values (T, d), split at long gaps, without parts that have too few values."""
     known_rows = np.flatnonzero(np.isfinite(values).all(axis=1))
     is_too_long = (np.diff(known_rows) > 1) & (np.diff(time_s[known_rows]) > max_gap_s * (1 + 1e-9))
     return [rows for rows in np.split(known_rows, np.flatnonzero(is_too_long) + 1) if len(rows) >= min_points]
@@ -259,7 +261,7 @@ def _evaluate(curve: Curve, time_s: Array) -> Array:
 def _discrepancy_lam(t: Array, x: Array, weight: Array) -> float:
     """Return the lam with sum((weight (x - f))^2) = n.
 
-    If a straight line is that close, the result is the largest lam in the range.
+    If a straight line is that close already, the result is the largest lam in the range.
     """
     from scipy.optimize import brentq
 
@@ -291,7 +293,7 @@ def _spline_sigmas(t: Array, sample_s: Array, errors: Sequence[Errors], weight: 
     """Return standard deviations (3, M, d) of value, rate and acceleration of a span's splines (n,) at times (M,)."""
     variance = np.zeros((3, len(sample_s), len(lam)))
     smooth = bool(lam.any())
-    # an error that lasts throughout propagates as a curve
+    # an error that lasts throughout propagates like a value
     for lasting in (error for error in errors if error.correlation_s == np.inf):
         curves = [_curve(t, *column) for column in zip(lasting.sigma.T, weight.T, lam, strict=True)]
         variance += np.stack([_evaluate(curve, sample_s) for curve in curves], axis=-1) ** 2
@@ -329,13 +331,14 @@ def _fill_amid(variance: Array, t: Array, errors: Sequence[Errors], per_frame: i
     products = shares[:, first] * shares[:, second] * np.where(first == second, 1.0, 2.0)
     least = _LEAST_PRODUCT * np.max(shares**2, axis=1, keepdims=True)
     frames = len(t) - 1 - width
-    by_frame = variance.reshape(3, frames, per_frame, -1)  # a view, not a copy
+    by_frame = variance.reshape(3, frames, per_frame, -1)  # a view, so that assignments change `variance`
     for error in errors:
         factors = products * _correlation(step * (second - first), error.correlation_s)
         matters = (np.abs(factors) > least).any(axis=0)
         for k, sigma in enumerate(error.sigma.T):
             neighbours = sliding_window_view(sigma, frames)[1:]
-            for batch in (slice(start, start + _AT_ONCE) for start in range(0, frames, _AT_ONCE)):  # each takes memory
+            # in batches, to limit memory
+            for batch in (slice(start, start + _AT_ONCE) for start in range(0, frames, _AT_ONCE)):
                 added = factors[:, matters] @ (neighbours[first[matters], batch] * neighbours[second[matters], batch])
                 by_frame[:, batch, :, k] += added.reshape(3, per_frame, -1).swapaxes(1, 2)
     np.maximum(variance, 0.0, out=variance)
@@ -424,15 +427,16 @@ def point_kinematics(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = (),
 
 
 def _at_peak(values: Array, quantity: Array) -> float:
-    """Return the other quantity (N,) at the greatest of the values (N,); NaN if none is known."""
+    """Return the other quantity (N,) at the largest of the values (N,), NaN if none is known."""
     return float(quantity[np.nanargmax(values)]) if np.isfinite(values).any() else np.nan
 
 
 def frame_jitter_m(points_m: Array) -> Array:
     """Return the standard deviation (d,) of independent noise in each coordinate of points (T, d), metres.
 
-    Robust (median absolute value), from third differences over four frames in a row: a smooth motion nearly vanishes in
-    them, and white noise has a standard deviation of sqrt(20). NaN with fewer than three of them.
+    It is a robust estimate (median absolute value) from third differences over four consecutive frames. In these
+    differences a smooth motion nearly vanishes, and white noise of unit variance has a standard deviation of sqrt(20).
+    The result is NaN with fewer than three differences.
     """
     differences = np.diff(points_m, 3, axis=0)
     differences = differences[np.isfinite(differences).all(axis=1)]
@@ -442,17 +446,17 @@ def frame_jitter_m(points_m: Array) -> Array:
 
 
 def jitter_errors(values: Array) -> tuple[Errors]:
-    """Return independent errors whose size is the frame-to-frame jitter of values (T, ...)."""
+    """Return independent errors as large as the frame-to-frame jitter of values (T, ...)."""
     jitter = frame_jitter_m(values.reshape(len(values), -1)).reshape(values.shape[1:])
-    smallest = 1e-9  # an exact series has none
+    smallest = 1e-9  # an exact series has no jitter
     return (Errors(np.broadcast_to(np.maximum(np.nan_to_num(jitter, nan=smallest), smallest), values.shape)),)
 
 
 def lasting_errors(values: Array, fps: float) -> tuple[Errors, Errors]:
-    """Return the errors of values (T, ...) from a method that starts each frame at the result of the one before.
+    """Return the errors of values (T, ...) from a method that starts each frame at the result of the previous frame.
 
-    Such a method repeats its errors for some time. The first are `jitter_errors`, which set the smoothing; the second
-    have `JITTER_TIMES` the size of the jitter over `JITTER_LASTS_S`, single large errors included.
+    Such a method repeats its errors for some time. The first item is `jitter_errors`, which sets the smoothing. The
+    second has `JITTER_TIMES` the size of the jitter over `JITTER_LASTS_S`, single large errors included.
     """
     (independent,) = jitter_errors(values)
     step = max(1, round(JITTER_LASTS_S * fps))
@@ -467,9 +471,9 @@ def lasting_errors(values: Array, fps: float) -> tuple[Errors, Errors]:
 def net_acceleration(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = ()) -> tuple[float, float]:
     """Return the acceleration along the direction of travel over a whole clip and its standard deviation, m/s^2.
 
-    The acceleration is that of a least-squares parabola in time through a path (T, 3) with z up, along its level
-    direction from first to last. `errors` (T, 3) are as in `series_kinematics`; without errors the standard deviation
-    is NaN. The result is NaN with fewer than four frames or without any travel.
+    It is the acceleration of a least-squares parabola in time through a path (T, 3) with z up, along the level
+    direction from the first to the last point. `errors` (T, 3) are as in `series_kinematics`; without errors the
+    standard deviation is NaN. The result is NaN with fewer than four frames or without any travel.
     """
     known_rows = np.flatnonzero(np.isfinite(xyz_m).all(axis=1))
     travel_m = xyz_m[known_rows[-1], :2] - xyz_m[known_rows[0], :2] if len(known_rows) >= MIN_POINTS else np.zeros(2)
@@ -494,7 +498,7 @@ def parabola_acceleration(time_s: Array, values: Array, errors: Sequence[Errors]
 
 
 def _variance_of_sum(sigma: Array, t: Array, correlation_s: float) -> float:
-    """Return the variance of the sum of errors (T,), whose correlation falls with the time between them."""
+    """Return the variance of the sum of errors (T,), whose correlation decreases with the time between them."""
     variance = sigma @ sigma
     for lag in range(1, len(t)):
         difference_s = t[lag:] - t[:-lag]
@@ -514,7 +518,7 @@ def joint_kinematics(pose: Pose3D, joint: str, fps: float, errors: Sequence[Erro
     """Return the motion of one joint of a pose.
 
     `errors` (T, J, 3) are those of all joints, metres; the options are those of `series_kinematics`. Raises InputError
-    if the pose lacks the joint, and ValueError for too few frames.
+    if the pose lacks the joint, and ValueError if there are too few frames.
     """
     (j,) = joint_index(pose, (joint,))
     joint_errors = [error[:, j] for error in errors]
@@ -524,7 +528,7 @@ def joint_kinematics(pose: Pose3D, joint: str, fps: float, errors: Sequence[Erro
 def _norm(vector: Array, sigma: Array) -> tuple[Array, Array]:
     """Return the norms (N,) of vectors (N, d) and their standard deviations: sum((v_k / |v|)^2 sigma_k^2)."""
     norm = np.linalg.norm(vector, axis=1)
-    # At rest the direction is unknown: take the mean over all directions.
+    # At rest the direction is unknown: use the mean over all directions.
     share = np.divide(vector, norm[:, None], out=np.full_like(vector, vector.shape[1] ** -0.5), where=norm[:, None] > 0)
     return norm, np.sqrt(np.sum((share * sigma) ** 2, axis=1))
 
@@ -533,7 +537,7 @@ def _norm(vector: Array, sigma: Array) -> tuple[Array, Array]:
 
 
 def angle_between(a_m: Array, b_m: Array, c_m: Array) -> Array:
-    """Return the angle (T,) at b between a and c, 0 to pi, from positions (T, 3); NaN where two coincide."""
+    """Return the angle (T,) at b between a and c, 0 to pi, from positions (T, 3); NaN if two of them coincide."""
     u, v = a_m - b_m, c_m - b_m
     # atan2 keeps its precision near 0 and pi, where arccos loses half the digits.
     angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), np.sum(u * v, axis=1))
@@ -541,11 +545,11 @@ def angle_between(a_m: Array, b_m: Array, c_m: Array) -> Array:
 
 
 def sagittal_flexion(rear_m: Array, middle_m: Array, front_m: Array) -> Array:
-    """Return the flexion (T,) of the back in the sagittal plane, rad in (-pi, pi]; 0 when straight.
+    """Return the flexion (T,) of the back in the sagittal plane, rad in (-pi, pi], 0 when straight.
 
-    Positions (T, 3) with z up. The sagittal plane is the vertical one through rear and front, so that roll is
-    neglected. Positive: flexed, the back arched upwards, the middle above the line from rear to front; negative:
-    extended, the back hollow. It is the inclination of rear -> middle minus that of middle -> front.
+    Positions (T, 3) have z up. The sagittal plane is the vertical plane through rear and front, so roll is neglected.
+    Positive means flexed: the back is arched upwards, and the middle is above the line from rear to front. Negative
+    means extended: the back is hollow. The flexion is the inclination of rear -> middle minus that of middle -> front.
     """
     forward = (front_m - rear_m)[:, :2]
     length = np.linalg.norm(forward, axis=1, keepdims=True)
@@ -584,8 +588,8 @@ def joint_angle(
 ) -> AngleKinematics:
     """Return the angle at the middle one of three joints over time.
 
-    An angle between 0 and pi turns around where the joint passes through a straight line: its peaks are taken at the
-    times at which it is at least two standard deviations away from there.
+    The rate of an angle between 0 and pi changes its sign when the joint passes through a straight line. Peaks are
+    therefore taken only at times at which the angle is at least two standard deviations from straight.
 
     Parameters
     ----------
@@ -614,7 +618,8 @@ def joint_angle(
         Errors(angle_sigma(angle_of, points, error.sigma[:, joint_rows]), error.correlation_s) for error in errors
     ]
     for stated in angle_errors:
-        # Where the angle cannot be differentiated, its linearised standard deviation is unknown: leave it out.
+        # Near straight the angle cannot be differentiated, and its linearised standard deviation is unknown: leave it
+        # out.
         angle = np.where(np.isfinite(stated.sigma) & (stated.sigma > 0), angle, np.nan)
     result = angle_kinematics(frame_times(pose.frames, fps), angle, angle_errors, **options)
     if angle_of is not angle_between or not errors:
@@ -640,9 +645,9 @@ def spine_flexion(
 
 
 def angle_sigma(angle_of: Angle, points_m: Array, sigma_m: Array) -> Array:
-    """Return the linear standard deviation (T,) of an angle of three points (T, 3, 3) with errors sigma_m.
+    """Return the linear standard deviation (T,) of an angle between three points (T, 3, 3) with errors sigma_m.
 
-    The derivatives by the nine coordinates are central differences over a micrometre.
+    The derivatives by the nine coordinates are central differences with a step of a micrometre.
     """
     step, variance = 1e-6, np.zeros(len(points_m))
     for shift_m in step * np.eye(9).reshape(9, 3, 3):

@@ -1,10 +1,10 @@
-"""Estimate what varies in an experiment: animals, runs of an animal, strides of a run, and the measurement.
+"""Estimate how much animals, runs of an animal, strides of a run and the measurement vary in an experiment.
 
-A stride's value is y = X b + a + r + s + m. The columns of X are the groups and the speed; a, r and s are independent
+A stride's value is y = X b + a + r + s + m. The columns of X are the groups and the speed. a, r and s are independent
 deviations of the animal, the run and the stride with unknown variances. m is the measurement's error, the same for all
 strides of a run, with a known standard deviation. Variances come from restricted maximum likelihood (Patterson and
-Thompson 1971), effects from generalised least squares. Intervals of effects use Student's distribution with as many
-degrees of freedom as there are animals, less the number of columns.
+Thompson 1971), effects from generalised least squares. Intervals of effects use Student's distribution, whose degrees
+of freedom are the number of animals minus the number of columns.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from recon.base.arrays import Array
 
 LEVELS = "animal", "run", "stride"
 _LEAST = 1e-4
-"""Least standard deviation of a level, relative to that of all values."""
+"""Smallest standard deviation of a level, relative to that of all values."""
 
 
 @dataclass(frozen=True)
 class Variances:
-    """Standard deviations of an experiment's levels, in the quantity's unit."""
+    """Hold the standard deviations of an experiment's levels, in the unit of the quantity."""
 
     animal: float
     run: float
     stride: float
     measurement: float = 0.0
-    """Standard deviation of one run's error as one camera measures it."""
+    """Standard deviation of a run's error if one camera measures it."""
 
     def of_mean(self, runs: float, strides: float, cameras: float = 1.0) -> float:
         """Return the variance of the mean of an animal's runs."""
@@ -40,18 +40,18 @@ class Variances:
 
     @property
     def icc(self) -> float:
-        """Return the intraclass correlation: the share of the variance of single strides that is between animals."""
+        """Return the intraclass correlation: the fraction of the variance of single strides that is between animals."""
         total = self.of_mean(1, 1)
         return self.animal**2 / total if total else float("nan")
 
     def detectable_change(self, strides: float) -> float:
-        """Return the smallest change of an animal between two runs that 95 % of unchanged animals do not show."""
+        """Return the change of an animal between two runs that 95 % of unchanged animals stay below."""
         return 1.96 * float(np.sqrt(2 * (self.of_mean(1, strides) - self.animal**2)))
 
 
 @dataclass(frozen=True, eq=False)
 class MixedModel:
-    """A fitted model of an experiment."""
+    """Hold a fitted model of an experiment."""
 
     names: tuple[str, ...]
     """Columns of the design, (P,)."""
@@ -100,14 +100,14 @@ def fit_mixed_model(
     names : sequence of str
         Names of the columns, (P,).
     animals, runs : sequence of str
-        Animal and run of each stride, (N,). Runs of different animals are different, whatever their names.
+        Animal and run of each stride, (N,). Runs of different animals are different even if they have the same name.
     measurement_sigma : ndarray
         Standard deviation of the error that all strides of a run share, shape (N,).
 
     Returns
     -------
     MixedModel
-        A variance that the data do not show is 0.
+        The fitted model. A variance that the data do not show is 0.
     """
     unit = float(np.std(values)) or 1.0
     scaled, scaled_sigma = values / unit, measurement_sigma / unit
@@ -138,14 +138,14 @@ def fit_mixed_model(
 
 @dataclass(frozen=True, eq=False)
 class _Block:
-    """The strides of one animal, or of B animals with equally many: (B, n, ...)."""
+    """Hold the strides of one animal, or of B animals with equally many strides: (B, n, ...)."""
 
     columns: Array
-    """Design and values, (n, P + 1)."""
+    """(n, P + 1): design and values."""
     same_run: Array
-    """1 where two strides share a run, (n, n)."""
+    """(n, n): 1 if two strides share a run."""
     known: Array
-    """Covariance of the measurement, (n, n)."""
+    """(n, n): covariance of the measurement."""
 
 
 def _block(values: Array, design: Array, runs: Array, sigma: Array) -> _Block:
@@ -179,7 +179,7 @@ def _solve(blocks: Sequence[_Block], sigmas: Array) -> tuple[Array, Array, float
 
 
 def power(effect: float, variances: Variances, animals: int, runs: int, strides: int, cameras: int = 1) -> float:
-    """Return how often a test at 5 % finds a difference between two groups.
+    """Return the probability that a test at the 5 % level finds a difference between two groups.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def power(effect: float, variances: Variances, animals: int, runs: int, strides:
     variances : Variances
         Standard deviations of the levels.
     animals, runs, strides, cameras : int
-        Animals in each group, runs of an animal, strides of a run, and cameras that film a run.
+        Numbers of animals per group, runs per animal, strides per run, and cameras that film a run.
     """
     if animals < 2:
         return 0.0
@@ -197,14 +197,14 @@ def power(effect: float, variances: Variances, animals: int, runs: int, strides:
     limit, shift = t.ppf(0.975, freedom), abs(effect) / max(float(sigma), 1e-12)
     if shift > 30:
         return 1.0
-    wrong_side = nct.cdf(-limit, freedom, shift) if shift < 5 else 0.0  # scipy's lower tail is NaN further out
+    wrong_side = nct.cdf(-limit, freedom, shift) if shift < 5 else 0.0  # scipy's lower tail is NaN for larger shifts
     return float(nct.sf(limit, freedom, shift) + wrong_side)
 
 
 def animals_needed(
     effect: float, variances: Variances, runs: int, strides: int, cameras: int = 1, wanted: float = 0.8
 ) -> int | None:
-    """Return the animals in each group that find an effect with a power; None if 1000 are too few."""
+    """Return the number of animals per group that finds an effect with a power, or None if 1000 are too few."""
     numbers = np.arange(2, 1001)
     low, high = 0, len(numbers) - 1
     if power(effect, variances, int(numbers[high]), runs, strides, cameras) < wanted:

@@ -1,25 +1,29 @@
 """Compute the motion of links relative to their parents (vector field), phase portraits and the degree of closure.
 
-Vector field of a chain of joints: for each link but the first, the position and velocity of its tip in the frame of the
-link before. The origin of that frame is the joint between the two, x points along the parent, z to the animal's right
-and normal to x (the part of the level direction across the travel that is), y = z x x. For a parent that runs forwards
-y is up, for one that hangs down y is forwards. In the plane of x and y, in polar form,
+The vector field of a chain of joints holds, for each link but the first, the position and velocity of its tip in the
+frame of the previous link. The origin of this frame is the joint between the two links. x points along the parent. z is
+the level direction across the travel, to the animal's right, made normal to x. y = z x x. For a parent that points
+forwards y is up; for a parent that hangs down y is forwards. In the plane of x and y, in polar form,
 
     r = |(x, y)|,   dr = (x dx + y dy) / r,   dtheta = (x dy - y dx) / r^2
 
-so that a rigid link in the plane has dr = 0 and moves with r |dtheta|. The coordinate out of the plane is `z`. The
-frame turns with the parent: (dx, dy, dz) are the derivatives of the coordinates. The first link is the reference of the
-second and has no motion of its own (zero by definition in published tables).
+so a rigid link in the plane has dr = 0 and moves with r |dtheta|. The coordinate out of the plane is `z`. The frame
+turns with the parent, and (dx, dy, dz) are the derivatives of the coordinates in it. The first link is the reference of
+the second and has no motion of its own (zero by definition in published tables).
 
-Degree of closure of a path in phase space: D = 100 (1 - d / d_max) in percent. The distance d lies between the path's
-start and its end, and d_max is its diameter, the largest distance between any two of its points. A path that ends at
-its start has 100; one that ends as far away as it ever gets has 0. Source: C. van der Leek, MSc(Eng), University of
-Cape Town, 2022, which leaves d_max open.
+The degree of closure of a path in phase space is D = 100 (1 - d / d_max) in percent. d is the distance between the
+start and the end of the path, and d_max is its diameter, the largest distance between any two of its points. D is 100
+for a path that ends at its start, and 0 for a path that ends as far from its start as its diameter. The publication
+does not define d_max.
 
-If angles have standard deviations, closures have one too: that of the closures of `DRAWN` paths drawn from the angles'
-errors. An error of the angle is sigma(t) z(t), with z smooth noise of unit variance, and that of the rate follows z'.
-The rate's standard deviation is also known, and the ratio of the two gives the time over which z changes, so that
-start, end and turning points have the joint distribution of their errors.
+If angles have standard deviations, so have closures: the standard deviation of the closures of `DRAWN` paths drawn from
+the angles' errors. An error of the angle is sigma(t) z(t), with z smooth noise of unit variance, and the error of the
+rate follows z'. The rate's standard deviation is also known, and the ratio of the two gives the time over which z
+changes. The errors of start, end and turning points therefore have the right joint distribution.
+
+References
+----------
+C. van der Leek, MSc(Eng), University of Cape Town, 2022.
 """
 
 from __future__ import annotations
@@ -42,32 +46,33 @@ if TYPE_CHECKING:
 FORWARD = ("tail_base", "neck_base")
 CHUNK = 1000
 DRAWN, _WAVES, _DIRECTIONS = 100, 50, 32
-"""Number of paths that a closure's standard deviation comes from, of waves in each, and of directions in which their
-extent is measured."""
+"""Number of paths drawn for a closure's standard deviation, of waves in each path, and of directions in which the
+paths' extent is measured.
+"""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LinkField(Brief):
-    """Tip of one link in its parent's frame at the T frames; NaN where unknown."""
+    """Hold the tip of a link in its parent's frame at the T frames; NaN where unknown."""
 
     link: tuple[str, str]
-    """The start and the end joint of the link."""
+    """Start and end joint of the link."""
     parent: tuple[str, str]
-    """The start and the end joint of its parent."""
+    """Start and end joint of the link's parent."""
     position_m: Array
     """Coordinates x, y, z, shape (T, 3)."""
     velocity_m_s: Array
     """Derivatives of the coordinates, shape (T, 3)."""
     radius_m: Array
-    """Distance from the joint in the plane of x and y, shape (T,); the next two are polar, too."""
+    """(T,): distance from the joint in the plane of x and y."""
     dr_m_s: Array
-    """The radial velocity of the link's tip, shape (T,)."""
+    """(T,): radial velocity of the link's tip."""
     dtheta_rad_s: Array
-    """The angular velocity of the link's tip, shape (T,)."""
+    """(T,): angular velocity of the link's tip."""
     speed_m_s: Array
     """Norm of (dr, r dtheta), shape (T,)."""
     dr_sigma_m_s: Array | float = np.nan
-    """One standard deviation (`field_with_sigma`), shape (T,); NaN if unknown."""
+    """(T,): standard deviation of `dr_m_s` (`field_with_sigma`); NaN if unknown."""
     dtheta_sigma_rad_s: Array | float = np.nan
     """Standard deviations of the angular velocity, shape (T,)."""
     speed_sigma_m_s: Array | float = np.nan
@@ -76,23 +81,23 @@ class LinkField(Brief):
 
 @dataclass(frozen=True)
 class Closure:
-    """Degrees of closure in percent; NaN for a path that does not move."""
+    """Hold degrees of closure in percent; NaN for a path that does not move."""
 
     angle: float
-    """The degree of closure of the angle alone."""
+    """Degree of closure of the angle alone."""
     plane: float
-    """The degree in the (angle, rate) plane, with both axes divided by their ranges."""
+    """Degree in the plane of angle and rate, with both axes divided by their ranges."""
     angle_sigma: float = np.nan
-    """One standard deviation, NaN if unknown."""
+    """Standard deviation of `angle`, NaN if unknown."""
     plane_sigma: float = np.nan
-    """One standard deviation, NaN if unknown."""
+    """Standard deviation of `plane`, NaN if unknown."""
     unscaled: float = np.nan
-    """The degree in the plane of rad and rad/s, with axes as they are, as published."""
+    """Degree in the plane of rad and rad/s without scaling, as published."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Portrait(Brief):
-    """A path in phase space."""
+    """Hold a path in phase space."""
 
     time_s: Array
     """The times of the N samples, shape (N,)."""
@@ -101,9 +106,9 @@ class Portrait(Brief):
     rate_rad_s: Array
     """The rate of the angle at the N times, shape (N,), NaN where it is unknown."""
     angle_sigma_rad: Array | float = np.nan
-    """One standard deviation, shape (N,); NaN if unknown."""
+    """(N,): standard deviation of the angle; NaN if unknown."""
     rate_sigma_rad_s: Array | float = np.nan
-    """One standard deviation, shape (N,); NaN if unknown."""
+    """(N,): standard deviation of the rate; NaN if unknown."""
 
 
 # -- vector field ----------------------------------------------------------------------------------------------------
@@ -121,7 +126,7 @@ def vector_field(time_s: Array, joints_m: Array, names: tuple[str, ...], forward
     names : tuple of str
         Their names.
     forward_m : ndarray
-        Any vector from rear to front, shape (T, 3); only its horizontal part enters.
+        Any vector from rear to front, shape (T, 3); only its horizontal part is used.
 
     Raises
     ------
@@ -140,7 +145,7 @@ def pose_vector_field(
     """Return the field of a chain of a pose's joints.
 
     chain: such as (spine, tail_base, l_back_knee, l_back_ankle, l_back_paw). forward: two joints, from rear to front.
-    Raises InputError that names every joint the pose lacks, ValueError.
+    Raises InputError with every joint that the pose lacks, and the ValueError of `vector_field`.
     """
     joint_rows, (rear, front) = joint_index(pose, (*chain, *forward))[: len(chain)], joint_index(pose, forward)
     forward_m = pose.xyz_m[:, front] - pose.xyz_m[:, rear]
@@ -148,10 +153,10 @@ def pose_vector_field(
 
 
 def field_means(fields: Sequence[LinkField]) -> pd.DataFrame:
-    """Return a table with a row for each link: means over its known frames, and their number.
+    """Return a table with a row for each link: means over its known frames, and the number of these frames.
 
-    Means of the speed in the plane and in space, of |dr| and of |dtheta|, and the root mean square of the speed's
-    standard deviation at one frame. NaN without any known frame.
+    The columns are the means of the speed in the plane and in space, of |dr| and of |dtheta|, and the root mean square
+    of the speed's standard deviation in a frame. They are NaN without known frames.
     """
     import pandas as pd
 
@@ -182,8 +187,8 @@ def tips(joints_m: Array, forward_m: Array) -> Array:
 def field_with_sigma(field: LinkField, moved_m_s: Array) -> LinkField:
     """Return the field with standard deviations.
 
-    moved_m_s (K, T, 3): change of the tip's velocity by K independent errors of one standard deviation each. Linear;
-    unknown at rest and at radius 0.
+    moved_m_s (K, T, 3): changes of the tip's velocity by one standard deviation of K independent errors. The
+    propagation is linear. The result is unknown at rest and at radius 0.
     """
     (x, y), (dx, dy) = field.position_m[:, :2].T, field.velocity_m_s[:, :2].T
     ex, ey = moved_m_s[..., 0], moved_m_s[..., 1]
@@ -221,7 +226,7 @@ def _link_field(time_s: Array, tip_m: Array, names: tuple[str, str, str]) -> Lin
 
 
 def _unit(vectors: Array) -> Array:
-    """Return unit vectors (T, 3), NaN for those shorter than a nanometre."""
+    """Return unit vectors (T, 3), NaN for vectors shorter than a nanometre."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.divide(vectors, length, out=np.full_like(vectors, np.nan), where=length > 1e-9)
 
@@ -232,7 +237,7 @@ def _unit(vectors: Array) -> Array:
 def phase_portrait(angle: AngleKinematics, start_s: float = -np.inf, end_s: float = np.inf) -> Portrait:
     """Return the path of (angle, rate) on the fine grid of `angle` between two times, both inclusive."""
     s = angle.series
-    # The times of a grid carry rounding errors.
+    # Allow for rounding errors of the grid's times.
     is_inside = (s.time_s >= start_s - 1e-9) & (s.time_s <= end_s + 1e-9)
     columns = (values[is_inside, 0] for values in (s.value, s.rate, s.value_sigma, s.rate_sigma))
     return Portrait(s.time_s[is_inside], *columns)
@@ -241,8 +246,8 @@ def phase_portrait(angle: AngleKinematics, start_s: float = -np.inf, end_s: floa
 def closure(portrait: Portrait) -> Closure:
     """Return the degrees of closure of a path, from its first to its last point.
 
-    Raises ValueError if a point in the path is unknown or there are fewer than two: a missing point may have been the
-    turning point.
+    Raises ValueError if a point of the path is unknown, since it may have been the turning point, or if there are fewer
+    than two points.
     """
     path = np.column_stack([portrait.angle_rad, portrait.rate_rad_s])
     if len(path) < 2 or not np.isfinite(path).all():
@@ -254,10 +259,11 @@ def closure(portrait: Portrait) -> Closure:
 def _closure_sigma(portrait: Portrait) -> tuple[float, float]:
     """Return the standard deviations of the closures of the angle and in the plane (see the module)."""
     sums = np.sum(portrait.angle_sigma_rad), np.sum(portrait.rate_sigma_rad_s)
-    if not sums[1] > 0:  # nor NaN
+    if not sums[1] > 0:  # also true for NaN
         return np.nan, np.nan
     correlation_s = sums[0] / sums[1]
-    turn_rates = np.array([NormalDist().inv_cdf((k + 0.5) / _WAVES) for k in range(_WAVES)])  # over lasts_s
+    # for a time scale of lasts_s
+    turn_rates = np.array([NormalDist().inv_cdf((k + 0.5) / _WAVES) for k in range(_WAVES)])
     phase = np.outer(turn_rates, portrait.time_s / correlation_s)
     a, b = np.random.default_rng(0).normal(0, _WAVES**-0.5, (2, DRAWN, _WAVES))
     noise = a @ np.cos(phase) + b @ np.sin(phase)
@@ -290,7 +296,7 @@ def diameter(path: Array) -> float:
         return float(np.ptp(path))
     from scipy.spatial import ConvexHull, QhullError  # here, as it is slow to import
 
-    with suppress(QhullError):  # flat
-        path = path[ConvexHull(path).vertices]  # the two points farthest apart are corners of the hull
+    with suppress(QhullError):  # all points are on a line
+        path = path[ConvexHull(path).vertices]  # the two points that are farthest apart are corners of the hull
     rows = [path[i : i + CHUNK] for i in range(0, len(path), CHUNK)]
     return max(float(np.sqrt(np.sum((a[:, None] - b) ** 2, axis=2)).max()) for a in rows for b in rows)

@@ -1,15 +1,16 @@
 """Sum up a clip's gait: speed, strides, steps, limb phases and asymmetry, each with its uncertainty.
 
-The standard deviation of a mean has four independent parts: the scatter of the strides; the times of touch-down and
-lift-off, which are shifted equally in all strides of a foot, so that the number of feet counts; the error of the path;
-and errors that the whole clip shares, in proportion to the value. Shared errors are those of the animal's size, which
-scales all lengths seen by one camera, and of the focal length, which scales the distance from the camera and thus the
-part of the motion along the line of sight.
+The standard deviation of a mean has four independent parts: the scatter of the strides; the errors of touch-down and
+lift-off, which are equal in all strides of a foot, so that only more feet reduce them; the error of the path; and
+errors common to the whole clip, which are proportional to the value. The common errors are those of the animal's size,
+which scales all lengths seen by one camera, and of the focal length, which scales the distance from the camera and thus
+the motion along the line of sight.
 
-A clip in which no foot completes a stride has the period of its motion (`recon.gait.gait.pose_period_s`). Stride length
-is then the speed times the period, and the duty factor the duration of complete stances over the period.
+If no foot completes a stride, the clip has the period of its motion (`recon.gait.gait.pose_period_s`). The stride
+length is then the speed times the period, and the duty factor is the duration of complete stances over the period.
 
-Asymmetry is (left - right) / mean of both. It is refused where a side is expected rather than seen.
+The asymmetry is (left - right) / mean of both. It is not computed if the pose of one side comes from the prior rather
+than from the video.
 """
 
 from __future__ import annotations
@@ -29,19 +30,20 @@ from recon.gait.kinematics import Errors, JointKinematics
 
 Origin = Literal["path", "footfalls", "period of the motion"]
 PAIRS = {"fore": ("LF", "RF"), "hind": ("LH", "RH")}
-"""Feet by girdle, left and right."""
+"""Feet by girdle: left, right."""
 NEXT_STEP = 0.6
-"""Largest time between touch-downs of one step, in strides: half a stride in symmetrical gaits, and 0.1 more."""
+"""Largest time, in strides, between two touch-downs that form a step: half a stride in symmetrical gaits, plus 0.1."""
 LEAST_STRIDES = 3
-"""Least number of strides on each side from which an asymmetry is measured."""
+"""Smallest number of strides on each side for an asymmetry."""
 SIDE_SIGMA = {"stance": 0.05, "excursion": 0.015}
-"""One standard deviation of the asymmetry that one camera puts between a near and a far side; intervals with it hold
-on a dog's walks and runs (`benchmarks/gait.py --only strides`)."""
+"""Standard deviation of the asymmetry that a single camera causes between the near and the far side. Intervals with
+this value are right for a dog's walks and runs (`benchmarks/gait.py --only strides`).
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class AnalysedClip:
-    """Parts of an analysis that the quantities are made of."""
+    """Describe the parts of an analysis from which the quantities are computed."""
 
     motion: Motion
     gait: Gait | None
@@ -55,25 +57,25 @@ class AnalysedClip:
 
 @dataclass(frozen=True)
 class GaitQuantity:
-    """A quantity of a clip's gait with its uncertainty."""
+    """Hold a quantity of a clip's gait with its uncertainty."""
 
     name: str
     """Name with its unit, such as stride_length_m."""
     value: float
     """NaN if unknown."""
     sigma: float
-    """One standard deviation, all errors included; NaN if unknown."""
+    """Standard deviation, all errors included; NaN if unknown."""
     own_sigma: float
-    """One standard deviation without the errors that clips share: the animal's size and the focal length."""
+    """Standard deviation without the errors that clips share: the animal's size and the focal length."""
     between_sigma: float
-    """One standard deviation between strides; NaN for fewer than two."""
+    """Standard deviation between strides; NaN for fewer than two strides."""
     count: int
-    """Number of strides or steps that the value is a mean of; 0 for the path and the period of the motion."""
+    """Number of strides or steps in the mean; 0 for the path and the period of the motion."""
     source: Origin
     bounds: tuple[float, float] = (-np.inf, np.inf)
-    """Least and greatest value that is possible."""
+    """Smallest and largest possible value."""
     why_unknown: str = ""
-    """Reason for an unknown value."""
+    """Reason why the value is unknown."""
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -86,7 +88,7 @@ class GaitQuantity:
 def gait_quantities(analysis: AnalysedClip) -> dict[str, GaitQuantity]:
     """Return the quantities of a clip's gait by name.
 
-    Lengths and speeds are in metres and metres a second, phases in strides after the left hind foot, asymmetries
+    Lengths and speeds are in metres and metres per second, phases in strides after the left hind foot, asymmetries
     relative to the mean of both sides. A chain without feet has a speed only.
     """
     quantities = [_speed(analysis)]
@@ -102,12 +104,12 @@ def gait_quantities(analysis: AnalysedClip) -> dict[str, GaitQuantity]:
 
 
 def shared_sigma(motion: Motion) -> float:
-    """Return the standard deviation of lengths by the errors that the whole clip shares, relative to the length."""
+    """Return the relative standard deviation of lengths from the errors that the whole clip shares."""
     return float(np.hypot(_size_sigma(motion), _focal_sigma(motion)))
 
 
 def _size_sigma(motion: Motion) -> float:
-    """Return the relative standard deviation of the size that scales all lengths; 0 with several cameras."""
+    """Return the relative standard deviation of the size, which scales all lengths; 0 with several cameras."""
     solution = motion.solution
     if not isinstance(solution, TrajectorySolution) or len(solution.views) > 1:
         return 0.0
@@ -115,10 +117,10 @@ def _size_sigma(motion: Motion) -> float:
 
 
 def _focal_sigma(motion: Motion) -> float:
-    """Return the relative standard deviation of the speed by that of the focal length.
+    """Return the relative standard deviation of the speed from the error of the focal length.
 
-    The focal length scales the distance from the camera. The speed u along the line of sight, relative to the speed v,
-    is wrong by the same factor, and v by its square: dv / v = (u / v)^2 df / f.
+    The focal length scales the distance from the camera. It scales the component u of the speed along the line of
+    sight, so that dv / v = (u / v)^2 df / f for the speed v.
     """
     solution = motion.solution
     if not isinstance(solution, TrajectorySolution) or len(solution.views) != 1 or not solution.focal_sigma[0] > 0:
@@ -135,7 +137,7 @@ def _focal_sigma(motion: Motion) -> float:
 def path_speed_sigma(errors: Sequence[Errors], moved: JointKinematics, start_s: float, end_s: float) -> float:
     """Return the standard deviation of the mean speed in an interval, m/s.
 
-    Errors of the path are correlated in time, so that only times further apart count as independent.
+    Errors of the path are correlated in time, so only times that are far enough apart count as independent.
     """
     sigma = moved.speed_sigma_m_s[(moved.series.time_s >= start_s) & (moved.series.time_s <= end_s)]
     lasting_s = max(error.correlation_s for error in errors if error.correlation_s < np.inf)
@@ -170,7 +172,7 @@ def _unknown(name: str, source: Origin, reason: str) -> GaitQuantity:
 
 
 def _scatter(values: Array) -> tuple[float, float]:
-    """Return the standard deviation between values (N,), NaN of a single one, and that of their mean, then 0."""
+    """Return the standard deviation between values (N,), NaN for a single value, and that of their mean, then 0."""
     if len(values) < 2:
         return np.nan, 0.0
     between = float(np.std(values, ddof=1))
@@ -178,7 +180,7 @@ def _scatter(values: Array) -> tuple[float, float]:
 
 
 def event_sigma_s(stride: Stride) -> float:
-    """Return the standard deviation of a stride's duration, as of a stance's: both lie between two events."""
+    """Return the standard deviation of a stride's or a stance's duration; both last from event to event."""
     return stride.duty_sigma * stride.duration_s
 
 
@@ -215,7 +217,7 @@ def _by_period(gait: Gait, speed: GaitQuantity) -> Iterator[GaitQuantity]:
     source: Origin = "period of the motion"
     period_s, period_sigma_s, positive = gait.stride_s, gait.stride_sigma_s, (0.0, np.inf)
     if np.isnan(period_s):
-        reason = "no complete stride, and too little of one to know its period"
+        reason = "no complete stride, and too little of a stride to determine its duration"
         yield from (_unknown(name, source, reason) for name in ("stride_s", "stride_length_m", "stride_frequency_hz"))
         return
     yield _quantity("stride_s", period_s, period_sigma_s, 0.0, source, bounds=positive)
@@ -227,7 +229,7 @@ def _by_period(gait: Gait, speed: GaitQuantity) -> Iterator[GaitQuantity]:
 
 
 def _duty_factors(gait: Gait) -> Iterator[GaitQuantity]:
-    """Yield the duty factor of all feet, and of each."""
+    """Yield the duty factor of all feet together and of each foot."""
     bounds = 0.0, 1.0
     for foot in ("", *gait.tracks.feet):
         name = f"duty_factor_{foot}" if foot else "duty_factor"
@@ -246,7 +248,7 @@ def _duty_factors(gait: Gait) -> Iterator[GaitQuantity]:
 
 
 def _whole(stances: Sequence[Stance]) -> list[Stance]:
-    """Return the stances whose touch-down and lift-off the clip holds."""
+    """Return the stances whose touch-down and lift-off are in the clip."""
     return [stance for stance in stances if stance.begins and stance.ends]
 
 
@@ -265,7 +267,7 @@ def _duty_by_period(gait: Gait, name: str, stances: Sequence[Stance]) -> GaitQua
 
 
 def _phases(gait: Gait) -> Iterator[GaitQuantity]:
-    """Yield each foot's touch-down after that of the left hind foot, in strides."""
+    """Yield the touch-down of each foot after that of the left hind foot, in strides."""
     if np.isnan(gait.stride_s):
         return
     source: Origin = "footfalls" if gait.strides else "period of the motion"
@@ -281,13 +283,13 @@ def _phases(gait: Gait) -> Iterator[GaitQuantity]:
 
 
 def _event_sigma_s(stances: Sequence[Stance]) -> float:
-    """Return the root mean square standard deviation of the touch-downs."""
+    """Return the root mean square of the touch-downs' standard deviations."""
     sigmas = np.array([stance.start_sigma_s for stance in stances if stance.begins])
     return float(np.sqrt(np.mean(sigmas**2))) if len(sigmas) else np.nan
 
 
 def _lags(gait: Gait, reference: str, foot: str, near: float) -> Array:
-    """Return the phases of a foot's touch-downs after the nearest of another foot, unwrapped around a phase."""
+    """Return the phases of a foot's touch-downs after the nearest ones of another foot, unwrapped around a phase."""
     reference_s, foot_s = (
         np.array([s.start_s for s in gait.stances if s.foot == label and s.begins]) for label in (reference, foot)
     )
@@ -298,7 +300,7 @@ def _lags(gait: Gait, reference: str, foot: str, near: float) -> Array:
 
 
 def _steps(gait: Gait, feet: tuple[str, str]) -> list[tuple[Stance, Stance]]:
-    """Return stances of a pair of feet that follow each other within one step."""
+    """Return pairs of stances of a pair of feet that follow each other within one step."""
     in_order = [stance for stance in gait.stances if stance.foot in feet]
     return [
         (first, second)
@@ -315,7 +317,7 @@ def _overlap(gait: Gait, girdle: str, feet: tuple[str, str]) -> GaitQuantity:
     name, source = f"overlap_{girdle}_s", "footfalls"
     steps = [(first, second) for first, second in _steps(gait, feet) if first.ends]
     if not steps:
-        return _unknown(name, source, "the clip holds no two stances of the pair that follow each other")
+        return _unknown(name, source, "the clip has no two consecutive stances of the pair")
     between, scatter = _scatter(np.array([first.end_s - second.start_s for first, second in steps]))
     events_s = np.sqrt(np.mean([first.end_sigma_s**2 + second.start_sigma_s**2 for first, second in steps]))
     value = float(np.mean([first.end_s - second.start_s for first, second in steps]))
@@ -323,14 +325,14 @@ def _overlap(gait: Gait, girdle: str, feet: tuple[str, str]) -> GaitQuantity:
 
 
 def _step_width(analysis: AnalysedClip, gait: Gait, girdle: str, feet: tuple[str, str]) -> GaitQuantity:
-    """Return the distance between the left and the right foot across the direction of travel, left positive."""
+    """Return how far the left foot is to the left of the right foot, across the direction of travel."""
     name, source, tracks = f"step_width_{girdle}_m", "footfalls", gait.tracks
     steps = _steps(gait, feet)
     if not steps:
-        return _unknown(name, source, "the clip holds no two stances of the pair that follow each other")
+        return _unknown(name, source, "the clip has no two consecutive stances of the pair")
     widths, variances = [], []
     for step in steps:
-        left, right = sorted(step, key=lambda stance: stance.foot)  # L before R
+        left, right = sorted(step, key=lambda stance: stance.foot)  # L sorts before R
         middles = [(stance.start_s + stance.end_s) / 2 for stance in (left, right)]
         points_m = [_at(tracks.time_s, tracks.foot_m[:, tracks.feet.index(s.foot)], s) for s in (left, right)]
         ends = [_at(tracks.time_s, tracks.body_m, stance) for stance in step]
@@ -341,7 +343,7 @@ def _step_width(analysis: AnalysedClip, gait: Gait, girdle: str, feet: tuple[str
         widths.append(float((points_m[0] - points_m[1]) @ across))
         variances.append(_distance_variance(analysis, (left.foot, right.foot), middles, across))
     if not widths:
-        return _unknown(name, source, "the feet are not known while they stand")
+        return _unknown(name, source, "the positions of the standing feet are not known")
     between, scatter = _scatter(np.array(widths))
     value = float(np.mean(widths))
     unshared = float(np.hypot(scatter, np.sqrt(mean(variances))))
@@ -359,7 +361,7 @@ def _distance_variance(
 ) -> float:
     """Return the variance of the distance between two feet at two times along a direction.
 
-    Errors of the position move both feet alike as far as they last from one time to the other; those of the pose do
+    Errors of the position move both feet equally as far as they last from one time to the other. Errors of the pose do
     not.
     """
     motion = analysis.motion
@@ -383,7 +385,7 @@ def _asymmetries(analysis: AnalysedClip, gait: Gait, girdle: str, feet: tuple[st
     for kind in SIDE_SIGMA:
         name, sides = f"asymmetry_{kind}_{girdle}", asymmetry_values(gait, kind, feet)
         if reason is None and not np.isfinite(np.concatenate(sides)).all():
-            reason = "a foot is not known during a whole stride"
+            reason = "the position of a foot is not known throughout a stride"
         if reason is not None:
             yield _unknown(name, "footfalls", reason)
             continue
@@ -397,9 +399,10 @@ def _asymmetries(analysis: AnalysedClip, gait: Gait, girdle: str, feet: tuple[st
 
 
 def asymmetry_values(gait: Gait, kind: str, feet: tuple[str, str]) -> list[Array]:
-    """Return what an asymmetry compares, for each stride of the left and of the right foot.
+    """Return the values that an asymmetry compares, for each stride of the left and of the right foot.
 
-    kind: stance, the time on the ground in seconds, or excursion, the way to and fro beneath the body in metres.
+    kind: "stance", the time on the ground in seconds, or "excursion", the distance that the foot swings beneath the
+    body in metres.
     """
 
     def value(stride: Stride) -> float:
@@ -409,29 +412,29 @@ def asymmetry_values(gait: Gait, kind: str, feet: tuple[str, str]) -> list[Array
 
 
 def _side_sigma(analysis: AnalysedClip, kind: str) -> float:
-    """Return the asymmetry that the view itself puts between the sides: less the more cameras see them."""
+    """Return the asymmetry that the view itself causes between the sides; more cameras on both sides reduce it."""
     return SIDE_SIGMA[kind] / len(analysis.motion.sources) ** 0.5
 
 
 def _why_no_asymmetry(motion: Motion, gait: Gait, feet: tuple[str, str]) -> str | None:
-    """Return why the asymmetry of a pair of feet is not measured; None if it is."""
+    """Return why the asymmetry of a pair of feet is not measured, or None if it is measured."""
     if motion.side is not None:
-        return "one side was fitted"
+        return "only one side was fitted"
     solution = motion.solution
     if not isinstance(solution, TrajectorySolution):
-        return "the method does not know how much of each limb was seen"
+        return "the method does not report how much of each limb was seen"
     for foot in feet:
         joints = next(limb for limb in motion.limbs.values() if motion.names.index(motion.foot_names[foot]) in limb)
         if (share := float(np.mean(solution.data_share[[*joints]]))) < MEASURED_SHARE:
-            return f"the limb of {foot} rests on what was expected: pixels determine {share:.0%} of its position"
+            return f"the limb of {foot} comes mostly from the prior: pixels determine {share:.0%} of its position"
     for foot in feet:
         if (count := sum(stride.foot == foot for stride in gait.strides)) < LEAST_STRIDES:
-            return f"{count} complete strides of {foot}, {LEAST_STRIDES} are needed"
+            return f"{count} complete strides of {foot}; {LEAST_STRIDES} are needed"
     return None
 
 
 def _excursion_m(gait: Gait, stride: Stride) -> float:
-    """Return how far a foot swings to and fro beneath the body in a stride, along the body's travel."""
+    """Return how far a foot swings beneath the body in a stride, along the body's travel."""
     tracks = gait.tracks
     first, stop = np.searchsorted(tracks.time_s, [stride.start_s, stride.end_s])
     body_m = tracks.body_m[first:stop, :2]

@@ -272,7 +272,7 @@ def test_only_complete_strides_count():
     assert short.strides == ()
     assert short.name.name == "rotary gallop"
     assert says(short.name.criterion, "no complete stride")
-    assert "of one of 0.4" in short.name.criterion
+    assert "a period of 0.4" in short.name.criterion
     assert np.isnan(short.stride_length_m)
     assert np.isnan(short.stride_frequency_hz)
 
@@ -316,7 +316,7 @@ def test_an_animal_that_stands_has_no_gait():
 @pytest.mark.parametrize(
     ("phase", "duty", "why"),
     [
-        ({"LH": 0.0, "RH": 0.5, "LF": 0.5, "RF": 0.0}, np.nan, "open"),
+        ({"LH": 0.0, "RH": 0.5, "LF": 0.5, "RF": 0.0}, np.nan, "undecided"),
         ({"LH": 0.0, "RH": 0.5, "LF": 0.25, "RF": 0.75}, 0.4, "between trot and pace"),
         ({"LH": 0.0, "RH": 0.5, "LF": 0.5, "RF": 0.7}, 0.4, "one pair alternates"),
         ({"LH": 0.0, "RH": 0.2, "LF": 0.5, "RF": 0.5}, 0.4, "fore pair lands together"),
