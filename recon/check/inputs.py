@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 from recon.animal.body import opposites
 from recon.animal.prior import NONE, MotionPrior, mean_speed_m_s
 from recon.base.arrays import Array, Bools
+from recon.check.clocks import drift_findings
 from recon.check.codes import FLAG_OF, finding
 from recon.check.likelihood import (
     CLEAR,
@@ -102,8 +103,13 @@ def input_findings(
                 ]
                 findings += found_swaps
                 if len(motion.sources) == 1 and not (found_swaps or moves):
-                    moves += [*lens_findings(baseline, solution.noise_px[number])] or _stretched(ground_clip, solution)
+                    moves += lens_findings(baseline, solution.noise_px[number])
+                    if not moves and (stretched := stretch_finding(ground_clip, solution)):
+                        moves.append(stretched)
         findings += pictures
+        if len(motion.sources) > 1 and not (pictures or is_certain):
+            names = [source.camera.name for source in motion.sources]
+            findings += drift_findings(ground_clip, solution, names, fps)
         slides = [item.numbers.get("slide_m_s") for item in moves]
         # such gliding also appears if the rate is too high
         is_gliding = any(isinstance(item, float) and item > 0 for item in slides)
@@ -113,18 +119,6 @@ def input_findings(
     if not pictures and not any(item.severity == "error" for item in rates):
         findings += moves
     return tuple(findings)
-
-
-def _stretched(clip: ClipProblem, solution: TrajectorySolution) -> list[Finding]:
-    """Return the finding on a stretched picture, if any, by the longest segment of a clip that one camera sees."""
-    segment = solution.longest_segment
-    if segment is None:
-        return []
-    states = solution.states[segment.rows].copy()
-    states[:, ROOT] = (states[:, ROOT] - clip.origin_m) / solution.size
-    part = replace(clip.part(segment.rows), prior_weight=segment.prior_weight)
-    item = stretch_finding(part, states, solution.noise_px[:, segment.rows], solution.size)
-    return [] if item is None else [item]
 
 
 def _of_rate(

@@ -136,13 +136,15 @@ def test_detections_left_out_for_several_reasons_are_named_together(small_trajec
     far = without_frames(small_trajectory, [0, 1, 2], "far outside the picture")
     (item,) = many_left_out(far)
     assert item.severity == "warning"
-    assert "69 far outside" in item.numbers["reasons"]
-    assert item.numbers["share"] > 1 / 3
+    assert "69 far outside" in str(item.numbers["reasons"])
+    assert item.numbers["share"] == pytest.approx(69 / 161, abs=0.05)
     assert not [*many_left_out(small_trajectory)]
 
 
 def test_the_frames_errors_agree_with_that_of_the_clip(small_trajectory):
     judged = add_verdict(small_trajectory)
-    expected_m = frame_rms_m(judged)[judged.solved]
-    assert expected_m.mean() == pytest.approx(judged.verdict.pose_m.expected / 0.92)
+    assert judged.verdict is not None
+    assert judged.verdict.pose_m is not None
+    rms_m = frame_rms_m(judged)[judged.solved]
+    assert rms_m.mean() == pytest.approx(judged.verdict.pose_m.expected / 0.92)
     assert frame_rms_m(small_trajectory) == pytest.approx(small_trajectory.relative_rms_m, nan_ok=True)

@@ -142,6 +142,10 @@ SENTENCES = {
     "few_frames": ("A clip of 8 frames shows little", {"count": 8}),
     "many_outliers": ("51 detections (57 %) disagree", {"count": 51, "share": 0.566}),
     "many_left_out": ("40 % of the detections do not count (9 outliers)", {"share": 0.4, "reasons": "9 outliers"}),
+    "clock_drifts": (
+        "drift from the others' by +0.9 frames over the clip, as if it ran at 59.1 frames",
+        {"drift_frames": 0.95, "rate_hz": 59.06, "given_hz": 60.0},
+    ),
     "picture_stretched": ("look stretched to 1.33 times its width", {"factor": 1.33, "sigmas": 4.0}),
     "keypoints_do_not_fit": (
         "75 % of the 40 detections of nose, l_eye disagree",

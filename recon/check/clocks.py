@@ -1,0 +1,59 @@
+"""Test whether the clocks of cameras drift apart: a camera that takes 59 pictures where its file says 60."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from recon.base.arrays import Array
+from recon.check.codes import EFFECTS, finding
+from recon.check.constants import EFFECT_OF_NOTE, LIMIT_OF_TRUNK
+from recon.check.one_step import Detections, one_steps
+from recon.fit.clip_problem import ClipProblem
+from recon.fit.result import Finding, TrajectorySolution
+
+DRIFT_SIGMAS = 3.5
+"""Standard deviations from which a drift is reported: 1.2 at most in real pairs, 6 for a frame in a second."""
+
+
+def drift_findings(
+    clip: ClipProblem, solution: TrajectorySolution, names: Sequence[str], fps: float
+) -> Iterator[Finding]:
+    """Yield a finding on the camera whose clock drifts most surely from the others'.
+
+    Parameters
+    ----------
+    clip
+        The problem of the whole clip, with two views or more.
+    solution
+        Its solution.
+    names
+        The cameras' names.
+    fps
+        Their common frame rate.
+    """
+    segment = solution.longest_segment
+    if segment is None:
+        return
+    frames = segment.rows.stop - segment.rows.start
+
+    def by_drift(detections: Detections) -> Array:
+        return detections.by_frame_px * ((detections.frames - 0.5 * (frames - 1)) / frames)[:, None, None]
+
+    first = 1 if len(names) == 2 else 0  # of two cameras only the difference is known
+    steps = one_steps(clip, solution, dict.fromkeys(range(first, len(names)), by_drift))
+    sigmas = {camera: step.value / step.sigma for camera, step in steps.items()}
+    camera = max(sigmas, key=lambda number: abs(sigmas[number]), default=None)
+    if camera is None or abs(sigmas[camera]) < DRIFT_SIGMAS:
+        return
+    drift_frames, middle_m = steps[camera].value, solution.joints_m[segment.rows].mean(axis=1)
+    step_m = float(np.linalg.norm(np.diff(middle_m, axis=0), axis=1).mean())
+    effect_m = 0.5 * abs(drift_frames) * step_m  # a camera that is in step at one end is late by half of it on average
+    rear, front = (solution.markers_m[segment.rows, clip.body.markers.index(name)] for name in clip.body.forward)
+    trunk_m = float(np.linalg.norm(front - rear, axis=-1).mean())
+    if effect_m < EFFECT_OF_NOTE * LIMIT_OF_TRUNK * trunk_m:
+        return
+    rate_hz = fps / (1.0 + drift_frames / frames)
+    numbers = {"drift_frames": drift_frames, "rate_hz": rate_hz, "given_hz": fps, EFFECTS[1]: effect_m}
+    yield finding("clock_drifts", camera=names[camera], **numbers)

@@ -1,0 +1,136 @@
+"""Estimate one more unknown of a fit by one Gauss-Newton step from its solution.
+
+A hypothesis on an input is often a number that the fit took as known, such as the stretch of the picture or the drift
+of a camera's clock. With the poses and all other unknowns free, one step estimates it with its standard deviation, at
+the cost of one step of the fit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from recon.base.arrays import Array
+from recon.fit.clip_problem import ClipProblem, contacts
+from recon.fit.least_squares import Estimate, SharedUnknown
+from recon.fit.posterior import curvature
+from recon.fit.result import TrajectorySolution
+from recon.fit.terms import SIZE, PointRows, Reprojection, Span
+from recon.geometry.kinematics import ROOT
+
+_EXTRA = "one more unknown"
+_FREE = 10.0
+"""Standard deviation of an unknown of which nothing is expected."""
+
+
+@dataclass(frozen=True)
+class Detections:
+    """Hold the detections of N frames of a camera, as a derivative needs them."""
+
+    frames: Array
+    """(N,): frames of the clip."""
+    centre_px: Array
+    """(2,): the principal point."""
+    projected_px: Array
+    """(N, J, 2): the projected markers."""
+    by_frame_px: Array
+    """(N, J, 2): derivatives by the time offset, in pixels per frame."""
+
+
+ByUnknown = Callable[[Detections], Array]
+"""Function that returns the derivatives (N, J, 2) of the projected markers of a camera by an unknown."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """Hold the estimate of an unknown and its standard deviation."""
+
+    value: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class _ExtendedReprojection(Reprojection):
+    by_unknown: ByUnknown | None = None
+
+    def point_rows(self, span: Span) -> PointRows:
+        """Return the rows of `Reprojection` with those by the unknown."""
+        rows, scene = super().point_rows(span), self._scene(span)
+        if self.by_unknown is None:
+            return rows
+        *_, squares, seen, projected, by_point = self._errors(scene, span, jacobian=True)
+        confidence = np.where(scene.view.present, scene.view.confidence, 0.0)
+        weight = np.sqrt(np.where(seen, confidence / (1.0 + squares), 0.0)) / scene.sigma_px
+        drift_m = np.zeros_like(scene.points_m) if self.drift_m is None else self.drift_m[scene.frames]
+        detections = Detections(
+            np.arange(scene.frames.start, scene.frames.stop),
+            scene.view.camera.matrix[:2, 2],
+            projected,
+            (by_point * scene.size @ drift_m[..., None])[..., 0],
+        )
+        by_unknown = np.where(seen[..., None], self.by_unknown(detections), 0.0) * weight[..., None]
+        return replace(rows, by_shared=rows.by_shared | {_name(self.number): by_unknown.reshape(len(seen), -1, 1)})
+
+
+def one_steps(
+    clip: ClipProblem, solution: TrajectorySolution, unknowns: Mapping[int, ByUnknown], fixed: Sequence[str] = ()
+) -> dict[int, Step]:
+    """Return the estimates of unknowns, each of one camera and with the others at 0, in the longest stretch of a clip.
+
+    Parameters
+    ----------
+    clip
+        The problem of the whole clip, with the prior's weight and the knowledge of the ground.
+    solution
+        The solution.
+    unknowns
+        The derivatives by the unknown, by the number of the camera whose detections depend on it.
+    fixed
+        Names of shared unknowns that are taken as known.
+
+    Returns
+    -------
+    dict[int, Step]
+        The estimate for each camera; empty without a stretch all of whose frames have poses.
+    """
+    segment = solution.longest_segment
+    if segment is None:
+        return {}
+    clip, noise_px = replace(clip.part(segment.rows), prior_weight=segment.prior_weight), solution.noise_px
+    states = solution.states[segment.rows].copy()
+    states[:, ROOT] = (states[:, ROOT] - clip.origin_m) / solution.size
+    points_m = clip.markers(states)
+    *_, contact_terms = contacts(clip, points_m, solution.size)
+    problem = clip.problem(noise_px[:, segment.rows], 1.0, contact_terms, points_m, solution.size)
+    terms = [
+        _extended(term, unknowns) if isinstance(term, Reprojection) and term.number in unknowns else term
+        for term in problem.terms
+    ]
+    extra = [SharedUnknown(_name(camera), np.zeros(1), np.full(1, _FREE)) for camera in unknowns]
+    free, nuisance = ([u for u in group if u.name not in fixed] for group in (problem.shared, problem.nuisance))
+    problem = replace(problem, terms=terms, shared=[*free, *extra], nuisance=nuisance)
+    values = problem.expected()
+    if SIZE in values:
+        values[SIZE] = np.array([solution.size])
+    at_solution = curvature(problem, Estimate(states, 0.0, 0, True, values), clip.correlation_frames)
+    columns = np.array([problem.columns[_name(camera)].start for camera in unknowns])
+    steps = {}
+    for camera, column in zip(unknowns, columns, strict=True):
+        kept = np.setdiff1d(np.arange(len(at_solution.pull)), columns[columns != column])
+        covariance = np.linalg.inv(at_solution.shared_precision[np.ix_(kept, kept)])
+        row = covariance[np.searchsorted(kept, column)]
+        variance = float(row[np.searchsorted(kept, column)]) * clip.correlation_frames
+        steps[camera] = Step(-float(row @ at_solution.pull[kept]), math.sqrt(variance))
+    return steps
+
+
+def _extended(term: Reprojection, unknowns: Mapping[int, ByUnknown]) -> Reprojection:
+    values = {field.name: getattr(term, field.name) for field in fields(term)}
+    return _ExtendedReprojection(**values, by_unknown=unknowns[term.number])
+
+
+def _name(camera: int) -> str:
+    return f"{_EXTRA} {camera}"
