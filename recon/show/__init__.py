@@ -1,1 +1,1 @@
-"""Present a result to people and other programs: report, page, figures, tables, overlay, playback."""
+"""Present results to people and other programs: report, page, figures, tables, overlay and playback."""

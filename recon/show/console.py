@@ -9,14 +9,14 @@ from rich.table import Table
 from rich.text import Text
 
 STYLES = {"use": "bold green", "check": "bold yellow", "do not use": "bold red"}
-"""Styles of the levels of a verdict."""
+"""Style of each level of a verdict."""
 TO_DO = {
     "check": "Look at the poses on the video (recon overlay) before use: reason and warnings say what may be wrong.",
     "do not use": "Do not use these numbers: mend what the reason names, and fit again.",
 }
-"""Advice by level; "use" needs none."""
+"""Advice for each level of a verdict; "use" needs none."""
 FRONT = ("assumed", "clip", "frames", "distance", "side", "keypoints", "detections", "note", "speed", "path", "size")
-"""Lines of the summary below the verdict; the page has all."""
+"""Lines of the summary that follow the verdict. The page has all lines."""
 
 
 def finding_text(severity: str, text: str) -> Text:
@@ -42,7 +42,7 @@ def console_summary(report: Mapping[str, Any]) -> Table:
             colour = {"error": "red", "warning": "yellow"}[finding["severity"]]
             table.add_row(Text(finding["severity"], style=f"bold {colour}"), Text(finding["text"], colour))
     for label, text in report["lines"][verdict_count:]:
-        are_all_used = label == "keypoints" and text.endswith(" used")  # nothing is missing
+        are_all_used = label == "keypoints" and text.endswith(" used")  # nothing to point out
         if label in FRONT and not are_all_used:
             table.add_row(Text(label, style="bold"), text)
     return table

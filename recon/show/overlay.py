@@ -1,10 +1,10 @@
-"""Draw a reconstruction on a frame of its video, and the pose from three sides below it, with OpenCV.
+"""Draw a reconstruction on a frame of its video, and the pose from three sides below the picture, with OpenCV.
 
-On the picture: limbs in the colour of their side, light and thick if they are nearer to the camera than the animal's
-middle, dark and thin if they are farther away; rings for detections within the expected error, red crosses for
-detections further off, with a line to the reprojection. Beneath, so that nothing of the picture is hidden: the pose
-from its side, from above and from the front, at one scale, turned with the animal, and the key to the colours. An
-animal that is small in the picture is enlarged in the corner that its path avoids most.
+On the picture, limbs have the colour of their side; they are light and thick if they are nearer to the camera than the
+animal's middle, dark and thin if they are farther away. Rings are detections within the expected error. Red crosses are
+detections further off, with a line to the reprojection. Below the picture, so that it stays visible, are the pose from
+its side, from above and from ahead, at one scale and turned with the animal, and the key to the colours. An animal that
+is small in the picture is shown enlarged, in the corner that its path avoids most.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from recon.base.errors import InputError, Problem
 from recon.io.video import Image, probe, timed_frames
 
 Colour = tuple[int, int, int]
-"""A colour: blue, green, red."""
+"""Blue, green, red."""
 
-# Okabe and Ito's palette, which the colour-blind can tell apart; as in the playback.
+# Okabe and Ito's palette, which colour-blind readers can distinguish; the same as in the playback.
 SIDE_COLOURS: dict[Side | None, Colour] = {"left": (233, 180, 86), "right": (0, 159, 230), None: (115, 158, 0)}
 PAPER, INK, FAINT, SHADOW = (27, 21, 18), (235, 235, 235), (110, 104, 98), (0, 0, 0)
 DETECTION, OUTLIER, DOUBT = (255, 255, 255), (40, 60, 235), (60, 200, 255)
@@ -36,9 +36,9 @@ SHIFT = 4
 STRIP_SHARE = 0.3
 """Height of the strip with the three views, relative to 9/16 of the width."""
 COLUMNS = {"side": 0.38, "from above": 0.26, "from ahead": 0.18}
-"""Fractions of the width; the key takes the rest."""
+"""Fractions of the width. The key has the rest."""
 TILE_PX, TILE_UNIT = (480, 300), 0.55
-"""The size of a still in pixels, and the scale of what is drawn on it."""
+"""Size of a still in pixels, and scale of the drawing on it."""
 DARKENED = 0.35
 """Fraction of the picture's brightness that remains behind a text."""
 _FILLED = 0.8
@@ -54,7 +54,7 @@ class Overlay:
     """Hold the data for drawing T frames of J joints on a video."""
 
     frames: Integers
-    """The numbers of the T frames, shape (T,)."""
+    """(T,): frame numbers."""
     fps: float
     limbs: Sequence[Sequence[int]]
     """Joints along each limb, as indices."""
@@ -65,21 +65,21 @@ class Overlay:
     reprojected_px: Array
     """Reprojections (T, J, 2), NaN if missing."""
     outliers: Bools
-    """Detections further from the pose than the expected error, shape (T, J)."""
+    """(T, J): detections further from the pose than the expected error."""
     depth_m: Array
-    """Depths of the joints from any origin, shape (T, J)."""
+    """(T, J): depths of the joints, from any origin."""
     upright_m: Array
-    """Joints with z up, shape (T, J, 3)."""
+    """(T, J, 3): joints with z up."""
     trunk: tuple[int, int]
     """Two joints, from rear to front."""
     flags: Sequence[Sequence[str]]
-    """Flags of each of the T frames."""
+    """Flags of each frame."""
     speed: float = 1.0
     """Speed of the playback; 1 is real time."""
 
     @cached_property
     def nearness(self) -> Array:
-        """Return how near joints are, (T, J), on one scale over the clip: 1 near, -1 far, 0 at the middle."""
+        """Return how near the joints are (T, J), on one scale for the clip: 1 near, -1 far, 0 at the middle."""
         relative = self.depth_m - mean_along(self.depth_m, axis=1)[:, None]
         known_m = np.abs(finite(relative))
         reach = float(np.percentile(known_m, 95)) if len(known_m) else 1.0
@@ -89,7 +89,7 @@ class Overlay:
     def views(self) -> dict[str, Array]:
         """Return the joints (T, J, 3) of each view: metres to the right, upwards and towards the viewer.
 
-        Heights count from the lowest joints.
+        Heights are above the lowest joints.
         """
         rear, front = self.trunk
         along = smoothed_headings(self.upright_m[:, front] - self.upright_m[:, rear], self.fps)
@@ -108,7 +108,7 @@ class Overlay:
 
     @cached_property
     def _sides_px(self) -> Array:
-        """Return the sides (N, 2) of the box about the joints in each complete frame; infinite without any."""
+        """Return the sides (N, 2) of the box around the joints in each complete frame, infinite without any."""
         complete_px = self.reprojected_px[np.isfinite(self.reprojected_px).all(axis=(1, 2))]
         return np.ptp(complete_px, axis=1) if len(complete_px) else np.full((1, 2), np.inf)
 
@@ -147,7 +147,7 @@ class Overlay:
 def smoothed_headings(forward_m: Array, fps: float) -> Array:
     """Return level unit vectors (T, 2) along forward_m (T, 3), averaged over `HEADING_S`.
 
-    Frames without one have that of the last frame with one; x if there is none at all.
+    A frame without a direction has that of the last frame with one. If no frame has one, all are along x.
     """
     import pandas as pd  # slow to import
 
@@ -160,16 +160,16 @@ def smoothed_headings(forward_m: Array, fps: float) -> Array:
 def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tuple[int, int | None, float, Image]]:
     """Yield the pictures of a clip's frames: number, row among the frames, time stamp in seconds, and picture.
 
-    The row is None for a frame between the clip's. The last item is the frame after the clip, if the video has one.
-    first_frame: number that the video's first frame has in the clip. Raises InputError if the video ends before the
-    clip.
+    The row is None for a frame that is not in the clip. The last item is the frame after the clip, if the video has
+    one. first_frame: frame number, in the clip, of the video's first frame. Raises InputError if the video ends before
+    the clip.
     """
     rows = {int(frame): t for t, frame in enumerate(frames)}
     first, last, frames_read = (
         max(min(rows), first_frame),
         max(rows),
         0,
-    )  # a camera that began later lacks the first frames
+    )  # a camera that started later lacks the first frames
     for index, stamp_s, picture in timed_frames(video, first - first_frame, last + 2 - first_frame):
         frames_read += 1
         yield index + first_frame, rows.get(index + first_frame), stamp_s, picture
@@ -184,16 +184,16 @@ def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tup
 
 
 def canvas_size(size_px: tuple[int, int]) -> tuple[int, int]:
-    """Return (width, height) of the result of `draw_frame` for a given picture size; even numbers, as codecs need."""
+    """Return (width, height) of the result of `draw_frame` for a picture size; even numbers, as codecs need them."""
     width, height = size_px
     strip = round(STRIP_SHARE * width * 9 / 16)
     return width + width % 2, height + strip + (height + strip) % 2
 
 
 def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> Image:
-    """Return the picture (height, width, 3) of a frame with all marks, and the strip beneath.
+    """Return the picture (height, width, 3) of a frame with all marks, and the strip below.
 
-    t: the frame's row; None for a frame without a reconstruction.
+    t: row of the frame; None for a frame without a reconstruction.
     """
     height, width = picture.shape[:2]
     canvas_w, canvas_h = canvas_size((width, height))
@@ -214,7 +214,7 @@ def draw_frame(overlay: Overlay, t: int | None, frame: int, picture: Image) -> I
 def draw_tiles(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence[Image] | None = None) -> list[Image]:
     """Return the given frames, each cut out around the animal, at one scale.
 
-    pictures: of each frame, in the pixels of the overlay; without, on a plain background.
+    pictures: picture of each frame, in the pixels of the overlay; without pictures the background is plain.
     """
     boxes = np.array([(np.nanmin(xy, axis=0), np.nanmax(xy, axis=0)) for xy in overlay.reprojected_px[list(rows)]])
     largest = np.max(boxes[:, 1] - boxes[:, 0], axis=0)
@@ -232,13 +232,13 @@ def draw_tiles(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence
 
 @dataclass(frozen=True, eq=False)
 class _Cut:
-    """Hold a part of the picture: its corner (2,), px, and an enlargement."""
+    """Hold a part of the picture: its corner (2,) in pixels, and its enlargement."""
 
     corner_px: Array
     scale: float
 
     def place(self, points_px: Array) -> Array:
-        """Return points (N, 2) of the picture in the cut-out part."""
+        """Return points (N, 2) of the picture in pixels of the cut-out part."""
         return self.scale * (points_px - self.corner_px)
 
     def crop(self, picture: Image, size_px: tuple[int, int]) -> Image:
@@ -252,9 +252,9 @@ WHOLE = _Cut(np.zeros(2), 1.0)
 
 
 def _draw_close_up(image: Image, overlay: Overlay, t: int, picture: Image, unit: float) -> None:
-    """Draw the close-up into the corner with the fewest of the clip's joints, the caption's corner excluded.
+    """Draw the close-up into the corner with the fewest of the clip's joints, but not into the caption's corner.
 
-    Only if it enlarges enough.
+    There is no close-up if it would not enlarge the animal enough.
     """
     height, width = picture.shape[:2]
     size = np.array([round(CLOSE_UP * width), round(CLOSE_UP * height)])
@@ -277,7 +277,7 @@ def _draw_close_up(image: Image, overlay: Overlay, t: int, picture: Image, unit:
 
 
 def _draw_pose(image: Image, overlay: Overlay, t: int, unit: float, cut: _Cut = WHOLE) -> None:
-    """Draw the skeleton, and the detections on top."""
+    """Draw the skeleton, and the detections on top of it."""
     xy, nearness_of_joint = cut.place(overlay.reprojected_px[t]), overlay.nearness[t]
     segments = [
         (0.5 * (nearness_of_joint[a] + nearness_of_joint[b]), a, b, colour)
@@ -305,7 +305,7 @@ def _draw_pose(image: Image, overlay: Overlay, t: int, unit: float, cut: _Cut = 
 
 
 def shade(colour: Colour, nearness: float) -> Colour:
-    """Return a colour mixed with white for near (1), and with black for far (-1)."""
+    """Return a colour mixed with white for near (1) and with black for far (-1)."""
     target, amount = (255.0, 0.45 * nearness) if nearness > 0 else (0.0, -0.45 * nearness)
     blue, green, red = (round(c + (target - c) * amount) for c in colour)
     return blue, green, red
@@ -314,7 +314,7 @@ def shade(colour: Colour, nearness: float) -> Colour:
 def _draw_caption(
     canvas: Image, overlay: Overlay, t: int | None, frame: int, size_px: tuple[int, int], unit: float
 ) -> None:
-    """Draw frame number and time; for a flagged frame also its flags, and a border around the picture."""
+    """Draw frame number and time, and for a flagged frame its flags and a border around the picture."""
     speed_text = "" if overlay.speed == 1 else f"   {overlay.speed:.3g}x"
     x, y, scale = round(24 * unit), round(48 * unit), 1.1 * unit
     draw_text(canvas, f"frame {frame}   {frame / overlay.fps:.3f} s{speed_text}", (x, y), scale, INK)
@@ -357,7 +357,7 @@ def _draw_strip(canvas: Image, overlay: Overlay, t: int | None, top: int, width:
 
 
 def _draw_view(canvas: Image, overlay: Overlay, points_px: Array, nearness: Array, thickness: int) -> None:
-    """Draw the limbs of a pose with joints (J, 2) on the canvas, the nearest (J,) to the viewer last."""
+    """Draw the limbs of a pose with joints (J, 2) on the canvas, the limbs nearest to the viewer last."""
     limbs = [
         (float(np.nanmean(nearness[list(limb)])), limb, colour)
         for limb, colour in zip(overlay.limbs, overlay.colours, strict=True)
@@ -415,7 +415,7 @@ def draw_circle(image: Image, centre: Array, radius: float, colour: Colour, thic
 
 
 def draw_text(image: Image, text: str, position: tuple[int, int], scale: float, colour: Colour) -> None:
-    """Draw text on a darkened background, as pictures may have any brightness."""
+    """Draw text on a darkened background, to be legible on any picture."""
     scale = max(scale, 0.35)
     thickness, pad = max(1, round(2 * scale)), round(8 * scale)
     (text_width, text_height), below = cv2.getTextSize(text, FONT, scale, thickness)

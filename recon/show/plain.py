@@ -1,4 +1,4 @@
-"""Convert values to plain JSON types and summarise them for a report."""
+"""Convert values to plain JSON types, and summarise values for a report."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from recon.base.file_names import encodable, to_encodable
 def write_report(report: Mapping[str, Any], path: Path) -> None:
     """Write report.json, indented, with each list of numbers on one line."""
     text = json.dumps(to_encodable(report), indent=1, allow_nan=False, ensure_ascii=False)
-    # A line break never stands inside a JSON string, so that this changes only the white space between values.
+    # JSON strings contain no line breaks, so this changes only the white space between values.
     text = re.sub(r"\[[^\[\]{}]*\]", lambda match: re.sub(r"\s*\n\s*", " ", match[0]), text)
     path.write_text(text + "\n", encoding="utf-8")
 
 
 def to_json(value: object) -> str:
-    """Return the JSON text of a file, which `--json` also prints."""
+    """Return JSON text for a file or for `--json`."""
     return json.dumps(to_plain(value), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def file_name(path: str | None) -> str | None:
-    """Return the name of a file without its folders, which readers of a report need not know."""
+    """Return a file name without folders, which readers of a report do not need."""
     return None if path is None else encodable(Path(path).name)
 
 
@@ -44,7 +44,7 @@ def by_name(names: Sequence[str], values: Sequence[object]) -> dict[str, Any]:
 
 
 def spread(values: Array) -> dict[str, float]:
-    """Return mean, smallest and largest of the known values."""
+    """Return mean, minimum and maximum of the known values."""
     known_values = finite(values)
     low, high = (float(known_values.min()), float(known_values.max())) if len(known_values) else (np.nan, np.nan)
     return {"mean": mean(values), "min": low, "max": high}

@@ -1,8 +1,8 @@
 """Build report.json of one clip from its sections.
 
-A section is one field of report.json and lines of the summary (`recon.show.sections`). To add one: write a function of
-a motion that returns its numbers, perhaps one that yields its lines, and enter both in `SECTIONS`. Another method has
-its own list (`Solution.report_sections`). The fields of report.json: docs/report.md.
+A section is one field of report.json and some lines of the summary (`recon.show.sections`). To add a section, write a
+function that returns its numbers for a motion, and optionally one that yields its lines, and add both to `SECTIONS`.
+Other methods have their own lists (`Solution.report_sections`). docs/report.md describes the fields of report.json.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ SECTIONS: tuple[Section, ...] = (
 
 
 def sections_of(motion: Motion) -> tuple[Section, ...]:
-    """Return the sections of a motion's method."""
+    """Return the sections for the method of a motion."""
     sections = motion.solution.report_sections()
     return SECTIONS if sections is None else cast("tuple[Section, ...]", sections)
 
@@ -59,7 +59,7 @@ def sections_of(motion: Motion) -> tuple[Section, ...]:
 def build_report(motion: Motion) -> dict[str, Any]:
     """Return the report of one clip in plain JSON types.
 
-    NaN becomes None, and floats have nine significant digits. `lines` are the summary's, label and text, without the
+    NaN becomes None, and floats have nine significant digits. `lines` holds the summary's labels and texts, without the
     findings.
     """
     report = {

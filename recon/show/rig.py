@@ -1,6 +1,6 @@
-"""Convert a fit to bones that turn against each other (`recon.io.bones`), for programs that need bones.
+"""Convert a fit to bones that rotate relative to each other (`recon.io.bones`), for programs that need bones.
 
-Each segment of the skeleton is a bone of the same name, with `_bone` added if a joint has that name.
+Each segment of the skeleton is a bone of the same name. If a joint has the same name, `_bone` is added.
 """
 
 from __future__ import annotations
@@ -21,14 +21,15 @@ from recon.io.writing import frames_text, y_up_from_z_up
 
 RANGE_SIGMAS = 3.0
 SAME_M = 1e-4
-"""Largest difference between positions of joints whose lengths are equal."""
+"""Largest difference between joint positions at which lengths count as equal."""
 
 
 def rig_of(motion: Motion, fps: float | None = None, body_mass_kg: float = 1.0) -> Armature:
     """Return the rig from the first to the last frame with a pose.
 
-    Frames without a pose in between are interpolated; a note lists them. fps: instead of the motion's; body_mass_kg:
-    sum of the skeleton's masses. Raises InputError without any pose, and if lengths change from frame to frame.
+    Frames in between without a pose are interpolated, and a note lists them. fps: instead of the motion's frame rate.
+    body_mass_kg: sum of the skeleton's masses. Raises InputError if no frame has a pose, or if lengths change from
+    frame to frame.
     """
     frames, states, joints_m = motion.frames, motion.states, motion.upright.xyz_m
     difference_m = np.abs(motion.body.tree.pose(states, motion.size).points_m - joints_m).max(axis=(1, 2))
@@ -48,9 +49,9 @@ def rig_of(motion: Motion, fps: float | None = None, body_mass_kg: float = 1.0) 
 def make_rig(
     body: Body, size: float, names: tuple[str, ...], frames: Index, states: Array, fps: float, body_mass_kg: float = 1.0
 ) -> Armature:
-    """Return the rig of states (N, D) in these frames (N,), and in those between.
+    """Return the rig for states (N, D) in frames (N,), with the frames in between interpolated.
 
-    names: of the J joints.
+    names: names of the J joints.
     """
     tree = body.tree.scaled(size)
     frames, states = _without_gaps(frames, states)
@@ -88,7 +89,7 @@ def make_rig(
 
 
 def _without_gaps(frames: Index, states: Array) -> tuple[Index, Array]:
-    """Return all frame numbers from the first to the last, and their states (T, D)."""
+    """Return all frame numbers from the first to the last, and states (T, D) for all of them."""
     require_span(int(frames[-1] - frames[0]) + 1, states.shape[1], "bones")
     all_frames = np.arange(frames[0], frames[-1] + 1)
     states = np.column_stack([states[:, ROOT], np.unwrap(states[:, 3:], axis=0)])
@@ -96,10 +97,10 @@ def _without_gaps(frames: Index, states: Array) -> tuple[Index, Array]:
 
 
 def _turns(body: Body, states: Array) -> list[tuple[BoneAngle, ...]]:
-    """Return the rotations of each segment for states (T, D).
+    """Return the rotation of each segment relative to its parent for states (T, D).
 
-    The angles of a summed joint are relative to the root. Relative to its parent it turns in the order pitch, yaw, and
-    a remaining roll.
+    The angles of a summed joint are relative to the root. Relative to its parent, the segment turns by pitch, yaw and a
+    remaining roll, in this order.
     """
     tree, turns = body.tree, []
     column = 3

@@ -18,7 +18,7 @@ NO_QUANTITIES: Mapping[str, GaitQuantity] = {}
 
 
 def analysis_sentences(analysis: ClipAnalysis) -> Iterator[str]:
-    """Yield the sentences of an analysis, all quantities with their intervals."""
+    """Yield sentences on an analysis, with all quantities' intervals."""
     yield from result_sentences(
         analysis.motion, analysis.reference_motion, analysis.gait, analysis.why_no_speed, analysis.quantities
     )
@@ -31,9 +31,9 @@ def result_sentences(
     why_no_speed: str | None,
     quantities: Mapping[str, GaitQuantity] = NO_QUANTITIES,
 ) -> Iterator[str]:
-    """Yield the movement of the reference joint and the gait.
+    """Yield sentences on the movement of the reference joint and on the gait.
 
-    why_no_speed: reason why no speed is known, or None; quantities: those of the analysis, for intervals.
+    why_no_speed: reason why no speed is known, or None. quantities: those of the analysis, for intervals.
     """
     yield _speed_sentence(motion, reference, why_no_speed, quantities)
     if gait is None:
@@ -66,7 +66,7 @@ def _speed_sentence(
         return f"The animal's path is too uncertain in depth for a speed: {why_no_speed}.{run}"
     peak_m_s, sigma_m_s, path_m = reference.peak_speed_m_s, reference.peak_speed_sigma_m_s, reference.distance_m
     form = decimals(peak_m_s)
-    # A peak below its own standard deviation is unknown.
+    # A peak that is below its own standard deviation is unknown.
     peak = "" if sigma_m_s > peak_m_s else f" and at most {interval_text(peak_m_s, sigma_m_s, 'm/s')}"
     mean_text = f"{reference.mean_speed_m_s:{form}} m/s on average"
     if (speed := quantities.get("speed_m_s")) is not None and speed.sigma < speed.value:

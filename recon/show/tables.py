@@ -1,7 +1,7 @@
 """Write the tables of a fit (docs/report.md) and of `recon analyse` (docs/gait.md).
 
-A fit's tables are functions of a motion and a path; those of an analysis take a `ClipAnalysis` and return the table.
-`recon.base.files.staged_folder` makes a folder of them appear whole or not at all.
+A fit's tables are functions of a motion and a path. An analysis's tables are functions of a `ClipAnalysis`, and return
+the table. `recon.base.files.staged_folder` makes a folder of tables appear whole or not at all.
 """
 
 from __future__ import annotations
@@ -31,34 +31,34 @@ QUALITY_COLUMNS = ("frame", "flags", "alternative_m", "detections", "mean_weight
 
 
 def pose3d(motion: Motion, path: Path) -> None:
-    """Write x, y, z of each joint in metres, under its keypoint's name, in the motion's frame of reference."""
+    """Write x, y, z of each joint in metres, by keypoint name, in the motion's frame of reference."""
     _write_points(path, motion, ("x", "y", "z"), motion.joints_m)
 
 
 def pose3d_sigma(motion: Motion, path: Path) -> None:
-    """Write standard deviations in metres along the axes of the frame of reference for each joint.
+    """Write the standard deviations of each joint in metres along the axes of the frame of reference.
 
-    There is one for the joint's position, and one for its position relative to the mean of all joints.
+    Each joint has those of its position, and those of its position relative to the mean of all joints.
     """
     coords = ("x_sigma", "y_sigma", "z_sigma", "x_rel", "y_rel", "z_rel")
     _write_points(path, motion, coords, np.concatenate((motion.joint_sigma_m, motion.relative_sigma_m), axis=2))
 
 
 def angles(motion: Motion, path: Path) -> None:
-    """Write the whole state in its order: angles in rad, the position in metres."""
+    """Write the whole state in its order: angles in rad, positions in metres."""
     columns = [name if name.endswith("_m") else f"{name}_rad" for name in motion.state_names]
     write_table(path, [["frame", *columns]], motion.frames, motion.states)
 
 
 def angles_sigma(motion: Motion, path: Path) -> None:
-    """Write the standard deviation of every angle of angles.csv, then every angle's information fraction."""
+    """Write the standard deviation of each angle of angles.csv, then the information fraction of each angle."""
     columns = [f"{name}_{kind}" for kind in ("sigma_rad", "data_share") for name in motion.angle_names]
     values = np.hstack((motion.solution.angle_sigma_rad, motion.solution.angle_data_share))
     write_table(path, [["frame", *columns]], motion.frames, values)
 
 
 def quality(motion: Motion, path: Path) -> None:
-    """Write the flags of each frame, separated by semicolons, and the numbers behind them."""
+    """Write the flags of each frame, separated by semicolons, and the numbers on which they are based."""
     flags = [";".join(flags) for flags in motion.flags]
     values = (getattr(motion, name) for name in QUALITY_COLUMNS[2:-1])
     columns = (motion.frames, flags, *values, frame_rms_m(motion))
@@ -68,7 +68,7 @@ def quality(motion: Motion, path: Path) -> None:
 def reprojection(motion: Motion, path: Path, camera: int = 0) -> None:
     """Write the joints in a camera's picture as a DeepLabCut file: x, y in pixels and a likelihood of 1.
 
-    Cells are empty, and the likelihood 0, without a pose or if the camera cannot see it.
+    Without a pose, or for joints that the camera cannot see, cells are empty and the likelihood is 0.
     """
     xy_px = motion.pictures[camera].reprojected_px
     likelihood = np.isfinite(xy_px).all(axis=-1, keepdims=True)
@@ -84,10 +84,10 @@ TO_CORRECT_COLUMNS = (
 
 
 def to_correct(motion: Motion, path: Path) -> None:
-    """Write the detections that are worth correcting by hand, the most worthwhile first.
+    """Write the detections that should be corrected by hand, the most worthwhile first.
 
-    The frame is that of the camera's keypoint file. The sigmas are half axes of the ellipse of one standard deviation
-    about the expected position.
+    The frame is that of the camera's keypoint file. The sigmas are the half axes of the ellipse of one standard
+    deviation around the expected position.
     """
     rows = [
         (
@@ -125,11 +125,11 @@ CLIP_OUTPUTS: dict[str, Callable[[Motion, Path], None]] = {f"{table.__name__}.cs
 """Tables of every clip, by file name."""
 
 REPROJECTION = "reprojection.csv"
-"""Table of each camera; its name includes the camera's if there are several (`camera_files`)."""
+"""Table of each camera. If there are several cameras, its name includes the camera's (`camera_files`)."""
 
 
 def write_tables(motion: Motion, folder: Path) -> None:
-    """Write every table of a motion into a folder that exists."""
+    """Write every table of a motion into an existing folder."""
     for name, write in CLIP_OUTPUTS.items():
         write(motion, folder / name)
     shape(motion, folder / SHAPE)
@@ -144,19 +144,19 @@ def camera_files(cameras: Sequence[str]) -> list[str]:
     files: list[str] = []
     for number, camera in enumerate(cameras, start=1):
         name = re.sub(r"[^\w.-]+", "-", camera) or str(number)
-        # Names that differ in letters that a file's name cannot have, or that some systems take for the same.
+        # Two names may differ only in characters that a file name cannot have, or that some systems do not distinguish.
         is_taken = any(f"reprojection_{name}.csv".lower() == file.lower() for file in files)
         files.append(f"reprojection_{name}-{number}.csv" if is_taken else f"reprojection_{name}.csv")
     return files
 
 
 def of_any_camera(folder: Path) -> list[str]:
-    """Return the files of a folder that are named like `REPROJECTION` of some camera."""
+    """Return the files of a folder that are named like `REPROJECTION` of any camera."""
     return sorted(path.name for path in folder.glob("reprojection_*.csv"))
 
 
 def _write_points(path: Path, motion: Motion, coords: Sequence[str], values: np.ndarray, scorer: str = "") -> None:
-    """Write DeepLabCut's layout: header rows `bodyparts, coords`, after `scorer` if there is one. values (T, J, C)."""
+    """Write DeepLabCut's layout: header rows `bodyparts, coords`, after `scorer` if given. values: (T, J, C)."""
     header = [
         ["bodyparts", *(name for name in motion.names for _ in coords)],
         ["coords", *(coord for _ in motion.names for coord in coords)],
@@ -235,7 +235,7 @@ def joint_flexion(analysis: ClipAnalysis) -> Columns:
 def joint_flexion_stride(analysis: ClipAnalysis) -> Columns:
     """Return the mean flexion of each joint by percent of the stride, with 90 % bands, degrees.
 
-    The band of the fit's uncertainty and the band between strides stand apart.
+    One band is the fit's uncertainty, the other is the variation between strides.
     """
     parts: list[Columns] = []
     for curve in analysis.flexion_curves:
@@ -252,7 +252,7 @@ def joint_flexion_stride(analysis: ClipAnalysis) -> Columns:
 
 
 def angle_rates(analysis: ClipAnalysis) -> Columns:
-    """Return every angle, its rate and acceleration at every frame, with standard deviations if there are any."""
+    """Return each angle, its rate and its acceleration at every frame, with standard deviations if known."""
     columns, has_sigma = {"frame": analysis.pose.frames, "time_s": analysis.motion.time_s}, not analysis.motion.jitters
     named: list[tuple[str, AngleKinematics, bool]] = [
         *(
@@ -271,7 +271,7 @@ def angle_rates(analysis: ClipAnalysis) -> Columns:
 
 
 def stances(analysis: ClipAnalysis) -> Table:
-    """Return a table of every stance."""
+    """Return a table with a row for each stance."""
     columns = "foot, joint, start_s, end_s, start_frame, end_frame, duration_s, begins, ends, start_low_s, start_high_s"
     rows_of = np.arange(len(analysis.pose.frames))
     rows = [
@@ -287,9 +287,9 @@ def stances(analysis: ClipAnalysis) -> Table:
 
 
 def strides(analysis: ClipAnalysis) -> Table:
-    """Return a table of every complete stride.
+    """Return a table with a row for each complete stride.
 
-    For a skeleton with masses also the changes of its energy, with 90 % intervals.
+    For a skeleton with masses, the table also has the changes of energy, with 90 % intervals.
     """
     names = ["foot", "at", "start_s", "end_s", "duration_s", "length_m", "frequency_hz", "duty_factor"]
     all_strides, dynamics = analysis.gait.strides if analysis.gait else (), analysis.dynamics
@@ -306,7 +306,7 @@ def strides(analysis: ClipAnalysis) -> Table:
 def gait(analysis: ClipAnalysis) -> Table:
     """Return one row: the gait's name and criterion, and means over complete strides; no row without feet.
 
-    Without complete strides the means follow from the period of the motion, as `source` says.
+    If there are no complete strides, the means follow from the period of the motion, as the column `source` states.
     """
     columns = "gait, criterion, speed_m_s, strides, source, stride_length_m, stride_frequency_hz, duty_factor, "
     columns += "duty_factor_low, duty_factor_high"
@@ -332,8 +332,8 @@ def gait(analysis: ClipAnalysis) -> Table:
 def gait_quantities(analysis: ClipAnalysis) -> Table:
     """Return a row for each quantity of the gait: speed, strides, steps, limb phases and asymmetry.
 
-    sigma is one standard deviation, low and high are the 90 % interval, both with the errors of the animal's size and
-    of the focal length; between_strides is one standard deviation between strides.
+    sigma is the standard deviation, and low and high are the 90 % interval, including the errors of the animal's size
+    and of the focal length. between_strides is the standard deviation between strides.
     """
     rows = [
         (q.name, q.value, q.sigma, *q.interval, q.between_sigma, q.count, q.source, q.why_unknown)
@@ -343,7 +343,7 @@ def gait_quantities(analysis: ClipAnalysis) -> Table:
 
 
 def vector_field(analysis: ClipAnalysis) -> Columns:
-    """Return every link at every frame: its tip in its parent's frame, and the tip's velocity."""
+    """Return each link at every frame: its tip in its parent's frame, and the tip's velocity."""
     names = ("radius_m", "dr_m_s", "dtheta_rad_s", "speed_m_s", "dr_sigma_m_s", "dtheta_sigma_rad_s", "speed_sigma_m_s")
     parts = []
     for limb, field in ((limb, field) for limb, fields in analysis.fields.items() for field in fields):
@@ -356,7 +356,7 @@ def vector_field(analysis: ClipAnalysis) -> Columns:
 
 
 def vector_field_means(analysis: ClipAnalysis) -> Table:
-    """Return mean magnitudes over the frames."""
+    """Return each link's mean speeds over the frames."""
     columns = "limb, link, parent, speed_m_s, speed_3d_m_s, dr_m_s, dtheta_rad_s, speed_sigma_m_s, frames"
     rows = [
         (limb, *row) for limb, fields in analysis.fields.items() for row in field_means(fields).itertuples(index=False)
@@ -365,7 +365,7 @@ def vector_field_means(analysis: ClipAnalysis) -> Table:
 
 
 def closures(analysis: ClipAnalysis) -> Table:
-    """Return degrees of closure of the skeleton's angles over one stride."""
+    """Return the degrees of closure of the skeleton's angles over one stride."""
     kinds = "angle", "plane", "angle_sigma", "plane_sigma", "unscaled"
     shares, rows = analysis.motion.data_shares, []
     if (stride := analysis.stride) is not None:
@@ -405,9 +405,9 @@ def centre_of_mass(analysis: ClipAnalysis) -> Columns:
 
 
 def forces(analysis: ClipAnalysis) -> Table:
-    """Return peak and impulse of the vertical force of every whole stance, body weights, with 90 % intervals.
+    """Return peak and impulse of the vertical force of every complete stance, body weights, with 90 % intervals.
 
-    Also in newtons if the animal's mass is known.
+    If the animal's mass is known, the table also has newtons.
     """
     columns = [*FORCE_COLUMNS]
     rows = [] if analysis.dynamics is None else [*analysis.dynamics.forces.itertuples(index=False, name=None)]
@@ -421,7 +421,7 @@ def forces(analysis: ClipAnalysis) -> Table:
 def force_over_time(analysis: ClipAnalysis) -> Columns:
     """Return the vertical force of every foot on the fine grid, body weights.
 
-    Empty within stances that the clip cuts.
+    Cells are empty during stances that the clip cuts.
     """
     if (dynamics := analysis.dynamics) is None or analysis.gait is None:
         return {}
@@ -437,11 +437,11 @@ _GAIT = stances, strides, gait, gait_quantities, centre_of_mass, forces, force_o
 TABLES: dict[str, Callable[[ClipAnalysis], Table | Columns]] = {
     f"{table.__name__}.csv": table for table in (*_MOTION, *_ANGLES, *_GAIT)
 }
-"""Tables by file name, which is the function's."""
+"""Functions of the tables by file name."""
 
 
 def write_analysis(analysis: ClipAnalysis, folder: Path) -> None:
-    """Write every table into a folder that exists."""
+    """Write every table into an existing folder."""
     for name, table in TABLES.items():
         content = table(analysis)
         if isinstance(content, dict):
@@ -451,7 +451,7 @@ def write_analysis(analysis: ClipAnalysis, folder: Path) -> None:
 
 
 def _axes(name: str, vectors: np.ndarray) -> Columns:
-    """Return the columns of vectors (N, 3)."""
+    """Return columns of the components of vectors (N, 3)."""
     return {name.format(axis): column for axis, column in zip("xyz", vectors.T, strict=True)}
 
 

@@ -1,7 +1,7 @@
 """Write the tables of an analysis for Excel and R: a workbook, or one long table with its data dictionary.
 
-Every number stands in a row of its own with its variable and unit, beside what it is of: the joint or foot, the side,
-the frame, the time, the percent of the stride. The data dictionary says what each variable of each table is.
+In the long table every number has a row of its own, with its variable and unit, and with the joint or foot, side,
+frame, time and percent of the stride to which it belongs. The data dictionary explains each variable of each table.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from recon.io.writing import formats_extra
 from recon.show.tables import DICTIONARY, LONG, TABLES
 
 KEYS = ("time_s", "frame", "percent", "start_s")
-"""Columns of numbers that say where a value belongs, besides all columns of texts."""
+"""Numeric columns that identify a value, in addition to all columns of text."""
 UNITS = {
     "m_s2": "m/s²",
     "rad_s2": "rad/s²",
@@ -39,18 +39,18 @@ UNITS = {
     "s": "s",
     "n": "N",
 }
-"""Units by the end of a column's name."""
+"""Units by the ending of a column's name."""
 _PARTS = (
     (r"_?sigma$", "one standard deviation of {}"),
     (r"_?low$", "lower end of the 90 % interval of {}"),
     (r"_?high$", "upper end of the 90 % interval of {}"),
 )
 MOST_ROWS, MOST_COLUMNS = 1_000_000, 30
-"""Rows of a sheet of Excel, and columns of a table that has a sheet of its own."""
+"""Largest number of rows of an Excel sheet, and of columns of a table with a sheet of its own."""
 
 
 def analysis_tables(analysis: ClipAnalysis) -> dict[str, pd.DataFrame]:
-    """Return every table of an analysis by name, as its CSV file has it."""
+    """Return every table of an analysis by name, with the content of its CSV file."""
     frames = {}
     for file_name, make in TABLES.items():
         content = make(analysis)
@@ -64,7 +64,7 @@ def analysis_tables(analysis: ClipAnalysis) -> dict[str, pd.DataFrame]:
 
 
 def unit_of(column: str) -> str:
-    """Return the unit that a column's name ends in; nothing for shares, counts and texts."""
+    """Return the unit at the end of a column's name, or an empty text for shares, counts and texts."""
     for end, unit in UNITS.items():
         if column == end or column.endswith(f"_{end}"):
             return unit
@@ -92,7 +92,7 @@ def dictionary(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
 
 
 def long_table(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
-    """Return all numbers below each other: table, what they are of, time, frame, percent, variable, unit, value."""
+    """Return all numbers below each other: table, keys, time, frame, percent, variable, unit, value."""
     parts = [part for name, table in tables.items() for part in _melted(name, table)]
     columns = ["table", "of", *KEYS, "variable", "unit", "value"]
     if not parts:
@@ -119,7 +119,7 @@ def _melted(name: str, table: pd.DataFrame) -> Iterator[pd.DataFrame]:
 
 
 def write_long(analysis: ClipAnalysis, folder: Path, decimal_comma: bool = False) -> None:
-    """Write the long table and the data dictionary as CSV; with decimal commas, semicolons separate the columns."""
+    """Write the long table and the data dictionary as CSV. With decimal commas, semicolons separate the columns."""
     tables = analysis_tables(analysis)
     separator, decimal = (";", ",") if decimal_comma else (",", ".")
     for name, table in ((LONG, long_table(tables)), (DICTIONARY, dictionary(tables))):
@@ -134,7 +134,7 @@ def write_workbook(analysis: ClipAnalysis, results: str, path: Path) -> None:
     Raises
     ------
     InputError
-        Where the package openpyxl is not installed.
+        If the package openpyxl is not installed.
     """
     with formats_extra(path):
         import openpyxl
@@ -167,7 +167,7 @@ def _fill(sheet: object, front: list[list[str]], table: pd.DataFrame) -> None:
 
 
 def _cell(value: object) -> object:
-    """Return a value as a cell can have it: no formulas, no NaN, plain numbers."""
+    """Return a value for a cell: no formulas, no NaN, plain numbers."""
     if isinstance(value, str):
         return guarded(encodable(re.sub(r"[\x00-\x08\x0b\x0c\x0e-\x1f]", " ", value)))
     if isinstance(value, bool | np.bool_):

@@ -1,5 +1,5 @@
-"""Write pages to read and to pass on: of one result, and of a batch. Each is one HTML file that fetches nothing.
+"""Write pages of a result, a batch, a comparison and an audit. Each is one HTML file that fetches nothing.
 
-Words, tables and numbers are those of the report, figures those of `recon.show.plots`; Jinja2 fills in `templates/` and
-escapes all text from files and their names.
+Texts, tables and numbers are those of the report, figures those of `recon.show.plots`. Jinja2 fills in `templates/` and
+escapes all text from files and from their names.
 """

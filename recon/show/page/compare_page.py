@@ -19,12 +19,12 @@ from recon.show.page.scripts import script
 NORMAL_90 = 1.645
 """Half width of a 90 % interval in standard deviations."""
 HEIGHT, TOP, BOTTOM, LEFT, RIGHT = 250.0, 10.0, 52.0, 46.0, 8.0
-"""Height of a plot and its margins, px; the lower one holds the groups' names and numbers of clips."""
+"""Height of a plot and its margins, px. The lower margin has the groups' names and numbers of clips."""
 WIDTH, GROUP_WIDTH = 274.0, 84.0
-"""Least width of a plot, and least width of a group in it, px."""
+"""Smallest width of a plot, and of a group in it, px."""
 LABEL_CHARACTERS, LABEL_LINES = 12, 2
 HUES = ("left", "right", "middle", "strong")
-"""Colours of the groups in turn, by their names in the style sheet."""
+"""Colours of successive groups, by their names in the style sheet."""
 
 
 def compare_page(
@@ -44,11 +44,11 @@ def compare_page(
     title
         The comparison's name.
     clips
-        The columns group, clip, verdict and strides, each measure and its standard deviation (`_sigma`); an `animal` in
-        several groups joins them.
+        Table with the columns group, clip, verdict and strides, and each measure with its standard deviation
+        (`_sigma`). Lines join the clips of an `animal` in several groups.
     groups
-        The columns group, clips and strides, each measure's mean and standard deviation; ends of its 90 % interval in
-        `_low` and `_high` replace those of a normal distribution.
+        Table with the columns group, clips and strides, and each measure's mean and standard deviation. The ends of its
+        90 % interval, if given as `_low` and `_high`, replace those of a normal distribution.
     measures
         Titles with units, by column.
     pages
@@ -83,7 +83,7 @@ def compare_page(
 
 
 def _interval(row: Mapping[Any, Any], name: str) -> tuple[float, float, float]:
-    """Return a value and the ends of its 90 % interval, NaN where unknown."""
+    """Return a value and the ends of its 90 % interval, NaN if unknown."""
     value, sigma = float(row[name]), float(row[f"{name}_sigma"])
     low, high = (row.get(f"{name}{end}", math.nan) for end in ("_low", "_high"))
     if pd.isna(low) or pd.isna(high):
@@ -92,7 +92,7 @@ def _interval(row: Mapping[Any, Any], name: str) -> tuple[float, float, float]:
 
 
 def _text(value: float, low: float, high: float) -> list[str]:
-    """Return a value and its interval; nothing for an unknown value."""
+    """Return a value and its interval as texts; none for an unknown value."""
     if not math.isfinite(value):
         return []
     number, _, ends = interval(value, low, high).partition(" (")
@@ -123,7 +123,7 @@ def _clip_row(
 
 
 def _group_row(row: Mapping[Any, Any], clips: pd.DataFrame, measures: Mapping[str, str]) -> dict[str, Any]:
-    """Return a group's numbers: of each measure its mean and interval, the median of the clips, and their number."""
+    """Return a group's numbers: mean, interval, median of the clips and number of clips for each measure."""
     group_clips = clips[clips["group"] == row["group"]]
     values = {}
     for name in measures:
@@ -141,7 +141,7 @@ def _group_row(row: Mapping[Any, Any], clips: pd.DataFrame, measures: Mapping[st
 def _plot(
     name: str, title: str, clips: pd.DataFrame, groups: pd.DataFrame, pages: Mapping[str, str]
 ) -> dict[str, Any] | None:
-    """Return a plot of a measure, a column a group; None where no clip has the measure."""
+    """Return a plot of a measure with a column for each group, or None if no clip has the measure."""
     if not clips[name].notna().any():
         return None
     clip_rows, group_rows = clips.to_dict("records"), groups.to_dict("records")
@@ -203,7 +203,7 @@ def _plot(
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """Return three to six round values that reach over an interval."""
+    """Return three to six round values that cover an interval."""
     span = max(high - low, 1e-6 * max(abs(low), abs(high), 1e-6))
     power = 10.0 ** math.floor(math.log10(span / 4))
     step = next(power * factor for factor in (1, 2, 2.5, 5, 10) if span / (power * factor) <= 4.5)

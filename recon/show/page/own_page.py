@@ -1,8 +1,8 @@
-"""Define the names of the pages' files, and the mark that identifies pages made by recon."""
+"""Define the file names of pages, and the mark by which recon recognises its own pages."""
 
 from __future__ import annotations
 
 PAGE, SUMMARY_PAGE, COMPARE_PAGE = "report.html", "summary.html", "compare.html"
-"""Names of the page in the folder of a result, in that of a batch, and in that of a comparison."""
+"""File names of the page of a result, of a batch, and of a comparison, in their folders."""
 GENERATED = '<meta name="generator" content="recon">'
-"""Mark by which recon recognises its own pages."""
+"""Element in the head of pages made by recon."""

@@ -1,6 +1,6 @@
 """Fill in the pages of one result and of a batch.
 
-The page of a batch is a table of its clips, the doubtful ones first. Pictures are part of the page.
+The page of a batch is a table of its clips, the doubtful ones first. All pictures are inside the page's file.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ UNSEEN = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u202
 
 
 def rendered(template: str, **content: Any) -> str:
-    """Return a page; all text is escaped except figures, which the template marks as safe."""
+    """Return a page. All text is escaped except figures, which the template marks as safe."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent / "templates"),
         autoescape=True,
@@ -62,7 +62,7 @@ def rendered(template: str, **content: Any) -> str:
 
 
 def _without_unseen(value: object) -> object:
-    """Return text with codes instead of marks that reverse text or control a terminal."""
+    """Return text with visible codes instead of characters that reverse text or control a terminal."""
     if not isinstance(value, str) or not UNSEEN.search(value):
         return value
     return type(value)(UNSEEN.sub(lambda mark: printable(mark[0]), value))
@@ -70,11 +70,11 @@ def _without_unseen(value: object) -> object:
 
 def inline(figure: Figure, largest: int) -> str:
     """Return a figure for a page: <svg>, or a PNG if that would have more than `largest` characters."""
-    from recon.show.plots.style import png_of, svg_of  # here, as matplotlib is slow to import
+    from recon.show.plots.style import png_of, svg_of  # matplotlib is slow to import
 
     svg = svg_of(figure)
     if len(svg) <= largest:
-        return svg  # matplotlib has escaped its texts
+        return svg  # matplotlib has already escaped the figure's texts
     return f'<img alt="" src="{_data("image/png", png_of(figure, PNG_DPI, transparent=True))}">'
 
 
@@ -90,20 +90,20 @@ def _data(kind: str, content: bytes) -> str:
 # -- page of one result ------------------------------------------------------------------------------------------------
 
 SECTION_CHARACTERS = 600_000
-"""Largest size of a section's vector graphics; three sections and the stills are below 3 MB."""
+"""Largest size of a section's vector graphics, so that three sections and the stills together stay below 3 MB."""
 SHOWN = 100
-"""Number of rows in the table of flagged frames."""
+"""Number of rows shown in the table of doubtful frames."""
 SPEED_MM = 100.0
 LENGTHS, POSES, STRETCHES = 4.0, 7, 3
-"""Body lengths that an animal runs in one figure, poses in it, and largest number of figures."""
+"""Number of body lengths that an animal runs in one figure, of poses in the figure, and largest number of figures."""
 
 
 @dataclass(frozen=True)
 class Neighbours:
-    """Hold links from a clip's page to the pages of its batch, relative to the clip's folder, with forward slashes."""
+    """Hold links from a clip's page to the pages of its batch, relative to the clip's folder."""
 
     clip: str
-    """Name of the clip itself."""
+    """Name of the clip."""
     summary: str
     previous: str | None
     following: str | None
@@ -118,12 +118,24 @@ def clip_page(
     pictures: PictureStrip | None = None,
     batch: Neighbours | None = None,
 ) -> str:
-    """Return the HTML of a motion.
+    """Return the HTML page of a motion.
 
-    stills: frames' pictures, and the text if one is not shown, for paper and for browsers that run no scripts; video:
-    name of the video behind the stills, None: a plain background; files: names of the files in the page's folder, with
-    forward slashes, for links; number: of the camera whose stills they are; pictures: of that video, for the player;
-    batch: the pages of the batch that it belongs to.
+    Parameters
+    ----------
+    motion : Motion
+        The result.
+    stills
+        Pictures of frames, each with a text for readers who do not see it; for paper and for browsers without scripts.
+    video
+        Name of the video behind the stills; None for a plain background.
+    files
+        Names of the files in the page's folder, with forward slashes, for links.
+    number
+        Camera whose stills these are.
+    pictures
+        Pictures of this camera's video, for the player.
+    batch
+        Links to the pages of the clip's batch.
     """
     report = build_report(motion)
     files_read = ", ".join(dict.fromkeys(_base(camera["keypoints"]) for camera in report["cameras"]))
@@ -165,12 +177,12 @@ def clip_page(
 
 
 def _base(path: str | None) -> str:
-    """Return the name of a file from any system, without its folders."""
+    """Return the file name at the end of a path from any system."""
     return (path or "clip").replace("\\", "/").rsplit("/", 1)[-1]
 
 
 def _plain(value: object) -> str:
-    """Return a setting with file names but no folders, which readers of the page do not need to know."""
+    """Return a setting with the names of files but not of folders, which readers of the page do not need."""
     return ", ".join(map(_plain, value)) if isinstance(value, list) else _base(str(value))
 
 
@@ -186,7 +198,7 @@ def _subtitle(motion: Motion) -> str:
 
 
 def _words(report: Mapping[str, Any], analysis: ClipAnalysis | None) -> Iterator[str]:
-    """Yield the result as a few sentences."""
+    """Yield the result in a few sentences."""
     yield f"Frames: {dict(report['lines'])['frames']}."
     if analysis is None:
         yield "Too few frames have a pose for a speed or a gait."
@@ -195,7 +207,7 @@ def _words(report: Mapping[str, Any], analysis: ClipAnalysis | None) -> Iterator
 
 
 def doubtful_frames(motion: Motion) -> Iterator[tuple[int, str, str]]:
-    """Yield runs of frames with the same flags: the first row, the frame numbers, and the flags as text."""
+    """Yield runs of frames with the same flags: first row, frame numbers, and the flags as text."""
     for row, stop, flags in flag_runs(motion):
         first, last = motion.frames[[row, stop - 1]]
         yield row, (f"{first}" if first == last else f"{first} to {last}"), ", ".join(flags)
@@ -207,7 +219,7 @@ def doubtful_frames(motion: Motion) -> Iterator[tuple[int, str, str]]:
 def _group(heading: str, text: str, figures: Sequence[Figure], width: str = "wide") -> dict[str, Any]:
     """Return figures with a heading and a text.
 
-    width: wide figures scroll on a phone, narrow ones do not.
+    width: "wide" figures scroll on a phone, "narrow" figures do not.
     """
     drawn = [inline(figure, SECTION_CHARACTERS // len(figures)) for figure in figures]
     return {"heading": heading, "text": text, "figures": drawn, "width": width}
@@ -254,7 +266,7 @@ def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
 
 
 def _stretches(motion: Motion, path: JointKinematics) -> Iterator[Array]:
-    """Yield some of the poses (T, J, 3) for parts of the clip short enough to be visible; the rest is NaN."""
+    """Yield some of the poses (T, J, 3) for each part of the clip; the other poses are NaN."""
     joints_m = motion.upright.xyz_m
     pose_rows = np.flatnonzero(np.isfinite(joints_m).all(axis=(1, 2)))
     length_m = float(np.median(np.ptp(joints_m[pose_rows], axis=1), axis=0).max())
@@ -269,7 +281,7 @@ def _stretches(motion: Motion, path: JointKinematics) -> Iterator[Array]:
 # -- page of a batch ---------------------------------------------------------------------------------------------------
 
 FIRST = ("failed", "unsolved", "pending")
-"""Statuses listed above all others."""
+"""Statuses that are listed before all others."""
 NUMBERS = {
     "pose_mm": ("pose off by, mm (90 %)", ".0f"),
     "position_m": ("position off by, m (90 %)", ".2f"),
@@ -280,22 +292,22 @@ NUMBERS = {
     "peak_speed_m_s": ("peak m/s", ".1f"),
     "size": ("size", ".2f"),
 }
-"""Columns of summary.csv that the table has, with their headings and formats; `median_px` is of the result itself, as
-one far keypoint makes the mean large.
+"""Columns of summary.csv in the table, with headings and formats. `median_px` is computed from the results, since a
+single distant keypoint makes the mean large.
 """
 DOTS = {"pose_mm": "pose off by (mm)", "median_px": "median keypoint error (px)", "mean_speed_m_s": "mean speed (m/s)"}
 """Columns whose distribution over the clips is drawn."""
 DOTS_PX = (300.0, 44.0)
 """Size of a distribution plot, px."""
 FAR_MEAN = 5.0
-"""Ratio of the mean keypoint error to the median above which the page explains the difference."""
+"""Ratio of the mean to the median keypoint error above which the page explains the difference."""
 THUMBNAIL_PX = (96, 60)
 FOLDERS = re.compile(r"(?<![\w.])(?:[A-Za-z]:)?[/\\](?:[^/\\:]+[/\\])+")
-"""Folders in front of a file name in an error, which readers of the page do not need to know."""
+"""Folders before a file name in an error text, which readers of the page do not need."""
 
 
 def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
-    """Return the HTML of the batch in a folder with these rows of summary.csv."""
+    """Return the HTML page of the batch in a folder with these rows of summary.csv."""
     clips = sorted((_clip_row(out, row) for row in rows), key=lambda clip: clip["rank"])
     counter = Counter(row["verdict"] or row["status"] for row in rows)
     counts = {name: counter[name] for name in dict.fromkeys((*FIRST, *LEVELS, *counter)) if counter[name]}
@@ -317,12 +329,13 @@ def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
 
 
 def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
-    """Return one clip of the table.
+    """Return the content of one row of the table.
 
-    The cells of its row of summary.csv; the reason of its verdict, if it says something; the numbers with their 90 %
-    intervals, and the mean keypoint error if it is far above the median; its page, relative to the summary, with
-    forward slashes; the number of its doubtful frames, None without a result, and their share; its thumbnail; its
-    state, the verdict or the reason why there is none; and its rank, by which the clips to look at come first.
+    The content is: the cells of the clip's row of summary.csv; the reason of its verdict, if there is one; its numbers
+    with their 90 % intervals, and the mean keypoint error if it is far above the median; the address of its page,
+    relative to the summary, with forward slashes; the number of its doubtful frames (None without a result) and their
+    fraction; its thumbnail; its state, which is the verdict or the reason why there is none; and its rank, which puts
+    the clips to look at first.
     """
     folder, order = out / cells["clip"], (*FIRST, *LEVELS)
     try:
@@ -330,7 +343,7 @@ def _clip_row(out: Path, cells: Mapping[str, str]) -> dict[str, Any]:
         doubtful, thumbnail = sum(map(bool, motion.flags)), _thumbnail(motion)
         error_px = median_error_px(motion)
         cells = {**cells, "median_px": f"{error_px:.4g}" if math.isfinite(error_px) else ""}
-    except (OSError, InputError):  # failed, or damaged since then
+    except (OSError, InputError):  # the fit failed, or its files were damaged later
         doubtful, thumbnail = None, []
         cells = {**cells, "median_px": ""}
     state = cells["status"] if cells["status"] in FIRST else cells["verdict"]
@@ -374,7 +387,7 @@ def _dots(clips: Sequence[Mapping[str, Any]], name: str, title: str) -> dict[str
         if (value := values.get(clip["cells"]["clip"])) is None:
             continue
         x = 8 + (width - 16) * ((value - low) / (high - low) if high > low else 0.5)
-        columns[column := round(x / 8)] += 1  # dots of nearly equal values are stacked
+        columns[column := round(x / 8)] += 1  # stack the dots of nearly equal values
         y = max(6.0, height - 8 - 7 * (columns[column] - 1))
         label = f"{clip['cells']['clip']}: {value:.3g}"
         dots.append({"x": f"{x:.0f}", "y": f"{y:.0f}", "label": label} | {k: clip[k] for k in ("page", "state")})
@@ -386,7 +399,7 @@ def _dots(clips: Sequence[Mapping[str, Any]], name: str, title: str) -> dict[str
 def _thumbnail(motion: Motion) -> list[tuple[str, str]]:
     """Return the lines of a pose in the first camera, each with its side, in a box of `THUMBNAIL_PX`.
 
-    The pose is that of the frame with a pose nearest to the middle.
+    The pose is the one nearest to the middle of the clip.
     """
     reprojected_px = motion.pictures[0].reprojected_px
     pose_rows = np.flatnonzero(np.isfinite(reprojected_px).any(axis=(1, 2)))

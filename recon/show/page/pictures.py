@@ -1,8 +1,8 @@
-"""Choose and encode the pictures of a video that a page contains: all of a short clip's, stills of a long one's.
+"""Choose and encode the pictures of a video for a page: all frames of a short clip, some frames of a long one.
 
-They are WebP pictures and no video file: every browser shows them, each frame is found exactly, and OpenCV encodes
-them quickly. The H.264 encoder is in none of OpenCV's wheels, and its VP8 and VP9 take ten times the time at twice the
-size.
+The pictures are WebP files instead of a video: every browser shows them, each frame is found exactly, and OpenCV
+encodes them quickly. OpenCV's wheels have no H.264 encoder, and their VP8 and VP9 encoders take ten times as long for
+files of twice the size.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from recon.io.video import Image
 STRIP_BYTES = 2_500_000
 """Largest size of all pictures of a page before base64, which adds a third."""
 LADDER = ((960, 55), (800, 50), (640, 50), (640, 35), (480, 35))
-"""Widths and qualities, the best first; the first that fits into `STRIP_BYTES` is taken."""
+"""Widths and qualities, the best first. The first one that fits into `STRIP_BYTES` is used."""
 MARGIN = 0.2
-"""Margin around the boxes of the animal, relative to their size."""
+"""Margin around the animal's boxes, as a fraction of their size."""
 SMALL_PX, WINDOW = 150.0, 2.6
-"""Size in pixels below which an animal is followed by a moving window, and the window's size relative to the animal's
+"""Size in pixels below which a moving window follows the animal, and size of this window relative to the animal's
 box.
 """
 WINDOW_PX = 640
@@ -35,12 +35,12 @@ MIME = "image/webp"
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """Hold the part of each frame that is kept: corners (T, 2), and one size (2,), px of the video."""
+    """Hold the part of each frame that is kept: corners (T, 2), and one size (2,), in pixels of the video."""
 
     corners_px: Integers
     size_px: tuple[int, int]
     most_px: int
-    """Largest width of the kept picture."""
+    """Largest width of the pictures that are kept."""
 
 
 @dataclass(eq=False)
@@ -52,11 +52,11 @@ class PictureStrip:
     """Rows of the motion, increasing."""
     encoded: list[bytes] = field(default_factory=list)
     every: int = 1
-    """1 for every frame of the video; n for every nth."""
+    """Step between the video's frames: 1 for every frame."""
     video: str = ""
     """Name of the video."""
     first_frame: int = 0
-    """Frame number of the clip that the video's first frame has."""
+    """Frame number, in the clip, of the video's first frame."""
 
     def to_json(self) -> dict[str, Any]:
         """Return the data for the player."""
@@ -80,7 +80,7 @@ def cut_of(points_px: Array, fps: float, picture_px: tuple[int, int]) -> Cut:
     points_px
         Joints in the picture (T, J, 2), NaN where not known.
     fps
-        Frames a second.
+        Frames per second.
     picture_px
         Width and height.
     """
@@ -107,7 +107,7 @@ def cut_of(points_px: Array, fps: float, picture_px: tuple[int, int]) -> Cut:
     filled = pd.DataFrame(centres).interpolate(limit_direction="both").to_numpy()
     half = min(round(SMOOTH_S * fps / 2), len(filled) - 1)
     start, end = 2 * filled[0] - filled[half:0:-1], 2 * filled[-1] - filled[-2 : -half - 2 : -1]
-    padded = np.concatenate([start, filled, end])  # goes on as it went at the ends
+    padded = np.concatenate([start, filled, end])  # continue at the ends with the last speed
     smooth = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0).mean(axis=-1)
     corners = np.clip(np.round(smooth - size / 2), 0, picture - size).astype(int)
     return Cut(corners, (int(size[0]), int(size[1])), WINDOW_PX)
@@ -118,9 +118,9 @@ def _even(size: Array, limit_px: Array) -> Array:
 
 
 def encode_strip(pictures: Iterable[tuple[int, Image]], count: int, cut: Cut) -> PictureStrip:
-    """Return the strip of pictures, given with their rows in order, in at most about `STRIP_BYTES`.
+    """Return the strip of pictures, which come in order with their rows, in at most about `STRIP_BYTES`.
 
-    count: how many there will be.
+    count: number of pictures to come.
     """
     strip = PictureStrip(cut)
     width, quality, budget = 0, 0, 0.0
@@ -131,7 +131,7 @@ def encode_strip(pictures: Iterable[tuple[int, Image]], count: int, cut: Cut) ->
         if i % strip.every:
             continue
         spent, due = sum(map(len, strip.encoded)), budget * len(strip.encoded)
-        # Pictures that are richer than the first ones are kept within the size by a lower quality.
+        # If the later pictures are more detailed than the first ones, a lower quality keeps them within the size.
         lower = 0 if spent <= due else min(25, round(60 * (spent / max(due, 1.0) - 1)) + 3)
         strip.rows.append(row)
         strip.encoded.append(_encode(picture, row, cut, width, max(10, quality - lower)))
@@ -139,7 +139,7 @@ def encode_strip(pictures: Iterable[tuple[int, Image]], count: int, cut: Cut) ->
 
 
 def _fitting(picture: Image, row: int, count: int, cut: Cut) -> tuple[int, int, int]:
-    """Return the width and quality with which `count` such pictures fit, and which of them are kept."""
+    """Return the width and quality at which `count` such pictures fit, and the step between those that are kept."""
     allowed = [(width, quality) for width, quality in LADDER if width <= max(cut.most_px, LADDER[-1][0])]
     size = 1.0
     for width, quality in allowed:

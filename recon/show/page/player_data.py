@@ -1,6 +1,6 @@
-"""Give the player of a page its data: the motion, the cameras' pictures, curves, stances and findings.
+"""Prepare the data for the player of a page: motion, cameras' pictures, curves, stances and findings.
 
-`player/data.js` reads it. Arrays over frames are whole numbers in base64, so that a page of 4,000 frames stays small.
+`player/data.js` reads them. Arrays over frames are integers in base64, so that a page of 4,000 frames stays small.
 """
 
 from __future__ import annotations
@@ -23,14 +23,16 @@ from recon.gait.gait import INTERVAL, interval_of
 from recon.show.page.pictures import PictureStrip
 
 LARGEST, NOTHING = 32_000, -32_768
-"""Largest packed number, and the one that stands for NaN."""
+"""Largest packed number, and the number that stands for NaN."""
 LARGEST_BYTE, NO_BYTE = 254, 255
 CAMERA_BYTES = 1_800_000
-"""Largest size of the cameras' detections in a page before base64; the chosen camera is always there."""
+"""Largest size of the cameras' detections in a page before base64. The chosen camera is always included."""
 SPREADS = 600
-"""Number of frames whose uncertainty is stored, evenly spaced, since it changes slowly."""
+"""Number of frames whose uncertainty is stored. They are evenly spaced, since the uncertainty changes slowly."""
 POSTURE_BYTES = 400_000
-"""Largest size of the curves of the model's own angles, which a skeleton with anatomy has besides its flexions."""
+"""Largest size of the curves of the model's own angles, which a skeleton with anatomy has in addition to its
+flexions.
+"""
 MISSING, FITS, OUTLIER = 0, 1, 2
 """State of a detection."""
 
@@ -45,7 +47,7 @@ def player_data(
     motion, analysis
         The result, and its analysis if it has enough frames.
     number
-        The camera whose picture is shown first.
+        Camera whose picture is shown first.
     pictures
         Pictures of that camera's video.
     """
@@ -81,7 +83,7 @@ def player_data(
 
 
 def flag_runs(motion: Motion) -> Iterator[tuple[int, int, tuple[str, ...]]]:
-    """Yield the runs of rows with the same flags: first row, the row after the last, and the flags."""
+    """Yield the runs of rows with the same flags: first row, row after the last, and the flags."""
     for flags, rows_of_run in groupby(range(len(motion.flags)), lambda t: motion.flags[t]):
         if flags:
             rows = [*rows_of_run]
@@ -92,7 +94,7 @@ def flag_runs(motion: Motion) -> Iterator[tuple[int, int, tuple[str, ...]]]:
 
 
 def packed(values: Array, least_unit: float = 1e-9) -> dict[str, Any]:
-    """Return an array as 16-bit whole numbers of a unit from an offset, little-endian, in base64."""
+    """Return an array as 16-bit integers in a unit and from an offset, little-endian, in base64."""
     known = values[np.isfinite(values)]
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
     offset, unit = (low + high) / 2, max((high - low) / 2 / LARGEST, least_unit)
@@ -108,13 +110,13 @@ def packed_shares(values: Array) -> dict[str, Any]:
 
 
 def packed_integers(values: Integers) -> dict[str, Any]:
-    """Return an array of whole numbers as 32-bit ones in base64."""
+    """Return an array of integers as 32-bit integers in base64."""
     data = base64.b64encode(np.asarray(values).astype("<i4").tobytes()).decode()
     return {"type": "i4", "unit": 1, "offset": 0, "data": data}
 
 
 def packed_states(values: Array) -> dict[str, Any]:
-    """Return an array of small whole numbers as bytes in base64."""
+    """Return an array of small integers as bytes in base64."""
     return {"type": "u1", "unit": 1, "offset": 0, "data": base64.b64encode(values.astype("u1").tobytes()).decode()}
 
 
@@ -149,7 +151,7 @@ def _spreads(covariance_m2: Array) -> Array:
 
 
 def _grounds(motion: Motion) -> Iterator[dict[str, Any]]:
-    """Yield the plane of each stretch of the clip; a level one below the lowest joints where no foot stood."""
+    """Yield the ground plane of each segment, or a level plane through the lowest joints if no foot stood."""
     for segment in motion.segments:
         first, stop, _ = segment.rows.indices(len(motion.frames))
         lowest_m = motion.upright.xyz_m[first:stop, :, 2]
@@ -163,7 +165,7 @@ def _grounds(motion: Motion) -> Iterator[dict[str, Any]]:
 
 
 def _camera_pose(motion: Motion, number: int) -> dict[str, Any]:
-    """Return the position and rotation of a camera, in each frame if it moves."""
+    """Return the position and rotation of a camera, one for each frame if the camera moves."""
     view, camera = motion.solution.views[number], motion.cameras[number]
     T_camera_world = np.asarray(view.T_camera_world)
     R, t = T_camera_world[..., :3, :3], T_camera_world[..., :3, 3]
@@ -187,7 +189,7 @@ def _number(value: float) -> float | None:
 
 
 def _cameras(motion: Motion, number: int) -> Iterator[dict[str, Any]]:
-    """Yield the detections and reprojections of each camera; without them where a page would become too large."""
+    """Yield the detections and reprojections of each camera, or of fewer cameras if the page would become too large."""
     frames, joints = motion.keypoints.present.shape
     size, per_camera = 0, 11 * frames * joints
     order = [number, *(v for v in range(len(motion.cameras)) if v != number)]
@@ -202,9 +204,9 @@ def _cameras(motion: Motion, number: int) -> Iterator[dict[str, Any]]:
 
 
 def _detections(picture: Picture) -> dict[str, Any]:
-    far_px = 2.0 * max(picture.camera.image_size_px)  # points further away are not drawn
+    far_px = 2.0 * max(picture.camera.image_size_px)  # points further away than this are not drawn
     near_px = [np.where(np.abs(xy) < far_px, xy, np.nan) for xy in (picture.detected_px, picture.reprojected_px)]
-    # A detector that has an offset of its own is compared with where it would see the joint.
+    # A detector's offset is part of the reprojection, as the joint is compared with its detection.
     states = np.where(picture.present, FITS, MISSING)
     states[picture.outliers] = OUTLIER
     return {
@@ -220,7 +222,7 @@ def _detections(picture: Picture) -> dict[str, Any]:
 
 
 def _curves(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
-    """Yield what can be drawn over time: title, unit, group, and a curve for each side."""
+    """Yield the curves over time: title, unit, group, and a curve for each side."""
     motion = analysis.motion
     if analysis.why_no_speed is None:
         series = analysis.reference_motion.series
@@ -275,7 +277,7 @@ def _panel(
 
 
 def _at(time_s: Array, sample_s: Array, values: Array) -> Array:
-    """Return the samples nearest to the frames' times, NaN if none is near."""
+    """Return the samples nearest to the frames' times, NaN if no sample is near."""
     if not len(sample_s):
         return np.full(len(time_s), np.nan)
     step_s = float(np.median(np.diff(sample_s))) if len(sample_s) > 1 else np.inf

@@ -1,4 +1,4 @@
-"""Describe how the fit used the detections of each keypoint of a camera, for a table of a page."""
+"""Describe how the fit used a camera's detections of each keypoint, for a table of a page."""
 
 from __future__ import annotations
 
@@ -12,15 +12,17 @@ from recon.base.arrays import Array, median
 from recon.fit.motion import Motion, Picture
 
 STUCK_PX, STUCK_LEAST = 3.0, 5
-"""Outliers of a keypoint within this distance (px) of one point, in at least this number of frames, are stuck."""
+"""Radius (px) within which a keypoint's outliers lie if it is stuck at one point, and smallest number of frames with
+such outliers.
+"""
 SWAPS = ("left_right_swap", "left_right_swap_possible", "left_right_swap_mended", "clip_swapped_back")
 """Codes of findings on left-right swaps."""
 NEEDS_LOOK = 0.1
-"""Fraction of outliers and swaps in a keypoint's frames above which its row asks for a check."""
+"""Fraction of outliers and swaps among a keypoint's detections above which its row asks for a check."""
 
 
 def quality_tables(motion: Motion) -> list[dict[str, Any]]:
-    """Return a table for each camera: its name, its number, and its rows, the worst keypoint first."""
+    """Return a table for each camera: name, number, and rows, the worst keypoint first."""
     return [
         {"camera": picture.name, "number": v, "rows": sorted(_rows(motion, picture), key=lambda row: row["rank"])}
         for v, picture in enumerate(motion.pictures)
@@ -52,7 +54,7 @@ def _rows(motion: Motion, picture: Picture) -> Iterator[dict[str, Any]]:
 
 
 def swapped_frames(motion: Motion, picture: Picture) -> Array:
-    """Return a mask of keypoints that a finding calls swapped, (T, J)."""
+    """Return a mask (T, J) of the keypoints that a finding calls swapped."""
     swapped = np.zeros(picture.present.shape, dtype=bool)
     for item in motion.findings:
         if item.code in SWAPS and item.camera in (None, picture.name):
@@ -64,7 +66,7 @@ def swapped_frames(motion: Motion, picture: Picture) -> Array:
 
 
 def stuck_at(picture: Picture, joint: int) -> dict[str, Any] | None:
-    """Return the pixel at which a keypoint is stuck and in how many frames; None if it is not."""
+    """Return the pixel at which a keypoint is stuck and the number of frames, or None if the keypoint is not stuck."""
     points_px = picture.detected_px[picture.outliers[:, joint], joint]
     if len(points_px) < STUCK_LEAST:
         return None

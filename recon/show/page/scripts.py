@@ -1,7 +1,7 @@
-"""Inline the scripts and styles of pages.
+"""Put the scripts and styles of pages into the pages.
 
-They are plain JavaScript modules in a folder beside this file. A page is one file that is opened from a disk, where
-browsers load no modules, so that `script` puts the modules into one script in the order of their imports.
+They are plain JavaScript modules in a folder next to this file. A page is one file opened from a disk, and browsers do
+not load modules from a disk. Therefore `script` joins the modules into one script, in the order of their imports.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _EXPORT = re.compile(r"^export (?=class |function |const )", re.MULTILINE)
 
 @cache
 def script(name: str, folder: str = "player") -> str:
-    """Return the script of a module, with all modules that it imports before it."""
+    """Return the script of a module after all modules that it imports."""
     parts: dict[str, str] = {}
     _add(name, FOLDER / folder, parts)
     content = "\n".join(parts.values())

@@ -1,4 +1,4 @@
-"""Draw figures of a result for print: each function returns a matplotlib Figure, which `save` writes."""
+"""Draw figures of a result for print. Each function returns a matplotlib Figure, which `save` writes."""
 
 import lazy_loader
 

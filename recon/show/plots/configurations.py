@@ -1,8 +1,8 @@
 """Draw configurations from the side, from above and from the front.
 
-Figures of a clip along the run, coloured by time; of a clip in the animal's own frame; of the pose a skeleton expects
-and its angles' ranges; of the angles that the pixels determine, over time and by the camera's position; and of a
-calibration.
+The figures show a clip along the run, coloured by time; a clip in the animal's own frame; the expected pose of a
+skeleton and the ranges of its angles; the angles that the pixels determine, over time and by the camera's position; and
+a calibration.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from recon.show.plots import style
 
 CONFIGURATIONS = 10
 STILL = 0.1
-"""Least length of a path that has a direction, relative to the animal's length."""
+"""Smallest length of a path that has a direction, relative to the animal's length."""
 STYLES: dict[Side | None, tuple[Any, float, str]] = {
     "left": ((0, (2.2, 1.0)), 0.9, "left side"),
     "right": ("-", 0.9, "right side"),
@@ -44,11 +44,12 @@ STYLES: dict[Side | None, tuple[Any, float, str]] = {
 }
 """Style of the limbs of each side: dashes, width, and label."""
 _SPARE = 1.1
-"""Length of the axis along the run, relative to what the poses need."""
+"""Length of the axis along the run relative to the length of the poses."""
 NO_SIDES: Mapping[str, Side | None] = MappingProxyType({})
 _WIDE_MM, _HEIGHT_MM, _LEAST_FRONT_MM, _FRONT_MM, _LABELS_MM = 160.0, 120.0, 26.0, 45.0, 36.0
-"""Largest width and height of the side and top view together, least and largest height of the front view, which is no
-higher than the side view, and room for all labels."""
+"""Sizes in mm: largest width and height of the side and top view together; smallest and largest height of the front
+view, which is at most as high as the side view; and room for all labels.
+"""
 
 
 def composites(
@@ -61,8 +62,8 @@ def composites(
 ) -> Figure:
     """Draw up to `CONFIGURATIONS` configurations, evenly spaced among the known ones, coloured by time.
 
-    The mean motion is turned to run to the right. Positions count from the mean of the first configuration, heights are
-    unchanged. The front view shows the animal from ahead at its own scale.
+    The mean motion is turned to the right. Positions are relative to the mean of the first configuration; heights are
+    unchanged. The front view shows the animal from ahead, at a scale of its own.
 
     Parameters
     ----------
@@ -73,9 +74,9 @@ def composites(
     time_s : ndarray
         Times, shape (T,).
     ground : sequence, optional
-        Planes, each with the rows that it lies under.
+        Planes of the ground, each with its rows of the clip.
     sides : mapping
-        Sides of the limbs: left ones are dashed, those without a side thick.
+        Sides of the limbs: left limbs are dashed, limbs without a side are thick.
     """
     rows = chosen(joints_m, limbs)
     if not len(rows):
@@ -100,7 +101,7 @@ def composites(
                     axes.plot(*pose[list(joints)][:, [horizontal, vertical]].T, **line_style)
             axes.set_aspect("equal", adjustable="datalim")
             axes.locator_params(axis="y", nbins=4)
-        # The scale follows the shared axis: it is as long as the height needs, or poses would be cut.
+        # The scale follows the shared axis, which must be long enough for the height: otherwise poses would be cut.
         ends = np.nanmin(points[..., 0]), np.nanmax(points[..., 0])
         cells["side"].set_xlim(np.mean(ends) + _SPARE * np.array([-0.5, 0.5]) * _WIDE_MM / scale)
         for part, plane in ground or ():
@@ -127,7 +128,7 @@ def composites(
 
 
 def chosen(joints_m: Array, limbs: Mapping[str, Sequence[int]]) -> Index:
-    """Return the rows of the drawn configurations, which have at least half as many known joints as any."""
+    """Return the rows of the configurations to draw, which have at least half as many known joints as any."""
     drawn_joints = sorted({j for joints in limbs.values() for j in joints})
     known_counts = np.isfinite(joints_m[:, drawn_joints]).all(axis=2).sum(axis=1)
     rows = np.flatnonzero((known_counts > 1) & (2 * known_counts >= known_counts.max(initial=0)))
@@ -161,7 +162,7 @@ LABELS = ("U, forwards (m)", "V, down (m)", "W, to the left (m)")
 _SAYS = "left blue, right orange; pale: first, full colour: last configuration; +: the reference joint"
 """Key to the colours and marks."""
 _PALEST = 0.25
-"""The palest share of a side's colour, in the first configuration."""
+"""Fraction of a side's colour in the first, palest configuration."""
 _ROOM = 0.04
 
 
@@ -185,10 +186,10 @@ def body_fixed(
     sides: Mapping[str, Side | None] = NO_SIDES,
     title: str = "",
 ) -> Figure:
-    """Draw up to ten configurations on top of each other, from the side, above and the front, at one scale.
+    """Draw up to ten configurations over each other, from the side, above and the front, at one scale.
 
-    joints_m (T, J, 3): as `in_body` returns; limbs: joints along each, by name; time_s (T,). The first configuration is
-    pale, the last has the full colour of its side.
+    joints_m (T, J, 3): as returned by `in_body`. limbs: joints along each limb, by name. time_s: (T,). The first
+    configuration is pale; the last has the full colour of its side.
     """
     rows = chosen(joints_m, limbs)
     if not len(rows):
@@ -217,7 +218,7 @@ def body_fixed(
 
 
 def _draw(axes: Axes, paths_m: Array, side: Side | None) -> None:
-    """paths_m (N, n, 2), the first the palest."""
+    """Draw paths_m (N, n, 2), the first the palest."""
     share = np.linspace(_PALEST if len(paths_m) > 1 else 1.0, 1.0, len(paths_m))[:, None]
     colours = 1.0 - share * (1.0 - np.array(to_rgb(SIDE_COLOURS[side])))
     axes.scatter(*paths_m.reshape(-1, 2).T, s=4.0, c=np.repeat(colours, paths_m.shape[1], axis=0), zorder=2)
@@ -228,16 +229,17 @@ def _draw(axes: Axes, paths_m: Array, side: Side | None) -> None:
 # -- a skeleton in its expected pose --------------------------------------------------------------------------------
 
 VIEWS = {"side": [0, 2], "top": [0, 1], "front": [1, 2]}
-"""Coordinates to the right and upwards, with x forwards, y left, z up. The animal faces right, and in the last view
-the reader."""
+"""Coordinates to the right and upwards, with x forwards, y left, z up. The animal faces right, and in the last view it
+faces the reader.
+"""
 _NAME_MM, _LONG_MM = 3.4, 0.42 * style.WIDTH_MM
 """Height of a name, and length of the animal."""
 _SAME = 0.01
-"""Points closer to each other than this part of the picture share a name."""
+"""Distance, as a fraction of the picture, below which points share a name."""
 
 
 def views(body: Body, title: str = "") -> Figure:
-    """Draw the expected pose from the side, from above and from the front, with the names in columns on both sides."""
+    """Draw the expected pose from the side, from above and from the front, with names in columns on both sides."""
     points = body.expected_points_m()
     length_m = np.ptp(points[:, 0])
     labels = {view: _labels(points[:, axes], body.markers) for view, axes in VIEWS.items()}
@@ -260,7 +262,7 @@ def views(body: Body, title: str = "") -> Figure:
 def angle_ranges(body: Body, reach_sigmas: float, title: str = "") -> Figure:
     """Draw the pose with each angle `reach_sigmas` standard deviations to either side of its mean.
 
-    All other angles are at their means. A left angle stands for its right counterpart, too.
+    All other angles have their mean values. A left angle also stands for the right one.
     """
     names = body.state_names[4:]
     shown_angles = [i for i, name in enumerate(names) if not (side_of(name) == "right" and other_side(name) in names)]
@@ -283,7 +285,7 @@ def angle_ranges(body: Body, reach_sigmas: float, title: str = "") -> Figure:
 
 
 def _draw_limbs(axes: Axes, body: Body, points: Array, colour: str | None = None, shown: Bools | None = None) -> None:
-    """Draw lines along the limbs; only: those that end in a marker of it."""
+    """Draw lines along the limbs; `shown` limits them to limbs that end in one of its markers."""
     sides = body.limb_sides()
     for limb, along in body.limb_rows.items():
         pieces = [
@@ -294,7 +296,7 @@ def _draw_limbs(axes: Axes, body: Body, points: Array, colour: str | None = None
 
 
 def _labels(points: Array, markers: Sequence[str]) -> list[tuple[float, float, str]]:
-    """Return (right, up, text) of every position with markers, from the left; a pair at one position is named once."""
+    """Return (right, up, text) of each position with markers, from the left. A pair at one position is named once."""
     tolerance = _SAME * float(np.ptp(points, axis=0).max())
     positions: dict[int, list[str]] = {}
     for i, marker in enumerate(markers):
@@ -335,12 +337,12 @@ def _scale(axes: Axes, points: Array, length_of_animal_m: float) -> None:
 
 def _frame(axes: Axes) -> None:
     axes.set_aspect("equal")
-    axes.set_xticks([])  # an axis that is off is laid out with its ticks, for most of the time that a picture takes
+    axes.set_xticks([])  # ticks of an axis that is off would still be laid out, which takes most of the drawing time
     axes.set_yticks([])
     axes.axis("off")
 
 
-# -- which angles the pixels show, and what a calibration rests on -----------------------------------------------------
+# -- which angles the pixels determine, and the evidence of a calibration ----------------------------------------------
 
 _ROW_MM, _REST_MM = 3.3, 34.0
 _SHARES = (
@@ -349,17 +351,17 @@ _SHARES = (
 
 
 def share_colours() -> ListedColormap:
-    """Return colours of information fractions from 0 to 1: greys below `MEASURED_SHARE`, blues from there on."""
+    """Return colours for information fractions from 0 to 1: greys below `MEASURED_SHARE`, blues above."""
     low = round(256 * MEASURED_SHARE)
     greys, blues = mpl.colormaps["Greys"](np.linspace(0.1, 0.45, low)), mpl.colormaps["Blues"](np.linspace(0.5, 1, 256))
     return ListedColormap([*greys, *blues[:: -(-256 // (256 - low))]])
 
 
 def observability(body: Body, share: Array, time_s: Array, title: str = "", whole: Array | None = None) -> Figure:
-    """Draw the share of the angles' precision that comes from the pixels, over time, with medians.
+    """Draw the fraction of the angles' precision that comes from the pixels, over time, with medians.
 
-    share (T, D - 4): of the root's pitch and roll and of the joints' angles, NaN where unknown; time_s (T,). whole: the
-    shares of the whole clip, for the medians, if time_s is a stride's.
+    share (T, D - 4): for the root's pitch and roll and the joints' angles, NaN if unknown. time_s: (T,). whole:
+    fractions over the whole clip for the medians, if time_s is a stride's.
     """
     names = [name.replace("_", " ") for name in body.state_names[4:]]
     with style.drawing(min(_ROW_MM * len(names) + _REST_MM, style.PAGE_MM), title=title) as figure:
@@ -384,16 +386,16 @@ def observability(body: Body, share: Array, time_s: Array, title: str = "", whol
     return figure
 
 
-# -- by where the camera stands -------------------------------------------------------------------------------------
+# -- by the camera's position ---------------------------------------------------------------------------------------
 
 ROUND = {0: "ahead", 90: "left side", 180: "behind", 270: "right side"}
 _PANEL_MM, _BESIDE_MM = 52.0, 26.0
 
 
 def camera_advice(advices: Sequence[Advice]) -> Figure:
-    """Draw the pixels' share and one standard deviation by the camera's azimuth and height, one panel a camera.
+    """Draw the pixels' share and the standard deviation by the camera's azimuth and height, one panel per camera.
 
-    Each camera is added to those before it.
+    Each camera is added to the cameras before it.
     """
     with style.drawing(_PANEL_MM * len(advices) + _BESIDE_MM) as figure:
         panels = figure.subplots(len(advices), 1, squeeze=False)[:, 0]
@@ -443,9 +445,9 @@ def in_words(sigma: float, unit: str) -> str:
 
 
 def calibration(result: Calibration) -> Figure:
-    """Draw a calibration: shaded the part of the picture that a board covered, lines a square grid through the lens.
+    """Draw a calibration: the part of the picture covered by boards, and a square grid seen through the lens.
 
-    Dots: all corners, coloured by the error of their picture; red crosses: those of pictures that were left out.
+    Dots are all corners, coloured by the error of their picture. Red crosses are the corners of pictures left out.
     """
     camera, used, covered = result.camera, result.used, coverage(result)
     width, height = camera.image_size_px

@@ -1,4 +1,4 @@
-"""Draw the path of a chain's end effector over time, with the boundaries of its strides and their rule."""
+"""Draw the path of a chain's end effector over time, with the boundaries of its strides and their definition."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ _RULE = (
 
 
 def stride_boundaries(effector: EndEffector, stride: Stride | None = None) -> Figure:
-    """Draw horizontal position, height and horizontal velocity of the foot relative to the body.
+    """Draw the foot's horizontal position, height and horizontal velocity relative to the body.
 
-    Lines are the boundaries between strides, circles the nearest extrema of the height. The shaded stride is that of
+    Lines are the boundaries between strides, circles the nearest extrema of the height. The shaded stride is the one of
     the phase portraits.
     """
     curves = (

@@ -1,4 +1,4 @@
-"""Draw the joints' flexion over the stride, left and right, with stance bars beneath."""
+"""Draw the joints' flexion over the stride, left and right, with stance bars below."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from recon.gait.gait import interval_of
 from recon.show.plots import style
 
 COLUMNS, NARROW_COLUMNS, NARROW_MM = 3, 2, 120.0
-"""Panels in a row, on the width of a page and of a column, and the width between the two."""
+"""Number of panels in a row, at the width of a page and of a column, and the width that separates the two."""
 _PANEL_MM, _AROUND_MM = 42.0, 24.0
 """Height of a panel with its stance bars, and of everything around the panels."""
 _BARS = 0.16
-"""Share of a panel's height below its curves, for the stance bars."""
+"""Fraction of a panel's height below its curves, for the stance bars."""
 _COLOURS: dict[Side | None, str] = {"left": style.COLOURS[0], "right": style.COLOURS[1], None: "k"}
 _BAND_ALPHA = 0.2
 
@@ -29,8 +29,8 @@ _BAND_ALPHA = 0.2
 def joint_flexion(curves: Sequence[StrideCurve], title: str = "") -> Figure:
     """Draw the mean flexion of each joint over the stride: left blue and dashed, right orange, the middle black.
 
-    Shaded: 90 % between strides; thin lines: 90 % by the fit's uncertainty. The bars beneath show when the limb's foot
-    stands. 0 % is its touch-down.
+    Shaded: 90 % between strides. Thin lines: 90 % from the fit's uncertainty. Bars below show when the limb's foot
+    stands; 0 % is its touch-down.
     """
     names = [joint for joint in FLEXES_CAUDALLY if any(curve.joint == joint for curve in curves)]
     columns = COLUMNS if style.page_width_mm() > NARROW_MM else NARROW_COLUMNS
@@ -71,7 +71,7 @@ def _draw_curve(axes: Axes, curve: StrideCurve) -> None:
 
 
 def _draw_stances(axes: Axes, curves: Sequence[StrideCurve]) -> None:
-    """Draw a bar for the stance of each curve's foot into the room below the curves."""
+    """Draw a bar for the stance of each curve's foot below the curves."""
     low, high = axes.get_ylim()
     axes.set_ylim(low - _BARS / (1 - _BARS) * (high - low), high)
     transform, height = axes.get_xaxis_transform(), _BARS / 2.6

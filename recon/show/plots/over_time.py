@@ -1,7 +1,7 @@
-"""Draw quantities over time: stances, vertical forces, speeds, angles; phase portraits and vector fields.
+"""Draw quantities over time: stances, vertical forces, speeds, angles, phase portraits and vector fields.
 
 A phase portrait is the rate of an angle over the angle, coloured by time. A vector field is the velocity of each link's
-tip in its parent's frame, along time.
+tip in its parent's frame, over time.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ from recon.show.plots import style
 # -- stances and forces ------------------------------------------------------------------------------------------------
 
 ROWS = ("LH", "RH", "RF", "LF")
-"""The feet's rows from the top."""
+"""Rows of the feet from the top."""
 HATCHES = ("", "////", "....", "xxxx")
 _BAR = 0.76
-"""Height of the bars of a row, all gaits together."""
+"""Height of the bars of a row, for all gaits together."""
 
 
 def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
-    """Draw the stances by foot; those of several gaits, by name, one above the other.
+    """Draw the stances by foot; the stances of several gaits, by name, are above each other.
 
-    The second axis counts frames, and frame 0 is at 0 s. Left feet are blue and right ones orange, or each gait has a
-    colour. A stance that the clip cuts has no edge there but an arrow: it is at least as long as its bar. Lines across
-    the edges are the 90 % intervals of touch-downs, above, and lift-offs, below; thin lines with ticks are complete
-    strides. Below: the name of each gait and its criterion.
+    The second axis counts frames, and frame 0 is at 0 s. Left feet are blue and right feet orange, or each gait has a
+    colour. A stance that is cut by the clip has an arrow instead of an edge: it lasts at least as long as its bar.
+    Lines across the edges are 90 % intervals, of touch-downs in the upper half and of lift-offs in the lower half. Thin
+    lines with ticks are complete strides. The name of each gait and its criterion are at the bottom.
     """
     captions = [] if style.is_printing() else [_caption(name, gait) for name, gait in gaits.items()]
     lines = sum(caption.count("\n") + 1 for caption in captions)
@@ -93,7 +93,7 @@ def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, colour
     low, high, edges = y - height / 2, y + height / 2, []
     axes.broken_barh([(s.start_s, s.duration_s) for s in stances], (low, height), **_fill(colour, m), lw=0, zorder=2)
     for stance in stances:
-        # An edge only where the stance begins or ends.
+        # Draw an edge only if the stance begins or ends there.
         left, right = stance.start_s, stance.end_s
         edges += [[(left, low), (right, low)], [(left, high), (right, high)]]
         edges += [[(left, low), (left, high)]] * stance.begins + [[(right, low), (right, high)]] * stance.ends
@@ -104,7 +104,8 @@ def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, colour
     intervals = np.array(
         [interval for stance in stances for interval in (stance.start_interval_s, stance.end_interval_s)]
     )
-    offsets = y + height / 4 * np.tile([-1, 1], len(stances))  # apart: those of a short stance overlap
+    # apart, since the two intervals of a short stance would overlap
+    offsets = y + height / 4 * np.tile([-1, 1], len(stances))
     segments = [[(a, row), (b, row)] for (a, b), row in zip(intervals, offsets, strict=True) if np.isfinite(a)]
     axes.add_collection(LineCollection(segments, color="0.35", lw=0.7, zorder=3.2), autolim=False)
 
@@ -157,7 +158,7 @@ def forces(d: Dynamics, gait: Gait) -> Figure:
             if np.isnan(middle).any() and not np.nan_to_num(middle).any():
                 text_style = {"transform": below[row].transAxes, "ha": "center", "va": "center", "color": style.GREY}
                 below[row].text(0.5, 0.5, "not known: the clip cuts its stances", **text_style)
-                below[row].tick_params(left=False, labelleft=False)  # the axis is that of all feet
+                below[row].tick_params(left=False, labelleft=False)  # all feet share this axis
         top.set_yticks(range(len(feet)), feet)
         top.invert_yaxis()
         key = "bands: 90 %; gaps: stances that the clip cuts; left blue, right orange"
@@ -175,8 +176,9 @@ def forces(d: Dynamics, gait: Gait) -> Figure:
 # -- speed -------------------------------------------------------------------------------------------------------------
 
 BAND_ROOM = 3.0
-"""Largest height of the axis relative to the highest curve, which leaves a third of the panel to the curve: from one
-camera the band of an acceleration is often wider, and so is any band at a spline's ends."""
+"""Largest height of the axis relative to the highest curve, so that the curve has at least a third of the panel: the
+band of an acceleration from one camera, and any band at a spline's ends, is often higher.
+"""
 
 
 def speeds(
@@ -186,11 +188,11 @@ def speeds(
     unknown: bool = False,
     acceleration: bool = True,
 ) -> Figure:
-    """Draw speed and acceleration of one joint or of several, by name, with 90 % bands if known.
+    """Draw speed and acceleration of one or several joints, by name, with 90 % bands if known.
 
-    Dots are frames, the line is the spline between them; the line has gaps where the path is unknown. The legend gives
-    the peak, which has a ring. unknown: the curves are errors of the path rather than speeds; grey, without peaks.
-    acceleration: draw the acceleration, too.
+    Dots are frames, and the line between them is a spline. The line has gaps where the path is unknown. The legend
+    states the peak, which has a ring. unknown: the curves are errors of the path rather than speeds, so they are grey
+    and without peaks. acceleration: draw the acceleration, too.
     """
     peaks = ["not known, errors of the path" if unknown else _peak(motion, acceleration) for motion in curves.values()]
     labels = [f"{name}: {peak}" for name, peak in zip(curves, peaks, strict=True)]
@@ -249,17 +251,17 @@ def _limit(axes: Axes, series: list[tuple[Array, Array]]) -> None:
     axes.set_ylim(0, 1.06 * top if top > 0 else 1.0)
 
 
-# -- phase space: phase portraits, the rate of an angle over it, and vector fields along time --------------------------
+# -- phase space: phase portraits (the rate of an angle over the angle) and vector fields over time --------------------
 
 SHADES = 60
-"""Pieces of one colour in a path."""
+"""Number of pieces of one colour in a path."""
 _LEAST = (0.05, 0.5)
-"""Half of the least range of an axis, degrees and degrees per second."""
+"""Half of the smallest range of an axis, degrees and degrees per second."""
 _ASPECT, _REST_MM = 0.9, 24.0
 _BAND, _UNSEEN = "#E6E6E6", "#9A9A9A"
-"""Colours of a band about a path, and of a path mostly from the prior."""
+"""Colour of a band around a path, and colour of a path that comes mostly from the prior."""
 _ALONG = 0.25
-"""Half axes between ellipses of a band."""
+"""Distance between the ellipses of a band, in half axes."""
 
 
 def phase_portraits(
@@ -270,9 +272,8 @@ def phase_portraits(
 ) -> Figure:
     """Draw (angle, rate) in degrees and degrees per second, one panel for each angle, on one page.
 
-    closed: degrees of closure; shares: share of the angle's precision that comes from the pixels, both by the same
-    names. With less than `MEASURED_SHARE` the path is grey. Bands are 90 % of angle and rate each. Each panel has its
-    own axes.
+    closed: degrees of closure, by name. shares: fraction of the angle's precision that comes from the pixels, by name;
+    the path is grey below `MEASURED_SHARE`. Bands are 90 % of angle and rate each. Each panel has its own axes.
     """
     count = len(portraits)
     width = style.COLUMN_MM if count == 1 else style.WIDTH_MM
@@ -314,7 +315,7 @@ def _known(portrait: Portrait) -> Bools:
 
 
 def _draw(axes: Axes, portrait: Portrait, colours: tuple[ListedColormap, Normalize] | None) -> None:
-    """Draw one portrait; colours: of the times, None: grey."""
+    """Draw one portrait in the colours of the times, or in grey if `colours` is None."""
     rows = np.flatnonzero(_known(portrait))
     if not len(rows):
         style.blank(axes)
@@ -331,7 +332,7 @@ def _draw(axes: Axes, portrait: Portrait, colours: tuple[ListedColormap, Normali
     if np.isfinite(portrait.angle_sigma_rad).any():
         sigma = np.degrees(np.column_stack([portrait.angle_sigma_rad, portrait.rate_sigma_rad_s]))
         _band(axes, path[rows], style.REACH * sigma[rows])
-    # A constant angle should not look as if it moved.
+    # A constant angle should not look like a motion.
     middle = (path[rows].min(axis=0) + path[rows].max(axis=0)) / 2
     axes.update_datalim([middle - _LEAST, middle + _LEAST])
     axes.autoscale_view()
@@ -343,7 +344,7 @@ def _draw(axes: Axes, portrait: Portrait, colours: tuple[ListedColormap, Normali
 
 
 def _band(axes: Axes, path: Array, half: Array) -> None:
-    """Draw ellipses of half axes (N, 2) along a path (N, 2), close enough to look like one shape."""
+    """Draw ellipses with half axes (N, 2) along a path (N, 2), close enough to look like one shape."""
     steps = np.linalg.norm(np.diff(path, axis=0) / np.maximum(half[1:], 1e-12), axis=1)
     arc_length = np.concatenate([[0.0], np.cumsum(steps)])
     chosen = np.unique(
@@ -372,10 +373,10 @@ _LONGEST = 0.46
 
 
 def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "") -> Figure:
-    """Draw one row per link: arrows (dx, dy) along time and the speed in the plane, to the same scale; time_s (T,).
+    """Draw one row per link: arrows (dx, dy) over time, and the speed in the plane, at one scale; time_s (T,).
 
-    Right is along the parent, up is the normal to it. Arrows are left out evenly if there are more than `ARROWS`. Grey
-    is a link whose mean speed is below its standard deviation.
+    Right is along the parent, up is normal to the parent. If there are more than `ARROWS`, arrows are left out evenly.
+    A link is grey if its mean speed is below its standard deviation.
     """
     every = max(1, -(-len(time_s) // ARROWS))
     fastest = max((np.nanmax(f.speed_m_s) for f in fields if np.isfinite(f.speed_m_s).any()), default=np.nan)

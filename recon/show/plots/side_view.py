@@ -1,4 +1,4 @@
-"""Draw the animal from the side at even steps of one stride, as a paper shows it."""
+"""Draw the animal from the side at even steps of one stride, as papers do."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from recon.show.plots import style
 from recon.show.plots.configurations import SIDE_COLOURS, run_frame
 
 POSES, NARROW_POSES = 6, 3
-"""Poses in a row, on the width of a page and of a column."""
+"""Number of poses in a row, at the width of a page and of a column."""
 NARROW_MM = 120.0
 _APART = 1.1
-"""Distance of the poses in a row, relative to the longest one."""
+"""Distance between the poses in a row, relative to the longest pose."""
 _WIDTHS: Mapping[Side | None, float] = {"left": 1.0, "right": 1.0, None: 1.4}
 
 
@@ -40,11 +40,11 @@ def side_view(
     limbs, sides : mapping
         Joints along each limb, by name, and the limbs' sides: left blue and dashed, right orange, the middle black.
     during : ndarray
-        Frames of the stride, (T,); of the whole clip, if it has none.
+        Mask (T,) of the frames of the stride, or of the whole clip if it has no stride.
     time_s : ndarray
         Times, shape (T,).
     grounds : sequence, optional
-        Planes of the ground, each with the rows that it lies under; without one, a line touches the lowest foot.
+        Planes of the ground, each with its rows of the clip; without a plane, a line touches the lowest foot.
     """
     drawn = sorted({joint for joints in limbs.values() for joint in joints})
     known = during & (np.isfinite(joints_m[:, drawn]).all(axis=2).mean(axis=1) >= 0.5)
@@ -102,7 +102,7 @@ def _ground_m(
     drawn: Sequence[int],
     grounds: Sequence[tuple[slice, Plane]] | None,
 ) -> Array:
-    """Return the height of the ground below each pose, (N,)."""
+    """Return the height (N,) of the ground below each pose."""
     heights = np.nanmin(poses[:, drawn, 2], axis=1)
     lowest = heights.copy()
     for i, row in enumerate(chosen):
@@ -111,12 +111,12 @@ def _ground_m(
             if first <= row < stop:
                 below = np.append(np.nanmean(joints_m[row, :, :2], axis=0), 0.0)
                 heights[i] = -float(plane.above(below[None])[0])
-    # A foot that is drawn below the ground would be cut by it: noise, or a part of the clip without a plane.
+    # The ground must not cut a foot that is below it because of noise, or because a part of the clip has no plane.
     return np.minimum(heights, lowest + 0.02)
 
 
 def _scale_bar(axes: Axes, step_m: float, per_line: int, tall_m: float) -> None:
-    """Draw a scale bar of a round length at the right end, between the poses' labels and the edge."""
+    """Draw a scale bar of a round length at the right end, between the labels of the poses and the edge."""
     length_m = style.round_below(0.35 * step_m)
     end = (per_line - 0.5) * step_m - 0.02 * step_m
     y = -0.1 * tall_m

@@ -1,11 +1,11 @@
-"""Set the style of the figures and write them.
+"""Set the style of figures and write them.
 
-Widths are those of a page (180 mm) or a column (85 mm), text is 8 points. Colours are those of Okabe and Ito without
-yellow, which is pale on paper; lines that have to be distinguished differ in dashes too. Time is viridis without its
-palest tenth.
+The width is that of a page (180 mm) or a column (85 mm), and text has 8 points. Colours are those of Okabe and Ito
+without yellow, which is pale on paper; lines that have to be distinguished also differ in dashes. Time is shown by
+viridis without its palest tenth.
 
-A figure is laid out once, when it is drawn. All files are byte-identical for the same data and version of matplotlib,
-whatever the user's own settings of matplotlib are, and those are left unchanged.
+A figure is laid out once, when it is drawn. All files are byte-identical for the same data and the same version of
+matplotlib. The user's own settings of matplotlib have no effect and are left unchanged.
 """
 
 from __future__ import annotations
@@ -45,21 +45,21 @@ PNG_DPI, PRINT_DPI = 200, 600
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (5, 1, 1, 1)))
 MOST_DOTS = 500
-"""Largest number of dots in a line; more would touch and be slow to draw."""
+"""Maximum number of dots in a line. More dots would touch, and take long to draw."""
 GREY, PALE = "#666666", "#BBBBBB"
 SMALL = 7.0
-"""Points: ticks, legends, captions."""
+"""Size of ticks, legends and captions in points."""
 
 _SHEET = Path(__file__).with_name("recon.mplstyle")
 
 
 @dataclass(frozen=True)
 class Print:
-    """Describe how figures are drawn for a paper: width, small letters, and no titles."""
+    """Describe how figures are drawn for a paper: width, small letters, no titles."""
 
     width_mm: float
     panel: Any = None
-    """Panel of a larger figure into which the next figure is drawn; None for a separate figure."""
+    """Panel of a larger figure into which the next figure is drawn, or None for a separate figure."""
 
 
 _PRINT: ContextVar[Print | None] = ContextVar("print", default=None)
@@ -72,7 +72,7 @@ _PRINT_SIZES = (
 
 @contextmanager
 def printing(width_mm: float, panel: Any = None) -> Iterator[None]:
-    """Draw the figures of this block for a paper: with a given width, text of size `PRINT_POINTS`, and no titles."""
+    """Draw the figures of this block for a paper: given width, text of size `PRINT_POINTS`, no titles."""
     token = _PRINT.set(Print(width_mm, panel))
     try:
         yield
@@ -81,7 +81,7 @@ def printing(width_mm: float, panel: Any = None) -> Iterator[None]:
 
 
 def page_width_mm() -> float:
-    """Return the width of full-page figures: `WIDTH_MM`, or that of the `printing` block."""
+    """Return the width of full-page figures: `WIDTH_MM`, or the width of the `printing` block."""
     printed = _PRINT.get()
     return WIDTH_MM if printed is None else printed.width_mm
 
@@ -95,7 +95,7 @@ def is_printing() -> bool:
 def drawing(height_mm: float, width_mm: float = WIDTH_MM, title: str | None = None) -> Iterator[Figure]:
     """Yield a new figure to draw on, which is laid out at the end of the block.
 
-    title: above everything; None leaves no room.
+    title: text at the top; None leaves no room for it.
     """
     printed = _PRINT.get()
     with _settings():
@@ -116,7 +116,7 @@ def drawing(height_mm: float, width_mm: float = WIDTH_MM, title: str | None = No
 
 
 def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
-    """Write stem.png (`PNG_DPI`) and stem.svg (text as text) into the folder and return their paths.
+    """Write stem.png (`PNG_DPI`) and stem.svg (with text as text) into a folder, and return their paths.
 
     The folder is made if it does not exist.
     """
@@ -127,13 +127,13 @@ def save(figure: Figure, folder: str | Path, stem: str) -> tuple[Path, Path]:
 
 
 def svg_of(figure: Figure) -> str:
-    """Return the element <svg> by itself, for a page: transparent, and text as text."""
+    """Return the <svg> element alone, for a page: transparent, with text as text."""
     text = _content(figure, "svg", transparent=True).decode()
     return re.sub(r"<metadata>.*?</metadata>|<style .*?</style>", "", text[text.index("<svg") :], flags=re.DOTALL)
 
 
 def png_of(figure: Figure, dpi: float = PNG_DPI, transparent: bool = False) -> bytes:
-    """Return the PNG of a figure; transparent: without background."""
+    """Return the PNG of a figure, optionally without background."""
     return _content(figure, "png", dpi=dpi, transparent=transparent)
 
 
@@ -157,32 +157,32 @@ def _settings() -> AbstractContextManager[None]:
 
 
 def look(i: int) -> dict[str, Any]:
-    """Return colour and dashes of the i-th of several lines; 28 differ."""
+    """Return colour and dashes of the i-th of several lines; 28 lines differ."""
     return {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)]}
 
 
 def foot_colour(foot: str) -> str:
-    """Return blue for left feet, orange for right ones, by their labels (LH, RF and so on)."""
+    """Return blue for left feet and orange for right feet, by their labels (LH, RF and so on)."""
     return COLOURS[foot.startswith("R")]
 
 
 def dots(count: int, size: float) -> dict[str, Any]:
-    """Return the marker of a line through count samples; none if the dots would touch."""
+    """Return the marker of a line through count samples, or no marker if the dots would touch."""
     return {"marker": "o", "ms": size} if count <= MOST_DOTS else {}
 
 
 REACH = radius(INTERVAL)
-"""Standard deviations from the middle of a band to its edge."""
+"""Distance from the middle of a band to its edge, in standard deviations."""
 
 
 def draw_band(axes: Axes, time_s: Array, value: Array, sigma: Array | float, colour: str, least: float = 0.0) -> None:
-    """Draw the 90 % band of a value that is never below `least`, by its standard deviation; all (N,)."""
+    """Draw the 90 % band of a value (N,) from its standard deviation (N,), never below `least`."""
     _, low, high = interval_of(value, sigma)
     axes.fill_between(time_s, np.maximum(low, least), high, color=colour, alpha=0.2, lw=0)
 
 
 def legend_shape(labels: Sequence[str], width_mm: float = WIDTH_MM) -> tuple[int, float]:
-    """Return the columns of a legend that fits a width, and its height (mm)."""
+    """Return the number of columns of a legend that fits a width, and its height (mm)."""
     longest = max((len(label) for label in labels), default=0)
     columns = int(np.clip((width_mm - 4) / (1.2 * longest + 15), 1, max(len(labels), 1)))
     return columns, 3.9 * -(-len(labels) // columns)
@@ -202,7 +202,7 @@ def blank(axes: Axes) -> None:
 
 
 def plain_logarithm(axis: Axis) -> None:
-    """Give a logarithmic axis few ticks, as plain numbers."""
+    """Give a logarithmic axis few ticks, labelled with plain numbers."""
     low, high = sorted(axis.get_view_interval())
     axis.set_major_locator(LogLocator(subs=(1.0,) if high > 30 * low else (1.0, 2.0, 5.0), numticks=7))
     axis.set_major_formatter("{x:g}")
@@ -210,7 +210,7 @@ def plain_logarithm(axis: Axis) -> None:
 
 
 def time_colours(time_s: Array) -> tuple[ListedColormap, Normalize]:
-    """Return the colours of times, from the first to the last that is known."""
+    """Return the colours of times, from the first to the last known time."""
     known_s = time_s[np.isfinite(time_s)]
     low, high = (float(known_s.min()), float(known_s.max())) if len(known_s) else (0.0, 1.0)
     colours = mpl.colormaps["viridis"](np.linspace(0.0, 0.9, 256))
@@ -218,7 +218,7 @@ def time_colours(time_s: Array) -> tuple[ListedColormap, Normalize]:
 
 
 def grid_shape(count: int, width_mm: float, aspect: float, least: int = 1) -> tuple[int, int]:
-    """Return rows and columns of count small figures of height aspect x width, as few columns as fit on a page."""
+    """Return the rows and columns for count small figures of height aspect x width that fit on a page."""
     columns = min(least, count)
     while -(-count // columns) * aspect * width_mm / columns > PAGE_MM:
         columns += 1

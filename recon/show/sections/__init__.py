@@ -1,1 +1,1 @@
-"""Sections of report.json and of the summary: the input, the keypoints, the cameras, the motion, the search."""
+"""Define the sections of report.json and of the summary: input, keypoints, cameras, motion and search."""

@@ -44,7 +44,7 @@ def _camera_data(motion: Motion, index: int) -> dict[str, Any]:
 
 
 def _estimated(motion: Motion, index: int) -> dict[str, Any]:
-    """Return a camera's quantities that the fit estimates with the motion."""
+    """Return the quantities of a camera that the fit estimated together with the motion."""
     solution = motion.solution
     if not isinstance(solution, TrajectorySolution):
         return {"time_offset_sigma_frames": 0.0, "extrinsic_correction": None, "focal": None}
@@ -64,7 +64,7 @@ def _estimated(motion: Motion, index: int) -> dict[str, Any]:
 
 
 def camera_lines(motion: Motion, data: list[dict[str, Any]]) -> Iterator[Line]:
-    """Yield a line for each camera, if there are several."""
+    """Yield a line for each camera if there are several cameras."""
     for camera in data if len(data) > 1 else ():
         errors, points = camera["reprojection_px"], camera["points"]
         outliers = "1 outlier" if camera["outliers"] == 1 else f"{camera['outliers']} outliers"

@@ -1,4 +1,4 @@
-"""Report the segments of a clip, the ground under them, and the stances."""
+"""Report the segments of a clip, the ground under each segment, and the stances."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NOT_FOUND = "not found"
 
 
 def segments_data(motion: Motion) -> list[dict[str, Any]]:
-    """Return the stretches that were solved by themselves, and the ground under them."""
+    """Return the segments of the clip that were solved separately, and the ground under each."""
     rows = []
     for segment in motion.solution.segments:
         ends = motion.frames[segment.rows.start], motion.frames[segment.rows.stop - 1] + 1
@@ -40,7 +40,7 @@ def _ground_data(motion: Motion, segment: MotionSegment) -> dict[str, Any] | Non
 
 
 def stances_data(motion: Motion) -> dict[str, Any]:
-    """Return, by foot, the ranges of frame numbers in which it stands."""
+    """Return the ranges of frame numbers in which each foot stands, by foot."""
     gait = ClipAnalysis(motion).gait if motion.solved.sum() >= MIN_POINTS else None
     ranges, last = {name: [] for name in motion.foot_names.values()}, len(motion.frames) - 1
     for stance in gait.stances if gait else ():

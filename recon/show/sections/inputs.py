@@ -21,7 +21,7 @@ from recon.show.sections.motion import given_size, size_sources, trajectory_solu
 from recon.show.sections.section import Line
 
 LONGEST_SCORER = 60
-"""Characters of a scorer's name that are shown."""
+"""Maximum number of characters shown of a scorer's name."""
 
 
 def verdict_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
@@ -34,7 +34,7 @@ def verdict_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def _assumed_by_one_camera(motion: Motion) -> str:
-    """Return one sentence on what one camera cannot determine: lens, camera motion, frame rate, size."""
+    """Return a sentence on the assumptions that one camera cannot check: lens, camera motion, frame rate, size."""
     camera, focal_sigma = motion.camera, focal_sigma_of(motion.settings, 1)
     known_to = f" ± {percent(focal_sigma)}" if focal_sigma else ""
     lens = f"a {camera.model} lens with a focal length of {camera.matrix[0, 0]:.0f} px{known_to}"
@@ -71,25 +71,25 @@ def clip_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def side_data(motion: Motion) -> dict[str, Any]:
-    """Return the side of the animal that was fitted, if not both, and the reason."""
+    """Return the side of the animal that was fitted, if only one was, and the reason."""
     return {"fitted": motion.side, "reason": motion.side_reason}
 
 
 def side_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the fitted side, if only one was."""
+    """Yield the fitted side, if only one was fitted."""
     if motion.side:
         yield "side", f"{motion.side}: {motion.side_reason}"
 
 
 def cleaning_data(motion: Motion) -> dict[str, Any]:
-    """Return how many points cleaning left out, and why."""
+    """Return how many points were left out before the fit, and why."""
     cleaning = motion.cleaning
     plain = {name: getattr(cleaning, name) for name in ("likelihood_min", "frames", "frames_dropped", "inserted")}
     return plain | {"total": {count: cleaning.total(count) for count in COUNTS[1:]}, "notes": cleaning.notes}
 
 
 def note_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the decisions made when the files were read, each of them once."""
+    """Yield the decisions made when the files were read, without repetitions."""
     for note in dict.fromkeys(note for source in motion.sources for note in source.cleaning.notes):
         yield "note", note
 
@@ -105,7 +105,7 @@ def skeleton_data(motion: Motion) -> dict[str, Any]:
 
 
 def detector_data(motion: Motion) -> dict[str, str]:
-    """Return the detector that the keypoints were taken to come from, and the reason."""
+    """Return the detector that is assumed to have made the keypoints, and the reason."""
     name, scorers = file_name(motion.body.detector) or NONE, {source.keypoints.scorer for source in motion.sources}
     scorer_names = " and ".join(sorted(repr(scorer[:LONGEST_SCORER]) for scorer in scorers if scorer))
     reason = "as the skeleton's file says"
@@ -123,7 +123,7 @@ def detector_data(motion: Motion) -> dict[str, str]:
 
 
 def detector_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the detector, and for an unknown one how its keypoints can be measured."""
+    """Yield the detector; for an unknown one, also how to measure its keypoint bias."""
     if motion.body.one_sided:
         return
     offer = ""
@@ -136,12 +136,12 @@ def detector_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def assumptions_data(motion: Motion) -> dict[str, Any]:
-    """Return the assumptions of the trajectory method, in numbers and in sentences."""
+    """Return the assumptions of the trajectory method in numbers and in sentences."""
     return {**upright_data(motion), "sentences": [*_trajectory_sentences(motion)]}
 
 
 def upright_data(motion: Motion) -> dict[str, Any]:
-    """Return which way is up, and how that is known."""
+    """Return which way is up, and the source of this information."""
     camera = motion.camera
     return {
         "camera_level": not motion.knows_up and camera.tilt_rad == 0,

@@ -1,4 +1,4 @@
-"""Report which keypoints were used, and how well the pose explains them."""
+"""Report which keypoints were used, and how well the pose fits them."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from recon.show.plain import by_name
 from recon.show.sections.section import Line
 
 BEST_SHARE = 0.9
-"""Share of the detections, those with the smallest errors, of `mean_best_90_percent`."""
+"""Fraction of the detections, those with the smallest errors, that `mean_best_90_percent` averages."""
 OF_JOINT = ("outliers", "mean_error_px", "noise_px", "mean_weight")
-"""Fields of a keypoint that the fit gives."""
+"""Fields of a keypoint that the fit computes."""
 
 
 def counts(motion: Motion) -> dict[str, Any]:
@@ -52,7 +52,7 @@ def _stacked(motion: Motion, field: str) -> Array:
 
 
 def keypoints_data(motion: Motion) -> list[dict[str, Any]]:
-    """Return the fitted keypoints in the order of the joints, then the unused ones of the file."""
+    """Return the fitted keypoints in the order of the joints, then the unused keypoints of the file."""
     cleaned = [source.cleaning.keypoints for source in motion.sources]
     outliers, distance_px = (_stacked(motion, field) for field in ("outliers", "distance_px"))
     rows = []

@@ -18,7 +18,7 @@ from recon.show.plain import file_name, picked
 from recon.show.sections.section import Line, camera_name
 
 SIZE_SOURCES = {"views": "where the cameras are", "ground": "the camera's height above the ground"}
-"""Sources of the size besides the expectation."""
+"""Names of the sources of the size other than the expectation."""
 
 
 def trajectory_solution(motion: Motion) -> TrajectorySolution:
@@ -33,8 +33,8 @@ def trajectory_solution(motion: Motion) -> TrajectorySolution:
 def root_path_data(motion: Motion) -> dict[str, Any]:
     """Return the path of the reference point, exact and smoothed.
 
-    The smoothed one has no jitter from frame to frame; it exists if each frame was solved by itself and the jitter can
-    be measured.
+    The smoothed path has no jitter from frame to frame. It exists if each frame was solved separately and the jitter
+    can be measured.
     """
     jitter, root, time_s = frame_jitter_m(motion.root_m), motion.root_name, motion.time_s
     names = "distance_m", "peak_speed_m_s", "mean_speed_m_s", "peak_acceleration_m_s2"
@@ -63,7 +63,7 @@ def speed_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def heading_data(motion: Motion) -> dict[str, Any]:
-    """Return the level direction that the animal faces, as the first camera sees it."""
+    """Return the level direction in which the animal faces, as seen by the first camera."""
     (rear, front), solution = motion.forward, trajectory_solution(motion)
     joints, R = solution.joints_m, solution.views[0].T_camera_world[..., :3, :3]
     level = joints[:, front] - joints[:, rear]
@@ -98,7 +98,7 @@ def heading_text(angle_rad: float | None) -> str:
 
 
 def size_data(motion: Motion) -> dict[str, Any]:
-    """Return the factor on the skeleton's lengths, with its prior."""
+    """Return the size factor on the skeleton's lengths, with its prior."""
     solution, subject = trajectory_solution(motion), motion.body.subject
     return {
         "factor": solution.size,
@@ -154,7 +154,7 @@ def given_size(motion: Motion) -> str:
 
 
 def size_sources(solution: TrajectorySolution) -> list[str]:
-    """Return the sources that determine the size better than the expectation; the ground often adds little."""
+    """Return the sources that determine the size better than the expectation does; the ground often adds little."""
     is_measured = _size_share(solution) >= MEASURED_SHARE
     return [SIZE_SOURCES[source] for source in solution.size_from if source in SIZE_SOURCES and is_measured]
 
@@ -167,7 +167,7 @@ def _size_share(solution: TrajectorySolution) -> float:
 
 
 def prior_data(motion: Motion) -> dict[str, Any]:
-    """Return the prior; misfit and weight are those of the segment that it fits least."""
+    """Return the prior, with misfit and weight of the segment that it fits least."""
     solution = trajectory_solution(motion)
     misfits = [segment.prior_misfit for segment in solution.segments if segment.prior_misfit is not None]
     return {
@@ -179,7 +179,7 @@ def prior_data(motion: Motion) -> dict[str, Any]:
 
 
 def prior_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield how much of the pose rests on the video and on the prior."""
+    """Yield how much of the pose comes from the video and how much from the prior."""
     name, share = data["name"], data["mean_data_share"]
     if name == NO_PRIOR:
         name = "the skeleton's own expectations"

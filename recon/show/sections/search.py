@@ -17,9 +17,9 @@ from recon.show.sections.motion import trajectory_solution
 from recon.show.sections.section import Line, camera_name
 
 CONVERGENCE = ("status", "iterations", "cost_by_term")
-"""Fields of the solution on its search."""
+"""Fields of the solution that describe its search."""
 HARDLY_KNOWN = 0.1
-"""Standard deviation of the distance, relative to it, from which the summary has a line on it."""
+"""Relative standard deviation of the distance above which the summary has a line on it."""
 
 
 def summary_data(motion: Motion) -> dict[str, Any]:
@@ -56,7 +56,7 @@ def summary_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def alternative_data(motion: Motion) -> dict[str, Any] | None:
-    """Return the distance to the second solution and its cost, or None without one."""
+    """Return the distance to the second solution and its cost, or None if there is none."""
     apart_m = finite(motion.alternative_m)
     if not len(apart_m):
         return None
@@ -69,7 +69,7 @@ def alternative_data(motion: Motion) -> dict[str, Any] | None:
 
 
 def alternative_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield whether another pose explains the video as well."""
+    """Yield whether another pose fits the video equally well."""
     if data is None:
         text = "no other pose fits nearly as well"
     elif not any(finding.code == "second_solution" for finding in motion.findings):

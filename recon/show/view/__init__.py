@@ -1,25 +1,26 @@
-"""Playback: a Motion as a rerun recording that opens ready to read, and the viewer on such a file.
+"""Write a motion as a rerun recording for playback, and open the viewer on such a file.
 
-Entities of the recording; those without "(static)" have a row a frame, which is empty where the frame has no pose:
+Entities of the recording. Those without "(static)" have a row per frame, which is empty if the frame has no pose:
 
-- `world`: metres, in the motion's frame of reference. `world/skeleton` and its joints, `world/path` (static) and
-  `world/trail` of the reference point, `world/ground` (of a clip with several segments each one's, from its first frame
-  on), `world/camera` (static, but for one that moves), its frustum, and `world/followed`, invisible;
-  `world/uncertainty`, one sigma of the joints' positions relative to their mean, red in frames with a flag, and
-  `world/stance`, the feet that stand.
+- `world`: metres, in the motion's frame of reference. `world/skeleton` and its joints; `world/path` (static) and
+`world/trail` of the reference point; `world/ground` (static; in a clip with several segments, the ground of each
+segment from its first frame on); `world/camera` (static, unless the camera moves), its frustum; `world/followed`,
+invisible; `world/uncertainty`, one standard deviation of the joints' positions relative to their mean, red in frames
+with a flag; `world/stance`, the standing feet.
 - `picture`: pixels of the distorted picture. `picture/frame` (static), its edge; `picture/detections`,
-  `picture/outliers`, `picture/reprojections` with the skeleton's lines in it, `picture/links` between the two.
+  `picture/outliers`, `picture/reprojections` with the skeleton's lines, `picture/links` between detections and
+  reprojections.
 - `closeup`: the same points, relative to the middle of the reprojected skeleton in each frame.
-- `picture/video`, `closeup/video`: the frames of a video, where one was given.
-- Of several cameras each has its own `world/camera/<name>`, `picture/<name>/...` and `closeup/<name>/...`, and there is
-  `world/camera_names`.
-- `angles/...` in degrees: `left`, `right` and `middle`, in parts where they are many; `speed` of the reference point in
-  m/s; `residuals` in px, of all cameras: the median of a frame, and the largest but for outliers.
-- `uncertainty` in m, and states over time: by its name each flag of a frame, and each foot, where it stands.
-- With an analysis `analysis/...`, and `world/forces`, arrows under the feet, with the path
+- `picture/video`, `closeup/video`: the frames of a video, if given.
+- Each of several cameras has its own `world/camera/<name>`, `picture/<name>/...` and `closeup/<name>/...`, and
+  there is `world/camera_names`.
+- `angles/...` in degrees: `left`, `right` and `middle`, split if there are many; `speed` of the reference point in
+  m/s; `residuals` in px over all cameras: the median of a frame, and the largest one without outliers.
+- `uncertainty` in m; and states over time: each flag of a frame by its name, and each foot while it stands.
+- With an analysis: `analysis/...`; and `world/forces`, arrows under the feet, with the path
   `world/forces/centre_of_mass`.
 
-Timelines: `frame`, the frame number of the keypoint file, and `time`, seconds since its frame 0.
+Timelines: `frame`, the frame number of the keypoint file, and `time`, seconds since frame 0 of that file.
 """
 
 from __future__ import annotations
@@ -51,12 +52,13 @@ from recon.show.view import scene as scenes
 from recon.show.view.scene import Log, Scene, TimePlot, limb_colours, recording
 
 OVERVIEW_ASPECT, OVERVIEW_RAISED, VIEW_RAD = 3.0, 0.4, np.radians(55.0)
-"""Width to height of the overview, how much higher than sideways its eye is, and the viewer's vertical angle of
-view."""
+"""Width to height of the overview; height of its eye relative to its sideways distance; and the viewer's vertical angle
+of view.
+"""
 LINE_OF_LEGEND = 0.1
-"""Share of a plot's height that a line of its legend takes."""
+"""Fraction of a plot's height for a line of its legend."""
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
-"""Environment variables of which one names the screen on Linux."""
+"""Environment variables that name the screen on Linux."""
 
 
 def write(
@@ -69,8 +71,8 @@ def write(
 ) -> None:
     """Write the recording `motion.rrd`, with the blueprint that lays out its views.
 
-    The viewer plays it in a loop, slowly if it is short. analysis: its plots get tabs of their own; video: behind the
-    picture of a camera, by its number, with the number of the video's first frame.
+    The viewer plays the recording in a loop, slowly if it is short. analysis: its plots get tabs of their own. video:
+    video behind the picture of a camera, given by its number. first_frame: frame number of the video's first frame.
     """
     scenes.require_whole()
     scene, standing = Scene.from_motion(motion), (analysis or ClipAnalysis(motion)).standing
@@ -94,13 +96,13 @@ def write(
             scenes.write_video(motion, log, video, first_frame, camera)
 
 
-# -- views: which ones, their layout, and where they look from ---------------------------------------------------------
+# -- the views: their layout, and where they look from -----------------------------------------------------------------
 
 
 def blueprint(motion: Motion, scene: Scene, plots: Sequence[TimePlot], rows: Sequence[str]) -> rrb.Blueprint:
     """Return the layout of the views.
 
-    plots: those without a tab stand in the front row, all angles in one tab group; rows: entities of states.
+    plots: plots without a tab are in the front row; all angles are in one group of tabs. rows: entities of states.
     """
     several = "s" if len(motion.pictures) > 1 else ""
     skeleton = _in_space(_title(motion), _eye_on_animal(motion, scene))
@@ -122,7 +124,7 @@ def blueprint(motion: Motion, scene: Scene, plots: Sequence[TimePlot], rows: Seq
 
 
 def laid_out(content: rrb.Container, fps: float) -> rrb.Blueprint:
-    """Return a blueprint with this content only, played in a loop."""
+    """Return a blueprint with only this content, played in a loop."""
     hidden = rrb.BlueprintPanel(state="hidden"), rrb.SelectionPanel(state="hidden")
     time = rrb.TimePanel(state="collapsed", timeline="frame", fps=fps, play_state="playing", loop_mode="all")
     return rrb.Blueprint(content, *hidden, time, auto_layout=False, auto_views=False)
@@ -143,7 +145,7 @@ def _in_space(name: str, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
 
 
 def _pictures(pictures: Sequence[Picture]) -> rrb.Tabs:
-    """Return a close view and the whole picture; several cameras side by side."""
+    """Return a close view and the whole picture; the pictures of several cameras are next to each other."""
     closeups, wholes = [], []
     entities = scenes.by_camera(scenes.CLOSEUP, pictures), scenes.by_camera(scenes.PICTURE, pictures)
     for picture, close_entity, whole_entity in zip(pictures, *entities, strict=True):
@@ -173,7 +175,7 @@ def _title(motion: Motion) -> str:
 
 
 def time_view(series: TimePlot) -> rrb.TimeSeriesView:
-    """Return the view of a plot: the title names a single line, a legend names several."""
+    """Return the view of a plot. The title names a single line, a legend names several."""
     values = series.values[np.isfinite(series.values)]
     low, high = (values.min(), values.max()) if len(values) else (0.0, 0.0)
     legend_lines = len(series.names) if len(series.names) > 1 else 0
@@ -197,7 +199,7 @@ _orbit = partial(rrb.EyeControls3D, kind=rrb.Eye3DKind.Orbital)
 
 
 def _eye_on_animal(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
-    """Return an eye that follows the animal on the camera's side, slightly raised."""
+    """Return an eye that follows the animal, on the camera's side and slightly raised."""
     up = scene.axes[2]
     poses, path = motion.joints_m[motion.solved], motion.root_m[motion.solved]
     if not len(poses):
@@ -225,7 +227,7 @@ def _eye_on_all(motion: Motion, scene: Scene) -> rrb.EyeControls3D:
 
 
 def fitting_eye(points_m: Array, axes: Array, margin_m: float = 0.0) -> tuple[Array, Array]:
-    """Return an eye, slightly above points (N, 3), that sees them from as near as they fit, and its target.
+    """Return an eye and its target: slightly above points (N, 3), and as near as all points fit into the view.
 
     axes: as in `Scene`.
     """
@@ -261,16 +263,17 @@ def open_viewer(path: Path) -> None:
         raise InputError(Problem("recon view", "viewer", ending, expected))
 
 
-# -- quantities over time: what the plots show -------------------------------------------------------------------------
+# -- quantities over time, for the plots -------------------------------------------------------------------------------
 
 MAX_LINES = 4
-"""Largest number of angles in one plot, if their names can be split by the part they belong to."""
+"""Largest number of angles in one plot, if their names can be split by part of the animal."""
 
 
 def states(motion: Motion, standing: Bools) -> dict[str, tuple[str, scenes.Colour, Bools]]:
-    """Return, by entity, the frames of each flag, and the times when the feet stand, (T, F).
+    """Return the frames of each flag, and the times when the feet stand (T, F), by entity.
 
-    Entities have no parent, whose name the viewer would write, and no blanks, which it would escape.
+    Entities have no parent, because the viewer would show its name, and no blanks, because the viewer would escape
+    them.
     """
     flag_names = dict.fromkeys(flag for frame_flags in motion.flags for flag in frame_flags)
     flags = {flag: np.array([flag in frame_flags for frame_flags in motion.flags]) for flag in flag_names}
@@ -287,7 +290,7 @@ def _plot(
     tab: str = "",
     colours: Sequence[scenes.Colour] = scenes.LINE_COLOURS,
 ) -> TimePlot:
-    """Return a plot of lines (T,) by their names, which take the colours in turn."""
+    """Return a plot of lines (T,) by name, with colours in their order."""
     line_colours = [colours[i % len(colours)] for i in range(len(lines))]
     return TimePlot(entity, title, [*lines], line_colours, np.stack([*lines.values()], axis=1), tab)
 
@@ -296,7 +299,7 @@ def _plot(
 
 
 def angle_plots(motion: Motion) -> Iterator[TimePlot]:
-    """Yield the angles in degrees by side; too many for one plot are split by part of the animal, or by kind."""
+    """Yield the angles in degrees by side. Too many for one plot are split by part of the animal, or by kind."""
     keys: dict[str, dict[str, str]] = {kind: {} for kind in ("left", "right", "middle")}
     for name in motion.angle_names:
         words, side = without_side(name).split("_"), side_of(name)
@@ -312,9 +315,9 @@ def angle_plots(motion: Motion) -> Iterator[TimePlot]:
 
 
 def _parts(keys: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:
-    """Yield the names of each plot: all if there is room, otherwise those with the same key.
+    """Yield the names for each plot: all names if there is room, otherwise names with the same key.
 
-    The next key's names are added if they fit.
+    The names of the next key are added if they fit.
     """
     if len(keys) <= MAX_LINES:
         yield from [("", [*keys])] if keys else []
@@ -332,7 +335,7 @@ def _parts(keys: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:
 def other_plots(motion: Motion) -> Iterator[TimePlot]:
     """Yield speed, errors in the pictures, and uncertainty.
 
-    The largest error is without outliers, which would hide the rest.
+    The largest error is without outliers, which would hide the other errors.
     """
     speed = np.where(motion.solved, speed_at_frames(motion.time_s, motion.root_m), np.nan)
     run_m_s, lines, title = motion.solution.constant_velocity_m_s, {"speed": speed}, "Speed (m/s)"
@@ -382,7 +385,7 @@ def analysis_plots(analysis: ClipAnalysis) -> Iterator[TimePlot]:
         quantities.append(("spine", "Flexion of the spine (°)", bent, sigma))
     for entity, title, values, sigma in quantities:
         lines = {entity: values[::every]}
-        if np.isfinite(sigma).any() and entity != "acceleration":  # its standard deviations are many times its values
+        if np.isfinite(sigma).any() and entity != "acceleration":  # its standard deviation is many times its value
             _, low, high = interval_of(values, sigma)
             lines |= {"90 %: from": low[::every], "90 %: to": high[::every]}
         yield _plot(f"analysis/{entity}", title, lines, "Kinematics", (scenes.TRAIL, scenes.LINK, scenes.LINK))
@@ -399,7 +402,7 @@ def analysis_plots(analysis: ClipAnalysis) -> Iterator[TimePlot]:
 
 
 def _foot_colour(foot: str, paler: bool = False) -> scenes.Colour:
-    """Return the colour of a foot's side, halfway to white if paler."""
+    """Return the colour of a foot's side, half white if paler."""
     red, green, blue = scenes.RIGHT if foot.startswith("R") else scenes.LEFT
     return ((red + 255) // 2, (green + 255) // 2, (blue + 255) // 2) if paler else (red, green, blue)
 

@@ -1,8 +1,8 @@
 """Write the animal in space and in the cameras' pictures as a recording for rerun.
 
 The module also has what the views share: colours, the geometry of the scene, and functions that write lines, plots and
-states. Rerun's own writer hangs if the disk is full, so rerun writes into a pipe, and this module writes the file from
-the pipe without keeping a long recording in memory.
+states. Rerun's own writer hangs if the disk is full. Therefore rerun writes into a pipe, and this module copies the
+pipe into the file, without keeping a long recording in memory.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from recon.geometry.frames import level_from_camera
 
 Colour = tuple[int, int, int]
 
-# Okabe and Ito's palette, which the colour-blind can tell apart.
+# Okabe and Ito's palette, which colour-blind readers can distinguish.
 LIMB_COLOURS: tuple[Colour, ...] = ((0, 158, 115), (86, 180, 233), (230, 159, 0), (0, 114, 178), (240, 228, 66))
-"""Colours of the limbs of one side, in their order: hind leg, spine, front leg, and two to spare."""
+"""Colours of the limbs of one side, in order: hind leg, spine, front leg, and two spare ones."""
 LEFT, RIGHT, MIDDLE = (86, 180, 233), (230, 159, 0), (0, 158, 115)
-"""Colours of the limbs of a whole animal: left, right, and in the middle."""
+"""Colours of the limbs of a whole animal: left, right, and middle."""
 SIDE_COLOURS: dict[Side | None, Colour] = {"left": LEFT, "right": RIGHT, None: MIDDLE}
 DETECTION, OUTLIER, LINK = (255, 255, 255), (235, 60, 40), (204, 121, 167)
 PATH, TRAIL, GRID, CAMERA, EDGE = (110, 110, 120), (240, 228, 66), (58, 64, 74), (190, 190, 200), (130, 130, 140)
@@ -47,18 +47,18 @@ BACKGROUND = (18, 21, 27)
 CAMERAS, PICTURE, CLOSEUP = "world/camera", "picture", "closeup"
 """Entities of a camera, or the parents of several (`by_camera`)."""
 _FRAMES_AT_ONCE = 4000
-"""Frames written at once of data that takes much memory."""
+"""Number of frames to write at once of data that need much memory."""
 GRID_SPACING_M = 1.0
 CLOSE = 1.1
-"""Share of the animal's reach that the close view shows."""
+"""Size of the close view relative to the animal's reach."""
 GRID_MARGIN_M, MAX_GRID_LINES = 1.5, 200
 
 
 @dataclass(frozen=True)
 class TimePlot:
-    """One plot: values (T, lines), and a name and a colour for each line.
+    """Hold a plot: values (T, lines), and a name and a colour for each line.
 
-    tab: name of the tab that holds it, together with other plots of that name.
+    tab: name of the tab that holds the plot, together with other plots of that name.
     """
 
     entity: str
@@ -71,16 +71,16 @@ class TimePlot:
 
 @dataclass(frozen=True)
 class Log:
-    """Destination of the entities of T frames."""
+    """Write the entities of T frames."""
 
     stream: rr.RecordingStream
     frames: Integers
-    """The numbers of the T frames, shape (T,)."""
+    """(T,): frame numbers."""
     time_s: Array
-    """The times of the T frames, shape (T,)."""
+    """(T,): times of the frames."""
 
     def send(self, entity: str, columns: rr.ComponentColumnList, rows: Sequence[int] | slice = slice(None)) -> None:
-        """Write columns of an entity with a row for each of these rows of the clip."""
+        """Write columns of an entity with a row for each of the given rows of the clip."""
         times = [
             rr.TimeColumn("frame", sequence=self.frames[rows]),
             rr.TimeColumn("time", duration=self.time_s[rows]),
@@ -92,35 +92,35 @@ class Log:
         self.stream.log(entity, archetype, static=True)
 
     def draw(self, entity: str, kind: Any, columns: rr.ComponentColumnList, **style: Any) -> None:
-        """Write columns of an archetype with a row for each frame; the style is the same in all frames."""
+        """Write columns of an archetype with a row for each frame. The style is the same in all frames."""
         self.send(entity, columns)
         self.fix(entity, kind.from_fields(**style))
 
     def points(self, entity: str, positions: Array, is_shown: Bools, **style: Any) -> None:
-        """Write points (T, N, 2 or 3), in each frame those that are shown, (T, N)."""
+        """Write points (T, N, 2 or 3), in each frame only those that are shown (T, N)."""
         kind = rr.Points2D if positions.shape[-1] == 2 else rr.Points3D
         self.draw(entity, kind, kind.columns(positions=positions[is_shown]).partition(is_shown.sum(axis=1)), **style)
 
     def plot(self, plot: TimePlot) -> None:
-        """Write a plot. A NaN breaks its line; a row is empty if all values are NaN."""
+        """Write a plot. A NaN breaks its line; a row is empty if all its values are NaN."""
         is_known, count = np.isfinite(plot.values).any(axis=1), plot.values.shape[1]
         columns = rr.Scalars.columns(scalars=plot.values[is_known].ravel())
         style = {"names": plot.names, "colors": plot.colours, "widths": [1.8] * count}
         self.draw(plot.entity, rr.SeriesLines, columns.partition(np.where(is_known, count, 0)), **style)
 
     def state(self, entity: str, text: str, colour: Colour, holds: Bools) -> None:
-        """Write a row of states, (T,).
+        """Write a row of states (T,).
 
-        Its text is blank because the row's name says it; without a text the viewer would write the value.
+        Its text is blank because the row has a name. Without a text the viewer would write the value.
         """
         columns = rr.StateChange.columns(state=[text] * int(holds.sum()))
         self.send(entity, columns.partition(holds.astype(int)))
         self.fix(entity, rr.StateConfiguration(values=[text], labels=[" "], colors=[colour]))
 
     def follow(self, entity: str, middle_m: Array, half_m: float, rows: Bools | None = None) -> None:
-        """Write an invisible entity for the viewer to follow, which it frames by its bounds.
+        """Write an invisible entity for the viewer to follow; the viewer frames the entity's bounds.
 
-        middle_m (T, 3) and half their size. rows (T,): those that have one, None: all.
+        middle_m (T, 3) and half the size of the bounds. rows (T,): frames that have one; None for all.
         """
         corners = np.stack((middle_m - half_m, middle_m + half_m), axis=1)
         is_shown = np.ones(corners.shape[:2], bool) if rows is None else np.repeat(rows[:, None], 2, axis=1)
@@ -129,11 +129,11 @@ class Log:
 
 @dataclass(frozen=True)
 class Scene:
-    """Geometry that views and entities share, in the motion's frame of reference.
+    """Hold the geometry that views and entities share, in the motion's frame of reference.
 
-    axes (3, 3): rows are two level unit vectors and the upward one. low_m, high_m (3,): bounds of the animal over the
-    clip along the axes. size_m: diagonal of the animal. camera_m (3,): centre of projection of the first camera; the
-    mean of one that moves.
+    axes (3, 3): two level unit vectors and the upward one, in rows. low_m, high_m (3,): bounds of the animal over the
+    clip along the axes. size_m: diagonal of the animal. camera_m (3,): centre of projection of the first camera; its
+    mean if the camera moves.
     """
 
     axes: Array
@@ -164,7 +164,7 @@ class Scene:
 
 
 def bounds(joints_m: Array) -> tuple[Array, Array]:
-    """Return the box around joints (N, J, 3). Single stray poses do not enlarge it."""
+    """Return the box around joints (N, J, 3), without single stray poses."""
     low, high = np.percentile(joints_m.reshape(-1, 3), (1, 99), axis=0)
     return low, high
 
@@ -180,16 +180,16 @@ def by_camera(root: str, pictures: Sequence[Picture]) -> list[str]:
 
 
 def limb_colours(motion: Motion) -> list[Colour]:
-    """Return one colour per limb: by its side in a whole animal, otherwise one after the other."""
+    """Return one colour per limb: by side for a whole animal, otherwise one after the other."""
     if motion.side is not None:
         return [LIMB_COLOURS[i % len(LIMB_COLOURS)] for i in range(len(motion.limbs))]
     return [SIDE_COLOURS[side] for side in motion.limb_sides.values()]
 
 
 def joint_limbs(motion: Motion) -> Integers:
-    """Return the limb that each joint is drawn with, (J,).
+    """Return the limb (J,) with which each joint is drawn.
 
-    The trunk if the joint is part of it, otherwise the limb that it ends or continues.
+    It is the trunk if the joint is part of the trunk, otherwise the limb that the joint ends or continues.
     """
     limbs = list(motion.limbs.values())
     trunk = max(range(len(limbs)), key=lambda i: len({*motion.forward} & {*limbs[i]}), default=0)
@@ -205,14 +205,14 @@ def joint_limbs(motion: Motion) -> Integers:
 
 
 def limb_strips(points: Array, limbs: Mapping[str, Sequence[int]], is_shown: Bools) -> rr.ComponentColumnList:
-    """Return lines along the limbs of joints (T, J, 3), in frames that are shown (T,)."""
+    """Return lines along the limbs of joints (T, J, 3), in the frames that are shown (T,)."""
     points_along = points[is_shown][:, [joint for limb in limbs.values() for joint in limb]]
     counts = np.tile([len(limb) for limb in limbs.values()], len(points_along))
     return _strips(points_along.reshape(-1, 3), counts).partition(np.where(is_shown, len(limbs), 0))
 
 
 def strips(frames: Sequence[Sequence[Array]]) -> rr.ComponentColumnList:
-    """Return columns of line strips: any number a frame, each of shape (points, 3)."""
+    """Return columns of line strips: any number per frame, each of shape (points, 3)."""
     all_strips = [strip for frame_strips in frames for strip in frame_strips]
     points = np.concatenate([np.zeros((0, 3)), *all_strips])
     return _strips(points, [len(strip) for strip in all_strips]).partition(
@@ -221,9 +221,9 @@ def strips(frames: Sequence[Sequence[Array]]) -> rr.ComponentColumnList:
 
 
 def lines(ends: Array, counts: Integers, **columns: Any) -> rr.ComponentColumnList:
-    """Return columns of straight lines between ends (N, 2, 2 or 3), `counts` in each frame (T,).
+    """Return columns of straight lines between ends (N, 2, 2 or 3), with `counts` (T,) lines in each frame.
 
-    columns: others, by line.
+    columns: further columns, by line.
     """
     return _strips(ends.reshape(-1, ends.shape[-1]), np.full(len(ends), 2), **columns).partition(counts)
 
@@ -231,9 +231,9 @@ def lines(ends: Array, counts: Integers, **columns: Any) -> rr.ComponentColumnLi
 def _strips(points: Array, counts: Sequence[int] | Integers, **columns: Any) -> rr.ComponentColumnList:
     """Return strips of `counts` points each from points (N, 2 or 3), in rerun's final layout.
 
-    rerun's own conversion makes an object of every strip, which takes longer than the fit of a long clip.
+    rerun's own conversion makes an object for each strip, which takes longer than the fit of a long clip.
     """
-    import pyarrow as pa  # rerun has it
+    import pyarrow as pa  # rerun depends on pyarrow
 
     archetype, batch = rr.LineStrips3D, rr.components.LineStrip3DBatch
     if points.shape[1] == 2:
@@ -246,7 +246,7 @@ def _strips(points: Array, counts: Sequence[int] | Integers, **columns: Any) -> 
 
 
 def unbroken(points: Array) -> list[Array]:
-    """Return the stretches of a line (N, 2 or 3) without NaN that have at least two points."""
+    """Return the parts of a line (N, 2 or 3) without NaN that have at least two points."""
     ranges = frame_ranges(np.flatnonzero(np.isfinite(points[:, 0])))
     return [points[first:stop] for first, stop in ranges if stop > first + 1]
 
@@ -278,12 +278,12 @@ def write_world(motion: Motion, scene: Scene, log: Log) -> None:
     log.draw("world/skeleton", rr.LineStrips3D, limb_strips(joints, motion.limbs, solved), **style)
     style = {"class_ids": joint_limbs(motion), "radii": 0.028, "labels": motion.names, "show_labels": False}
     log.points("world/skeleton/joints", joints, np.broadcast_to(solved[:, None], joints.shape[:2]), **style)
-    # More than the animal, and without the flutter of its legs.
+    # Follow more than the animal, and without the movement of its legs.
     log.follow("world/followed", joints.mean(axis=1), 0.65 * scene.size_m, solved)
 
     root = motion.root_m
     log.fix("world/path", rr.LineStrips3D(unbroken(root), colors=PATH, radii=rr.Radius.ui_points(1.5)))
-    # The view shows this entity's rows up to the current one: a step each.
+    # The view shows the rows of this entity up to the current one, so each row is one step.
     step = solved[1:] & solved[:-1]
     ends = np.stack([root[:-1], root[1:]], axis=1)[step]
     style = {"colors": TRAIL, "radii": rr.Radius.ui_points(2.5)}
@@ -325,7 +325,7 @@ def _write_camera(entity: str, picture: Picture, scene: Scene, log: Log) -> None
             camera_xyz=rr.ViewCoordinates.RDF,
             image_plane_distance=max(0.25, 0.15 * distance_m),
             color=CAMERA,
-            line_width=-1.0,  # negative: on the screen, not in metres
+            line_width=-1.0,  # negative: width on the screen instead of metres
         ),
     )
 
@@ -333,7 +333,7 @@ def _write_camera(entity: str, picture: Picture, scene: Scene, log: Log) -> None
 def _grid(motion: Motion, scene: Scene, segment: MotionSegment) -> list[Array]:
     """Return lines (2, 3) on the ground under a segment's path, at whole metres of the level axes.
 
-    If no foot stood, the ground is level, and as low as the feet.
+    If no foot stood, the ground is level, at the height of the lowest feet.
     """
     joints = motion.joints_m[segment.rows][motion.solved[segment.rows]] @ scene.axes.T
     up, below = scene.axes[2], motion.below_m(segment)
@@ -351,7 +351,7 @@ def _grid(motion: Motion, scene: Scene, segment: MotionSegment) -> list[Array]:
 
 
 def write_uncertainty(motion: Motion, log: Log, standing: Bools) -> None:
-    """Write an ellipsoid around every joint, red in frames with a flag, and the feet that stand, (T, F)."""
+    """Write an ellipsoid around every joint, red in frames with a flag, and the standing feet (T, F)."""
     joints, has_flag = motion.joints_m, np.array([bool(flags) for flags in motion.flags])
     solved = motion.solved & np.isfinite(motion.relative_rms_m)  # the frame method has poses without uncertainty
     of_limb = np.array(limb_colours(motion))[joint_limbs(motion)]
@@ -378,7 +378,7 @@ def write_uncertainty(motion: Motion, log: Log, standing: Bools) -> None:
 
 
 def write_pictures(motion: Motion, log: Log) -> None:
-    """Write the points twice: at their positions in the picture, and around the middle of the animal."""
+    """Write the points twice: at their positions in the picture, and relative to the middle of the animal."""
     wholes, closeups = by_camera(PICTURE, motion.pictures), by_camera(CLOSEUP, motion.pictures)
     for picture, whole, closeup in zip(motion.pictures, wholes, closeups, strict=True):
         size = np.array(picture.camera.image_size_px, dtype=float)
@@ -388,7 +388,7 @@ def write_pictures(motion: Motion, log: Log) -> None:
 
 
 def _write_points(root: str, origin_px: Array, motion: Motion, picture: Picture, log: Log) -> None:
-    """Write the points of a picture; origin_px (T, 2) is drawn at (0, 0)."""
+    """Write the points of a picture. origin_px (T, 2) is drawn at (0, 0)."""
     outliers = picture.outliers
     detected, reprojected = (xy - origin_px[:, None] for xy in (picture.detected_px, picture.reprojected_px))
     for entity, colour, selection in (("detections", DETECTION, ~outliers), ("outliers", OUTLIER, outliers)):
@@ -415,14 +415,14 @@ def _write_points(root: str, origin_px: Array, motion: Motion, picture: Picture,
 
 
 def middle_and_reach_px(picture: Picture) -> tuple[Array, Array]:
-    """Return the middle of the reprojected skeleton (T, 2), 0 without one, and its joints' reach (2,) from there."""
+    """Return the middle of the reprojected skeleton (T, 2), 0 without one, and the reach (2,) of its joints."""
     is_seen = np.isfinite(picture.reprojected_px[..., 0])
     middle = np.nan_to_num(mean_along(picture.reprojected_px, axis=1))
     return middle, np.abs(picture.reprojected_px - middle[:, None])[is_seen].max(axis=0, initial=1.0)
 
 
 def picture_bounds(picture: Picture) -> tuple[Array, Array]:
-    """Return the corners (2,), (2,) of the part of the picture that the animal passes through, with a margin."""
+    """Return the corners (2,), (2,) of the part of the picture through which the animal passes, with a margin."""
     size = np.array(picture.camera.image_size_px, dtype=float)
     explained = np.where(picture.outliers[..., None], np.nan, picture.detected_px)
     points = np.concatenate((explained.reshape(-1, 2), picture.reprojected_px.reshape(-1, 2)))
@@ -436,19 +436,19 @@ def picture_bounds(picture: Picture) -> tuple[Array, Array]:
 
 
 ASPECT = 2.4
-"""Width to height of the part of a video around the animal that is shown."""
+"""Width to height of the part of a video that is shown around the animal."""
 JPEG_QUALITY = 85
 
 
 def write_video(motion: Motion, log: Log, video: Path, first_frame: int = 0, number: int = 0) -> None:
     """Write the frames of a video: `picture/video`, and `closeup/video`, the part around the animal.
 
-    Several cameras have `picture/<name>/video`. first_frame: number that the video's first frame has in the clip;
-    number: of the camera whose video it is, of the same size. Raises InputError if the video lacks frames.
+    With several cameras the first is `picture/<name>/video`. first_frame: frame number, in the clip, of the video's
+    first frame. number: camera whose video it is, of the same size. Raises InputError if the video lacks frames.
 
-    Every viewer shows a JPEG for each frame; of the codecs of videos it decodes only AV1 by itself, and the others jump
-    from key frame to key frame without ffmpeg. In rerun the corner of the top left pixel is at (0, 0), in keypoints its
-    centre: the whole picture lies half a pixel to the right and below.
+    Each frame is a JPEG, which every viewer shows. Of the video codecs, a viewer without ffmpeg decodes only AV1, and
+    jumps from key frame to key frame for the others. In rerun the corner of the top left pixel is at (0, 0), whereas
+    keypoints have the pixel's centre there: the whole picture is shifted by half a pixel to the right and down.
     """
     import cv2  # slow to import, and most playbacks are without a video
 
@@ -468,7 +468,7 @@ def write_video(motion: Motion, log: Log, video: Path, first_frame: int = 0, num
         if t is None:
             continue
         log.send(whole_entity, jpeg(image), [t])
-        if has_pose[t]:  # the animal's middle in the middle
+        if has_pose[t]:  # put the animal's middle into the middle
             offset_px = (size_px - 1) / 2 - middles[t]
             shift = np.hstack([np.eye(2), offset_px[:, None]])
             log.send(
@@ -482,13 +482,13 @@ _AT_ONCE = 1 << 20
 
 
 def require_whole() -> None:
-    """Let rerun raise what it would only warn of: without memory, it leaves parts of a playback out."""
+    """Make rerun raise its warnings: without memory, it would leave out parts of a playback."""
     rr.set_strict_mode(True)
 
 
 @contextmanager
 def recording(path: Path, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
-    """Yield a recording to log to, which is written to `path`; no file is left if the block raises.
+    """Yield a recording to log to, which is written to `path`. No file is left if the block raises.
 
     Raises OSError that names the path.
     """
@@ -511,7 +511,7 @@ def recording(path: Path, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]
                 stream.send_blueprint(layout, make_active=False, make_default=True)
                 yield stream
             except BaseException:
-                stream.disconnect()  # which ends what is read
+                stream.disconnect()  # ends the pipe, and with it the copy
                 written.exception()
                 path.unlink(missing_ok=True)
                 raise
@@ -524,7 +524,7 @@ def recording(path: Path, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]
 def _copy(source: int, path: Path) -> None:
     """Copy a pipe into a file.
 
-    If the file cannot be written, the pipe is still read to its end: its writer would wait for ever.
+    If the file cannot be written, the pipe is still read to its end, because its writer would wait for ever.
     """
     with open(source, "rb") as pipe:
         try:

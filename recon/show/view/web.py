@@ -1,7 +1,8 @@
-"""Show a recording in rerun's web viewer: for machines without a display, and for browsers on another one by a tunnel.
+"""Show a recording in rerun's web viewer, on machines without a display or in a browser on another machine by a tunnel.
 
-The package of rerun brings its web viewer along. Its own server would let the viewer ask rerun's servers for fonts,
-examples and a newer version. The page is therefore passed on by `LocalServer`, whose policy allows this machine only.
+The package of rerun contains its web viewer. Its own server would let the viewer ask rerun's servers for fonts,
+examples and new versions. Therefore the page is passed on by `LocalServer`, whose policy allows connections to this
+machine only.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ FILES = {
     "favicon.ico": "image/x-icon",
     "favicon.svg": "image/svg+xml",
 }
-"""Files of the web viewer, and their kinds."""
+"""Files of the web viewer, and their types."""
 _POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval' blob:; style-src 'unsafe-inline'; "
     "img-src 'self' data: blob:; worker-src 'self' blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
@@ -38,12 +39,12 @@ _POLICY = (
 )
 _LINK = re.compile(rb"<link[^>]*https?://[^>]*>")
 START_S, TICK_S = 30.0, 0.05
-"""Longest time that rerun may take to start, and time between two looks."""
+"""Longest time for rerun to start, and time between two checks."""
 
 
 @contextmanager
 def served(path: Path) -> Iterator[str]:
-    """Serve a recording, and give the address of its page.
+    """Serve a recording, and yield the address of its page.
 
     Raises InputError if rerun's server cannot run.
     """
@@ -70,7 +71,7 @@ def served(path: Path) -> Iterator[str]:
 
 
 def _program() -> Path:
-    """Return rerun's own program: `python -m rerun` would start it as a child that outlives the parent."""
+    """Return rerun's own program. `python -m rerun` would start it as a child that outlives its parent."""
     import rerun_cli
 
     folder = Path(rerun_cli.__file__).parent
@@ -79,19 +80,20 @@ def _program() -> Path:
 
 
 def _passed_on(address: str, kind: str, _rest: str, _data: object) -> Reply:
-    """Return a file of rerun's own server, without its links to other servers: a policy does not stop a preconnect."""
+    """Return a file of rerun's server without links to other servers: a policy does not stop a preconnect."""
     content = _content(address)
     return Reply(_LINK.sub(b"", content) if kind == "text/html" else content, kind)
 
 
 def _content(address: str) -> bytes:
-    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))  # a proxy cannot reach this machine
+    # without proxies, which cannot reach this machine
+    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
     with opener.open(address) as response:
         return response.read()
 
 
 def _free_ports(count: int) -> list[int]:
-    """Return free ports of this machine, all different."""
+    """Return different free ports of this machine."""
     sockets = [socket.socket() for _ in range(count)]
     try:
         for each_socket in sockets:
@@ -103,7 +105,7 @@ def _free_ports(count: int) -> list[int]:
 
 
 def _wait_for(process: subprocess.Popen[bytes], ports: tuple[int, ...]) -> None:
-    """Wait until a process listens on all ports. Raises InputError if it ended, or takes too long."""
+    """Wait until a process listens on all ports. Raises InputError if it ends or takes too long."""
     until_s = time.monotonic() + START_S
     for port in ports:
         while not _listens(port):
