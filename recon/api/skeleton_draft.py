@@ -28,7 +28,7 @@ from recon.api.clip_inputs import arrange, read_clips
 from recon.api.rigs import FIRST_CAMERA
 from recon.api.settings import INDIVIDUAL, UNITS_M, FitSettings, Unit
 from recon.api.skeleton_check import LARGEST_ANIMAL_M
-from recon.base.arrays import Array
+from recon.base.arrays import Array, mean_along
 from recon.base.documents import builtin_file
 from recon.base.errors import InputError, Problem, collect_problems
 from recon.base.numbers import length_text, percent
@@ -58,6 +58,10 @@ SWING_RAD, SWING_HZ = (0.2, 1.2), (0.5, 8.0)
 
 _ROUGHLY = {"croup": "tail_base", "rump": "tail_base"}
 """Keypoints whose markers are near enough for a draft, but not for a fit."""
+
+_FRONT_WORDS = re.compile("nose|snout|muzzle|beak|head|(?<!r)ear|eye|neck|withers|shoulder", re.IGNORECASE)
+_REAR_WORDS = re.compile("tail|rump|croup|hip|pelvis", re.IGNORECASE)
+"""Keypoints that tell the front of an animal that does not go anywhere."""
 
 SkeletonDraft = tuple[dict[str, str], tuple[str, ...], str]
 """The quadruped's markers by the keypoints that are placed on them; the keypoints that are not placed; and the text of
@@ -283,10 +287,9 @@ def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, sourc
     bodies = _rigid_bodies(distances)
     root = _root_body(bodies, distances)
     centre_m = points_m[:, bodies[root]].mean(axis=1)
-    steps_m = np.gradient(centre_m[:, :2], axis=0)
-    _require_path(steps_m, distances.length_m, len(bodies), source)
+    ahead_m = _directions_ahead(labels, points_m, centre_m, distances.length_m, len(bodies), source)
     parts = _tree(bodies, root, distances)
-    rear, front = _ends_of_trunk(points_m, centre_m, steps_m, bodies[root])
+    rear, front = _ends_of_trunk(points_m, centre_m, ahead_m, bodies[root])
     turned_m = _in_body_frame(points_m, parts[0].origin, rear, front)
     offsets_m = _expected_offsets_m(turned_m, distances)
     comments = [
@@ -361,18 +364,29 @@ def _root_body(bodies: Sequence[list[int]], distances: _Distances) -> int:
     return min(range(len(bodies)), key=rank)
 
 
-def _require_path(steps_m: Array, length_m: float, body_count: int, source: Path) -> None:
-    """Raise InputError if the animal hardly moves, its front is not known, or it has only one body."""
+def _directions_ahead(
+    labels: Sequence[str], points_m: Array, centre_m: Array, length_m: float, body_count: int, source: Path
+) -> Array:
+    """Return level vectors (T, 2) that point ahead: along the path, or, of an animal that stays, from tail to head.
+
+    Raises InputError if neither the path nor the names tell the front, or if the animal has only one body.
+    """
+    steps_m = np.gradient(centre_m[:, :2], axis=0)
     path_m = float(np.nansum(np.linalg.norm(steps_m, axis=1)))
-    if body_count == 1 or not path_m > length_m / 2:
+    if path_m > length_m / 2 and body_count > 1:
+        return steps_m
+    ends = [[k for k, label in enumerate(labels) if word.search(label)] for word in (_REAR_WORDS, _FRONT_WORDS)]
+    if body_count == 1 or not any(ends):
         actual = f"an animal of {length_m:.3g} m that goes {path_m:.3g} m, with {body_count} bodies that turn"
-        expected = "half its length, to know its front, and two bodies or more"
+        expected = "half its length, or keypoints named after head or tail, to know its front, and two bodies or more"
         raise InputError(Problem(source, "motion", actual, expected))
+    rear_m, front_m = (mean_along(points_m[:, end], 1) if end else mean_along(points_m, 1) for end in ends)
+    return (front_m - rear_m)[:, :2]
 
 
-def _ends_of_trunk(points_m: Array, centre_m: Array, steps_m: Array, root: Sequence[int]) -> tuple[int, int]:
-    """Return the rearmost and foremost points of the root body along the direction of travel."""
-    ahead = np.nansum(np.sum((points_m - centre_m[:, None])[..., :2] * steps_m[:, None], axis=2), axis=0)
+def _ends_of_trunk(points_m: Array, centre_m: Array, ahead_m: Array, root: Sequence[int]) -> tuple[int, int]:
+    """Return the rearmost and foremost points of the root body along vectors (T, 2) that point ahead."""
+    ahead = np.nansum(np.sum((points_m - centre_m[:, None])[..., :2] * ahead_m[:, None], axis=2), axis=0)
     trunk = root if len(root) > 1 else range(points_m.shape[1])
     return min(trunk, key=ahead.__getitem__), max(trunk, key=ahead.__getitem__)
 

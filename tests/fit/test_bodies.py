@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -349,6 +350,19 @@ def test_no_draft_of_what_does_not_show_its_joints(path_m, bends, noise_m, expec
     points += np.random.default_rng(0).normal(0, noise_m, points.shape)
     with refusal(("clip.csv", *expected)):
         drafted([*"abcdefgh"], points, 60.0, "mine", Path("clip.csv"))
+
+
+@pytest.mark.parametrize("names", ["nose b c d e f g tail", "Ear_L b c d e f g h", "a b c d e f g rump"])
+def test_a_draft_of_an_animal_that_stands_still(names):
+    """The names of head and tail tell its front, which here is at negative x."""
+    time = np.linspace(0, 1, 60)
+    still = np.array([[0.2 * k, 0.01 * k**2, 0.5] for k in range(8)])
+    points = np.tile(still, (60, 1, 1))
+    points[:, 5:, 2] += 0.3 * np.sin(20 * time)[:, None]
+    labels, text = drafted(names.split(), points, 60.0, "mine", Path("clip.csv"))
+    rear, front = tomllib.loads(text)["forward"]
+    assert labels == names.split()
+    assert still[labels.index(front), 0] < still[labels.index(rear), 0]
 
 
 # -- small rigs ----------------------------------------------------------------------------------------------------
