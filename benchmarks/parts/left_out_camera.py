@@ -31,7 +31,9 @@ import argparse
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 
@@ -134,7 +136,7 @@ def predictions(clip: Clip, seen: Sequence[int], out: int, anipose: bool) -> tup
     began = time.perf_counter()
     solution = solve_trajectory(views, clip.body, clip.prior, clip.fps, TrajectoryOptions(fast=clip.fast))
     seconds = time.perf_counter() - began
-    made["fit"] = Prediction(*predicted_keypoints(solution, view))
+    made["fit"] = Prediction(*predicted_keypoints(solution, view, clip.fps))
     if len(seen) > 1:
         result = triangulate_views(views)
         made["triangulated"] = triangulated_prediction(result, view)
@@ -296,23 +298,28 @@ def clips_of(options: argparse.Namespace) -> Iterator[Clip]:
         yield from rat_clips(options.quick)
 
 
+def score_of(options: argparse.Namespace, task: tuple[Clip, str]) -> Score:
+    """Leave the cameras of a clip out that the command line asks for."""
+    clip, cameras = task
+    outs = [out for out, view in enumerate(clip.views) if view.present.sum() > 100][: options.outs]
+    return scored(clip, cameras, outs, not options.no_anipose)
+
+
 def main() -> None:
     """Print a table of clips, and one of the kinds of animals."""
-    parser = parser_of(__doc__, "--quick", kind="cheetah-runs", only=("runs", "simulated", "rat"))
+    parser = parser_of(__doc__, "--quick", "--jobs", kind="cheetah-runs", only=("runs", "simulated", "rat"))
     parser.add_argument("--cameras", nargs="+", default=["all", "two", "one"])
-    parser.add_argument("--detectors", nargs="+", default=["none", "others"], help="none, others or acinoset")
+    parser.add_argument("--detectors", nargs="+", default=["none"], help="none, others or acinoset")
     parser.add_argument("--outs", type=int, help="only so many cameras are left out")
     parser.add_argument("--no-anipose", action="store_true")
     options = parser.parse_args()
     scores: dict[tuple[str, str], list[Score]] = {}
     print_header(("clip", "cameras", *COLUMNS, "fit, s"))
-    for clip in clips_of(options):
-        outs = [out for out, view in enumerate(clip.views) if view.present.sum() > 100][: options.outs]
-        for cameras in options.cameras:
-            score = scored(clip, cameras, outs, not options.no_anipose)
+    tasks = [(clip, cameras) for clip in clips_of(options) for cameras in options.cameras]
+    with ProcessPoolExecutor(options.jobs) as pool:
+        for (clip, cameras), score in zip(tasks, pool.map(partial(score_of, options), tasks), strict=True):
             scores.setdefault((clip.kind, cameras), []).append(score)
-            name = clip.name if clip.name.startswith(clip.kind) else f"{clip.kind}: {clip.name}"
-            print_row((name, cameras, *score.cells, f"{np.mean(score.seconds):.1f}"))
+            print_row((f"{clip.kind}: {clip.name}", cameras, *score.cells, f"{np.mean(score.seconds):.1f}"))
     rows = [
         (kind, cameras, *together(parts).cells, number_text(max(part.ratio for part in parts)))
         for (kind, cameras), parts in scores.items()

@@ -1,21 +1,40 @@
-"""Predict the detections of a camera that a solution was not fitted to."""
+"""Predict the detections of a camera that a solution was not fitted to.
+
+**Deviations.** Skin, labels and a skeleton's rigid segments let keypoints deviate from the body's markers for a while.
+The deviation d (3,) of each keypoint follows d(t) = a d(t - 1) + noise with a constant variance, and is estimated from
+the detections of all views by a Kalman filter and smoother. The views choose how large and how lasting deviations are:
+each view is left out in turn, and is predicted by the others.
+
+**Covariance.** The errors of these predictions give a factor on all covariances, with which 90 % regions hold 90 % of
+the detections. The factor contains the tails of the detector's errors and the bias of each camera. The clock of the
+other camera is taken to be as far off as the clocks of the views.
+"""
 
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
 from recon.base.arrays import Array
 from recon.clip import View
+from recon.fit import constants
 from recon.fit.posterior import radius
-from recon.fit.result import Solution
+from recon.fit.result import Solution, TrajectorySolution
 
 LEVEL = 0.9
 """Probability of the regions that are calibrated on the detections of the solution's own views."""
+DEVIATIONS = 0.25, 0.5, 1.0, 2.0, 4.0
+"""Standard deviations of deviations among which the views choose, relative to the detections' noise."""
+LASTING_S = 0.05, 0.25, 2.0, 20.0
+"""Durations of deviations among which the views choose, for each keypoint."""
+OTHERS = 1.0
+"""Weight of the mean of all keypoints in that choice, relative to the keypoint itself."""
 
 
-def predicted_keypoints(solution: Solution, view: View) -> tuple[Array, Array]:
+def predicted_keypoints(solution: Solution, view: View, fps: float | None = None) -> tuple[Array, Array]:
     """Return the keypoints that a view would detect, with their covariances.
 
     Parameters
@@ -24,6 +43,8 @@ def predicted_keypoints(solution: Solution, view: View) -> tuple[Array, Array]:
         The motion of T frames with J keypoints.
     view
         A camera on the same frames. Its detections are not read.
+    fps
+        Frames per second; None: keypoints are predicted at the body's markers, without deviations that last.
 
     Returns
     -------
@@ -33,16 +54,34 @@ def predicted_keypoints(solution: Solution, view: View) -> tuple[Array, Array]:
         Covariances of detections about them: of the keypoints in 3D, and the detections' noise in the solution's
         views, scaled to the distance from this one.
     """
-    scale = max(1.0, np.sqrt(_tail_factor(solution)))
-    return _predicted(solution, view, scale)
+    markers_m, covariance_m2 = solution.markers_m, solution.covariance_m2
+    if fps is None or len(solution.views) == 1 or not solution.posed.any():
+        scale = max(1.0, np.sqrt(_tail_factor(solution)))
+        return _predicted(solution, view, markers_m, covariance_m2, scale)
+    residuals = [_Residuals.of_view(solution, number) for number in range(len(solution.views))]
+    deviation, deviation_m2, factor = _deviations(solution, residuals, fps)
+    xy_px, covariance_px2 = _predicted(solution, view, markers_m + deviation, covariance_m2 + deviation_m2, 1.0)
+    late_px = _time_offset_frames(solution) * _change_per_frame(xy_px)
+    return xy_px, factor * covariance_px2 + late_px[..., :, None] * late_px[..., None, :]
 
 
-def _predicted(solution: Solution, view: View, scale: float) -> tuple[Array, Array]:
-    markers_m = solution.markers_m
-    is_posed = np.isfinite(markers_m[..., 0])
-    projected, by_point, valid = view.project_with_jacobian(view.shift_to_exposure(np.nan_to_num(markers_m)))
-    noise_px = scale * _noise_m(solution)[..., None, None] * _px_per_m(view, markers_m)[..., None, None]
-    covariance = by_point @ solution.covariance_m2 @ by_point.swapaxes(-1, -2) + noise_px**2 * np.eye(2)
+def _time_offset_frames(solution: Solution) -> float:
+    """Return how far the clocks of a solution's views are off, one standard deviation."""
+    if not isinstance(solution, TrajectorySolution):
+        return 0.0
+    return float(np.sqrt(np.mean(solution.time_offset_frames**2 + solution.time_offset_sigma_frames**2)))
+
+
+def _change_per_frame(xy_px: Array) -> Array:
+    """Return the change (T, J, 2) of pixels from frame to frame, 0 if unknown."""
+    return np.nan_to_num(np.gradient(xy_px, axis=0)) if len(xy_px) > 1 else np.zeros_like(xy_px)
+
+
+def _predicted(solution: Solution, view: View, points_m: Array, points_m2: Array, scale: float) -> tuple[Array, Array]:
+    is_posed = np.isfinite(points_m[..., 0])
+    projected, by_point, valid = view.project_with_jacobian(view.shift_to_exposure(np.nan_to_num(points_m)))
+    noise_px = scale * _noise_m(solution)[..., None, None] * _px_per_m(view, points_m)[..., None, None]
+    covariance = by_point @ points_m2 @ by_point.swapaxes(-1, -2) + noise_px**2 * np.eye(2)
     return np.where((is_posed & valid)[..., None], projected, np.nan), covariance
 
 
@@ -53,15 +92,20 @@ def _tail_factor(solution: Solution) -> float:
     """
     squares = []
     for view in solution.views:
-        projected, covariance = _predicted(solution, view, 1.0)
-        error = projected - view.xy_px
-        is_known = np.isfinite(error[..., 0]) & np.isfinite(covariance).all(axis=(-2, -1))
-        whitened = np.linalg.solve(covariance[is_known], error[is_known][..., None])[..., 0]
-        squares.append(np.sum(error[is_known] * whitened, axis=-1))
-    everything = np.concatenate(squares)
-    if not len(everything):
-        return 1.0
-    return float(np.quantile(everything, LEVEL)) / radius(LEVEL, 2) ** 2
+        projected, covariance = _predicted(solution, view, solution.markers_m, solution.covariance_m2, 1.0)
+        squares.append(_whitened_squares(projected - view.xy_px, covariance))
+    return _level_factor(np.concatenate(squares))
+
+
+def _whitened_squares(error: Array, covariance: Array) -> Array:
+    """Return e' S^-1 e of the known errors (..., 2)."""
+    is_known = np.isfinite(error[..., 0]) & np.isfinite(covariance).all(axis=(-2, -1))
+    whitened = np.linalg.solve(covariance[is_known], error[is_known][..., None])[..., 0]
+    return np.asarray(np.sum(error[is_known] * whitened, axis=-1))
+
+
+def _level_factor(squares: Array) -> float:
+    return float(np.quantile(squares, LEVEL)) / radius(LEVEL, 2) ** 2 if len(squares) else 1.0
 
 
 def _px_per_m(view: View, markers_m: Array) -> Array:
@@ -77,3 +121,112 @@ def _noise_m(solution: Solution) -> Array:
     ]
     with warnings.catch_warnings(action="ignore"):  # of frames without a pose
         return np.asarray(np.nanmedian(noise_m, axis=0))
+
+
+# -- deviations of keypoints from markers -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Residuals:
+    """Hold the errors of one view of T frames with J keypoints."""
+
+    error_px: Array
+    """(T, J, 2): detections minus projected markers, 0 if missing."""
+    by_point: Array
+    """(T, J, 2, 3): derivatives by the markers."""
+    noise_px: Array
+    """(T, J)."""
+    weight: Array
+    """(T, J): weights under the robust loss, 0 if missing."""
+
+    @classmethod
+    def of_view(cls, solution: Solution, number: int) -> _Residuals:
+        """Return the errors of one of the solution's views."""
+        view, noise_px = solution.views[number], solution.noise_px[number]
+        markers_m = solution.markers_m
+        projected, by_point, valid = view.project_with_jacobian(view.shift_to_exposure(np.nan_to_num(markers_m)))
+        known = valid & view.present & np.isfinite(markers_m[..., 0]) & np.isfinite(noise_px)
+        error_px, noise_px = np.where(known[..., None], view.xy_px - projected, 0.0), np.where(known, noise_px, 1.0)
+        square = np.sum(error_px**2, axis=-1) / (constants.ROBUST_C * noise_px) ** 2
+        return cls(error_px, by_point, noise_px, np.where(known, 1.0 / (1.0 + square), 0.0))
+
+    @property
+    def information(self) -> Array:
+        """Return the precision (T, J, 3, 3) of the deviations."""
+        weighted = self.by_point * (self.weight / self.noise_px**2)[..., None, None]
+        return np.asarray(weighted.swapaxes(-1, -2) @ self.by_point)
+
+    @property
+    def pull(self) -> Array:
+        """Return the precision times the deviations, (T, J, 3)."""
+        weighted = self.by_point * (self.weight / self.noise_px**2)[..., None, None]
+        return np.asarray((weighted.swapaxes(-1, -2) @ self.error_px[..., None])[..., 0])
+
+    def off_px(self, deviation: Array) -> Array:
+        """Return the errors (..., T, J, 2) that deviations (..., T, J, 3) leave, NaN if missing."""
+        off = self.error_px - (self.by_point @ deviation[..., None])[..., 0]
+        return np.where(self.weight[..., None] > 0, off, np.nan)
+
+
+def _deviations(solution: Solution, residuals: list[_Residuals], fps: float) -> tuple[Array, Array, float]:
+    """Return the deviations (T, J, 3), their covariances (T, J, 3, 3), and the factor on predicted covariances."""
+    information = np.array([residual.information for residual in residuals])
+    pull = np.array([residual.pull for residual in residuals])
+    with warnings.catch_warnings(action="ignore"):  # of keypoints without a pose
+        noise_m = np.nan_to_num(np.nanmedian(_noise_m(solution), axis=0), nan=1e-3)
+    total, total_pull = information.sum(axis=0), pull.sum(axis=0)
+    choices = [(0.0, LASTING_S[0]), *product(DEVIATIONS, LASTING_S)]
+    costs = np.zeros((len(choices), len(noise_m)))
+    for row, (share, lasting_s) in zip(costs, choices, strict=True):
+        for number, residual in enumerate(residuals):
+            others = total - information[number], total_pull - pull[number]
+            deviation, _ = smoothed_deviations(*others, share * noise_m, np.exp(-1.0 / (fps * lasting_s)))
+            square = np.sum(residual.off_px(deviation) ** 2, axis=-1) / residual.noise_px**2
+            row += np.nansum(np.log1p(square), axis=0)
+    chosen = [choices[k] for k in np.argmin(costs + OTHERS * costs.mean(axis=1, keepdims=True), axis=0)]
+    sigma_m = noise_m * [share for share, _ in chosen]
+    carried = np.exp([-1.0 / (fps * lasting_s) for _, lasting_s in chosen])
+    squares = []
+    for number, (residual, view) in enumerate(zip(residuals, solution.views, strict=True)):
+        others = total - information[number], total_pull - pull[number]
+        deviation, deviation_m2 = smoothed_deviations(*others, sigma_m, carried)
+        _, covariance = _predicted(
+            solution, view, solution.markers_m + deviation, solution.covariance_m2 + deviation_m2, 1.0
+        )
+        squares.append(_whitened_squares(residual.off_px(deviation), covariance))
+    return (*smoothed_deviations(total, total_pull, sigma_m, carried), _level_factor(np.concatenate(squares)))
+
+
+def smoothed_deviations(information: Array, pull: Array, sigma_m: Array, carried: Array | float) -> tuple[Array, Array]:
+    """Return the smoothed deviations (T, J, 3) of keypoints, with their covariances (T, J, 3, 3).
+
+    Parameters
+    ----------
+    information, pull
+        (T, J, 3, 3), (T, J, 3): precision of the deviations by the detections of each frame, and the precision times
+        the deviations.
+    sigma_m
+        (J,): expected standard deviation along each axis.
+    carried
+        (J,), or of all keypoints: share of a deviation that lasts to the next frame.
+    """
+    T, J = pull.shape[:2]
+    variance = np.maximum(sigma_m, 1e-9)[:, None, None] ** 2 * np.eye(3)
+    carried_mean = np.broadcast_to(carried, J)[:, None]
+    carried_gain = carried_mean[..., None]
+    means, covariances = np.zeros((T, J, 3)), np.zeros((T, J, 3, 3))
+    predicted = np.zeros((T, J, 3, 3))
+    mean, covariance = np.zeros((J, 3)), variance
+    for t in range(T):
+        if t:
+            mean, covariance = carried_mean * mean, carried_gain**2 * covariance + (1.0 - carried_gain**2) * variance
+        predicted[t] = covariance
+        precision = np.linalg.inv(covariance)
+        covariance = np.linalg.inv(precision + information[t])
+        mean = (covariance @ ((precision @ mean[..., None]) + pull[t][..., None]))[..., 0]
+        means[t], covariances[t] = mean, covariance
+    for t in range(T - 2, -1, -1):
+        gain = carried_gain * covariances[t] @ np.linalg.inv(predicted[t + 1])
+        means[t] += (gain @ (means[t + 1] - carried_mean * means[t])[..., None])[..., 0]
+        covariances[t] += gain @ (covariances[t + 1] - predicted[t + 1]) @ gain.swapaxes(-1, -2)
+    return means, covariances
