@@ -29,7 +29,13 @@ CAPTIONS: Mapping[str, str] = {
         "Configurations over the clip from the side, from above and from ahead, coloured by time. Dashed: left; thin: "
         "right; thick: the rest."
     ),
-    "phase_portraits": "Phase portraits: angle against angular rate, coloured by time; grey: mostly from the prior.",
+    "phase_portraits": (
+        "Phase portraits of the six angles with the largest range relative to their uncertainty: angle against angular "
+        "rate, coloured by time; bands: 90 %."
+    ),
+    "phase_portraits_all": (
+        "Phase portraits of all angles: angle against angular rate, coloured by time; grey: mostly from the prior."
+    ),
     "observability": "Share of each angle's precision that comes from the pixels (blue) and from the prior (grey).",
     "end_effector": "Motion of the chain's end effector, with the ends of strides.",
     "forces": "Vertical forces of the feet in body weights; bands: 90 %.",

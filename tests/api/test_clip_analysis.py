@@ -278,6 +278,7 @@ FIGURES = (
     "joint_flexion",
     "observability",
     "phase_portraits",
+    "phase_portraits_all",
     "side_view",
     "speed",
     "vector_field_head",

@@ -406,6 +406,15 @@ def test_portraits_in_degrees():
     assert figure.axes[-1].get_ylabel() == "time (s)"
 
 
+def test_portraits_that_say_something_move_more_than_their_uncertainty_and_are_seen():
+    t, errors = times(31), [Errors(np.full(31, np.radians(2.0)), 0.05)]
+    ranges = {"still": 0.01, "knee": 0.5, "hidden": 0.9, "hip": 0.4, "tail": 0.2}
+    portraits = {name: phase_portrait(angle_kinematics(t, x * np.sin(9 * t), errors)) for name, x in ranges.items()}
+    shares = dict.fromkeys(ranges, 0.8) | {"hidden": 0.2}
+    assert [*plots.telling_portraits(portraits, shares, 3)] == ["knee", "hip", "tail"]
+    assert [*plots.telling_portraits(portraits, dict.fromkeys(ranges, 0.1), 2)] == ["knee", "hidden"]
+
+
 def test_a_portrait_with_its_deviations_and_of_an_angle_that_is_not_seen():
     t = times(31)
     errors = [Errors(np.full(31, np.radians(2.0)), 0.05)]

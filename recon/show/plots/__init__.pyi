@@ -10,6 +10,7 @@ from .over_time import footfall as footfall
 from .over_time import forces as forces
 from .over_time import phase_portraits as phase_portraits
 from .over_time import speeds as speeds
+from .over_time import telling_portraits as telling_portraits
 from .over_time import vector_fields as vector_fields
 from .style import COLUMN_MM as COLUMN_MM
 from .style import WIDTH_MM as WIDTH_MM

@@ -264,6 +264,12 @@ _ALONG = 0.25
 """Distance between the ellipses of a band, in half axes."""
 
 
+TELLING = 6
+"""Number of portraits that a figure for a paper has room for."""
+_EXACT_RAD = 1e-6
+"""Smallest standard deviation by which portraits are compared."""
+
+
 def phase_portraits(
     portraits: Mapping[str, Portrait],
     closed: Mapping[str, Closure] | None = None,
@@ -308,6 +314,35 @@ def phase_portraits(
         scale = ScalarMappable(colours[1], colours[0])
         figure.colorbar(scale, ax=panels.tolist(), location="right", aspect=50, label="time (s)", pad=0.01)
     return figure
+
+
+def telling_portraits(
+    portraits: Mapping[str, Portrait], shares: Mapping[str, float], count: int = TELLING
+) -> dict[str, Portrait]:
+    """Return the portraits of the angles whose range is largest relative to their uncertainty, in the given order.
+
+    Parameters
+    ----------
+    portraits
+        By the name of the angle.
+    shares
+        Fraction of each angle's precision that comes from the pixels. Angles below `MEASURED_SHARE` are left out,
+        unless that would leave none.
+    count
+        Largest number of portraits.
+    """
+
+    def clarity(name: str) -> float:
+        portrait = portraits[name]
+        known = portrait.angle_rad[_known(portrait)]
+        sigma_rad = (
+            float(np.nanmedian(portrait.angle_sigma_rad)) if np.isfinite(portrait.angle_sigma_rad).any() else 1.0
+        )
+        return float(np.ptp(known)) / max(sigma_rad, _EXACT_RAD) if len(known) else 0.0
+
+    seen = [name for name in portraits if not shares.get(name, 1.0) < MEASURED_SHARE] or [*portraits]
+    best = sorted(seen, key=clarity, reverse=True)[:count]
+    return {name: portrait for name, portrait in portraits.items() if name in best}
 
 
 def _known(portrait: Portrait) -> Bools:
