@@ -69,6 +69,12 @@ def parsed(source: str) -> ast.Module:
     return ast.parse(source)
 
 
+@cache
+def nodes_that_import(tree: ast.Module) -> tuple[ast.Import | ast.ImportFrom | ast.Call, ...]:
+    """Imports and calls, in functions too: a tree is walked once."""
+    return tuple(node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom | ast.Call))
+
+
 def module_name(path: Path) -> str:
     """recon/io/formats.py -> recon.io.formats; recon/io/__init__.py -> recon.io.__init__."""
     return ".".join(path.relative_to(ROOT).with_suffix("").parts)
@@ -112,7 +118,7 @@ def violations(
 
 def imported_names(module: str, tree: ast.Module) -> Iterator[tuple[int, str, str]]:
     """Line, module and name of every name that is imported from a module of the package."""
-    for node in ast.walk(tree):
+    for node in nodes_that_import(tree):
         if isinstance(node, ast.ImportFrom):
             package = module.split(".")[: -node.level] if node.level else []
             origin = ".".join((*package, *(node.module.split(".") if node.module else ())))
@@ -161,7 +167,7 @@ def all_imports(module: str, tree: ast.Module) -> Iterator[tuple[int, tuple[str,
     `from recon import x` is recon.x where that is a module, and otherwise the public API, recon; `__version__` and its
     like are no API.
     """
-    for node in ast.walk(tree):
+    for node in nodes_that_import(tree):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, tuple(alias.name.split("."))) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):

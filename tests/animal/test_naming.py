@@ -39,6 +39,8 @@ from recon.show.report import build_report
 from recon.testing import detectors
 from recon.testing.detectors import ACINOSET, ANIMAL3D, AP_10K, HORSE_10, MMPOSE_AP_10K, SUPERANIMAL, UNSEEN
 
+pytestmark = pytest.mark.usefixtures("no_playback")
+
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"
 
 

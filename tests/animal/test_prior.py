@@ -36,6 +36,8 @@ from recon.cli.models import _prior_lines
 from recon.fit.motion import Motion
 from recon.io.positions import read_pose_segments
 
+pytestmark = pytest.mark.usefixtures("no_playback")
+
 OMEGA_RAD_S = 12.0
 SPREAD_RAD = 0.3
 

@@ -29,6 +29,8 @@ from recon.fit.trajectory import solve_trajectory
 from recon.gait.evaluation import aligned, joint_errors, score
 from recon.io.formats import read_keypoints
 
+pytestmark = pytest.mark.usefixtures("no_playback")
+
 CAT = (Path(__file__).parents[2] / "docs" / "my-cat.toml").read_text(encoding="utf-8")
 
 DOG = (
@@ -474,6 +476,7 @@ def test_every_fault_is_named(tmp_path):
         check_skeleton("unicorn")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_pictures")
 def test_pictures(tmp_path):
     file, out = in_file(tmp_path, CAT), tmp_path / "pictures"

@@ -19,6 +19,8 @@ from recon.io.common import Pose3D
 from recon.io.deeplabcut import write_csv
 from tests.command_line import refusal, run
 
+pytestmark = pytest.mark.usefixtures("no_playback")
+
 KNOWN = {"l_fore_lower": 0.08, "l_hind_foot": -0.06}
 """Factors, by the logarithm, on the lengths of the animal that is filmed."""
 

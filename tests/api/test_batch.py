@@ -788,6 +788,7 @@ def killer(*, once: str = "", always: str = "") -> Any:
     return on_event
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX")
 def test_faults_take_only_their_clip(clips, tmp_path):
     (clips / "broken.csv").write_text("scorer,x\n")

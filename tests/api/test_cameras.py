@@ -38,6 +38,8 @@ from recon.io.formats import read_keypoints
 from tests.command_line import refusal, says
 from tests.command_line import run as command
 
+pytestmark = pytest.mark.usefixtures("no_playback")
+
 SAMPLES = samples_folder()
 
 

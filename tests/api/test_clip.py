@@ -22,6 +22,8 @@ from recon.thesis.chain import load_chain
 from recon.thesis.objectives import FrameOptions
 from recon.thesis.solver import solve_frames
 
+pytestmark = pytest.mark.usefixtures("no_playback")
+
 EXAMPLE = (Path(__file__).parents[1] / "files" / "trunk-and-leg.toml").read_text()
 # The same chain, hung from its front end: the root is the joint that the animal's front is known by.
 FRONT_ROOT = EXAMPLE

@@ -19,6 +19,8 @@ from recon import find_clips
 from recon.base.errors import printable
 from recon.base.file_names import encodable, existing_path, to_encodable
 
+pytestmark = pytest.mark.usefixtures("no_playback")
+
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLES = ROOT / "data" / "samples"
 FIT = ("--camera", SAMPLES / "camera.toml", "--fps", 60, "--frames", "0:8", "--set", "fast=true")

@@ -207,7 +207,9 @@ def test_output_that_goes_nowhere(where, code, said):
 
 
 @posix
-@pytest.mark.parametrize("after_s", [0.0, 0.2, 0.5, 0.8])
+@pytest.mark.parametrize(
+    "after_s", [0.5, *(pytest.param(after_s, marks=pytest.mark.slow) for after_s in (0.0, 0.2, 0.8))]
+)
 def test_from_outside(after_s, tmp_path):
     """While modules are imported, and while the clip is fitted and written, whatever it is that this machine is at."""
     samples = Path(__file__).resolve().parents[2] / "data" / "samples"

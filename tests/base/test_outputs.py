@@ -549,7 +549,9 @@ def test_no_page_replaces_one_of_a_user_s(whole_results, tmp_path, monkeypatch):
     assert contents(tmp_path) == before
 
 
-@pytest.mark.parametrize("name", ["analyse", "retarget", "solver"])
+@pytest.mark.parametrize(
+    "name", ["analyse", *(pytest.param(name, marks=pytest.mark.slow) for name in ("retarget", "solver"))]
+)
 @pytest.mark.usefixtures("no_playback", "undrawn")
 def test_a_command_replaces_its_own(whole_results, frame_results, tmp_path, name):
     arguments, sure = commands(whole_results, frame_results)[name]

@@ -92,7 +92,7 @@ def with_patch(pictures, share: float):
         yield picture
 
 
-@pytest.mark.parametrize(("camera", "by"), [(PINHOLE, 1.0), (FISHEYE, 0.9)])
+@pytest.mark.parametrize(("camera", "by"), [(PINHOLE, 1.0), pytest.param(FISHEYE, 0.9, marks=pytest.mark.slow)])
 def test_a_pan_is_found_and_the_focal_length_beside_it(camera, by):
     """Without drift with the true focal length; with another the stated deviations hold its error."""
     rotations = pan(12, 14.0)
@@ -165,7 +165,7 @@ def driven(way_m: float, turned_rad: float) -> np.ndarray:
     return np.where(ground, sampled(80 * x, 80 * z, seed=2), sampled(40 * x, 40 * y))
 
 
-@pytest.mark.parametrize("follows", [False, True])
+@pytest.mark.parametrize("follows", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_camera_that_is_carried_is_recognised(follows):
     way = 0.08 * np.arange(10)
     motion = tracked(driven(x, -np.arctan(x / 8) if follows else 0.0) for x in way)
@@ -348,6 +348,7 @@ def test_bad_input_is_one_clear_message(tmp_path):
     film_refused(tmp_path, still, of_others, more=("--keypoints", points))
 
 
+@pytest.mark.slow
 def test_another_lens_is_named_with_the_focal_length_that_the_turns_have(tmp_path):
     """Off by a tenth or more it is refused, with less it is noted."""
     film(tmp_path / "pan.avi", (seen(R) for R in pan(10, 12.0)))

@@ -364,9 +364,11 @@ def test_keypoints_from_0_to_1():
 @pytest.mark.parametrize(
     ("code", "turn"),
     [
-        ("keypoints_y_up", lambda xy: [0, 1079] + [1, -1] * xy),
         ("picture_upside_down", lambda xy: [1919, 1079] - xy),
-        ("picture_turned", lambda xy: np.stack([1079 - xy[..., 1], xy[..., 0]], axis=-1)),
+        pytest.param("keypoints_y_up", lambda xy: [0, 1079] + [1, -1] * xy, marks=pytest.mark.slow),
+        pytest.param(
+            "picture_turned", lambda xy: np.stack([1079 - xy[..., 1], xy[..., 0]], axis=-1), marks=pytest.mark.slow
+        ),
     ],
 )
 def test_a_picture_turned_over(code, turn):
@@ -385,8 +387,18 @@ UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
 @pytest.mark.parametrize(
     ("code", "axis", "changed"),
     [
-        ("world_not_z_up", "-z", lambda v: replace(v, T_camera_world=v.T_camera_world @ UPSIDE_DOWN)),
-        ("pose_inverted", None, lambda v: replace(v, T_camera_world=inverse(v.T_camera_world))),
+        pytest.param(
+            "world_not_z_up",
+            "-z",
+            lambda v: replace(v, T_camera_world=v.T_camera_world @ UPSIDE_DOWN),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "pose_inverted",
+            None,
+            lambda v: replace(v, T_camera_world=inverse(v.T_camera_world)),
+            marks=pytest.mark.slow,
+        ),
         ("upside_down", None, lambda v: replace(v, xy_px=[1919, 1079] - v.xy_px)),
     ],
 )

@@ -213,6 +213,7 @@ def test_report_and_config_say_what_was_done(fitted):
     assert report["settings"] == settings.plain(out)
 
 
+@pytest.mark.usefixtures("no_playback")
 def test_options_overrule_the_config(fitted, tmp_path):
     out, _ = fitted
     other = tmp_path / "other"
@@ -376,6 +377,7 @@ def test_config_repeats_a_trajectory_bit_for_bit(whole, tmp_path, monkeypatch):
     assert_same_reports(out, other)
 
 
+@pytest.mark.usefixtures("no_playback")
 def test_options_of_a_trajectory(tmp_path):
     more = (
         "--skeleton",
@@ -745,6 +747,7 @@ def test_killed_run_leaves_no_output_and_the_next_works(tmp_path):
     assert sorted(path.name for path in out.iterdir()) == sorted([*OUTPUT_FILES, RECORD])
 
 
+@pytest.mark.slow
 @needs_sigkill
 def test_killed_overwriting_leaves_the_earlier_results(tmp_path):
     write_old(tmp_path)

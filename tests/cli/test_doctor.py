@@ -23,6 +23,8 @@ from recon.base.package import install_command, pip_command
 from recon.cli.app import GROUPS, app, commands
 from recon.cli.doctor import _Check, packages, run_doctor, self_test, versions, viewer
 
+pytestmark = pytest.mark.usefixtures("no_playback")
+
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"
 
 

@@ -82,7 +82,7 @@ def fitted(folder: Path, settings: FitSettings, truth) -> tuple[Motion, dict[str
     } | shares
 
 
-@pytest.mark.parametrize("cameras", [2, 4])
+@pytest.mark.parametrize("cameras", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_a_person_who_walks(cameras, tmp_path):
     """1.79 m high, with keypoints 26 mm beside their markers all the time. Both feet are tracked with their stances;
     no gait has a name."""
@@ -368,6 +368,7 @@ def test_a_draft_of_an_animal_that_stands_still(names):
 # -- small rigs ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_refined_cameras_of_a_small_rig_stay_near_their_places():
     """A mouse with a wider trunk and a longer head than the skeleton's before cameras that are turned by a degree about
     each axis: they are not moved by what is wrong with its lengths."""

@@ -19,6 +19,8 @@ from recon.testing.files import write_keypoints
 from recon.testing.gallop import project_clip, whole_gallop
 from recon.testing.steady_gait import GALLOP, TROT, SteadyGait, with_exact_states
 
+pytestmark = pytest.mark.usefixtures("no_playback")
+
 SLOW = replace(TROT, speed_m_s=0.5, stride_s=1.2)
 
 

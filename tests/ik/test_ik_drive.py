@@ -145,7 +145,7 @@ def bent(chain):
     return q
 
 
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_extended_jacobian_closes_paths_and_least_norm_drifts(dim):
     chain = front_leg(dim)
     cost = rotational_energy(chain)

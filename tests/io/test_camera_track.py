@@ -29,6 +29,8 @@ from recon.testing.files import TRACK_HEADER, track_rows, write_track
 from tests.command_line import refusal, says
 from tests.command_line import run as command
 
+pytestmark = pytest.mark.usefixtures("no_playback")
+
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 DRONE = Camera.from_hfov(64.0, (1920, 1080))
 LEVEL = level_pose([1.0, 2.0, 3.0], 0.3)

@@ -157,6 +157,7 @@ def test_no_file_of_a_user_s_is_replaced(clip, model, tmp_path):
     require_untouched(("predict", clip / "clip.avi", "--model", model, *written), tmp_path / "p", files)
 
 
+@pytest.mark.slow
 def test_ctrl_c_says_how_to_go_on(clip, tmp_path, monkeypatch):
     """The checkpoint that is left is known as this command's: it is gone on from, or replaced."""
 

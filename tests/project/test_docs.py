@@ -84,8 +84,13 @@ ONCE = {
     "recon retarget results/clip --robot a1 --out results/a1",
 }
 """Slow commands that several pages have. On the same result, they are run once."""
-SLOW = {"recon ik results/clip --compare --fitted --costs --dim 2"}
-"""Steps that take many seconds; `test_ik_clip.py` has the same options."""
+SLOW = {
+    r"recon ik .*(--fitted|--cost )": "test_ik_clip.py",
+    r"recon camera-advice ": "test_camera_advice.py",
+    r"recon batch .* --out results/all$": "test_batch.py",
+    r"recon robot dh arm\.toml ": "test_robot_command.py",
+}
+"""Steps that take many seconds, from their beginning, and which tests have the same options."""
 FIT = "recon fit clip.csv --camera camera.toml --fps 60 --out results/clip"
 """The fit of the sample, which pages begin with: `whole_results` has it, and `test_cli.py` the command."""
 
@@ -215,7 +220,7 @@ def folder_after(made_once, whole_results, of_results) -> Callable[[Path, int], 
             page,
             number + 1,
             id=f"{name_of(page)}-{step.command or 'start'}",
-            marks=pytest.mark.slow if step.command in SLOW else [],
+            marks=[pytest.mark.slow] * any(re.match(pattern, step.command or "") for pattern in SLOW),
         )
         for page in PAGES
         for number, step in enumerate(steps(page))

@@ -72,6 +72,7 @@ def test_spoilt_files_are_read_or_refused(kinds: str, pool: ProcessPoolExecutor,
     assert tally.read > count / 10
 
 
+@pytest.mark.slow
 def test_the_command_says_what_happened(pool: ProcessPoolExecutor, tmp_path: Path) -> None:
     code, printed = pool.submit(of_the_command, tmp_path).result()
     assert code == 0, printed

@@ -17,6 +17,9 @@ from shortcuts import leave_out_playback
 
 from recon import Evaluation, evaluate_files, load_skeleton
 
+pytestmark = pytest.mark.slow
+"""Several fits by each other's results; `test_subject.py` and `test_prior.py` have the commands."""
+
 PAGE = DOCS / "how-to" / "new-species.md"
 STEPS = [block for block in blocks(PAGE) if block.language == "sh"][1:]  # without the simulation
 LINKS = {

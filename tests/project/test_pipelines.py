@@ -78,6 +78,7 @@ def test_published_study(said, folder):
     assert (results / "ik" / "parameters.csv").is_file()
 
 
+@pytest.mark.slow
 def test_several_cameras(said, folder):
     text = said("several_cameras")
     assert text.startswith("cam1: 60 frames, 1368 points\ncam2: 60 frames, 1368 points\nThe cameras agree.\nsize 0.99")
@@ -125,6 +126,7 @@ def test_analysis(said, folder, whole_results):
     assert made == {f"{name}.{suffix}" for name in names for suffix in ("png", "svg")}
 
 
+@pytest.mark.slow
 def test_new_species(said, folder):
     """The sample animal's lengths are the skeleton's."""
     for name in ("several_cameras", "one_clip"):

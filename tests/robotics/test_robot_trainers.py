@@ -207,6 +207,7 @@ def test_a_robot_for_which_a_layout_has_no_room(solved, tmp_path):
         RobotSamples(solved.stride, 0.1)
 
 
+@pytest.mark.slow
 def test_draws_scatter_as_the_fit_states_and_last_from_frame_to_frame(whole_results):
     motion = Motion.load(whole_results)
     solution = motion.solution

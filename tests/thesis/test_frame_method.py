@@ -78,7 +78,7 @@ def test_rank_18_from_pixels_and_20_from_joints(seed: int):
 
 @pytest.mark.parametrize(("direction", "heading_rad"), [("left", 0.0), ("right", 0.35), ("left", 0.6)])
 def test_clean_gallop(direction, heading_rad: float):
-    clip = gallop(heading_rad=heading_rad, direction=direction)
+    clip = gallop(n_frames=12, heading_rad=heading_rad, direction=direction)
     solution = fit(clip, clip.keypoints, EXACT)
     assert all(r is not None and r.status == "converged" for r in solution.reports)
     assert reprojection_px(clip, clip.keypoints, solution.chain_states).mean(axis=1).max() <= 0.5
@@ -87,7 +87,7 @@ def test_clean_gallop(direction, heading_rad: float):
 
 @pytest.mark.parametrize("camera_model", ["pinhole", "fisheye"])
 def test_noisy_gallop(camera_model):
-    clip = gallop(camera_model=camera_model)
+    clip = gallop(n_frames=12, camera_model=camera_model)
     keypoints, _ = add_noise(clip.keypoints, seed=3)
     solution = fit(clip, keypoints, NOISY)
     assert all(r is not None and r.status == "converged" for r in solution.reports)
