@@ -45,6 +45,15 @@ def folder(whole_results, tmp_path) -> Path:
     return Path(shutil.copytree(whole_results, tmp_path / "fit"))
 
 
+@pytest.fixture(scope="module")
+def compared(whole_results, tmp_path_factory) -> Path:
+    """Results of the whole animal with both jobs of all methods. Not to be written to."""
+    folder = Path(shutil.copytree(whole_results, tmp_path_factory.mktemp("compared") / "fit"))
+    done = run("ik", folder, "--compare", "--no-limits", "--no-figures")
+    assert (done.code, done.err) == (0, "")
+    return folder
+
+
 def ends(limb) -> np.ndarray:
     return np.array([limb.chain.end(x) for x in limb.q])
 
@@ -147,9 +156,8 @@ def test_fitted_parameters_explain_more_than_nothing(whole_results):
     assert methods_of(limb, METHODS, parameters)["damped"] != fitted["damped"]
 
 
-def test_both_jobs_with_all_methods(folder):
-    done = run("ik", folder, "--compare", "--no-limits", "--no-figures")
-    assert (done.code, done.err) == (0, "")
+def test_both_jobs_with_all_methods(compared):
+    folder = compared
     summary = json.loads((folder / "ik" / "ik.json").read_text(encoding="utf-8"))
     assert summary["stride"]["how"] == "gait"  # the sample holds complete strides
     assert {*summary["to_target"]} == {*summary["along_stride"]} == {*METHODS}
@@ -395,9 +403,8 @@ def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypa
     assert {"ik.json", "target.csv"} <= {path.name for path in (tmp_path / "a").iterdir()}
 
 
-def test_earlier_results_are_kept(folder):
-    first = run("ik", folder, "--target", "stride-max", "--no-figures")
-    assert first.code == 0
+def test_earlier_results_are_kept(compared):
+    folder = compared
     refused(["ik", folder, "--target", "stride-max", "--no-figures"], ("--out", "folder", folder / "ik", "--overwrite"))
 
 
