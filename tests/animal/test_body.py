@@ -11,6 +11,7 @@ from command_line import compare, refusal, says
 from recon import InputError
 from recon.animal.body import Body, other_side
 from recon.animal.chain import builtin_chains
+from recon.animal.naming import load_names
 from recon.animal.skeleton_file import builtin_names, builtin_subjects, load_skeleton
 from recon.geometry.frames import euler_rotation, rigid
 from recon.thesis.chain import UnknownsChain, load_chain
@@ -93,8 +94,9 @@ def test_the_expected_pose_stands_on_its_feet_and_faces_forwards(body: Body):
     state = np.concatenate([np.zeros(4), body.mean_rad])[None]
     at = dict(zip(body.markers, body.tree.pose(state).points_m[0], strict=True))
     rear, front = (at[name] for name in body.forward)
-    assert front[0] - rear[0] > {"human-25": 0.1, "mouse-top": 0.055}.get(body.name, 0.35)
-    assert all(at[foot][2] < min(rear[2], front[2]) - 0.3 for foot in body.feet)
+    assert front[0] - rear[0] > {"human-25": 0.1, "mouse-top": 0.055, "rat": 0.13}.get(body.name, 0.35)
+    above_feet_m = 0.04 if body.name == "rat" else 0.3
+    assert all(at[foot][2] < min(rear[2], front[2]) - above_feet_m for foot in body.feet)
 
 
 def test_mirror(body: Body):
@@ -315,3 +317,15 @@ def test_what_is_expected_of_a_chain_as_a_body():
     assert body.size_sigma == pytest.approx(0.02 / 0.203)
     names = [body.state_names[i] for i in chain.body_angles]
     assert (names[0], names[7]) == ("theta_6", "phi_6")
+
+
+def test_the_rat_has_the_23_points_of_its_map():
+    body, names = load_skeleton("rat"), load_names("rat-23").names
+    assert len(names) == 23
+    assert {*names.values()} <= {*body.markers}
+    assert names["SpineL"] == "lower_back"
+    assert names["HandR"] == "r_front_paw"
+    points_m = body.tree.pose(np.concatenate([np.zeros(4), body.mean_rad])[None]).points_m[0]
+    at = dict(zip(body.markers, points_m, strict=True))
+    assert np.linalg.norm(at["l_hip"] - at["l_back_knee"]) == pytest.approx(0.036)
+    assert np.linalg.norm(at["nose"] - at["tail_base"]) == pytest.approx(0.2, abs=0.02)

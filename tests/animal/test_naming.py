@@ -186,8 +186,8 @@ def test_names_with_the_code_of_a_leg(name, marker):
 
 
 def test_every_bundled_map_is_tested():
-    """`coco-17` and `mouse-15` in tests/fit/test_bodies.py."""
-    assert builtin_maps() == ("anatomical", "animal3d", "ap-10k", "coco-17", "mouse-15", "superanimal-quadruped")
+    """`coco-17`, `mouse-15` and `rat-23` in tests/fit/test_bodies.py and tests/animal/test_body.py."""
+    assert builtin_maps() == ("anatomical", "animal3d", "ap-10k", "coco-17", "mouse-15", "rat-23", "superanimal-quadruped")
 
 
 @pytest.mark.parametrize(
@@ -333,7 +333,7 @@ def test_a_detectors_own_file(name, tmp_path):
 
 
 def test_every_bundled_map_has_a_file_of_its_detector():
-    of_four_legs = {*builtin_maps()} - {"coco-17", "mouse-15", "anatomical"}
+    of_four_legs = {*builtin_maps()} - {"coco-17", "mouse-15", "rat-23", "anatomical"}
     assert of_four_legs == {bundled for bundled, _ in detectors.FILES.values() if bundled}
 
 
@@ -420,7 +420,7 @@ def test_a_batch_knows_a_map_by_its_content(tmp_path):
     assert json.dumps(bundled)
 
 
-@pytest.mark.parametrize("name", ["horse-22", "dog-27", "quadruped", "cheetah-24", "human-25", "mouse-top"])
+@pytest.mark.parametrize("name", ["horse-22", "dog-27", "quadruped", "cheetah-24", "human-25", "mouse-top", "rat"])
 def test_the_skeleton_whose_keypoints_these_are(name):
     markers = load_skeleton(name).markers
     assert skeleton_of([*markers, "another"]) == name

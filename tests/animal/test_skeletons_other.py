@@ -171,7 +171,7 @@ def test_the_quadruped_has_the_names_of_the_cheetah_and_of_every_map_of_its_kind
     assert {*body.markers} - {*cheetah.markers} == {"withers", "l_ear", "r_ear"}
     assert {*cheetah.markers} < {*body.markers}
     assert body.feet_by_label() == cheetah.feet_by_label()
-    for name in {*builtin_maps()} - {"coco-17", "mouse-15"}:
+    for name in {*builtin_maps()} - {"coco-17", "mouse-15", "rat-23"}:
         assert {*load_names(name).names.values()} <= {*body.markers}
     assert body.size_sigma == 4 * cheetah.size_sigma
     assert body.keypoint_sigma_m > cheetah.keypoint_sigma_m
@@ -472,7 +472,7 @@ def test_every_fault_is_named(tmp_path):
     fields = [problem.field for problem in error.value.problems]
     assert fields == ["segments[1].parent", "markers[4].segment", "feet", "limbs.tail"]
     assert not (tmp_path / "out").exists()
-    with refusal(("--skeleton", "name or file", "'unicorn'", "dog-27, horse-22, human-25, mouse-top, quadruped")):
+    with refusal(("--skeleton", "name or file", "'unicorn'", "dog-27, horse-22, human-25, mouse-top, quadruped, rat")):
         check_skeleton("unicorn")
 
 

@@ -1,0 +1,196 @@
+"""Whether the stated uncertainty holds for animals whose skeleton was drafted from a clip.
+
+    python benchmarks/parts/drafted_coverage.py [--only rat dog] [--cameras 1 2 6] [--clips 4] [--skeleton rat]
+
+A recorded rat (rat-poses) and dog (dog-mocap of $RECON_SHARED_DATA, or of ../shared/data) before made-up cameras. The
+skeleton is drafted from an earlier part of a recording, triangulated from four cameras, or is a built-in one (--skeleton,
+for the rat). A later part is fitted from one, two and six cameras: the shares of joints whose pose and position lie
+inside the stated 90 %, and their errors in mm. Keypoints lie off the recorded points all the time, by 2.5 % of the
+body's length along each axis, and have 2 px of noise.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import dog
+import numpy as np
+import pandas as pd
+from arguments import parser_of
+from left_out_camera import seen_by
+from markdown_table import print_table
+from recordings import recordings
+
+from recon import Body, InputError, load_skeleton
+from recon.animal.prior import prior_from_body
+from recon.api.skeleton_draft import drafted
+from recon.clip import View
+from recon.fit.clip_problem import TrajectoryOptions
+from recon.fit.trajectory import solve_trajectory
+from recon.fit.triangulation import triangulate_views
+from recon.testing.cameras import camera_ring
+from recon.testing.coverage import coverage
+
+BIAS_SHARE, FRAMES, RAT_DRAFT = 0.025, 60, 500
+"""Distance of the keypoints from the recorded points as a share of the body's length; frames of a clip that is
+fitted, and of the rat's recording that drafts its skeleton."""
+RAT_NAMES = {"Snout": "nose", "EarL": "l_ear", "EarR": "r_ear", "SpineF": "neck_base", "SpineM": "spine"}
+RAT_NAMES |= {"SpineL": "lower_back", "TailBase": "tail_base"}
+for _side in "LR":
+    _prefix = _side.lower()
+    RAT_NAMES |= {f"Shoulder{_side}": f"{_prefix}_shoulder", f"Elbow{_side}": f"{_prefix}_front_knee"}
+    RAT_NAMES |= {f"Wrist{_side}": f"{_prefix}_front_ankle", f"Hand{_side}": f"{_prefix}_front_paw"}
+    RAT_NAMES |= {f"Hip{_side}": f"{_prefix}_hip", f"Knee{_side}": f"{_prefix}_back_knee"}
+    RAT_NAMES |= {f"Ankle{_side}": f"{_prefix}_back_ankle", f"Foot{_side}": f"{_prefix}_back_paw"}
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Points (T, K, 3), z up, in metres: those of the clip, and the earlier ones that a skeleton is drafted from."""
+
+    animal: str
+    name: str
+    names: Sequence[str]
+    points_m: np.ndarray
+    past_m: np.ndarray
+    fps: float
+    length_m: float
+    trunk: tuple[str, str]
+
+
+def rats() -> Iterator[Recording]:
+    table = pd.read_csv(recordings("rat-poses") / "rat23.csv", index_col="frame")
+    names = [column.removesuffix("_x") for column in table.columns[::3]]
+    points_m = table.to_numpy().reshape(len(table), -1, 3) / 1000
+    past_m = points_m[:RAT_DRAFT]
+    for first in range(RAT_DRAFT + 20, len(points_m) - FRAMES, 2 * FRAMES):
+        part_m = points_m[first : first + FRAMES]
+        yield Recording("rat", f"rat+{first}", names, part_m, past_m, 50.0, 0.2, ("SpineL", "SpineF"))
+
+
+def dogs() -> Iterator[Recording]:
+    for clip in dog.read_clips(recordings("dog-mocap")):
+        first = len(clip.points_m) - FRAMES
+        if first >= 2 * FRAMES:
+            points_m = clip.points_m[first:], clip.points_m[: first - 20]
+            yield Recording("dog", clip.name, clip.names, *points_m, clip.fps, 0.8, ("Hips", "Neck"))
+
+
+def biased(recording: Recording, points_m: np.ndarray, offsets_m: np.ndarray) -> np.ndarray:
+    """Return points that lie off the recorded ones, by (K, 3) in the frame of the trunk's heading."""
+    rear, front = (recording.names.index(name) for name in recording.trunk)
+    ahead = points_m[:, front, :2] - points_m[:, rear, :2]
+    c, s = (ahead / np.linalg.norm(ahead, axis=1, keepdims=True)).T[..., None]
+    x, y, z = np.broadcast_to(offsets_m, points_m.shape).transpose(2, 0, 1)
+    return points_m + np.stack([c * x - s * y, s * x + c * y, z], axis=2)
+
+
+def drafted_body(recording: Recording, points_m: np.ndarray) -> Body:
+    """Raises InputError."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "drafted.toml"
+        _, text = drafted(recording.names, points_m, recording.fps, recording.animal, Path("clip.csv"))
+        path.write_text(text, encoding="utf-8")
+        body = load_skeleton(path)
+    assert isinstance(body, Body)
+    return body
+
+
+def row(recording: Recording, cameras: int, skeleton: str | None, seed: int) -> dict[str, float | str] | None:
+    random = np.random.default_rng(seed)
+    offsets_m = random.normal(0, BIAS_SHARE * recording.length_m, (len(recording.names), 3))
+    names, middle_m = list(recording.names), recording.points_m.mean(axis=(0, 1)) * (1, 1, 0)
+    ring = camera_ring(max(cameras, 4), recording.length_m, random)
+    if skeleton is None:
+        past_m = biased(recording, recording.past_m, offsets_m) - recording.past_m.mean(axis=(0, 1)) * (1, 1, 0)
+        past = [seen_by(camera, past_m, random) for camera in ring[:4]]
+        body = drafted_body(recording, triangulate_views(past).points_m)
+    else:
+        body, names = load_skeleton(skeleton), [RAT_NAMES.get(name, name) for name in names]
+        assert isinstance(body, Body)
+    step = len(ring) // cameras if cameras > 2 else 1
+    detected_m = biased(recording, recording.points_m, offsets_m) - middle_m
+    seen = [seen_by(camera, detected_m, random) for camera in ring[::step][:cameras]]
+    order = [names.index(marker) if marker in names else -1 for marker in body.markers]
+    views = [of_markers(view, order) for view in seen]
+    solution = solve_trajectory(
+        views, body, prior_from_body(body), recording.fps, TrajectoryOptions(fast=True), ground_near_zero=True
+    )
+    known = np.array(order) >= 0
+    off_m = (solution.joints_m - (recording.points_m - middle_m)[:, order])[:, known]
+    if not np.isfinite(off_m).all():
+        return None
+    centred_m = off_m - off_m.mean(axis=1, keepdims=True)
+    return {
+        "animal": recording.animal,
+        "cameras": cameras,
+        "pose mm": 1000 * float(np.linalg.norm(centred_m, axis=-1).mean()),
+        "position mm": 1000 * float(np.linalg.norm(off_m.mean(axis=1), axis=-1).mean()),
+        "pose inside": coverage(centred_m, solution.relative_covariance_m2[:, known], 0.9),
+        "position inside": coverage(off_m, solution.covariance_m2[:, known], 0.9),
+        "stated mm": 1000 * float(np.sqrt(np.trace(solution.relative_covariance_m2, axis1=2, axis2=3)).mean()),
+        "trunk forward": float(is_forward(recording, body, solution.joints_m)),
+        "legs": len(body.feet),
+    }
+
+
+def of_markers(view: View, order: Sequence[int]) -> View:
+    """Return the view of the body's markers; those without a keypoint are missing."""
+    known = np.array(order) >= 0
+    xy_px = np.where(known[:, None], view.xy_px[:, order], np.nan)
+    return replace(view, xy_px=xy_px, confidence=np.where(known, view.confidence[:, order], 0.0))
+
+
+def is_forward(recording: Recording, body: Body, joints_m: np.ndarray) -> bool:
+    """Return whether the body's forward direction is that of the recorded trunk, within 45 degrees."""
+    rear, front = (body.markers.index(marker) for marker in body.forward)
+    ahead_m = (joints_m[:, front] - joints_m[:, rear])[:, :2]
+    first, last = (recording.names.index(name) for name in recording.trunk)
+    trunk_m = (recording.points_m[:, last] - recording.points_m[:, first])[:, :2]
+    cosine = np.sum(ahead_m * trunk_m, axis=1) / np.linalg.norm(ahead_m, axis=1) / np.linalg.norm(trunk_m, axis=1)
+    return bool(np.median(cosine) > np.cos(np.pi / 4))
+
+
+def main() -> None:
+    parser = parser_of(__doc__, only=("rat", "dog"))
+    parser.add_argument("--cameras", type=int, nargs="+", default=[1, 2, 6])
+    parser.add_argument("--clips", type=int, default=4)
+    parser.add_argument("--skeleton")
+    given = parser.parse_args()
+    rows = []
+    for animal, recorded in (("rat", rats), ("dog", dogs)):
+        if animal not in given.only or not recordings(f"{animal}-{'poses' if animal == 'rat' else 'mocap'}").is_dir():
+            continue
+        for seed, recording in enumerate([*recorded()][: given.clips]):
+            for cameras in given.cameras:
+                try:
+                    values = row(recording, cameras, given.skeleton, seed)
+                except InputError as error:
+                    print(recording.name, cameras, str(error).splitlines()[-1])
+                    continue
+                if values is not None:
+                    rows.append(values)
+                    print(recording.name, {k: round(v, 2) for k, v in values.items() if isinstance(v, float)}, flush=True)
+    if not rows:
+        parser.exit(message="no recordings: nothing measured\n")
+    grouped = pd.DataFrame(rows).groupby(["animal", "cameras"])
+    mean, count = grouped.mean(), grouped.size()
+    cells = [
+        [*key, count[key], *(f"{of[name]:.0f}" for name in ("pose mm", "stated mm", "position mm"))]
+        + [f"{of[name]:.0%}" for name in ("pose inside", "position inside", "trunk forward")]
+        + [f"{of['legs']:.0f}"]
+        for key, of in mean.iterrows()
+    ]
+    head = ["animal", "cameras", "clips", "pose mm", "stated mm", "position mm", "pose inside", "position inside"]
+    print_table([*head, "trunk forward", "legs"], cells)
+
+
+if __name__ == "__main__":
+    main()
