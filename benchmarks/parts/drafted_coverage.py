@@ -3,8 +3,8 @@
     python benchmarks/parts/drafted_coverage.py [--only rat dog] [--cameras 1 2 6] [--clips 4] [--skeleton rat]
 
 A recorded rat (rat-poses) and dog (dog-mocap of $RECON_SHARED_DATA, or of ../shared/data) before made-up cameras. The
-skeleton is drafted from an earlier part of a recording, triangulated from four cameras, or is a built-in one (--skeleton,
-for the rat). A later part is fitted from one, two and six cameras: the shares of joints whose pose and position lie
+skeleton is drafted from an earlier part of a recording, triangulated from four cameras, or is a built-in one (for the
+rat: --skeleton). A later part is fitted from one, two and six cameras: the shares of joints whose pose and position lie
 inside the stated 90 %, and their errors in mm. Keypoints lie off the recorded points all the time, by 2.5 % of the
 body's length along each axis, and have 2 px of noise.
 """
@@ -177,7 +177,9 @@ def main() -> None:
                     continue
                 if values is not None:
                     rows.append(values)
-                    print(recording.name, {k: round(v, 2) for k, v in values.items() if isinstance(v, float)}, flush=True)
+                    print(
+                        recording.name, {k: round(v, 2) for k, v in values.items() if isinstance(v, float)}, flush=True
+                    )
     if not rows:
         parser.exit(message="no recordings: nothing measured\n")
     grouped = pd.DataFrame(rows).groupby(["animal", "cameras"])

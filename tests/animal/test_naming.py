@@ -187,7 +187,15 @@ def test_names_with_the_code_of_a_leg(name, marker):
 
 def test_every_bundled_map_is_tested():
     """`coco-17`, `mouse-15` and `rat-23` in tests/fit/test_bodies.py and tests/animal/test_body.py."""
-    assert builtin_maps() == ("anatomical", "animal3d", "ap-10k", "coco-17", "mouse-15", "rat-23", "superanimal-quadruped")
+    assert builtin_maps() == (
+        "anatomical",
+        "animal3d",
+        "ap-10k",
+        "coco-17",
+        "mouse-15",
+        "rat-23",
+        "superanimal-quadruped",
+    )
 
 
 @pytest.mark.parametrize(
