@@ -59,6 +59,8 @@ class Keypoints(Brief):
     """Name of the network or person that labelled the file; None if the file has none."""
     notes: tuple[str, ...] = ()
     """Choices of the reader, in plain sentences."""
+    corrected: int = 0
+    """Number of detections that were corrected by hand."""
 
     def __post_init__(self) -> None:
         t, k = len(self.frames), len(self.names)

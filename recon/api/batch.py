@@ -59,7 +59,7 @@ Problems = tuple[Problem, ...]
 RESULTS = (
     *("verdict", "reason"),
     *(f"{error}{end}" for error in ("pose_mm", "position_m") for end in ("", "_low", "_high")),
-    *("frames", "frames_with_pose", "warnings", "outliers", "mean_reprojection_px"),
+    *("frames", "frames_with_pose", "warnings", "outliers", "corrected", "mean_reprojection_px"),
     *("mean_speed_m_s", "peak_speed_m_s", "size"),
 )
 COLUMNS = (
@@ -303,7 +303,7 @@ def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
         "verdict": verdict.get("level"),
         "reason": verdict.get("reason"),
         **errors,
-        **{name: summary[name] for name in ("frames", "frames_with_pose", "outliers")},
+        **{name: summary[name] for name in ("frames", "frames_with_pose", "outliers", "corrected")},
         "warnings": len(warnings(report)),
         "mean_reprojection_px": summary["reprojection_px"]["mean"],
         **{name: speeds[name] for name in ("mean_speed_m_s", "peak_speed_m_s")},

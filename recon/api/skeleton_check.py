@@ -27,8 +27,9 @@ LARGEST_ANIMAL_M = 15.0
 def check_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> dict[str, Any]:
     """Return a description of a skeleton's file.
 
-    `length_m` and `height_m` belong to the expected pose, `unknowns` is the number per frame, `prior` is the default
-    prior of a fit, and `remarks` name values that are allowed but probably wrong.
+    `length_m` and `height_m` belong to the expected pose, `unknowns` is the number per frame (for a chain that of
+    `recon frame`, the base length included), `prior` is the default prior of a fit, and `remarks` name values that are
+    allowed but probably wrong.
 
     Raises
     ------
@@ -62,7 +63,13 @@ def _published(name_or_path: str | Path, body: Body) -> dict[str, Any]:
         {"name": link.name, "from": link.start, "to": link.end, "length_ratio": link.length_ratio}
         for link in chain.links
     ]
-    return {"base_length_m": chain.nominal_base_length_m, "links": links, "unknown_names": chain.unknown_names}
+    names = chain.unknown_names
+    return {
+        "unknowns": len(names),
+        "unknown_names": names,
+        "base_length_m": chain.nominal_base_length_m,
+        "links": links,
+    }
 
 
 def _bones(body: Body) -> Iterator[dict[str, Any]]:

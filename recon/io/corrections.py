@@ -148,7 +148,8 @@ def with_corrections(
             confidence[cell] = 0.0 if now_px is None else 1.0
         verb = "was" if len(corrected_px) == 1 else "were"
         note = f"{counted(len(corrected_px), 'detection')} {verb} corrected by hand, as {source.name} says"
-        corrected.append(replace(file, xy_px=xy_px, confidence=confidence, notes=(*file.notes, note)))
+        notes, count = (*file.notes, note), len(corrected_px)
+        corrected.append(replace(file, xy_px=xy_px, confidence=confidence, notes=notes, corrected=count))
     return corrected
 
 

@@ -826,6 +826,7 @@ def test_faults_take_only_their_clip(clips, tmp_path):
     assert row["frames"] == row["frames_with_pose"] == "6"
     assert float(row["mean_reprojection_px"]) == report["summary"]["reprojection_px"]["mean"]
     assert int(row["outliers"]) == report["summary"]["outliers"]
+    assert row["corrected"] == "0"
     assert float(row["peak_speed_m_s"]) == speeds["peak_speed_m_s"]
     assert float(row["mean_speed_m_s"]) == speeds["mean_speed_m_s"]
     assert row["size"] == ""

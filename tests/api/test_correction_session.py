@@ -13,6 +13,7 @@ from recon.api.clip import refit_clip
 from recon.api.corrections import CorrectionSession
 from recon.base.locks import sole_editor
 from recon.io.corrections import Correction, read_corrections, write_corrections
+from recon.show.sections.keypoints import counts
 
 
 @pytest.fixture
@@ -63,6 +64,7 @@ def test_a_quick_fit_is_near_the_whole_one(session: CorrectionSession, tmp_path:
     x, y = motion.pictures[0].reprojected_px[18, j].tolist()
     write_corrections([Correction(18, "", keypoint, None, (x, y))], session.out)
     again = refit_clip(replace(session.settings, corrections=session.out), motion)
+    assert counts(again)["corrected"] == 1
     difference_m = np.linalg.norm(again.joints_m - motion.joints_m, axis=-1)
     assert np.nanmean(difference_m) < 0.003
     assert again.pictures[0].distance_px[18, j] < 3.0

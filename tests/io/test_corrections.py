@@ -38,6 +38,7 @@ def test_a_corrected_detection_is_certain_and_a_hidden_one_missing(keypoints: Ke
     assert not corrected.present[2, 1]
     assert corrected.confidence[2, 1] == 0.0
     assert corrected.notes[-1] == "2 detections were corrected by hand, as corrections.csv says"
+    assert (corrected.corrected, keypoints.corrected) == (2, 0)
     assert (corrected.xy_px[0] == 1.0).all()
     assert keypoints.present.all()
 

@@ -288,6 +288,7 @@ def batch(folder, tmp_path_factory) -> Path:
             row |= {"verdict": verdicts.get(name, ""), "reason": "why not"}
             if name == "good":
                 row |= {"reason": "Good but for this", "pose_mm": 51.2, "pose_mm_low": 33.6, "pose_mm_high": 77}
+                row |= {"corrected": 23}
             writer.writerow(
                 row
                 if status != "failed"
@@ -320,6 +321,8 @@ def test_a_batch_has_a_table_with_what_is_to_be_looked_at_first(batch):
     assert page.text.count("why not") == 2
     assert "useGood but for this" in page.text
     assert "51(34 to 77)" in page.text
+    assert "corrected by hand" in page.text
+    assert rows[-1].count("<div>23</div>") == 1
     assert "a.csv: <b>no</b>" in page.text
     assert "/home" not in page.html
     assert "7.8" not in page.text  # the mean: one far keypoint makes it large, and the median is 0

@@ -287,6 +287,7 @@ NUMBERS = {
     "position_m": ("position off by, m (90 %)", ".2f"),
     "frames": ("frames", ".0f"),
     "outliers": ("outliers", ".0f"),
+    "corrected": ("corrected by hand", ".0f"),
     "median_px": ("median keypoint error, px", ".1f"),
     "mean_speed_m_s": ("mean m/s", ".1f"),
     "peak_speed_m_s": ("peak m/s", ".1f"),
@@ -311,12 +312,13 @@ def batch_page(out: Path, rows: Sequence[Mapping[str, str]]) -> str:
     clips = sorted((_clip_row(out, row) for row in rows), key=lambda clip: clip["rank"])
     counter = Counter(row["verdict"] or row["status"] for row in rows)
     counts = {name: counter[name] for name in dict.fromkeys((*FIRST, *LEVELS, *counter)) if counter[name]}
+    is_corrected = any(row["corrected"] not in ("", "0") for row in rows)
     return rendered(
         "summary.html",
         title=out.absolute().name or "batch",
         clips=clips,
         counts=", ".join(f"{count} {name}" for name, count in counts.items()),
-        numbers=NUMBERS,
+        numbers={name: NUMBERS[name] for name in NUMBERS if name != "corrected" or is_corrected},
         look=sum(clip["state"] != "use" for clip in clips),
         states=list(dict.fromkeys(clip["state"] for clip in clips)),
         dots=[dots for name, title in DOTS.items() if (dots := _dots(clips, name, title)) is not None],

@@ -34,6 +34,7 @@ def counts(motion: Motion) -> dict[str, Any]:
     return {
         "keypoints": {"used": used, "missing": len(motion.names) - used, "unused": len(motion.unused_keypoints)},
         "detections": int(present.sum()),
+        "corrected": sum(source.keypoints.corrected for source in motion.sources),
         "outliers": sum(int(picture.outliers.sum()) for picture in motion.pictures),
         "reprojection_px": {
             "mean": mean(errors),
