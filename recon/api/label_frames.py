@@ -18,6 +18,8 @@ from recon.api.label_export import labels_output
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem
 from recon.base.outputs import Output
+from recon.fit import constants
+from recon.fit.motion import Motion
 from recon.io.formats import read_keypoints
 from recon.io.label_files import LabelledFrames, require_label_names, write_label_files, write_label_pictures
 from recon.io.video import probe, read_frames
@@ -66,6 +68,31 @@ def choose_frames(video: Path, count: int) -> list[int]:
     )
 
 
+def frames_by_gain(motion: Motion, camera: int, count: int) -> list[int]:
+    """Return frame numbers of a camera's keypoint file whose labels would lower the expected error of the pose most.
+
+    The gain of a frame is the sum over its keypoints. Errors last for about `ERROR_TIME_S`, so each frame lowers the
+    gain that remains nearby. There are fewer than `count` if no further frame has a gain.
+
+    Raises
+    ------
+    InputError
+        For a motion of the frame method, which computes no expected gain.
+    """
+    if motion.correction_gain_m2 is None:
+        actual = "a result of the frame method, which does not compute the expected gain"
+        raise InputError(Problem("--result", "method", actual, "a result of recon fit"))
+    left_m2 = np.nansum(motion.correction_gain_m2[camera], axis=1)
+    rows, chosen = np.arange(len(left_m2)), list[int]()
+    tau = max(constants.ERROR_TIME_S * motion.fps, 1.0)
+    while len(chosen) < count and left_m2.max() > 0:
+        row = int(np.argmax(left_m2))
+        chosen.append(row)
+        left_m2 = left_m2 * (1.0 - np.exp(-(((rows - row) / tau) ** 2)))
+    later = motion.sources[camera].later_frames
+    return [int(motion.frames[row]) - later for row in chosen]
+
+
 def _groups(group: Index) -> list[Index]:
     return [np.flatnonzero(group == number) for number in np.unique(group)]
 
@@ -93,7 +120,14 @@ class LabelSession:
 
     @classmethod
     def open(
-        cls, video: Path, out: Path, names: Sequence[str], scorer: str, count: int, skeleton: str | None = None
+        cls,
+        video: Path,
+        out: Path,
+        names: Sequence[str],
+        scorer: str,
+        count: int,
+        skeleton: str | None = None,
+        preferred: Sequence[int] = (),
     ) -> LabelSession:
         """Choose frames, write their pictures, and read the labels that there are from an earlier session.
 
@@ -111,6 +145,8 @@ class LabelSession:
             Number of frames.
         skeleton
             The skeleton whose bones are drawn, if any.
+        preferred
+            Frames of the video that come before those that differ, the most worthwhile first.
 
         Raises
         ------
@@ -138,8 +174,13 @@ class LabelSession:
                 for i, k in labels
             }
         labelled = {frame for frame, _ in session.points_px}
-        new_frames = [frame for frame in choose_frames(video, count) if frame not in labelled]
-        session.frames = tuple(sorted([*labelled, *new_frames[: max(0, count - len(labelled))]]))
+        wanted = max(0, count - len(labelled))
+        new_frames = [frame for frame in preferred if frame not in labelled][:wanted]
+        if len(new_frames) < wanted:
+            taken = {*labelled, *new_frames}
+            others = [frame for frame in choose_frames(video, count) if frame not in taken]
+            new_frames += _spread(others, wanted - len(new_frames))
+        session.frames = tuple(sorted([*labelled, *new_frames]))
         session._write_pictures()
         return session
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from http import HTTPStatus
 from pathlib import Path
 from typing import Annotated
@@ -10,13 +11,16 @@ from pydantic import Field
 from rich.console import Console
 
 from recon.animal.skeleton_file import load_skeleton
-from recon.api.label_frames import LabelSession
+from recon.api.label_frames import LabelSession, frames_by_gain
+from recon.base.errors import Problem
 from recon.base.local_server import LocalServer, Reply, json_reply
 from recon.base.locks import sole_editor
 from recon.base.numbers import counted
-from recon.base.settings import Count, NameOrFile, Option, Settings
+from recon.base.settings import Count, Integer, NameOrFile, Option, Settings
 from recon.cli.answers import Answer
+from recon.cli.look import FIRST_FRAME, camera_number
 from recon.cli.serving import saving, serve_until_ctrl_c
+from recon.fit.motion import Motion
 from recon.io.deeplabcut_project import find_project
 from recon.io.label_files import LABELED_DATA, require_label_names
 from recon.io.video import probe
@@ -39,17 +43,29 @@ class LabelSettings(Settings):
     """Names of the keypoints in place of a skeleton's, as in nose,tail,paw."""
     frames: Count = 40
     """Number of frames, chosen so that they differ."""
+    result: Path | None = None
+    """Result of recon fit of this video, such as results/clip: those frames are chosen whose labels would lower its
+    expected error most.
+    """
+    camera_name: str | None = None
+    """Name of the video's camera in the result, such as cam2, if there are several."""
+    first_frame: Annotated[Integer, FIRST_FRAME] = 0
     scorer: str | None = None
     """Name of the labeller. (default: the project's, or recon)"""
     browser: Annotated[bool, Field()] = True
     """Open the page in the browser."""
 
+    def problems(self) -> Iterator[Problem]:
+        """Yield problems of options that need others."""
+        if self.result is None and (self.camera_name is not None or self.first_frame):
+            yield Problem("settings", "result", "nothing", "--result with --camera-name or --first-frame")
+
 
 def label(settings: LabelSettings, console: Console) -> Answer:
     """Label frames of a video in a browser, for recon train and DeepLabCut.
 
-    The frames are chosen so that they differ. The page is served on this machine only and ends with Ctrl-C; labels are
-    saved with every click, and the same command goes on with them.
+    The frames are chosen so that they differ, or with --result so that a fit gains most. The page is served on this
+    machine only and ends with Ctrl-C; labels are saved with every click, and the same command goes on with them.
 
     Example: recon label run.mp4 --skeleton cheetah-24 --out project
     """
@@ -65,9 +81,9 @@ def label(settings: LabelSettings, console: Console) -> Answer:
     else:
         skeleton = skeleton or "cheetah-24"
         names = tuple(dict.fromkeys(name for pair in load_skeleton(skeleton).keypoints for name in pair))
-    folder = settings.out / LABELED_DATA / video.stem
+    folder, preferred = settings.out / LABELED_DATA / video.stem, _preferred(settings)
     with sole_editor(folder / f"CollectedData_{scorer}.csv"):
-        session = LabelSession.open(video, settings.out, names, scorer, settings.frames, skeleton)
+        session = LabelSession.open(video, settings.out, names, scorer, settings.frames, skeleton, preferred)
         server = label_server(session)
         serve_until_ctrl_c(
             console, server, f"Labels are saved in {session.output.folder}. Ctrl-C ends the page.", settings.browser
@@ -77,6 +93,17 @@ def label(settings: LabelSettings, console: Console) -> Answer:
     if done:
         lines.append(f"Train a network with them: recon train {settings.out} --out models/{video.stem}")
     return Answer({"labels": len(session.points_px), "frames": done, "folder": session.output.folder}, lines)
+
+
+def _preferred(settings: LabelSettings) -> list[int]:
+    """Return the frames of the video whose labels would lower the expected error of the result most."""
+    if settings.result is None:
+        return []
+    motion, frame_count = Motion.load(settings.result), probe(settings.video).stated_frames
+    camera = camera_number(motion, settings.camera_name, settings.video)
+    numbers = frames_by_gain(motion, camera, settings.frames)
+    frames = [number - settings.first_frame for number in numbers]
+    return [frame for frame in frames if frame >= 0 and (not frame_count or frame < frame_count)]
 
 
 def label_server(session: LabelSession) -> LocalServer:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import refusal, refused
 
-from recon.api.label_frames import LabelSession, choose_frames
+from recon.api.label_frames import LabelSession, choose_frames, frames_by_gain
+from recon.fit.motion import Motion
 from recon.io.formats import read_keypoints
 from recon.io.video import video_writer
 from recon.keypoint_net.labels import read_labels
@@ -40,6 +42,27 @@ def test_frames_are_chosen_from_every_scene_and_the_same_again(film: Path):
     assert choose_frames(film, 3) == chosen
     assert choose_frames(film, 100) == [*range(30)]
     assert len(choose_frames(film, 12)) == 12  # more than there are kinds of pictures
+
+
+def test_with_a_result_frames_are_those_whose_labels_tell_most(small_motion: Motion):
+    """A neighbour of a chosen frame has little left to tell; the numbers are those of the keypoint file."""
+    gain_m2 = np.zeros((1, len(small_motion.frames), len(small_motion.names)))
+    gain_m2[0, [0, 1], 4] = 3.0, 2.9
+    gain_m2[0, 5, :2] = 1.0, 1.5
+    gain_m2[0, 4, 0] = np.nan
+    motion = replace(small_motion, correction_gain_m2=gain_m2)
+    assert frames_by_gain(motion, 0, 2) == [10, 15]
+    assert frames_by_gain(motion, 0, 100) == [10, 15, 11]  # no frame in which no error would fall
+    with refusal(("--result", "method")):
+        frames_by_gain(replace(motion, correction_gain_m2=None), 0, 2)
+
+
+def test_preferred_frames_come_first_and_others_differ(film: Path, tmp_path: Path):
+    pytest.importorskip("tables")
+    session = LabelSession.open(film, tmp_path, NAMES, "me", 4, None, [7, 3])
+    assert {3, 7} < {*session.frames}
+    assert len(session.frames) == 4
+    assert {number // 10 for number in session.frames} > {0}
 
 
 def test_what_is_saved_is_what_recon_train_reads(session: LabelSession, tmp_path: Path):
@@ -101,4 +124,5 @@ def test_a_scorer_outside_the_folder_is_refused(film: Path, tmp_path: Path):
     out = tmp_path / "project"
     refused(("label", film, "--out", out, "--scorer", "../me"), ("labels", "scorer", "../me", "a name of a file"))
     refused(("label", tmp_path / "none.mp4", "--out", out), ("none.mp4", "video", "no such file"))
+    refused(("label", film, "--out", out, "--first-frame", "3"), ("--result", "result", "nothing"))
     assert not out.exists()
