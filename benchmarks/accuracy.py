@@ -20,6 +20,7 @@ PARTS = {
     "detectors": Part("detector_choice.py", data="cheetah-runs"),
     "detector-files": Part("detector_files.py", quick=[]),
     "bones": Part("bones.py", quick=[]),
+    "processors": Part("processors.py", quick=[]),
 }
 
 

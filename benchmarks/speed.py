@@ -18,6 +18,7 @@ PARTS = {
     "analyse": Part("analyse.py", ["10000"], quick=["500"]),
     "pages": Part("pages.py", ["pages"], quick=["pages", "--clips", "10"]),
     "run": Part("pages.py", ["run"]),
+    "refit": Part("refit.py", quick=["60"]),
 }
 
 

@@ -25,7 +25,7 @@ from recon.cli.analyse import ACCELERATION_KNOWN_M_S2
 from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis
 from recon.gait.gait import INTERVAL
-from recon.gait.kinematics import frame_times, net_acceleration, series_kinematics
+from recon.gait.kinematics import frame_jitter_m, frame_times, net_acceleration, series_kinematics
 from recon.thesis.solution import frame_solution
 
 WITHIN = 0.3
@@ -67,10 +67,17 @@ def view_row(run: Path, camera: int, meta: dict[str, Any], options: dict[str, An
         "mpjpe_mm": error_mm,
         "low_mm": 1000 * stated.low if stated else np.nan,
         "high_mm": 1000 * stated.high if stated else np.nan,
+        "jitter_m": depth_jitter_m(motion),
         "error_px": float(distance_px[np.isfinite(distance_px)].mean()),
         "iterations": float(np.nanmedian(solution.reported("iterations"))),
         "evaluations": float(np.nanmedian(solution.reported("function_evaluations"))),
     }
+
+
+def depth_jitter_m(motion: Motion) -> float:
+    """Return the jitter of the reference joint from frame to frame along the line of sight."""
+    from_camera_m = motion.joints_m[:, motion.names.index(motion.reference)] - motion.solution.views[0].centre_m
+    return float(frame_jitter_m(np.linalg.norm(from_camera_m, axis=1)[:, None])[0])
 
 
 def true_peak_m_s(motion: Motion, truth: Pose3D) -> float:
@@ -119,6 +126,7 @@ def summary(table: pd.DataFrame) -> list[str]:
         f"{int((usable['mpjpe_mm'] > POOR_MM).sum())} / {int(is_wrong.sum())} of {len(usable)}",
         f"{named['mpjpe_mm'].mean():.0f}, {table['mpjpe_mm'].mean():.0f}",
         f"{table['error_px'].median():.1f}",
+        f"{table['jitter_m'].median():.3f} ({table['jitter_m'].min():.3f} to {table['jitter_m'].max():.3f})",
         f"{table['iterations'].median():.0f}, {table['evaluations'].median():.0f}",
     ]
 
@@ -154,7 +162,8 @@ def main() -> None:
     )
     print()
     names = "runs, speed stated, near the truth, 90 % hold, pose 90 % hold, use: poor pose / wrong peak, "
-    names += "MPJPE mm (named; all), px, iterations and evaluations"
+    names += "MPJPE mm (named; all), px, depth jitter m, "
+    names += "iterations and evaluations"
     lines = [["all", *summary(table)]]
     runs = list(dict.fromkeys(table["run"]))
     for run in runs if len(runs) > 1 else ():

@@ -28,6 +28,13 @@ from recon.io.writing import write_columns, write_rows, write_table
 WORKBOOK, LONG, DICTIONARY = "analysis.xlsx", "analysis_long.csv", "analysis_dictionary.csv"
 """Files of `recon.show.workbook`."""
 QUALITY_COLUMNS = ("frame", "flags", "alternative_m", "detections", "mean_weight", "place_sigma_m", "relative_rms_m")
+DECIMALS = 7
+"""Decimals of the numbers in tables of a fit. Processors differ in a number's last digits, and round to the same."""
+
+
+def _rounded(values: np.ndarray) -> np.ndarray:
+    """Return floats rounded to `DECIMALS`, without the sign of a zero; other types unchanged."""
+    return np.round(values, DECIMALS) + 0.0 if values.dtype.kind == "f" else values
 
 
 def pose3d(motion: Motion, path: Path) -> None:
@@ -47,21 +54,21 @@ def pose3d_sigma(motion: Motion, path: Path) -> None:
 def angles(motion: Motion, path: Path) -> None:
     """Write the whole state in its order: angles in rad, positions in metres."""
     columns = [name if name.endswith("_m") else f"{name}_rad" for name in motion.state_names]
-    write_table(path, [["frame", *columns]], motion.frames, motion.states)
+    write_table(path, [["frame", *columns]], motion.frames, _rounded(motion.states))
 
 
 def angles_sigma(motion: Motion, path: Path) -> None:
     """Write the standard deviation of each angle of angles.csv, then the information fraction of each angle."""
     columns = [f"{name}_{kind}" for kind in ("sigma_rad", "data_share") for name in motion.angle_names]
     values = np.hstack((motion.solution.angle_sigma_rad, motion.solution.angle_data_share))
-    write_table(path, [["frame", *columns]], motion.frames, values)
+    write_table(path, [["frame", *columns]], motion.frames, _rounded(values))
 
 
 def quality(motion: Motion, path: Path) -> None:
     """Write the flags of each frame, separated by semicolons, and the numbers on which they are based."""
     flags = [";".join(flags) for flags in motion.flags]
-    values = (getattr(motion, name) for name in QUALITY_COLUMNS[2:-1])
-    columns = (motion.frames, flags, *values, frame_rms_m(motion))
+    values = (*(getattr(motion, name) for name in QUALITY_COLUMNS[2:-1]), frame_rms_m(motion))
+    columns = (motion.frames, flags, *(_rounded(np.asarray(column)) for column in values))
     write_rows(path, [QUALITY_COLUMNS], zip(*columns, strict=True))
 
 
@@ -163,7 +170,7 @@ def _write_points(path: Path, motion: Motion, coords: Sequence[str], values: np.
     ]
     if scorer:
         header.insert(0, ["scorer"] + [scorer] * (len(header[0]) - 1))
-    write_table(path, header, motion.frames, values.reshape(len(motion.frames), -1))
+    write_table(path, header, motion.frames, _rounded(values).reshape(len(motion.frames), -1))
 
 
 # -- tables of an analysis ---------------------------------------------------------------------------------------------

@@ -156,6 +156,17 @@ class SolverRecord:
         """(T,): the largest component of the gradient."""
         return np.abs(self.gradient).max(axis=1)
 
+    @cached_property
+    def sizes(self) -> dict[str, Array]:
+        """(T,) by name: squared norm and mean size of the residuals, mean size and share of zeros of the Jacobian."""
+        table = np.full((4, len(self.motion.frames)), np.nan)
+        for row, terms in self.terms.items():
+            residual, jacobian = np.concatenate([r for r, _ in terms.values()]), self.jacobian(row)
+            means = np.abs(residual).mean(), np.abs(jacobian).mean(), np.mean(jacobian == 0)
+            table[:, row] = residual @ residual, *means
+        names = "squared_norm", "residual_mean_abs", "jacobian_mean_abs", "jacobian_sparsity"
+        return dict(zip(names, table, strict=True))
+
     @property
     def image_error_px(self) -> Array:
         """(T, J): distance of detections from reprojections, NaN where either is missing."""
@@ -219,7 +230,7 @@ class SolverRecord:
         motion, solution = self.motion, self.solution
         columns: dict[str, Any] = {"frame": motion.frames, "time_s": motion.time_s}
         columns |= {name: solution.reported(name) for name in COUNTS}
-        columns |= {"optimality": self.optimality, "last_step": solution.reported("step_norm")}
+        columns |= {"optimality": self.optimality, "last_step": solution.reported("step_norm"), **self.sizes}
         columns |= {f"cost_{str(term).replace(' ', '_')}": cost for term, cost in self.cost.items()}
         columns |= {f"{limit}_passed": count for limit, count in self.active.items()}
         columns |= {f"{name}_rad": solution.unknown(name) for name in CAMERA_ANGLES}

@@ -65,6 +65,9 @@ def test_tables(frame, tmp_path):
     xyz_and_base = frames.loc[2, ["xi_rad", "psi_rad", "zeta_rad", "base_length_m"]]
     assert xyz_and_base.tolist() == pytest.approx(frame.solution.chain_states[2, -4:])
     assert np.nanmean(errors.iloc[:, 2:]) == pytest.approx(told["summary"]["reprojection_px"]["mean"], rel=1e-6)
+    np.testing.assert_allclose(frames["squared_norm"], 2 * frame.cost.sum(axis=1), rtol=1e-9)
+    assert frames.loc[2, "jacobian_sparsity"] == np.mean(frame.jacobian(2) == 0)
+    assert frames.loc[2, "jacobian_mean_abs"] == pytest.approx(np.abs(frame.jacobian(2)).mean())
     assert frames["iterations"].sum() == frame.summary()["iterations"]
     assert frames["rates_passed"].sum() == frame.active["rates"].sum()
     np.testing.assert_allclose(unknowns["column_norm_median"], np.median(frame.column_norm, axis=0))

@@ -1,0 +1,68 @@
+"""Are the tables of a fit the same on machines with other processors?
+
+    python benchmarks/parts/processors.py
+
+The sample `whole.csv` is fitted with two corrections by hand, with one and two threads, and with the matrix kernels
+(OpenBLAS) of other processors, each in a process of its own. The tables must be the same byte for byte. Where motion.npz
+differs, the largest difference of a joint's position is given. Kernels that this machine cannot run are left out.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from markdown_table import print_table
+
+from recon import Motion
+
+ROOT = Path(__file__).resolve().parents[2]
+SAMPLES = ROOT / "data" / "samples"
+CORRECTIONS = "frame,keypoint,now_x_px,now_y_px\n5,r_front_knee,600.0,500.0\n6,r_front_knee,,\n"
+CASES = {
+    "one thread": {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+    "two threads": {"OMP_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2"},
+    "Haswell": {"OPENBLAS_CORETYPE": "Haswell"},
+    "Sandybridge": {"OPENBLAS_CORETYPE": "Sandybridge"},
+    "Nehalem": {"OPENBLAS_CORETYPE": "Nehalem"},
+}
+
+
+def fitted(folder: Path, environment: dict[str, str]) -> Path | None:
+    """Return the folder of a fit in a process with these variables; None if it failed."""
+    files = str(SAMPLES / "whole.csv"), "--camera", str(SAMPLES / "camera.toml"), "--fps", "60"
+    corrections = folder.parent / "corrections.csv"
+    corrections.write_text(CORRECTIONS, encoding="utf-8")
+    options = "--corrections", str(corrections), "--out", str(folder), "--quiet"
+    command = [sys.executable, "-m", "recon", "fit", *files, *options]
+    ended = subprocess.run(command, env={**os.environ, **environment, "PYTHONPATH": str(ROOT)}, check=False)
+    return folder if ended.returncode == 0 else None
+
+
+def row(name: str, folder: Path | None, first: Path) -> list[str]:
+    """Return how the tables of a fit differ from those of the first."""
+    if folder is None:
+        return [name, "no fit", ""]
+    tables = sorted(first.glob("*.csv"))
+    same = sum(table.read_bytes() == (folder / table.name).read_bytes() for table in tables)
+    joints_m = [Motion.load(path).joints_m for path in (first, folder)]
+    return [name, f"{same} of {len(tables)}", f"{float(np.nanmax(np.abs(joints_m[0] - joints_m[1]))):.1g}"]
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as temporary:
+        folders = {
+            name: fitted(Path(temporary) / f"fit{number}", environment)
+            for number, (name, environment) in enumerate(CASES.items())
+        }
+        first = next(folder for folder in folders.values() if folder is not None)
+        rows = [row(name, folder, first) for name, folder in folders.items()]
+        print_table(["fit with", "tables as of the first", "joints off, m"], rows)
+
+
+if __name__ == "__main__":
+    main()
