@@ -3,8 +3,8 @@
     python benchmarks/parts/processors.py
 
 The sample `whole.csv` is fitted with two corrections by hand, with one and two threads, and with the matrix kernels
-(OpenBLAS) of other processors, each in a process of its own. The tables must be the same byte for byte. Where motion.npz
-differs, the largest difference of a joint's position is given. Kernels that this machine cannot run are left out.
+(OpenBLAS) of other processors, each in a process of its own. The tables must be the same byte for byte. The largest
+difference of a joint's position in motion.npz is given beside. A kernel that this machine cannot run gives no fit.
 """
 
 from __future__ import annotations
