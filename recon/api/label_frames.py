@@ -178,8 +178,8 @@ class LabelSession:
         new_frames = [frame for frame in preferred if frame not in labelled][:wanted]
         if len(new_frames) < wanted:
             taken = {*labelled, *new_frames}
-            others = [frame for frame in choose_frames(video, count) if frame not in taken]
-            new_frames += _spread(others, wanted - len(new_frames))
+            candidates = [frame for frame in choose_frames(video, count) if frame not in taken]
+            new_frames += _spread(candidates, wanted - len(new_frames))
         session.frames = tuple(sorted([*labelled, *new_frames]))
         session._write_pictures()
         return session

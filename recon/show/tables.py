@@ -119,9 +119,9 @@ def shape(motion: Motion, path: Path) -> None:
     solved = getattr(motion.solution, "shape", None)
     if solved is None:
         return
-    lengths = zip(solved.lengths_m, solved.lengths_sigma_m, solved.expected_lengths_m, strict=True)
+    lengths = _rounded(np.stack([solved.lengths_m, solved.lengths_sigma_m, solved.expected_lengths_m], axis=1))
     rows = [("length", name, "", *values) for name, values in zip(solved.names, lengths, strict=True)]
-    offsets = np.stack([solved.offsets_m, solved.offsets_sigma_m, solved.expected_offsets_m], axis=2)
+    offsets = _rounded(np.stack([solved.offsets_m, solved.offsets_sigma_m, solved.expected_offsets_m], axis=2))
     for name, of_axes in zip(motion.joints, offsets, strict=True):
         rows += [("offset", name, axis, *values) for axis, values in zip("xyz", of_axes, strict=True)]
     write_rows(path, [SHAPE_COLUMNS], rows)
