@@ -12,13 +12,14 @@ from rich.console import Console
 
 from recon.animal.skeleton_file import load_skeleton
 from recon.api.label_frames import LabelSession, frames_by_gain
+from recon.api.settings import FIRST_FRAME
 from recon.base.errors import Problem
 from recon.base.local_server import LocalServer, Reply, json_reply
 from recon.base.locks import sole_editor
 from recon.base.numbers import counted
 from recon.base.settings import Count, Integer, NameOrFile, Option, Settings
 from recon.cli.answers import Answer
-from recon.cli.look import FIRST_FRAME, camera_number
+from recon.cli.look import camera_number
 from recon.cli.serving import saving, serve_until_ctrl_c
 from recon.fit.motion import Motion
 from recon.io.deeplabcut_project import find_project
