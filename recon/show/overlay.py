@@ -179,7 +179,7 @@ def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tup
         if stated is not None and stated > decoded:
             decoded_text += f" of the {stated} that the file states"
         expected = f"{last + 1 - first_frame} or more, for the frames {first} to {last}: the video of this clip"
-        expected += f", or --first-frame {first} if it was cut to begin there"
+        expected += f", or --first-frame {first} if the video was cut to begin there"
         raise InputError(Problem(video, "video", decoded_text, expected))
 
 

@@ -37,7 +37,7 @@ def rig_of(motion: Motion, fps: float | None = None, body_mass_kg: float = 1.0) 
     if not is_known.any():
         raise InputError(Problem(motion.file, "frames", "none with a pose", "at least one"))
     if difference_m[is_known].max() > SAME_M:
-        expected = "bones of one length: fit with --set method=trajectory"
+        expected = "bones of constant length: fit with --set method=trajectory"
         raise InputError(Problem(motion.file, "size", "lengths that change from frame to frame", expected))
     animal, fps = (motion.body, motion.size, motion.names), motion.fps if fps is None else fps
     rig = make_rig(*animal, frames[is_known], states[is_known], fps, body_mass_kg)

@@ -45,8 +45,8 @@ def result_sentences(
     elif (length := quantities.get("stride_length_m")) is not None and math.isfinite(length.value):
         frequency = quantities["stride_frequency_hz"]
         yield (
-            f"No foot completes a stride. By the period of the motion strides are {quantity_text(length, 'm')} long, "
-            f"{quantity_text(frequency, 'Hz')}."
+            "No foot completes a stride. From the period of the motion, strides are "
+            f"{quantity_text(length, 'm')} long, {quantity_text(frequency, 'Hz')}."
         )
 
 
@@ -82,7 +82,7 @@ def _stride_sentences(gait: Gait, quantities: Mapping[str, GaitQuantity]) -> Ite
         frequency = quantity_text(quantities["stride_frequency_hz"], "Hz")
         low, high = quantities["duty_factor"].interval
     yield (
-        f"Strides are {length_m} long, {frequency}, by the feet's {len(gait.strides)} strides; a foot stands "
+        f"Strides are {length_m} long, {frequency}, averaged over {len(gait.strides)} strides; a foot stands "
         f"{percent(gait.name.duty_factor)} of the time (90 %: {percent_range(low, high)})."
     )
     lasts_s, swing_s = 1 / gait.stride_frequency_hz, 2 * math.pi * math.sqrt(gait.tracks.leg_m / 1.5 / G_M_S2)

@@ -58,7 +58,7 @@ def test_without_a_complete_stride_the_period_counts(whole: ClipAnalysis):
     assert quantities["stride_frequency_hz"].value == pytest.approx(1 / 0.3)
     stances = [stance.duration_s for stance in cut.stances if stance.begins and stance.ends]
     assert quantities["duty_factor"].value == pytest.approx(np.mean(stances) / 0.3)
-    assert any("By the period of the motion strides are" in sentence for sentence in analysis_sentences(analysis))
+    assert any("From the period of the motion, strides are" in sentence for sentence in analysis_sentences(analysis))
     vars(unknown := ClipAnalysis(whole.motion))["gait"] = replace(cut, stride_s=np.nan, stride_sigma_s=np.nan)
     assert np.isnan(unknown.quantities["stride_length_m"].value)
     assert "too little" in unknown.quantities["stride_length_m"].why_unknown

@@ -130,7 +130,7 @@ def test_a_page_says_what_the_report_says(page, folder):
         "The acceleration is not shown: most of the time it is smaller than its standard deviation.",
     ):
         assert text in page.text
-    assert "frames 10 to 17, 0.333 to 0.567 s at 30 frames a second" in page.text
+    assert "frames 10 to 17, 0.333 to 0.567 s at 30 frames per second" in page.text
     assert "left and right" not in page.text  # no frame has that flag
     assert list(doubtful_frames(results)) == [(3, "13", "no data"), (5, "15", "data poor, ambiguous depth")]
     headings = re.findall(r"<h2>(.*?)</h2>", page.html)

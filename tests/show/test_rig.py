@@ -242,7 +242,7 @@ def test_frames_without_a_pose(whole_results):
     with refusal((SAMPLES / "whole.csv", "frames", "none with a pose")):
         rig_of(with_solution(results, states=np.nan * states))
     longer = results.upright.xyz_m * np.linspace(1, 1.1, 60)[:, None, None]
-    with refusal((SAMPLES / "whole.csv", "size", "lengths that change", "one length")):
+    with refusal((SAMPLES / "whole.csv", "size", "lengths that change", "constant length")):
         rig_of(with_solution(results, joints_m=longer))
 
 

@@ -190,7 +190,7 @@ def _subtitle(motion: Motion) -> str:
     frames = motion.frames
     cameras_text = f" · {len(motion.cameras)} cameras" if len(motion.cameras) > 1 else ""
     first_s, last_s = motion.time_s[[0, -1]]
-    times = f"{first_s:.3f} to {last_s:.3f} s at {motion.fps:g} frames a second"
+    times = f"{first_s:.3f} to {last_s:.3f} s at {motion.fps:g} frames per second"
     return f"frames {frames[0]} to {frames[-1]}, {times}{cameras_text} · {motion.title}"
 
 
@@ -233,7 +233,7 @@ def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
     motion, reference_motion, gait = analysis.motion, analysis.reference_motion, analysis.gait
     ground = None if gait is None else gait.tracks.grounds
     options = {"ground": ground, "sides": motion.limb_sides}
-    slope = " The grey line is the ground under the feet; a slope is the ground's, or an error of the camera's tilt."
+    slope = " The grey line is the ground under the feet. A slope is real, or an error of the camera's tilt."
     yield _group(
         "From the side, from above and from ahead",
         f"Poses evenly spaced in time; the animal runs to the right.{slope if ground else ''}",
@@ -283,8 +283,8 @@ def _stretches(motion: Motion, path: JointKinematics) -> Iterator[Array]:
 FIRST = ("failed", "unsolved", "pending")
 """Statuses that are listed before all others."""
 NUMBERS = {
-    "pose_mm": ("pose off by, mm (90 %)", ".0f"),
-    "position_m": ("position off by, m (90 %)", ".2f"),
+    "pose_mm": ("pose error, mm (90 %)", ".0f"),
+    "position_m": ("position error, m (90 %)", ".2f"),
     "frames": ("frames", ".0f"),
     "outliers": ("outliers", ".0f"),
     "corrected": ("corrected by hand", ".0f"),
@@ -296,7 +296,7 @@ NUMBERS = {
 """Columns of summary.csv in the table, with headings and formats. `median_px` is computed from the results, since a
 single distant keypoint makes the mean large.
 """
-DOTS = {"pose_mm": "pose off by (mm)", "median_px": "median keypoint error (px)", "mean_speed_m_s": "mean speed (m/s)"}
+DOTS = {"pose_mm": "pose error (mm)", "median_px": "median keypoint error (px)", "mean_speed_m_s": "mean speed (m/s)"}
 """Columns whose distribution over the clips is drawn."""
 DOTS_PX = (300.0, 44.0)
 """Size of a distribution plot, px."""

@@ -406,7 +406,7 @@ def camera_advice(advices: Sequence[Advice]) -> Figure:
             _grid(axes, advice)
             if len(advices) > 1:
                 axes.set_title(f"camera {number}" + (", with the first (+)" if number > 1 else ""), loc="left", pad=3)
-        panels[-1].set_xlabel("azimuth about the animal, from above counter-clockwise")
+        panels[-1].set_xlabel("azimuth around the animal, counterclockwise from above")
         bar = figure.colorbar(panels[-1].get_images()[0], ax=panels.tolist(), location="bottom", aspect=60, shrink=0.7)
         bar.set_label(f"{_SHARES}\nblack frame: best position;  ±: one standard deviation")
     return figure

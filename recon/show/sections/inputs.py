@@ -114,7 +114,7 @@ def detector_data(motion: Motion) -> dict[str, str]:
     elif name == OWN:
         reason = "as the subject's or the skeleton's file says"
     elif name == NONE and scorer_names:
-        reason = f"the scorer {scorer_names} is of no detector known here"
+        reason = f"the scorer {scorer_names} belongs to no known detector"
     elif name == NONE:
         reason = "the keypoint file names no scorer"
     elif name in {of_scorer(scorer, motion.body.name) for scorer in scorers}:
@@ -127,7 +127,7 @@ def detector_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     if motion.body.one_sided:
         return
     offer = ""
-    if "is of no detector" in data["reason"]:
+    if "belongs to no known detector" in data["reason"]:
         offer = "; two runs with four cameras can measure it: recon subject fit --no-lengths --offsets"
     yield "detector", f"{data['name']}: {data['reason']}{offer}"
 
@@ -157,30 +157,30 @@ def assumption_sentences(motion: Motion) -> Iterator[str]:
     is_single = len(motion.pictures) == 1
     subject, condition = ("The camera stands", "it pans") if is_single else ("The cameras stand", "one pans")
     if all(picture.T_reference_camera.ndim == 2 for picture in motion.pictures):
-        yield f"{subject} still: where {condition} or moves, its movement is part of the path."
+        yield f"{subject} still: if {condition} or moves, its movement is part of the path."
     if tracked := [picture.name for picture in motion.pictures if picture.source.moves]:
         yield (
-            f"Camera {' and '.join(tracked)}: moves as its track says, whose world is taken to be in metres with z up; "
-            "where the ground lies in it is not taken for known."
+            f"Camera {' and '.join(tracked)}: moves as its track says. The track's world is assumed to be in "
+            "metres with z up; the height of the ground in it is not assumed."
         )
     if motion.side is not None:
         yield f"Only the limbs of the animal's {motion.side} side are fitted."
     if not motion.knows_up and camera.tilt_rad == 0:
-        yield "The camera is taken to be level, because nothing says which way is up."
+        yield "The camera is assumed to be level, because nothing states which way is up."
     elif not motion.knows_up:
         degrees = math.degrees(camera.tilt_rad)
-        yield f"The camera is taken to look down by {degrees:.3g} degrees, as given, and not to be rolled."
+        yield f"The camera is assumed to look down by {degrees:.3g} degrees, as given, without roll."
     if hfov_deg is not None:
         yield (
             f"The camera has no calibration: its focal length follows from a horizontal field of view of "
-            f"{hfov_deg:g} degrees, and its lens is taken to be free of distortion."
+            f"{hfov_deg:g} degrees, and its lens is assumed to have no distortion."
         )
 
 
 def _trajectory_sentences(motion: Motion) -> Iterator[str]:
     solution, body = trajectory_solution(motion), motion.body
     measured = "not measured on this one" if body.subject is None else "measured on this animal"
-    size_source, size_text = given_size(motion), "this clip hardly says it"
+    size_source, size_text = given_size(motion), "this clip hardly determines it"
     if sources := size_sources(solution):
         size_text = f"by {' and '.join(sources)} it is {plus_minus(solution.size, solution.size_sigma)}"
     proportions = f"The proportions are those of {body.title!r}, {measured}."
@@ -198,7 +198,7 @@ def _trajectory_sentences(motion: Motion) -> Iterator[str]:
     elif detector == OWN:
         offsets = "next to the markers, as the skeleton's or the subject's file says"
     if solution.shape is None:
-        yield f"Keypoints are taken to lie {offsets}."
+        yield f"Keypoints are assumed to lie {offsets}."
     else:
         yield f"How far keypoints lie from the markers is estimated, and they are expected to lie {offsets}."
     source = f"as in the motions that the prior {file_name(solution.prior)} was made from"
@@ -210,8 +210,8 @@ def _trajectory_sentences(motion: Motion) -> Iterator[str]:
         yield "The ground is a plane, and a standing foot does not move on it."
     if len(solution.segments) > 1:
         yield (
-            f"The clip has {len(solution.segments)} segments, between which nothing was seen for long: each was solved "
-            "by itself, with a ground of its own."
+            f"The clip has {len(solution.segments)} segments, separated by long gaps: each was solved separately, "
+            "with a ground of its own."
         )
     if motion.settings.get("fast"):
-        yield "The fast search was asked for: fewer headings to start from, and looser tolerances."
+        yield "The fast search was used: fewer headings to start from, and looser tolerances."

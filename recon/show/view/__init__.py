@@ -110,7 +110,7 @@ def blueprint(motion: Motion, scene: Scene, plots: Sequence[TimePlot], rows: Seq
     front = [plot for plot in plots if not plot.tab]
     angles = [time_view(plot) for plot in front if plot.entity.startswith("angles/")]
     other_plots_shown = [time_view(plot) for plot in front if not plot.entity.startswith("angles/")]
-    state_view = state_rows(rows, "Doubtful frames, feet that stand")
+    state_view = state_rows(rows, "Doubtful frames, standing feet")
     column_shares = [4, *([3] * len(other_plots_shown)), 4]
     lower: rrb.Container = rrb.Horizontal(
         rrb.Tabs(*angles, active_tab=0), *other_plots_shown, state_view, column_shares=column_shares
@@ -171,7 +171,7 @@ def _title(motion: Motion) -> str:
     title = f"3D, {motion.frame_of_reference} frame, grid of {scenes.GRID_SPACING_M:g} m"
     if motion.side is None:
         title += "; left blue, right orange"
-    return title + "; shells: one sigma"
+    return title + "; ellipsoids: one standard deviation"
 
 
 def time_view(series: TimePlot) -> rrb.TimeSeriesView:
@@ -258,7 +258,7 @@ def open_viewer(path: Path) -> None:
     command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(path)]
     code = subprocess.run(command, check=False).returncode
     if code:
-        ending = f"one that ended with exit code {code}"
+        ending = f"rerun ended with exit code {code}"
         expected = "a display; or, by --out FILE.rrd, a recording of it all for a machine with one (rerun FILE.rrd)"
         raise InputError(Problem("recon view", "viewer", ending, expected))
 
@@ -353,11 +353,11 @@ def other_plots(motion: Motion) -> Iterator[TimePlot]:
     is_known, median_px = np.isfinite(distance).any(axis=1), np.full(len(distance), np.nan)
     median_px[is_known] = np.nanmedian(distance[is_known], axis=1)
     worst = np.fmax.reduce(np.where(outliers, np.nan, distance), axis=1)
-    lines = {"median of the joints": median_px, "worst but for outliers": worst}
+    lines = {"median of the joints": median_px, "largest without outliers": worst}
     yield _plot("residuals", "Reprojection (px)", lines, colours=(scenes.LIMB_COLOURS[1], scenes.EDGE))
 
     lines = {"joint within the pose": frame_rms_m(motion), "position in depth": motion.place_sigma_m}
-    yield _plot("uncertainty", "One sigma (m)", lines, colours=(scenes.LIMB_COLOURS[1], scenes.LINK))
+    yield _plot("uncertainty", "Standard deviation (m)", lines, colours=(scenes.LIMB_COLOURS[1], scenes.LINK))
 
 
 # -- views of an analysis ----------------------------------------------------------------------------------------------

@@ -110,7 +110,7 @@ def _wait_for(process: subprocess.Popen[bytes], ports: tuple[int, ...]) -> None:
     for port in ports:
         while not _listens(port):
             if process.poll() is not None or time.monotonic() > until_s:
-                ending = "one that does not answer" if process.poll() is None else f"exit code {process.returncode}"
+                ending = "no answer" if process.poll() is None else f"exit code {process.returncode}"
                 expected = "a page instead, by recon report DIR, or a recording, by --out FILE.rrd"
                 raise InputError(Problem("recon view --web", "rerun's server", ending, expected))
             time.sleep(TICK_S)
