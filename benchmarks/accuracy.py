@@ -1,4 +1,4 @@
-"""How far off are the poses and positions of one camera?
+"""How large are the errors of poses and positions from one camera?
 
     python benchmarks/accuracy.py [--only NAME ...] [--quick]
 

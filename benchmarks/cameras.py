@@ -1,4 +1,4 @@
-"""What do several cameras, moving cameras and badly known cameras give?
+"""How good are results from several, moving and poorly known cameras?
 
     python benchmarks/cameras.py [--only NAME ...] [--quick]
 

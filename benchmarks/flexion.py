@@ -1,11 +1,11 @@
-"""Measure joint angles by anatomy against made-up gallops and a dog's motion capture, each seen by one camera.
+"""Measure joint angles by anatomy on simulated gallops and a dog's motion capture, each seen by one camera.
 
     python benchmarks/flexion.py [FOLDER] [--seeds 4] [--only gallops|dogs]
 
 FOLDER: the dog-mocap, by default that of $RECON_SHARED_DATA, or of ../shared/data; without it, the gallops only. The
-gallops have the noise that the skeleton states: each keypoint lies off its marker for the whole clip, and jitters. The
-dog's clips have noise of a detector and the dog's own proportions. Prints, for each joint, the RMS error, the stated
-standard deviation (root mean square) and the share of frames inside the 90 % band, then the same for all joints.
+gallops have the noise that the skeleton states: each keypoint has a bias over the whole clip, and jitters. The dog's
+clips have a detector's noise and the dog's own proportions. The script prints, for each joint and for all joints, the
+RMS error, the stated standard deviation (root mean square) and the fraction of frames inside the 90 % band.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ from recon.testing.gallop import project_clip, whole_gallop
 
 JITTER_PX = 3.0
 DOG_CLIPS = (("walk00", 250), ("walk01", 800), ("walk02", 660), ("walk03", 300), ("walk04", 300), ("run00", 340))
-"""Clips and the first of `DOG_FRAMES` frames, in which the dog moves."""
+"""Clips, and the first of `DOG_FRAMES` frames in each, in which the dog moves."""
 DOG_FRAMES = 200
 PAIRS = {"cheetah-24": ("l_hip", "l_shoulder"), "dog-27": ("LeftUpLeg", "LeftArm")}
-"""Left markers of the hind and the fore girdle, which with the right ones give the true sagittal plane."""
+"""Left markers of the hind and the fore girdle. With the right markers they give the true sagittal plane."""
 
 
 def true_flexion(body: Body, points_m: np.ndarray) -> np.ndarray:
-    """Return the flexion (A, T) of the joints by the true markers (T, J, 3) alone, rad."""
+    """Return the flexion (A, T) of the joints from the true markers (T, J, 3) alone, rad."""
     at = {marker: points_m[:, i] for i, marker in enumerate(body.markers)}
     rear, front = body.forward
     forward = at[front] - at[rear]
@@ -80,7 +80,7 @@ def gallops(seeds: int, folder: Path) -> Iterator[tuple[Motion, np.ndarray]]:
 
 
 def dogs(recorded: Path, folder: Path) -> Iterator[tuple[Motion, np.ndarray]]:
-    """Yield fits of the dog's clips from beside, and its markers (T, J, 3)."""
+    """Yield fits of the dog's clips from the side, and its markers (T, J, 3)."""
     clips = {clip.name: clip for clip in read_clips(recorded)}
     for name, first in DOG_CLIPS:
         clip = replace(clips[name], points_m=clips[name].points_m[first : first + DOG_FRAMES])
@@ -90,7 +90,7 @@ def dogs(recorded: Path, folder: Path) -> Iterator[tuple[Motion, np.ndarray]]:
 
 
 def rows_of(fits: Iterator[tuple[Motion, np.ndarray]]) -> list[Sequence[str]]:
-    """Return a row for each joint, and one for all."""
+    """Return a row for each joint, and a row for all joints."""
     errors, sigmas = defaultdict[str, list[np.ndarray]](list), defaultdict[str, list[np.ndarray]](list)
     for motion, truth_m in fits:
         for flexion, truth in zip(joint_flexions(motion), true_flexion(motion.body, truth_m), strict=True):

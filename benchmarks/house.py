@@ -1,13 +1,13 @@
-"""How large the package is to carry, in one table: code, classes, what a fit loads, its options, circles, times.
+"""Measure how much code the package is, in one table: code, classes, what a fit loads, options, import cycles, times.
 
 python benchmarks/house.py [--rooms] [--quick] [--check] [--where]
 
-Code lines are those with code: no blank lines, comments or docstrings. A public class is one at the top of a module
-whose name has no underscore in front. A circle is a group of files that import each other, wherever in a file the
-import stands. --rooms adds a table of lines and classes for each room; --quick leaves out the times.
+Code lines exclude blank lines, comments and docstrings. A public class is at the top level of a module and has a name
+without a leading underscore. A circle is a group of files that import each other, at the top or inside functions.
+--rooms adds a table of lines and classes for each room; --quick leaves out the times.
 
---check prints how many names, imports and types of each room break a rule (`RULES`), and fails if more do than are
-allowed; --where prints each place, too. `make lint` runs it.
+--check prints how many names, imports and types of each room break a rule (`RULES`), and fails if there are more than
+allowed. --where also prints each of them. `make lint` runs the check.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "recon"
 SAMPLES = ROOT / "data" / "samples"
 RUNS = 5
-"""Pairs of processes for each ratio of times."""
+"""Number of pairs of processes for each ratio of times."""
 NO_CODE = {
     tokenize.COMMENT,
     tokenize.NL,
@@ -56,7 +56,7 @@ print(json.dumps([m.__file__ for name, m in sys.modules.items() if name.split(".
 
 
 def sources() -> dict[str, ast.Module]:
-    """The syntax tree of every file of the package, by the name of its module (recon.io for recon/io/__init__.py)."""
+    """Return the syntax tree of every file of the package by module name (recon.io for recon/io/__init__.py)."""
     return {module_of(path): ast.parse(path.read_text(encoding="utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
 
 
@@ -66,12 +66,12 @@ def module_of(path: Path) -> str:
 
 
 def code_lines(path: Path) -> int:
-    """Lines of a file that are neither blank nor only a comment or a docstring."""
+    """Count the lines of a file that are not blank, a comment or part of a docstring."""
     text = path.read_text(encoding="utf-8")
     docstrings: set[int] = set()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Module | ast.ClassDef):
-            strings = node.body  # what stands below a field or a constant describes it
+            strings = node.body  # a string below a field or a constant is its docstring
         elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             strings = node.body[:1]
         else:
@@ -98,7 +98,7 @@ most much now of off once one only other others own said so some still such than
 this those thus told too us very what when where which while who whose why with within yet
 """
 FUNCTION_WORDS = frozenset(_WORDS.split())
-"""Words that say nothing of a value, and are no names."""
+"""Words that do not describe a value, and therefore are no names."""
 PUBLISHED = {
     "recon/animal/prior_fit.py": {"apart"},  # the option of `recon prior fit`
     "recon/api/prior_fit.py": {"apart"},  # its option
@@ -107,30 +107,31 @@ PUBLISHED = {
     "recon/robotics/climb/plan.py": {"most"},  # a key of recipes
     "recon/robotics/retarget_clip.py": {"said"},  # a field of robot.npz
 }
-"""Function words that users write as the names of options and fields, and that keep working, by file."""
+"""Function words that users write as names of options and fields, and that therefore have to work, by file."""
 UPWARD = {
-    "recon.clip": {"recon.io.columns"},  # Keypoints.from_dataframe and from_xarray
+    "recon.clip": {"recon.io.columns"},  # for Keypoints.from_dataframe and from_xarray
     "recon.io.formats": {"recon.io"},  # the table of formats
-    "recon.fit.motion_forms": {"recon.thesis.solution", "recon.show.plots.side_view"},  # Motion.load, Motion.plot
-    "recon.thesis.solution": {"recon.thesis.report"},  # the method's own sections of the report
-    "recon.api.clip": {"recon.thesis.clip"},  # fit_clip, by the frame method
-    "recon.api.clip_inputs": {"recon.thesis.clip"},  # the chain of the frame method
+    # for Motion.load and Motion.plot
+    "recon.fit.motion_forms": {"recon.thesis.solution", "recon.show.plots.side_view"},
+    "recon.thesis.solution": {"recon.thesis.report"},  # for the method's own sections of the report
+    "recon.api.clip": {"recon.thesis.clip"},  # for fit_clip with the frame method
+    "recon.api.clip_inputs": {"recon.thesis.clip"},  # for the chain of the frame method
 }
-"""Modules that import, inside a function, what is built on them, and which modules that is."""
+"""Modules that import, inside a function, modules of a higher layer, and which ones."""
 
 
 class Syntax(NamedTuple):
-    """The nodes of a file's syntax tree, and which of them stand inside a function."""
+    """Hold the nodes of a file's syntax tree, and which of them are inside a function."""
 
     nodes: list[ast.AST]
     local: list[ast.AST]
-    """The nodes inside functions, without the functions and classes themselves."""
+    """Nodes inside functions, without the functions and classes themselves."""
     top: list[ast.stmt]
-    """The statements of the module."""
+    """Statements of the module."""
 
     @classmethod
     def read(cls, path: Path) -> Syntax:
-        """Return the syntax of a file, by one walk."""
+        """Parse a file, and walk its tree once."""
         tree = ast.parse(path.read_text(encoding="utf-8"))
         nodes, local, waiting = list[ast.AST](), list[ast.AST](), [(node, False) for node in tree.body]
         while waiting:
@@ -147,15 +148,15 @@ FUNCTIONS = ast.FunctionDef | ast.AsyncFunctionDef
 
 
 def function_word_names(syntax: Syntax) -> list[tuple[int, str]]:
-    """Return the lines and names of what is called by a function word."""
+    """Return the lines and names of bindings that are function words."""
     return [(line, name) for node in syntax.nodes for line, name in bound(node) if name in FUNCTION_WORDS]
 
 
 def shadowing_names(syntax: Syntax) -> list[tuple[int, str]]:
     """Return the lines and names of local variables that hide an import, a function or a class of the module.
 
-    A module that is imported for types only hides nothing where a function that needs it imports it, or gets it from
-    the function that asks for its package (`torch = require_torch()`).
+    A module that is imported for types only may be imported again in a function, or be returned by the function that
+    asks for its package (`torch = require_torch()`).
     """
     imports = [node for node in syntax.nodes if isinstance(node, ast.Import | ast.ImportFrom)]
     aliases = [alias for node in imports for alias in node.names]
@@ -175,7 +176,7 @@ def _requires(call: ast.Call, module: str) -> bool:
 
 
 def bound(node: ast.AST) -> Iterator[tuple[int, str]]:
-    """Yield the line and name that one node of a syntax tree binds: a variable, parameter, function, class, alias."""
+    """Yield the line and name that a node of a syntax tree binds: a variable, parameter, function, class or alias."""
     if isinstance(node, ast.Name):
         if isinstance(node.ctx, ast.Store):
             yield node.lineno, node.id
@@ -191,7 +192,7 @@ def bound(node: ast.AST) -> Iterator[tuple[int, str]]:
 
 
 def string_imports(syntax: Syntax) -> list[tuple[int, str]]:
-    """Return the lines and names of calls that import, or take an attribute, by a name that the code builds."""
+    """Return the lines and names of calls that import a module, or take an attribute, by a name built in the code."""
     calls = []
     for node in syntax.nodes:
         if not isinstance(node, ast.Call):
@@ -204,10 +205,10 @@ def string_imports(syntax: Syntax) -> list[tuple[int, str]]:
 
 
 def any_in_signatures(syntax: Syntax) -> list[tuple[int, str]]:
-    """Return the lines and functions of parameters and returned values of which nothing is said but `Any`.
+    """Return the lines and functions with parameters or results that are typed as `Any`.
 
-    That is `Any` itself, in a union, or as the element of a sequence; tables of plain types, `dict[str, Any]`, and
-    keywords that are passed on, `**keywords: Any`, do not count.
+    `Any` counts alone, in a union, or as the element of a sequence. Tables of plain types, `dict[str, Any]`, and
+    passed-on keywords, `**keywords: Any`, do not count.
     """
     signatures = []
     for node in syntax.nodes:
@@ -234,11 +235,11 @@ RULES = (
     ("imports by strings", string_imports, 0),
     ("`Any` in signatures", any_in_signatures, 10),
 )
-"""What is counted, by what, and how many are allowed in the whole package."""
+"""What is counted, the function that finds it, and how many are allowed in the whole package."""
 
 
 def check(where: bool) -> bool:
-    """Print how often every room breaks each of `RULES`, and return whether that is allowed."""
+    """Print how often every room breaks each of `RULES`, and return whether the numbers are allowed."""
     counts: Counter[tuple[str, str]] = Counter()
     for path in sorted(PACKAGE.rglob("*.py")):
         parts, syntax = path.relative_to(PACKAGE).parts, Syntax.read(path)
@@ -263,7 +264,7 @@ def check(where: bool) -> bool:
 
 
 def imported_by(module: str, tree: ast.Module, is_package: bool, modules: Mapping[str, object]) -> set[str]:
-    """The package's modules that a module imports: at its top, in a function, for types only, or by `import_module`."""
+    """Return the package's modules that a module imports: at its top, inside functions, or by `import_module`."""
     found = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -272,8 +273,9 @@ def imported_by(module: str, tree: ast.Module, is_package: bool, modules: Mappin
             parts = module.split(".") if is_package else module.split(".")[:-1]
             origin = ".".join([*parts[: len(parts) - node.level + 1]] if node.level else [])
             origin = ".".join(part for part in (origin, node.module) if part)
-            # a submodule where there is one of that name, else what the module itself has
-            called = [alias.name for alias in node.names if not alias.name.startswith("__")]  # __version__ is no API
+            # a submodule if there is one of this name, otherwise the module itself
+            # __version__ is not a part of the API
+            called = [alias.name for alias in node.names if not alias.name.startswith("__")]
             names = [f"{origin}.{name}" if f"{origin}.{name}" in modules else origin for name in called]
         elif isinstance(node, ast.Call) and node.args and _called(node.func) == "import_module":
             names = [node.args[0].value] if isinstance(node.args[0], ast.Constant) else []
@@ -284,14 +286,14 @@ def imported_by(module: str, tree: ast.Module, is_package: bool, modules: Mappin
 
 
 def _called(function: ast.expr) -> str:
-    """The name of a function that is called, without what it is an attribute of."""
+    """Return the name of a called function, without the object that it is an attribute of."""
     return (
         function.id if isinstance(function, ast.Name) else function.attr if isinstance(function, ast.Attribute) else ""
     )
 
 
 def imports() -> dict[str, set[str]]:
-    """For each module of the package those of the package that it imports, without those of `UPWARD`."""
+    """Return, for each module of the package, the package's modules that it imports, without those of `UPWARD`."""
     trees = sources()
     graph = {name: imported_by(name, tree, is_package(name), trees) for name, tree in trees.items()}
     return {name: {target for target in targets if not is_upward(name, target)} for name, targets in graph.items()}
@@ -307,7 +309,7 @@ def is_package(module: str) -> bool:
 
 
 def circles(graph: Mapping[str, set[str]]) -> list[list[str]]:
-    """Groups of modules that import each other (strongly connected components of more than one), by Tarjan's way."""
+    """Return groups of modules that import each other: strongly connected components, by Tarjan's algorithm."""
     number: dict[str, int] = {}
     lowest: dict[str, int] = {}
     path: list[str] = []
@@ -333,7 +335,7 @@ def circles(graph: Mapping[str, set[str]]) -> list[list[str]]:
     return found
 
 
-# -- what runs --------------------------------------------------------------------------------------------------------
+# -- measurements on running code -------------------------------------------------------------------------------------
 
 
 def output_of(*arguments: str) -> str:
@@ -344,12 +346,12 @@ def output_of(*arguments: str) -> str:
 
 
 def loaded_by_a_fit() -> list[Path]:
-    """The package's files that are loaded once the sample has been fitted from Python."""
+    """Return the package's files that are loaded after the sample was fitted from Python."""
     return [Path(file) for file in json.loads(output_of("-c", LOADED, str(SAMPLES)).splitlines()[-1])]
 
 
 def fit_help() -> tuple[int, int]:
-    """Options of `recon fit --help`, and its lines 100 columns wide."""
+    """Return the options of `recon fit --help`, and its number of lines at 100 columns."""
     text = output_of("-m", "recon", "fit", "--help")
     options = re.findall(r"^\W*(?:\*\s+)?(--[a-z][\w-]*)", text, re.MULTILINE)
     return len({*options} - {"--help"}), len(text.strip().splitlines())

@@ -1,4 +1,4 @@
-"""How good is the keypoint network, and how fast?
+"""How good and how fast is the keypoint network?
 
     python benchmarks/net.py [--only NAME ...] [--quick]
 

@@ -1,4 +1,4 @@
-"""Run the parts of a benchmark that answer one question, and keep what they measure as JSON."""
+"""Run the parts of a benchmark that answer one question, and keep the measurements as JSON."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ TIMES = re.compile(r"(^|[ ,])(s|ms|µs|seconds|wall|time)($|[ ,])")
 
 @dataclass(frozen=True)
 class Part:
-    """A measurement: a script of `parts/` with its arguments."""
+    """Describe a measurement: a script of `parts/` with its arguments."""
 
     script: str
     arguments: Sequence[str] = ()
     quick: Sequence[str] | None = None
-    """The arguments with which it takes about a minute; None: no such arguments, it is left out of --quick."""
+    """Arguments with which the script takes about a minute; None if it is left out of --quick."""
     data: str = "simulated"
-    """The recordings that it needs: a folder of $RECON_SHARED_DATA; or simulated."""
+    """Recordings that the script needs: a folder of $RECON_SHARED_DATA, or "simulated"."""
 
 
 def main(description: str, question: str, parts: Mapping[str, Part]) -> None:
@@ -73,7 +73,7 @@ def recordings(kind: str) -> Path:
 
 
 def run_part(script: str, arguments: Sequence[str]) -> str | None:
-    """Run a script, print its output as it comes, and return it; None if it failed."""
+    """Run a script, print its output as it appears, and return the output, or None if the script failed."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
     command = [sys.executable, str(PARTS / script), *arguments]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment, encoding="utf-8") as process:
@@ -86,11 +86,11 @@ def run_part(script: str, arguments: Sequence[str]) -> str | None:
 
 
 def keep(question: str, name: str, part: Part, arguments: Sequence[str], output: str) -> None:
-    """Put the tables and sentences that a part printed into the question's results."""
+    """Put the tables and sentences printed by a part into the question's results."""
     path = RESULTS / f"{question}.json"
     results = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     tables, sentences = read_markdown(output)
-    if question != "speed":  # elsewhere only what does not depend on the machine
+    if question != "speed":  # other questions keep only what does not depend on the machine
         tables = [without_times(table) for table in tables]
     results.setdefault("runs", {})[name] = {
         "measured": datetime.date.today().isoformat(),
@@ -104,7 +104,7 @@ def keep(question: str, name: str, part: Part, arguments: Sequence[str], output:
 
 
 def without_times(table: dict[str, Any]) -> dict[str, Any]:
-    """Leave out a table's columns of times."""
+    """Return a table without its columns of times."""
     columns = [number for number, name in enumerate(table["header"]) if not TIMES.search(name)]
     return {
         "header": [table["header"][number] for number in columns],

@@ -1,4 +1,4 @@
-"""What becomes of a motion on a robot, and how does a robot climb?
+"""How well do robots follow a motion, and how well do they climb?
 
     python benchmarks/robots.py [--only NAME ...] [--quick]
 

@@ -2,10 +2,10 @@
 
     python benchmarks/same_results.py OLD NEW [--quick] [--only NAME ...] [--keep FOLDER]
 
-OLD and NEW are folders of checkouts. Both run the same commands on the same files: `fit` and `frame` on the samples
-and on the recordings in $RECON_SHARED_DATA (each camera, each pair of neighbouring cameras, all cameras of a run), and
-`analyse`, `ik`, `retarget` and `compare` on fits of samples. Compared are the cells of all tables, the numbers and
-codes of all reports and the arrays of motion.npz. Times, versions and paths are left out. Exit code 1: something
+OLD and NEW are folders of checkouts. Both run the same commands on the same files: `fit` and `frame` on the samples and
+on the recordings in $RECON_SHARED_DATA (each camera, each pair of neighbouring cameras, all cameras of a run), and
+`analyse`, `ik`, `retarget` and `compare` on fits of samples. The comparison covers the cells of all tables, the numbers
+and codes of all reports and the arrays of motion.npz, without times, versions and paths. Exit code 1: something
 differs.
 
 --quick: the samples and three views only. --only: commands whose name contains one of these words. --keep: keep results
@@ -34,24 +34,24 @@ from question import recordings
 
 FAILED = "failed.txt"
 CLOCK_COLUMNS = ("solve_s", "us_per_step")
-"""Columns of tables that a clock fills."""
+"""Columns of tables with measured times."""
 CLOCK_KEYS = ("timing_s", "recon_version", "schema", "settings", *CLOCK_COLUMNS)
 """Keys of reports that depend on the clock, the version or the folders."""
 CODE_KEYS = ("level", "code", "status", "flags", "side", "method")
-"""Keys of reports whose words are results."""
+"""Keys of reports whose texts are results."""
 PLAYBACKS = ("recon.show.view.write", "recon.show.view.playback.write")
 FIGURES = ("recon.ik.clip.write_figures", "recon.robotics.ik.clip.write_figures")
-"""Functions that take time and write nothing that is compared: left out where a checkout has them."""
+"""Functions that take time and write nothing that is compared; skipped if a checkout has them."""
 
 Command = tuple[str, list[str]]
-"""A name, which is also the folder of the results, and the arguments of `recon`."""
+"""Name, which is also the folder of the results, and arguments of `recon`."""
 
 
-# -- what is run ------------------------------------------------------------------------------------------------------
+# -- commands ---------------------------------------------------------------------------------------------------------
 
 
 def sample_commands(samples: Path) -> Iterator[Command]:
-    """Give the commands on the samples."""
+    """Return the commands on the samples."""
 
     def fit(name: str, keypoints: str, camera: str, *options: str) -> Command:
         return name, ["fit", str(samples / keypoints), "--camera", str(samples / camera), *options, "--out", name]
@@ -88,7 +88,7 @@ def sample_commands(samples: Path) -> Iterator[Command]:
 
 
 def recorded_commands() -> Iterator[Command]:
-    """Fits of each camera of each run, of neighbouring pairs and of all cameras of a run; the cheapest first."""
+    """Return fits of each camera of each run, of neighbouring pairs and of all cameras of a run; the cheapest first."""
     runs = [
         (file.parent, json.loads(file.read_text())) for file in sorted(recordings("cheetah-runs").glob("*/meta.json"))
     ]
@@ -109,7 +109,7 @@ def recorded_commands() -> Iterator[Command]:
 
 
 def needed(commands: list[Command], words: list[str]) -> list[Command]:
-    """Keep the commands whose name has one of the words, and those whose results they read."""
+    """Keep the commands whose name contains one of the words, and those whose results they read."""
     chosen = {name for name, _ in commands if any(word in name for word in words)}
     read = {argument for name, arguments in commands if name in chosen for argument in arguments}
     return [command for command in commands if command[0] in chosen | read]
@@ -145,17 +145,17 @@ def run_commands(plan: Path) -> None:
             (Path(name) / FAILED).write_text(message)
 
 
-# -- what is compared -------------------------------------------------------------------------------------------------
+# -- comparison -------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One file of both results."""
+    """Compare one file of both results."""
 
     file: str
     values: int
     difference: str
-    """The first difference and how many there are; empty if there is none."""
+    """First difference and number of differences; empty if there is none."""
 
 
 def compare_files(old: Path, new: Path, name: str) -> Comparison:
@@ -201,7 +201,7 @@ def hash_of(array: np.ndarray) -> str:
 
 
 def numbers_of(value: Any, key: str) -> Iterator[tuple[str, str]]:
-    """Give each number of a document, and each word that is a result, with the keys that lead to it."""
+    """Yield each number of a document, and each text that is a result, with the keys that lead to it."""
     if isinstance(value, dict):
         for name, inner in value.items():
             if name not in CLOCK_KEYS:
@@ -214,7 +214,7 @@ def numbers_of(value: Any, key: str) -> Iterator[tuple[str, str]]:
 
 
 def result_files(folder: Path) -> set[str]:
-    """Name the files of a command's results that are compared."""
+    """Return the files of a command's results that are compared."""
     paths = [path for path in folder.rglob("*") if path.suffix in (".csv", ".json", ".npz") or path.name == FAILED]
     return {str(path.relative_to(folder)) for path in paths if path.name not in ("manifest.json", ".recon.json")}
 
@@ -223,7 +223,7 @@ def result_files(folder: Path) -> set[str]:
 
 
 def commit_of(checkout: Path) -> str:
-    """Name the commit of a checkout without changes; empty if it has some."""
+    """Return the commit of a checkout without changes, or an empty text if there are changes."""
     git = ["git", "-C", str(checkout)]
     changed = subprocess.run(
         [*git, "status", "--porcelain", "recon"], capture_output=True, text=True, check=True
@@ -252,7 +252,7 @@ def start(checkout: Path, commands: list[Command], out: Path, keep: Path | None)
 
 
 def keep_results(checkout: Path, out: Path, keep: Path) -> None:
-    """Copy results to where later runs look for those of this commit."""
+    """Copy results to the folder where later runs look for the results of this commit."""
     commit = commit_of(checkout)
     for folder in out.iterdir():
         if commit and folder.is_dir() and not (keep / commit / folder.name).exists():

@@ -1,4 +1,4 @@
-"""How long does it take, and how much memory?
+"""How much time and memory do the commands take?
 
     python benchmarks/speed.py [--only NAME ...] [--quick]
 

@@ -2,9 +2,9 @@
 
     python benchmarks/tables.py [--check]
 
-A page has a line `<!-- results: QUESTION/NAME -->` before each such table. The table's header and rows, the command and
-the recordings with which it was measured, and the date stand in results/QUESTION.json under "tables". A table with a
-"run" takes its rows from what that part printed last. --check writes nothing; exit code 1: a page does not agree.
+A page has a line `<!-- results: QUESTION/NAME -->` before each such table. The table's header and rows, the command,
+the recordings and the date of the measurement are in results/QUESTION.json under "tables". A table with a "run" takes
+its rows from the last output of that part. --check writes nothing; exit code 1: a page does not agree.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def pages() -> Iterator[Path]:
 
 
 def with_tables(text: str) -> str:
-    """Return a page's text with its measured tables made anew."""
+    """Return a page's text with its measured tables updated."""
 
     def replace(match: re.Match[str]) -> str:
         begin = match.group(0)[: match.start("table") - match.start()]
@@ -56,7 +56,7 @@ def with_tables(text: str) -> str:
 
 
 def differences() -> list[str]:
-    """Name the pages whose tables are not those of the results, and the tables that no page has."""
+    """Return the pages whose tables differ from the results, and the tables that no page has."""
     problems, named = [], set()
     for page in pages():
         text = page.read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""What do the frame method and the methods of inverse kinematics give?
+"""How good are the frame method and the methods of inverse kinematics?
 
     python benchmarks/thesis.py [--only NAME ...] [--quick]
 

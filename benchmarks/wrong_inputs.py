@@ -1,4 +1,4 @@
-"""Which wrong inputs are named?
+"""Which wrong inputs do the findings name?
 
     python benchmarks/wrong_inputs.py [--only NAME ...] [--quick]
 

@@ -1,6 +1,6 @@
-"""What a fitted clip says of the animal's movement: speed, gait, joint angles, phase portraits, with their figures.
+"""Analyse the movement in a fitted clip: speed, gait, joint angles, phase portraits, with their figures.
 
-Run it with `python analysis.py`, after one_clip.py. What it reads and writes stands in analysis.toml.
+Run it with `python analysis.py`, after one_clip.py. Its inputs and outputs are set in analysis.toml.
 """
 
 import math
@@ -14,20 +14,20 @@ FILE = Path(__file__).with_suffix(".toml")
 config = tomllib.loads(FILE.read_text(encoding="utf-8"))
 out = FILE.parent / config["out"]
 
-# A result folder read back, and all that there is to work out from it.
+# Read a results folder, and analyse it.
 motion = recon.Motion.load(FILE.parent / config["results"])
 analysis = recon.analyse(motion)
 root = analysis.joints[analysis.reference]
 print(f"{analysis.reference}: {root.mean_speed_m_s:.1f} m/s, at most {root.peak_speed_m_s:.1f} m/s")
 
-# Gait: which foot stood when, and what that is called.
+# Gait: which foot stood when, and the name of the gait.
 gait = analysis.gait
 assert gait is not None  # this skeleton has feet
 print(f"{gait.name.name}, since {gait.name.criterion}; strides of {gait.stride_length_m:.2f} m")
 print("touchdowns: " + ", ".join(f"{stance.foot} {stance.start_s:.2f} s" for stance in gait.stances if stance.begins))
 plots.save(plots.footfall({"gait": gait}, motion.fps), out, "footfalls")
 
-# Angles: how far and how fast they go, and over a stride against their rates.
+# Angles: their ranges and rates, and the stride in phase space.
 angles = {name: analysis.skeleton_angles[name] for name in config["angles"]}
 for name, angle in angles.items():
     least, greatest = (math.degrees(value) for value in angle.range_rad)
@@ -35,7 +35,7 @@ for name, angle in angles.items():
 portraits = {name: analysis.portraits[name] for name in angles}
 plots.save(plots.phase_portraits(portraits, analysis.closures), out, "phase_portraits")
 
-# The poses one upon the other, the speed with its uncertainty, and how the links of a limb swing.
+# Draw the poses over each other, the speed with its uncertainty, and how the links of a limb swing.
 poses = plots.composites(analysis.pose.xyz_m, motion.limbs, motion.time_s, sides=motion.limb_sides)
 plots.save(poses, out, "poses")
 plots.save(plots.speeds({analysis.reference: root}), out, "speed")

@@ -1,7 +1,7 @@
-"""Many clips: each fitted by itself, several at a time; then one table of how they moved.
+"""Fit many clips separately, several at a time, and write one table of how the animals moved.
 
-Run it with `python batch.py`. What it reads and writes stands in batch.toml, the clips in batch_clips.csv. The same
-command again goes on where it was stopped, and fits what has changed.
+Run it with `python batch.py`. Its inputs and outputs are set in batch.toml, the clips in batch_clips.csv. The same
+command continues where it was stopped, and fits only what has changed.
 """
 
 import tomllib
@@ -13,7 +13,7 @@ FILE = Path(__file__).with_suffix(".toml")
 config = tomllib.loads(FILE.read_text(encoding="utf-8"))
 results = FILE.parent / config["results"]
 
-# Which clips there are, and which of them are done already.
+# List the clips, and which of them are done already.
 clips, notes = recon.find_clips([FILE.parent / pattern for pattern in config["clips"]], {}, FILE)
 plan = recon.plan_batch(clips, results)
 for note in notes:
@@ -21,11 +21,11 @@ for note in notes:
 for planned in plan:
     print(f"{planned.clip.name}: {planned.action}")
 
-# A clip that cannot be fitted stops nothing.
+# A clip that cannot be fitted does not stop the others.
 summary = recon.run_batch(plan, results, jobs=config["jobs"])
 print(", ".join(f"{count} {status}" for status, count in summary.counts().items()))
 
-# What the clips have to say, next to each other.
+# Put the clips' results next to each other.
 for name, row in summary.rows.items():
     if row["status"] not in ("done", "done earlier"):
         print(f"{name}: {row['status']}, {row['error']}")

@@ -1,6 +1,6 @@
-"""A camera's calibration: pictures or a video of a board in, a camera file for `recon fit` out.
+"""Calibrate a camera from pictures or a video of a board, and write a camera file for `recon fit`.
 
-Run it with `python calibration.py`. What it reads and writes stands in calibration.toml.
+Run it with `python calibration.py`. Its inputs and outputs are set in calibration.toml.
 """
 
 import math
@@ -14,7 +14,7 @@ FILE = Path(__file__).with_suffix(".toml")
 config = tomllib.loads(FILE.read_text(encoding="utf-8"))
 pictures = [FILE.parent / path for path in config["pictures"]]
 
-# Nothing is written where a check refuses the calibration.
+# Nothing is written if a check refuses the calibration.
 found = recon.run_calibration(
     recon.CalibrationSettings(
         inputs=tuple(pictures),
@@ -27,7 +27,7 @@ found = recon.run_calibration(
 used = [picture for picture in found["pictures"] if picture["used"]]
 print(f"{found['found']} of {found['examined']} pictures show the board, {len(used)} were used")
 
-# Each check says what it is about, and how the calibration stands to its limit.
+# Print each check with its measured value and its limit.
 for check in found["checks"]:
     print(f"{check['verdict']}: {check['text']}")
 for picture in used:
@@ -36,7 +36,7 @@ for picture in used:
 if found["written"] is None:
     sys.exit(f"The calibration was refused. Where boards are missing: {found['picture']}")
 
-# The camera as every other script and command reads it.
+# Read the camera as every other script and command reads it.
 camera = recon.read_camera(found["written"])
 width, height = camera.image_size_px
 field_deg = math.degrees(2 * math.atan(width / 2 / camera.matrix[0, 0]))

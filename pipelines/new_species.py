@@ -1,7 +1,7 @@
-"""A new species: clips of several cameras in; the animal's lengths, a prior of its motion, and clips of one camera out.
+"""Measure a new species with several cameras (lengths, prior of its motion), then fit clips of one camera.
 
-Run it with `python new_species.py`. What it reads and writes stands in new_species.toml, and for each clip in the
-settings file that this names.
+Run it with `python new_species.py`. Its inputs and outputs are set in new_species.toml, and those of each clip in the
+settings file named there.
 """
 
 import tomllib
@@ -16,7 +16,7 @@ subject, prior = results / "subject.toml", results / "prior.npz"
 
 
 def fit(name: str, step: str, **known: object) -> Path:
-    """The folder with the results of the clip that a settings file describes, with what is known of the animal."""
+    """Fit the clip of a settings file with the current knowledge of the animal, and return the results folder."""
     settings = recon.read_settings(FILE.parent / name, {"skeleton": skeleton, **known})
     folder = results / step / Path(name).stem
     report = recon.write_clip(recon.fit_clip(settings), settings, folder)
@@ -25,16 +25,16 @@ def fit(name: str, step: str, **known: object) -> Path:
     return folder
 
 
-# The runs, as long as nothing is known but the skeleton's file.
+# Fit the runs while only the skeleton's file is known.
 first = [fit(name, "1-first", prior="none") for name in config["runs"]]
 
-# The animal's lengths, which several cameras measure.
+# Measure the animal's lengths with several cameras.
 measured = recon.run_subject_fit(
     recon.SubjectFitSettings(clips=tuple(first), out=subject, offsets=config["offsets"], overwrite=True)
 )
 print(f"size {measured['size']:.3f} ± {measured['size_sigma']:.3f} of the skeleton's lengths")
 
-# The runs with these lengths, and what its motion is like.
+# Fit the runs with these lengths, and learn the prior of the motion.
 runs = [fit(name, "2-measured", prior="none", subject=subject) for name in config["runs"]]
 learned = recon.run_prior_fit(recon.PriorFitSettings(poses=tuple(runs), out=prior, overwrite=True))
 used = [segment["used"] for segment in learned["segments"]]

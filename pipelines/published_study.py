@@ -1,4 +1,4 @@
-"""The published study (C. van der Leek, 2022) on one clip: fit, optimiser, analysis, inverse kinematics, playback.
+"""Repeat the published study (C. van der Leek, 2022) on one clip, from the fit to the playback.
 
 Run it with `python published_study.py`. What it reads and writes stands in published_study.toml.
 """
@@ -37,7 +37,7 @@ else:
 for name, closure in analysis.closures.items():
     print(f"{name}: closes to {closure.angle:.0f} %")
 
-# Inverse kinematics of spine and front leg: all methods, with parameters fitted to every configuration of a stride.
+# Inverse kinematics of spine and front leg: all methods, with parameters fitted to the configurations of a stride.
 ik = run_ik(IkSettings(folder=results, compare=True, fitted=True, figures=False, anyway=True, overwrite=True))
 for method, row in ik.summary["along_stride"].items():
     print(f"{method}: joints close to {row['least_closure_angle_percent']:.0f} % or more")

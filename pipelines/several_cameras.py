@@ -1,6 +1,6 @@
-"""One clip that several cameras filmed: keypoints of each in; one 3D motion, and whether the cameras agree, out.
+"""Fit one clip from several cameras: from keypoints of each camera to one 3D motion, and whether the cameras agree.
 
-Run it with `python several_cameras.py`. What it reads and writes stands in several_cameras.toml.
+Run it with `python several_cameras.py`. Its inputs and outputs are set in several_cameras.toml.
 """
 
 import tomllib
@@ -14,12 +14,12 @@ import recon
 FILE = Path(__file__).with_suffix(".toml")
 results = FILE.parent / tomllib.loads(FILE.read_text(encoding="utf-8"))["results"]
 
-# One motion in the world from all of them.
+# Fit one motion in the world to all cameras.
 settings = recon.read_settings(FILE)
 motion = recon.fit_clip(settings)
 report = recon.write_clip(motion, settings, results)
 
-# What each camera gave, and which one was turned, late or exchanged.
+# Show what each camera contributed, and which camera was turned, late or exchanged.
 for camera in report["cameras"]:
     print(f"{camera['name']}: {camera['frames_seen']} frames, {camera['points']['used']} points")
 errors = [finding["text"] for finding in report["findings"] if finding["severity"] == "error"]
@@ -29,7 +29,7 @@ print("\n".join(errors) or "The cameras agree.")
 size = report["size"]
 print(f"size {size['factor']:.3f} ± {size['sigma']:.3f} of the skeleton's lengths")
 
-# How far off the first camera alone would have put the animal: mostly along its line of sight.
+# Compare with a fit of the first camera alone, whose error is mostly along its line of sight.
 alone = recon.fit_clip(replace(settings, keypoints=settings.keypoints[:1], fast=True))
 apart_m = np.linalg.norm((alone.joints_m - motion.joints_m).mean(axis=1), axis=1)
 print(f"{settings.keypoints[0].name} alone puts it {np.nanmedian(apart_m):.2f} m elsewhere")

@@ -1,6 +1,6 @@
-"""A video without a detector: labels of some frames in; a small network, its keypoints and the 3D motion out.
+"""Go from a video to 3D without a detector: label some frames, train a small network, predict keypoints, fit.
 
-Run it with `python video_to_3d.py`; it needs `pip install '.[net]'`. What it reads and writes stands in
+Run it with `python video_to_3d.py`; it needs `pip install '.[net]'`. Its inputs and outputs are set in
 video_to_3d.toml.
 """
 
@@ -14,20 +14,20 @@ config = tomllib.loads(FILE.read_text(encoding="utf-8"))
 results, video, model = (FILE.parent / config[name] for name in ("results", "video", "model"))
 labels = FILE.parent / config["labels"]["labels"]
 
-# Train a network on the labels, unless there is one.
+# Train a network on the labels, unless there already is one.
 if not (model / "model.pt").is_file():
     source = recon.LabelSource(data=video, labels=labels, first_frame=config["labels"]["first_frame"])
     training = recon.run_training(source, recon.TrainSettings(**config["training"]), model)
     print(f"Errors by keypoint, and labels that are probably wrong: {model}")
 
-# Keypoints of every frame, drawn on the video to look at.
+# Predict the keypoints of every frame, and draw them on the video.
 keypoints = recon.run_prediction(
     video, model, results / "keypoints.csv", overlay=results / "keypoints.mp4", overwrite=True
 )
 likely = (keypoints.confidence > 0.5).mean()
 print(f"{len(keypoints.frames)} frames, {likely:.0%} of their points likely")
 
-# The 3D motion.
+# Fit the 3D motion.
 settings = recon.read_settings(FILE, {"keypoints": results / "keypoints.csv"})
 motion = recon.fit_clip(settings)
 report = recon.write_clip(motion, settings, results / "motion")

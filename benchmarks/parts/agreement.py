@@ -1,12 +1,12 @@
-"""Is a camera named that does not agree with the others of its clip, and no other?
+"""Test whether a camera that contradicts the others of its clip is named, and no other camera.
 
     python benchmarks/parts/agreement.py [FOLDER]
 
-FOLDER has one folder for each run, as in benchmarks/trajectory.py. Each run is judged as it is, which shows every
-camera against the others; then with one of its cameras turned by 5 degrees about each of its axes, with one camera 10
-frames late or early, and with the files of two cameras exchanged: every camera and every pair in turn. A case counts if
-what was done is among the findings, of the camera it was done to, and nothing else is but what was found in the run as
-it is. Without FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data.
+FOLDER has one folder for each run, as in benchmarks/trajectory.py; by default it is the cheetah-runs of
+$RECON_SHARED_DATA, or of ../shared/data. Each run is first checked unchanged, which compares every camera with the
+others. Then one of its cameras is turned by 5 degrees about each of its axes, or shifted in time by 10 frames, or the
+files of two cameras are exchanged, for every camera and every pair. A case counts as correct if the findings name the
+change and the right camera, and otherwise only repeat findings on the unchanged run.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ from recon.geometry.frames import euler_rotation, rigid
 SKELETON = "cheetah-24"
 TURN_DEG, LAG = 5.0, 10
 Case = tuple[str, list[View], str, tuple[int, ...]]
-"""What was done, the views with it, and what should be found of which cameras."""
+"""Name of the change, the changed views, the expected finding and the cameras that it should name."""
 
 
 def views_of_run(run: Path) -> tuple[list[View], float]:
-    """All cameras of a run, and the frame rate."""
+    """Return the views of all cameras of a run, and the frame rate."""
     meta = json.loads((run / "meta.json").read_text())
     settings = FitSettings(
         keypoints=tuple(run / f"cam{camera}.csv" for camera in meta["cameras"]),
@@ -56,7 +56,7 @@ def views_of_run(run: Path) -> tuple[list[View], float]:
 
 
 def judged(views: Sequence[View], fps: float) -> tuple[Finding, ...]:
-    """The findings of a motion that has what is read of it."""
+    """Return the findings on a fit, from an object with only the fields that the check reads."""
     sources = [SimpleNamespace(offset_frames=view.offset_frames, offset_s=0.0) for view in views]
     frames, solution = np.arange(len(views[0].xy_px)), SimpleNamespace(views=views)
     motion = SimpleNamespace(solution=solution, sources=sources, fps=fps, frames=frames)
@@ -89,7 +89,7 @@ def turned(view: View, axis: int) -> View:
 
 
 def late(view: View, frames: int) -> View:
-    """Its detections are those of so many frames later."""
+    """Return a view with the detections of a number of frames later."""
     xy_px, confidence = np.full_like(view.xy_px, np.nan), np.zeros_like(view.confidence)
     to, of = (slice(None, -frames), slice(frames, None)) if frames > 0 else (slice(-frames, None), slice(None, frames))
     xy_px[to], confidence[to] = view.xy_px[of], view.confidence[of]
@@ -97,7 +97,7 @@ def late(view: View, frames: int) -> View:
 
 
 def named(findings: Sequence[Finding], views: Sequence[View]) -> set[tuple[str, tuple[int, ...]]]:
-    """Codes but for notes, and the cameras that they are about."""
+    """Return the codes of findings except notes, and the cameras that they name."""
     names = [view.camera.name for view in views]
     return {
         (one.code, tuple(names.index(name) for name in one.names("cameras") or (str(one.camera),)))

@@ -1,9 +1,9 @@
-"""What `recon analyse` of a long clip takes.
+"""Measure time and memory of `recon analyse` for a long clip.
 
 python benchmarks/parts/analyse.py [FRAMES [FOLDER]]
 
-Fits a simulated animal that runs in circles over FRAMES frames (10,000 by default, which takes minutes) unless FOLDER
-holds such results from before, and times the command as a whole process, with the figures and without.
+The script fits a simulated animal that runs in circles over FRAMES frames (10,000 by default, which takes minutes),
+unless FOLDER holds the results of an earlier fit. It times the command as a whole process, with and without figures.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def fit(frames: int, folder: Path) -> None:
 
 
 def recon(*arguments: str) -> tuple[float, float, float]:
-    """Seconds of the clock and of the processor, and the peak of memory (MB)."""
+    """Run a command; return its wall and processor time in seconds and its peak memory in MB."""
     began = time.perf_counter()
     with subprocess.Popen([sys.executable, "-m", "recon", *arguments], stdout=subprocess.DEVNULL) as process:
         _, status, usage = os.wait4(process.pid, 0)

@@ -1,4 +1,4 @@
-"""The command line of a part: the arguments that several of them take, in one form."""
+"""Parse the command-line arguments that several parts have in common."""
 
 from __future__ import annotations
 
@@ -20,11 +20,8 @@ COMMON: dict[str, dict[str, Any]] = {
 def parser_of(text: str | None, *options: str, kind: str = "", only: Sequence[str] = ()) -> argparse.ArgumentParser:
     """Return a parser whose help is the script's text.
 
-    Parameters
-    ----------
-    options : names of `COMMON`
-    kind : recordings whose folder can be given, and by default is that of $RECON_SHARED_DATA
-    only : the parts among which --only chooses; by default all are measured
+    Parameters ---------- options : names of `COMMON` kind : kind of recordings whose folder can be given; by default
+    the folder of $RECON_SHARED_DATA only : the parts that --only can choose; by default all are measured
     """
     parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
     if kind:
@@ -37,17 +34,17 @@ def parser_of(text: str | None, *options: str, kind: str = "", only: Sequence[st
 
 
 def settings_of(arguments: argparse.Namespace) -> dict[str, str]:
-    """Return the settings of --set by their names."""
+    """Return the settings of --set by name."""
     return dict(item.split("=", 1) for item in arguments.set)
 
 
 def runs_of(folder: Path) -> list[Path]:
-    """Return the runs of a folder of recordings, by their names."""
+    """Return the runs of a folder of recordings by name."""
     return sorted(path.parent for path in folder.glob("*/meta.json"))
 
 
 def runs_or_exit(parser: argparse.ArgumentParser, folder: Path) -> list[Path]:
-    """Return the runs of a folder, or end the script where there are none."""
+    """Return the runs of a folder; exit the script if there are none."""
     runs = runs_of(folder)
     if not runs:
         parser.exit(message=f"no runs in {folder}: nothing measured\n")

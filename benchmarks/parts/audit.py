@@ -1,11 +1,12 @@
-"""Audit real files as they are and with one planted fault each, both 2D keypoints and 3D poses.
+"""Audit real files unchanged and with one planted fault each, for 2D keypoints and 3D poses.
 
     python benchmarks/parts/audit.py [--details] [--seed 0]
 
-Files: the cheetahs' views and 3D poses, the plate trials, windows of a dog's motion capture and of a rat's 3D poses, a
-horse's hand labels and DeepLabCut's examples, of $RECON_SHARED_DATA. A fault is planted where the file allows it: a
-swap needs both sides, gravity a flight. Prints for each fault the share of files in which the audit names it, by the
-limits of `recon.check.audit` and by limits chosen without the recording, and the untouched files with findings.
+The files are the cheetahs' views and 3D poses, the plate trials, windows of a dog's motion capture and of a rat's 3D
+poses, a horse's hand labels and DeepLabCut's examples, all of $RECON_SHARED_DATA. A fault is planted if the file allows
+it: a swap needs both sides, gravity a flight. The script prints, for each fault, the fraction of files in which the
+audit names it, with the limits of `recon.check.audit` and with limits chosen without the recording; and the unchanged
+files that have findings.
 """
 
 from __future__ import annotations
@@ -30,13 +31,13 @@ from recon.check.inputs import step_ratios
 
 LEAP_S = 0.4
 WINDOW = 100
-"""Frames of one file of a long recording."""
+"""Number of frames per file of a long recording."""
 Fault = Callable[[AuditedPoints, np.random.Generator], AuditedPoints | None]
 
 
 @dataclass(frozen=True)
 class File:
-    """One file of points: its name, the recording that it is of, and the points as the audit reads them."""
+    """Hold one file of points: its name, the recording it comes from, and its points as read by the audit."""
 
     name: str
     source: str
@@ -90,7 +91,7 @@ def changed(points: AuditedPoints, values: np.ndarray, **more) -> AuditedPoints:
 
 
 def stretch(points: AuditedPoints, rng: np.random.Generator, share: float, least: int, inside: int = 2) -> slice:
-    """Return rows of a share of the frames, at least so many, not at the ends."""
+    """Return the rows of a fraction of the frames, at least so many, away from the ends."""
     T = len(points.frames)
     length = min(max(least, round(share * T)), T - 2 * inside)
     first = int(rng.integers(inside, T - length - inside + 1))
@@ -98,7 +99,7 @@ def stretch(points: AuditedPoints, rng: np.random.Generator, share: float, least
 
 
 def seen_point(points: AuditedPoints, rows: slice, rng: np.random.Generator, moving: float = 0.0) -> int | None:
-    """Return a point that is known in these rows and moves by a part of the animal's size."""
+    """Return a point that is known in these rows and moves by a given part of the animal's size."""
     known = points.known[rows].all(axis=0)
     path = np.linalg.norm(points.positions[rows.stop - 1] - points.positions[rows.start], axis=1)
     choice = np.flatnonzero(known & (np.nan_to_num(path) > moving * points.extent) & ~(points.stands & (moving > 0)))
@@ -160,7 +161,7 @@ def dropped_frames(points: AuditedPoints, rng: np.random.Generator) -> AuditedPo
     scale = 1000 / points.extent if points.in_space else 1.0
     ratios = step_ratios(points.positions * scale)
     if ratios is None or len(ratios) < 40:
-        return None  # too short, or the animal stands
+        return None  # too short, or the animal does not move
     return changed(points, points.positions[keep], frames=np.arange(len(keep)))
 
 
@@ -309,13 +310,13 @@ def values_of(points: AuditedPoints) -> dict[str, float]:
 
 
 def named_by(values: Mapping[str, float], limits: Mapping[str, float]) -> set[str]:
-    """Return the codes that are named with these limits."""
+    """Return the codes whose measures exceed these limits."""
     codes = {code for code, value in values.items() if value > limits[code]}
     return codes - {later for code in codes for later in CONSEQUENCES.get(code, ())}
 
 
 def chosen_limits(untouched: Sequence[Mapping[str, float]], faulty: Mapping[str, Sequence[float]]) -> dict[str, float]:
-    """Return for each code the limit between files that are right and files with its fault."""
+    """Return, for each code, the limit that separates correct files from files with its fault."""
     limits = {}
     for code, fixed in LIMITS.items():
         right = np.array([values[code] for values in untouched if code in values])
@@ -339,7 +340,7 @@ def main() -> None:
     warnings.simplefilter("ignore", RuntimeWarning)
     all_files = [*files()]
     untouched = {file.name: values_of(file.points) for file in all_files}
-    for file in all_files:  # a leap that is right is no fault
+    for file in all_files:  # a real leap is not a fault
         leaping = with_leap(file.points)
         if leaping is not None and "gravity_unlikely" in (values := values_of(leaping)):
             untouched[file.name]["gravity_unlikely"] = values["gravity_unlikely"]

@@ -1,8 +1,9 @@
-"""`recon batch` on perturbed copies of a sample, ten of them broken: throughput, memory, a kill, a Dask cluster.
+"""Run `recon batch` on perturbed copies of a sample, ten of them broken: throughput, memory, a kill, a Dask cluster.
 
 python benchmarks/parts/batch.py [--clips 500] [--broken 10]
 
-Linux only: memory is read from /proc. Dask's part needs the extra `cluster`, and is left out without it.
+The script needs Linux, since memory is read from /proc. Dask's part needs the extra `cluster`, and is left out without
+it.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ CAMERA = samples_folder() / "camera.toml"
 
 
 def make_clips(folder: Path, count: int, broken: int) -> None:
-    """clip_000.csv and so on, in two folders; broken ones lie evenly among them."""
+    """Write clip_000.csv and so on into two folders, with broken clips spread evenly among them."""
     sample = read_keypoints(SAMPLE)
     at = {int(i): kind for kind, i in enumerate(np.linspace(0, count - 1, broken).round())}
     for i in range(count):
@@ -124,7 +125,7 @@ def command(patterns: list[Path], out: Path, *more: object) -> list[str]:
 
 
 def run(patterns: list[Path], out: Path, *more: object) -> tuple[float, dict[str, dict]]:
-    """Seconds, and the rows by clip."""
+    """Run the command; return the seconds it took, and the rows of its summary by clip."""
     began = time.perf_counter()
     done = subprocess.run(command(patterns, out, *more), stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, check=True)
     seconds = time.perf_counter() - began
@@ -135,7 +136,7 @@ def run(patterns: list[Path], out: Path, *more: object) -> tuple[float, dict[str
 
 
 def ended(out: Path) -> int:
-    """Clips that the summary has an end of."""
+    """Return the clips that the summary lists as ended."""
     try:
         with (out / "summary.csv").open(newline="") as file:
             return sum(row["status"] != "pending" for row in csv.DictReader(file))
@@ -144,7 +145,7 @@ def ended(out: Path) -> int:
 
 
 def finished(out: Path) -> dict[str, int]:
-    """The moment at which each finished clip's report was written."""
+    """Return the time at which the report of each finished clip was written."""
     found = {}
     for name, row in Record(out / RECORD).rows.items():
         if "files" in row:
@@ -164,7 +165,7 @@ def children(pid: int) -> list[int]:
     for path in Path(f"/proc/{pid}/task").glob("*/children"):
         try:
             found += [int(child) for child in path.read_text().split()]
-        except OSError:  # it has just ended
+        except OSError:  # the process has just ended
             continue
     return found
 
@@ -177,7 +178,7 @@ def rss_mb(pid: int) -> float:
 
 
 def watch(process: subprocess.Popen[bytes], out: Path) -> Iterator[tuple[int, float, list[float]]]:
-    """While it runs: clips that have ended, the RSS of the main process and of each worker, MB."""
+    """Watch a running process: clips that have ended, and the RSS of the main process and of each worker, MB."""
     while process.poll() is None:
         yield ended(out), rss_mb(process.pid), [rss_mb(child) for child in children(process.pid)]
         time.sleep(1.0)
@@ -187,7 +188,7 @@ def watch(process: subprocess.Popen[bytes], out: Path) -> Iterator[tuple[int, fl
 
 
 def throughput_and_memory(clips: Path, work: Path, total: int) -> None:
-    """Half of the clips with one job, all with two, the other half with one."""
+    """Measure half of the clips with one job, all with two, and the other half with one."""
     halves = [clips / "first" / "*.csv", clips / "second" / "*.csv"]
     one_s, _ = run(halves[:1], work / "one", "--jobs", 1)
     began = time.perf_counter()
@@ -215,7 +216,7 @@ def throughput_and_memory(clips: Path, work: Path, total: int) -> None:
 
 
 def killed(clips: Path, work: Path, total: int, broken: int) -> None:
-    """SIGKILL to the main process in the middle, then the same command again."""
+    """Kill the main process (SIGKILL) halfway, then run the same command again."""
     out, patterns = work / "killed", [clips / "*" / "*.csv"]
     process = subprocess.Popen(command(patterns, out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     while ended(out) < total // 2:
@@ -242,7 +243,7 @@ def killed(clips: Path, work: Path, total: int, broken: int) -> None:
 
 
 def on_dask(clips: Path, work: Path, total: int, broken: int) -> None:
-    """Two workers, of which one is killed when a third of the clips is done."""
+    """Run two Dask workers, and kill one of them after a third of the clips."""
     try:
         from distributed import Client, LocalCluster
     except ImportError:

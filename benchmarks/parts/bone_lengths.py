@@ -1,10 +1,11 @@
-"""Measure the bones of two cheetahs in single runs, and compare with their known lengths.
+"""Measure the bones of two cheetahs in single runs, and compare them with their known lengths.
 
     python benchmarks/parts/bone_lengths.py
 
-Each run of $RECON_SHARED_DATA/cheetah-runs is fitted alone, by all its cameras; subjects.json has the lengths. Prints
-each bone's error and standard deviation, the share of 90 % intervals that hold the length, and that share where the
-standard deviation of the model (`recon.fit.shape.MODEL_SIGMA`) is the likeliest of the other runs.
+Each run of $RECON_SHARED_DATA/cheetah-runs is fitted alone, with all its cameras; subjects.json has the lengths. The
+script prints each bone's error and standard deviation, the fraction of 90 % intervals that contain the length, and the
+same fraction if the standard deviation of the model (`recon.fit.shape.MODEL_SIGMA`) is the maximum-likelihood value of
+the other runs.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from recon.fit.shape import MODEL_SIGMA, fit_shape
 from recon.gait.gait import INTERVAL
 
 Rows = list[tuple[str, float, float]]
-"""Bone, error and standard deviation of the fit alone, both relative to the length."""
+"""Bone, error, and standard deviation of the fit alone; the latter two relative to the length."""
 
 
 def true_lengths_m(subject: str) -> dict[str, float]:
@@ -60,12 +61,12 @@ def measured() -> dict[str, Rows]:
 
 
 def holds(rows: Rows, model: float) -> list[bool]:
-    """Return whether each interval holds the length."""
+    """Return whether each interval contains the length."""
     return [abs(error) < radius(INTERVAL) * float(np.hypot(sigma, model)) for _, error, sigma in rows]
 
 
 def likeliest(runs: Sequence[Rows]) -> float:
-    """Return the likeliest standard deviation of the model."""
+    """Return the maximum-likelihood standard deviation of the model."""
     error, sigma = np.array([row[1:] for rows in runs for row in rows]).T
     models = np.linspace(0, 0.2, 401)
     variance = sigma**2 + models[:, None] ** 2

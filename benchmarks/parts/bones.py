@@ -1,9 +1,9 @@
-"""How far joints are off in what `recon convert` writes of bones, as programs and libraries of others have them.
+"""Measure joint errors in the bone files of `recon convert`, as read by other programs and libraries.
 
 python benchmarks/parts/bones.py
 
-Of the samples' fits, a whole animal and a chain: a row for each format and reader that is installed. The readers
-are those of `recon.testing.bones`.
+The table has a row for each format and each installed reader (`recon.testing.bones`), for the fits of two samples: a
+whole animal and a chain.
 """
 
 from __future__ import annotations

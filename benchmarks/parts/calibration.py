@@ -1,4 +1,4 @@
-"""Calibrations with a truth: rendered boards, OpenCV's detectors and solvers, and how far what they find is off.
+"""Calibrate from rendered boards of a known camera, and measure the errors of the result.
 
 python benchmarks/parts/calibration.py
 """
@@ -20,7 +20,7 @@ SEEDS = (1, 2, 3)
 
 
 def cameras() -> list[Camera]:
-    """Three lenses: ideal, with barrel distortion, and an action camera's with 118 degrees across."""
+    """Return three lenses: ideal, with barrel distortion, and that of an action camera, 118 degrees wide."""
     matrix = np.array([[1024.0, 0, 655.3], [0, 1026.5, 351.8], [0, 0, 1]])
     wide = np.array([[620.0, 0, 655.3], [0, 621.5, 351.8], [0, 0, 1]])
     return [
@@ -31,7 +31,7 @@ def cameras() -> list[Camera]:
 
 
 def views_of(board_text: str, camera: Camera, count: int, rng: np.random.Generator) -> BoardViews:
-    """A board rendered through the camera, with blur and noise, and found again."""
+    """Return views of a board rendered through the camera, with blur and noise, and detected again."""
     board = parse_board(board_text)
     views, without = [], []
     for number, (rotation, translation) in enumerate(board_poses(board, camera, count, rng, fill=0.6)):
@@ -45,7 +45,7 @@ def views_of(board_text: str, camera: Camera, count: int, rng: np.random.Generat
 
 
 def worst_px(calibration: Calibration, truth: Camera) -> float:
-    """Largest distance in the picture between where the found and the true camera see the same ray."""
+    """Return the largest distance in the picture between a ray's projections by the calibrated and true camera."""
     width, height = truth.image_size_px
     y, x = np.mgrid[0 : height - 1 : 31j, 0 : width - 1 : 31j]
     pixels = np.stack((x, y), axis=-1)

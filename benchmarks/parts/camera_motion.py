@@ -1,13 +1,13 @@
-"""Cameras that turn: virtual pans cut out of the videos of cameras that stood still.
+"""Test cameras that turn, by virtual pans cut out of the videos of still cameras.
 
     python benchmarks/parts/camera_motion.py [FOLDER] [--case NAME]
 
-A pinhole camera is taken to have filmed each still video; another one with the same centre and a narrower view turns
-inside its picture, with shake, and sees what is resampled (bilinear, blurred by the turn during half of each frame's
-time). A subject is pasted over 20 or 40 % of the picture: part of the same picture, mirrored, that keeps to the middle
-of the view as one that is followed does, and strides to and fro in it. Errors are angles between the found and the true
-turn from the first frame. Without FOLDER: the still-videos of $RECON_SHARED_DATA, or of ../shared/data; nothing is
-measured where there are none.
+Each still video is treated as the film of a pinhole camera. A virtual camera with the same centre and a narrower view
+turns inside its picture, with shake. Its pictures are resampled (bilinear, blurred by the rotation during half of each
+frame's time). A subject is pasted over 20 or 40 % of the picture: a mirrored part of the same picture that stays in the
+middle of the view, as if followed, and moves to and fro. Errors are angles between the estimated and the true rotation
+since the first frame. FOLDER is by default the still-videos of $RECON_SHARED_DATA, or of ../shared/data; without any,
+nothing is measured.
 """
 
 from __future__ import annotations
@@ -36,7 +36,11 @@ SHAKE_DEG = 0.3
 
 @dataclass(frozen=True)
 class Pan:
-    """sweep_deg: there, and back where it returns. covered: share of the picture that the subject takes."""
+    """Describe a pan.
+
+    sweep_deg: angle of the pan, and of the way back if it returns. covered: fraction of the picture that the subject
+    covers.
+    """
 
     sweep_deg: float
     speed_deg_s: float
@@ -56,7 +60,7 @@ class Film:
 
 
 def film(video: Path, pan: Pan, seed: int = 0) -> Film:
-    """The still video's longer side is what is swept over; its frames run to and fro where they are too few."""
+    """Return a pan along the longer side of the still video, whose frames run to and fro if there are too few."""
     stills = [picture for _, picture in read_frames(video)]
     if stills[0].shape[0] > stills[0].shape[1]:
         stills = [np.ascontiguousarray(np.rot90(picture)) for picture in stills]
@@ -69,7 +73,7 @@ def film(video: Path, pan: Pan, seed: int = 0) -> Film:
     shake = gaussian_filter1d(rng.normal(size=(len(way), 3)), 2, axis=0)
     shake *= SHAKE_DEG / shake.std(axis=0)
     angles = np.column_stack([shake[:, 0], way + shake[:, 1], shake[:, 2]])
-    rotations = Rotation.from_rotvec(np.radians(angles)).inv().as_matrix()  # y is down: to the right
+    rotations = Rotation.from_rotvec(np.radians(angles)).inv().as_matrix()  # y is down, so this turns to the right
     zooms = np.linspace(1, pan.zoom, len(way))
     K1 = np.array([[STILL_F_PX, 0, (width - 1) / 2], [0, STILL_F_PX, (height - 1) / 2], [0, 0, 1]])
     camera = Camera(
@@ -118,7 +122,7 @@ def _with_subject(picture: np.ndarray, still: np.ndarray, covered: float, second
 
 
 def lens_rows(video: Path, cases: Sequence[str]) -> Iterator[tuple[object, ...]]:
-    """A camera file whose focal length is another: what the turns say of it."""
+    """Return a row for each camera file with a wrong focal length, with the focal length that the rotations give."""
     for name in cases:
         if CASES[name].zoom != 1:
             continue
@@ -135,7 +139,7 @@ def lens_rows(video: Path, cases: Sequence[str]) -> Iterator[tuple[object, ...]]
 
 
 def measured(one: Film, zoom: bool) -> tuple[np.ndarray, np.ndarray, TurningMotion, float]:
-    """Errors of the turn in degrees (N,), relative ones of the zoom (N,), the motion, CPU seconds a frame."""
+    """Return errors of the rotation (N,), deg, and of the zoom (N,), relative; the motion; CPU seconds per frame."""
     tracker = Tracker(one.camera, solve_zoom=zoom)
     begun = time.process_time()
     for number, picture in enumerate(one.pictures):
@@ -184,7 +188,7 @@ def rows(video: Path, cases: Sequence[str]):
 
 
 LENSES = (1.0, 1.05, 0.9, 1.3, 0.58)
-"""Focal lengths of camera files, in the camera's own; the last is 90 degrees for 60."""
+"""Focal lengths of camera files relative to the true one; the last is 90 degrees for 60."""
 LENS_HEADER = ("video", "pan", "file", "frames", "found, off by", "sigma", "worst °", "sigma there °")
 HEADER = (
     "video", "pan", "frames", "median °", "worst °", "last °", "sigma °", "zoom, worst", "residual px", "keyframes",

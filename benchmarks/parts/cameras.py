@@ -1,12 +1,12 @@
-"""Several cameras: every run of a folder with one, two and all of its cameras, and animals measured in other runs.
+"""Fit every run of a folder with one, two and all of its cameras, and with lengths measured in other runs.
 
     python benchmarks/parts/cameras.py [FOLDER]
 
-Each run is a folder as in `cheetah_runs.py`. Two: the named camera and the one that sees the animal from the most
-different direction. Where the detector's keypoints lie is measured in the other runs, with all their cameras and the
-poses that the reference has, as `recon subject fit --no-lengths --offsets --poses` does; without these in one table
-beside it. The shipped file knows all runs, and is printed in the end. Errors are over all 24 joints. Without FOLDER:
-the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. One thread.
+Each run is a folder as in `cheetah_runs.py`. "Two" means the named camera and the camera that sees the animal from the
+most different direction. The keypoint bias is measured in the other runs, with all their cameras and the poses of the
+reference, as by `recon subject fit --no-lengths --offsets --poses`; one table also shows the result without the poses.
+The shipped detector file, which was measured on all runs, is printed at the end. Errors are over all 24 joints. FOLDER
+is by default the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. The script runs in one thread.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ from recon.testing.coverage import coverage
 
 PRIOR = "running-cheetah"
 HELD = 1e-6
-"""A standard deviation, of a lag in frames or an angle, that leaves it no room."""
+"""Standard deviation, of a time offset in frames or of an angle, that fixes the value."""
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One run: its sources and views by camera, and the truth (T, J, 3) on their frames, world frame."""
+    """Hold a run: sources and views by camera, and the truth (T, J, 3) in their frames, world frame."""
 
     folder: Path
     sources: dict[int, Source]
@@ -85,13 +85,16 @@ def run_of(folder: Path) -> Run:
 
 
 def runs_given(about: str | None) -> list[Run]:
-    """The runs of the folder that the command line names. about: the text of its help."""
+    """Return the runs of the folder that the command line names.
+
+    about: text of the help.
+    """
     parser = parser_of(about, kind="cheetah-runs")
     return [run_of(run) for run in runs_or_exit(parser, parser.parse_args().folder.resolve())]
 
 
 def most_different(run: Run) -> int:
-    """The camera whose direction from the animal is the furthest from the named one's."""
+    """Return the camera whose direction from the animal differs most from that of the named camera."""
     middle = np.nanmean(run.truth_m, axis=(0, 1))
     directions = {c: view.centre_m.mean(axis=0) - middle for c, view in run.views.items()}
     unit = {c: d / np.linalg.norm(d) for c, d in directions.items()}
@@ -120,7 +123,7 @@ def errors(run: Run, solution: TrajectorySolution) -> dict[str, float]:
 
 
 def too_far(run: Run, solution: TrajectorySolution) -> float:
-    """The distance of the animal's middle from the first camera beside the true one, by the logarithm, mean."""
+    """Return the mean logarithm of the animal's estimated over its true distance from the first camera."""
     found, true = (
         np.linalg.norm(points_m.mean(axis=1) - solution.views[0].centre_m, axis=-1)
         for points_m in (solution.joints_m, run.truth_m)
@@ -129,13 +132,13 @@ def too_far(run: Run, solution: TrajectorySolution) -> float:
 
 
 def with_poses(run: Run, cameras: Iterable[int], body: Body) -> ClipProblem:
-    """Some cameras' setting, with the poses and headings that the reference has."""
+    """Return the setting for some cameras, with the poses and headings of the reference."""
     plain = ClipProblem.from_views([run.views[c] for c in cameras], body, prior_of(PRIOR), run.fps, TrajectoryOptions())
     return replace(plain, known_states=states_of(run, plain.origin_m))
 
 
 def states_of(run: Run, origin_m: np.ndarray) -> np.ndarray:
-    """(T, D): the reference's, about an origin."""
+    """Return the states (T, D) of the reference, relative to an origin."""
     states = solve_points(body_of(run.subject), run.truth_m)[0]
     states[:, ROOT] -= origin_m
     return states
@@ -143,7 +146,10 @@ def states_of(run: Run, origin_m: np.ndarray) -> np.ndarray:
 
 @cache
 def _detector(runs: tuple[Run, ...], posed: bool) -> Body:
-    """A body as the detector sees it in these runs. posed: where the reference has the animal's poses."""
+    """Return a body with the keypoint bias measured in these runs.
+
+    posed: use the animal's poses of the reference.
+    """
     settings = [with_poses(o, o.views, body_of(o.subject)) for o in runs]
     shape = Shape.of_body(body_of(), lengths=False, offsets=True)
     if posed:
@@ -154,12 +160,12 @@ def _detector(runs: tuple[Run, ...], posed: bool) -> Body:
 
 
 def as_seen(body: Body, run: Run, runs: Sequence[Run], posed: bool = False) -> Body:
-    """As the detector sees it in all runs but one."""
+    """Return a body with the keypoint bias measured in all runs but one."""
     return with_detector(body, _detector(tuple(other for other in runs if other is not run), posed))
 
 
 def with_detector(body: Body, of: Body) -> Body:
-    """With the detector of another body."""
+    """Return a body with the keypoint bias of another body."""
     return replace(
         body,
         keypoint_sigma_m=of.keypoint_sigma_m,
@@ -170,7 +176,7 @@ def with_detector(body: Body, of: Body) -> Body:
 
 
 def knowing(what: str, run: Run, runs: Sequence[Run]) -> Body:
-    """The subject, and what is known of where keypoints lie: "none", in "other runs", or in "this run" itself."""
+    """Return the subject, with keypoint bias "none", or measured in "other runs", or in "this run" itself."""
     body = body_of(run.subject)
     if what == "none":
         return body
@@ -188,7 +194,7 @@ def cameras_of(run: Run) -> dict[str, list[int]]:
 
 
 def true_size(run: Run) -> float:
-    """The subject's size beside the skeleton's: the mean factor on the lengths of the segments and markers."""
+    """Return the subject's size relative to the skeleton: the mean factor on the lengths of segments and markers."""
     own, generic = (
         [np.linalg.norm(i.offset_m) for i in (*b.tree.segments, *b.tree.markers)]
         for b in (body_of(run.subject), body_of())
@@ -197,7 +203,7 @@ def true_size(run: Run) -> float:
 
 
 def accuracy(runs: Sequence[Run], known: bool, **options: float) -> list[dict]:
-    """One, two and all cameras; known: with the lengths of the subject."""
+    """Measure one, two and all cameras. known: with the lengths of the subject."""
     rows: dict[str, list[dict[str, float]]] = {}
     for run in runs:
         body = as_seen(body_of(run.subject if known else None), run, runs, posed=True)
@@ -208,8 +214,10 @@ def accuracy(runs: Sequence[Run], known: bool, **options: float) -> list[dict]:
 
 
 def left_out(runs: Sequence[Run], known: str = "other runs", **options: float) -> list[dict]:
-    """Every camera left out once: reprojection of the others' pose into it, beside the truth's, same detections.
-    known: of keypoints, see `knowing`."""
+    """Leave out every camera once, and compare the reprojection of the others' pose in it with the truth's.
+
+    Both are compared with the same detections. known: the keypoint bias, see `knowing`.
+    """
     rows = []
     for run in runs:
         found, true = [], []
@@ -228,7 +236,7 @@ def left_out(runs: Sequence[Run], known: str = "other runs", **options: float) -
 
 
 def keypoints(runs: Sequence[Run]) -> list[dict]:
-    """All cameras, by what is known of where keypoints lie beside markers."""
+    """Measure all cameras by the way in which the keypoint bias is known."""
     found = []
     for known in ("none", "other runs", "this run"):
         rows = [errors(run, solved(run, cameras_of(run)["all"], knowing(known, run, runs))) for run in runs]
@@ -239,7 +247,7 @@ def keypoints(runs: Sequence[Run]) -> list[dict]:
 
 
 def ways(runs: Sequence[Run]) -> list[dict]:
-    """How far to the left of where they look animals go: by the reference, level, and by all cameras."""
+    """Measure how far animals go to the left of their heading: by reference, by level cameras, by all cameras."""
     rows = []
     for run in runs:
         body, known = body_of(run.subject), np.isfinite(run.truth_m).all(axis=(1, 2))
@@ -258,7 +266,7 @@ def ways(runs: Sequence[Run]) -> list[dict]:
 
 
 def lags(runs: Sequence[Run]) -> list[dict]:
-    """What each camera's lag comes out as, in frames, with all of them."""
+    """Measure the estimated time offset of each camera, in frames, when all cameras are used."""
     rows = []
     for run in runs:
         found = solved(run, list(run.views), as_seen(body_of(run.subject), run, runs, posed=True)).time_offset_frames
@@ -271,7 +279,7 @@ def lags(runs: Sequence[Run]) -> list[dict]:
 
 
 def of_each_view(run: Run, body: Body) -> list[dict[str, float]]:
-    """One camera, every view of a run."""
+    """Fit every view of a run with one camera."""
     found = []
     for camera in run.views:
         solution = solved(run, [camera], body)
@@ -302,7 +310,7 @@ def over_views(rows: Sequence[dict[str, float]]) -> dict[str, object]:
 
 
 def measured(runs: Sequence[Run]) -> list[dict]:
-    """One camera, every view: keypoints on the markers, and where they lie in the other runs."""
+    """Measure every view with one camera: keypoints on the markers, and with the bias measured in the other runs."""
     found = []
     for label in ("none", "from the other runs, `subject fit`", "from the other runs, poses known"):
         rows = []
@@ -314,7 +322,7 @@ def measured(runs: Sequence[Run]) -> list[dict]:
 
 
 def by_run(runs: Sequence[Run]) -> list[dict]:
-    """The last of these by run, and of all runs but one."""
+    """Print the latter by run, and for all runs but one."""
     of_run = {run: of_each_view(run, as_seen(body_of(run.subject), run, runs, posed=True)) for run in runs}
     without = {run: [row for other in runs if other is not run for row in of_run[other]] for run in runs}
     return [{"views": f"of {run.folder.name}"} | over_views(of_run[run]) for run in runs] + [

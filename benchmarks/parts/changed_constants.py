@@ -1,4 +1,4 @@
-"""Other values of the solver's constants (`recon.fit.constants`) for a while, to see what they matter."""
+"""Change the solver's constants (`recon.fit.constants`) for a while, to measure their effect."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from recon.fit.clip_problem import TrajectoryOptions
 
 @contextmanager
 def holding(**values: Any) -> Iterator[None]:
-    """Constants by their names, as in ROBUST_C."""
+    """Set constants by name, as in ROBUST_C, for a block."""
     before = {name: getattr(constants, name) for name in values}
     try:
         for name, value in values.items():
@@ -25,6 +25,6 @@ def holding(**values: Any) -> Iterator[None]:
 
 @contextmanager
 def options_with(given: Mapping[str, Any]) -> Iterator[TrajectoryOptions]:
-    """Options and, where a name is in capitals, constants."""
+    """Set options, and constants for names in capitals."""
     with holding(**{name: value for name, value in given.items() if name.isupper()}):
         yield TrajectoryOptions(**{name: value for name, value in given.items() if not name.isupper()})

@@ -1,11 +1,11 @@
-"""The frame method on every camera view of a folder of real runs, scored against the multi-camera reconstruction.
+"""Run the frame method on every camera view of real runs, and compare with the multi-camera reconstruction.
 
     python benchmarks/parts/cheetah_runs.py FOLDER [--csv TABLE.csv] [--set robust_c=6 ...]
 
 Each run is a folder with camN.csv (DeepLabCut), scene.json (AcinoSet), truth.csv and meta.json (subject, fps, cameras,
-monocular_camera). Every view is fitted as `recon fit` does it, with the default settings: with the published link
-ratios and with the lengths measured for the subject, and, on the named camera, without the Gaussian priors. Without
-FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data.
+monocular_camera). Every view is fitted like `recon fit` with default settings: with the published link ratios, with the
+lengths measured for the subject, and, for the named camera, without the Gaussian priors. FOLDER is by default the
+cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ PUBLISHED = "cheetah-8u"
 
 
 def view_row(run: Path, camera: int, skeleton: str, meta: dict, **options) -> dict:
-    """One view as one row of the table."""
+    """Return the table's row for one view."""
     settings = FitSettings(
         keypoints=(run / f"cam{camera}.csv",),
         camera=(run / "scene.json",),
@@ -73,14 +73,14 @@ def view_row(run: Path, camera: int, skeleton: str, meta: dict, **options) -> di
 
 
 def best_90_px(motion: Motion) -> float:
-    """Mean reprojection error of the best 90 % of the detections."""
+    """Return the mean reprojection error of the 90 % of detections with the smallest errors."""
     distance_px = motion.pictures[0].distance_px
     distance = np.sort(distance_px[np.isfinite(distance_px)])
     return float(distance[: int(0.9 * len(distance))].mean()) if len(distance) else np.nan
 
 
 def heading_off_deg(motion: Motion, solution: FrameSolution, truth: Pose3D) -> float:
-    """Angle between the fit's direction of travel and the truth's trunk, both level: median over frames."""
+    """Return the median angle between the fit's direction of travel and the truth's trunk, both level."""
     rear, front = (motion.names[joint] for joint in motion.forward)
     _, here, there = np.intersect1d(motion.frames, truth.frames, return_indices=True)
     trunk = truth.xyz_m[there, truth.names.index(front)] - truth.xyz_m[there, truth.names.index(rear)]

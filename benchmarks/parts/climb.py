@@ -1,8 +1,9 @@
-"""A robot climbs a step by potential fields: margins of the bundled climbs, and how long planning takes.
+"""Measure the margins of the bundled climbs, and how long planning takes.
 
     python benchmarks/parts/climb.py [--recipe NAME]
 
-One core, warm. Tables in Markdown, as in docs/climb.md; --recipe: the one that is timed.
+The planner runs on one core, after a first run that does not count. Tables are in Markdown, as in docs/climb.md.
+--recipe: the recipe to time.
 """
 
 from __future__ import annotations

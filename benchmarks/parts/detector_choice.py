@@ -1,12 +1,12 @@
-"""Which detector a fit takes keypoints for when nobody says it, and what that costs.
+"""Measure which detector a fit assumes if none is given, and the errors that follow.
 
     python benchmarks/parts/detector_choice.py
 
-Every view of cheetah-runs and plate-trials (in $RECON_SHARED_DATA, or ../shared/data) by itself: with nothing said,
-with `none`, with the shipped detector file, and with that file made without the run, as in `cameras.py`. Measured
-lengths where the animal has some. Means of the views' MPJPE, over the joints that the truth has. Then the views with a
-detector that nobody measured before: with `none`, and with what `recon subject fit --no-lengths --offsets` finds in so
-many of the other runs, with all their cameras. One thread.
+Every view of cheetah-runs and plate-trials (in $RECON_SHARED_DATA, or ../shared/data) is fitted alone: without
+`--detector`, with `none`, with the shipped detector file, and with a file made in the same way without the run, as in
+`cameras.py`. Lengths are the measured ones, if known. The table has means of the views' MPJPE, over the joints of the
+truth. Then the views are treated as if their detector were unknown: with `none`, and with the result of `recon subject
+fit --no-lengths --offsets` on a number of other runs, with all their cameras. The script runs in one thread.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ HEADER = ("recordings", "views", "taken by itself", "nothing said", "none", SHIP
 
 
 def mpjpe_mm(folder: Path, number: int, detector: str | None) -> tuple[float, str]:
-    """The error of one view, and the detector that was taken."""
+    """Return the error of one view, and the detector that was used."""
     scene, meta = folder / "scene.json", meta_of(folder)
     motion = fit_clip(
         FitSettings(
@@ -57,7 +57,10 @@ def mpjpe_mm(folder: Path, number: int, detector: str | None) -> tuple[float, st
 
 
 def cells(kind: str, folders: Sequence[Path], without: dict[Path, Path]) -> list[object]:
-    """One kind of recordings, as in `HEADER`. without: by run, the detector's file that the others make."""
+    """Return the cells of one kind of recordings, as in `HEADER`.
+
+    without: by run, the detector file made from the other runs.
+    """
     taken: set[str] = set()
     errors_mm: list[list[float]] = []
     for folder in folders:
@@ -71,7 +74,10 @@ def cells(kind: str, folders: Sequence[Path], without: dict[Path, Path]) -> list
 
 
 def measured(label: str, runs: Sequence[Run], bodies: dict[Run, Body]) -> None:
-    """A line for each number of other runs, those that follow; bodies: with their lengths."""
+    """Print a line for each number of other runs, taken from those that follow.
+
+    bodies: with their lengths.
+    """
     plain = {run: np.array([row["mpjpe_mm"] for row in of_each_view(run, bodies[run])]) for run in runs}
     print_row([label, 0, f"{np.mean(np.concatenate([*plain.values()])):.1f}", "", ""])
     for n in range(1, len(runs)):
@@ -94,7 +100,7 @@ def detector_of(runs: Sequence[Run], bodies: dict[Run, Body]) -> Body:
 
 
 def plate_run(folder: Path) -> Run:
-    """As `run_of`, whose cameras are in a file each."""
+    """Return a run as `run_of` does, for cameras in separate files."""
     cameras, given = meta_of(folder)["cameras"], []
     for number in cameras:
         one = FitSettings(

@@ -1,4 +1,4 @@
-"""The sample of a whole cheetah in the files of others' detectors, and how good a fit of each is.
+"""Fit the sample of a whole cheetah from the files of other programs' detectors.
 
 python benchmarks/parts/detector_files.py
 """
@@ -18,9 +18,9 @@ SAMPLES = samples_folder()
 
 
 def mpjpe_m(keypoints: Path, rename: str | None = None, skeleton: str = "cheetah-24") -> tuple[float, int]:
-    """The error of a fit, over all joints of the skeleton that the truth has; and how many of them the file has."""
+    """Return a fit's error over the skeleton's joints in the truth, and how many of these joints the file has."""
     camera = SAMPLES / "camera.toml"
-    detector = "acinoset" if skeleton == "cheetah-24" else None  # the sample's, under whatever names
+    detector = "acinoset" if skeleton == "cheetah-24" else None  # the keypoints are the sample's, under different names
     given = {"camera": camera, "fps": 60.0, "rename": rename, "skeleton": skeleton, "detector": detector}
     motion = fit_clip(FitSettings(keypoints=(keypoints,), **given))
     pose = Pose3D(motion.names, motion.joints_m, motion.frames)

@@ -1,15 +1,15 @@
-"""The skeleton dog-27: how its figures were measured, and how well it is reconstructed from one side view.
+"""Measure the figures of the skeleton dog-27, and how well it is reconstructed from one side view.
 
     python benchmarks/parts/dog.py [FOLDER] [--only lengths|expectations|accuracy] [--write-prior dog.npz]
 
-FOLDER holds optical motion capture of one dog: a file *_joint_pos.txt for each clip, a row a frame, x y z of every
-joint, metres, y up; joints.json with their names, parents and the frame rate. Without it: the dog-mocap of
-$RECON_SHARED_DATA, or of ../shared/data.
+FOLDER holds optical motion capture of one dog: a file *_joint_pos.txt for each clip, with a row per frame and x y z of
+every joint, metres, y up; and joints.json with the joints' names and parents and the frame rate. By default it is the
+dog-mocap of $RECON_SHARED_DATA, or of ../shared/data.
 
 accuracy: each clip is seen by one still, level pinhole camera, 1920x1080, 0.6 m above the ground, 6 m to the side of
-the clip's path, with the narrowest whole number of degrees that holds all of it. Detections: the joints' projections
-and 2 px of Gaussian noise. What is expected of the motion is learned from the other seven clips; the lengths are those
-of the dog itself, which is the same in all. One thread.
+the clip's path. Its field of view is the smallest whole number of degrees that contains the whole clip. Detections are
+the joints' projections with 2 px of Gaussian noise. The prior is learned from the other seven clips. The lengths are
+those of the dog, which is the same in all clips. The script runs in one thread.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from recon.gait.evaluation import aligned, joint_errors, score
 
 SKELETON = "dog-27"
 WIDEN = 1.5
-"""How much wider the expectations are than what was measured in these clips."""
+"""Factor by which the expectations are wider than the measurements in these clips."""
 LEAST_SIGMA_RAD, LEAST_RAD_S2 = 0.05, 20.0
 DISTANCE_M, HEIGHT_M, MARGIN_PX, NOISE_PX = 6.0, 0.6, 20.0, 2.0
 IMAGE_SIZE_PX = (1920, 1080)
@@ -50,16 +50,19 @@ SOURCE = (
     "Mode-adaptive neural networks for quadruped motion control (CC BY-NC 4.0)"
 )
 _WORLD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-"""Turns axes with y up into axes with z up: x = the file's z, y = its x, z = its y. Right-handed like them."""
+"""Rotation from axes with y up to axes with z up: x = the file's z, y = its x, z = its y. Both are right-handed."""
 _CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""A level camera that looks along y."""
+"""Rotation of a level camera that looks along y."""
 
 Rows = list[dict]
 
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """points_m (T, J, 3): world z up, in the order of names."""
+    """Hold a clip.
+
+    points_m (T, J, 3): joints in a world with z up, in the order of `names`.
+    """
 
     name: str
     names: tuple[str, ...]
@@ -91,7 +94,7 @@ def body_of() -> Body:
 
 
 def lengths(clips: Sequence[Clip]) -> Rows:
-    """Distances that are the same in all frames: of each joint from its parent, and within the chest and the pelvis."""
+    """Return distances that are constant over the clips: from joint to parent, and within chest and pelvis."""
     names = clips[0].names
     pairs = [(names[p], n) for n, p in zip(names, clips[0].parents, strict=True) if p >= 0]
     pairs += [
@@ -126,7 +129,10 @@ def _mean_points(body: Body) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class SegmentFit:
-    """A clip as states (T, D) of the skeleton; rms_m (T,): how far its markers lie off."""
+    """Hold a clip as states (T, D) of the skeleton.
+
+    rms_m (T,): root mean square distance of the skeleton's markers from the recorded ones.
+    """
 
     clip: Clip
     states: np.ndarray
@@ -139,8 +145,10 @@ def solve(clips: Sequence[Clip]) -> list[SegmentFit]:
 
 
 def expected(solved: Sequence[SegmentFit]) -> Body:
-    """The skeleton with what these clips say of the angles: means and widened spreads. Each clip counts a second time
-    mirrored left to right."""
+    """Return the skeleton with the angles' means and widened spreads from these clips.
+
+    Each clip counts a second time, mirrored left to right.
+    """
     body = body_of()
     permutation, sign = body.mirror
     states = np.concatenate([one.states for one in solved])
@@ -155,7 +163,7 @@ def expected(solved: Sequence[SegmentFit]) -> Body:
 
 
 def expectations(solved: Sequence[SegmentFit]) -> Rows:
-    """What was measured, widened, beside what the file says."""
+    """Print the measured and widened expectations next to those of the file."""
     file, found = body_of(), expected(solved)
     fields = ("mean_rad", "sigma_rad", "acceleration_rad_s2")
     return [
@@ -182,14 +190,14 @@ def misfits(solved: Sequence[SegmentFit]) -> Rows:
 
 
 def side_view(clip: Clip, reference: str = "Hips") -> tuple[Camera, float]:
-    """The camera, which knows its place above the ground, and its horizontal field of view in degrees."""
+    """Return the camera, with its height above the ground, and its horizontal field of view in degrees."""
     hips = clip.points_m[:, clip.names.index(reference)]
     middle = (hips[:, 0].min() + hips[:, 0].max()) / 2
     return narrowest(clip.points_m, np.array([middle, np.median(hips[:, 1]) - DISTANCE_M, HEIGHT_M]))
 
 
 def narrowest(points_m: np.ndarray, centre_m: np.ndarray) -> tuple[Camera, float]:
-    """The level camera there, looking along y, whose picture just holds all points (T, J, 3)."""
+    """Return the narrowest level camera at a position, looking along y, whose picture contains all points (T, J, 3)."""
     for hfov_deg in range(10, 120):
         camera = Camera.from_hfov(hfov_deg, IMAGE_SIZE_PX)
         camera = replace(camera, rotation=_CAMERA, translation_m=-_CAMERA @ centre_m)
@@ -202,8 +210,10 @@ def narrowest(points_m: np.ndarray, centre_m: np.ndarray) -> tuple[Camera, float
 def write_view(
     clip: Clip, folder: Path, seed: int, skeleton: str = SKELETON, reference: str = "Hips", as_stated: bool = False
 ) -> tuple[FitSettings, float]:
-    """Detections and camera as files, and the settings that read them; the field of view. as_stated: keypoints lie off
-    their markers as the skeleton says that a detector's do, in part for the whole clip."""
+    """Write detections and camera as files, and return the settings that read them and the field of view.
+
+    as_stated: keypoints have the bias and jitter that the skeleton states for a detector.
+    """
     camera, hfov_deg = side_view(clip, reference)
     in_camera_m = camera.world_to_camera(clip.points_m)
     px, _ = camera.project(in_camera_m)
@@ -211,7 +221,8 @@ def write_view(
     px += rng.normal(0, NOISE_PX, px.shape)
     if as_stated:
         off = rng.standard_normal(px.shape)
-        stays = np.exp(-2 / (constants.ERROR_TIME_S * clip.fps))  # the correlations of all frames add up to that time
+        # neighbouring frames correlate such that errors last for `ERROR_TIME_S`
+        stays = np.exp(-2 / (constants.ERROR_TIME_S * clip.fps))
         for before, now in pairwise(off):
             now[:] = stays * before + (1 - stays**2) ** 0.5 * now
         off *= (1 - constants.KEYPOINT_BIAS_SHARE**2) ** 0.5
@@ -255,7 +266,7 @@ def fit_row(clip: Clip, prior: str, folder: Path, seed: int) -> dict:
 
 
 def write_poses(clips: Sequence[Clip], folder: Path) -> list[Path]:
-    """As files for `recon prior fit`."""
+    """Write poses as files for `recon prior fit`."""
     paths = []
     for clip in clips:
         columns = pd.MultiIndex.from_product([clip.names, ["x", "y", "z"]], names=["bodyparts", "coords"])

@@ -1,15 +1,17 @@
-"""Vertical forces of the feet against force plates, and the centre of mass against gravity.
+"""Compare the feet's vertical forces with force plates, and the motion of the centre of mass with gravity.
 
     python benchmarks/parts/dynamics.py
 
-The plate-trials of $RECON_SHARED_DATA, or of ../shared/data: single views and both cameras, and what the error is made
-of, by taking one thing after the other from the plates. Of the same place the dog-mocap, by one camera beside it
-against the markers: speed and net acceleration, flights against gravity, and the mean force of all feet over complete
-strides, which is 1. The simulated gallop of the samples has stances and a stride, so that its mean force is known, too.
-A gallop and a trot that given forces carry (`carried.py`) have exact poses: with paws that leave the ground and land as
-fast as those over the plates, with paws that do so at rest, and with half a sine as the force of a stance. The same two
-seen by one camera beside them, fitted from noisy detections, say what the intervals hold where the feet share the
-impulse as they are stated to: far more feet than there are over plates.
+The plate-trials of $RECON_SHARED_DATA, or of ../shared/data, are fitted from single views and from both cameras. To
+find the sources of the error, one quantity after the other is taken from the plates. The dog-mocap, seen by one camera
+from the side, is compared with the markers: speed and net acceleration, flights against gravity, and the mean force of
+all feet over complete strides, which is 1. The simulated gallop of the samples has stances and a stride, so its mean
+force is known, too.
+
+A gallop and a trot that given forces carry (`recon.testing.steady_gait`) have exact poses: with paws that leave the
+ground and land as fast as those over the plates, with paws that leave and land at rest, and with half a sine as the
+force of a stance. The same two gaits, seen by one camera from the side and fitted from noisy detections, test the
+intervals for feet that share the impulse as the model states. They provide far more feet than the plates.
 """
 
 from __future__ import annotations
@@ -41,14 +43,14 @@ def trials() -> list[Path]:
 
 
 def measured(run: Path) -> tuple[pd.DataFrame, dict[str, np.ndarray]]:
-    """Forces by frame, and the frames of touch-down and lift-off by foot's joint."""
+    """Return the measured forces by frame, and the frames of touch-down and lift-off by the joint of each foot."""
     stances = pd.read_csv(run / "stances.csv")
     ends = stances[["touch_down_frame", "lift_off_frame"]].to_numpy(float)
     return pd.read_csv(run / "forces.csv", index_col=0), dict(zip(stances["joint"], ends, strict=True))
 
 
 def against_plates(run: Path, found: ClipAnalysis, fps: float) -> list[dict[str, float]]:
-    """A row for each measured stance that the clip has."""
+    """Return a row for each measured stance that the clip contains."""
     force, stance = measured(run)
     d, rows, impulses = found.dynamics, [], force.sum() / fps
     if d is None or found.gait is None:
@@ -66,7 +68,7 @@ def against_plates(run: Path, found: ClipAnalysis, fps: float) -> list[dict[str,
         one, impulse = near.iloc[0], plate.sum() / fps
 
         def off(start_s, end_s, impulse, at_s: np.ndarray = at_s, plate=plate) -> float:
-            """Root mean square of what the mean of stances of these ends and impulses is off."""
+            """Return the root mean square error of the mean force for stances with these ends and impulses."""
             begins_s, lasts = start_s[1:, None], (end_s - start_s)[1:, None]
             force = impulse[1:, None] / (MEAN_OF_PEAK * lasts) * shape((at_s - begins_s) / lasts)
             return float(np.sqrt(np.mean((force.mean(axis=0) - plate) ** 2)))
@@ -96,8 +98,10 @@ CARRIED = "strides, intervals of the mean force that hold 1, mean force"
 
 
 def stride_forces(found: ClipAnalysis) -> list[tuple[float, float, float]]:
-    """The mean vertical force of all feet over each complete stride, of the foot with the most, whose stances the clip
-    holds whole, and the ends of its interval of 90 %."""
+    """Return the mean vertical force of all feet over each complete stride, and the ends of its 90 % interval.
+
+    The strides are those of the foot with the most strides whose stances are complete in the clip.
+    """
     gait, rows = found.gait, []
     if gait is None or found.dynamics is None or not gait.strides or len(gait.tracks.feet) < 4:
         return []
@@ -120,7 +124,7 @@ def stride_forces(found: ClipAnalysis) -> list[tuple[float, float, float]]:
 
 
 def carry_the_body(*found: ClipAnalysis) -> str:
-    """How many complete strides there are, how many of their intervals hold a body weight, and the mean force."""
+    """Return the number of complete strides, how many of their intervals contain a body weight, and the mean force."""
     rows = np.array([row for one in found for row in stride_forces(one)]).reshape(-1, 3)
     if not len(rows):
         return "none"
@@ -129,8 +133,11 @@ def carry_the_body(*found: ClipAnalysis) -> str:
 
 
 def cheetahs() -> tuple[list[ClipAnalysis], list[float]]:
-    """Every view of the cheetah-runs; and the share of a run's frames in which what turns about the centre of mass lies
-    in the view's intervals, by all cameras of the run: the internal energy, each part of the angular momentum."""
+    """Measure every view of the cheetah-runs.
+
+    The result includes the fraction of a run's frames in which the internal energy and each component of the angular
+    momentum from all cameras are inside the view's intervals.
+    """
     found, held = [], []
     for run in runs_of(recordings("cheetah-runs")):
         about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
@@ -151,7 +158,7 @@ def cheetahs() -> tuple[list[ClipAnalysis], list[float]]:
 
 
 def turning(found: ClipAnalysis) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """The internal energy and the angular momentum in columns, frames in rows; and their standard deviations."""
+    """Return the internal energy and the angular momentum (frames in rows), and their standard deviations."""
     d, frames = found.dynamics, found.motion.frames
     assert d is not None
     both = (d.internal_j_kg, d.angular_momentum), (d.internal_sigma_j_kg, d.angular_momentum_sigma)
@@ -160,7 +167,7 @@ def turning(found: ClipAnalysis) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 
 def independent(off: np.ndarray) -> float:
-    """As how many independent ones so many errors in a row (T,) say, by their correlations."""
+    """Return the number of independent errors that (T,) consecutive errors are worth, from their correlations."""
     off = off - off.mean()
     along = np.correlate(off, off, "full")[len(off) - 1 :] / (off @ off)
     until = int(np.argmax(along < 0)) or len(along)
@@ -168,8 +175,10 @@ def independent(off: np.ndarray) -> float:
 
 
 def dog_rows(as_stated: bool) -> list[list[str]]:
-    """A row for each clip: speeds and net accelerations within their intervals, flights, mean force. as_stated: of an
-    animal whose size and keypoints are off as the skeleton says that they may be."""
+    """Return a row for each clip: speeds and net accelerations within their intervals, flights, mean force.
+
+    as_stated: the animal's size and keypoints deviate as the skeleton states.
+    """
     folder, body, rows, reach = recordings("dog-mocap"), load_skeleton("dog-27"), [], radius(INTERVAL)
     with tempfile.TemporaryDirectory() as written:
         for seed, clip in enumerate(read_clips(folder) if folder.is_dir() else ()):
@@ -198,7 +207,7 @@ def dog_rows(as_stated: bool) -> list[list[str]]:
 
 
 def carried_rows(motion: Motion) -> list[list[str]]:
-    """A row for each run that given forces carry, with as many frames as this motion."""
+    """Return a row for each run that given forces carry, with as many frames as this motion."""
     rows = []
     at_rest = {"leaves": 0.0, "lands": 0.0}
     for name, run, fps in (
@@ -220,11 +229,11 @@ def carried_rows(motion: Motion) -> list[list[str]]:
 
 
 VIEWS, SHARES = 5, 200
-"""Clips of each simulated run, and how often the feet's shares of the impulse are drawn for each."""
+"""Number of clips of each simulated run, and of draws of the feet's shares of the impulse for each clip."""
 
 
 def simulated_row(name: str, run: SteadyGait, fps: float, frames: int, fore: tuple[float, float]) -> list[str]:
-    """A run by one camera beside it: what is in the intervals of 90 % where the feet share the impulse as stated."""
+    """Return a run's fractions inside 90 % intervals, by one camera, for feet that share the impulse as stated."""
     body, rng, rows = load_skeleton("cheetah-24"), np.random.default_rng(0), []
     with tempfile.TemporaryDirectory() as written:
         for seed in range(VIEWS):

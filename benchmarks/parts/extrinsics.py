@@ -1,14 +1,15 @@
-"""Where cameras stand, from the animal alone: `recon calibrate extrinsics`.
+"""Measure camera poses from the animal alone: `recon calibrate extrinsics`.
 
     python benchmarks/parts/extrinsics.py [FOLDER]
 
-Each run is a folder as in `cheetah_runs.py`, with all cameras, their lenses, and nothing of where they stand; runs
-with the same camera file are clips of one rig. Relative rotations of all pairs of cameras beside the file's, the upward
-direction, and how far the cameras are from the first one; MPJPE over all 24 joints of a fit with the cameras found,
-each pose's middle taken off, after one rotation of the world. Where the detector's keypoints lie is measured in the
-other runs. Then the same with other detections: the truth's projections, and parts of how far the detector's lie
-beside them. At last what several clips tell, simulated: a run's motion crosses the field of its cameras in other
-places, the same way or any. Without FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. One thread.
+Each run is a folder as in `cheetah_runs.py`, used with all its cameras and their lenses but without their poses. Runs
+with the same camera file are clips of one rig. The tables compare, with the camera file, the relative rotations of all
+pairs of cameras, the upward direction, and the distances from the first camera. They also have the MPJPE over all 24
+joints of a fit with the estimated cameras, after removing each pose's middle and one rotation of the world. The
+keypoint bias is measured in the other runs. The same follows with other detections: the truth's projections plus parts
+of the detector's deviations from them. At the end, several clips are simulated: a run's motion crosses the field of its
+cameras at other positions, in the same direction or in any direction. FOLDER is by default the cheetah-runs of
+$RECON_SHARED_DATA, or of ../shared/data. The script runs in one thread.
 """
 
 from __future__ import annotations
@@ -40,18 +41,21 @@ PARTS = {
     "and deviations": (0, 1, 0),
     "and lasting deviations": (1, 0, 0),
 }
-"""Whether a clip's lasting deviations are in it, those beside them, and whether these are shuffled or else drawn."""
+"""By name: weight of a clip's lasting deviations, of the other deviations, and whether the latter are shuffled or
+drawn.
+"""
 CLIPS, SEEDS = (1, 2, 4, 8), (0, 1, 2)
 SECTORS, LASTING_M, PASSING_M, PASSING_S, WHITE_PX = 8, 0.03, 0.03, 0.16, 5.0
-"""Simulated detections: how far keypoints lie off along each axis, by which eighth of the animal's sides is seen,
-and in passing, and for how long."""
+"""Simulated detections: keypoint bias along each axis, by the eighth of the animal's sides that is seen, and passing
+deviations with their duration.
+"""
 LEVEL_RAD = float(np.radians(1.0))
-"""The error of cameras that were levelled, or whose tilt and roll were measured."""
+"""Error of cameras that were levelled, or whose tilt and roll were measured."""
 TOUCHED_DEG = (2.0, 5.0)
 PUT_FRAMES = 6
-"""Cameras out of step began so many frames earlier or later, at most."""
+"""Largest time offset, in frames, of cameras that are put out of step."""
 FIELD_M = 1.5
-"""How far the middle of a simulated way lies from that of the run, along each axis."""
+"""Distance of the middle of a simulated path from that of the run, along each axis."""
 
 
 def without_poses(views: Sequence[View], body: Body, fps: float, find_offsets: bool = False) -> ClipProblem:
@@ -63,7 +67,7 @@ def without_poses(views: Sequence[View], body: Body, fps: float, find_offsets: b
 
 
 def found(views: Sequence[Sequence[View]], bodies: Sequence[Body], fps: Sequence[float]) -> Rig:
-    """The rig that is found for cameras without their poses."""
+    """Return the rig estimated for cameras without their poses."""
     return solve_extrinsics([without_poses(*of) for of in zip(views, bodies, fps, strict=True)])
 
 
@@ -72,7 +76,7 @@ def placed(rig: Rig, views: Sequence[View]) -> list[View]:
 
 
 def beside(rig: Rig, own: Sequence[View]) -> dict[str, float]:
-    """How a rig differs from the views' poses: degrees, and relative."""
+    """Return how a rig differs from the views' poses: degrees, and relative distances."""
     views, apart = placed(rig, own), []
     for (a, own_a), (b, own_b) in combinations(zip(views, own, strict=True), 2):
         turns = [(v.T_camera_world @ np.linalg.inv(w.T_camera_world))[:3, :3] for v, w in ((a, b), (own_a, own_b))]
@@ -92,7 +96,7 @@ def beside(rig: Rig, own: Sequence[View]) -> dict[str, float]:
 
 
 def off_in_sigmas(views: Sequence[View], own: Sequence[View], sigma: np.ndarray) -> float:
-    """Root mean square, over all but the first: how far off places beside the first are, in sigmas (V, 6)."""
+    """Return the RMS error of the positions of all cameras but the first, in standard deviations (V, 6)."""
     off = []
     for view, of_file in zip(views[1:], own[1:], strict=True):
         T, own_T = (
@@ -109,7 +113,7 @@ def shown(row: dict[str, float]) -> dict[str, str]:
 
 
 def rows_of(clips: Sequence[Run], runs: Sequence[Run]) -> list[dict]:
-    """A row for each clip, of one rig found from all of them."""
+    """Return a row for each clip, all from one rig estimated from all of them."""
     cameras = cameras_of(clips[0])["all"]
     views = [[run.views[camera] for camera in cameras] for run in clips]
     bodies = [as_seen(body_of(run.subject), run, runs) for run in clips]
@@ -125,13 +129,13 @@ def rows_of(clips: Sequence[Run], runs: Sequence[Run]) -> list[dict]:
 
 
 def _world_turn(found: Sequence[View], views: Sequence[View]) -> np.ndarray:
-    """The rotation of the found world that brings all cameras nearest to where they look in the file's."""
+    """Return the rotation of the estimated world that best aligns the cameras' directions with the file's."""
     turns = [own.T_camera_world[:3, :3].T @ view.T_camera_world[:3, :3] for view, own in zip(found, views, strict=True)]
     return Rotation.from_matrix(turns).mean().as_matrix()
 
 
 def rigs(runs: Sequence[Run]) -> list[list[Run]]:
-    """The runs of each camera file."""
+    """Return the runs of each camera file."""
     by_file: dict[bytes, list[Run]] = {}
     for run in runs:
         by_file.setdefault((run.folder / "scene.json").read_bytes(), []).append(run)
@@ -139,7 +143,7 @@ def rigs(runs: Sequence[Run]) -> list[list[Run]]:
 
 
 def sizes(runs: Sequence[Run]) -> list[dict]:
-    """The animal's size beside its measured lengths, with the file's cameras and next to nothing expected of it."""
+    """Measure the animal's size relative to its measured lengths, with the file's cameras and almost no prior on it."""
     rows = []
     for run in runs:
         body = as_seen(body_of(run.subject), run, runs)
@@ -154,8 +158,11 @@ def sizes(runs: Sequence[Run]) -> list[dict]:
 
 
 def with_parts(run: Run, view: View, lasting: int, passing: int, random: int, rng: np.random.Generator) -> View:
-    """The truth's projections and parts of how far the detections lie beside them: what lasts over the clip (a
-    keypoint's median), the rest, in another order where random, or white noise of its size in its place."""
+    """Return the truth's projections plus parts of the detections' deviations from them.
+
+    The parts are lasting deviations (a keypoint's median over the clip) and the rest, which is shuffled if `random`, or
+    replaced by white noise of the same size.
+    """
     projected, valid = view.project(run.truth_m)
     seen = view.present & valid & np.isfinite(run.truth_m[..., 0])
     off = np.where(seen[..., None], view.xy_px - projected, np.nan)
@@ -173,7 +180,7 @@ def with_parts(run: Run, view: View, lasting: int, passing: int, random: int, rn
 
 
 def causes(runs: Sequence[Run]) -> list[dict]:
-    """Means over the runs, one clip each."""
+    """Print means over the runs, for one clip at a time."""
     table = []
     for label, (lasting, passing, random) in PARTS.items():
         rows = []
@@ -189,7 +196,7 @@ def causes(runs: Sequence[Run]) -> list[dict]:
 
 
 def levelled(run: Run, runs: Sequence[Run]) -> dict:
-    """One clip of cameras whose upward directions were measured to a degree."""
+    """Measure one clip of cameras whose upward directions are known to a degree."""
     rng, own = np.random.default_rng(0), [run.views[camera] for camera in cameras_of(run)["all"]]
     setting, views = without_poses(own, as_seen(body_of(run.subject), run, runs), run.fps), []
     for bare, view in zip(setting.views, own, strict=True):
@@ -204,8 +211,7 @@ def levelled(run: Run, runs: Sequence[Run]) -> dict:
 
 
 def out_of_step(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
-    """Whole frames put between the cameras of each clip, and found: beside what is found of the clips as they are,
-    which are out of step by parts of a frame."""
+    """Shift cameras by whole frames, and compare the estimated offsets with those of the unshifted clips."""
     cameras, rng = cameras_of(clips[0])["all"], np.random.default_rng(0)
     own = [[run.views[camera] for camera in cameras] for run in clips]
     given = [(as_seen(body_of(run.subject), run, runs), run.fps) for run in clips]
@@ -242,7 +248,7 @@ def out_of_step(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
 
 
 def began_later(view: View, frames: float) -> View:
-    """The view of a camera that began so many whole frames later: its first picture shows what happened then."""
+    """Return the view of a camera that began whole frames later, so that its first picture shows a later moment."""
     at = np.arange(len(view.xy_px)) + int(frames)
     inside = (at >= 0) & (at < len(at))
     at = np.clip(at, 0, len(at) - 1)
@@ -254,8 +260,10 @@ def began_later(view: View, frames: float) -> View:
 
 
 def touched(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
-    """How far clips disagree on where the cameras stand, at most, with every second one turned in the last clip: the
-    least and the most of these."""
+    """Return how far clips disagree on the cameras' poses if every second camera is turned in the last clip.
+
+    The result has the smallest and the largest of these disagreements.
+    """
     cameras = cameras_of(clips[0])["all"]
     own = [[run.views[camera] for camera in cameras] for run in clips]
     bodies, fps = [as_seen(body_of(run.subject), run, runs) for run in clips], [run.fps for run in clips]
@@ -271,7 +279,7 @@ def touched(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
 
 
 def turned(view: View, degrees: float) -> View:
-    """What a camera sees that is turned about the picture's upright axis."""
+    """Return the view of a camera that is turned about its picture's upright axis."""
     rays, _ = view.camera.rays(view.xy_px)
     xy_px, valid = view.camera.project(
         np.nan_to_num(rays, nan=1.0) @ Rotation.from_euler("y", degrees, True).as_matrix().T
@@ -283,8 +291,10 @@ def turned(view: View, degrees: float) -> View:
 
 
 def crossing(run: Run, views: Sequence[View], offsets_m: np.ndarray, any_way: bool, rng: np.random.Generator):
-    """Views of the run's motion on another way through the field: what a detector would see that marks other places
-    from other sides, offsets_m (SECTORS, J, 2)."""
+    """Return views of the run's motion on another path through the field.
+
+    Their detector marks other points from other sides, offsets_m (SECTORS, J, 2).
+    """
     known = np.isfinite(run.truth_m[:, 0, 0])
     motion = run.truth_m[known]
     middle, shift = motion.mean(axis=(0, 1)), np.append(rng.uniform(-FIELD_M, FIELD_M, size=2), 0.0)
@@ -297,7 +307,7 @@ def crossing(run: Run, views: Sequence[View], offsets_m: np.ndarray, any_way: bo
 def _detected(
     view: View, points: np.ndarray, way: np.ndarray, offsets_m: np.ndarray, fps: float, rng: np.random.Generator
 ) -> View:
-    """Detections of points (T, J, 3) of an animal that goes that way."""
+    """Return detections of points (T, J, 3) of an animal that follows a path."""
     projected, valid = view.project(points)
     in_camera = view.to_camera(points)
     px_per_m = view.focal_px / np.maximum(in_camera[..., 2], 0.3)
@@ -317,7 +327,7 @@ def _detected(
 
 
 def simulated(run: Run) -> list[dict]:
-    """Means over the seeds; with n clips, the first n of the most."""
+    """Print means over the seeds; a row with n clips uses the first n."""
     views, body, table = [run.views[camera] for camera in cameras_of(run)["all"]], body_of(run.subject), []
     for any_way in (False, True):
         rows: dict[int, list[dict[str, float]]] = {}

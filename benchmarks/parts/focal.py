@@ -1,12 +1,13 @@
-"""What a wrong focal length costs: `recon fit --hfov-deg` with a guess.
+"""Measure the cost of a wrong focal length: `recon fit --hfov-deg` with a guess.
 
     python benchmarks/parts/focal.py [FOLDER]
 
-Each run is a folder as in `cheetah_runs.py`, with every camera by itself, its focal length taken for a part or a
-multiple of what it is; the lens stays. Means over all views: MPJPE over all 24 joints, each pose's middle taken off;
-how much too far the animal is, by the logarithm; its speed beside that with the true focal length. Then all cameras of
-each run, the focal length of the last taken for 10 % too long, held and with `--set focal-sigma=0.1`. Without FOLDER:
-the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. One thread.
+Each run is a folder as in `cheetah_runs.py`. Every camera is used alone with its focal length multiplied by a factor;
+the lens distortion stays the same. The table has means over all views: MPJPE over all 24 joints after removing each
+pose's middle; the logarithm of the animal's estimated over its true distance; and the speed relative to that with the
+true focal length. Then all cameras of each run are used with the last focal length 10 % too long, fixed or with `--set
+focal-sigma=0.1`. FOLDER is by default the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. The script runs in
+one thread.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""The frame method on every view of real runs: peak speeds, poses, their 90 % intervals, verdicts, and effort.
+"""Measure the frame method on every view of real runs: peak speeds, poses, 90 % intervals, verdicts and effort.
 
     python benchmarks/parts/frame_method.py [FOLDER] [--only RUN ...] [--quick] [--set path=free ...]
 
 Each run of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA, has camN.csv, scene.json, truth.csv and
-meta.json. Every view is fitted as `recon frame` does it. The true peak speed is the fastest of the reference joint at
-the frames, from the spline through the reconstruction of all cameras. A speed is stated if `ClipAnalysis.why_no_speed`
-gives no reason against it. quick: only the camera that meta.json names. The last lines are the summary, also with
-each run left out: the numbers of the method stand or fall with all of them.
+meta.json. Every view is fitted like `recon frame`. The true peak speed is the largest speed of the reference joint in
+the frames, from the spline through the reconstruction of all cameras. A speed counts as stated if
+`ClipAnalysis.why_no_speed` is None. --quick: only the camera named in meta.json. The last lines are the summary, also
+with each run left out, since the numbers of the method were chosen on all runs.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from recon.gait.kinematics import frame_jitter_m, frame_times, net_acceleration,
 from recon.thesis.solution import frame_solution
 
 WITHIN = 0.3
-"""A stated peak speed is near the truth within this share of it."""
+"""Relative error of a stated peak speed within which the speed is near the truth."""
 POOR_MM = 160.0
-"""No pose with a larger error may have the verdict "use"."""
+"""Error above which no pose may have the verdict "use"."""
 
 
 def view_row(run: Path, camera: int, meta: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
@@ -81,7 +81,7 @@ def depth_jitter_m(motion: Motion) -> float:
 
 
 def true_peak_m_s(motion: Motion, truth: Pose3D) -> float:
-    """Return the fastest speed of the reference joint at the frames."""
+    """Return the largest speed of the reference joint in the frames."""
     joint = truth.names.index(motion.reference)
     time_s = frame_times(truth.frames, motion.fps)
     rate = series_kinematics(time_s, truth.xyz_m[:, joint], oversampling=1).rate
@@ -89,7 +89,7 @@ def true_peak_m_s(motion: Motion, truth: Pose3D) -> float:
 
 
 def true_acceleration_m_s2(motion: Motion, truth: Pose3D) -> float:
-    """Return the acceleration of the reference joint along the way, over the frames that the fit has."""
+    """Return the acceleration of the reference joint along its path, over the frames of the fit."""
     joint = truth.names.index(motion.reference)
     rows = np.isin(truth.frames, motion.frames[motion.solved])
     time_s = frame_times(truth.frames[rows], motion.fps)
@@ -97,7 +97,7 @@ def true_acceleration_m_s2(motion: Motion, truth: Pose3D) -> float:
 
 
 def acceleration_lines(table: pd.DataFrame) -> list[str]:
-    """Return sentences on the intervals of the acceleration along the way."""
+    """Return sentences on the intervals of the acceleration along the path."""
     off = (table["acceleration_m_s2"] - table["true_acceleration_m_s2"]).abs()
     sigma = table["acceleration_sigma_m_s2"]
     stated = sigma <= ACCELERATION_KNOWN_M_S2
@@ -111,7 +111,7 @@ def acceleration_lines(table: pd.DataFrame) -> list[str]:
 
 
 def summary(table: pd.DataFrame) -> list[str]:
-    """Return the cells that say whether the goals are met."""
+    """Return the cells that show whether the goals are met."""
     stated = table[table["speed_stated"]]
     ratio = stated["peak_m_s"] / stated["true_peak_m_s"]
     off = (stated["peak_m_s"] - stated["true_peak_m_s"]).abs()

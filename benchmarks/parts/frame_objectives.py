@@ -1,11 +1,12 @@
-"""What each objective of the frame method does on real runs: poses with some of them only.
+"""Measure the effect of each objective of the frame method on real runs, by fits with only some of them.
 
     python benchmarks/parts/frame_objectives.py [FOLDER]
 
-The named camera of every run of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA. An objective that is left
-out weighs a millionth, so that there are never fewer residuals than unknowns. Pixels: mean reprojection error of the
-best 90 %, median of the runs. MPJPE: mean, least and most of the runs. Share: of f2 to f5 in the squared residuals,
-mean. Jitter: of the thetas from frame to frame, degrees, median. A quarter of an hour.
+The fits use the named camera of every run of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA. An objective
+that is left out has a weight of a millionth, so that there are never fewer residuals than unknowns. Columns: mean
+reprojection error of the best 90 % (median of the runs); MPJPE (mean, smallest and largest of the runs); the share of
+f2 to f5 in the squared residuals (mean); jitter of the thetas from frame to frame, degrees (median). The script takes a
+quarter of an hour.
 """
 
 from __future__ import annotations
@@ -49,15 +50,16 @@ CASES: dict[str, tuple[tuple[str, ...], dict[str, str]]] = {
     "the same, f1 to f5 as printed": (EVERY, FREE | {"form": "printed", "reprojection": "printed"}),
     "all, the default": (EVERY, {}),
 }
-"""The objectives that are kept, and the settings. Only the last has the path tie: each frame is solved by itself in the
-others, as published. As printed, f4 and f5 have the missing da/dt and the square of the limit corrected."""
+"""Objectives that are kept, and settings. Only the last case ties frames by a path; in the others each frame is solved
+separately, as published. "As printed" means f4 and f5 with the missing da/dt and the square of the limit corrected.
+"""
 FADED = 1e-6
 TOLERANCE = 1e-5
 """Tolerance of every search, that of the default's second solutions: problems without priors are flat and end late."""
 
 
 class Faded:
-    """An objective that hardly weighs."""
+    """Describe an objective of almost no weight."""
 
     def __init__(self, term: Objective) -> None:
         self.name, self.ties, self.term = term.name, term.ties, term
@@ -68,7 +70,7 @@ class Faded:
 
 
 def measured(run: Path, kept: tuple[str, ...], options: dict[str, Any]) -> tuple[float, float, float, float]:
-    """Pixels, MPJPE in mm, the share of f2 to f5, and the jitter of the thetas in degrees."""
+    """Return the reprojection error, MPJPE in mm, the share of f2 to f5, and the jitter of the thetas in degrees."""
     every, meta = frame_objectives, json.loads((run / "meta.json").read_text())
     camera = meta["monocular_camera"]
     settings = FitSettings(

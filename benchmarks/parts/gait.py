@@ -1,16 +1,16 @@
-"""Kinematics and gait of the samples against their formula, and of real runs from their multi-camera reconstructions.
+"""Compare kinematics and gait of the samples with their formulas, and of real runs with other measurements.
 
     python benchmarks/parts/gait.py [FOLDER] [--held-out]
 
---held-out: how the share of a foot's stated speed that a standing one seems to move by (`SPEED_ERROR`) is chosen: for
-each of three kinds of recordings by the stances of the two others, with what it is worth on the third.
+--held-out shows how `SPEED_ERROR`, the fraction of a foot's stated speed error by which a standing foot seems to move,
+is chosen: for each of three kinds of recordings from the stances of the two others, with the result on the third.
 
-The samples: speeds and stance events of the true joints, and of reconstructions, against the formula at 3600 fps. Each
-run is a folder with truth.csv and meta.json (fps). Prints what the clips show of the gait, and the mean magnitudes of
-the links' motion relative to their parents. Without FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of
-../shared/data; without any runs, the samples only. Of the same place the plate-trials, single views and the
-multi-camera reconstruction against the force plates' stances; the dog-mocap, motion capture of walks, runs and a turn,
-by its markers and by one camera beside it; and the horse-side, labels by hand.
+The samples: speeds and stance events of the true joints and of reconstructions, compared with the formula at 3600 fps.
+Real runs: each is a folder with truth.csv and meta.json (fps). The script prints their gaits, and the mean magnitudes
+of the links' motion relative to their parents. FOLDER is by default the cheetah-runs of $RECON_SHARED_DATA, or of
+../shared/data; without any runs, only the samples are measured. From the same data come the plate-trials, single views
+and the multi-camera reconstruction compared with the force plates' stances; the dog-mocap, motion capture of walks,
+runs and a turn, by its markers and by one camera from the side; and the horse-side, labelled by hand.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ CHAINS = {
     "spine": ("tail_base", "spine", "neck_base"),
     "front": ("spine", "neck_base", "{}_front_knee", "{}_front_ankle", "{}_front_paw"),
 }
-"""The links 6, 7, 8; 1; 2, 3, 4 of the skeleton cheetah-8u."""
+"""Links 6, 7, 8; 1; and 2, 3, 4 of the skeleton cheetah-8u."""
 LINKS = {"hind": "678", "spine": "1", "front": "234"}
 
 
 def run_row(pose: Pose3D, fps: float) -> dict:
-    """One run as one row of the tables of stances and gaits."""
+    """Return the row of one run in the tables of stances and gaits."""
     tracks = pose_tracks(pose, fps)
     found = gait(tracks)
     ((_, plane),) = tracks.grounds
@@ -75,7 +75,7 @@ def run_row(pose: Pose3D, fps: float) -> dict:
 
 
 def link_speeds(pose: Pose3D, fps: float) -> dict[str, float]:
-    """Mean speed of each link's tip relative to its parent, m/s, mean of both sides."""
+    """Return the mean speed of each link's tip relative to its parent, m/s, mean of both sides."""
     found = {}
     for limb, chain in CHAINS.items():
         sides = [
@@ -92,7 +92,7 @@ FORMULA_FPS = 3600
 
 
 def sample_rows() -> list[dict]:
-    """True joints and reconstructions of the samples; errors against the formula, or the true joints for `whole`."""
+    """Return rows for the samples' true joints and reconstructions, with errors against the formula or the truth."""
     formula = gallop(fps=float(FORMULA_FPS), n_frames=29 * FORMULA_FPS // 30 + 1)
     fine = Pose3D(formula.names, formula.truth_m, np.arange(len(formula.truth_m)))
     clean, whole = (read_pose3d(SAMPLES / f"{name}_truth.csv") for name in ("clean", "whole"))
@@ -156,11 +156,11 @@ def sample_row(name: str, pose: Pose3D, fps: int, truth: Pose3D, truth_fps: int,
 
 
 Events = list[tuple[float, float, bool]]
-"""Each event: seconds late, standard deviation, and whether it is a touch-down."""
+"""Delay in seconds, standard deviation, and whether the event is a touch-down."""
 
 
 def fitted(run: Path, camera: int, about: dict) -> Motion:
-    """A single view."""
+    """Return the fit of a single view."""
     scene = run / "scene.json"
     one, name = (scene, (f"cam{camera}",)) if scene.is_file() else (run / f"cam{camera}.toml", None)
     return fit_clip(
@@ -175,7 +175,7 @@ def found_gait(motion: Motion) -> Gait:
 
 
 def events(found: Sequence[Stance], exact: Sequence[Stance]) -> Events:
-    """The events of the stances that are in both."""
+    """Return the events of the stances that are in both sets."""
     both = match_stances(exact, found)
     late = [(b.start_s - a.start_s, b.start_sigma_s, True) for a, b in both if a.begins and b.begins]
     return late + [(b.end_s - a.end_s, b.end_sigma_s, False) for a, b in both if a.ends and b.ends]
@@ -189,7 +189,7 @@ def plate_stances(run: Path, fps: float) -> list[Stance]:
 
 
 def plate_rows() -> list[dict]:
-    """Against the force plates, and what is known of the stances' ends by the intervals."""
+    """Compare views with the force plates, and with the intervals of the stances' ends."""
     kinds: dict[str, list[tuple[tuple[Stance, ...], list[Stance]]]] = {"single views": [], "reconstructions": []}
     for run in sorted(path.parent for path in recordings("plate-trials").glob("*/stances.csv")):
         about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
@@ -205,8 +205,10 @@ CANDIDATES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8)
 
 
 def held_out_rows(runs: Sequence[Path]) -> list[dict]:
-    """For each kind of recordings the share that is best for the others, by stances missed and by how far the median
-    duration is off; and what it is worth."""
+    """Choose the fraction for each kind of recordings on the others, and measure it on the kind itself.
+
+    The choice is by the number of missed stances and by the error of the median duration.
+    """
     kinds: dict[str, list[tuple[Motion, Sequence[Stance]]]] = {"cheetahs over plates": [], "cheetahs": [], "a dog": []}
     for run in sorted(path.parent for path in recordings("plate-trials").glob("*/stances.csv")):
         about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
@@ -261,7 +263,7 @@ def event_row(kind: str, some: Sequence[tuple[Sequence[Stance], Sequence[Stance]
 
 
 def view_rows(runs: Sequence[Path]) -> list[dict]:
-    """Single views against the same rule of stances by what all cameras or the markers say."""
+    """Compare the stances of single views with those that the same rule finds from all cameras or from the markers."""
     rows, cheetahs, dogs = [], [], []
     for run in runs:
         about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
@@ -277,7 +279,7 @@ def view_rows(runs: Sequence[Path]) -> list[dict]:
 
 @cache
 def dog_gaits() -> tuple[tuple[Clip, Gait, Motion], ...]:
-    """Each clip with its gait by the markers, and fitted by one camera beside it."""
+    """Return each clip's gait by the markers, and fitted by one camera from the side."""
     folder, body, found = recordings("dog-mocap"), load_skeleton("dog-27"), []
     with tempfile.TemporaryDirectory() as written:
         for seed, clip in enumerate(read_clips(folder) if folder.is_dir() else ()):
@@ -289,7 +291,7 @@ def dog_gaits() -> tuple[tuple[Clip, Gait, Motion], ...]:
 
 
 def animal_rows() -> list[dict]:
-    """What a dog's clips and a horse's are called."""
+    """Return the names of the gaits of a dog's clips and of a horse."""
     rows = []
     for clip, marked, motion in dog_gaits():
         seen = found_gait(motion)

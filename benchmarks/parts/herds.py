@@ -1,10 +1,11 @@
-"""Made-up herds: variance components, intervals of effects and planned power of the mixed model.
+"""Simulate herds: variance components, intervals of effects and planned power of the mixed model.
 
     python benchmarks/parts/herds.py [--quick]
 
-Two groups of animals, two runs each, six strides a run; known standard deviations of animals, runs, strides and
-measurement, and a lens error that all clips share. Components: the mean over herds, relative to the truth. Intervals:
-how often those of 90 % hold the effect. Power: planned, and how often the effect is found in as many herds.
+There are two groups of animals, two runs of each, and six strides per run; known standard deviations of animals, runs,
+strides and measurement; and a lens error that all clips share. Components: the mean over herds, relative to the truth.
+Intervals: how often 90 % intervals contain the effect. Power: planned, and how often the effect is found in as many
+herds.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ RUNS, STRIDES, SHARED = 2, 6, 0.05
 
 
 def herd(rng: np.random.Generator, animals: int, effect: float) -> MixedModel:
-    """One made-up experiment, fitted."""
+    """Return one simulated experiment, fitted."""
     lens = 1 + SHARED * rng.normal()
     values, groups, names, runs = [], [], [], []
     for k in range(animals):

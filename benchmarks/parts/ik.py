@@ -1,10 +1,11 @@
-"""Inverse kinematics: time per step, success rates, iterations and closures, and strides of a folder of real runs.
+"""Inverse kinematics: time per step, success rates, iterations and closures, and strides of real runs.
 
     python benchmarks/parts/ik.py [FOLDER] [--only steps targets alphas circle costs strides fits held-out online]
 
-Joints of `cheetah-8u`'s spine and front leg in their level base frame, and of `cheetah-24`'s left front leg. One core,
-warm. Tables in Markdown, as in docs/ik.md. The last four need real runs: each is a folder with truth.csv and meta.json
-(fps), by default those of cheetah-runs in $RECON_SHARED_DATA, or in ../shared/data.
+The chains are the joints of `cheetah-8u`'s spine and front leg in their level base frame, and of `cheetah-24`'s left
+front leg. The script runs on one core, after a first run that does not count. Tables are in Markdown, as in docs/ik.md.
+The last four parts need real runs: each is a folder with truth.csv and meta.json (fps), by default those of
+cheetah-runs in $RECON_SHARED_DATA, or in ../shared/data.
 """
 
 from __future__ import annotations
@@ -59,7 +60,7 @@ TASKS, SEED = 50, 0
 STEPS, WARM = 4000, 500
 TURNS, POINTS, RADIUS_M = 10, 400, 0.1
 SLOWER = 10
-"""Strides are followed in slow motion, so that the limits of the rates do not hold the methods back."""
+"""Factor of slow motion for strides, so that rate limits do not delay the methods."""
 SIDES = ("left", "right")
 PUBLISHED = {
     "gradient projection (differences)": "264, ended 11 mm away",
@@ -67,7 +68,7 @@ PUBLISHED = {
     "damped (0.05 m)": "765",
     "extended Jacobian (energy)": "587, ended 32.7 mm away",
 }
-"""Iterations to a target that the publication does not state; its cost is not stated either."""
+"""Iterations to a target that the publication does not state. The published cost is not stated either."""
 
 
 HARMONIC = "harmonic map"
@@ -78,11 +79,13 @@ COSTS: dict[str, Callable[[SerialChain], Cost]] = {
     HARMONIC: lambda chain: harmonic_map(),
 }
 NEAR_RAD, CLOSED_RAD, APART = 1e-6, 1e-3, 1e3
-"""How near two starts are; how well a path closes; how much further apart than they began two chaotic ways end."""
+"""Distance of two near starts; largest gap of a closed path; and factor by which the distance of two chaotic paths
+grows.
+"""
 
 
 def joined(parts: list[Frames]) -> Frames:
-    """The frames of several chains of one kind, one after the other."""
+    """Join the frames of several chains of one kind."""
     arrays = (np.concatenate([getattr(part, of) for part in parts]) for of in ("q", "jacobian", "dx", "dq"))
     return Frames(*arrays, names=parts[0].names)
 
@@ -109,7 +112,7 @@ def methods(chain: SerialChain) -> dict[str, Method]:
         "extended Jacobian (energy)": ExtendedJacobian(energy),
         "extended Jacobian (energy), N constant": ExtendedJacobian(energy, full=False),
     }
-    if chain.base.shape == (2, 3) or len(chain.groups) == 2:  # the map is one of the 8U chain's joints
+    if chain.base.shape == (2, 3) or len(chain.groups) == 2:  # the order of the 8U chain's joints
         every["extended Jacobian (harmonic map)"] = ExtendedJacobian(harmonic_map())
     return every
 
@@ -118,7 +121,7 @@ def methods(chain: SerialChain) -> dict[str, Method]:
 
 
 def step_us(chain: SerialChain, method: Method) -> float:
-    """Median time of `rates` at random configurations within the limits, microseconds."""
+    """Return the median time of `rates` at random configurations within the limits, microseconds."""
     rng = np.random.default_rng(SEED)
     q = rng.uniform(chain.lower_rad, chain.upper_rad, (STEPS, chain.n))
     dx = rng.normal(size=(STEPS, chain.dim))
@@ -144,7 +147,7 @@ def print_steps() -> None:
 
 
 def tasks(chain: SerialChain) -> list[tuple[Array, Array]]:
-    """Starts and targets from random poses within the limits."""
+    """Return starts and targets from random poses within the limits."""
     starts, ends = np.random.default_rng(SEED).uniform(chain.lower_rad, chain.upper_rad, (2, TASKS, chain.n))
     return [(q, chain.end(end)) for q, end in zip(starts, ends, strict=True)]
 
@@ -172,7 +175,7 @@ def print_targets() -> None:
 
 
 def print_alphas() -> None:
-    """One factor on the rates of every method: from steps that are too short to some that go beyond their points."""
+    """Print results for one factor on the rates of every method, from too short steps to steps that overshoot."""
     chain = next(iter(chains(False).values()))
     some = tasks(next(iter(chains(True).values())))[:ALPHA_TASKS]
     print(f"\nIterations to {ALPHA_TASKS} targets in the plane by alpha, median; in brackets how many were reached:\n")
@@ -192,13 +195,13 @@ def print_alphas() -> None:
 
 
 def start_of(chain: SerialChain, q: Array, method: Method) -> Array:
-    """The optimum of the method's cost (or the energy's) that the null space leads to."""
+    """Return the optimum of the method's cost (or of the energy's) that the null space leads to."""
     cost = method.cost if isinstance(method, ExtendedJacobian) else rotational_energy(chain)
     return to_null_space_optimum(chain, q, cost)[0]
 
 
 def circle_closure(chain: SerialChain, q: Array, name: str) -> str:
-    """Least closures of any joint after the turns on a circle: angle / (angle, rate) plane."""
+    """Return the smallest closures of any joint after the turns on a circle: angle / plane of angle and rate."""
     method = methods(chain).get(name)
     if method is None:
         return ""
@@ -210,7 +213,7 @@ def circle_closure(chain: SerialChain, q: Array, name: str) -> str:
 
 
 def circle(chain: SerialChain, q: Array) -> Array:
-    """(POINTS + 1, dim), closed, from where the end is at q."""
+    """Return a closed circle (POINTS + 1, dim) from the end's position at q."""
     angle, start = np.linspace(0, 2 * np.pi, POINTS + 1), chain.end(q)
     u, v = np.array([1.0, 0.0, 0.0])[: chain.dim], np.array([0.0, 0.8, 0.6])[: chain.dim]
     path = start + RADIUS_M * ((np.cos(angle) - 1)[:, None] * u + np.sin(angle)[:, None] * v)
@@ -219,9 +222,12 @@ def circle(chain: SerialChain, q: Array) -> Array:
 
 
 def cost_verdict(chain: SerialChain, q: Array, cost: Cost) -> str:
-    """What the extended Jacobian does with a cost on the circle, from its optimum: convergent where the angles after
-    every turn are those at its beginning, singular where the matrix was on the way, chaotic where a start that is off
-    by `NEAR_RAD` ends `APART` times as far away, drifting otherwise; with how many joints limits held."""
+    """Classify what the extended Jacobian does with a cost on the circle, from the cost's optimum.
+
+    The result is "convergent" if the angles after every turn equal those at its beginning; "singular" if the matrix was
+    singular on the way; "chaotic" if a start that differs by `NEAR_RAD` ends `APART` times as far away; otherwise
+    "drifting". It also states for how many joints the limits held.
+    """
     method = ExtendedJacobian(cost)
     q = to_null_space_optimum(chain, q, cost)[0]
     path = circle(chain, q)
@@ -271,8 +277,7 @@ def print_circle() -> None:
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """A run's front leg: name of run and side, the chain with the animal's size, its angles (T, n), the frame rate, how
-    long a stride takes at least and at most."""
+    """Hold a run's front leg: names, chain at the animal's size, angles (T, n), frame rate, stride durations."""
 
     name: str
     chain: SerialChain
@@ -281,13 +286,13 @@ class Leg:
     lasts_s: tuple[float, float]
 
     def online(self, stride: StridePath) -> dict[str, list[Method]]:
-        """By method those refitted at every frame of a stride."""
+        """Return, by method, parameters refitted at every frame of a stride."""
         return fit_parameter_series(Limb("", self.chain, self.q, self.fps, 0.0, "UVW", 0.0), stride, None, LAST)[1]
 
 
 @cache
 def real_legs(folder: Path) -> dict[str, list[Leg]]:
-    """All runs' legs, by chain: "2D" in the plane of the travel, "3D", "whole animal"."""
+    """Return the legs of all runs by chain: "2D" in the plane of the travel, "3D", "whole animal"."""
     skeleton, body = load_chain("cheetah-8u"), load_skeleton("cheetah-24")
     legs: dict[str, list[Leg]] = {"2D": [], "3D": [], "whole animal": []}
     for meta in sorted(folder.glob("*/meta.json")):
@@ -320,7 +325,7 @@ def stride_cell(stride: StridePath) -> str:
 
 
 def animal_closures(stride: StridePath, fps: float) -> dict[str, np.ndarray]:
-    """The closures of the animal itself."""
+    """Return the closures of the animal itself."""
     q = stride.q[np.isfinite(stride.q).all(axis=1)]
     paths = np.stack([q, np.gradient(q, 1 / fps, axis=0)], axis=2).transpose(1, 0, 2)
     return {
@@ -347,7 +352,7 @@ def print_strides(folder: Path) -> None:
             runs = []
             for leg, stride in zip(legs, strides, strict=True):
                 method, q = methods(leg.chain)[name], stride.q[0]
-                # The extended Jacobian keeps G = 0, where the animal is not.
+                # The extended Jacobian keeps G = 0, but the animal's own pose does not.
                 q = start_of(leg.chain, q, method) if isinstance(method, ExtendedJacobian) else q
                 runs.append(follow(leg.chain, q, stride.path_m, method, interval_s=SLOWER * stride.interval_s))
             off = float(np.median([run.distance_m.max() for run in runs]))
@@ -367,7 +372,7 @@ def closure_row(name: str, closures: list[dict[str, np.ndarray]], off_m: float, 
 
 
 def frames_of(leg: Leg, span_s: tuple[float, float] = (-np.inf, np.inf)) -> Frames:
-    """The known frames from when to when, with the rates of a spline through all."""
+    """Return the known frames in a time span, with the rates of a spline through all frames."""
     known = np.isfinite(leg.q).all(axis=1)
     q, time_s = leg.q[known], np.flatnonzero(known) / leg.fps
     dq = CubicSpline(time_s, q).derivative()(time_s)
@@ -379,7 +384,7 @@ def frames_of(leg: Leg, span_s: tuple[float, float] = (-np.inf, np.inf)) -> Fram
 
 
 def print_fits(folder: Path) -> None:
-    """The 8U chain in space has no fits: its phi jump where a link stands upright, and so do their rates."""
+    """Print fits for all chains but the 8U chain in space, whose phi and rates jump when a link is upright."""
     for kind in ("2D", "whole animal"):
         legs = real_legs(folder)[kind]
         data = [frames_of(leg) for leg in legs]
@@ -419,7 +424,7 @@ FITS: tuple[tuple[str, Callable[[SerialChain], Fit], str], ...] = (
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """A leg's stride, its frames, and the run that it is of."""
+    """Hold a leg's stride, its frames, and its run."""
 
     leg: Leg
     stride: StridePath
@@ -435,8 +440,11 @@ class Shown:
         return self.leg.name.split(",")[0]
 
     def off_deg(self, method: Method, each: Sequence[Method] = ()) -> float:
-        """How far the joints are from the animal's while the method, or that of each frame, follows the stride from the
-        animal's own pose (the extended Jacobian from its own), rms."""
+        """Return the RMS deviation of the joints from the animal's while a method follows the stride.
+
+        `each` gives a method for each frame instead. The start is the animal's own pose, or the extended Jacobian's own
+        start.
+        """
         run = follow_stride(self.leg.chain, self.stride, method, by_frame=each)
         every = round(1 / (self.leg.fps * self.stride.interval_s))
         off = run.q[::every][: len(self.stride.q)] - self.stride.q
@@ -444,14 +452,14 @@ class Shown:
 
 
 def rates_by(method: Method, shown: Shown) -> Array:
-    """(T, n): what a method gives without limits."""
+    """Return the rates (T, n) of a method without limits."""
     chain = copy(shown.leg.chain)
     object.__setattr__(chain, "max_rate_rad_s", np.full(chain.n, 1e9))
     return np.array([method.rates(chain, q, dx).dq for q, dx in zip(shown.frames.q, shown.frames.dx, strict=True)])
 
 
 def unfitted(shown: Shown, others: Sequence[Shown]) -> dict[str, Method]:
-    """Methods without a parameter, or with one that is not fitted; the pose is the others' mean."""
+    """Return methods without a fitted parameter; their reference pose is the mean of the others."""
     chain = shown.leg.chain
     pose = np.mean([one.frames.q.mean(axis=0) for one in others], axis=0)
     every = {name: method for name, method in methods(chain).items() if name.startswith(("extended", "weighted"))}
@@ -459,7 +467,7 @@ def unfitted(shown: Shown, others: Sequence[Shown]) -> dict[str, Method]:
 
 
 def print_held_out(folder: Path) -> None:
-    """Parameters from the strides of all other runs."""
+    """Print results with parameters from the strides of all other runs."""
     for kind in ("2D", "whole animal"):
         data = [Shown.of(leg) for leg in real_legs(folder)[kind]]
         others = [[one for one in data if one.run != shown.run] for shown in data]
@@ -489,8 +497,11 @@ def print_held_out(folder: Path) -> None:
 
 
 def print_online(folder: Path) -> None:
-    """Parameters from the strides of all other runs, and refitted at every frame to the animal's rates just before, as
-    `recon ik --online` does: what they explain of a frame's rates, and how far off a way along the stride leads."""
+    """Print results with parameters from all other runs' strides, and with parameters refitted at every frame.
+
+    The refit uses the animal's rates just before, as `recon ik --online` does. The tables show the fraction of a
+    frame's rates that is explained, and the deviation after following the stride.
+    """
     data = [Shown.of(leg) for leg in real_legs(folder)["2D"]]
     print(f"\n2D, {len(data)} strides, median: explained of the joint rates, percent, and joints off, deg:\n")
     online = [s.leg.online(s.stride) for s in data]

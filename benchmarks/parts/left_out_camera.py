@@ -1,24 +1,25 @@
-"""A camera that was left out: how well the other cameras predict its keypoints, compared with triangulation.
+"""Predict keypoints in a camera that was left out from the other cameras, and compare with triangulation.
 
     python benchmarks/parts/left_out_camera.py [FOLDER] [--only runs simulated] [--cameras all two one] [--quick]
 
-Each camera of a clip is left out once. The motion is fitted to all others, to two of them, and to one; the predicted
-keypoints are projected into the camera that was left out, and compared with its detections: median distance in pixels,
-over the points that all methods give, and the share of detections inside the regions that should hold 90 % of them.
+Each camera of a clip is left out once. The motion is fitted to all other cameras, to two of them, and to one. The
+predicted keypoints are projected into the camera that was left out and compared with its detections: median distance in
+pixels, over the points that all methods give, and the fraction of detections inside the regions that should contain 90
+% of them.
 
-The methods: the fit; robust triangulation (`recon triangulate`); the same with smoothing splines; aniposelib
-(`triangulate_optim`, its defaults), if it is installed. Two cameras: those with the most different directions. One
-camera: the fit only.
+The methods are the fit; robust triangulation (`recon triangulate`); triangulation with smoothing splines; and
+aniposelib (`triangulate_optim` with its defaults), if it is installed. "Two" means the cameras with the most different
+directions. With one camera, only the fit is measured.
 
-The clips: the real runs (a folder as in `cheetah_runs.py`, without it the cheetah-runs of $RECON_SHARED_DATA), with
-keypoints on the markers ("none"), where they are in the other runs ("others"), or where the shipped detector has them
-("acinoset", which was measured on these runs); a recorded rat in made-up cameras, whose skeleton is drafted from an
-earlier part of the recording; and a simulated mouse, person and dog whose lengths are 10 % off the skeleton's
-(`recon.testing.rigs`). The keypoints of the rat and the simulated animals lie off the markers all the time, and have
-2 px of noise. One thread.
+The clips are the real runs (a folder as in `cheetah_runs.py`, by default the cheetah-runs of $RECON_SHARED_DATA),
+without keypoint bias ("none"), with the bias measured in the other runs ("others"), or with the shipped detector file
+("acinoset", which was measured on these runs); a recorded rat in simulated cameras, whose skeleton is drafted from an
+earlier part of the recording; and a simulated mouse, person and dog whose lengths differ by 10 % from the skeleton's
+(`recon.testing.rigs`). The keypoints of the rat and of the simulated animals have a constant bias, and 2 px of noise.
+The script runs in one thread.
 
-The first table has a row for each clip, the second one for each kind of animal. "Worst": of all clips of that kind, the
-largest median of the fit relative to the best of the other methods.
+The first table has a row for each clip, the second a row for each kind of animal. "Worst" is the largest median of the
+fit, over the clips of a kind, relative to the best of the other methods.
 """
 
 from __future__ import annotations
@@ -61,14 +62,14 @@ from recon.testing.rigs import FPS, MISSING, SIGMA_PX, random_clip
 
 METHODS = "fit", "triangulated", "with splines", "aniposelib"
 RAT_FPS, RAT_DRAFT, RAT_CLIP = 50.0, slice(0, 500), slice(700, 800)
-"""Frame rate of the recorded rat, the frames that draft its skeleton, and those of the clip."""
+"""Frame rate of the recorded rat, frames from which its skeleton is drafted, and frames of the clip."""
 RAT_LENGTH_M, RAT_BIAS_M = 0.2, 0.005
-"""Length of the rat, and how far its keypoints lie from the recorded points along each axis, one standard deviation."""
+"""Length of the rat, and standard deviation of its keypoint bias along each axis."""
 
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """A clip to leave cameras out of."""
+    """Hold a clip from which to leave out cameras."""
 
     kind: str
     name: str
@@ -81,7 +82,7 @@ class Clip:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Predicted keypoints (T, J, 2) of a view with covariances (T, J, 2, 2), or None without."""
+    """Hold predicted keypoints (T, J, 2) of a view, with covariances (T, J, 2, 2) or None."""
 
     xy_px: np.ndarray
     covariance_px2: np.ndarray | None = None
@@ -97,7 +98,7 @@ def triangulated_prediction(result: Triangulation, view: View) -> Prediction:
 
 
 def aniposelib_prediction(views: Sequence[View], out: View) -> Prediction | None:
-    """Points by aniposelib, from undistorted keypoints in cameras of focal length 1."""
+    """Return points from aniposelib, for undistorted keypoints in cameras of focal length 1."""
     try:
         from aniposelib.cameras import Camera as AniposeCamera  # pyright: ignore[reportMissingImports]
         from aniposelib.cameras import CameraGroup  # pyright: ignore[reportMissingImports]
@@ -123,7 +124,7 @@ def aniposelib_prediction(views: Sequence[View], out: View) -> Prediction | None
     group = CameraGroup(cameras)
     try:
         points_m = group.triangulate_optim(np.array(points), init_progress=False)
-    except Exception as error:  # of scipy, where too few points are seen
+    except Exception as error:  # raised by scipy if too few points are seen
         print(f"aniposelib: {error}")
         return None
     projected, valid = out.project(np.nan_to_num(out.shift_to_exposure(points_m)))
@@ -161,32 +162,32 @@ def choices(clip: Clip, out: int, cameras: str) -> list[int]:
 
 @dataclass(eq=False)
 class Score:
-    """Errors of all methods in cameras that were left out."""
+    """Hold the errors of all methods in cameras that were left out."""
 
     errors_px: dict[str, list[np.ndarray]] = field(default_factory=dict)
     """Errors (n,) of each method, over the points that all methods give."""
     is_inside: dict[str, list[np.ndarray]] = field(default_factory=dict)
-    """Whether these detections are inside the regions of 90 %."""
+    """Whether each detection is inside its 90 % region."""
     seconds: list[float] = field(default_factory=list)
     """Durations of the fits."""
 
     def median_px(self, method: str) -> float:
-        """Return the median error of a method, NaN if it was not run."""
+        """Return the median error of a method, NaN if the method was not run."""
         return float(np.median(np.concatenate(self.errors_px[method]))) if method in self.errors_px else np.nan
 
     def inside(self, method: str) -> float:
-        """Return the share of detections in the regions of a method."""
+        """Return the fraction of detections inside the regions of a method."""
         return float(np.mean(np.concatenate(self.is_inside[method]))) if method in self.is_inside else np.nan
 
     @property
     def ratio(self) -> float:
-        """Return the fit's median error relative to that of the best other method, NaN without any."""
+        """Return the fit's median error relative to the best other method's, NaN if there is no other."""
         others = [self.median_px(method) for method in METHODS[1:] if method in self.errors_px]
         return self.median_px("fit") / min(others) if others else np.nan
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """Return the cells of a row: see `COLUMNS`."""
+        """Return the cells of a row; see `COLUMNS`."""
         medians = [number_text(self.median_px(method)) for method in METHODS]
         shares = [number_text(100 * self.inside(method), 0) for method in (METHODS[0], METHODS[2])]
         return (*medians, number_text(self.ratio), *shares)
@@ -201,7 +202,7 @@ def number_text(value: float, digits: int = 2) -> str:
 
 
 def scored(clip: Clip, cameras: str, outs: Sequence[int], anipose: bool) -> Score:
-    """Leave some cameras of a clip out, one at a time."""
+    """Leave some cameras of a clip out, one at a time, and return the errors."""
     score = Score()
     for out in outs:
         view = clip.views[out].mask_outside_image()
@@ -219,7 +220,7 @@ def scored(clip: Clip, cameras: str, outs: Sequence[int], anipose: bool) -> Scor
 
 
 def together(scores: Iterable[Score]) -> Score:
-    """Return all scores as one."""
+    """Combine scores into one."""
     total = Score()
     for score in scores:
         for mine, parts in ((total.errors_px, score.errors_px), (total.is_inside, score.is_inside)):
@@ -250,7 +251,7 @@ def simulated_clips(quick: bool) -> Iterator[Clip]:
 
 
 def rat_clips(quick: bool) -> Iterator[Clip]:
-    """Yield the recorded rat before made-up cameras."""
+    """Yield the recorded rat in simulated cameras."""
     table = pd.read_csv(recordings("rat-poses") / "rat23.csv", index_col="frame")
     names = [column.removesuffix("_x") for column in table.columns[::3]]
     points_m = table.to_numpy().reshape(len(table), -1, 3) / 1000
@@ -281,7 +282,7 @@ def in_trunk(points_m: np.ndarray, names: Sequence[str], offsets_m: np.ndarray) 
 
 
 def seen_by(camera: Camera, points_m: np.ndarray, random: np.random.Generator) -> View:
-    """Return detections of points with noise and gaps, as those of simulated animals."""
+    """Return detections of points with noise and gaps, as for simulated animals."""
     xy_px, valid = camera.project(camera.world_to_camera(points_m))
     xy_px = xy_px + random.normal(0, SIGMA_PX, xy_px.shape)
     present = valid & (random.uniform(size=valid.shape) > MISSING)

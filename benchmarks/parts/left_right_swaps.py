@@ -1,14 +1,14 @@
-"""Mistakes put into real clips: which are found, what is named in untouched ones, and what mending leaves.
+"""Plant mistakes in real clips: count which are found, false findings in unchanged clips, and errors after correction.
 
     python benchmarks/parts/left_right_swaps.py [FOLDER ...] [--views 1] [--csv TABLE.csv]
 
 Each run is a folder as in `cheetah_runs.py`, or with one calibration file for each camera. Every view is changed in its
-file or in what `recon fit` is told, and fitted as it does. Errors are means of the joints' distances, both poses
-centred. Without FOLDER: the cheetah-runs and plate-trials of $RECON_SHARED_DATA, or of ../shared/data; without any
-runs, nothing. --views: every so many of them. --folds: the margin of swaps, chosen on all runs but one, for each of
-them. --others: what is named in untouched clips of other animals: dogs as in `dog.py`, with the prior of the other
-clips and with each angle on its own, and a horse's labels by hand, its camera guessed, of the dog-mocap and the
-horse-side of $RECON_SHARED_DATA.
+file or in the settings of `recon fit`, and fitted. Errors are means of the joints' distances, both poses centred. By
+default FOLDER is the cheetah-runs and plate-trials of $RECON_SHARED_DATA, or of ../shared/data; without any runs,
+nothing is measured. --views n: every n-th view only. --folds: the margin of swaps chosen on all runs but one, for each
+run. --others: findings in unchanged clips of other animals: dogs as in `dog.py`, with the prior of the other clips and
+with independent angles; and a horse's hand labels with a guessed camera; from the dog-mocap and the horse-side of
+$RECON_SHARED_DATA.
 """
 
 from __future__ import annotations
@@ -52,24 +52,27 @@ from recon.io.deeplabcut import write_csv
 
 SWAP, UNCLEAR, OUTLIERS = "left_right_swap", "left_right_swap_possible", "gross_outliers"
 TEN, END = 10, 12
-"""Frames exchanged in the middle, and of gross outliers at an end."""
+"""Frames exchanged in the middle, and frames of gross outliers at an end."""
 FALSE = 0.02
-"""So many frames of untouched clips may be named wrongly."""
+"""Largest fraction of the frames of unchanged clips that may be named wrongly."""
 LEGS = {"fore": "fore legs exchanged, second half", "hind": "hind legs exchanged, second half"}
 FOLDED = ("untouched", "ten frames exchanged", *LEGS.values(), "whole clip exchanged")
 MARGINS = (5.0, 8.0, 10.0, 12.0, 15.0, 18.0, 20.0, 25.0, 30.0)
-"""The values of `recon.check.likelihood.MARGIN` that are tried."""
+"""Values of `recon.check.likelihood.MARGIN` to try."""
 WORSE = 1.02
-"""No clip may be so many times worse when mended."""
+"""Largest factor by which a correction may increase the error of a clip."""
 SPARE = 1.2
-"""The margin is so many times the least that runs at hand need: those that are not may need more."""
+"""Factor on the smallest margin that these runs need, since other runs may need more."""
 Change = Callable[["View"], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A view of a run: what the file has in the order of the body's markers, xy_px (T, J, 2), and the truth (T, J, 3)
-    in the camera's frame, NaN if none."""
+    """Hold a view of a run.
+
+    The file's keypoints are in the order of the body's markers, xy_px (T, J, 2). The truth (T, J, 3) is in the camera's
+    frame, NaN if unknown.
+    """
 
     run: Path
     camera: int
@@ -96,7 +99,7 @@ def _opposites(names: tuple[str, ...], group: str | None) -> np.ndarray:
 
 
 def _exchanged(view: View, first: int, stop: int, group: str | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Points, and which (T,) frames were changed."""
+    """Return the points, and which (T,) frames were changed."""
     xy_px, frames = view.xy_px.copy(), np.zeros(len(view.xy_px), dtype=bool)
     xy_px[first:stop] = xy_px[first:stop][:, _opposites(view.file.names, group)]
     frames[first:stop] = True
@@ -122,8 +125,11 @@ def _everywhere(points: Callable[[View], np.ndarray]) -> Change:
 
 @dataclass(frozen=True)
 class Case:
-    """change: of the keypoints; code: of the finding that it is, None where there is none to be made; told: settings
-    of the fit in place of the right ones, given the view. mends: whether it is fitted with --fix-swaps, too."""
+    """Describe a mistake.
+
+    change: change of the keypoints. code: code of the expected finding, None if none is expected. told: settings of the
+    fit instead of the right ones, as a function of the view. mends: whether the clip is also fitted with --fix-swaps.
+    """
 
     change: Change
     code: str | None = None
@@ -175,7 +181,7 @@ def of_run(run: Path, camera: int) -> View:
 
 
 def fitted(view: View, case: Case, folder: Path, **told: Any) -> tuple[Motion, np.ndarray]:
-    """The motion, and which frames were changed."""
+    """Return the motion, and which frames were changed."""
     xy_px, changed = case.change(view)
     path = folder / f"cam{view.camera}.csv"
     write_csv(replace(view.file, xy_px=xy_px, fps=None), path)
@@ -191,7 +197,7 @@ def fitted(view: View, case: Case, folder: Path, **told: Any) -> tuple[Motion, n
 
 
 def error_mm(view: View, motion: Motion, frames: np.ndarray) -> float:
-    """Over those (T,) frames."""
+    """Return the error over the given (T,) frames."""
     truth_m = view.truth_m[frames]
     if not np.isfinite(motion.joints_camera_m[frames]).any():
         return np.nan
@@ -199,12 +205,12 @@ def error_mm(view: View, motion: Motion, frames: np.ndarray) -> float:
 
 
 def of_input(motion: Motion) -> list[Finding]:
-    """The findings of the keypoints that a motion was fitted to."""
+    """Return the findings on the keypoints that a motion was fitted to."""
     return [one for one in motion.findings if one.code in {SWAP, *(case.code for case in CASES.values())}]
 
 
 def stretch_of(motion: Motion, one: Finding) -> _Stretch:
-    """The rows, and the permutation of the keypoints, of a swap."""
+    """Return the rows and the permutation of the keypoints of a swap."""
     places, to = np.arange(len(motion.names)), [motion.names.index(name) for name in one.names("keypoints")]
     places[to] = _opposites(motion.names, None)[to]
     first, stop = np.searchsorted(motion.frames, one.frames or ())
@@ -212,7 +218,7 @@ def stretch_of(motion: Motion, one: Finding) -> _Stretch:
 
 
 def named(motion: Motion, code: str, markers: tuple[int, ...] | None = None) -> np.ndarray:
-    """(T,): frames of which something is found by that code, and of just these keypoints."""
+    """Return a mask (T,) of the frames in which a finding with this code names exactly these keypoints."""
     frames = np.zeros(len(motion.frames), dtype=bool)
     for one in of_input(motion):
         if one.code == code and (markers is None or markers == stretch_of(motion, one).markers):
@@ -221,7 +227,7 @@ def named(motion: Motion, code: str, markers: tuple[int, ...] | None = None) -> 
 
 
 def agreed(view: View, motion: Motion, one: _Stretch) -> bool:
-    """Whether the reconstruction from all cameras says, too, that the detector exchanged those keypoints there."""
+    """Return whether the reconstruction from all cameras agrees that the detector exchanged these keypoints."""
     projected, _ = view.lens.project(view.truth_m)
     sigma_px = motion.solution.noise_px[0]
     q = [np.sum((to - view.xy_px) ** 2, axis=-1) / sigma_px**2 for to in (projected, projected[:, one.places])]
@@ -229,15 +235,18 @@ def agreed(view: View, motion: Motion, one: _Stretch) -> bool:
 
 
 def _wanted(names: tuple[str, ...], name: str) -> tuple[int, ...]:
-    """The keypoints that a case exchanges."""
+    """Return the keypoints that a case exchanges."""
     places = _opposites(names, {"fore": "fore legs", "hind": "hind legs"}.get(name[:4]))
     return tuple(int(j) for j in np.flatnonzero(places != np.arange(len(places))))
 
 
 def row(view: View, name: str, case: Case, folder: Path, untouched_mm: float) -> dict[str, Any]:
-    """kind_right: a mistake of the right kind, of the right keypoints; frames_right: in frames that have at least half
-    in common with those changed. other_flags: share of the other frames with a mistake that is about frames;
-    real_flags: with one that the reconstruction says, too."""
+    """Return the results of a case on a view.
+
+    kind_right: a finding of the right kind names the right keypoints. frames_right: its frames overlap the changed
+    frames by at least half. other_flags: fraction of the other frames with a finding about frames. real_flags: fraction
+    with such a finding that the reconstruction confirms.
+    """
     began = time.process_time()
     motion, changed = fitted(view, case, folder)
     seconds, others = time.process_time() - began, ~changed
@@ -283,7 +292,7 @@ def rows_of(view: View, only: str | None) -> list[dict[str, Any]]:
 
 
 def print_tables(table: pd.DataFrame) -> None:
-    """Worse: of one view, mended over as it was fitted."""
+    """Print the tables. "Worse" is the error of a view after the correction relative to the error before."""
     head = ["case", "views", "kind named", "frames right", "or unclear", "others flagged", "of these real"]
     print_header([*head, "error / untouched", "mended / untouched", "worst: mended / not"])
     for name, of_case in table.groupby("case", sort=False):
@@ -328,7 +337,7 @@ def print_by_run(table: pd.DataFrame) -> None:
 
 @contextmanager
 def least_margin() -> Iterator[None]:
-    """All swaps that the least of `MARGINS` lets through."""
+    """Let all swaps pass that exceed the smallest of `MARGINS`."""
     given, likelihood.MARGIN = likelihood.MARGIN, MARGINS[0]
     try:
         yield
@@ -337,8 +346,11 @@ def least_margin() -> Iterator[None]:
 
 
 def margin_rows(view: View, name: str, case: Case, folder: Path) -> list[dict[str, Any]]:
-    """For each of `MARGINS`: whether the exchange put in is found, the part of the frames that are named wrongly, and
-    the error of the clip mended over that as it is."""
+    """Return the results of a case for each of `MARGINS`.
+
+    They are whether the planted exchange is found, the fraction of the frames that are named wrongly, and the error of
+    the corrected clip relative to the uncorrected one.
+    """
     motion, changed = fitted(view, case, folder)
     solution, everywhere = motion.solution, np.ones(len(changed), dtype=bool)
     setting = ClipProblem.from_views(solution.views, motion.body, prior_of(PRIOR), motion.fps, TrajectoryOptions())
@@ -358,7 +370,7 @@ def margin_rows(view: View, name: str, case: Case, folder: Path) -> list[dict[st
         again, _ = fitted(mended, CASES["untouched"], folder)
         assert isinstance(solution, TrajectorySolution)
         assert isinstance(again.solution, TrajectorySolution)
-        if not swap_improves(again.solution, solution):  # nothing is said of it, and nothing mended
+        if not swap_improves(again.solution, solution):  # such a swap is neither reported nor corrected
             break
         wrong.append(wrongly)
         ratios.append(error_mm(view, again, everywhere) / mm)
@@ -387,9 +399,12 @@ def _of(rows: slice, T: int) -> np.ndarray:
 
 
 def print_folds(table: pd.DataFrame) -> None:
-    """The least margin with which in no other run more than `FALSE` of the frames are named wrongly and no clip is
-    `WORSE` when mended, as given or with an exchange put in, with `SPARE`, and what it does on the run that was left
-    out; last, on all runs."""
+    """Print, for each run, the margin chosen on all other runs, and its results on this run.
+
+    The chosen margin is the smallest one with which, in the other runs, at most `FALSE` of the frames are named wrongly
+    and no clip becomes `WORSE` by the correction, unchanged or with a planted exchange, multiplied by `SPARE`. The last
+    row is for all runs.
+    """
     head = ["left out", "margin", "named wrongly", "with exchanges", "worst mended / not", "ten frames", "fore legs"]
     print_header([*head, "hind legs", "whole clip", "one or other"])
     for run in [*table["run"].unique(), "none"]:

@@ -1,10 +1,10 @@
-"""Long clips, each a whole process of `recon fit`: time, peak of memory and size of what it writes.
+"""Fit long clips, each by a whole process of `recon fit`: time, peak memory and size of the output.
 
 python benchmarks/parts/long_clips.py [CASE ...] [--against CHECKOUT]
 
-A case is frames x cameras, as in 4000x6, or frames of which 120 are seen, in three stretches, as in 216000/120; by
-default a list of them. A simulated animal runs in circles before cameras that stand still. --against: each case is
-fitted by another checkout too, before this one's turn.
+A case is frames x cameras, as in 4000x6, or the number of frames of which 120 are seen, in three segments, as in
+216000/120; by default a list of cases. A simulated animal runs in circles in front of still cameras. --against: each
+case is also fitted by another checkout, before this one.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ STRETCHES = 3
 
 
 def written(folder: Path, case: str) -> tuple[list[str], int]:
-    """The arguments of `recon fit` for a case's files, and how many frames are seen."""
+    """Write the files of a case; return the arguments of `recon fit` for them, and how many frames are seen."""
     frames, _, cameras = case.partition("x")
     frames, _, count = frames.partition("/")
     T = int(frames)
@@ -56,7 +56,7 @@ def written(folder: Path, case: str) -> tuple[list[str], int]:
 
 
 def fitted(checkout: Path, arguments: list[str], out: Path) -> tuple[float, float, float]:
-    """Seconds, the peak of memory and the size of what was written, both in MB."""
+    """Return the seconds of a fit, its peak memory and the size of its output, both in MB."""
     command = [sys.executable, "-m", "recon", "fit", *arguments, "--out", str(out), "--overwrite", "--quiet"]
     began = time.perf_counter()
     with subprocess.Popen(command, env={**os.environ, "PYTHONPATH": str(checkout)}, cwd=out.parent) as process:

@@ -1,4 +1,4 @@
-"""Markdown tables for the benchmarks."""
+"""Print and format Markdown tables for the benchmarks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def print_table(header: Sequence[object], rows: Iterable[Iterable[object]]) -> N
 
 
 def print_header(header: Sequence[object]) -> None:
-    """Begin a table whose rows follow as they are found, by `print_row`."""
+    """Begin a table whose rows are printed later, one at a time, by `print_row`."""
     print_row(header)
     print_row(["---"] * len(header))
 

@@ -1,15 +1,16 @@
-"""A prior that does not know the motion: what it costs, and whether it is noticed.
+"""Measure the cost of a prior that does not fit the motion, and whether the fit reports it.
 
     python benchmarks/parts/mismatch.py [--only dog|cheetah|segments]
 
-Each clip is fitted with a prior from other motions and, beside it, with each angle on its own, as the skeleton's file
-expects it (`--prior none`). Weight: the part that the prior kept. Named: in the summary.
+Each clip is fitted with a prior from other motions and, for comparison, with independent angles as the skeleton's file
+expects them (`--prior none`). Weight: the weight that the prior kept. Named: whether the summary reports a misfit.
 
-dog: the side views of `dog.py`; the prior of the clips that walk on those that run and turn, and the reverse. cheetah:
-the real views of `trajectory.py` with the subject's lengths and the detector acinoset; a prior from the segments that
-`running-cheetah` leaves out as too slow, and itself. segments: those that it was made from, seen from the side with
-2 px of noise, with the prior from the slow ones and with one from the other ten, each clip left out in turn: those that
-this surprises are false alarms. Without the recordings of $RECON_SHARED_DATA nothing is measured. One thread.
+dog: the side views of `dog.py`; the prior of the walking clips on clips with running and turning, and vice versa.
+cheetah: the real views of `trajectory.py` with the subject's lengths and the detector acinoset; a prior from the
+segments that `running-cheetah` leaves out as too slow, and `running-cheetah` itself. segments: the segments of
+`running-cheetah`, seen from the side with 2 px of noise, with the prior from the slow segments and with a prior from
+the other ten segments, each left out in turn; findings with the latter are false alarms. Without the recordings of
+$RECON_SHARED_DATA nothing is measured. The script runs in one thread.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ from recon.gait.evaluation import aligned, joint_errors, score
 from recon.io.positions import read_pose_segments
 
 FAST_M_S = 8.5
-"""The least speed of the segments that `running-cheetah` is made from."""
+"""Smallest speed of the segments from which `running-cheetah` is made."""
 APART = ("tail_1", "tail_2")
 ASIDE_M, ABOVE_M = 8.0, 0.8
 Rows = list[dict]
@@ -49,7 +50,7 @@ Rows = list[dict]
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A clip, and the truth (T, J, 3) in the world."""
+    """Hold a clip, and the truth (T, J, 3) in the world."""
 
     name: str
     body: Body
@@ -63,14 +64,17 @@ def fitted(case: Case, prior: MotionPrior) -> TrajectorySolution:
 
 
 def errors_mm(case: Case, solution: TrajectorySolution) -> tuple[float, float]:
-    """MPJPE and MPE."""
+    """Return MPJPE and MPE."""
     found_m = solution.joints_m
     centred, off = (joint_errors(p, case.truth_m) for p in (aligned(found_m, case.truth_m), found_m))
     return 1000 * score(centred).mean, 1000 * score(off).mean
 
 
 def row(case: Case, prior: MotionPrior, plain_mm: tuple[float, float]) -> dict:
-    """plain_mm: the errors with each angle on its own."""
+    """Return the row of a fit.
+
+    plain_mm: errors with independent angles.
+    """
     solution = fitted(case, prior)
     mpjpe, mpe = errors_mm(case, solution)
     worst = max(solution.segments, key=lambda segment: segment.prior_misfit or 0.0)
@@ -101,7 +105,7 @@ def table(title: str, rows: Rows) -> None:
 
 
 def compared(cases: Sequence[Case], priors: Sequence[MotionPrior], plain: MotionPrior) -> Iterator[dict]:
-    """A row for each prior of each case."""
+    """Return a row for each prior of each case."""
     for case in cases:
         alone_mm = errors_mm(case, fitted(case, plain))
         for prior in priors:
@@ -142,7 +146,7 @@ def learned(body: Body, segments: Sequence[tuple[str, np.ndarray, float]], name:
 
 
 def segments_of(folder: Path) -> list[tuple[str, np.ndarray, float]]:
-    """Name, states and frames per second."""
+    """Yield name, states and frames per second of each segment."""
     body = trajectory.body_of("phantom")
     poses = read_pose_segments(folder / "training_positions.csv")
     rates = json.loads((folder / "segments.json").read_text())["fps"]
@@ -183,7 +187,7 @@ def gallops(segments: Sequence[tuple[str, np.ndarray, float]]) -> None:
 
 
 def _from_the_side(segment: tuple[str, np.ndarray, float], body: Body) -> Case:
-    """Running along x."""
+    """Return a view of an animal that runs along x."""
     name, states, fps = segment
     points_m = body.tree.pose(states).points_m
     x, y, _ = points_m[-1].mean(axis=0) - points_m[0].mean(axis=0)

@@ -1,13 +1,13 @@
-"""Cameras that move: real views turned into those of a camera that pans, and truths seen from a car.
+"""Test moving cameras: real views turned into those of a panning camera, and truths seen from a car.
 
     python benchmarks/parts/moving.py [FOLDER]
 
-Each run is a folder as in `cheetah_runs.py`. Pan: every view's detections as a camera would have had them that turns
-about its centre and an upright axis, so as to keep the animal in the middle of its picture: the rays turned back, and
-projected through the same lens. Points that leave the lens model's range are left out of both. Doubtful: the same with
-poses that are known with errors, white and drifting, and how large they are. Driven: the truth projected into the named
-camera, as it stands and driven along at 10 m/s beside the animal, without noise. Errors are over all 24 joints. Without
-FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. One thread.
+Each run is a folder as in `cheetah_runs.py`. Pan: the detections of every view as seen by a camera that turns about its
+centre and an upright axis, so that the animal stays in the middle of its picture. The rays are turned back and
+projected through the same lens. Points outside the lens model's range are left out of both views. Doubtful: the same
+with camera poses that have white and drifting errors of a stated size. Driven: the truth projected into the named
+camera without noise, once still and once driven at 10 m/s along the animal's path. Errors are over all 24 joints.
+FOLDER is by default the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. The script runs in one thread.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ from recon.fit.trajectory import solve_trajectory
 from recon.geometry.frames import rigid
 
 SMOOTH_S = 0.1
-"""A cameraman does not follow quicker."""
+"""Time over which the pan is smooth: people do not follow faster."""
 WHITE_DEG, DRIFT_DEG_S = 0.05, 0.05
 SPEED_M_S = 10.0
 FAR_M = 10.0
-"""Where points on the rays are put: a camera that turns about its centre does not see how far they are."""
+"""Distance of the points on the rays. It does not matter to a camera that turns about its centre."""
 
 
 def panned(view: View, fps: float) -> tuple[View, View, int]:
-    """The view and the same of a camera that pans, and how many points both have lost."""
+    """Return a view, the same view of a panning camera, and how many points both have lost."""
     rays, R, centre = view.rays(), view.T_camera_world[:3, :3], view.centre_m[0]
     middle = fill_from_nearest(_median(rays))
     azimuth = np.unwrap(np.arctan2(middle[:, 0], middle[:, 1])) - np.arctan2(R[2, 0], R[2, 1])
@@ -63,7 +63,7 @@ def panned(view: View, fps: float) -> tuple[View, View, int]:
 
 
 def _median(rays: np.ndarray) -> np.ndarray:
-    """(T, 3), NaN where nothing is seen."""
+    """Return the median of rays as (T, 3), NaN if nothing is seen."""
     middle = np.full((len(rays), 3), np.nan)
     seen = np.isfinite(rays[..., 0]).any(axis=1)
     middle[seen] = np.nanmedian(rays[seen], axis=1)
@@ -71,7 +71,7 @@ def _median(rays: np.ndarray) -> np.ndarray:
 
 
 def sigmas_m(solution: TrajectorySolution) -> np.ndarray:
-    """The sigmas of a joint within the pose and of its place, root mean square over joints and frames."""
+    """Return the standard deviations of joints relative to the pose and of their position, RMS over all."""
     return np.array(
         [
             np.sqrt(np.nanmean(np.trace(covariance, axis1=2, axis2=3)))
@@ -81,7 +81,7 @@ def sigmas_m(solution: TrajectorySolution) -> np.ndarray:
 
 
 def doubtful(pan: View, fps: float, seed: int) -> View:
-    """With poses that are turned by errors, and their standard deviation."""
+    """Return a pan whose camera poses have errors, with their standard deviation."""
     T, rng = len(pan.xy_px), np.random.default_rng(seed)
     seconds = (np.arange(T) - T / 2)[:, None] / fps
     axis = rng.normal(size=3)
@@ -132,7 +132,7 @@ PAN = {
 
 
 def driven(run: Run, speed_m_s: float = SPEED_M_S) -> dict[str, View]:
-    """The named camera's view of the truth, from where it stands and driven along the animal's way."""
+    """Return the named camera's view of the truth, once still and once driven along the animal's path."""
     view, T = run.views[run.named], len(run.truth_m)
     known = np.flatnonzero(np.isfinite(run.truth_m).all(axis=(1, 2)))
     path = run.truth_m.mean(axis=1)
@@ -169,7 +169,7 @@ def driven_rows(run: Run) -> Iterator[dict]:
 
 
 def size_rows(run: Run) -> Iterator[dict]:
-    """What tells a driven camera's size: feet, held softer or harder, with more or less expected."""
+    """Print what determines a driven camera's size: feet with softer or harder constraints, and priors."""
     body, prior = body_of(run.subject), prior_of(PRIOR)
 
     def size(sigma: float, slip_m_s: float, speed_m_s: float = SPEED_M_S) -> str:
@@ -192,7 +192,7 @@ def size_rows(run: Run) -> Iterator[dict]:
 
 
 def size_of_feet(run: Run, feet_m: np.ndarray, slip_m_s: float) -> float:
-    """The size at which a driven camera's picture has the feet (T, F, 3) stand best, as the solver weighs it."""
+    """Return the size at which the feet (T, F, 3) in a driven camera's picture stand best, by the solver's weights."""
     centres = driven(run)["driven"].centre_m[:, None]
     stance = StanceVelocity(np.arange(feet_m.shape[1]), run.fps, slip_m_s, constants.SLIP_C)
     sizes = np.geomspace(0.5, 2.0, 201)
@@ -201,7 +201,7 @@ def size_of_feet(run: Run, feet_m: np.ndarray, slip_m_s: float) -> float:
 
 
 def print_rows(rows: Iterator[dict]) -> list[dict]:
-    """Each as it is found."""
+    """Print each row as soon as it is computed."""
     found = []
     for row in rows:
         if not found:

@@ -1,14 +1,14 @@
-"""The keypoint network: the rendered sample through the whole circle, the same animal large, speed of prediction, and a
-labelled real video.
+"""Test the keypoint network on the rendered sample, on a large animal and on a real video, and time the prediction.
 
     python benchmarks/parts/net.py circle [--minutes 15 | --steps N]
     python benchmarks/parts/net.py large [--minutes 15 | --steps N] [--seeds 0 1 2]
     python benchmarks/parts/net.py speed [--model DIR]
     python benchmarks/parts/net.py horse [--minutes 15 | --steps N] [--seeds 0 1 2] [--random-half]
 
-Tables in Markdown, as in docs/net.md. `horse` needs horse-side in $RECON_SHARED_DATA, or in ../shared/data: it trains
-on the labelled frames 0-149 of the video, of which 110-149 are judged first, and tests on 150-199; with --random-half,
-on a random half of all of them, beside plain interpolation of the labels in time.
+`circle` goes from labels of the rendered sample to its 3D motion. Tables are in Markdown, as in docs/net.md. `horse`
+needs horse-side in $RECON_SHARED_DATA, or in ../shared/data: it trains on the labelled frames 0-149 of the video, of
+which 110-149 are first for validation, and tests on 150-199. With --random-half it trains on a random half of all
+labels, and compares with interpolation of the labels in time.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from recon.keypoint_net.network import (
 from recon.keypoint_net.train import TrainSettings, run_training
 
 FIRST = 50
-"""Number that the horse's labels give to the video's first frame."""
+"""Frame number that the horse's labels use for the video's first frame."""
 
 
 def main() -> None:
@@ -85,7 +85,7 @@ def circle(args: argparse.Namespace, out: Path) -> None:
 
 
 def large(args: argparse.Namespace, out: Path) -> None:
-    """Processor times are those of the whole process: training, and its report."""
+    """Train on the large animal. Processor times are those of the whole process: training and its report."""
     write_large_film(out)
     print_header(("seed", "steps", "s", "processor, s", "median, px", "PCK@2.5/5/10px", "ECE"))
     for seed in args.seeds:
@@ -100,9 +100,9 @@ def large(args: argparse.Namespace, out: Path) -> None:
 
 
 def speed(args: argparse.Namespace, out: Path) -> None:
-    """Frames a second, decoding included, and the most memory that a process takes for videos of two lengths.
+    """Measure frames per second, decoding included, and the peak memory of a process for videos of two lengths.
 
-    With the weights of a network or random ones, which are as fast; pictures are not scaled then.
+    The network has trained or random weights, which take the same time. Pictures are not scaled.
     """
     trained = _network(args.model, args.device)
     print_header(("video", "frames/s"))
@@ -123,7 +123,7 @@ def speed(args: argparse.Namespace, out: Path) -> None:
 
 
 def _settings(video: Path, threads: int | None) -> PredictSettings:
-    """The settings of a prediction that is not written."""
+    """Return the settings of a prediction that is not written to a file."""
     return PredictSettings(video=video, model=Path(), out=Path(), threads=threads)
 
 
@@ -188,7 +188,7 @@ def _row(seed: int, report: dict[str, Any], result: dict[str, Any]) -> tuple[obj
 
 
 def _random_half(labels: Path, out: Path, seed: int) -> tuple[Path, Path]:
-    """Two label files, of one half of the rows and of the other."""
+    """Write two label files, each with a half of the rows."""
     rows = labels.read_text(encoding="utf-8").splitlines()
     order = np.random.default_rng(seed).permutation(len(rows) - 3)
     paths = []
@@ -199,7 +199,7 @@ def _random_half(labels: Path, out: Path, seed: int) -> tuple[Path, Path]:
 
 
 def _interpolated(learned: Path, held_out: Path) -> float:
-    """Median error (px) of the line through the learned labels before and after, where both are there."""
+    """Return the median error (px) of linear interpolation between the learned labels, if both exist."""
     known, other = read_label_file(learned)[0], read_label_file(held_out)[0]
     errors = []
     for k in range(len(known.names)):

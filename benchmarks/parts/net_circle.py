@@ -1,5 +1,4 @@
-"""The circle closed: the rendered sample's labels train a network, which finds the points of the film, which are
-fitted, and the motion is compared with the truth."""
+"""Train a network on labels of the rendered film, predict its keypoints, fit them, and compare with the truth."""
 
 from __future__ import annotations
 
@@ -23,13 +22,16 @@ from recon.keypoint_net.network import run_prediction
 from recon.keypoint_net.train import TrainSettings, run_training
 
 NOISE_PX = 2.0
-"""The noise of the points that the fit of predicted ones is compared with."""
+"""Standard deviation of the true points' noise, in the fit with which the fit of predicted points is compared."""
 
 
 @dataclass(frozen=True)
 class Circle:
-    """training: its report. points: predictions against the truth, in the frames that were not labelled. predicted,
-    noisy: of all frames in 3D, fitted to predictions and to true points with noise."""
+    """Hold the results of a whole circle.
+
+    training: report of the training. points: scores of the predictions in the frames without labels. predicted, noisy:
+    3D scores over all frames, from fits of predictions and of true points with noise.
+    """
 
     training: dict[str, Any]
     points: dict[str, Any]
@@ -38,12 +40,12 @@ class Circle:
 
     @property
     def predicted_m(self) -> float:
-        """MPJPE."""
+        """Return the MPJPE of the fit of predictions."""
         return self.predicted.mpjpe_m.mean
 
     @property
     def noisy_m(self) -> float:
-        """MPJPE."""
+        """Return the MPJPE of the fit of true points with noise."""
         return self.noisy.mpjpe_m.mean
 
     @property
@@ -62,8 +64,11 @@ def run_circle(
     turns: bool = False,
     **fit: Any,
 ) -> Circle:
-    """Into the folder `out`: the network, its points, and two fits. samples: a folder with the files of the film, by
-    default the project's own. turns: the camera pans, and how is found in the film. fit: settings of both fits."""
+    """Train a network, predict, fit twice, and write everything into the folder `out`.
+
+    samples: folder with the files of the film, by default the project's own. turns: the camera pans, and its rotation
+    is estimated from the film. fit: settings of both fits.
+    """
     samples = samples or samples_folder()
     film, labels = samples / "rendered.mp4", samples / "rendered_labels.csv"
     training = run_training(
@@ -86,7 +91,7 @@ def run_circle(
             keypoints=(file,),
             camera=(samples / "rendered_camera.toml",),
             fps=found.fps,
-            detector="none",  # the film's points lie on the markers
+            detector="none",  # the film's keypoints have no bias
             **fit,
         )
         if turns:

@@ -1,5 +1,8 @@
-"""The rendered animal in pictures that it nearly fills: a camera with a longer lens, of whose picture a window moves
-along with the animal, so that nothing in it stands still. Where its points are in the pictures is known exactly."""
+"""Render the animal in pictures that it nearly fills, with exactly known keypoints.
+
+The camera has a longer lens, and a window of its picture moves along with the animal, so that nothing in the window is
+still.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +23,13 @@ from recon.testing.film import FPS, film_clip, labelled_frames, render_frames
 
 SIZE_PX = (640, 480)
 LENS = 4.4
-"""Focal length, relative to the film's: the animal is 403 to 474 px long."""
+"""Focal length relative to the film's. The animal is 403 to 474 px long."""
 ABOVE_PX = 40
-"""By which the camera's axis is above the middle of the picture."""
+"""Distance of the camera's axis above the middle of the picture."""
 
 
 def write_large_film(folder: Path) -> Keypoints:
-    """large.mp4, labels of some of its frames, and the truth in all of them, which is returned."""
+    """Write large.mp4 and labels of some of its frames; return the truth in all frames."""
     folder.mkdir(parents=True, exist_ok=True)
     clip, ground_m = film_clip()
     width, height = SIZE_PX
@@ -57,8 +60,10 @@ def write_large_film(folder: Path) -> Keypoints:
 def run_large(
     film: Path, out: Path, settings: TrainSettings, device: str, threads: int | None
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The training's report, and the scores in the frames that were not labelled; film: a folder of
-    `write_large_film`."""
+    """Train on the large film; return the training's report, and the scores in the frames without labels.
+
+    film: a folder written by `write_large_film`.
+    """
     video, labels = film / "large.mp4", film / "large_labels.csv"
     report = run_training(
         LabelSource(data=video, labels=labels), settings, out, device=device, threads=threads, overwrite=True

@@ -1,12 +1,13 @@
-"""Offsets put into the second of two cameras, and found: `recon fit --set find-offsets=true`.
+"""Shift the second of two cameras in time, and estimate the offset: `recon fit --set find-offsets=true`.
 
     python benchmarks/parts/out_of_step.py [FOLDER]
 
-Each run is a folder as in `cheetah_runs.py`, with the named camera and the one that sees the animal from the most
-different direction. The second one's detections are taken that many frames later, between two frames along straight
-lines. Real cameras are out of step by themselves, and fewer frames have both cameras then: so what is found is compared
-with what is found of the same detections as they were. Errors are over all 24 joints. Without FOLDER: the cheetah-runs
-of $RECON_SHARED_DATA, or of ../shared/data. One thread.
+Each run is a folder as in `cheetah_runs.py`, used with the named camera and the camera that sees the animal from the
+most different direction. The second camera's detections are taken a number of frames later, interpolated linearly
+between frames. Real cameras have small time offsets of their own, and after the shift fewer frames have both cameras.
+Therefore the result is compared with the estimate from the same detections without a shift. Errors are over all 24
+joints. FOLDER is by default the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. The script runs in one
+thread.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ OFFSETS = (0.0, 0.5, -0.5, 2.3, -2.3, 5.5, -5.5)
 
 
 def taken_later(source: Source, frames: float) -> Source:
-    """With the detections of so many frames later, where there are such."""
+    """Return a source with the detections of a number of frames later, where they exist."""
     keypoints = source.keypoints
     T = len(keypoints.frames)
     a, b = (np.clip(np.arange(T) + int(f(frames)), 0, T - 1) for f in (np.floor, np.ceil))
@@ -48,7 +49,7 @@ def taken_later(source: Source, frames: float) -> Source:
 
 
 def remaining(T: int, frames: float) -> np.ndarray:
-    """(T,): the rows that have detections of so many frames later."""
+    """Return a mask (T,) of the rows with detections a number of frames later."""
     at = np.arange(T) + frames
     return (at >= 0) & (at <= T - 1)
 
@@ -72,7 +73,7 @@ def rows(run: Run) -> Iterator[dict]:
         return solve_trajectory(views_of(sources), body, prior, fps, options)
 
     def found(other: Source) -> tuple[float, float, float]:
-        """The offset and its standard deviation in frames, and MPJPE."""
+        """Return the offset and its standard deviation in frames, and MPJPE."""
         noise = (options.sigma_px, options.keypoint_noise_m(body))
         sources, solution = solve_time_offsets([first, other], [0.0, 0.0], solve, *noise)
         truth_m = np.full((len(sources[0].keypoints.frames), *run.truth_m.shape[1:]), np.nan)

@@ -1,13 +1,13 @@
-"""What pages and `recon run` cost: as whole commands, their processor time beside each other.
+"""Measure the processor time of pages and of `recon run` as whole commands.
 
     python benchmarks/parts/pages.py pages
     python benchmarks/parts/pages.py summary [--clips 500]
     python benchmarks/parts/pages.py run --model DIR
 
-`pages`: the rendered film with the film behind the pictures, a sample of 60 frames, and twenty of these one after the
-other, forwards and backwards. `summary`: the table of a batch, of copies of one result. `run`: from the rendered film
-to the page with a network that `recon train` made on it, beside a command for each stage, and a second time. Where
-there is a Chromium on the path, it opens the pages and says how many messages it had for its console.
+`pages`: the rendered film with the film behind the pictures, a sample of 60 frames, and twenty of these in a row,
+forwards and backwards. `summary`: the table of a batch of copies of one result. `run`: from the rendered film to the
+page with a network that `recon train` made on this film, compared with a command for each stage, and a second run. If a
+Chromium is on the path, it opens the pages, and the number of its console messages is printed.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def main() -> None:
 
 
 def recon(folder: Path, *arguments: object) -> tuple[float, float]:
-    """Seconds of a command, of the clock and of the processor."""
+    """Return the seconds of a command by the clock and by the processor."""
     return seconds([sys.executable, "-m", "recon", *map(str, arguments)], str(folder))
 
 
@@ -76,7 +76,7 @@ def pages(args: argparse.Namespace, folder: Path) -> None:
 
 
 def summary(args: argparse.Namespace, folder: Path) -> None:
-    """One in fifty has failed; doubt is drawn at random."""
+    """Measure the page of a batch in which one clip in fifty failed and the numbers of doubtful frames are random."""
     one, out, rng = folder / "one", folder / "all", np.random.default_rng(0)
     settings = FitSettings(keypoints=(SAMPLES / "whole.csv",), camera=(SAMPLES / "camera.toml",), fps=60)
     report = run_clip(settings, one)
@@ -105,7 +105,7 @@ def summary(args: argparse.Namespace, folder: Path) -> None:
 def run(args: argparse.Namespace, folder: Path) -> None:
     if args.model is None:
         raise SystemExit("--model: a network that `recon train` made on the rendered film")
-    settings = (*FILM_FIT, "--set", "likelihood-min=0")  # whatever the network is worth
+    settings = (*FILM_FIT, "--set", "likelihood-min=0")  # accept all points, however good the network is
     stages = {
         "detect": ("predict", FILM, "--model", args.model.absolute(), "--out", "points.csv"),
         "fit": ("fit", "points.csv", *settings, "--fps", 120, "--out", "alone"),
@@ -123,7 +123,7 @@ def run(args: argparse.Namespace, folder: Path) -> None:
 
 
 def errors(page: Path) -> str:
-    """How many messages a browser has for its console, on a desk and on a phone, by day and by night."""
+    """Return the number of a browser's console messages on a desktop and a phone, in light and dark mode."""
     if not CHROMIUM:
         return "no Chromium"
     count = 0

@@ -1,13 +1,13 @@
-"""The rendered film with a camera that pans after the animal, from its video to the pose, beside the still one.
+"""Compare the rendered film by a panning camera with that by a still camera, from the video to the pose.
 
     python benchmarks/parts/panning_film.py [--steps 1000] [--seeds 0 1 2] [--out DIR]
 
-The same animal in the same world, filmed from the same place through the same lens at the same times; the camera
-turns after the animal, and shakes. Each film's labels, of the same frames, train a network of its own, which finds
-the points of all frames; the camera's turn is found in the film, as `recon run --camera-motion turns` does it, with
-the tilt of the first picture given; the still camera's pose is that of its calibration. Errors are those of all
-frames, in the world that each fit gives. Tables in Markdown, as in docs/benchmarks.md. With --film, the film alone is
-drawn.
+Both films show the same animal in the same world, from the same position through the same lens at the same times; one
+camera turns to follow the animal, and shakes. The labels of each film, of the same frames, train a separate network,
+which predicts the points of all frames. The camera's rotation is estimated from the film, as by `recon run
+--camera-motion turns`, with the tilt of the first picture given. The still camera's pose is that of its calibration.
+Errors are over all frames, in the world of each fit. Tables are in Markdown, as in docs/benchmarks.md. With --film, the
+film is only drawn.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from recon.testing.film import film_clip, panning_film, render_frames, write_fil
 
 
 def turn_errors_deg(track: Path, truth: np.ndarray) -> np.ndarray:
-    """(N,), of the found turn from the first frame."""
+    """Return errors (N,) of the estimated rotation from the first frame."""
     found = read_camera_track(track)
     rotations, truth = found.T_camera_world[:, :3, :3], truth[found.frames]
     off = (rotations @ rotations[0].T) @ (truth @ truth[0].T).swapaxes(1, 2)

@@ -1,11 +1,12 @@
-"""The numbers of the path that ties the frame method's frames, chosen on all runs but one and tried on that one.
+"""Choose the numbers of the path that ties the frame method's frames, on all runs but one, and test them on that run.
 
     python benchmarks/parts/path_numbers.py [FOLDER]
 
 Every view of every run is solved once, frame by frame (`path=free`). Paths with other accelerations and correlation
-times are estimated from these solutions, which is quick. A choice is scored by the peak speed of the path against the
-true one: the share of views within `WITHIN`, less the distance of the 90 % intervals' coverage from 90 %. Each run is
-left out in turn: the best choice on the others, and what it and the method's own numbers give on the one left out.
+times are estimated from these solutions, which is quick. The score of a choice compares the peak speed of the path with
+the true one: the fraction of views within `WITHIN`, minus the difference between the 90 % intervals' coverage and 90 %.
+Each run is left out in turn. The table has the best choice on the other runs, and the results of this choice and of the
+method's own numbers on the run that was left out.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ OWN = (path.ACCELERATION_M_S2, path.ACCELERATION_LASTS_S, path.ERRORS_LAST_S)
 
 @dataclass(frozen=True)
 class SolvedView:
-    """One view, solved frame by frame."""
+    """Hold one view, solved frame by frame."""
 
     run: str
     chain: UnknownsChain
@@ -62,7 +63,7 @@ class SolvedView:
 
 
 def solve(run: Path, camera: int, fps: float) -> SolvedView:
-    """Solve one view as `recon frame --set path=free` does, with the covariances that the path reads."""
+    """Solve one view like `recon frame --set path=free`, with the covariances that the path needs."""
     from recon.thesis import solver
 
     covariances: list[np.ndarray] = []
@@ -97,7 +98,7 @@ def solve(run: Path, camera: int, fps: float) -> SolvedView:
 
 
 def score(peaks: np.ndarray, true_m_s: np.ndarray) -> tuple[float, float, float]:
-    """Return the share near the truth, the coverage of the 90 % intervals, and the score, for peaks (V, 2)."""
+    """Return the fraction near the truth, the coverage of the 90 % intervals, and the score, for peaks (V, 2)."""
     peak, sigma = peaks.T
     near = float(np.mean(np.abs(peak / true_m_s - 1) <= WITHIN))
     covered = float(np.mean(np.abs(peak - true_m_s) <= radius(INTERVAL) * sigma))

@@ -2,9 +2,9 @@
 
     python benchmarks/parts/planted_faults.py [--seeds 5]
 
-A simulated gallop of 90 frames has 2 px of noise and 40 faults: 20 single detections that are 20 to 150 px off, and 4
-keypoints that stay at one pixel for 5 frames. A corrector that works through the first 40 entries of the list puts each
-of them where the keypoint is. The error is the mean distance of the joints from the truth, both poses centred.
+A simulated gallop of 90 frames has 2 px of noise and 40 faults: 20 single detections with errors of 20 to 150 px, and 4
+keypoints that stay at one pixel for 5 frames. The first 40 entries of the list are replaced by the true positions of
+their keypoints. The error is the mean distance of the joints from the truth, both poses centred.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def main() -> None:
 
 
 def row(clip: SyntheticClip, seed: int) -> list[str]:
-    """Return what one set of faults gives."""
+    """Return the results for one set of faults."""
     rng = np.random.default_rng(seed)
     exact = clip.keypoints
     noisy = replace(exact, xy_px=exact.xy_px + rng.normal(0, NOISE_PX, exact.xy_px.shape))
@@ -68,7 +68,7 @@ def row(clip: SyntheticClip, seed: int) -> list[str]:
 
 
 def planted(keypoints: Keypoints, rng: np.random.Generator) -> Iterator[tuple[tuple[int, int], Array]]:
-    """Yield the cells of faults, each once, and where their detections are."""
+    """Yield the cells of faults, each once, and the positions of their detections."""
     taken: set[tuple[int, int]] = set()
     free = {(int(t), int(k)) for t, k in np.argwhere(keypoints.present)}
     T, K = keypoints.present.shape

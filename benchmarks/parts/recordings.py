@@ -1,4 +1,4 @@
-"""Where the recordings that are not part of the project lie."""
+"""Find the recordings that are not part of the project."""
 
 from __future__ import annotations
 
@@ -7,6 +7,6 @@ from pathlib import Path
 
 
 def recordings(kind: str) -> Path:
-    """The folder of that kind, as cheetah-runs, in $RECON_SHARED_DATA, or in ../shared/data."""
+    """Return the folder of a kind of recordings, such as cheetah-runs, in $RECON_SHARED_DATA, or in ../shared/data."""
     beside = Path(__file__).resolve().parents[3] / "shared" / "data"
     return Path(os.environ.get("RECON_SHARED_DATA", beside)) / kind

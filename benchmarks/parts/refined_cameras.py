@@ -1,15 +1,14 @@
-"""Cameras that lie beside their poses, and are refined: `--set refine-cameras=true`, in fits and calibrations.
+"""Refine the poses of displaced cameras: `--set refine-cameras=true`, in fits and calibrations.
 
     python benchmarks/parts/refined_cameras.py [FOLDER]
 
-Each run is a folder as in `cheetah_runs.py`, with all cameras. All but the first are turned by 2 degrees about an axis,
-and moved by 5 cm in a direction, drawn at random; the first one, named in the run, stays. What comes out is compared
-with what comes out of the poses as they are, refined as well: those are not exact either. Errors are over all 24
-joints. First comes what runs of one camera file tell together, beside what each one tells; where the detector's
-keypoints lie is measured in the other runs. Then what one run tells with other detections, means over the runs: the
-truth's projections, and white noise of the size of the detector's deviations beside them, taken for what it is as well.
-Without FOLDER: the cheetah-runs of $RECON_SHARED_DATA, or of
-../shared/data. One thread.
+Each run is a folder as in `cheetah_runs.py`, used with all cameras. All but the first camera, the named one, are turned
+by 2 degrees about a random axis, and moved by 5 cm in a random direction. The result is compared with the refined
+result from the original poses, since these are not exact either. Errors are over all 24 joints. The first table
+compares all runs of one camera file together with each run alone; the keypoint bias is measured in the other runs. The
+second table has means over the runs, each alone, with other detections: the truth's projections, without and with white
+noise of the size of the detector's deviations. FOLDER is by default the cheetah-runs of $RECON_SHARED_DATA, or of
+../shared/data. The script runs in one thread.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ TURN_DEG, SHIFT_M, DRAWS = 2.0, 0.05, 3
 
 
 def displaced(views: Sequence[View], rng: np.random.Generator) -> list[View]:
-    """All but the first."""
+    """Displace all cameras but the first."""
     found = [views[0]]
     for view in views[1:]:
         axis, way = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
@@ -51,7 +50,7 @@ def displaced(views: Sequence[View], rng: np.random.Generator) -> list[View]:
 
 
 def apart(views: Sequence[View], others: Sequence[View]) -> np.ndarray:
-    """(V - 1, 2): degrees and metres between the poses of all but the first."""
+    """Return the differences (V - 1, 2) between the poses of all cameras but the first: degrees and metres."""
     found = []
     for a, b in zip(views[1:], others[1:], strict=True):
         turn = Rotation.from_matrix(a.T_camera_world[:3, :3] @ b.T_camera_world[:3, :3].T).magnitude()
@@ -92,8 +91,11 @@ def rows(run: Run) -> Iterator[dict]:
 
 
 def together(clips: Sequence[Run], views: Sequence[Sequence[View]], bodies: Sequence[Body]) -> dict:
-    """What all clips of a rig tell, from the poses as they are and from displaced ones: degrees and metres, means over
-    the draws; and how far off the displaced are then, in what is stated."""
+    """Refine a rig with all its clips, from the original and from displaced poses.
+
+    Returns degrees and metres, means over the draws, and the errors of the displaced cameras in stated standard
+    deviations.
+    """
     own = views[0]
 
     def refined(first: Sequence[View]) -> tuple[list[View], np.ndarray]:
@@ -123,7 +125,7 @@ def of_detector(clips: Sequence[Run], runs: Sequence[Run]) -> dict:
 
 
 def of_others(runs: Sequence[Run]) -> Iterator[dict]:
-    """Means over the runs, one clip each."""
+    """Print means over the runs, for one clip at a time."""
     independent = {"ERROR_TIME_S": 0.0, "KEYPOINT_BIAS_SHARE": 0.0}
     for label, random, constants in (
         ("projections of the truth", 0, {}),

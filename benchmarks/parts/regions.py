@@ -1,13 +1,13 @@
-"""How heavy the tails of errors are beside the stated covariances, and what right regions would hold of 28 views.
+"""Measure the tails of errors relative to the stated covariances, and what correct regions would hold for 28 views.
 
     python benchmarks/parts/regions.py [FOLDER]
 
-All views of the runs that `cameras.py` takes, each by itself, lengths known, the detector measured in the other runs.
-Degrees of freedom of Student's t are the most likely ones, a view's mean over its joints counting as one error of the
-pose and one of the place; each run is judged with those of the others. In the end errors are drawn as they are stated,
-for whole clips at a time with all that their frames share, and with one scale a clip: what the worst of so many views
-holds then, and how large errors are where they are as large as stated. And places without what the joint minimum is
-expected to be too near (`simulated_coverage.py`).
+The fits are those of all views of the runs in `cameras.py`, each alone, with known lengths and the keypoint bias
+measured in the other runs. The degrees of freedom of Student's t are fitted by maximum likelihood, with a view's mean
+over its joints as one error of the pose and one of the position. Each run is tested with the value of the other runs.
+Then errors are drawn as stated, for whole clips with everything their frames share, and with one scale per clip: the
+fraction that the worst of so many views holds, and the size of the errors, if they are as large as stated. Finally,
+positions are corrected for the expected bias of the joint minimum (`simulated_coverage.py`).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from recon.fit.posterior import DEGREES_OF_FREEDOM, radius, sigmas
 from recon.fit.trajectory import SegmentFit, solve_segments
 
 NUMBERS = (2.5, 3, 3.5, 4, 4.5, 5, 5.5, 6, 6.5, 7, 7.5, 8, 9, 10, 12, 15, 20, 30, 50, 100, 1e6)
-"""Degrees of freedom that are compared; the last are a Gaussian's."""
+"""Degrees of freedom to compare; the last are practically a Gaussian's."""
 KINDS, LEVELS = ("pose", "place"), (0.9, 0.5)
 DRAWS = 400
 WORST = 0.6
@@ -41,7 +41,10 @@ WORST = 0.6
 
 @dataclass(frozen=True)
 class Fit:
-    """off: of the known joints, how many standard deviations pose and place are off; mm: by how much, the mean."""
+    """Hold the errors of a fit over the known joints.
+
+    off: errors of pose and position in standard deviations. mm: mean errors.
+    """
 
     run: Run
     cameras: str
@@ -70,12 +73,12 @@ def fits(runs: Sequence[Run]) -> list[Fit]:
 
 
 def _mm(error_m: np.ndarray) -> np.ndarray:
-    """(...): the lengths of (..., 3)."""
+    """Return the lengths (...) of errors (..., 3), mm."""
     return 1000 * np.linalg.norm(error_m, axis=-1)
 
 
 def likelihood(off: np.ndarray) -> np.ndarray:
-    """By `NUMBERS`: the mean logarithm of the density of errors in space, beside a Gaussian's."""
+    """Return, for each of `NUMBERS`, the mean logarithm of the density of errors in space relative to a Gaussian's."""
     nu, k = np.array(NUMBERS)[:, None], 3
     scale = gammaln((nu + k) / 2) - gammaln(nu / 2) - k / 2 * np.log(nu - 2)
     found = (scale - (nu + k) / 2 * np.log1p(off**2 / (nu - 2))).mean(axis=1)
@@ -83,7 +86,7 @@ def likelihood(off: np.ndarray) -> np.ndarray:
 
 
 def inside(some: Sequence[Fit], what: str, nu: float) -> str:
-    """The share in regions of 90 and 50 %, the mean over clips."""
+    """Return the fractions inside regions of 90 and 50 %, means over clips."""
     return " ".join(f"{np.mean([np.mean(fit.off[what] < radius(p, 3, nu)) for fit in some]):.3f}" for p in LEVELS)
 
 
@@ -120,8 +123,10 @@ def heaviness(found: Sequence[Fit]) -> None:
 def drawn(
     setting: ClipProblem, solved: SegmentFit, rng: np.random.Generator
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """(DRAWS, n): how many standard deviations the joints are off that are drawn as stated, pose and place; and
-    (DRAWS,) how many mm in the mean."""
+    """Draw joints' errors as stated.
+
+    Returns (DRAWS, n) errors of pose and position in standard deviations, and (DRAWS,) mean errors in mm.
+    """
     problem, states = solved.problem, solved.estimate.states
     problem = replace(problem, shared=[*problem.shared, *problem.nuisance], nuisance=())
     normal, (T, D) = problem.normal(states, problem.expected() | dict(solved.estimate.shared)), states.shape
@@ -144,7 +149,7 @@ def drawn(
 
 
 def worst_views(runs: Sequence[Run], found: Sequence[Fit]) -> None:
-    """With the covariances that the draws have themselves, which are the stated ones."""
+    """Print the worst views if errors are drawn from the stated covariances."""
     rng, off_m, far = np.random.default_rng(0), [], []
     shares, mm = ({what: [] for what in KINDS} for _ in range(2))
     for run in runs:
@@ -184,7 +189,7 @@ def worst_views(runs: Sequence[Run], found: Sequence[Fit]) -> None:
 
 
 def sizes(drawn_mm: dict[str, np.ndarray], views: Sequence[Fit]) -> None:
-    """How large errors are over all views where they are as large as stated (V, DRAWS), and the real ones."""
+    """Print the sizes (V, DRAWS) of errors over all views if they are as large as stated, and the real ones."""
     named = [view.named for view in views]
     rows = []
     for what in KINDS:

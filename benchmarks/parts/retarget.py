@@ -1,10 +1,10 @@
-"""Real runs and the samples on the bundled robots: scale, slip, limits, and how strides close.
+"""Retarget real runs and the samples to the built-in robots: scale, slip, limits, and how strides close.
 
     python benchmarks/parts/retarget.py [FOLDER] [--robot a1 --robot aibo] [--picture OUT.rrd]
 
-Each run is fitted from the camera that its meta.json names, with the default settings. Without FOLDER: the cheetah-runs
-of $RECON_SHARED_DATA, or of ../shared/data; without any runs, the samples only. One thread. --picture writes the
-playback of the last one, held in the middle of the clip.
+Each run is fitted from the camera that its meta.json names, with the default settings. FOLDER is by default the
+cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data; without any runs, only the samples are used. The script runs
+in one thread. --picture writes a playback of the last clip, paused in its middle.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ COLUMNS = (
 
 
 def fits(folder: Path, work: Path) -> Iterator[tuple[str, Motion]]:
-    """The samples and the runs, fitted."""
+    """Return fits of the samples and of the runs."""
     samples = ROOT / "data" / "samples"
     yield (
         "sample, whole animal",

@@ -1,15 +1,16 @@
-"""Animals of 0.1 m, 1 m and 2 m before simulated cameras, with proportions that the skeleton does not know.
+"""Fit animals of 0.1 m, 1 m and 2 m in simulated cameras, with proportions that differ from the skeleton's.
 
     python benchmarks/parts/rigs.py [--animals mouse-top dog-27 human-25] [--seeds 4] [--cameras 4 1] [--refine]
 
-Each clip draws lengths that are 0, 10, 20, 30 % (one standard deviation, each by itself, left as right) beside the
-skeleton's, keypoints that lie beside their markers all the time, by half the skeleton's keypoint_sigma_m along each
-axis, and a motion: every angle swings about its expected value, and the animal goes along a bent path, two thirds of
-its length a second. Cameras: five lengths off, around it. Detections: 2 px of noise, one in twenty missing. Fitted with
-each angle on its own. 90 %: the share of coordinates within the stated 90 % intervals, of positions and of poses; MPJPE
-and MPE. --refine: what becomes of four cameras that are to be refined, with lengths as the skeleton's: as they are, all
-but the first turned by 2 degrees, one turned by 15, and one with the pose of another; MPE as given and refined, and
-whether the refined ones are taken, or the code of the finding. One thread.
+Each clip draws lengths that differ from the skeleton's by 0, 10, 20 or 30 % (standard deviation; independent, left and
+right equal); a constant keypoint bias of half the skeleton's keypoint_sigma_m along each axis; and a motion in which
+every angle swings about its expected value and the animal follows a bent path at two thirds of its length per second.
+The cameras are five lengths away, around the animal. Detections have 2 px of noise, and one in twenty is missing. Fits
+use independent angles. 90 %: the fraction of coordinates within the stated 90 % intervals, for positions and poses;
+MPJPE and MPE. --refine: results of four refined cameras with the skeleton's lengths: from the true poses; with all but
+the first turned by 2 degrees; with one turned by 15 degrees; and with one that has the pose of another. The table has
+the MPE as given and refined, and whether the refined cameras are accepted, or the code of the finding. The script runs
+in one thread.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ WRONG = (0.0, 0.1, 0.2, 0.3)
 
 
 def scored(found: TrajectorySolution, true_m: np.ndarray) -> tuple[float, ...]:
-    """Shares of positions and poses within the intervals, MPJPE and MPE in metres."""
+    """Return the fractions of positions and poses within the intervals, and MPJPE and MPE in metres."""
     off, centred = found.joints_m - true_m, aligned(found.joints_m, true_m) - true_m
     errors = (float(np.linalg.norm(e, axis=2).mean()) for e in (centred, off))
     return (

@@ -1,4 +1,4 @@
-"""The frame method on the project's own gallop, where the truth is exact: clean at three headings, noisy, five seeds.
+"""Test the frame method on the project's own gallop, with exact truth: clean at three headings, noisy, five seeds.
 
 python benchmarks/parts/sample_gallop.py
 """
@@ -29,7 +29,7 @@ DEFAULT = FrameOptions()
 
 
 def fit(clip: SyntheticClip, keypoints, options: FrameOptions, outliers: np.ndarray | None = None) -> list[str]:
-    """Cells of one row: converged, worst and mean frame reprojection, MPJPE, MPE, outliers named, time."""
+    """Return the cells of a row: converged, worst and mean reprojection of frames, MPJPE, MPE, outliers named, time."""
     columns = [keypoints.names.index(name) for name in SKELETON.body.keypoint_names(clip.side)]
     xy, confidence = keypoints.xy_px[:, columns], keypoints.confidence[:, columns]
     fps = clip.keypoints.fps or 30.0

@@ -1,24 +1,25 @@
-"""Whether stated doubt is true where the truth is drawn from what is expected: simulation-based calibration.
+"""Test stated uncertainties by drawing the truth from the prior: simulation-based calibration.
 
     python benchmarks/parts/simulated_coverage.py [--clips 200] [--skeleton cheetah-24] [--seed 0] [--motion-s 0.16]
         [--noise-s 0.16]
     python benchmarks/parts/simulated_coverage.py --recorded dog|cheetah [--clips 200] [--noise-s 0.16]
 
-Each clip draws a motion, a size, a camera and a detector's errors as the trajectory method expects them, and is fitted
-again. Angles: the Gaussian of the pose prior and the motion prior together, flattened so that `ERROR_TIME_S` of clip
-says the same, as the stated doubt has it. Path: straight on at 6 to 14 m/s, headings all around. Camera: 40 to 100
-degrees wide, the animal 3 to 12 m off and up to 1.5 m below. Detections: noise that lasts as long, keypoints beside
-their markers, the camera's lag, 5 % of gross outliers, points missing at random. If the doubt is true, the truth is in
-50 and 90 % regions as often, and its rank in the distance's distribution is uniform (Kolmogorov-Smirnov, p > 0.05).
+Each clip draws a motion, a size, a camera and a detector's errors as the trajectory method expects them, and is fitted.
+Angles: the product of the Gaussians of the pose prior and the motion prior, widened so that `ERROR_TIME_S` of the clip
+carries the information that the stated uncertainty assumes. Path: straight, at 6 to 14 m/s, in all directions. Camera:
+40 to 100 degrees wide; the animal is 3 to 12 m away and up to 1.5 m below. Detections: noise with a correlation time,
+keypoint bias, the camera's time offset, 5 % of gross outliers, and randomly missing points. If the uncertainty is
+right, the truth is in the 50 and 90 % regions as often as they state, and its rank in the distribution of the distance
+is uniform (Kolmogorov-Smirnov, p > 0.05).
 
---recorded: the motions are those of real animals, turned about the vertical, and all else is drawn: the motion capture
-that `dog.py` reads, without a learned prior, or the runs that `cameras.py` reads.
+--recorded: the motions are those of real animals, turned about the vertical, and everything else is drawn. They are the
+motion capture of `dog.py`, without a learned prior, or the runs of `cameras.py`.
 
-The solution is the most likely motion and distance together. Nearer by, the same pixels take smaller angles, which cost
-the prior less, while fewer motions fit; the distance's own distribution counts these, by the determinant of the normal
-equations. "mode": what that is expected to take off the distance, and ranks without it. A motion drawn as widely as the
-uncertainty says (0.16 s) has four times the misfit of real ones, for which --motion-s is 0.04.
-The noise of real detections lasts some frames: --noise-s 0.035.
+The solution is the joint maximum of motion and distance. At smaller distances the same pixels need smaller angles,
+which the prior prefers, although fewer motions fit. The marginal distribution of the distance accounts for this by the
+determinant of the normal equations. "mode": the expected shift of the distance from this effect, and ranks without it.
+A motion drawn as widely as the uncertainty assumes (0.16 s) has four times the misfit of real motions, whose misfit
+needs --motion-s 0.04. The noise of real detections lasts for some frames: --noise-s 0.035.
 """
 
 from __future__ import annotations
@@ -60,13 +61,16 @@ FPS, T = 90.0, 36
 OUTLIERS, MISSING = 0.05, 0.1
 END_ON_DEG = 30.0
 STEP = 0.02
-"""The step of the logarithm of the distance."""
+"""Step of the logarithm of the distance."""
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """points_m, marked_m (n, J, 3): the body's markers at nominal size, about the middle of the path, and where the
-    detector has them."""
+    """Hold a motion.
+
+    points_m, marked_m (n, J, 3): the body's markers at nominal size, relative to the middle of the path, and the points
+    that the detector marks.
+    """
 
     body: Body
     prior: MotionPrior
@@ -81,13 +85,13 @@ def model(skeleton: str) -> tuple[Body, MotionPrior]:
     if not isinstance(body, Body):
         raise SystemExit(f"{skeleton}: expected a whole animal")
     for name in builtin_priors():
-        with suppress(InputError):  # it is another animal's
+        with suppress(InputError):  # the detector is for another animal
             return with_detector_offsets(body, "acinoset"), as_one_gaussian(load_prior(name, body))
     return with_detector_offsets(body, "acinoset"), prior_from_body(body)
 
 
 def extent(body: Body) -> float:
-    """How large a body is beside one whose joints lie half a metre from its root."""
+    """Return the size of a body relative to one whose joints are half a metre from its root."""
     return float(np.linalg.norm(body.tree.pose(np.zeros((1, body.n_state))).points_m[0], axis=1).mean()) / 0.5
 
 
@@ -113,7 +117,7 @@ def drawn(skeleton: str, motion_s: float, rng: np.random.Generator) -> Motion:
 
 @cache
 def recorded_motions(animal: str) -> list[Motion]:
-    """Whole ones."""
+    """Return complete recorded motions."""
     if animal == "dog":
         body, prior = model(dog.SKELETON)
         clips = ((clip.fps, clip.markers(body)) for clip in dog.read_clips(recordings("dog-mocap")))
@@ -128,7 +132,7 @@ def recorded_motions(animal: str) -> list[Motion]:
 
 
 def recorded(animal: str, rng: np.random.Generator) -> Motion:
-    """T frames at most of one of them, turned about the vertical."""
+    """Return at most T frames of a random motion, turned about the vertical."""
     motions = recorded_motions(animal)
     whole = motions[rng.integers(len(motions))]
     first = rng.integers(max(len(whole.points_m) - T, 0) + 1)
@@ -140,7 +144,7 @@ def recorded(animal: str, rng: np.random.Generator) -> Motion:
 
 
 def lasting_noise(shape: Sequence[int], alike: float, rng: np.random.Generator) -> np.ndarray:
-    """(n, ...): unit variance, and as many neighbours alike."""
+    """Return noise (n, ...) of unit variance that stays similar for a number of neighbouring frames."""
     keep = (alike - 1.0) / (alike + 1.0)
     noise = rng.normal(size=shape)
     for t in range(1, len(noise)):
@@ -214,15 +218,16 @@ def _scored(setting: ClipProblem, truth_m: np.ndarray) -> dict[str, float]:
 
 
 def pull_of_the_mode(setting: ClipProblem, solved: SegmentFit) -> float:
-    """By how much the logarithm of the distance at the joint minimum is expected to lie above its own distribution.
+    """Return the expected excess of the log distance at the joint maximum over its own distribution.
 
-    That has the density exp(-cost / l) / sqrt(det H) where the other unknowns follow the distance, H theirs, and l the
-    squares that are usual of a prior that fits. Beside the cost's minimum its top is off by the slope times a variance.
+    This distribution has the density exp(-cost / l) / sqrt(det H). The other unknowns follow the distance, H is their
+    normal matrix, and l the usual squared misfit of a prior that fits. Its maximum differs from that of the cost by the
+    slope times a variance.
     """
     problem, states = solved.problem, solved.estimate.states
 
     def at(states: np.ndarray) -> tuple[float, float, np.ndarray]:
-        """Half the logarithm of the determinant; the distance's variance; and how the states follow the distance."""
+        """Return half the log determinant, the variance of the distance, and the states' derivative by the distance."""
         middle_m = setting.body.tree.pose(states).points_m.mean(axis=1)
         by_state = np.zeros(states.shape)
         by_state[:, ROOT] = middle_m / np.sum(middle_m**2, axis=1, keepdims=True) / len(states)

@@ -1,11 +1,11 @@
-"""Speeds and net accelerations of real runs by both methods, and whether their deviations are right.
+"""Measure speeds and net accelerations of real runs by both methods, and test their standard deviations.
 
     python benchmarks/parts/speeds.py [FOLDER]
 
-Every view of every run of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA. Error, stated: of the velocity of
-the joint that stands for the animal's place, root mean square over axes and frames, against the spline through the
-reconstruction of all cameras; error / stated: of each view, root mean square. Net acceleration: along the way over
-the whole clip, of fit and reference over the same frames.
+The views are all views of every run of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA. Error, stated: the
+error and the standard deviation of the velocity of the reference joint, root mean square over axes and frames, compared
+with the spline through the reconstruction of all cameras. Error / stated: root mean square for each view. Net
+acceleration: along the path over the whole clip, of fit and reference over the same frames.
 """
 
 from __future__ import annotations
@@ -26,8 +26,11 @@ METHODS = {"frame": {"method": "frame", "skeleton": "cheetah-8u"}, "trajectory":
 
 
 def measured(motion: Motion, truth: Pose3D) -> tuple[float, float, float, float, float, bool]:
-    """Error and stated deviation of the velocity, their quotient's root mean square, error of the net acceleration and
-    its deviation, and whether the speed is said to be known."""
+    """Return a view's errors and stated standard deviations.
+
+    They are the error and standard deviation of the velocity, the RMS of their quotient, the error and standard
+    deviation of the net acceleration, and whether the fit states the speed as known.
+    """
     said = ClipAnalysis(motion)
     series = at_frames(said.reference_motion.series)
     at = truth.names.index(motion.reference)

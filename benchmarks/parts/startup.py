@@ -1,9 +1,9 @@
-"""How long commands take as whole processes, beside Python with only the imports that they could hardly do without.
+"""Time commands as whole processes, compared with Python with only the imports that each command needs.
 
 python benchmarks/parts/startup.py [RUNS]
 
-The two take turns, RUNS times (15 by default) after one that does not count; the ratios are those of a pair, so that a
-machine that is busy with other things slows down both.
+The two take turns, RUNS times (15 by default), after a first pair that does not count. The ratios are those of a pair,
+so that other load on the machine slows both down.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ COMMANDS = (
     ("recon --version", ("--version",), SMALL, "6"),
     ("recon fit, 40 frames", FIT_40, LARGE, "2"),
 )
-"""Name, arguments, the imports beside them, and how many times as long it may take."""
+"""Name, arguments, needed imports, and largest allowed ratio of times."""
 
 
 def seconds(command: Sequence[str], folder: str) -> tuple[float, float]:
-    """The time by the clock, and the processor's (nan where the system does not say)."""
-    compiled = {"PYTHONPYCACHEPREFIX": f"{folder}/compiled"}  # once, as what is installed is
+    """Return the time by the clock and by the processor (NaN if the system does not state it)."""
+    compiled = {"PYTHONPYCACHEPREFIX": f"{folder}/compiled"}  # compiled once, like an installed package
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"} | compiled
     began = time.perf_counter()
     with subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, env=environment) as process:
@@ -51,8 +51,11 @@ def seconds(command: Sequence[str], folder: str) -> tuple[float, float]:
 def compared(
     arguments: Sequence[str], imports: str, runs: int, folder: str
 ) -> tuple[float, float, float, float, float]:
-    """Medians: seconds of `recon ARGUMENTS`, of the processor, of Python with the imports; ratios of a pair's seconds,
-    and of the processor's."""
+    """Return medians over pairs.
+
+    They are the seconds of `recon ARGUMENTS` by the clock and by the processor, those of Python with the imports, and
+    the ratios of a pair's seconds and of the processor's.
+    """
     pair = [sys.executable, "-m", "recon", *arguments], [sys.executable, "-c", imports]
     taken = [[seconds(command, folder) for command in pair] for _ in range(runs + 1)][1:]
     (ours_s, ours_cpu_s), (theirs_s, _) = ([median(run[i][k] for run in taken) for k in (0, 1)] for i in (0, 1))

@@ -3,8 +3,8 @@
     python benchmarks/parts/stated_errors.py [FOLDER] [--quick] [--set path=free ...]
 
 Each run of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA, has camN.csv, scene.json, truth.csv and
-meta.json. Every view is fitted as `recon fit` does it without further options, so that the animal's size is not known.
-quick: only the camera that meta.json names.
+meta.json. Every view is fitted like `recon fit` without further options, so the animal's size is not known. quick: only
+the camera that meta.json names.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ HEADER = (
 
 
 def view_row(run: Path, camera: int, fps: float, options: dict[str, Any]) -> tuple[list[str], bool, bool]:
-    """Return one view's cells, and whether the intervals of its pose and of its position hold."""
+    """Return one view's cells, and whether the intervals of its pose and of its position contain the errors."""
     settings = FitSettings(
         keypoints=(run / f"cam{camera}.csv",),
         camera=(run / "scene.json",),
@@ -47,12 +47,12 @@ def view_row(run: Path, camera: int, fps: float, options: dict[str, Any]) -> tup
 
 
 def values_of(expected: ExpectedError | None) -> tuple[float, float, float]:
-    """Return the expected error and the ends of its 90 % interval; NaN if the verdict states none."""
+    """Return the expected error and the ends of its 90 % interval, or NaN if the verdict states none."""
     return (np.nan, np.nan, np.nan) if expected is None else (expected.expected, expected.low, expected.high)
 
 
 def holds(expected: ExpectedError | None, error_m: float) -> bool:
-    """Tell whether an error is at most the upper end of its 90 % interval."""
+    """Return whether an error is at most the upper end of its 90 % interval."""
     return expected is not None and error_m <= expected.high
 
 

@@ -1,14 +1,14 @@
-"""Stride quantities with their intervals: force plates, and asymmetry of left and right put into a dog's mocap.
+"""Test stride quantities with their intervals: on force plates, and with an asymmetry planted in a dog's mocap.
 
     python benchmarks/parts/strides.py [FOLDER] [--quick]
 
-Plates: single views of the two plate trials. No foot completes a stride there: the period of the motion counts. The
-plates give the duration of stances, the multi-camera reconstruction beside them speed and period.
+Plates: single views of the two plate trials. No foot completes a stride there, so the period of the motion is used. The
+plates give the duration of stances; the multi-camera reconstruction gives speed and period.
 
-Asymmetry: the angles of the left limbs of the dog's walks and runs depart from their mean by 0, 2, 5, 10 % more than
-they did. One camera from the side sees the changed animal, and the same with left and right exchanged. The true
-asymmetry is that of the changed markers, which has the dog's own in it. A false one: the 90 % interval holds the truth
-not, as the intervals of a 95 % test on one side do. FOLDER: a folder of the kind of the dog-mocap.
+Asymmetry: in the dog's walks and runs, the deviations of the left limbs' angles from their means are increased by 0, 2,
+5 and 10 %. One camera from the side sees the changed animal, and the same animal with left and right exchanged. The
+true asymmetry is that of the changed markers, which includes the dog's own asymmetry. A false result: the 90 % interval
+does not contain the truth. FOLDER: a folder of the kind of the dog-mocap.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ from recon.gait.quantities import PAIRS, asymmetry_values
 
 LEVELS = 0.0, 0.02, 0.05, 0.10
 MOVING = "run02", "walk00", "walk01", "walk03", "walk04"
-"""Clips that go straight on at one speed."""
+"""Clips with straight motion at a constant speed."""
 CHECKED = "stride_length_m", "stride_frequency_hz", "duty_factor"
 
 
 def plate_rows() -> list[dict]:
-    """Each view's stride length, frequency and duty factor, with those by the plates and all cameras."""
+    """Return each view's stride length, frequency and duty factor, with those from the plates and all cameras."""
     rows = []
     for run in sorted(path.parent for path in recordings("plate-trials").glob("*/stances.csv")):
         about = json.loads((run / "meta.json").read_text(encoding="utf-8"))
@@ -57,7 +57,7 @@ def plate_rows() -> list[dict]:
 
 
 def changed(clip: Clip, level: float, mirrored: bool) -> Clip:
-    """The clip as the skeleton follows it, with the left limbs' angles amplified; mirrored: the right ones."""
+    """Return the clip as fitted by the skeleton, with amplified angles of the left limbs (right if mirrored)."""
     body = body_of()
     states = solve_points(body, clip.markers(body))[0]
     prefix = "r_" if mirrored else "l_"
@@ -97,7 +97,7 @@ def asymmetry_rows(clips: list[Clip], levels: tuple[float, ...]) -> list[dict]:
 
 
 def asymmetry_table(rows: list[dict]) -> list[dict]:
-    """By kind and level: refused, found, and how often the interval misses the truth."""
+    """Return, by kind and level, how often asymmetries are refused and found, and how often intervals are wrong."""
     table = []
     for kind in ("stance", "excursion"):
         for level in sorted({row["level"] for row in rows}):

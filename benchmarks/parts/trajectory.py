@@ -1,11 +1,11 @@
-"""The trajectory method on real runs, scored against the multi-camera reconstruction, and on simulated clips.
+"""Test the trajectory method on real runs, compared with the multi-camera reconstruction, and on simulated clips.
 
     python benchmarks/parts/trajectory.py [FOLDER] [--only accuracy] [--csv TABLE.csv]
 
-Each run is a folder as in `cheetah_runs.py`; every camera view is a problem of its own, and the other cameras are for
-scoring. Keypoints are taken to lie on the markers. Errors are over all 24 joints. Without FOLDER: the
-cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data; without any runs, what is simulated. One thread; two processes
-where no times are measured.
+Each run is a folder as in `cheetah_runs.py`. Every camera view is fitted separately; the other cameras only provide the
+truth. Keypoints are assumed to have no bias. Errors are over all 24 joints. FOLDER is by default the cheetah-runs of
+$RECON_SHARED_DATA, or of ../shared/data; without any runs, only simulated clips are used. The script runs in one
+thread, and in two processes if no times are measured.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ from recon.testing.gallop import gallop
 SKELETON, PRIOR = "cheetah-24", "running-cheetah"
 ONE_GAUSSIAN = "one Gaussian"
 VISIBLE = 0.8
-"""Views with a larger share of the truth inside the picture count in the worst one."""
+"""Fraction of the truth inside the picture above which a view counts for the worst view."""
 HOLE = 10
 GROUPS = {
     "head": ("nose", "l_eye", "r_eye"),
@@ -74,8 +74,11 @@ Rows = list[dict]
 
 @dataclass(frozen=True)
 class Job:
-    """One view and how it is fitted. subject: with the animal's own lengths, all lengths times scale. change: a key of
-    `CHANGES`, or "projected": the truth's projections for detections."""
+    """Describe one view and how it is fitted.
+
+    subject: with the animal's own lengths, multiplied by scale. change: a key of `CHANGES`, or "projected" for the
+    truth's projections as detections.
+    """
 
     run: Path
     camera: int
@@ -88,10 +91,13 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Errors (T, J) in m, centred and not; inside_relative, inside_place (T, J): the truth in the 90 % regions;
-    sigma_m (T,): root mean square over the joints of the relative sigma; too_far_m: distance of the
-    animal's middle from the camera less the true one, mean; visible: share of the truth in the picture; reference_px:
-    median distance of the truth's projections from the detections."""
+    """Hold the errors of a fit.
+
+    Errors (T, J) are in m, centred and not. inside_relative, inside_place (T, J): whether the truth is in the 90 %
+    regions. sigma_m (T,): RMS over the joints of the relative standard deviation. too_far_m: mean distance of the
+    animal's middle from the camera minus the true one. visible: fraction of the truth in the picture. reference_px:
+    median distance of the truth's projections from the detections.
+    """
 
     job: Job
     centred_m: np.ndarray
@@ -141,14 +147,14 @@ def prior_of(name: str) -> MotionPrior:
 
 @cache
 def truth_of(run: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Frame numbers (T,), and the truth (T, J, 3) in the world, in the order of the body's markers."""
+    """Return frame numbers (T,), and the truth (T, J, 3) in the world, in the order of the body's markers."""
     truth = read_pose3d(run / "truth.csv")
     return truth.frames, truth.xyz_m[:, [truth.names.index(m) for m in body_of().markers]]
 
 
 @cache
 def view_of(run: Path, camera: int) -> tuple[Camera, np.ndarray, np.ndarray, np.ndarray]:
-    """The camera, detections (T, J, 2), confidence (T, J) and the truth (T, J, 3) in the camera frame, NaN if none."""
+    """Return camera, detections (T, J, 2), confidence (T, J) and truth (T, J, 3) in the camera frame, NaN if none."""
     keypoints, _ = clean(replace(read_keypoints(run / f"cam{camera}.csv"), fps=meta_of(run)["fps"]), 0.5)
     keypoints, scene = arrange(keypoints, body_of().markers), run / "scene.json"
     lens = read_camera(scene, f"cam{camera}") if scene.is_file() else read_camera(run / f"cam{camera}.toml")
@@ -193,7 +199,7 @@ CHANGES: dict[str, Callable[[np.ndarray], slice]] = {
     "left and right swapped for ten frames": _swapped,
     "30 % moved by up to 300 px in x and y": _moved,
 }
-"""Each changes detections (T, J, 2) in place, and gives back the frames that are not scored."""
+"""Functions that change detections (T, J, 2) in place, and return the frames that are not scored."""
 
 
 def solution_of(job: Job) -> TrajectorySolution:
@@ -235,18 +241,18 @@ def fit(job: Job) -> Fit:
 
 
 def _distance_m(points_m: np.ndarray) -> np.ndarray:
-    """(T,)"""
+    """Return the distances (T,) of the points from the camera."""
     return np.linalg.norm(points_m.mean(axis=1), axis=-1)
 
 
 def _in_camera(solution: TrajectorySolution, covariance_m2: np.ndarray) -> np.ndarray:
-    """Covariances (T, J, 3, 3) of the world frame in the camera's."""
+    """Return covariances (T, J, 3, 3) of the world frame in the camera frame."""
     R = solution.views[0].rotation
     return R @ covariance_m2 @ R.T
 
 
 def _inside(error_m: np.ndarray, covariance_m2: np.ndarray) -> np.ndarray:
-    """(T, J) 1.0 inside the 90 % region, 0.0 outside, NaN without truth or solution."""
+    """Return 1.0 inside the 90 % region, 0.0 outside, NaN without truth or solution, as (T, J)."""
     off = sigmas(error_m, covariance_m2)
     return np.where(np.isfinite(off), off < radius(0.9, 3), np.nan)
 
@@ -277,7 +283,7 @@ def without_2019(found: Sequence[Fit]) -> list[Fit]:
 
 
 def summary(label: str, found: Sequence[Fit]) -> dict:
-    """The figures of one way to fit all views, or the named ones only."""
+    """Return the figures of one way to fit, for all views or for the named ones only."""
     named = [f for f in found if f.named]
     row = {
         "method": label,
@@ -417,7 +423,7 @@ def uncertainty(runs: Sequence[Path]) -> dict[str, Rows]:
 
 
 def rates(runs: Sequence[Path]) -> dict[str, Rows]:
-    """How large velocities' and accelerations' errors are beside what `recon.gait.clip` says of them."""
+    """Print errors of velocities and accelerations relative to their standard deviations by `recon.gait.clip`."""
     with multiprocessing.Pool(2) as pool:
         found = pool.map(_rate_errors, views(runs), chunksize=1)
     rows = []
@@ -432,7 +438,7 @@ def rates(runs: Sequence[Path]) -> dict[str, Rows]:
 
 
 def _rate_errors(job: Job) -> dict[str, np.ndarray]:
-    """By part rows of errors and standard deviations (three dimensions together): position, velocity, acceleration."""
+    """Return, by part, rows of errors and standard deviations (all axes together): position, velocity, acceleration."""
     solution, truth_m = solution_of(job), view_of(job.run, job.camera)[3]
     time_s = np.arange(len(truth_m)) / meta_of(job.run)["fps"]
     found, middle = solution.joints_camera_m, solution.joints_camera_m.mean(axis=1, keepdims=True)
@@ -583,9 +589,12 @@ def times(runs: Sequence[Path]) -> dict[str, Rows]:
 
 
 def circling(T: int, cameras: int = 1, fps: float = FPS) -> tuple[list[View], np.ndarray]:
-    """Views of an animal that runs in a circle, 6 m around, 10 to 22 m away, 3 px of noise, 5 % missing; its joints
-    (T, J, 3), world frame. Three strides a second along the prior's two widest directions. The second camera stands as
-    far from the middle, a quarter of a circle on."""
+    """Return views of an animal that runs in a circle, and its joints (T, J, 3), world frame.
+
+    The circle has a radius of 6 m, 10 to 22 m away. Detections have 3 px of noise, and 5 % are missing. The animal
+    makes three strides per second along the prior's two widest directions. The second camera is equally far from the
+    middle, a quarter of the circle further.
+    """
     body, prior, rng = body_of("phantom"), prior_of(PRIOR), np.random.default_rng(0)
     values, vectors = np.linalg.eigh(prior.covariance)
     t = np.arange(T) / fps
@@ -601,7 +610,7 @@ def circling(T: int, cameras: int = 1, fps: float = FPS) -> tuple[list[View], np
     joints_m = body.tree.pose(states).points_m
     views = []
     for turn in np.pi / 2 * np.arange(cameras):
-        # The world turned about the circle's middle, which is where the camera looks.
+        # Turn the world about the circle's middle, at which the camera looks.
         about = np.array([[np.cos(turn), np.sin(turn), 0.0], [-np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
         middle = np.array([0.0, 16.0, 0.0])
         pose = rigid(CAMERA_FROM_LEVEL, np.zeros(3)) @ rigid(about, middle - about @ middle)
@@ -616,7 +625,7 @@ def solved(views: Sequence[View]) -> TrajectorySolution:
 
 
 def errors_mm(solution: TrajectorySolution, joints_m: np.ndarray) -> np.ndarray:
-    """(T,)"""
+    """Return the errors (T,) in mm."""
     return 1000 * score(joint_errors(aligned(solution.joints_m, joints_m), joints_m)).per_frame
 
 
@@ -643,14 +652,14 @@ def scaling_row(T: int, cameras: int) -> dict:
 def scaling() -> dict[str, Rows]:
     rows = []
     for cameras in (1, 2):
-        for T in (100, 1000, 10000):  # a process each: the peak of memory is a process's
+        for T in (100, 1000, 10000):  # one process each, since the peak of memory is that of a process
             with multiprocessing.get_context("spawn").Pool(1) as pool:
                 rows.append(pool.apply(scaling_row, (T, cameras)))
     return {"scaling: a simulated animal runs in circles": rows}
 
 
 def long_hole() -> dict[str, Rows]:
-    """200 frames, of which 40 in a row have no detections."""
+    """Measure a clip of 200 frames with 40 consecutive frames without detections."""
     rows, hole, scored = [], slice(80, 120), np.r_[0:80, 120:200]
     (circle,), joints_m = circling(200)
     clip, chain = gallop(fps=200.0, n_frames=200), load_chain("cheetah-8u")

@@ -1,11 +1,12 @@
-"""Which way is up by the ground that feet stand on, against what the calibration says, in real runs of several cameras.
+"""Estimate which way is up from the standing feet, and compare with the calibration, in real runs of several cameras.
 
     python benchmarks/parts/upward.py
 
-The cheetah-runs and the plate-trials of $RECON_SHARED_DATA, or of ../shared/data; each run with all its cameras, and
-the cheetah-runs with every two as well. Off: the angle between the two directions, degrees. Stated: its standard
-deviation about the less known axis, where nearly all of the error is: right is 0.67 of it in the median, and 1.64 for
-nine in ten. Refused: where it is more than 10 degrees, the program does not turn the world. One thread.
+The cheetah-runs and the plate-trials of $RECON_SHARED_DATA, or of ../shared/data, are used with all cameras of a run,
+and the cheetah-runs also with every pair. Off: the angle between the two directions, degrees. Stated: its standard
+deviation about the less certain axis, which has nearly all of the error; if it is right, the median error is 0.67 of
+it, and nine in ten errors are below 1.64 of it. Refused: above 10 degrees the program does not turn the world. The
+script runs in one thread.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ BODY, SIGMA_PX = load_skeleton("cheetah-24"), TrajectoryOptions().sigma_px
 
 
 def clips() -> Iterator[tuple[str, Sequence[View], float]]:
-    """What they are, their views, and the frame rate."""
+    """Yield name, views and frame rate of each clip."""
     for folder in runs_of(recordings("cheetah-runs")):
         run = run_of(folder)
         yield "cheetah-runs, all cameras", [*run.views.values()], run.fps

@@ -1,14 +1,15 @@
-"""What the verdict's expected errors and levels are worth on runs left out, and the constants that they are made with.
+"""Test the verdict's expected errors and levels on runs left out, and fit its constants.
 
     python benchmarks/parts/verdict.py [--jobs 2] [--csv TABLE.csv]
 
-The cheetah-runs and plate-trials of $RECON_SHARED_DATA, or of ../shared/data: every view by itself, with the measured
-lengths of the animal where there are any, two cameras, and all, as `recon fit` fits them; and every view with `WORSE`
-detections, which count less (`WORSE_WEIGHT`). The constants of `recon.check.verdict` are fitted to all runs but one, by
-least squares in logarithms, and that run is judged with them; the last row, of all runs, is what stands in the code.
-What pixels do not say is fitted to what these leave, as clips as they are have little of it. So is the spread; the code
-has more of it where pixels say everything, for the sake of clips of 15 frames.
-The mistakes that double an error, and the verdicts on them, are in `wrong_inputs.py` and `left_right_swaps.py`.
+The fits use the cheetah-runs and plate-trials of $RECON_SHARED_DATA, or of ../shared/data, as `recon fit` does: every
+view alone, with the measured lengths of the animal if known; two cameras; all cameras; and every view with `WORSE`
+detections, which have a smaller weight (`WORSE_WEIGHT`). The constants of `recon.check.verdict` are fitted to all runs
+but one by least squares in logarithms, and tested on that run. The last row is for all runs, and is what the code uses.
+The effect of missing pixel information is fitted to the residuals, since unchanged clips have little of it; so is the
+spread. The code has a larger spread for full pixel information, for clips of 15 frames.
+
+Mistakes that double an error, and the verdicts on them, are in `wrong_inputs.py` and `left_right_swaps.py`.
 """
 
 from __future__ import annotations
@@ -40,10 +41,11 @@ from recon.check import verdict
 from recon.check.verdict import Evidence, evidence_of
 
 WORSE_WEIGHT, RIDGE = 0.05, 1.0
-"""The weight of a view with worse detections beside one as it is, and how strongly powers are held at 0, in standard
-scores."""
+"""Weight of a view with worse detections relative to an unchanged view, and strength of the ridge on powers, in
+standard scores.
+"""
 USE_BELOW_MM, NOT_ABOVE_MM = 130, 90
-"""Views that are further off should not be "use", and views that are closer not "do not use"."""
+"""Error above which views should not be "use", and error below which views should not be "do not use"."""
 COLUMNS = (
     *("clips", "number", "rank correlation", "error / expected, 90 % of use", "pose inside", "position inside"),
     *("use / check / do not use", "below 90 mm not used", "above 130 mm used", "warnings of use"),
@@ -62,7 +64,7 @@ def first_half(clip: Clip, given: Given) -> Given:
 
 
 def noisier(share: float) -> Callable[[Clip, Given], Given]:
-    """Noise, of the animal's extent in the picture."""
+    """Return a change that adds noise, in fractions of the animal's extent in the picture."""
 
     def change(clip: Clip, given: Given) -> Given:
         low, high = np.nanmin(given.xy_px, axis=1), np.nanmax(given.xy_px, axis=1)
@@ -88,7 +90,7 @@ WORSE = {
     "one side hidden": Case(hidden(lambda name: side_of(name) == "right")),
     "lower legs hidden": Case(hidden(lower_leg)),
 }
-"""Right detections, fewer of them or coarser."""
+"""Correct detections, but fewer of them or coarser."""
 
 
 def tasks() -> Iterator[tuple[Clip, str]]:
@@ -128,7 +130,7 @@ def evidence(of: pd.Series) -> Evidence:
 
 
 def fit(table: pd.DataFrame) -> dict[str, float]:
-    """The constants: "constant", and the powers by name; in logarithms of the error relative to the trunk."""
+    """Return the constants: "constant", and the powers by name, in logarithms of the error relative to the trunk."""
     factors = pd.DataFrame([evidence(one).factors for _, one in table.iterrows()])
     unseen = factors.pop("unseen")
     error = np.log(table["pose_mm"].to_numpy() / 1000 / table["trunk_m"].to_numpy())
@@ -146,14 +148,14 @@ def fit(table: pd.DataFrame) -> dict[str, float]:
 
 
 def spreads(table: pd.DataFrame) -> list[float]:
-    """The spread of what is left, `verdict.SPREAD` and `verdict.SPREAD_UNSEEN`, by least squares in its square."""
+    """Return the residuals' spread, `verdict.SPREAD` and `verdict.SPREAD_UNSEEN`, by least squares in its square."""
     squares = np.log((table["pose_mm"] / table["expected mm"]).to_numpy(float)) ** 2
     known = np.stack([np.ones(len(table)), table["unseen"].to_numpy() ** 2], axis=1)
     return [float(np.sqrt(max(of, 0.0))) for of in np.linalg.lstsq(known, squares, rcond=None)[0]]
 
 
 def judge(table: pd.DataFrame, constants: dict[str, float]) -> pd.DataFrame:
-    """Expected errors and levels with those constants, as `recon.check.verdict` works them out."""
+    """Return expected errors and levels for these constants, computed as in `recon.check.verdict`."""
     verdict.SCALE, verdict.POWERS = constants["constant"], {n: c for n, c in constants.items() if n != "constant"}
     found = []
     for _, one in table.iterrows():

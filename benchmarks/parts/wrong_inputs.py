@@ -1,17 +1,16 @@
-"""Inputs that look right and are wrong: what each does to the result, and what is said of it.
+"""Test wrong inputs that look right: their effect on the result, and the findings.
 
     python benchmarks/parts/wrong_inputs.py [--jobs 2] [--cases mirrored,follows] [--views 4] [--csv TABLE.csv]
 
-Every view of the cheetah-runs and plate-trials of $RECON_SHARED_DATA, or of ../shared/data, is fitted as `recon fit`
-does with each of `CASES` put into its files or settings; cases of two cameras take each pair of a run's. --views:
-every so many of them. Errors are those in the world that the camera file is in, the pose's with both centred. A row
-counts the clips whose error in pose or position is at least twice that of the same clip without the mistake. Named: a
-finding says what it is, or something as true of it. Called something else: a finding of `CAUSES` that it is not, and
-that the clip does not have without the mistake. Of what was seen: the errors in the frame of the camera whose keypoints
-they are, and of the clip that they are of, which is all that one camera can tell.
-Beyond the bound: an error above the stated interval's upper end. Nothing is wrong with a case whose name begins with
-"right".
---findings: which findings each case has, and a horse that is fitted as a cheetah, the horse-side of the same folder.
+Every view of the cheetah-runs and plate-trials of $RECON_SHARED_DATA, or of ../shared/data, is fitted like `recon fit`
+with each of `CASES` put into its files or settings. Cases of two cameras use each pair of a run's cameras. --views n:
+every n-th view only. Errors are in the world of the camera file; those of the pose are centred. A row counts the clips
+whose error in pose or position is at least twice that of the same clip without the mistake. Named: a finding states the
+mistake, or something equally true of it. Called something else: a finding of `CAUSES` that is wrong, and that the clip
+without the mistake does not have. Of what was seen: errors in the frame of the camera, and relative to the clip, from
+which the keypoints really come, which is all that one camera can show. Beyond the bound: an error above the upper end
+of the stated interval. A case whose name begins with "right" has no mistake. --findings: which findings each case has,
+and those of a horse that is fitted as a cheetah (the horse-side of the same folder).
 """
 
 from __future__ import annotations
@@ -69,14 +68,14 @@ CAUSES = {
     *("cameras_apart_in_time", "cameras_exchanged", "cameras_disagree", "camera_turned", "camera_late", "camera_off"),
     *("picture_zooms", "keypoints_undistorted"),
 }
-"""Codes that say what is wrong with an input."""
+"""Codes that state the cause of a wrong input."""
 SWAPS = ("left_right_swap", "left_right_swap_possible")
 OFF = ("cameras_disagree", "cameras_exchanged", "cameras_out_of_step", "size_unexpected", "pair_disagrees")
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What keypoints are really of: a run, the camera that saw it, and how much later its frames' numbers are."""
+    """Hold where keypoints really come from: run, camera, and the delay of their frame numbers."""
 
     run: Path
     camera: Camera
@@ -85,8 +84,10 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Given:
-    """What a camera's files say, and how the truth follows: which frame of the truth each of the clip is, and the world
-    that the camera file is in, x' = R x + t."""
+    """Hold the content of a camera's files, and how the truth relates to it.
+
+    The relation is the frame of the truth for each frame of the clip, and the world of the camera file, x' = R x + t.
+    """
 
     keypoints: Keypoints
     camera: Camera
@@ -105,14 +106,14 @@ class Given:
         return np.array(self.camera.image_size_px)
 
     def seen(self, xy_px: np.ndarray, frames: np.ndarray | None = None, **more: Any) -> Given:
-        """With other points, whose confidences are 1."""
+        """Return the same with other points, whose confidences are 1."""
         frames = self.keypoints.frames if frames is None else frames
         confidence = np.where(np.isfinite(xy_px[..., 0]), 1.0, 0.0)
         keypoints = replace(self.keypoints, xy_px=xy_px, confidence=confidence, frames=frames)
         return replace(self, keypoints=keypoints, **more)
 
     def moved(self, R: np.ndarray | None = None, t: Sequence[float] | np.ndarray = (0, 0, 0)) -> Given:
-        """In another world."""
+        """Return the same in another world."""
         R, t_m = np.eye(3) if R is None else R, np.asarray(t, dtype=float)
         assert self.camera.rotation is not None
         assert self.camera.translation_m is not None
@@ -121,7 +122,7 @@ class Given:
         return replace(self, camera=camera, R=R, t=t_m)
 
     def turned(self, by: np.ndarray, shift_m: Sequence[float] = (0, 0, 0)) -> Given:
-        """The camera beside where it is, by a rotation and a shift in its own frame."""
+        """Return the same with the camera displaced by a rotation and a shift in its own frame."""
         assert self.camera.rotation is not None
         assert self.camera.translation_m is not None
         camera = replace(
@@ -132,7 +133,7 @@ class Given:
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """One or two cameras of a run."""
+    """Hold one or two cameras of a run."""
 
     run: Path
     cameras: tuple[str, ...]
@@ -161,12 +162,15 @@ def cameras_of(run: Path) -> list[str]:
 
 
 Change = Callable[[Clip, Given], Given]
-"""A change of the only camera's files, or of the second's of two."""
+"""Change of the files of the only camera, or of the second of two."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """codes: what it may be called; both: the first of two cameras is changed, too."""
+    """Describe a mistake.
+
+    codes: findings that state it. both: the first of two cameras is changed, too.
+    """
 
     change: Change
     codes: tuple[str, ...] = ()
@@ -206,7 +210,7 @@ def focal(factor: float) -> Change:
 
 
 def scaled(x: float, y: float) -> Change:
-    """The picture about its middle."""
+    """Return a change that scales the picture about its middle."""
 
     def change(clip: Clip, given: Given) -> Given:
         middle = (given.size_px - 1) / 2
@@ -216,7 +220,7 @@ def scaled(x: float, y: float) -> Change:
 
 
 def stabilised(clip: Clip, given: Given) -> Given:
-    """A window of 1 / 1.15 of the picture that drifts by 2 % of its width, made as large as the picture."""
+    """Cut out a window of 1 / 1.15 of the picture that drifts by 2 % of its width, enlarged to the picture's size."""
     turns = np.linspace(0, 2 * np.pi, len(given.xy_px))[:, None]
     drift_px = 0.02 * given.size_px[0] * np.stack([np.sin(turns), np.cos(turns)], axis=-1)
     return scaled(1.15, 1.15)(clip, given.seen(given.xy_px + drift_px))
@@ -228,7 +232,7 @@ def labels_larger(clip: Clip, given: Given) -> Given:
 
 
 def hind_of_second(clip: Clip, given: Given) -> Given:
-    """The hind half is that of an animal which runs a tenth of a second behind."""
+    """Replace the hind half by that of an animal which runs a tenth of a second behind."""
     late = max(round(0.1 * clip.meta["fps"]), 1)
     hind = [i for i, name in enumerate(given.keypoints.names) if any(part in name for part in ("back", "hip", "tail"))]
     xy_px = given.xy_px.copy()
@@ -256,7 +260,7 @@ def paws_on_shadow(clip: Clip, given: Given) -> Given:
 
 
 def rolling(shutter_s: float) -> Change:
-    """The last row of the picture is taken so much later than the first."""
+    """Return a change that takes the last row of the picture later than the first, by shutter_s."""
 
     def change(clip: Clip, given: Given) -> Given:
         late = shutter_s * clip.meta["fps"] * given.xy_px[..., 1:] / given.size_px[1]
@@ -349,7 +353,7 @@ def in_unit(per_m: float) -> Change:
 
 
 def of_other_clip(clip: Clip, given: Given) -> Given:
-    """The run after it of the same kind, by a camera with as large a picture, where there is one."""
+    """Take the next run of the same kind, by a camera with a picture of the same size, if there is one."""
     runs = sorted(path.parent for path in clip.run.parent.glob("*/meta.json"))
     for run in runs[runs.index(clip.run) + 1 :] + runs[: runs.index(clip.run)]:
         for name in cameras_of(run):
@@ -405,7 +409,7 @@ def same_twice(clip: Clip, given: Given) -> Given:
 
 
 def without(share: float) -> Change:
-    """Detections missing."""
+    """Return a change that removes a fraction of the detections."""
 
     def change(clip: Clip, given: Given) -> Given:
         gone = clip.rng.uniform(size=given.xy_px.shape[:2]) < share
@@ -415,7 +419,7 @@ def without(share: float) -> Change:
 
 
 def hidden(which: Callable[[str], bool]) -> Change:
-    """Keypoints that are never detected."""
+    """Return a change that removes keypoints in all frames."""
 
     def change(clip: Clip, given: Given) -> Given:
         never = np.array([which(name) for name in given.keypoints.names])
@@ -429,7 +433,7 @@ def lower_leg(name: str) -> bool:
 
 
 def middle(n: int) -> Change:
-    """So many frames."""
+    """Return a change that keeps n frames from the middle."""
 
     def change(clip: Clip, given: Given) -> Given:
         part = slice((len(given.xy_px) - n) // 2, (len(given.xy_px) - n) // 2 + n)
@@ -439,7 +443,7 @@ def middle(n: int) -> Change:
 
 
 def beyond_edge(comes: bool) -> Change:
-    """An edge of the picture where half of the animal is seen after a quarter of the clip, or three quarters."""
+    """Return a change that cuts the picture at the animal's middle a quarter, or three quarters, into the clip."""
 
     def change(clip: Clip, given: Given) -> Given:
         x, t = np.nanmedian(given.xy_px[..., 0], axis=1), np.arange(len(given.xy_px))
@@ -452,7 +456,7 @@ def beyond_edge(comes: bool) -> Change:
 
 
 def lengths_15(clip: Clip, given: Given) -> Given:
-    """Told the animal's lengths, one and a half times as long."""
+    """Give the fit the animal's lengths, one and a half times as long."""
     skeleton = tomllib.loads(builtin_file("animal/skeletons", "cheetah-24.toml").read_text())
     placed = {one["name"]: one["at_m"] for kind in ("segments", "markers") for one in skeleton[kind] if "at_m" in one}
     lines = "".join(
@@ -557,7 +561,7 @@ CASES = {
 
 
 def fitted(clip: Clip, case: Case, folder: Path) -> tuple[Motion, Given]:
-    """Raises InputError."""
+    """Fit a clip with a mistake; raise InputError."""
     first, *rest = [clip.given(name) for name in clip.cameras]
     if case.both or not case.two:
         first = case.change(clip, first)
@@ -575,7 +579,7 @@ def fitted(clip: Clip, case: Case, folder: Path) -> tuple[Motion, Given]:
 
 
 def truth_of(run: Path, motion: Motion, frames: np.ndarray) -> np.ndarray:
-    """(T, J, 3) at these frames of the truth, NaN where there is none."""
+    """Return the truth (T, J, 3) in these frames, NaN if unknown."""
     pose = read_pose3d(run / "truth.csv")
     rows = {int(frame): row for row, frame in enumerate(pose.frames)}
     truth_m = np.full(motion.joints_m.shape, np.nan)
@@ -590,7 +594,7 @@ def truth_on(clip: Clip, given: Given, motion: Motion) -> np.ndarray:
 
 
 def errors(off_m: np.ndarray) -> tuple[float, float]:
-    """The errors of the pose in mm and of the position in metres, for joints (T, J, 3) that are so far off."""
+    """Return the errors of the pose in mm and of the position in metres for joints with errors (T, J, 3)."""
     centred = off_m - off_m.mean(axis=1, keepdims=True)
     return 1000 * float(np.linalg.norm(centred, axis=-1).mean()), float(
         np.linalg.norm(off_m.mean(axis=1), axis=-1).mean()
@@ -598,7 +602,7 @@ def errors(off_m: np.ndarray) -> tuple[float, float]:
 
 
 def of_what_was_seen(seen: Seen, motion: Motion) -> dict[str, float]:
-    """Errors in the frame of the camera that saw it, which is all that one camera can be right about."""
+    """Return errors in the frame of the camera that really saw the keypoints, since one camera cannot show more."""
     assert seen.camera.rotation is not None
     assert seen.camera.translation_m is not None
     truth_m = truth_of(seen.run, motion, motion.frames + seen.later)
@@ -654,7 +658,7 @@ def clips(every: int) -> Iterator[Clip]:
 
 
 def judged(table: pd.DataFrame) -> pd.DataFrame:
-    """With whether each clip's error is doubled, and whether what is said of it is true."""
+    """Add whether each clip's error is doubled, and whether the findings are true."""
     plain = table[table["case"].isin(["untouched", "two cameras"])].set_index(["run", "camera"])
     keys = pd.MultiIndex.from_frame(table[["run", "camera"]])
     times = [table[of].to_numpy() / plain[of].reindex(keys).to_numpy() for of in ("pose_mm", "position_m")]
@@ -685,7 +689,7 @@ def cells(of: pd.DataFrame) -> list[str]:
 
 
 def horse_as_cheetah() -> str:
-    """Level and codes."""
+    """Return level and codes of findings."""
     names = {"Nose": "nose", "Eye": "l_eye", "Wither": "neck_base", "Ischium": "tail_base", "Shoulder": "l_shoulder"}
     names |= {"Elbow": "l_front_knee", "Hip": "l_hip", "Stifle": "l_back_knee"}
     for side, of in (("l", "Near"), ("r", "Off")):
