@@ -49,6 +49,8 @@ LEAST_SQUARE_NOT_IN_METRES = 1.0
 """Side of a board's square above which a calibration cannot be in metres: no board has squares of a metre."""
 POSES = {"pose_2d_filter": "pose-2d-filtered", "pose_2d": "pose-2d"}
 """Folders of an Anipose session by the key that config.toml uses for them, the preferred folder first."""
+EXPERIMENT = "run", "animal", "group"
+"""Columns of a manifest that `recon compare --design` reads."""
 SQUARE = "board_square_side_length"
 _BY_CAMERA = ("offset_s", "camera_track", "camera_fps", "find_offsets", "refine_cameras", "focal_sigma")
 """Settings that may have one value per camera of a clip."""
@@ -363,7 +365,8 @@ def _drafts_of_manifest(path: Path) -> list[_Draft]:
 
     Raises InputError with every fault of the table itself.
     """
-    header, known, many = _header(path), ("out", *SETTINGS), {name for name, info in SETTINGS.items() if info.is_many}
+    header, known = _header(path), ("out", *EXPERIMENT, *SETTINGS)
+    many = {name for name, info in SETTINGS.items() if info.is_many}
     problems = [
         Problem(path, f"column {name!r}" if name else "header", "an unknown column", f"one of {', '.join(known)}")
         for name in header
@@ -375,6 +378,7 @@ def _drafts_of_manifest(path: Path) -> list[_Draft]:
         if len(cells) > len(header):
             problems.append(Problem(path, line, f"{len(cells)} cells", f"{len(header)}, as in the header"))
         row = {name: cell.strip() for name, cell in zip(header, cells, strict=False) if cell.strip()}
+        row = {name: cell for name, cell in row.items() if name not in EXPERIMENT}
         if "keypoints" not in row:
             problems.append(Problem(path, f"{line}, keypoints", "nothing", "a keypoint file"))
             continue

@@ -22,6 +22,17 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from recon.api.clip_results import CONFIG
+from recon.api.experiment import (
+    ALL,
+    MODEL,
+    RUNS,
+    SPEED,
+    VARIANCES,
+    Experiment,
+    design_of_names,
+    design_of_table,
+    model_experiment,
+)
 from recon.api.settings import ANYWAY
 from recon.base.arrays import Array
 from recon.base.documents import read_toml
@@ -36,7 +47,7 @@ from recon.check.verdict import usable
 from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
 from recon.gait.clip import ClipAnalysis, analyse
-from recon.gait.quantities import event_sigma_s, path_speed_sigma, shared_sigma
+from recon.gait.quantities import GaitQuantity, event_sigma_s, path_speed_sigma, shared_sigma
 from recon.show.page.compare_page import compare_page
 from recon.show.page.own_page import COMPARE_PAGE, PAGE
 from recon.show.page.pages import median_error_px
@@ -50,29 +61,58 @@ QUANTITIES = {
     "duty_factor": ("duty factor", False),
 }
 """Title by column, and whether the quantity is proportional to the animal's size."""
-ALL = "all"
-"""Name of the only group if there is no table."""
+WITH_SIZE = {name: with_size for name, (_, with_size) in QUANTITIES.items()}
+SPEED_NAMES = "speed", SPEED
+"""Names of the run's own speed as a covariate."""
+_EXPERIMENT = "An experiment"
+_OUT = "a folder for the tables, the figure and the page"
 
 
 class CompareSettings(Settings):
     """Settings of `recon compare`."""
 
-    folders: Annotated[OneOrMore[Path], Option(argument="DIR")]
-    """Results folders, or folders of batches."""
-    out: Path
-    """Folder for the tables, the figure and the page."""
+    folders: Annotated[OneOrMore[Path], Option(argument="DIR")] = ()
+    """Results folders, or folders of batches; with --plan also the folder of an earlier comparison, or none."""
+    out: Path | None = None
+    """Folder for the tables, the figure and the page. Required, except with --plan."""
     table: Path | None = None
     """CSV table with a column clip (the folders' names) and the column of --by."""
     by: str | None = None
-    """Column of the table to group the clips by, such as sex."""
+    """Column of the table or the design to group the clips by, such as sex (with --design: group)."""
+    design: Annotated[Path | None, Option(panel=_EXPERIMENT)] = None
+    """CSV table with the columns clip, animal, and as needed run, camera, group and covariates; or a batch's manifest
+    with the columns animal, run and group. Results of the cameras of a run become one, and a mixed model tells animals,
+    runs, strides and measurement apart."""
+    names: Annotated[str | None, Option(panel=_EXPERIMENT, metavar="PATTERN")] = None
+    """Form of the folders' names in place of a design, as in {group}-{animal}-{run}-{camera}."""
+    covariate: Annotated[OneOrMore[str], Option(panel=_EXPERIMENT, metavar="NAME")] = ()
+    """Covariate of the mixed model, also several times: speed, which is that of the run, or a column of the design."""
+    plan: Annotated[OneOrMore[str], Option(panel=_EXPERIMENT, metavar="TEXT")] = ()
+    """Say how many animals, runs, strides and cameras an effect needs, as in "effect=0.3 power=0.8": with the variances
+    of the folders, or with given ones, as in "effect=10% mean=4 animal=0.4 run=0.2 stride=0.2 measurement=0.15"."""
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: bool = False
     """Replace an earlier comparison."""
 
     def problems(self) -> Iterator[Problem]:
-        """Yield a problem if only one of --table and --by is given."""
-        if (self.table is None) != (self.by is None):
+        """Yield problems of options that need or exclude others."""
+        is_experiment = self.design is not None or self.names is not None
+        if self.table is not None and is_experiment:
+            yield Problem("--table", "table", "another table of the clips", "one of --table, --design and --names")
+        elif self.design is not None and self.names is not None:
+            yield Problem("--names", "pattern", "a design, too", "one of --design and --names")
+        elif (self.table is None) != (self.by is None) and self.design is None:
             yield Problem("--by", "table", "one of --table and --by", "both: a table, and its column")
+        if self.covariate and not is_experiment:
+            yield Problem("--covariate", "design", "nothing", "--design or --names, which say what an animal is")
+        if self.names is not None:
+            for covariate in self.covariate:
+                if covariate not in SPEED_NAMES:
+                    yield Problem("--covariate", "name", repr(covariate), "speed; a --design has others as columns")
+        if not self.folders and not self.plan:
+            yield Problem("DIR", "folders", "nothing", "folders of results, or of batches")
+        if self.out is None and not self.plan:
+            yield Problem("--out", "folder", "nothing", _OUT)
 
 
 @dataclass(frozen=True)
@@ -84,19 +124,80 @@ class Comparison:
     left_out: Sequence[str]
     """Names of the excluded results."""
     notes: Sequence[str]
+    experiment: Experiment | None = None
+    """Mixed models of the quantities, with a design."""
+
+
+@dataclass(frozen=True)
+class _Results:
+    """Results of a comparison by name, those that count among them, and why others do not."""
+
+    folders: Mapping[str, Path]
+    motions: Mapping[str, Motion]
+    """Those that count."""
+    levels: Mapping[str, str]
+    left_out: Sequence[str]
+    notes: Sequence[str]
 
 
 def run_compare(settings: CompareSettings, progress: Progress = silent) -> Comparison:
     """Compare the strides and speeds of several clips, and write tables, a figure and a page.
 
-    Raises InputError if the folders or the table cannot be used.
+    Raises InputError if the folders, the table or the design cannot be used.
     """
-    out = settings.out
-    paths = [
-        path for path in settings.folders if not path.is_file()
-    ] or settings.folders  # a pattern such as all/* also matches the batch's own files
+    if settings.out is None:
+        raise InputError(Problem("--out", "folder", "nothing", _OUT))
+    folders = _result_folders(settings.folders)
+    names = [*folders]
+    design = _design(settings, names)
+    covariates = [SPEED if name in SPEED_NAMES else name for name in settings.covariate]
+    group_by_clip = _groups(settings.table, settings.by, names) if design is None else design["group"].to_dict()
+    output = Output(settings.out, "compare", settings.overwrite, input_paths(settings), content="a comparison")
+    tables = (GROUPS, STRIDES, CLIPS, *(() if design is None else (RUNS, MODEL, VARIANCES)))
+    output.require([*tables, *map(_parquet, tables), FIGURE, COMPARE_PAGE])
+    results = _load(settings, folders)
+    rows, clip_rows = [], []
+    for i, (name, motion) in enumerate(results.motions.items()):
+        progress("analysis", i / len(names))
+        analysis = analyse(motion)
+        labels = {"group": group_by_clip[name], "clip": name, "verdict": results.levels[name]}
+        labels |= {} if design is None else design.loc[name].to_dict()
+        clip_strides = [labels | row for row in _stride_rows(analysis)]
+        rows += clip_strides
+        clip_rows.append(labels | _clip_row(analysis, clip_strides))
+    clips = pd.DataFrame(clip_rows)
+    strides = pd.DataFrame(rows, columns=None if rows else [*clip_rows[0]][:3])
+    written = {STRIDES: strides, CLIPS: clips}
+    shown, experiment = clips, None
+    if design is not None:
+        experiment = model_experiment(clips, strides, WITH_SIZE, covariates)
+        shown = experiment.runs
+        written |= {RUNS: shown, MODEL: experiment.effects, VARIANCES: experiment.variances}
+    notes = [*results.notes, *_same_runs(results, design), *(experiment.notes if experiment else ())]
+    groups = written[GROUPS] = _group_rows(shown)
+    progress("tables", 0.95)
+    by = settings.by or ("group" if len(groups) > 1 else "")
+    with output.staged() as staging:
+        for name, table in written.items():
+            write_frame(table, staging / name)
+            table.to_parquet(staging / _parquet(name), index=False)
+        write_bytes(staging / FIGURE, png_of(_figure(shown, groups)))
+        page = _page(settings.out, shown, groups, results, notes, by, experiment)
+        write_bytes(staging / COMPARE_PAGE, page.encode())
+    return Comparison(shown, groups, results.left_out, notes, experiment)
+
+
+def _parquet(name: str) -> str:
+    return name.replace(".csv", ".parquet")
+
+
+def _result_folders(paths: Sequence[Path]) -> dict[str, Path]:
+    """Return the folders of results by name: the paths themselves, or those of batches.
+
+    Raises InputError for folders without results, and for several of one name.
+    """
     folders = []
-    for path in paths:  # the folder itself, or the results folders of a batch
+    for path in [path for path in paths if not path.is_file()] or paths:  # all/* also matches the batch's own files
         inside = [path / MOTION] if (path / MOTION).is_file() else sorted(path.glob(f"*/{MOTION}"))
         if not inside:
             raise InputError(Problem(path, "folder", "no results", "a folder of results, or of a batch"))
@@ -105,75 +206,87 @@ def run_compare(settings: CompareSettings, progress: Progress = silent) -> Compa
     raise_problems(
         Problem(n, "clip", f"{names.count(n)} folders of that name", "one") for n in {*names} if names.count(n) > 1
     )
-    group_by_clip = _groups(settings.table, settings.by, names)
-    written = [name for table in (GROUPS, STRIDES, CLIPS) for name in (table, table.replace(".csv", ".parquet"))]
-    output = Output(out, "compare", settings.overwrite, input_paths(settings), content="a comparison")
-    output.require([*written, FIGURE, COMPARE_PAGE])
-    loaded = dict(zip(names, collect_problems(*(lambda path=path: Motion.load(path) for path in folders)), strict=True))
+    return dict(zip(names, folders, strict=True))
+
+
+def _design(settings: CompareSettings, names: Sequence[str]) -> pd.DataFrame | None:
+    """Return the fields of each clip; None without a design."""
+    if settings.design is not None:
+        columns = [name for name in settings.covariate if name not in SPEED_NAMES]
+        return design_of_table(settings.design, names, settings.by or "group", columns)
+    return design_of_names(settings.names, names) if settings.names is not None else None
+
+
+def _load(settings: CompareSettings, folders: Mapping[str, Path]) -> _Results:
+    """Load the results, and leave out those that may not be used and copies.
+
+    Raises InputError if none is left.
+    """
+    motions = collect_problems(*(lambda path=path: Motion.load(path) for path in folders.values()))
+    loaded = dict(zip(folders, motions, strict=True))
     levels = {name: motion.verdict.level if motion.verdict else "" for name, motion in loaded.items()}
     usable_motions = {
         name: motion for name, motion in loaded.items() if settings.anyway or levels[name] != "do not use"
     }
-    copies = _copies(usable_motions, dict(zip(names, folders, strict=True)))
-    motions = {name: motion for name, motion in usable_motions.items() if name not in copies}
-    if not motions:  # an error that gives the reason for each folder
-        collect_problems(
-            *(
-                partial(usable, *motion_and_folder, anyway=False)
-                for motion_and_folder in zip(loaded.values(), folders, strict=True)
-            )
-        )
-    rows, clip_rows = [], []
-    for i, (name, motion) in enumerate(motions.items()):
-        progress("analysis", i / len(names))
-        analysis = analyse(motion)
-        labels = {"group": group_by_clip[name], "clip": name, "verdict": levels[name]}
-        clip_strides = [labels | row for row in _stride_rows(analysis)]
-        rows += clip_strides
-        clip_rows.append(labels | _clip_row(analysis, clip_strides))
-    clips = pd.DataFrame(clip_rows)
-    groups, strides = _group_rows(clips), pd.DataFrame(rows, columns=None if rows else [*clip_rows[0]][:3])
+    copies = _copies(usable_motions, folders)
+    counting = {name: motion for name, motion in usable_motions.items() if name not in copies}
+    if not counting:  # an error that gives the reason for each folder
+        pairs = zip(loaded.values(), folders.values(), strict=True)
+        collect_problems(*(partial(usable, *motion_and_folder, anyway=False) for motion_and_folder in pairs))
     notes = []
     if copies:
-        pairs = names_text([f"{copy} (of {kept})" for copy, kept in copies.items()])
-        notes.append(f"Left out, as they have the same keypoints and cameras as another result: {pairs}.")
+        copied = names_text([f"{copy} (of {kept})" for copy, kept in copies.items()])
+        notes.append(f"Left out, as they have the same keypoints and cameras as another result: {copied}.")
     if left_out := [name for name in loaded if name not in usable_motions]:
         notes.append(f'Left out, as their verdict is "do not use": {names_text(left_out)}. With --anyway they count.')
-    seen = {
-        name: _files_by_camera(motion, folder) for (name, motion), folder in zip(loaded.items(), folders, strict=True)
-    }
-    pairs = combinations(motions, 2)
-    if same_runs := [f"{a} and {b}" for a, b in pairs if _is_one_run(motions[a], motions[b], seen[a], seen[b])]:
-        notes.append(
+    return _Results(folders, counting, levels, [*left_out, *copies], notes)
+
+
+def _same_runs(results: _Results, design: pd.DataFrame | None) -> Iterator[str]:
+    """Yield a note on pairs of results that are probably of one run, and yet count twice."""
+    files = {name: _files_by_camera(motion, results.folders[name]) for name, motion in results.motions.items()}
+    fields = {} if design is None else design.to_dict("index")
+    runs = {name: (row["animal"], row["run"]) for name, row in fields.items()}
+    pairs = [
+        f"{first} and {second}"
+        for first, second in combinations(results.motions, 2)
+        if not (first in runs and runs[first] == runs.get(second))
+        and _is_one_run(results.motions[first], results.motions[second], files[first], files[second])
+    ]
+    if pairs:
+        yield (
             f"Probably of one run, by their cameras' folder, frames and paths, and yet each counted as a clip: "
-            f"{names_text(same_runs)}. Give one result of each run, best that of all its cameras."
+            f"{names_text(pairs)}. Give one result of each run, best that of all its cameras."
         )
-    progress("tables", 0.95)
-    with output.staged() as staging:
-        for name, table in ((STRIDES, strides), (CLIPS, clips), (GROUPS, groups)):
-            write_frame(table, staging / name)
-            table.to_parquet((staging / name).with_suffix(".parquet"), index=False)
-        write_bytes(staging / FIGURE, png_of(_figure(clips, groups)))
-        page = _page(out, clips, groups, motions, dict(zip(names, folders, strict=True)), notes, settings.by or "")
-        write_bytes(staging / COMPARE_PAGE, page.encode())
-    return Comparison(clips, groups, [*left_out, *copies], notes)
 
 
 def _page(
     out: Path,
     clips: pd.DataFrame,
     groups: pd.DataFrame,
-    motions: Mapping[str, Motion],
-    folders: Mapping[str, Path],
+    results: _Results,
     notes: Sequence[str],
     by: str,
+    experiment: Experiment | None,
 ) -> str:
-    """Return the page of a comparison, with links to the clips' pages that are there."""
-    links = {name: seen_from(out, folders[name].absolute() / PAGE) for name in motions}
-    pages = {name: link for name, link in links.items() if (folders[name] / PAGE).is_file()}
-    errors_px = {name: median_error_px(motion) for name, motion in motions.items()}
+    """Return the page of a comparison, with links to the clips' pages that are there.
+
+    With a design, a row of `clips` is a run, which has the page of its first camera, and the groups' means are those of
+    the mixed models.
+    """
+    by_row = {name: name for name in results.motions}
+    if experiment is not None:
+        by_row = dict(zip(clips["clip"], clips["first_clip"], strict=True))
+        groups = experiment.with_model_means(groups)
+    links = {
+        row: seen_from(out, results.folders[name].absolute() / PAGE)
+        for row, name in by_row.items()
+        if (results.folders[name] / PAGE).is_file()
+    }
+    errors_px = {row: median_error_px(results.motions[name]) for row, name in by_row.items()}
     titles = {name: title for name, (title, _) in QUANTITIES.items()}
-    return compare_page(out.absolute().name, clips, groups, titles, pages, errors_px, notes, by)
+    tables = {} if experiment is None else {"effects": experiment.effects, "variances": experiment.variances}
+    return compare_page(out.absolute().name, clips, groups, titles, links, errors_px, notes, by, **tables)
 
 
 def _copies(motions: Mapping[str, Motion], folders: Mapping[str, Path]) -> dict[str, str]:
@@ -290,7 +403,8 @@ def _stride_rows(analysis: ClipAnalysis) -> Iterator[dict]:
 def _clip_row(analysis: ClipAnalysis, strides: Sequence[dict]) -> dict:
     """Return a clip's quantities with the standard deviations that `recon analyse` gives.
 
-    `_sigma` has all errors, `_own_sigma` those that the clip does not share with others of the same animal's size.
+    `_sigma` has all errors, `_own_sigma` those that the clip does not share with others of the same animal's size, and
+    `_measurement_sigma` of these the ones that the scatter of the strides does not contain.
     """
     quantities, row = analysis.quantities, dict[str, object]({"strides": len(strides)})
     row["size_sigma"] = shared_sigma(analysis.motion)
@@ -300,8 +414,15 @@ def _clip_row(analysis: ClipAnalysis, strides: Sequence[dict]) -> dict:
             (np.nan,) * 3 if quantity is None else (quantity.value, quantity.sigma, quantity.own_sigma)
         )
         row |= {name: value, f"{name}_sigma": sigma, f"{name}_own_sigma": unshared}
+        row[f"{name}_measurement_sigma"] = np.nan if quantity is None else measurement_sigma(quantity)
         row[f"{name}_source"] = "" if quantity is None or np.isnan(value) else quantity.source
     return row
+
+
+def measurement_sigma(quantity: GaitQuantity) -> float:
+    """Return the standard deviation of a clip's mean without the errors that clips share and the scatter of strides."""
+    scatter = quantity.between_sigma / quantity.count**0.5 if quantity.count > 1 else 0.0
+    return float(np.sqrt(max(quantity.own_sigma**2 - scatter**2, 0.0)))
 
 
 def _mean_of(values: Array, sigmas: Array, shared: float) -> tuple[float, float, float]:
@@ -331,9 +452,11 @@ def _group_rows(clips: pd.DataFrame) -> pd.DataFrame:
         common = float(np.nanmin(size)) if np.isfinite(size).any() else 0.0
         for name, (_, with_size) in QUANTITIES.items():
             shared = common if with_size else 0.0
-            values = _mean_of(
-                group_clips[name].to_numpy(float), group_clips[f"{name}_own_sigma"].to_numpy(float), shared
-            )
+            means, own_sigmas = (group_clips[f"{name}{field}"].to_numpy(float) for field in ("", "_own_sigma"))
+            excess = (
+                means**2 * np.maximum(size**2 - common**2, 0.0) * with_size
+            )  # of clips that know the size less well
+            values = _mean_of(means, np.sqrt(own_sigmas**2 + excess), shared)
             row |= zip((name, f"{name}_sigma", f"{name}_spread"), values, strict=True)
         rows.append(row)
     return pd.DataFrame(rows)

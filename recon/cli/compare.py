@@ -1,7 +1,8 @@
-"""The command `recon compare`: compare strides and speeds of several clips by group."""
+"""The command `recon compare`: compare strides and speeds of several clips by group, or plan an experiment."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from textwrap import fill
@@ -9,27 +10,53 @@ from textwrap import fill
 import pandas as pd
 from rich.table import Table
 
-from recon.api.compare import FIGURE, QUANTITIES, CompareSettings, known_quantities, run_compare
-from recon.base.numbers import counted
+from recon.api.compare import FIGURE, QUANTITIES, CompareSettings, Comparison, known_quantities, run_compare
+from recon.api.experiment import MODEL, VARIANCES, Experiment
+from recon.api.experiment_plan import PLAN, PlanTable, plan_experiment, read_plan, read_variances
+from recon.base.errors import InputError, Problem
+from recon.base.numbers import counted, interval, percent
 from recon.base.progress import Progress
 from recon.cli.answers import Answer, table_of
+from recon.gait.mixed_model import LEVELS
 from recon.show.page.own_page import COMPARE_PAGE
 
 
 def compare(settings: CompareSettings, progress: Progress) -> Answer:
     """Compare strides and speeds of several clips by group, with uncertainties, group means and spreads.
 
+    With --design or --names, a mixed model tells animals, runs, strides and measurement apart. --plan says how many
+    animals an effect needs.
+
     Example: recon compare results/a results/b results/c --table animals.csv --by sex --out comparison
     """
+    plan = read_plan(settings.plan) if settings.plan else None
+    variances = _earlier_variances(settings)
+    if plan is not None and (variances is not None or not settings.folders):
+        return _planned(plan_experiment(plan, variances))
     comparison = run_compare(settings, progress)
-    groups, notes = comparison.groups, comparison.notes
+    answer = _compared(comparison, settings.out or Path())
+    if plan is None:
+        return answer
+    if comparison.experiment is None:
+        raise InputError(Problem(PLAN, "variances", "clips without animals", "--design or --names, which name them"))
+    planned = _planned(plan_experiment(plan, comparison.experiment.variances))
+    return Answer({**answer.data, **planned.data}, [*answer.lines, *planned.lines], notes=answer.notes)
+
+
+def _compared(comparison: Comparison, out: Path) -> Answer:
+    groups, notes, experiment = comparison.groups, comparison.notes, comparison.experiment
     data = {"groups": groups.to_dict("records"), "left_out": comparison.left_out, "notes": notes}
-    return Answer(data, _lines(comparison.clips, groups, settings.out), notes=notes)
+    lines = [*_lines(comparison.clips, groups, out)]
+    if experiment is not None:
+        data |= {"effects": experiment.effects.to_dict("records")}
+        data |= {"variances": experiment.variances.to_dict("records")}
+        lines[-2:-2] = _model_lines(experiment)
+    return Answer(data, lines, notes=notes)
 
 
 def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str | Table]:
-    levels = clips["verdict"].value_counts()
-    yield f"{counted(len(clips), 'clip')}: " + ", ".join(f"{count} {level}" for level, count in levels.items())
+    levels, unit = clips["verdict"].value_counts(), "run" if "animal" in clips else "clip"
+    yield f"{counted(len(clips), unit)}: " + ", ".join(f"{count} {level}" for level, count in levels.items())
     known = clips.groupby("group")[[*QUANTITIES]].count()
     rows = (
         (
@@ -42,8 +69,8 @@ def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str
         for row in groups.to_dict("records")
         for quantity in QUANTITIES
     )
-    yield table_of("group", "quantity", numbers=("clips", "strides", "mean", "±", "spread"), rows=rows)
-    yield "±: one standard deviation of the mean, with the size's; spread: one standard deviation between the clips."
+    yield table_of("group", "quantity", numbers=(f"{unit}s", "strides", "mean", "±", "spread"), rows=rows)
+    yield f"±: one standard deviation of the mean, with the size's; spread: one standard deviation between the {unit}s."
     if missing := [QUANTITIES[quantity][0] for quantity in QUANTITIES if quantity not in known_quantities(clips)]:
         reason = "No clip has a complete stride: no" if not groups["strides"].sum() else "No clip has a known"
         yield f"{reason} {', '.join(missing)}."
@@ -51,6 +78,99 @@ def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str
     yield f"Open {out / COMPARE_PAGE} in a browser."
 
 
+def _model_lines(experiment: Experiment) -> Iterator[str | Table]:
+    """Yield the effects and variances of the mixed models."""
+    if not experiment.models:
+        return
+    for quantity, effects in experiment.effects.groupby("quantity", sort=False):
+        rows = [
+            (row["effect"], *_value(row), *(str(row[name]) for name in _COUNTS)) for row in effects.to_dict("records")
+        ]
+        numbers = "value", "90 % interval", *_COUNTS
+        yield table_of("effect", numbers=numbers, rows=rows, title=QUANTITIES[str(quantity)][0])
+    columns = [*(f"{level}_sd" for level in (*LEVELS, "measurement")), "icc", "smallest_detectable_change"]
+    rows = [
+        (QUANTITIES[row["quantity"]][0], *(_short(row[name]) for name in columns))
+        for row in experiment.variances.to_dict("records")
+    ]
+    headings = (*LEVELS, "measurement", "ICC", "change")
+    yield table_of("standard deviation", numbers=headings, rows=rows)
+    yield (
+        "ICC: intraclass correlation, the share of the variance of single strides that is between animals; change: the "
+        "smallest one between two runs of an animal that 95 % of unchanged animals do not show."
+    )
+    shared = max(model.shared for model in experiment.models)
+    if shared:
+        yield f"Intervals contain an error of ± {percent(shared)} (size, lens) that all clips share, however many."
+    yield f"The mixed model's numbers are in {MODEL} and {VARIANCES}."
+
+
+FEW_ANIMALS = 15
+"""Number of animals below which a variance between them is hardly known: to ± 20 % with 15."""
+_COUNTS = "animals", "runs", "strides"
+
+
+def _value(row: dict) -> tuple[str, str]:
+    """Return a value and the ends of its interval."""
+    text, _, ends = interval(row["value"], row["low"], row["high"]).partition(" (")
+    return text, ends.rstrip(")")
+
+
+def _short(value: float) -> str:
+    return f"{value:.2g}" if math.isfinite(value) else "-"
+
+
 def _cells(mean: float, sigma: float, spread: float) -> tuple[str, ...]:
     shown = f"{mean:.3g}", f"{sigma:.2g}", f"{spread:.2g}"
     return tuple("-" if text == "nan" else text for text in shown)
+
+
+# -- plans --------------------------------------------------------------------------------------------------------
+
+
+def _earlier_variances(settings: CompareSettings) -> pd.DataFrame | None:
+    """Return the variances of an earlier comparison if its folder is the only one."""
+    if settings.plan and len(settings.folders) == 1 and (settings.folders[0] / VARIANCES).is_file():
+        return read_variances(settings.folders[0] / VARIANCES)
+    return None
+
+
+def _planned(table: PlanTable) -> Answer:
+    plan = table.plan
+    sigmas = {level: getattr(table.variances, level) for level in (*LEVELS, "measurement")}
+    data = {"effect": table.effect, "quantity": plan.quantity, "power": plan.power, "paired": plan.paired}
+    data |= {"sd": sigmas, "icc": table.variances.icc, "plan": table.rows.to_dict("records")}
+    return Answer({"plan": data}, _plan_lines(table, sigmas))
+
+
+def _plan_lines(table: PlanTable, sigmas: dict[str, float]) -> Iterator[str | Table]:
+    plan = table.plan
+    title = QUANTITIES.get(plan.quantity, (plan.quantity, False))[0]
+    groups = "the same animals twice" if plan.paired else "two groups of animals"
+    yield f"To find a difference of {_short(table.effect)} in {title} between {groups}, at 5 %:"
+    rows = (
+        (
+            *(str(int(row[name])) for name in ("runs", "strides", "cameras")),
+            f"{row['animals']:.0f}" if row["animals"] else "over 1000",
+            f"{row['clips']:.0f}" if row["animals"] else "-",
+            percent(row["power"]) if row["animals"] else "-",
+            *([_short(row["smallest_effect"])] if plan.animals else []),
+        )
+        for row in table.rows.to_dict("records")
+    )
+    per_group = "animals" if plan.paired else "animals in each group"
+    headings = (
+        "strides of a run",
+        "cameras",
+        per_group,
+        "clips",
+        "power",
+        *(["smallest effect"] if plan.animals else []),
+    )
+    yield table_of("runs of an animal", numbers=headings, rows=rows)
+    yield "Standard deviations: " + ", ".join(f"{level} {_short(sigma)}" for level, sigma in sigmas.items()) + "."
+    if table.animals_known is not None and table.animals_known < FEW_ANIMALS:
+        yield f"These variances come from {table.animals_known} animals, which is few: plan with a margin."
+    if plan.animals:
+        yield f"Smallest effect: the one that these animals show with a power of {percent(plan.power)}."
+    yield "An error that all clips share (size, lens) changes every difference by the same factor, and no power."

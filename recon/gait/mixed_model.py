@@ -10,17 +10,17 @@ of freedom are the number of animals minus the number of columns.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import brentq, minimize
 from scipy.stats import nct, t
 
 from recon.base.arrays import Array
 
 LEVELS = "animal", "run", "stride"
-_LEAST = 1e-4
-"""Smallest standard deviation of a level, relative to that of all values."""
+_LEAST, _SHOWN = 1e-4, 1e-2
+"""Smallest standard deviation of a level in the fit, and smallest that is not 0, relative to that of all values."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,8 @@ def fit_mixed_model(
     Returns
     -------
     MixedModel
-        The fitted model. A variance that the data do not show is 0.
+        The fitted model. A variance that the data do not show is 0. With one run an animal, the variance between runs
+        is part of that between animals; with one stride a run, that between strides is part of that between runs.
     """
     unit = float(np.std(values)) or 1.0
     scaled, scaled_sigma = values / unit, measurement_sigma / unit
@@ -117,19 +118,20 @@ def fit_mixed_model(
         for rows in [np.asarray(animals) == animal]
     ]
 
-    sizes = sorted({len(block.columns) for block in single})
-    blocks = [_stacked([block for block in single if len(block.columns) == size]) for size in sizes]
+    blocks = _grouped(single)
 
     def cost(log_sigmas: Array) -> float:
         return _solve(blocks, np.exp(log_sigmas))[2]
 
-    bounds = [(np.log(_LEAST), np.log(10.0))] * 3
-    starts = np.log([[0.5, 0.5, 0.5], [0.1, 0.3, 0.7]])
+    by_run = dict(zip(zip(animals, runs, strict=True), measurement_sigma, strict=True))
+    is_separate = np.array([True, len(by_run) > len(single), len(values) > len(by_run)])
+    least = np.log(_LEAST)
+    bounds = [(least, np.log(10.0) if separate else least) for separate in is_separate]
+    starts = np.where(is_separate, np.log([[0.5, 0.5, 0.5], [0.1, 0.3, 0.7]]), least)
     fits = [minimize(cost, start, method="L-BFGS-B", bounds=bounds) for start in starts]
     sigmas = np.exp(min(fits, key=lambda fit: fit.fun).x)
     effects, covariance, _ = _solve(blocks, sigmas)
-    animal, run, stride = np.where(sigmas > 2 * _LEAST, sigmas, 0.0) * unit
-    by_run = dict(zip(zip(animals, runs, strict=True), measurement_sigma, strict=True))
+    animal, run, stride = np.where(sigmas > _SHOWN, sigmas, 0.0) * unit
     measured = float(np.sqrt(np.mean(np.square([*by_run.values()]))))
     variances = Variances(float(animal), float(run), float(stride), measured)
     counts = len(single), len(by_run), len(values)
@@ -138,14 +140,16 @@ def fit_mixed_model(
 
 @dataclass(frozen=True, eq=False)
 class _Block:
-    """Hold the strides of one animal, or of B animals with equally many strides: (B, n, ...)."""
+    """Hold the n strides of one animal, or of B groups of animals with equally many strides: (B, n, ...)."""
 
     columns: Array
-    """(n, P + 1): design and values."""
+    """Design and values of each of A animals of the same runs and measurement, (n, A (P + 1))."""
     same_run: Array
     """(n, n): 1 if two strides share a run."""
     known: Array
-    """(n, n): covariance of the measurement."""
+    """Covariance of the measurement, (n, n)."""
+    animals: int = 1
+    """A."""
 
 
 def _block(values: Array, design: Array, runs: Array, sigma: Array) -> _Block:
@@ -153,21 +157,37 @@ def _block(values: Array, design: Array, runs: Array, sigma: Array) -> _Block:
     return _Block(np.column_stack([design, values]), same_run, same_run * np.multiply.outer(sigma, sigma))
 
 
-def _stacked(blocks: Sequence[_Block]) -> _Block:
-    return _Block(*(np.stack([getattr(block, name) for block in blocks]) for name in ("columns", "same_run", "known")))
+def _grouped(single: Sequence[_Block]) -> list[_Block]:
+    """Return the blocks of animals joined where their covariances are equal, and stacked where their shapes are."""
+    by_covariance: dict[tuple[bytes, bytes], list[_Block]] = {}
+    for block in single:
+        by_covariance.setdefault((block.same_run.tobytes(), block.known.tobytes()), []).append(block)
+    by_shape: dict[tuple[int, ...], list[_Block]] = {}
+    for group in by_covariance.values():
+        joined = replace(group[0], columns=np.hstack([block.columns for block in group]), animals=len(group))
+        by_shape.setdefault(joined.columns.shape, []).append(joined)
+    return [
+        _Block(
+            np.stack([block.columns for block in group]),
+            np.stack([block.same_run for block in group]),
+            np.stack([block.known for block in group]),
+            group[0].animals,
+        )
+        for group in by_shape.values()
+    ]
 
 
 def _solve(blocks: Sequence[_Block], sigmas: Array) -> tuple[Array, Array, float]:
     """Return effects, their covariance and minus twice the restricted likelihood for three standard deviations."""
     animal, run, stride = sigmas**2
-    columns = blocks[0].columns.shape[-1]
+    columns = blocks[0].columns.shape[-1] // blocks[0].animals
     moments, log_determinant = np.zeros((columns, columns)), 0.0
     for block in blocks:
-        covariance = animal + run * block.same_run + block.known + stride * np.eye(block.columns.shape[1])
+        covariance = animal + run * block.same_run + block.known + stride * np.eye(block.same_run.shape[-1])
         root = np.linalg.cholesky(covariance)
-        white = np.linalg.solve(root, block.columns)
-        moments += np.einsum("bni,bnj->ij", white, white)
-        log_determinant += 2 * float(np.log(np.diagonal(root, axis1=1, axis2=2)).sum())
+        white = np.linalg.solve(root, block.columns).reshape(-1, columns)
+        moments += white.T @ white
+        log_determinant += 2 * block.animals * float(np.log(np.diagonal(root, axis1=1, axis2=2)).sum())
     information, right = moments[:-1, :-1], moments[:-1, -1]
     effects = np.asarray(np.linalg.solve(information, right), dtype=float)
     misfit = float(moments[-1, -1] - right @ effects)
@@ -178,7 +198,15 @@ def _solve(blocks: Sequence[_Block], sigmas: Array) -> tuple[Array, Array, float
 # -- how many animals --------------------------------------------------------------------------------------------------
 
 
-def power(effect: float, variances: Variances, animals: int, runs: int, strides: int, cameras: int = 1) -> float:
+def power(
+    effect: float,
+    variances: Variances,
+    animals: int,
+    runs: int,
+    strides: int,
+    cameras: int = 1,
+    paired: bool = False,
+) -> float:
     """Return the probability that a test at the 5 % level finds a difference between two groups.
 
     Parameters
@@ -188,12 +216,15 @@ def power(effect: float, variances: Variances, animals: int, runs: int, strides:
     variances : Variances
         Standard deviations of the levels.
     animals, runs, strides, cameras : int
-        Numbers of animals per group, runs per animal, strides per run, and cameras that film a run.
+        Numbers of animals per group, runs per animal and group, strides per run, and cameras that film a run.
+    paired : bool
+        Whether both groups are the same animals, as before and after a treatment.
     """
     if animals < 2:
         return 0.0
-    sigma = np.sqrt(2 * variances.of_mean(runs, strides, cameras) / animals)
-    freedom = 2 * animals - 2
+    variance = variances.of_mean(runs, strides, cameras) - (variances.animal**2 if paired else 0.0)
+    sigma = np.sqrt(2 * variance / animals)
+    freedom = animals - 1 if paired else 2 * animals - 2
     limit, shift = t.ppf(0.975, freedom), abs(effect) / max(float(sigma), 1e-12)
     if shift > 30:
         return 1.0
@@ -202,15 +233,45 @@ def power(effect: float, variances: Variances, animals: int, runs: int, strides:
 
 
 def animals_needed(
-    effect: float, variances: Variances, runs: int, strides: int, cameras: int = 1, wanted: float = 0.8
+    effect: float,
+    variances: Variances,
+    runs: int,
+    strides: int,
+    cameras: int = 1,
+    wanted: float = 0.8,
+    paired: bool = False,
 ) -> int | None:
-    """Return the number of animals per group that finds an effect with a power, or None if 1000 are too few."""
-    numbers = np.arange(2, 1001)
-    low, high = 0, len(numbers) - 1
-    if power(effect, variances, int(numbers[high]), runs, strides, cameras) < wanted:
+    """Return the animals in each group that find an effect with a power; None if 1000 are too few."""
+
+    def is_enough(animals: int) -> bool:
+        return power(effect, variances, animals, runs, strides, cameras, paired) >= wanted
+
+    low, high = 2, 1000
+    if not is_enough(high):
         return None
     while low < high:
         middle = (low + high) // 2
-        is_enough = power(effect, variances, int(numbers[middle]), runs, strides, cameras) >= wanted
-        low, high = (low, middle) if is_enough else (middle + 1, high)
-    return int(numbers[low])
+        low, high = (low, middle) if is_enough(middle) else (middle + 1, high)
+    return low
+
+
+def smallest_effect(
+    variances: Variances,
+    animals: int,
+    runs: int,
+    strides: int,
+    cameras: int = 1,
+    wanted: float = 0.8,
+    paired: bool = False,
+) -> float:
+    """Return the smallest difference that some animals in each group show with a power; NaN for fewer than 2."""
+    if animals < 2:
+        return float("nan")
+
+    def lacks(effect: float) -> float:
+        return power(effect, variances, animals, runs, strides, cameras, paired) - wanted
+
+    highest = variances.of_mean(runs, strides, cameras) ** 0.5 or 1.0
+    while lacks(highest) < 0:
+        highest *= 2
+    return float(brentq(lacks, 0.0, highest))

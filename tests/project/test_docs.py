@@ -28,6 +28,7 @@ import pytest
 import typer
 from command_line import carry_out_here, copy_results, run
 from docs_files import DOCS, FENCE, FILES, OF_PAGE, Block, blocks, commands
+from made_up_herd import make_herd, use_made_up_numbers
 from shortcuts import draw_two_methods, fit_demo_from, leave_out_drawing, leave_out_playback, shorten_cost_study
 
 from recon import find_clips
@@ -114,6 +115,8 @@ class Workshop:
                 make(path)
         if re.search(r"(?<!--out )\bresults/clip\b", text) and not (self.folder / "results" / "clip").exists():
             copy_results(self.results, self.folder / "results" / "clip")
+        if re.search(r"\bcompare herd\b", text) and not (self.folder / "herd").exists():
+            make_herd(self.folder / "herd", self.results)
 
     def shell(self, command: str) -> str:
         """What it prints."""
@@ -179,6 +182,8 @@ def do(step: Step, workshop: Workshop) -> None:
             assert alike(printed) == alike(block.text), f"{where}:\n{printed}"
         elif block.language == "csv" and block.text.startswith("file,"):
             Path("names.csv").write_text(block.text, encoding="utf-8")
+        elif block.language == "csv" and block.text.startswith("clip,"):
+            Path("design.csv").write_text(block.text, encoding="utf-8")
         elif block.language == "csv" and block.text.startswith("frame,keypoint,was"):
             Path("corrections.csv").write_text(block.text, encoding="utf-8")
         elif block.language == "csv":
@@ -205,6 +210,8 @@ def folder_after(made_once, whole_results, of_results) -> Callable[[Path, int], 
                 leave_out_playback(patch)
                 fit_demo_from(whole_results, patch)
                 shorten_cost_study(patch)
+                if name_of(page) == "how-to/experiment.md":
+                    use_made_up_numbers(patch)
                 patch.setattr(figures, "FIGURES", figures.FIGURES[:1])  # test_solver_analysis.py draws all
                 do(steps(page)[count - 1], Workshop(folder, name_of(page), whole_results, of_results))
 

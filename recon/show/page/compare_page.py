@@ -36,6 +36,8 @@ def compare_page(
     errors_px: Mapping[str, float],
     notes: Sequence[str] = (),
     group_by: str = "",
+    effects: pd.DataFrame | None = None,
+    variances: pd.DataFrame | None = None,
 ) -> str:
     """Return the HTML of a comparison.
 
@@ -59,6 +61,8 @@ def compare_page(
         Sentences on clips that were left out.
     group_by
         Name of the column of the groups.
+    effects, variances
+        Tables of the mixed models, with the columns of `mixed_model.csv` and `variances.csv`.
     """
     order = {str(row["group"]): place for place, row in enumerate(groups.to_dict("records"))}
     clip_rows = [_clip_row(row, measures, pages, errors_px, order) for row in clips.to_dict("records")]
@@ -78,6 +82,9 @@ def compare_page(
         plots=[plot for name in measures if (plot := _plot(name, measures[name], clips, groups, pages)) is not None],
         no_pages=[row["clip"] for row in clip_rows if not row["page"]],
         notes=notes,
+        effects=[] if effects is None else [_effect_row(row, measures) for row in effects.to_dict("records")],
+        variances=[] if variances is None else [_variance_row(row, measures) for row in variances.to_dict("records")],
+        unit="clip" if effects is None else "run",
         script=script("table", "batch"),
     )
 
@@ -133,6 +140,27 @@ def _group_row(row: Mapping[Any, Any], clips: pd.DataFrame, measures: Mapping[st
         median_text = f"{known.median():.{len(digits)}f}" if len(known) else ""
         values[name] = {"text": _text(value, low, high), "median": median_text, "clips": len(known)}
     return {"group": str(row["group"]), "clips": int(row["clips"]), "strides": int(row["strides"]), "values": values}
+
+
+def _effect_row(row: Mapping[Any, Any], measures: Mapping[str, str]) -> dict[str, Any]:
+    """Return an effect of a mixed model with its interval, and the numbers that it rests on."""
+    value, low, high = (float(row[name]) for name in ("value", "low", "high"))
+    counts = [int(row[name]) for name in ("animals", "runs", "clips", "strides")]
+    is_difference = not str(row["effect"]).startswith("mean of ")
+    return {
+        "measure": measures[row["quantity"]],
+        "effect": row["effect"],
+        "text": _text(value, low, high),
+        "counts": counts,
+        "clear": is_difference and (low > 0 or high < 0),
+    }
+
+
+def _variance_row(row: Mapping[Any, Any], measures: Mapping[str, str]) -> dict[str, Any]:
+    names = "animal_sd", "run_sd", "stride_sd", "measurement_sd", "smallest_detectable_change"
+    numbers = [f"{float(row[name]):.2g}" for name in names]
+    icc = float(row["icc"])
+    return {"measure": measures[row["quantity"]], "numbers": numbers, "icc": f"{icc:.2f}" if math.isfinite(icc) else ""}
 
 
 # -- plots -------------------------------------------------------------------------------------------------------------

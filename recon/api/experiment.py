@@ -1,0 +1,443 @@
+"""Know the cameras, runs, animals and groups of an experiment, and model what varies between them.
+
+The results of all cameras of a run become one clip. A quantity's mean weighs each camera by 1 / s^2, where s is its
+standard deviation. Errors that the cameras share, such as that of the animal's size, are not averaged away; if the
+cameras disagree by more than they state, their errors are scaled up (Birge 1932). Strides are those of the camera that
+knows the quantity best, shifted to the mean: several cameras see the same strides, and count once.
+
+Each quantity then has a mixed model (`recon.gait.mixed_model`) with groups and covariates as fixed effects. The
+measurement's standard deviation of a run is the one that the fits state, without the scatter of the strides.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from itertools import count as counting
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from recon.base.arrays import Array
+from recon.base.errors import InputError, Problem, raise_problems
+from recon.base.numbers import counted
+from recon.check.codes import names_text
+from recon.gait.mixed_model import MixedModel, fit_mixed_model
+from recon.io.common import text_rows
+
+FIELDS = "camera", "run", "animal", "group"
+ALL = "all"
+"""Name of the only group if none is given."""
+SPEED = "speed_m_s"
+MODEL, VARIANCES, RUNS = "mixed_model.csv", "variances.csv", "runs.csv"
+_UNIT = {SPEED: "per m/s of speed"}
+"""Name of a covariate's slope."""
+_LEAST_SIGMA = 1e-9
+_FIELD = re.compile(r"\{(\w*)\}")
+
+
+# -- the design ---------------------------------------------------------------------------------------------------
+
+
+def design_of_table(path: Path, names: Sequence[str], by: str, covariates: Sequence[str]) -> pd.DataFrame:
+    """Return the camera, run, animal, group and covariates of each clip, from a CSV table.
+
+    The clips are named in a column `clip`, or, in a manifest of `recon batch`, in `out` or by the keypoint file. A clip
+    without a run is a run of its own.
+
+    Parameters
+    ----------
+    path : Path
+        The table.
+    names : sequence of str
+        Names of the clips, each of which needs a row.
+    by : str
+        Column of the group.
+    covariates : sequence of str
+        Columns of numbers.
+
+    Raises
+    ------
+    InputError
+        If columns, rows or numbers are missing, or fields contradict each other.
+    """
+    lines = [cells for _, cells in text_rows(path)]
+    header = [cell.strip() for cell in (lines[0] if lines else [])]
+    rows = [dict(zip(header, (cell.strip() for cell in cells), strict=False)) for cells in lines[1:]]
+    required = ["animal", *([by] if by != "group" else []), *covariates]
+    problems = [
+        Problem(path, "column", f"no {name!r} ({', '.join(header)})", "a column of this name, between commas")
+        for name in required
+        if name not in header
+    ]
+    if not {"clip", "keypoints"} & {*header}:
+        problems.append(Problem(path, "column", f"no 'clip' ({', '.join(header)})", "a column with the folders' names"))
+    raise_problems(problems)
+    by_clip = {_clip_name(row): row for row in rows}
+    raise_problems(
+        Problem(path, "clip", f"no row for {name}", "one for every clip") for name in names if name not in by_clip
+    )
+    return _design({name: by_clip[name] for name in names}, path, by, covariates)
+
+
+def _clip_name(row: Mapping[str, str]) -> str:
+    """Return the clip's name in a row of a design, or of a manifest."""
+    return row.get("clip") or row.get("out") or Path(row.get("keypoints", "")).stem
+
+
+def design_of_names(pattern: str, names: Sequence[str]) -> pd.DataFrame:
+    """Return the camera, run, animal and group of each clip from its name.
+
+    Parameters
+    ----------
+    pattern : str
+        Form of the names with the fields in braces, as in {animal}-{run}-{camera}; {} stands for anything.
+    names : sequence of str
+        Names of the clips.
+
+    Raises
+    ------
+    InputError
+        If the pattern has no animal or unknown fields, or a name does not fit it.
+    """
+    fields = [field for field in _FIELD.findall(pattern) if field]
+    wrong = [field for field in dict.fromkeys(fields) if field not in FIELDS or fields.count(field) > 1]
+    if wrong or "animal" not in fields:
+        expected = "the fields {animal} and perhaps {group}, {run} and {camera}, once each, as in {animal}-{run}"
+        raise InputError(Problem("--names", "pattern", repr(pattern), expected))
+    plain = _FIELD.split(pattern)
+    regex = "".join(
+        (f"(?P<{text}>.+?)" if text else ".*?") if place % 2 else re.escape(text) for place, text in enumerate(plain)
+    )
+    matches = {name: re.fullmatch(regex, name) for name in names}
+    raise_problems(
+        Problem("--names", "clip", name, f"a name of the form {pattern}") for name in names if matches[name] is None
+    )
+    rows = {name: match.groupdict() for name, match in matches.items() if match is not None}
+    return _design(rows, "--names", "group", ())
+
+
+def _design(
+    rows: Mapping[str, Mapping[str, str]], source: str | Path, by: str, covariates: Sequence[str]
+) -> pd.DataFrame:
+    records, problems = [], []
+    for name, row in rows.items():
+        record: dict[str, str | float] = {field: row.get(field, "") for field in FIELDS}
+        record["group"] = row.get(by, "") or (ALL if by == "group" else "")
+        problems += [
+            Problem(source, f"{field} of {name}", "nothing", "a name")
+            for field, column in (("animal", "animal"), (by, "group"))
+            if not record[column]
+        ]
+        if record["camera"] and not record["run"]:
+            problems.append(Problem(source, f"run of {name}", "nothing", "the run that this camera filmed"))
+        record["run"] = record["run"] or name
+        for covariate in covariates:
+            try:
+                record[covariate] = float(row.get(covariate, ""))
+            except ValueError:
+                problems.append(Problem(source, f"{covariate} of {name}", repr(row.get(covariate, "")), "a number"))
+        records.append(record)
+    raise_problems(problems)
+    design = pd.DataFrame(records, index=[*rows])
+    for (animal, run), clips in design.groupby(["animal", "run"], sort=False):
+        problems += [
+            Problem(
+                source, f"{column} of run {run} of {animal}", names_text([*map(str, values)]), "one in all its rows"
+            )
+            for column in ("group", *covariates)
+            if len(values := clips[column].unique()) > 1
+        ]
+    raise_problems(problems)
+    return design
+
+
+# -- the cameras of one run ---------------------------------------------------------------------------------------
+
+
+def runs_of_clips(clips: pd.DataFrame, quantities: Mapping[str, bool]) -> pd.DataFrame:
+    """Return one row for each run, in which the results of its cameras are one.
+
+    Parameters
+    ----------
+    clips : DataFrame
+        The columns clip, camera, run, animal, group, verdict, strides and size_sigma; of each quantity the value,
+        `_sigma`, `_own_sigma`, `_measurement_sigma` and `_source`. Other columns are taken from the first camera.
+    quantities : mapping
+        Whether each quantity is proportional to the animal's size.
+
+    Returns
+    -------
+    DataFrame
+        The same columns. `clip` is the name of the run, `clips` the number of its results, `first_clip` the result that
+        knows the speed best; `NAME_strides_of` names the clip whose strides stand for the run.
+    """
+    used, rows = {*clips["clip"]}, []
+    for (animal, run), of_run in clips.groupby(["animal", "run"], sort=False):
+        if len(of_run) == 1:
+            row = of_run.iloc[0].to_dict() | {"clips": 1, "first_clip": of_run["clip"].iloc[0]}
+            rows.append(row | {f"{name}_strides_of": row["clip"] for name in quantities})
+            continue
+        names = chain((f"{animal} {run}",), (f"{animal} {run} ({number})" for number in counting(2)))
+        name = next(name for name in names if name not in used)
+        used.add(name)
+        best = of_run.iloc[int(np.argmin(of_run[f"{SPEED}_sigma"].fillna(np.inf).to_numpy(float)))]
+        row = of_run.iloc[0].to_dict() | {"clip": name, "clips": len(of_run), "verdict": best["verdict"]}
+        row["first_clip"] = best["clip"]
+        row["camera"] = names_text([text for text in of_run["camera"] if text])
+        row["strides"] = int(of_run["strides"].max())
+        row["size_sigma"] = float(of_run["size_sigma"].min())
+        for quantity, with_size in quantities.items():
+            row |= _joined(quantity, of_run, with_size)
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def _joined(name: str, clips: pd.DataFrame, with_size: bool) -> dict[str, object]:
+    """Return a quantity of a run as its cameras know it together."""
+    known = clips[np.isfinite(clips[name]) & np.isfinite(clips[f"{name}_measurement_sigma"])]
+    if known.empty:
+        unknown: dict[str, object] = {f"{name}_source": "", f"{name}_strides_of": ""}
+        fields = ("", "_sigma", "_own_sigma", "_measurement_sigma")
+        return unknown | {f"{name}{field}": np.nan for field in fields}
+    values, sigmas = known[name].to_numpy(float), known[f"{name}_measurement_sigma"].to_numpy(float)
+    common = known["size_sigma"].to_numpy(float) * with_size
+    mean, sigma, shared = joined_value(values, sigmas, common)
+    best = known.iloc[int(np.argmin(sigmas))]
+    scatter = np.sqrt(max(float(best[f"{name}_own_sigma"]) ** 2 - float(best[f"{name}_measurement_sigma"]) ** 2, 0.0))
+    own_sigma = float(np.hypot(sigma, scatter))
+    row: dict[str, object] = {name: mean, f"{name}_sigma": float(np.hypot(own_sigma, shared * mean))}
+    row |= {f"{name}_own_sigma": own_sigma, f"{name}_measurement_sigma": sigma}
+    return row | {f"{name}_source": best[f"{name}_source"], f"{name}_strides_of": best["clip"]}
+
+
+def joined_value(values: Array, sigmas: Array, common: Array) -> tuple[float, float, float]:
+    """Return a mean of C cameras, its standard deviation, and the relative one of the error that they share.
+
+    Parameters
+    ----------
+    values, sigmas : ndarray
+        Value of each camera and its standard deviation without the shared error, shape (C,).
+    common : ndarray
+        Relative standard deviation of the shared error, shape (C,).
+
+    References
+    ----------
+    R. T. Birge, The calculation of errors by the method of least squares, Phys. Rev. 40, 1932: the standard deviation
+    grows by the square root of chi^2 / (C - 1) if this is above 1.
+    """
+    sigmas = np.maximum(sigmas, _LEAST_SIGMA)
+    weights = 1 / (sigmas**2 + (common * values) ** 2)
+    weights /= weights.sum()
+    mean = float(weights @ values)
+    chi_squared = float(np.sum(((values - mean) / sigmas) ** 2))
+    scale = max(1.0, chi_squared / max(len(values) - 1, 1))
+    sigma = float(np.sqrt(scale * np.sum((weights * sigmas) ** 2)))
+    return mean, sigma, float(weights @ common)
+
+
+# -- the mixed model ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class QuantityModel:
+    """Hold the mixed model of one quantity."""
+
+    name: str
+    model: MixedModel
+    groups: tuple[str, ...]
+    """Groups in their order; the first one is the reference."""
+    covariates: tuple[str, ...]
+    shared: float
+    """Relative standard deviation of the error that all clips share."""
+    run_table: pd.DataFrame
+    """Group, animal, clips and strides of each run."""
+
+    @property
+    def strides_of_run(self) -> float:
+        """Return the mean number of strides of a run."""
+        return self.model.strides / self.model.runs
+
+    def effects(self) -> Iterator[dict[str, object]]:
+        """Yield each group's mean, its difference to the first group, and the slope of each covariate."""
+        size, total = len(self.model.names), len(self.groups)
+        for place, group in enumerate(self.groups):
+            yield self._row(f"mean of {group}", np.eye(size)[place], (group,))
+        for place, group in enumerate(self.groups[1:], start=1):
+            weights = np.eye(size)[place] - np.eye(size)[0]
+            yield self._row(f"{group} - {self.groups[0]}", weights, (self.groups[0], group))
+        for place, covariate in enumerate(self.covariates, start=total):
+            yield self._row(_UNIT.get(covariate, f"per unit of {covariate}"), np.eye(size)[place], self.groups)
+
+    def _row(self, effect: str, weights: Array, groups: Sequence[str]) -> dict[str, object]:
+        value, sigma, low, high = self.model.contrast(weights, self.shared)
+        row: dict[str, object] = {"quantity": self.name, "effect": effect, "value": value, "sigma": sigma}
+        row |= {"low": low, "high": high, "shared_sigma": abs(self.shared * value)}
+        return row | self._counts(groups)
+
+    def _counts(self, groups: Sequence[str]) -> dict[str, int]:
+        """Return the numbers of animals, runs, clips and strides in some groups."""
+        table = self.run_table[self.run_table["group"].isin(groups)]
+        counts = {"animals": table["animal"].nunique(), "runs": len(table)}
+        return counts | {name: int(table[name].sum()) for name in ("clips", "strides")}
+
+    def variances(self) -> dict[str, object]:
+        """Return the standard deviations of all levels, and what follows from them."""
+        variances = self.model.variances
+        row: dict[str, object] = {"quantity": self.name, "mean": float(np.mean(self.model.effects[: len(self.groups)]))}
+        row |= {f"{level}_sd": getattr(variances, level) for level in ("animal", "run", "stride", "measurement")}
+        row |= {"icc": variances.icc, "smallest_detectable_change": variances.detectable_change(self.strides_of_run)}
+        row |= {"shared_sigma_relative": self.shared, "strides_of_run": self.strides_of_run}
+        return row | self._counts(self.groups)
+
+
+def fit_experiment(
+    runs: pd.DataFrame, strides: pd.DataFrame, quantities: Mapping[str, bool], covariates: Sequence[str] = ()
+) -> tuple[list[QuantityModel], list[str]]:
+    """Fit the mixed model of each quantity.
+
+    Parameters
+    ----------
+    runs : DataFrame
+        Rows of `runs_of_clips`.
+    strides : DataFrame
+        Rows of strides with the columns clip and the quantities.
+    quantities : mapping
+        Whether each quantity is proportional to the animal's size.
+    covariates : sequence of str
+        Columns of `runs`; their means are subtracted.
+
+    Returns
+    -------
+    tuple
+        The models, and notes on those that were not possible.
+    """
+    models, notes = [], []
+    for name, with_size in quantities.items():
+        used = [covariate for covariate in covariates if covariate != name]
+        is_known = np.isfinite(runs[[name, f"{name}_measurement_sigma", *used]].to_numpy(float)).all(axis=1)
+        known = runs.iloc[np.flatnonzero(is_known)]
+        groups = tuple(dict.fromkeys(known["group"].astype(str)))
+        animals, columns = known["animal"].nunique(), len(groups) + len(used)
+        if known.empty:
+            continue
+        if animals <= columns:
+            needed = f"{counted(columns, 'group or covariate') if columns == 1 else f'{columns} groups and covariates'}"
+            notes.append(f"No mixed model of {name}: {counted(animals, 'animal')} for {needed}; one more at least.")
+            continue
+        model = _fit(name, known, strides, groups, used, with_size)
+        if model is None:
+            notes.append(f"No mixed model of {name}: {names_text(used)} cannot be told from the groups.")
+        else:
+            models.append(model)
+    if models:
+        notes += _joined_levels(models)
+    return models, notes
+
+
+def _joined_levels(models: Sequence[QuantityModel]) -> Iterator[str]:
+    """Yield notes on levels that the data do not separate."""
+    if any(model.model.runs == model.model.animals for model in models):
+        yield "Each animal has one run: the variance between runs is part of that between animals."
+    single = [model.name for model in models if model.model.strides == model.model.runs]
+    if single:
+        yield f"One value a run of {names_text(single)}: the variance between strides is part of that between runs."
+
+
+def _fit(
+    name: str,
+    runs: pd.DataFrame,
+    strides: pd.DataFrame,
+    groups: tuple[str, ...],
+    covariates: list[str],
+    with_size: bool,
+) -> QuantityModel | None:
+    """Return the model of a quantity; None if the design has no full rank."""
+    size = runs["size_sigma"].to_numpy(float) * with_size
+    shared = float(size.min())
+    unshared = (size**2 - shared**2) * runs[name].to_numpy(float) ** 2
+    run_sigmas = np.sqrt(runs[f"{name}_measurement_sigma"].to_numpy(float) ** 2 + unshared)
+    columns = [(runs["group"].astype(str) == group).to_numpy(float) for group in groups]
+    columns += [runs[covariate].to_numpy(float) - runs[covariate].mean() for covariate in covariates]
+    by_run = np.asarray(np.column_stack(columns), dtype=float)
+    scale = np.where(np.ptp(by_run, axis=0) > 0, by_run.std(axis=0) + np.abs(by_run).max(axis=0), 1.0)
+    if np.linalg.matrix_rank(by_run / scale) < len(columns):
+        return None
+    values, rows, counts = [], list[int](), []
+    for place, run in enumerate(runs.to_dict("records")):
+        of_run = strides.loc[strides["clip"] == run[f"{name}_strides_of"], name] if name in strides else pd.Series()
+        lengths = of_run.to_numpy(float)
+        lengths = lengths[np.isfinite(lengths)]
+        shifted = lengths - lengths.mean() + run[name] if len(lengths) else np.array([run[name]])
+        values += [*shifted]
+        rows += [place] * len(shifted)
+        counts.append((str(run["group"]), run["animal"], run["clips"], len(lengths)))
+    run_table = pd.DataFrame(counts, columns=["group", "animal", "clips", "strides"])
+    animals, names = ([str(runs[column].iloc[row]) for row in rows] for column in ("animal", "run"))
+    effects = *groups, *covariates
+    model = fit_mixed_model(
+        np.array(values), np.asarray(by_run[rows], dtype=float), effects, animals, names, run_sigmas[rows]
+    )
+    return QuantityModel(name, model, groups, tuple(covariates), shared, run_table)
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """Hold the runs of an experiment, the mixed models of its quantities, and their tables."""
+
+    runs: pd.DataFrame
+    """One row for each run."""
+    models: Sequence[QuantityModel]
+    notes: Sequence[str]
+
+    @property
+    def effects(self) -> pd.DataFrame:
+        """Return the groups' means, their differences and the slopes of the covariates, with 90 % intervals."""
+        rows = [row for model in self.models for row in model.effects()]
+        return pd.DataFrame(rows, columns=None if rows else ["quantity", "effect"])
+
+    @property
+    def variances(self) -> pd.DataFrame:
+        """Return the standard deviations between animals, runs and strides and of the measurement."""
+        rows = [model.variances() for model in self.models]
+        return pd.DataFrame(rows, columns=None if rows else ["quantity"])
+
+    def with_model_means(self, groups: pd.DataFrame) -> pd.DataFrame:
+        """Return a table of groups with the models' means and their 90 % intervals, `_low` and `_high`."""
+        groups = groups.copy()
+        for model in self.models:
+            for place, group in enumerate(model.groups):
+                weights = np.eye(len(model.model.names))[place]
+                row = groups["group"].astype(str) == group
+                columns = [f"{model.name}{end}" for end in ("", "_sigma", "_low", "_high")]
+                groups.loc[row, columns] = model.model.contrast(weights, model.shared)
+        return groups
+
+
+def model_experiment(
+    clips: pd.DataFrame, strides: pd.DataFrame, quantities: Mapping[str, bool], covariates: Sequence[str] = ()
+) -> Experiment:
+    """Join the cameras of each run, and fit a mixed model of each quantity.
+
+    Parameters
+    ----------
+    clips, strides : DataFrame
+        Rows as for `runs_of_clips` and `fit_experiment`.
+    quantities : mapping
+        Whether each quantity is proportional to the animal's size.
+    covariates : sequence of str
+        Columns of `clips`.
+    """
+    runs = runs_of_clips(clips, quantities)
+    models, notes = fit_experiment(runs, strides, quantities, covariates)
+    joined = runs.loc[runs["clips"] > 1, "clip"].tolist()
+    if joined:
+        notes.insert(
+            0,
+            f"The cameras of {counted(len(joined), 'run')} were joined by the uncertainty that each result states: "
+            f"{names_text(joined)}. A fit of all cameras together (recon fit with their files) is better.",
+        )
+    return Experiment(runs, models, notes)
