@@ -13,8 +13,8 @@ Left-right swaps are in `swaps`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,7 @@ from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.starts import APPROACH_HZ, interpolate_states
 from recon.fit.terms import MOTION
 from recon.fit.trajectory import solve_trajectory
+from recon.fit.triangulation import triangulate_views
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse
 from recon.geometry.kinematics import ROOT
@@ -144,8 +145,10 @@ class Baseline:
 
     clip: ClipProblem
     states: Array
-    is_alone: bool = True
-    """Whether the states come from this view alone."""
+    other_views: tuple[View, ...] = ()
+    """The clip's other views, which contributed to the states."""
+    _refits: dict[tuple[int, int], Refit] = field(default_factory=dict, init=False, repr=False)
+    """The fits of parts of the clip as given, by their first frames and those after their last ones."""
 
     @property
     def view(self) -> View:
@@ -161,9 +164,17 @@ class Baseline:
 
         For the whole clip the estimated states are used, unless other cameras contributed to them.
         """
-        if self.is_alone and part.stop - part.start == len(self.states):
-            return Refit.of_states(self.clip, self.states)
-        return refit_view(self.clip.part(part))
+        key = part.start, part.stop
+        if key not in self._refits:
+            is_known = not self.other_views and part.stop - part.start == len(self.states)
+            refit = Refit.of_states(self.clip, self.states) if is_known else refit_view(self.clip.part(part))
+            self._refits[key] = refit
+        return self._refits[key]
+
+    @cached_property
+    def points_elsewhere_m(self) -> Array | None:
+        """The markers (T, J, 3) in the world where at least two other cameras see them; None if there are not two."""
+        return triangulate_views(self.other_views).points_m if len(self.other_views) > 1 else None
 
 
 def project_either_side(baseline: Baseline, mirrored: View, is_exchanged: Bools) -> tuple[Array, Array]:
@@ -198,7 +209,8 @@ def baseline_of(clip: ClipProblem, number: int, states: Array, size: float) -> B
     single = single_view(clip, clip.views[number])
     centred_states = states.copy()
     centred_states[:, ROOT] = (states[:, ROOT] - single.origin_m) / size
-    return Baseline(single, centred_states, len(clip.views) == 1)
+    other_views = tuple(view for i, view in enumerate(clip.views) if i != number)
+    return Baseline(single, centred_states, other_views)
 
 
 def best_seen(view: View, fps: float) -> slice:

@@ -3,9 +3,10 @@
 A fit follows exchanged keypoints, so its residuals do not reveal a swap. Candidate stretches of frames are first found
 by two cheap signs. At the beginning and end of a swap, the keypoints of both sides jump at the same time, unless the
 legs cross there. A fit in which each keypoint of a leg may belong to either side shows which side is more likely in
-each frame. The most likely stretches are then undone, one at a time, and the second of the clip around each is solved
-again. A stretch is a swap if undoing it makes the clip clearly more likely (`exceeds_margin`) than before, and than
-undoing any contradicting stretch. If two contradicting stretches are equally likely, neither is chosen.
+each frame. Stretches are left out if two or more other cameras see their sides as given. The most likely stretches are
+then undone, one at a time, and the second of the clip around each is solved again. A stretch is a swap if undoing it
+makes the clip clearly more likely (`exceeds_margin`) than before, and than undoing any contradicting stretch. If two
+contradicting stretches are equally likely, neither is chosen.
 """
 
 from __future__ import annotations
@@ -159,7 +160,8 @@ def with_undone(baseline: Baseline, trial: _SwapTrial) -> Baseline:
     """Return the baseline with a stretch exchanged, and the resulting motion."""
     states = baseline.states.copy()
     states[_part(baseline.view, trial.stretch.rows, baseline.clip.fps)] = trial.refit.states
-    return Baseline(baseline.with_view(with_exchanged(baseline.view, trial.stretch)), states)
+    clip = baseline.with_view(with_exchanged(baseline.view, trial.stretch))
+    return Baseline(clip, states, baseline.other_views)
 
 
 def propose_stretches(baseline: Baseline, kinds: dict[str, Index], is_unlike: bool) -> list[_Stretch]:
@@ -178,7 +180,28 @@ def propose_stretches(baseline: Baseline, kinds: dict[str, Index], is_unlike: bo
     if can_tell_whole and whole > LOOKS:
         suspects.append((whole, "all", (0, T)))
     chosen = [(name, rows) for _, name, ends in suspects for rows in _parts(*ends, T)]
-    return [_Stretch(slice(*ends), kinds[name]) for name, ends in dict.fromkeys(chosen)]
+    stretches = [_Stretch(slice(*ends), kinds[name]) for name, ends in dict.fromkeys(chosen)]
+    return [stretch for stretch in stretches if not is_refuted(baseline, stretch)]
+
+
+def is_refuted(baseline: Baseline, stretch: _Stretch) -> bool:
+    """Return whether other cameras see the markers on the sides that a view has as given.
+
+    Their points show the sides without a fit, which would have to be made for each stretch.
+    """
+    points_m = baseline.points_elsewhere_m
+    if points_m is None:
+        return False
+    view, clip, rows = baseline.view, baseline.clip, stretch.rows
+    projected, _ = view.project(view.shift_to_exposure(points_m))
+    sigma_px = likelihood.LOOSE * clip.noise_px(clip.markers(baseline.states), np.ones((1, len(stretch.places))))[0]
+    given_cost, exchanged_cost = (
+        likelihood.log_tail((points - view.xy_px) / sigma_px[..., None])
+        for points in (projected, projected[:, stretch.places])
+    )
+    is_seen = np.isfinite(projected[..., 0]) & np.isfinite(projected[:, stretch.places, 0]) & view.present
+    gains = np.where(is_seen & np.isfinite(sigma_px), given_cost - exchanged_cost, 0.0)
+    return likelihood.exceeds_margin(-float(gains[rows][:, stretch.markers].sum()))
 
 
 def _parts(first: int, stop: int, T: int) -> list[tuple[int, int]]:

@@ -19,12 +19,25 @@ import numpy as np
 from recon.base.arrays import Array, Integers
 from recon.fit.banded import Normal, add_normal, step
 from recon.fit.body_shape import FreeShape
-from recon.fit.terms import COMMON_KEYPOINT_BIAS, LENGTHS, MARKER_TERMS, Linear, Reprojection, Span, Term, TermRows
+from recon.fit.terms import (
+    COMMON_KEYPOINT_BIAS,
+    LENGTHS,
+    MARKER_TERMS,
+    Linear,
+    PointRows,
+    PoseMixture,
+    Reprojection,
+    Span,
+    Term,
+    TermRows,
+    keypoint_bias,
+)
 from recon.geometry.kinematics import Tree, TreePose
 
 BANDS = 2
 """Largest distance, in frames, between two frames that are coupled."""
-_FRAMES_AT_ONCE = 256
+_FRAMES_AT_ONCE = 128
+"""Frames whose terms are evaluated at once: few enough for the processor's cache."""
 _PIECE_S = 5.5
 """Time in seconds beyond which frames hardly influence each other: solving in pieces changes the states by 1e-6 at
 most.
@@ -76,7 +89,7 @@ class LeastSquares:
     terms: Sequence[Term]
     shared: Sequence[SharedUnknown] = ()
     nuisance: Sequence[SharedUnknown] = ()
-    piece: int = 2 * _FRAMES_AT_ONCE
+    piece: int = 4 * _FRAMES_AT_ONCE
     """Number of frames in a piece of a long clip, a multiple of `_FRAMES_AT_ONCE`; the window includes as many frames
     of the next piece.
     """
@@ -172,7 +185,8 @@ class LeastSquares:
                     first, last = np.searchsorted(at + offset, [start, stop])
                     gradient[at[first:last] + offset - start] += residual[first:last] @ slot
             while span is not None and span.first < stop:
-                by_shape = self._by_shape(span)
+                by_shape, first = self._by_shape(span), span.first - start
+                with_shape = None if by_shape is None else _moved_by_shape(span, by_shape)
                 merged = self._cameras_in_step(span)
                 if merged:
                     sums = _Sums(blocks, gradient, border, corner, shared_gradient)
@@ -180,8 +194,11 @@ class LeastSquares:
                 for term in self.terms:
                     if any(term is camera for camera in merged):
                         continue
-                    rows = _with_shape(term, span, by_shape)
-                    first = span.first - start
+                    if isinstance(term, PoseMixture):
+                        frames = slice(first, first + span.own_rows.stop)
+                        term.add_normal(span, blocks[frames, 0], gradient[frames])
+                        continue
+                    rows = _with_shape(term, span, with_shape)
                     add_normal(blocks, gradient, first, term.stencil, rows.residual, rows.jacobian)
                     _add_shared(columns, border, corner, shared_gradient, first, term.stencil, rows)
                 span = next(spans, None)
@@ -315,28 +332,20 @@ def _add_detections(
     L, R = _by_lengths_and_bias(columns, span, by_shape)
     border, corner, gradient = sums.border[rows], sums.corner, sums.shared_gradient
     every_camera = [camera.point_rows(span) for camera in cameras]
-    names = dict.fromkeys(name for points in every_camera for name in points.by_shared if name in columns)
-    own_columns = np.sort(np.concatenate([np.zeros(0, dtype=int), *(np.r_[columns[name]] for name in names)]))
-    W, pull, across = np.zeros((N, J, 3, 3)), np.zeros((N, J, 3)), np.zeros((N, J, 3, len(own_columns)))
-    for points in every_camera:
-        B, e = points.by_point, points.residual
-        W += B[..., 0, :, None] * B[..., 0, None, :] + B[..., 1, :, None] * B[..., 1, None, :]
-        pull += (e[..., None, :] @ B)[..., 0, :]
-        by_shared = {name: values for name, values in points.by_shared.items() if name in columns}
-        if not by_shared:
-            continue
-        K = np.concatenate([*by_shared.values()], axis=2)
-        view_columns = np.concatenate([np.r_[columns[name]] for name in by_shared])
-        flat = K.reshape(2 * N * J, -1)
-        corner[np.ix_(view_columns, view_columns)] += flat.T @ flat
-        gradient[view_columns] += flat.T @ e.ravel()
-        across[..., np.searchsorted(own_columns, view_columns)] += B.swapaxes(2, 3) @ K.reshape(N, J, 2, -1)  # B'K
+    by_point = np.concatenate([points.by_point for points in every_camera], axis=2)  # (N, J, 2V, 3)
+    B_T = by_point.swapaxes(2, 3)
+    W = B_T @ by_point
+    pull = (B_T @ np.concatenate([points.residual for points in every_camera], axis=2)[..., None])[..., 0]
+    own_columns, across = _add_own_unknowns(corner, gradient, columns, every_camera)
     if len(own_columns):
         border[..., own_columns] += by_state @ across.reshape(N, 3 * J, -1)
         if L is not None:
             _add_pair(corner, columns[LENGTHS], own_columns, L.T @ across.reshape(3 * N * J, -1))
         if R is not None:
             _add_pair(corner, columns[COMMON_KEYPOINT_BIAS], own_columns, _by_joint(R, across))
+    biased = [p for p in every_camera if p.by_bias is not None and keypoint_bias(p.number) in columns]
+    if biased:
+        _add_keypoint_bias(border, corner, columns, biased, A, L, R)
     sums.blocks[rows, 0] += by_state @ (W @ A).reshape(N, 3 * J, D)
     sums.gradient[rows] += (by_state @ pull.reshape(N, 3 * J, 1))[..., 0]
     W_L = None if L is None else (W @ L.reshape(N, J, 3, -1)).reshape(3 * N * J, -1)
@@ -348,13 +357,76 @@ def _add_detections(
     if R is not None:
         bias, R_T, joints = columns[COMMON_KEYPOINT_BIAS], R.swapaxes(2, 3), np.arange(J)
         W_R = W @ R
-        by_joint = border[..., bias].reshape(N, D, J, 3).swapaxes(1, 2)  # a view
-        by_joint += A.swapaxes(2, 3) @ W_R
+        border[..., bias] += (W_R.swapaxes(2, 3) @ A).reshape(N, 3 * J, D).swapaxes(1, 2)
         diagonal = (bias.start + 3 * joints)[:, None] + np.arange(3)
         corner[diagonal[:, :, None], diagonal[:, None]] += np.sum(R_T @ W_R, axis=0)
         gradient[bias] += np.sum(R_T @ pull[..., None], axis=0).ravel()
         if W_L is not None:
             _add_pair(corner, bias, np.r_[columns[LENGTHS]], _by_joint(R, W_L.reshape(N, J, 3, -1)))
+
+
+def _add_own_unknowns(
+    corner: Array, gradient: Array, columns: Mapping[str, slice], every_camera: Sequence[PointRows]
+) -> tuple[Integers, Array]:
+    """Add what the cameras' detections say about their own unknowns, in place: K'K to corner, K'r to gradient.
+
+    Returns the columns (P,) of the unknowns without keypoint bias, and B'K (N, J, 3, P).
+    """
+    names = dict.fromkeys(name for points in every_camera for name in points.by_shared if name in columns)
+    own_columns = np.sort(np.concatenate([np.zeros(0, dtype=int), *(np.r_[columns[name]] for name in names)]))
+    N, J = every_camera[0].residual.shape[:2]
+    across = np.zeros((N, J, 3, len(own_columns)))
+    for points in every_camera:
+        by_shared = {name: values for name, values in points.by_shared.items() if name in columns}
+        K, view_columns = np.zeros((N, 2 * J, 0)), np.zeros(0, dtype=int)
+        if by_shared:
+            K = np.concatenate([*by_shared.values()], axis=2)
+            view_columns = np.concatenate([np.r_[columns[name]] for name in by_shared])
+            flat = K.reshape(2 * N * J, -1)
+            corner[np.ix_(view_columns, view_columns)] += flat.T @ flat
+            gradient[view_columns] += flat.T @ points.residual.ravel()
+            B_T = points.by_point.swapaxes(2, 3)
+            across[..., np.searchsorted(own_columns, view_columns)] += B_T @ K.reshape(N, J, 2, -1)
+        bias = columns.get(keypoint_bias(points.number))
+        if points.by_bias is not None and bias is not None:  # its K is a diagonal
+            by_bias = np.repeat(points.by_bias, 2, axis=1)
+            corner[bias, bias] += np.diag(np.sum(by_bias**2, axis=0))
+            gradient[bias] += np.sum(by_bias * points.residual.reshape(N, 2 * J), axis=0)
+            _add_pair(corner, bias, view_columns, np.sum(by_bias[..., None] * K, axis=0))
+    return own_columns, across
+
+
+def _add_keypoint_bias(
+    border: Array,
+    corner: Array,
+    columns: Mapping[str, slice],
+    biased: Sequence[PointRows],
+    A: Array,
+    L: Array | None,
+    R: Array | None,
+) -> None:
+    """Add the curvature between the cameras' keypoint bias and states, lengths and common bias, in place.
+
+    A camera's bias of a joint moves that joint's own two coordinates only. A, L and R are those of `_add_detections`.
+    """
+    N, J, _, D = A.shape
+    across = np.concatenate(
+        [p.by_point.swapaxes(2, 3) * np.expand_dims(np.asarray(p.by_bias), (2, 3)) for p in biased], axis=3
+    )
+    by_view = np.array([np.r_[columns[keypoint_bias(p.number)]] for p in biased]).reshape(-1, J, 2)
+    bias_columns = by_view.swapaxes(0, 1).reshape(J, -1)  # (J, 2V), as the last axes of B'K (N, J, 3, 2V)
+    by_state = (across.swapaxes(2, 3) @ A).reshape(N, J, -1, 2, D)
+    for number, points in enumerate(biased):
+        border[..., columns[keypoint_bias(points.number)]] += by_state[:, :, number].reshape(N, 2 * J, D).swapaxes(1, 2)
+    stacked = across.swapaxes(0, 1).reshape(J, 3 * N, -1)
+    if L is not None:
+        by_length = L.reshape(N, J, 3, -1).transpose(1, 3, 0, 2).reshape(J, -1, 3 * N) @ stacked  # (J, L, 2V)
+        _add_pair(corner, columns[LENGTHS], bias_columns.ravel(), by_length.swapaxes(0, 1).reshape(L.shape[1], -1))
+    if R is not None:
+        by_common = R.transpose(1, 3, 0, 2).reshape(J, 3, 3 * N) @ stacked  # (J, 3, 2V)
+        for joint, values in enumerate(by_common):
+            start = columns[COMMON_KEYPOINT_BIAS].start + 3 * joint
+            _add_pair(corner, slice(start, start + 3), bias_columns[joint], values)
 
 
 def _by_lengths_and_bias(
@@ -389,15 +461,20 @@ def _add_pair(corner: Array, rows: slice, columns: Integers, values: Array) -> N
     corner[columns, rows] += values.T
 
 
-def _with_shape(term: Term, span: Span, by_shape: Array | None) -> TermRows:
-    """Return the rows of a term with the derivatives by the shape, which moves the markers as the state does."""
-    if by_shape is None or not isinstance(term, MARKER_TERMS):
-        return term.evaluate(span, jacobian=True)
-    D = span.states.shape[1]
+def _moved_by_shape(span: Span, by_shape: Array) -> Span:
+    """Return the span with markers that also move by the shape: the shape's L + 3J columns come last."""
     pose = TreePose(span.pose.points_m, np.concatenate([span.pose.jacobian, by_shape], axis=3))
-    rows = term.evaluate(replace(span, pose=pose), jacobian=True)
+    return replace(span, pose=pose)
+
+
+def _with_shape(term: Term, span: Span, with_shape: Span | None) -> TermRows:
+    """Return the rows of a term with the derivatives by the shape, which moves the markers as the state does."""
+    if with_shape is None or not isinstance(term, MARKER_TERMS):
+        return term.evaluate(span, jacobian=True)
+    D, J = span.states.shape[1], span.pose.points_m.shape[1]
+    rows = term.evaluate(with_shape, jacobian=True)
     of_shape = rows.jacobian[..., D:].sum(axis=2)
-    count = by_shape.shape[3] - 3 * by_shape.shape[1]
+    count = of_shape.shape[2] - 3 * J
     by_shared = {LENGTHS: of_shape[..., :count], COMMON_KEYPOINT_BIAS: of_shape[..., count:]}
     return replace(rows, jacobian=rows.jacobian[..., :D], by_shared={**rows.by_shared, **by_shared})
 
@@ -418,11 +495,13 @@ def _add_shared(
     by_shared = {name: rows.by_shared[name] for name in rows.by_shared if name in columns}
     if not by_shared:
         return
-    for name, by_unknown in by_shared.items():
-        for slot, offset in enumerate(stencil):
-            frames = slice(first + offset, first + offset + len(by_unknown))
-            border[frames, :, columns[name]] += rows.jacobian[:, :, slot].swapaxes(1, 2) @ by_unknown
     shared_columns = np.concatenate([np.r_[columns[name]] for name in by_shared])
-    flat = np.concatenate([*by_shared.values()], axis=2).reshape(-1, len(shared_columns))
+    K = np.concatenate([*by_shared.values()], axis=2)
+    is_read = K.any(axis=(0, 1))  # a foot moves by few of the lengths and by its own bias
+    K, shared_columns = K[..., is_read], shared_columns[is_read]
+    for slot, offset in enumerate(stencil):
+        frames = slice(first + offset, first + offset + len(K))
+        border[frames, :, shared_columns] += rows.jacobian[:, :, slot].swapaxes(1, 2) @ K
+    flat = K.reshape(-1, len(shared_columns))
     corner[np.ix_(shared_columns, shared_columns)] += flat.T @ flat
     shared_gradient[shared_columns] += flat.T @ rows.residual.ravel()

@@ -183,6 +183,10 @@ _APART_RAD = 0.5
 """Starts whose headings differ by less than this count as the same."""
 _NOISE_FACTORS = (8.0, 4.0, 2.0, 1.0)
 """Factors on the noise during the approach, one after the other."""
+_SAME_M = 0.05
+"""Mean distance of the markers below which two starts are on the way to the same minimum."""
+ALTERNATIVE_COST = 20.0
+"""A second solution is reported if its cost is not higher than that of the best by more than this."""
 _MIN_RAYS = 2
 """Smallest number of rays of a frame with which a shape can be positioned."""
 
@@ -190,7 +194,8 @@ _MIN_RAYS = 2
 def approach(clip: ClipProblem) -> list[Estimate]:
     """Return the starts of one window after the approach with decreasing noise, best first.
 
-    Only the first two starts (one in a fast fit) are solved to the end, at all frames of the window.
+    Only the first two starts (one in a fast fit) are solved to the end, at all frames of the window: the second only
+    until it comes to the first one's minimum or costs more than a solution that is reported.
     """
     fast, no_factor = clip.options.fast, np.ones((len(clip.views), len(clip.body.markers)))
     step = max(1, round(clip.fps / APPROACH_HZ))
@@ -202,12 +207,31 @@ def approach(clip: ClipProblem) -> list[Estimate]:
 
     starts = [minimum(states[kept_frames], _NOISE_FACTORS[0], 1e-2, 12) for states in _starts(clip)]
     starts.sort(key=lambda start: start.cost)
-    count, finished = 1 if fast else 2, list[Estimate]()
-    for estimate in starts[:count]:
-        for widen in _NOISE_FACTORS[1:]:
-            estimate = minimum(estimate.states, widen, 3e-3 if fast else 1e-3, 15)
-        finished.append(replace(estimate, states=interpolate_states(estimate.states, kept_frames, len(clip))))
-    return [*sorted(finished, key=lambda start: start.cost), *starts[count:]]
+    tolerance, narrower = 3e-3 if fast else 1e-3, _NOISE_FACTORS[1:]
+    minima = [starts[0]]  # of the best start, one for each noise
+    for widen in narrower:
+        minima.append(minimum(minima[-1].states, widen, tolerance, 15))
+    finished = [minima[-1]]
+    for estimate in [] if fast else starts[1:2]:
+        for widen, best in zip(narrower, minima[1:], strict=True):
+            if estimate.cost > finished[0].cost + ALTERNATIVE_COST:
+                break  # less noise only makes it costlier
+            estimate = minimum(estimate.states, widen, tolerance, 15)
+            if _distance_m(thin, estimate, best) < _SAME_M:
+                estimate = finished[0]
+                break
+        finished.append(estimate)
+    finished.sort(key=lambda estimate: estimate.cost)
+    T = len(clip)
+    return [
+        *(replace(estimate, states=interpolate_states(estimate.states, kept_frames, T)) for estimate in finished),
+        *starts[len(finished) :],
+    ]
+
+
+def _distance_m(clip: ClipProblem, estimate: Estimate, reference: Estimate) -> float:
+    """Return the mean distance between the markers of two motions."""
+    return float(np.linalg.norm(clip.markers(estimate.states) - clip.markers(reference.states), axis=2).mean())
 
 
 def interpolate_states(states: Array, at: Index, T: int) -> Array:
@@ -258,7 +282,7 @@ def _rays(clip: ClipProblem) -> tuple[Array, Array, Array]:
     min_rays = MIN_JOINTS if max(count.max() for count in counts) >= MIN_JOINTS else _MIN_RAYS
     for view, count in zip(clip.views, counts, strict=True):
         usable = np.flatnonzero(count >= min_rays)
-        chosen = usable[:: max(1, min(3, len(usable) // 6))]
+        chosen = usable[:: max(1, min(3 * len(clip.views), len(usable) // 6))]
         rays.append(view.part(chosen).rays())
         centres.append(view.centre_m[chosen] - clip.origin_m)
         frames.append(chosen)

@@ -118,7 +118,12 @@ class PointRows:
     by_point: Array
     """(N, J, 2, 3): derivatives by the markers at nominal size."""
     by_shared: dict[str, Array]
-    """Derivatives (N, 2J, P) by the unknowns of the camera and by the size, by name."""
+    """Derivatives (N, 2J, P) by the unknowns of the camera, without its keypoint bias, and by the size, by name."""
+    number: int = 0
+    """Index of the view, see `Reprojection`."""
+    by_bias: Array | None = None
+    """(N, J): derivatives of each coordinate by the same coordinate of the joint's keypoint bias; None if it is fixed.
+    """
 
 
 class Term(Protocol):
@@ -223,38 +228,54 @@ class PoseMixture:
     temperature: float = 1.0
     name: str = POSE
     stencil: tuple[int, ...] = (0,)
-    _white: Array = field(init=False, repr=False)
     _precision: Array = field(init=False, repr=False)
     _offset: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         white = _whitener(self.prior.covariances)
         offset = -np.log(self.prior.weights) - np.log(np.diagonal(white, axis1=1, axis2=2)).sum(axis=1)
-        object.__setattr__(self, "_white", white)
         object.__setattr__(self, "_precision", white.swapaxes(1, 2) @ white)
         object.__setattr__(self, "_offset", offset - offset.min())
 
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
         """Return the cost, residual and derivatives: see `Term`."""
+        cost, gradient, precision = self._expanded(span, jacobian)
+        if not jacobian:
+            return TermRows(cost)
+        N, A = gradient.shape
+        root = np.linalg.cholesky(precision)  # root root' = precision; rows root' dz, residual root^-1 gradient
+        rows = np.zeros((N, A, 1, span.states.shape[1]))
+        rows[:, :, 0, ANGLES] = root.swapaxes(1, 2)
+        residual = np.asarray(np.linalg.solve(root, gradient[..., None])[..., 0], dtype=float)
+        return TermRows(cost, residual, rows)
+
+    def add_normal(self, span: Span, blocks: Array, gradient: Array) -> None:
+        """Add the curvature to a span's blocks (N, D, D) and the gradient to its gradient (N, D), in place.
+
+        They are J'J and J'r of `evaluate`, without the root that makes rows of them.
+        """
+        _, by_angles, precision = self._expanded(span, jacobian=True)
+        gradient[:, ANGLES] += by_angles
+        blocks[:, ANGLES, ANGLES] += precision
+
+    def _expanded(self, span: Span, jacobian: bool) -> tuple[Array, Array, Array]:
+        """Return the cost (N,), and with `jacobian` its gradient (N, A) and curvature (N, A, A) by the angles."""
         z = span.states[span.own_rows, ANGLES]
         N, A = z.shape
-        deviation = (z[:, None] - self.prior.means).transpose(1, 0, 2)  # (K, N, A)
-        white = deviation @ self._white.swapaxes(1, 2)
-        level = 0.5 * np.sum(white**2, axis=2).T + self._offset
+        deviation = z - self.prior.means[:, None]  # (K, N, A)
+        pull = deviation @ self._precision
+        level = 0.5 * np.sum(deviation * pull, axis=2).T + self._offset
         least = level.min(axis=1, keepdims=True)
         share = np.exp(-(level - least) / self.temperature)
         total = share.sum(axis=1)
         weight = self.weight * REFERENCE_HZ / self.fps
         cost = weight * (least[:, 0] - self.temperature * np.log(total))
         if not jacobian:
-            return TermRows(cost)
-        share /= total[:, None]
-        gradient = weight * np.einsum("nk,kna->na", share, white @ self._white)
-        precision = weight * (share @ self._precision.reshape(-1, A * A)).reshape(N, A, A)
-        root = np.linalg.cholesky(precision)  # root root' = precision; rows root' dz, residual root^-1 gradient
-        rows = np.zeros((N, A, 1, span.states.shape[1]))
-        rows[:, :, 0, ANGLES] = root.swapaxes(1, 2)
-        return TermRows(cost, np.linalg.solve(root, gradient[..., None])[..., 0], rows)
+            return cost, _ZERO[:0], _ZERO[:0]
+        share *= weight / total[:, None]
+        gradient = np.sum(share.T[..., None] * pull, axis=0)
+        precision = (share @ self._precision.reshape(-1, A * A)).reshape(N, A, A)
+        return cost, gradient, precision
 
 
 @dataclass(frozen=True)
@@ -311,6 +332,10 @@ class Reprojection:
         slots = [(points.by_point * share @ span.pose.jacobian[part]).reshape(N, 2 * J, 1, D) for part, share in parts]
         rows = slots[0] if len(slots) == 1 else np.concatenate(slots, axis=2)
         by_shared = points.by_shared
+        if points.by_bias is not None:
+            by_shared = by_shared | {
+                keypoint_bias(self.number): np.repeat(points.by_bias, 2, axis=1)[..., None] * np.eye(2 * J)
+            }
         if span.rotations is not None:
             by_common_bias, joints = np.zeros((N, J, 2, J, 3)), np.arange(J)
             for part, share in parts:
@@ -328,10 +353,9 @@ class Reprojection:
         by_point = by_point * np.where(seen[..., None], root_weight / sigma[..., None], 0.0)[..., None]
         N, J = q.shape  # N is 0 for a single frame without the next one
         by_shared = self._by_scene(span, scene, by_point)
+        by_bias = None
         if self._bias_m(span) is not None and self.px_per_m is not None:
-            weight = (root_weight / sigma[..., None])[..., 0]
-            px_per_bias = np.repeat(weight * self.px_per_m[scene.frames, None], 2, axis=1)
-            by_shared[keypoint_bias(self.number)] = px_per_bias[..., None] * np.eye(2 * J)
+            by_bias = (root_weight / sigma[..., None])[..., 0] * self.px_per_m[scene.frames, None]
         if focal_scale(self.number) in span.shared:
             off_centre = np.where(seen[..., None], unbiased_px - view.camera.matrix[:2, 2], 0.0)
             by_focal = off_centre * root_weight / sigma[..., None]
@@ -342,7 +366,7 @@ class Reprojection:
             rotation = euler_rotation_with_jacobian(correction[:3])[1] @ in_camera[..., None, :, None]
             by_correction = np.concatenate([by_camera @ rotation[..., 0].swapaxes(-1, -2), by_camera], axis=-1)
             by_shared[extrinsic_correction(self.number)] = by_correction.reshape(N, 2 * J, 6)
-        return PointRows(cost, e * root_weight, by_point * scene.size, by_shared)
+        return PointRows(cost, e * root_weight, by_point * scene.size, by_shared, self.number, by_bias)
 
     def _errors(self, scene: _Scene, span: Span, jacobian: bool) -> tuple[Array, Array, Array, Bools, Array, Array]:
         """Return the cost (N,), the errors e (N, J, 2) in standard deviations, and their squares in units of the loss.

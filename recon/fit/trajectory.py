@@ -44,7 +44,7 @@ from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
 from recon.fit.least_squares import Estimate, LeastSquares, SharedUnknown
 from recon.fit.posterior import Posterior, PriorMisfit, posterior, prior_misfit_of, with_noise_about_bias, with_size
 from recon.fit.result import SHAPES, Ground, MotionSegment, SecondCamera, SolvedShape, TrajectorySolution
-from recon.fit.starts import approach, interpolate_states
+from recon.fit.starts import ALTERNATIVE_COST, approach, interpolate_states
 from recon.fit.terms import (
     COMMON_KEYPOINT_BIAS,
     LENGTHS,
@@ -82,8 +82,8 @@ Median errors of the frames of 32 real views: 137 mm below 15 degrees, 75 mm to 
 """
 TESTED_S = 5.0
 """Seconds of a clip used to test the second camera."""
-ALTERNATIVE_M, ALTERNATIVE_COST = 0.1, 20.0
-"""A second solution gets a flag if its joints are further away than this, and its cost is not higher than this."""
+ALTERNATIVE_M = 0.1
+"""A second solution gets a flag if its joints are further away than this: see also `ALTERNATIVE_COST`."""
 
 
 def solve_trajectory(

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import says
-from example_run import BODY, CAMERA, FPS, PRIOR, plain, run, seen
+from example_run import BODY, CAMERA, FPS, POSES, PRIOR, plain, run, seen, truth_m, view_of
 
 from recon import FitSettings, fit_clip, samples_folder
 from recon.animal.body import opposites, other_side
@@ -34,6 +34,7 @@ from recon.check.swaps import (
     _Stretch,
     _SwapTrial,
     contradicts,
+    is_refuted,
     jumps,
     pairs_of,
     propose_stretches,
@@ -162,6 +163,18 @@ def test_a_whole_clip_that_only_looks_exchanged_is_to_be_looked_at(monkeypatch):
     (found,) = swaps(fitted(with_exchanged(view(), stretch("all", 0, T))))
     assert (found.clear, found.stretch.rows) == (False, slice(0, T))
     assert swaps(fitted(view())) == []
+
+
+def test_other_cameras_refute_exchanged_sides_without_a_fit():
+    """Three cameras, of which the first has the sides of ten frames exchanged; with one other, nothing is refuted."""
+    views = [view_of(truth_m(), pose, seed=i) for i, pose in enumerate(POSES[:3])]
+    views[0] = with_exchanged(views[0], stretch("all", 15, 25))
+    states = plain().states
+    for count, expected in ((3, [False, True, True]), (2, [False, False, False])):
+        clip = ClipProblem.from_views(views[:count], BODY, PRIOR, FPS, TrajectoryOptions())
+        baseline = baseline_of(clip, 0, states, plain().size)
+        tried = [stretch("all", 15, 25), stretch("all", 0, 15), stretch("fore", 25, T)]
+        assert [is_refuted(baseline, one) for one in tried] == expected
 
 
 def test_two_frames_of_a_camera_between_those_of_another_have_no_swaps():
