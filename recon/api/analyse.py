@@ -196,8 +196,8 @@ def notes(analysis: ClipAnalysis) -> Iterator[str]:
     if (count_more := len(doubtful) - SHOWN) > 0:
         yield f"{count_more} more strides do not count, for reasons of the same kind"
     if analysis.dynamics is not None:
-        masses = f"Forces and energies rest on the masses of {motion.body.mass_source}"
-        yield f"{masses}; forces are validated on galloping cheetahs, on level ground."
+        yield f"Source of the masses in forces and energies: {motion.body.mass_source}."
+        yield "Forces were validated on galloping cheetahs on level ground."
         yield from (sentence(finding, named=False) for finding in findings_of_dynamics(motion, analysis.dynamics))
     elif motion.side is None and gait is not None:
         yield "The skeleton has no masses ([mass]): no centre of mass, energy or forces."

@@ -260,7 +260,7 @@ def _sections(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
         if dynamics is not None and len(dynamics.forces):
             text = (
                 "Force of each foot in body weights, from its stances and the impulse of a stride on level ground, "
-                f"with the masses of {motion.body.mass_source}. Validated on galloping cheetahs."
+                f"from masses of this source: {motion.body.mass_source}. Validated on galloping cheetahs."
             )
             yield _group("Vertical forces", text, [forces(dynamics, gait)])
 
