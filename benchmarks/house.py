@@ -1,4 +1,4 @@
-"""Measure how much code the package is, in one table: code, classes, what a fit loads, options, import cycles, times.
+"""Measure the size of the package in one table: code, classes, what a fit loads, options, import cycles, times.
 
 python benchmarks/house.py [--rooms] [--quick] [--check] [--where]
 

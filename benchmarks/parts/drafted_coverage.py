@@ -1,12 +1,12 @@
-"""Whether the stated uncertainty holds for animals whose skeleton was drafted from a clip.
+"""Test the stated uncertainty for animals whose skeleton was drafted from a clip.
 
     python benchmarks/parts/drafted_coverage.py [--only rat dog] [--cameras 1 2 6] [--clips 4] [--skeleton rat]
 
-A recorded rat (rat-poses) and dog (dog-mocap of $RECON_SHARED_DATA, or of ../shared/data) before made-up cameras. The
-skeleton is drafted from an earlier part of a recording, triangulated from four cameras, or is a built-in one (for the
-rat: --skeleton). A later part is fitted from one, two and six cameras: the shares of joints whose pose and position lie
-inside the stated 90 %, and their errors in mm. Keypoints lie off the recorded points all the time, by 2.5 % of the
-body's length along each axis, and have 2 px of noise.
+A recorded rat (rat-poses) and dog (dog-mocap of $RECON_SHARED_DATA, or of ../shared/data) are seen by simulated
+cameras. The skeleton is drafted from an earlier part of a recording, triangulated from four cameras, or is a built-in
+one (for the rat: --skeleton). A later part is fitted from one, two and six cameras. The table has the fractions of
+joints whose pose and position are inside the stated 90 %, and their errors in mm. Keypoints have a constant bias of 2.5
+% of the body's length along each axis, and 2 px of noise.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def dogs() -> Iterator[Recording]:
 
 
 def biased(recording: Recording, points_m: np.ndarray, offsets_m: np.ndarray) -> np.ndarray:
-    """Return points that lie off the recorded ones, by (K, 3) in the frame of the trunk's heading."""
+    """Return points with an offset from the recorded points, (K, 3) in the frame of the trunk's heading."""
     rear, front = (recording.names.index(name) for name in recording.trunk)
     ahead = points_m[:, front, :2] - points_m[:, rear, :2]
     c, s = (ahead / np.linalg.norm(ahead, axis=1, keepdims=True)).T[..., None]

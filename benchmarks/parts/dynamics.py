@@ -11,7 +11,7 @@ force is known, too.
 A gallop and a trot that given forces carry (`recon.testing.steady_gait`) have exact poses: with paws that leave the
 ground and land as fast as those over the plates, with paws that leave and land at rest, and with half a sine as the
 force of a stance. The same two gaits, seen by one camera from the side and fitted from noisy detections, test the
-intervals for feet that share the impulse as the model states. They provide far more feet than the plates.
+intervals for feet that share the impulse as the model states. These gaits provide far more feet than the plates.
 """
 
 from __future__ import annotations

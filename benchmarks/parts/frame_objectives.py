@@ -55,7 +55,7 @@ separately, as published. "As printed" means f4 and f5 with the missing da/dt an
 """
 FADED = 1e-6
 TOLERANCE = 1e-5
-"""Tolerance of every search, that of the default's second solutions: problems without priors are flat and end late."""
+"""Tolerance of every search. It is as loose as for second solutions, since searches without priors end late."""
 
 
 class Faded:

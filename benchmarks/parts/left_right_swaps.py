@@ -348,8 +348,8 @@ def least_margin() -> Iterator[None]:
 def margin_rows(view: View, name: str, case: Case, folder: Path) -> list[dict[str, Any]]:
     """Return the results of a case for each of `MARGINS`.
 
-    They are whether the planted exchange is found, the fraction of the frames that are named wrongly, and the error of
-    the corrected clip relative to the uncorrected one.
+    The results are whether the planted exchange is found, the fraction of the frames that are named wrongly, and the
+    error of the corrected clip relative to the uncorrected one.
     """
     motion, changed = fitted(view, case, folder)
     solution, everywhere = motion.solution, np.ones(len(changed), dtype=bool)

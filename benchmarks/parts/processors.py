@@ -1,10 +1,11 @@
-"""Are the tables of a fit the same on machines with other processors?
+"""Test whether a fit writes the same tables on machines with other processors.
 
     python benchmarks/parts/processors.py
 
 The sample `whole.csv` is fitted with two corrections by hand, with one and two threads, and with the matrix kernels
-(OpenBLAS) of other processors, each in a process of its own. The tables must be the same byte for byte. The largest
-difference of a joint's position in motion.npz is given beside. A kernel that this machine cannot run gives no fit.
+(OpenBLAS) of other processors, each in a separate process. The tables must be identical byte for byte. The table also
+has the largest difference of a joint's position in motion.npz. There is no fit for a kernel that this machine cannot
+run.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ CASES = {
 
 
 def fitted(folder: Path, environment: dict[str, str]) -> Path | None:
-    """Return the folder of a fit in a process with these variables; None if it failed."""
+    """Return the folder of a fit in a process with these variables, or None if the fit failed."""
     files = str(SAMPLES / "whole.csv"), "--camera", str(SAMPLES / "camera.toml"), "--fps", "60"
     corrections = folder.parent / "corrections.csv"
     corrections.write_text(CORRECTIONS, encoding="utf-8")

@@ -149,7 +149,7 @@ def drawn(
 
 
 def worst_views(runs: Sequence[Run], found: Sequence[Fit]) -> None:
-    """Print the worst views if errors are drawn from the stated covariances."""
+    """Print what the regions of the worst views hold if errors are drawn from the stated covariances."""
     rng, off_m, far = np.random.default_rng(0), [], []
     shares, mm = ({what: [] for what in KINDS} for _ in range(2))
     for run in runs:

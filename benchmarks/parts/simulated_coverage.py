@@ -12,8 +12,8 @@ keypoint bias, the camera's time offset, 5 % of gross outliers, and randomly mis
 right, the truth is in the 50 and 90 % regions as often as they state, and its rank in the distribution of the distance
 is uniform (Kolmogorov-Smirnov, p > 0.05).
 
---recorded: the motions are those of real animals, turned about the vertical, and everything else is drawn. They are the
-motion capture of `dog.py`, without a learned prior, or the runs of `cameras.py`.
+--recorded: the motions are those of real animals, turned about the vertical, and everything else is drawn. The
+recordings are the motion capture of `dog.py`, without a learned prior, or the runs of `cameras.py`.
 
 The solution is the joint maximum of motion and distance. At smaller distances the same pixels need smaller angles,
 which the prior prefers, although fewer motions fit. The marginal distribution of the distance accounts for this by the

@@ -427,7 +427,7 @@ def lasts_s(xyz_m: Array, fps: float) -> float:
     """Return the geometric mean of the correlation time of detections' errors and the time in which the pose changes.
 
     The latter is the root mean square distance of the joints (T, J, 3), relative to their mean, from their average
-    position, divided by the root mean square of their speed. It is at most the former.
+    position, divided by the root mean square of their speed. This time is at most the former.
     """
     from_mean_m = xyz_m - xyz_m.mean(axis=1, keepdims=True)
     speed_m_s = fps * np.diff(from_mean_m, axis=0)

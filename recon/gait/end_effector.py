@@ -3,8 +3,8 @@
 The end effector moves relative to the body along the direction of travel, and up and down. At a boundary between two
 strides its horizontal position has a local minimum, so its horizontal velocity crosses zero upwards, near an extremum
 of its height: the foot is rearmost and begins to swing. A minimum counts if it is among the lowest `BACK` of the range,
-and if the foot has moved forwards by `AWAY` of the range since the last minimum. Of two minima without such a movement
-between them, the lower one is the boundary. A stride lasts from one boundary to the next.
+and if the foot has moved forwards by `AWAY` of the range since the last minimum. If there is no such movement between
+two minima, the lower one is the boundary. A stride lasts from one boundary to the next.
 
 References
 ----------

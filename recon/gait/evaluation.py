@@ -234,7 +234,7 @@ def _other_names(pose: Pose3D, truth: Pose3D, result: Evaluation) -> Iterator[st
 def _counted_from_one(pose: Pose3D, truth: Pose3D, result: Evaluation) -> Iterator[str]:
     """Yield a note if one side counts frames from 1, as TRC files do, and the other counts from 0.
 
-    The note is given only if counting alike makes the positions agree better.
+    The note is given only if equal numbering makes the positions agree better.
     """
     first_frames = int(pose.frames[0]), int(truth.frames[0])
     if sorted(first_frames) != [0, 1]:
@@ -434,7 +434,7 @@ def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[Fin
                 finding(code, error_mm=1000 * error, left_mm=1000 * remaining, **numbers),
                 remaining,
             )
-    if error_left > UNLIKE * size:  # another clip, even if a motion removes part of the error
+    if error_left > UNLIKE * size:  # different clips, even if a motion removes part of the error
         error_left = min(error_left, _error(_turned(pose, truth)[0], truth))
     if error_left > UNLIKE * size:
         return (finding("reference_unlike", left_mm=1000 * error_left, share=error_left / size),)

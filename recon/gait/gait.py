@@ -15,7 +15,7 @@ the heel during the stance; hence 0.15 of the leg (9 cm of 0.6 m) for a low foot
 standing foot seems to move by the error of its speed, `SPEED_ERROR` of the stated standard deviation, whose square is
 subtracted first. Stances shorter than `MIN_STANCE_S` are noise. The ground is a plane through the positions of the slow
 feet, fitted with Tukey weights. Clips of a few strides hardly determine its slope across the track, so the slopes have
-a prior of 0 ± `SLOPE_SIGMA`. Every segment of a clip, a stretch that was reconstructed by itself, has a plane of its
+a prior of 0 ± `SLOPE_SIGMA`. Every segment of a clip, a stretch that was reconstructed separately, has a plane of its
 own. If no foot is slow, or if the slow feet are `LOW[0]` of the leg away from a plane, the ground is unknown and there
 are no stances.
 

@@ -57,8 +57,9 @@ _WINDOW, _MARGIN = 200, 40
 """Frames of an exact spline whose standard deviations are computed at once, and frames on either side that enter: a
 value's share in the spline falls by 2 - sqrt(3) from frame to frame, to 1e-23 over the margin."""
 _REACH, _LEAST_PRODUCT, _AT_ONCE = 20, 1e-11, 1000
-"""Frames on either side that enter for evenly spaced frames away from the ends (1e-11 over the reach); least product
-of two values' shares that enters, relative to the largest; and the number of frames computed at once."""
+"""Frames on either side that enter for evenly spaced frames away from the ends (1e-11 over the reach); smallest product
+of two values' shares that enters, relative to the largest; and the number of frames computed at once.
+"""
 
 STRAIGHT_SIGMAS = 2.0
 """Deviation from straight, in standard deviations, below which a joint may be bent to either side."""
@@ -215,7 +216,7 @@ def series_kinematics(
     ValueError
         If the times do not increase.
     """
-    from scipy.interpolate import CubicSpline  # here, as it is slow to import
+    from scipy.interpolate import CubicSpline  # slow to import
 
     T, d = values.shape
     N = (T - 1) * oversampling + 1 if T else 0

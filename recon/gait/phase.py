@@ -294,7 +294,7 @@ def diameter(path: Array) -> float:
     """Return the largest distance between any two points of a path (N, d)."""
     if path.shape[1] == 1:
         return float(np.ptp(path))
-    from scipy.spatial import ConvexHull, QhullError  # here, as it is slow to import
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
 
     with suppress(QhullError):  # all points are on a line
         path = path[ConvexHull(path).vertices]  # the two points that are farthest apart are corners of the hull

@@ -62,7 +62,7 @@ class GaitQuantity:
     name: str
     """Name with its unit, such as stride_length_m."""
     value: float
-    """NaN if unknown."""
+    """Value of the quantity; NaN if unknown."""
     sigma: float
     """Standard deviation, all errors included; NaN if unknown."""
     own_sigma: float

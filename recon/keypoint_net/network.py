@@ -112,7 +112,7 @@ def require_torch() -> ModuleType:
 
 
 def choose_device(name: str) -> torch.device:
-    """Return the device of a name; "auto" is CUDA or MPS if available, else the CPU."""
+    """Return the torch device of this name; "auto" is CUDA or MPS if available, else the CPU."""
     torch = require_torch()
     is_available = {"cpu": True, "cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
     if name == "auto":
@@ -150,7 +150,7 @@ def fast_half(device: torch.device) -> torch.dtype | None:
 def build_network(keypoints: int, widths: tuple[int, ...], blocks: tuple[int, ...]) -> torch.nn.Module:
     """Return a network with random weights.
 
-    It maps (B, CHANNELS, H, W) to scores (B, keypoints, ceil(H / 4), ceil(W / 4)).
+    The network maps (B, CHANNELS, H, W) to scores (B, keypoints, ceil(H / 4), ceil(W / 4)).
     """
     torch = require_torch()
     nn, functional = torch.nn, torch.nn.functional
@@ -384,7 +384,7 @@ class Spec:
     def reach_cells(self) -> float:
         """Return the radius, in cells of the second stage's grid, of its window around a point of the first stage.
 
-        It is the error that is allowed for the first stage.
+        The radius is the error allowed for the first stage.
         """
         return self.tolerance_px * self.scale / STRIDE
 
@@ -542,8 +542,8 @@ PIXELS = 2**20
 WAITING = 2
 """Number of batches to decode ahead."""
 LOST_SHARE, LOST_FRAMES = 0.01, 3
-"""Largest excess of the frame count in a video's header over the decoded frames that is taken for an error of the
-header. If more frames are missing, the video is damaged.
+"""Largest excess of the frame count in a video's header over the decoded frames that counts as an error of the header.
+If more frames are missing, the video is damaged.
 """
 
 _Chunk = tuple[list[int], list[float], list[Image], list[Image]]

@@ -585,7 +585,7 @@ def read_model(path: str | Path, free: bool = False) -> MjModel:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # warnings about moving parts without mass: kinematics needs no masses
             model = spec.compile()
-    except (ValueError, RuntimeError, mujoco.FatalError) as error:  # MuJoCo also reports a lack of memory by these
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:  # MuJoCo raises these also if it runs out of memory
         detail = " ".join(str(error).split())[:160]
         raise InputError(Problem(path, "content", detail, "a URDF or MJCF file")) from None
     for quantity, numbers in {"links": model.body_pos, "limits": model.jnt_range}.items():

@@ -354,7 +354,7 @@ class RobotMotion(KeptMotion):
     def states(self, time_s: Array, derivative: int = 0) -> Array:
         """Return the states (K, 6 + joints) of `Quadruped.tree` at times (K,), or their derivatives.
 
-        They are values of cubic splines through the samples, of which there are ten for each frame of the clip.
+        The states are values of cubic splines through the samples, of which there are ten for each frame of the clip.
         """
         states = self._spline(time_s, derivative)
         if self.advance_m is not None and derivative < 2:

@@ -362,7 +362,7 @@ def support_m(centre_m: Array, feet_m: Array, lifted: Integers) -> Array:
 
 
 def plan(robot: Quadruped, recipe: Recipe) -> Climb:
-    """Plan the climb of a recipe; the result's `problems` tell whether it is valid.
+    """Plan the climb of a recipe; the result's `problems` show whether it is valid.
 
     Raises InputError unless all legs have a swing, a flap and a knee joint in closed form, the swing joint first.
     """

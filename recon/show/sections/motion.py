@@ -33,8 +33,8 @@ def trajectory_solution(motion: Motion) -> TrajectorySolution:
 def root_path_data(motion: Motion) -> dict[str, Any]:
     """Return the path of the reference point, exact and smoothed.
 
-    The smoothed path has no jitter from frame to frame. It exists if each frame was solved separately and the jitter
-    can be measured.
+    The smoothed path has no jitter from frame to frame. The smoothed path exists if each frame was solved separately
+    and the jitter can be measured.
     """
     jitter, root, time_s = frame_jitter_m(motion.root_m), motion.root_name, motion.time_s
     names = "distance_m", "peak_speed_m_s", "mean_speed_m_s", "peak_acceleration_m_s2"

@@ -1,6 +1,6 @@
 """Write a motion as a rerun recording for playback, and open the viewer on such a file.
 
-Entities of the recording. Those without "(static)" have a row per frame, which is empty if the frame has no pose:
+Entities of the recording; entities without "(static)" have a row per frame, which is empty if the frame has no pose:
 
 - `world`: metres, in the motion's frame of reference. `world/skeleton` and its joints; `world/path` (static) and
 `world/trail` of the reference point; `world/ground` (static; in a clip with several segments, the ground of each

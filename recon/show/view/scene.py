@@ -443,12 +443,13 @@ JPEG_QUALITY = 85
 def write_video(motion: Motion, log: Log, video: Path, first_frame: int = 0, number: int = 0) -> None:
     """Write the frames of a video: `picture/video`, and `closeup/video`, the part around the animal.
 
-    With several cameras the first is `picture/<name>/video`. first_frame: frame number, in the clip, of the video's
-    first frame. number: camera whose video it is, of the same size. Raises InputError if the video lacks frames.
+    If there are several cameras, the first entity is `picture/<name>/video`. first_frame: frame number, in the clip, of
+    the video's first frame. number: camera whose video it is, of the same size. Raises InputError if the video lacks
+    frames.
 
-    Each frame is a JPEG, which every viewer shows. Of the video codecs, a viewer without ffmpeg decodes only AV1, and
-    jumps from key frame to key frame for the others. In rerun the corner of the top left pixel is at (0, 0), whereas
-    keypoints have the pixel's centre there: the whole picture is shifted by half a pixel to the right and down.
+    Each frame is a JPEG, which every viewer shows. Without ffmpeg, viewers decode only AV1 videos, and jump from key
+    frame to key frame in other codecs. In rerun the corner of the top left pixel is at (0, 0), whereas keypoints have
+    the pixel's centre there: the whole picture is shifted by half a pixel to the right and down.
     """
     import cv2  # slow to import, and most playbacks are without a video
 
