@@ -182,14 +182,13 @@ def main() -> None:
                     )
     if not rows:
         parser.exit(message="no recordings: nothing measured\n")
-    grouped = pd.DataFrame(rows).groupby(["animal", "cameras"])
-    mean, count = grouped.mean(), grouped.size()
-    cells = [
-        [*key, count[key], *(f"{of[name]:.0f}" for name in ("pose mm", "stated mm", "position mm"))]
-        + [f"{of[name]:.0%}" for name in ("pose inside", "position inside", "trunk forward")]
-        + [f"{of['legs']:.0f}"]
-        for key, of in mean.iterrows()
-    ]
+    table, cells = pd.DataFrame(rows), []
+    for animal in table["animal"].unique():
+        for cameras in given.cameras:
+            part = table[(table["animal"] == animal) & (table["cameras"] == cameras)]
+            lengths = [f"{part[name].mean():.0f}" for name in ("pose mm", "stated mm", "position mm")]
+            shares = [f"{part[name].mean():.0%}" for name in ("pose inside", "position inside", "trunk forward")]
+            cells.append([animal, cameras, len(part), *lengths, *shares, f"{part['legs'].mean():.0f}"])
     head = ["animal", "cameras", "clips", "pose mm", "stated mm", "position mm", "pose inside", "position inside"]
     print_table([*head, "trunk forward", "legs"], cells)
 

@@ -165,6 +165,8 @@ class Body(Brief):
     """Offset of a detector's keypoint from its marker, (x, y, z) in the marker's segment, by marker."""
     keypoint_spread_m: dict[str, float] = field(default_factory=dict)
     """Standard deviation of this offset between clips, along each axis, by marker."""
+    marker_sigma_m: float = 0.0
+    """Standard deviation, along each axis, of the markers' distance from the animal's points that they stand for."""
     keypoint_noise_m: dict[str, float] = field(default_factory=dict)
     """Standard deviation in a single frame, by marker where known; otherwise keypoint_sigma_m."""
     detector: str | None = None
@@ -189,6 +191,7 @@ class Body(Brief):
             title=f"{self.title}, {size:g} times as large",
             tree=self.tree.scaled(size),
             keypoint_sigma_m=size * self.keypoint_sigma_m,
+            marker_sigma_m=size * self.marker_sigma_m,
             keypoint_offset_m={
                 name: (size * x, size * y, size * z) for name, (x, y, z) in self.keypoint_offset_m.items()
             },

@@ -116,6 +116,7 @@ class _BodyFile(FileTable):
     forward: tuple[str, str]
     feet: _BodyFeet = Field(default=None, validate_default=True)
     keypoint_sigma_m: Sigma
+    marker_sigma_m: Annotated[float, Field(ge=0.0)] = 0.0
     size_sigma: Sigma
     detector: str | None = None
     segments: tuple[_Segment, ...] = Field(min_length=1)
@@ -241,6 +242,7 @@ def _body(f: _BodyFile) -> Body:
         feet=tuple(f.feet.values()),
         foot_labels=tuple(PLACES[position] for position in f.feet),
         keypoint_sigma_m=f.keypoint_sigma_m,
+        marker_sigma_m=f.marker_sigma_m,
         size_sigma=f.size_sigma,
         mean_rad=np.array([e.mean_rad for e in expected]),
         sigma_rad=np.array([e.sigma_rad for e in expected]),

@@ -48,12 +48,15 @@ RIGID, TOO_MUCH, NOISE = 0.01, 0.02, 2.0
 """RIGID and TOO_MUCH, fractions of the animal's length: a distance whose standard deviation is below RIGID counts as
 constant. With noisy keypoints the limit is NOISE times the variation between steady neighbours, but at most TOO_MUCH.
 """
-KEYPOINT_SHARE, SIZE_SIGMA = 0.02, 0.05
-"""Values for the skeleton file: keypoint_sigma_m as a fraction of the animal's length, and size_sigma of a measured
-animal.
+KEYPOINT_SHARE, MARKER_SHARE, SIZE_SIGMA = 0.03, 0.025, 0.05
+"""Values for the skeleton file: keypoint_sigma_m and marker_sigma_m as fractions of the animal's length, and size_sigma
+of a measured animal. A draft has its markers where the detector sees them, which is a little off the joints.
 """
-HEAD = ("keypoint_sigma_m", "size_sigma")
-SWING_RAD, SWING_HZ = (0.2, 1.2), (0.5, 8.0)
+HEAD = ("keypoint_sigma_m", "marker_sigma_m", "size_sigma")
+SWING_RAD, SWING_HZ, WIDER = (0.3, 1.2), (0.5, 8.0), 1.5
+"""Limits of a segment's swing and of its frequency; factor on the swing that was seen, as other clips have others."""
+LOW, FLAT = 0.3, 0.12
+"""Part of the animal's height below which no trunk lies, and part of its length within which feet reach the ground."""
 
 
 _ROUGHLY = {"croup": "tail_base", "rump": "tail_base"}
@@ -62,6 +65,14 @@ _ROUGHLY = {"croup": "tail_base", "rump": "tail_base"}
 _FRONT_WORDS = re.compile("nose|snout|muzzle|beak|head|(?<!r)ear|eye|neck|withers|shoulder", re.IGNORECASE)
 _REAR_WORDS = re.compile("tail|rump|croup|hip|pelvis", re.IGNORECASE)
 """Keypoints that tell the front of an animal that does not go anywhere."""
+_FEET_WORDS = re.compile("paw|foot|feet|hand|hoof|toe", re.IGNORECASE)
+_NO_FEET = re.compile("tail|nose|snout|muzzle|beak|head", re.IGNORECASE)
+"""Keypoints at feet, and those that reach the ground although they are none."""
+_FORE_WORDS, _HIND_WORDS = (
+    re.compile("front|fore|thoracic", re.IGNORECASE),
+    re.compile("back|hind|rear|pelvic", re.IGNORECASE),
+)
+_LEG_WORDS = re.compile("knee|ankle|elbow|wrist|stifle|hock|carp|tars|paw|foot|hand|hoof|toe", re.IGNORECASE)
 
 SkeletonDraft = tuple[dict[str, str], tuple[str, ...], str]
 """The quadruped's markers by the keypoints that are placed on them; the keypoints that are not placed; and the text of
@@ -285,11 +296,12 @@ def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, sourc
     points_m, labels = _often_seen(names, points_m, source)
     distances = _distances(points_m, source)
     bodies = _rigid_bodies(distances)
-    root = _root_body(bodies, distances)
+    root = _root_body(bodies, points_m, labels, distances)
     centre_m = points_m[:, bodies[root]].mean(axis=1)
     ahead_m = _directions_ahead(labels, points_m, centre_m, distances.length_m, len(bodies), source)
-    parts = _tree(bodies, root, distances)
-    rear, front = _ends_of_trunk(points_m, centre_m, ahead_m, bodies[root])
+    parts = _tree(bodies, root, labels, distances)
+    named_ends = _named_ends(labels, bodies[root], distances)
+    rear, front = named_ends or _ends_of_trunk(points_m, centre_m, ahead_m, bodies[root])
     turned_m = _in_body_frame(points_m, parts[0].origin, rear, front)
     offsets_m = _expected_offsets_m(turned_m, distances)
     comments = [
@@ -297,9 +309,10 @@ def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, sourc
         f"{1000 * distances.same_m:.1f} mm stay the same. "
         "Look at it with recon skeleton check, and give its segments names.",
     ]
-    head = [labels[rear], labels[front]], round(KEYPOINT_SHARE * distances.length_m, 5), SIZE_SIGMA
+    sigmas_m = [round(share * distances.length_m, 5) for share in (KEYPOINT_SHARE, MARKER_SHARE)]
+    head = [labels[rear], labels[front]], *sigmas_m, SIZE_SIGMA
     text = head_text(comments, title, "the geometry", **by_name(("forward", *HEAD), head))
-    text += table_text("[feet]", {})
+    text += table_text("[feet]", _feet(points_m, turned_m, labels, (rear, front), distances.length_m))
     for part in parts:
         text += table_text("[[segments]]", _segment(part, parts, labels, turned_m, offsets_m, fps))
     for part in parts:
@@ -355,13 +368,59 @@ def _rigid_bodies(distances: _Distances) -> list[list[int]]:
     return [np.flatnonzero(body_of_point == i).tolist() for i in np.unique(body_of_point)]
 
 
-def _root_body(bodies: Sequence[list[int]], distances: _Distances) -> int:
-    """Return the body that is nearest to all points, preferring bodies of three or more points."""
+def _root_body(bodies: Sequence[list[int]], points_m: Array, labels: Sequence[str], distances: _Distances) -> int:
+    """Return the body that is nearest to all points, preferring those of three or more points that are no leg's."""
+    height_m = np.nanmedian(points_m[..., 2], axis=0)
+    low_m = height_m.min() + LOW * (height_m.max() - height_m.min())
 
-    def rank(i: int) -> tuple[bool, float]:
-        return len(bodies[i]) < 3, distances.usual_m[bodies[i]].min(axis=0).mean()
+    def rank(i: int) -> tuple[bool, bool, float]:
+        is_leg = all(_LEG_WORDS.search(labels[k]) for k in bodies[i])
+        is_low = bool(height_m[bodies[i]].mean() < low_m)
+        return is_leg or is_low, len(bodies[i]) < 3, distances.usual_m[bodies[i]].min(axis=0).mean()
 
     return min(range(len(bodies)), key=rank)
+
+
+def _named_ends(labels: Sequence[str], root: Sequence[int], distances: _Distances) -> tuple[int, int] | None:
+    """Return the points at the trunk's rear and front by their names, or None if the names do not tell.
+
+    The nearest to the root are taken, and rather those of no side.
+    """
+    ends = []
+    for words in (_REAR_WORDS, _FRONT_WORDS):
+        points = [k for k, label in enumerate(labels) if words.search(label)]
+        middle = [k for k in points if side_of(labels[k]) is None] or points
+        if not middle:
+            return None
+        ends.append(min(middle, key=lambda k: distances.usual_m[k, root].mean()))
+    return (ends[0], ends[1]) if ends[0] != ends[1] else None
+
+
+def _feet(
+    points_m: Array, turned_m: Array, labels: Sequence[str], ends: tuple[int, int], length_m: float
+) -> dict[str, str]:
+    """Return the lowest points at the four corners of the trunk, by their position, or nothing if one is missing.
+
+    Names of feet, sides, and of fore and hind come first.
+    """
+    low_m = np.nanquantile(points_m[..., 2], 0.05, axis=0)
+    x, y, _ = np.nanmedian(turned_m, axis=0).T
+    middle_x = x[[*ends]].mean()
+    named = [k for k, label in enumerate(labels) if _FEET_WORDS.search(label)]
+    candidates = named or [k for k, label in enumerate(labels) if not _NO_FEET.search(label)]
+    floor_m = min((low_m[k] for k in candidates), default=0.0)
+    has_hands = any("hand" in labels[k].lower() for k in named)
+    feet: dict[str, str] = {}
+    for k in sorted(candidates, key=low_m.__getitem__):
+        if not named and low_m[k] > floor_m + FLAT * length_m:
+            continue
+        side = side_of(labels[k]) or ("left" if y[k] > 0 else "right")
+        is_fore, is_hind = _FORE_WORDS.search(labels[k]), _HIND_WORDS.search(labels[k])
+        if has_hands:
+            is_fore, is_hind = "hand" in labels[k].lower(), "hand" not in labels[k].lower()
+        is_fore = bool(is_fore) if is_fore or is_hind else x[k] > middle_x
+        feet.setdefault(f"{side}_{'fore' if is_fore else 'hind'}", labels[k])
+    return feet if len(feet) == len(PLACES) else {}
 
 
 def _directions_ahead(
@@ -413,7 +472,7 @@ def _expected_offsets_m(turned_m: Array, distances: _Distances) -> Array:
     return offsets_m
 
 
-def _tree(bodies: Sequence[list[int]], root: int, distances: _Distances) -> list[_Part]:
+def _tree(bodies: Sequence[list[int]], root: int, labels: Sequence[str], distances: _Distances) -> list[_Part]:
     """Join bodies into a tree of segments, parents first.
 
     Two bodies are joined at a point whose distances to all points of the other body are constant. If there is no such
@@ -434,7 +493,8 @@ def _tree(bodies: Sequence[list[int]], root: int, distances: _Distances) -> list
     n = len(bodies)
     body_costs = [[joint(a, b)[0] * (i != k) for k, b in enumerate(bodies)] for i, a in enumerate(bodies)]
     joined = minimum_spanning_tree(np.array(body_costs)).toarray()
-    origin = bodies[root][int(costs[np.ix_(bodies[root], bodies[root])].sum(axis=1).argmin())]
+    trunk = [k for k in bodies[root] if not _LEG_WORDS.search(labels[k])] or bodies[root]
+    origin = trunk[int(costs[np.ix_(trunk, bodies[root])].sum(axis=1).argmin())]
     parts = [_Part(1, origin, None, tuple(bodies[root]), tuple(bodies[root]))]
     part_of_body, queue = {root: parts[0]}, [root]
     for i in queue:
@@ -463,7 +523,7 @@ def _segment(
     swings = (line_m[np.isfinite(line_m[:, 0])] - usual_m) / np.linalg.norm(usual_m).clip(1e-9)
     centred = swings - swings.mean(axis=0)
     main_swing = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
-    sigma = np.clip(np.sqrt(np.mean(np.sum(swings**2, axis=1))), *SWING_RAD)
+    sigma = np.clip(WIDER * np.sqrt(np.mean(np.sum(swings**2, axis=1))), *SWING_RAD)
     hz = np.clip(np.sum(np.diff(np.sign(main_swing)) != 0) * fps / 2 / len(main_swing), *SWING_HZ)
     acceleration = round(float(1.5 * sigma * (2 * np.pi * hz) ** 2))
     expected = {"mean_rad": 0.0, "sigma_rad": round(float(sigma), 2), "acceleration_rad_s2": acceleration}

@@ -252,6 +252,7 @@ def posterior(problem: LeastSquares, body: Body, estimate: Estimate, variance_fa
     for covariance in (absolute, relative):  # in place, because the covariances of a long clip are large
         covariance += np.multiply.outer(solution.beyond_m2, np.eye(3))
         covariance *= variance_factor
+        covariance += body.marker_sigma_m**2 * np.eye(3)
     data_share, angle_variance[1] = _without_pixels(problem, body, estimate)
     return Posterior(
         covariance_m2=absolute,

@@ -1,0 +1,57 @@
+"""A skeleton that is drafted from the geometry of the keypoints of an animal with legs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recon.animal.body import Body
+from recon.animal.skeleton_file import load_skeleton
+from recon.api.skeleton_draft import drafted
+
+FPS = 50.0
+
+
+@pytest.fixture(scope="module")
+def rat() -> tuple[tuple[str, ...], np.ndarray]:
+    """Names and points (T, K, 3) of a rat that walks 0.4 m."""
+    body, t = load_skeleton("rat"), np.arange(80) / FPS
+    assert isinstance(body, Body)
+    random = np.random.default_rng(0)
+    phases, rates = random.uniform(0, 2 * np.pi, len(body.mean_rad)), random.uniform(1.0, 4.0, len(body.mean_rad))
+    states = np.zeros((len(t), body.n_state))
+    states[:, 4:] = body.mean_rad + 0.4 * body.sigma_rad * np.sin(2 * np.pi * t[:, None] * rates + phases)
+    states[:, 4:6] = body.mean_rad[:2]
+    states[:, 0] = 0.25 * t
+    return body.markers, body.tree.pose(states).points_m
+
+
+def body_of(names, points_m: np.ndarray, folder: Path) -> Body:
+    path = folder / "mine.toml"
+    path.write_text(drafted(names, points_m, FPS, "mine", Path("clip.csv"))[1], encoding="utf-8")
+    body = load_skeleton(path)
+    assert isinstance(body, Body)
+    return body
+
+
+def test_a_draft_has_a_trunk_that_goes_forward_and_legs(rat, tmp_path):
+    names, points_m = rat
+    body = body_of(names, points_m, tmp_path)
+    assert body.forward[0] == "tail_base"
+    assert body.forward[1] in ("neck_base", "nose")
+    assert set(body.feet_by_label()) == {"LF", "RF", "LH", "RH"}
+    assert all(foot.startswith(f"{label[0].lower()}_") for label, foot in body.feet_by_label().items())
+    root = body.tree.segments[0].name
+    assert not any(part in root for part in ("knee", "ankle", "paw"))
+    length_m = np.linalg.norm(points_m[:, :, None] - points_m[:, None], axis=-1).max(axis=(1, 2)).mean()
+    assert body.marker_sigma_m == pytest.approx(0.025 * length_m, rel=0.2)
+
+
+def test_names_that_tell_nothing_leave_the_front_to_the_path(rat, tmp_path):
+    _, points_m = rat
+    names = [f"point{k}" for k in range(points_m.shape[1])]
+    body = body_of(names, points_m, tmp_path)
+    rear, front = (points_m[:, names.index(name)].mean(axis=0) for name in body.forward)
+    assert front[0] > rear[0] + 0.02
