@@ -20,7 +20,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
@@ -239,6 +239,7 @@ def upright_rotation(heading: Array, up: Array) -> Array:
 # -- files -------------------------------------------------------------------------------------------------------------
 
 
+@cache  # every built-in file is parsed
 def builtin_chains() -> tuple[str, ...]:
     """Return the names of the built-in skeletons that are chains."""
     return tuple(name for name in documents.builtin_names(_SKELETONS, ".toml") if "segments" not in _read(name)[0])

@@ -106,7 +106,7 @@ def test_noisy_gallop(camera_model):
     ],
 )
 def test_every_option_ends_with_a_report(options: FrameOptions):
-    clip = gallop(n_frames=6)
+    clip = gallop(n_frames=3)
     keypoints, _ = add_noise(clip.keypoints, seed=1)
     solution = fit(clip, keypoints, options)
     for report in solution.reports:
@@ -118,7 +118,7 @@ def test_every_option_ends_with_a_report(options: FrameOptions):
         assert any(r is not None and r.status == "not_converged" for r in solution.reports)
     if options.camera_rotation == "fixed":
         np.testing.assert_allclose(
-            solution.chain_states[:, SK.euler_slice], solution.chain_states[[0] * 6, SK.euler_slice]
+            solution.chain_states[:, SK.euler_slice], solution.chain_states[[0] * 3, SK.euler_slice]
         )
 
 
