@@ -413,15 +413,15 @@ def test_command(body, tmp_path):
 
 def test_files_of_one_name_and_too_few_frames(body, tmp_path):
     files = []
-    for k, (_, states, _) in enumerate(swinging(body, 2, 60, 100.0)):
+    for k, (_, states, _) in enumerate(swinging(body, 2, 40, 100.0)):
         (tmp_path / f"run{k}").mkdir()
-        files.append(pose_csv(tmp_path / f"run{k}" / "truth.csv", body, states, np.arange(60)))
+        files.append(pose_csv(tmp_path / f"run{k}" / "truth.csv", body, states, np.arange(40)))
     done = run_prior_fit(PriorFitSettings(poses=files, out=tmp_path / "a.npz", skeleton="cheetah-24", fps="100"))
     assert [row["name"] for row in done["segments"]] == ["run0-truth", "run1-truth"]
-    assert (done["components"], done["components_asked"]) == (6, 16)
-    assert any(says(note, "6 components", 16, "20 frames") for note in _prior_lines(done) if isinstance(note, str))
+    assert (done["components"], done["components_asked"]) == (4, 16)
+    assert any(says(note, "4 components", 16, "20 frames") for note in _prior_lines(done) if isinstance(note, str))
     few = run_prior_fit(
-        PriorFitSettings(poses=files, out=tmp_path / "b.npz", skeleton="cheetah-24", fps="100", components=6)
+        PriorFitSettings(poses=files, out=tmp_path / "b.npz", skeleton="cheetah-24", fps="100", components=4)
     )
     assert not [note for note in _prior_lines(few) if isinstance(note, str) and "in place of" in note]
 

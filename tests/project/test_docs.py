@@ -86,6 +86,7 @@ ONCE = {
 }
 """Slow commands that several pages have. On the same result, they are run once."""
 SLOW = {
+    r"recon (fit|frame) ": "test_cli.py, test_naming.py, test_camera_track.py, test_subject.py, test_corrections.py",
     r"recon ik .*(--fitted|--cost )": "test_ik_clip.py",
     r"recon camera-advice ": "test_camera_advice.py",
     r"recon batch .* --out results/all$": "test_batch.py",
