@@ -11,6 +11,7 @@ from question import Part, main
 
 PARTS = {
     "clips": Part("trajectory.py", ["--only", "time"], data="cheetah-runs"),
+    "kernels": Part("kernels.py", quick=["100x1"]),
     "scaling": Part("trajectory.py", ["--only", "scaling"]),
     "long": Part("long_clips.py", ["100000x1", "4000x6", "216000/120"], quick=["1000x1"]),
     "batch": Part("batch.py", quick=["--clips", "10", "--broken", "1"]),
