@@ -12,7 +12,10 @@ from question import Part, main
 PARTS = {
     "stances": Part("gait.py", data="cheetah-runs"),
     "herds": Part("herds.py"),
-    "strides": Part("strides.py", data="dog-mocap"),
+    "strides": Part("strides.py", ["--only", "plates"], data="plate-trials"),
+    "asymmetry": Part(
+        "strides.py", ["--only", "asymmetry"], quick=["--only", "asymmetry", "--quick"], data="dog-mocap"
+    ),
     "speeds": Part("speeds.py", data="cheetah-runs"),
     "rates": Part("trajectory.py", ["--only", "rates"], data="cheetah-runs"),
     "forces": Part("dynamics.py", data="dog-mocap"),

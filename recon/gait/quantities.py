@@ -9,8 +9,9 @@ the motion along the line of sight.
 If no foot completes a stride, the clip has the period of its motion (`recon.gait.gait.pose_period_s`). The stride
 length is then the speed times the period, and the duty factor is the duration of complete stances over the period.
 
-The asymmetry is (left - right) / mean of both. It is not computed if the pose of one side comes from the prior rather
-than from the video.
+The asymmetry is (left - right) / mean of both. Errors of touch-down and lift-off that are equal for both feet cancel in
+it; those that differ from stride to stride are part of the scatter of the strides. It is not computed if the pose of
+one side comes from the prior rather than from the video.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ NEXT_STEP = 0.6
 """Largest time, in strides, between two touch-downs that form a step: half a stride in symmetrical gaits, plus 0.1."""
 LEAST_STRIDES = 3
 """Smallest number of strides on each side for an asymmetry."""
-SIDE_SIGMA = {"stance": 0.05, "excursion": 0.015}
+SIDE_SIGMA = {"stance": 0.05, "excursion": 0.02}
 """Standard deviation of the asymmetry that a single camera causes between the near and the far side. Intervals with
-this value are right for a dog's walks and runs (`benchmarks/gait.py --only strides`).
+this value are right for a dog's walks and runs (`benchmarks/gait.py --only asymmetry`).
 """
 
 
@@ -392,9 +393,6 @@ def _asymmetries(analysis: AnalysedClip, gait: Gait, girdle: str, feet: tuple[st
         (left, left_sigma), (right, right_sigma) = ((side.mean(), _scatter(side)[1]) for side in sides)
         half = (left + right) / 2
         unshared = float(np.linalg.norm([left_sigma / half, right_sigma / half, _side_sigma(analysis, kind)]))
-        if kind == "stance":
-            events = np.sqrt(np.mean([stride.duty_sigma**2 for stride in gait.strides if stride.foot in feet]))
-            unshared = float(np.hypot(unshared, np.sqrt(2) * events * gait.stride_s / half))
         yield _quantity(name, float((left - right) / half), unshared, 0.0, "footfalls", count=min(map(len, sides)))
 
 

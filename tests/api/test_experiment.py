@@ -12,6 +12,7 @@ from command_line import refusal, refused, run, says
 from made_up_herd import CLIPS, DESIGN, clip_row, make_herd, stride_rows, use_made_up_numbers
 from shortcuts import leave_out_drawing
 
+from recon.api.batch_inputs import _drafts_of_manifest
 from recon.api.compare import WITH_SIZE
 from recon.api.experiment import (
     Experiment,
@@ -68,6 +69,13 @@ def test_a_design_is_a_table_a_manifest_or_names(tmp_path: Path, design_file: Pa
     of_manifest = design_of_table(manifest, ["first", "b"], "group", ())
     assert of_manifest["animal"].tolist() == ["x", "y"]
     assert of_manifest["run"].tolist() == ["first", "b"]  # each clip is a run
+    (tmp_path / "film").mkdir()
+    for name in ("a", "b"):
+        (tmp_path / "film" / f"{name}.csv").touch()
+    assert [{*draft.row} for draft in _drafts_of_manifest(manifest)] == [
+        set(),
+        set(),
+    ]  # a fit reads none of the columns
 
 
 def test_a_wrong_design_is_refused(tmp_path: Path):

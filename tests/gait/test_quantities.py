@@ -10,7 +10,7 @@ import pytest
 
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, analyse
-from recon.gait.quantities import PAIRS, asymmetry_values, shared_sigma
+from recon.gait.quantities import PAIRS, SIDE_SIGMA, asymmetry_values, shared_sigma
 from recon.show.sentences import analysis_sentences
 from recon.show.tables import gait, gait_quantities
 
@@ -79,6 +79,11 @@ def test_asymmetry_is_refused_or_has_an_interval(whole: ClipAnalysis):
     quantity = analysis.quantities["asymmetry_excursion_hind"]
     assert quantity.value == pytest.approx(2 * (left.mean() - right.mean()) / (left.mean() + right.mean()))
     assert quantity.interval[0] < quantity.value < quantity.interval[1]
+    # Errors of touch-down that both feet share cancel: the scatter of the strides and the view's own share are left.
+    left, right = asymmetry_values(thrice, "stance", PAIRS["hind"])
+    scatter = np.hypot(*(np.std(side, ddof=1) / len(side) ** 0.5 for side in (left, right)))
+    expected_sigma = np.hypot(2 * scatter / (left.mean() + right.mean()), SIDE_SIGMA["stance"])
+    assert analysis.quantities["asymmetry_stance_hind"].sigma == pytest.approx(expected_sigma)
     expected = replace(whole.motion.solution, data_share=0 * whole.motion.solution.data_share)
     vars(unseen := ClipAnalysis(replace(whole.motion, solution=expected)))["gait"] = thrice
     assert "comes mostly from the prior" in unseen.quantities["asymmetry_excursion_hind"].why_unknown
