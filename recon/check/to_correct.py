@@ -80,7 +80,7 @@ def to_correct(motion: Motion, limit: int = MOST_LISTED) -> list[ToCorrect]:
     first = _by_distance(distance_px, is_first, limit)
     cells = [*first, *_spread(gain_m2, is_next, tau, limit - len(first))]
     falls_m = _error_fall_m(motion, gain_m2)
-    ellipses = _Ellipses(motion)
+    ellipses = _ellipses(motion, cells)
     return [
         ToCorrect(
             int(motion.frames[t]) - motion.sources[v].later_frames,
@@ -89,12 +89,12 @@ def to_correct(motion: Motion, limit: int = MOST_LISTED) -> list[ToCorrect]:
             _pair(found_px[v, t, j]),
             float(likelihood[v, t, j]),
             (float(expected_px[v, t, j, 0]), float(expected_px[v, t, j, 1])),
-            ellipses.at(v, t, j),
+            ellipses[i],
             float(distance_px[v, t, j]),
             _reason(int(reason_code[v, t, j]), bool(outliers[v, t, j]), bool(np.isfinite(found_px[v, t, j, 0]))),
             float(falls_m[v, t, j]),
         )
-        for v, t, j in cells
+        for i, (v, t, j) in enumerate(cells)
     ]
 
 
@@ -165,22 +165,24 @@ def _error_fall_m(motion: Motion, gain_m2: Array) -> Array:
     return np.sqrt(error_m2) - np.sqrt(np.maximum(error_m2 - gain_m2, 0.0))
 
 
-class _Ellipses:
-    """Give the ellipses of one standard deviation about expected keypoints."""
+def _ellipses(motion: Motion, cells: list[tuple[int, int, int]]) -> list[tuple[float, float, float]]:
+    """Return the ellipses of one standard deviation about expected keypoints, for cells of (V, T, J).
 
-    def __init__(self, motion: Motion) -> None:
-        self.motion = motion
-
-    def at(self, v: int, t: int, j: int) -> tuple[float, float, float]:
-        """Return the half axes in pixels, and the angle of the longer one, degrees."""
-        solution = self.motion.solution
-        view = solution.views[v].part(slice(t, t + 1))
-        _, by_point, _ = view.project_with_jacobian(solution.markers_m[t : t + 1, j : j + 1])
-        covariance_px2 = by_point[0, 0] @ solution.covariance_m2[t, j] @ by_point[0, 0].T
+    They are half axes in pixels, and the angle of the longer one in degrees.
+    """
+    solution = motion.solution
+    ellipses = np.empty((len(cells), 3))
+    for v, view in enumerate(solution.views):
+        chosen = np.array([i for i, cell in enumerate(cells) if cell[0] == v], dtype=int)
+        rows, joints = (np.array([cells[i][axis] for i in chosen], dtype=int) for axis in (1, 2))
+        if not len(chosen):
+            continue
+        _, by_point, _ = view.part(rows).project_with_jacobian(solution.markers_m[rows, joints][:, None])
+        covariance_px2 = by_point[:, 0] @ solution.covariance_m2[rows, joints] @ by_point[:, 0].swapaxes(1, 2)
         variances, axes = np.linalg.eigh(covariance_px2)
-        minor, major = np.sqrt(np.maximum(variances, 0.0)).tolist()
-        x, y = axes[:, 1].tolist()
-        return major, minor, float(np.degrees(np.arctan2(y, x)) % 180.0)
+        ellipses[chosen, :2] = np.sqrt(np.maximum(variances, 0.0))[:, ::-1]
+        ellipses[chosen, 2] = np.degrees(np.arctan2(axes[:, 1, 1], axes[:, 0, 1])) % 180.0
+    return [(major, minor, angle) for major, minor, angle in ellipses.tolist()]
 
 
 def _pair(xy: Array) -> tuple[float, float] | None:

@@ -122,7 +122,12 @@ def write_rows(
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerows([text(name) for name in row] for row in header)
-        writer.writerows([text(cell) if isinstance(cell, str) else _cell(cell) for cell in row] for row in rows)
+
+        def written(cell: object) -> object:
+            return text(cell) if isinstance(cell, str) else _cell(cell)
+
+        for row in rows:  # most cells are floats, which need no call
+            writer.writerow([(cell if cell == cell else "") if type(cell) is float else written(cell) for cell in row])
 
 
 def write_columns(path: Path, columns: Mapping[str, np.ndarray]) -> None:
