@@ -265,6 +265,7 @@ def test_running_cheetah_is_what_its_page_says(body):
     assert f"with speeds from {speeds[0]:.1f} to {speeds[-1]:.1f} m/s" in page
 
 
+@pytest.mark.slow
 def test_running_cheetah_can_be_made_again(shared_data, body, tmp_path):
     folder = shared_data / "cheetah-poses"
     if not folder.is_dir():

@@ -91,6 +91,7 @@ def test_a_name_that_is_not_utf_8_is_escaped_in_every_file(latin_1, tmp_path, un
     assert (tmp_path / "again" / "pose3d.csv").read_bytes() == (out / "pose3d.csv").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_batch_goes_on_with_a_name_that_is_not_utf_8(latin_1, tmp_path):
     shutil.copy(SAMPLES / "whole.csv", tmp_path / "right.csv")
     args = ("batch", tmp_path / "*.csv", *FIT, "--out", tmp_path / "results", "--jobs", 1)

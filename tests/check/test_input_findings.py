@@ -270,6 +270,7 @@ def test_an_error_that_lasts_is_likelier_than_one_that_jumps():
     assert np.isfinite(negative_log_density(moved(hidden), xy_px, sigma_px, 10.0))
 
 
+@pytest.mark.slow
 def test_ten_frames_of_the_sample_are_found(tmp_path):
     clip = read_keypoints(samples_folder() / "whole.csv")
     other = [clip.names.index(other_side(name)) for name in clip.names]

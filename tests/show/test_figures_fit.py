@@ -50,7 +50,10 @@ def test_figures_of_several_clips_and_of_the_page_have_all_their_text(whole):
     assert {name: texts for name, figure in figures.items() if (texts := cut_off(figure))} == {}
 
 
-@pytest.mark.parametrize("name", ["cheetah-24", "dog-27", "human-25", "mouse-top"])
+@pytest.mark.parametrize(
+    "name",
+    ["cheetah-24", *(pytest.param(name, marks=pytest.mark.slow) for name in ("dog-27", "human-25", "mouse-top"))],
+)
 def test_figures_of_skeletons_have_all_their_text(name):
     body = load_skeleton(name)
     assert cut_off(views(body, body.title)) == []

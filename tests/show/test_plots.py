@@ -146,6 +146,7 @@ def figures():
     return every_figure()
 
 
+@pytest.mark.slow
 def test_everything_is_on_the_page_and_no_text_covers_another(figures, monkeypatch):
     draw, drawn = mpl.text.Text.draw, []
     monkeypatch.setattr(mpl.text.Text, "draw", lambda text, *options: (drawn.append(text), draw(text, *options)))
@@ -490,6 +491,7 @@ def test_an_angle_that_is_held_is_shown_as_still():
     assert axes.xaxis.get_offset_text().get_text() == ""
 
 
+@pytest.mark.slow
 def test_portraits_fit_on_a_page(figures):
     (figure, single, four) = (figures[name] for name in ("portraits", "one portrait", "four portraits"))
     assert [f.axes[0].get_gridspec().get_geometry() for f in (figure, single, four)] == [(6, 5), (1, 1), (2, 2)]

@@ -88,6 +88,7 @@ def figures(frame) -> dict[str, Figure]:
     return {draw.__name__: draw(frame) for draw in solver_plots.FIGURES}
 
 
+@pytest.mark.slow
 def test_figures(frame, figures):
     cost, *others = figures["solver_search"].axes
     assert len(others) == 4
@@ -132,6 +133,7 @@ def test_the_frame_that_is_looked_into_has_a_pose(frame_results, whole_results):
         read_solver(Motion.load(whole_results), whole_results)
 
 
+@pytest.mark.slow
 def test_figures_are_drawn_with_all_their_text(figures, tmp_path):
     assert {name: texts for name, figure in figures.items() if (texts := cut_off(figure))} == {}
     for name, figure in figures.items():
@@ -139,6 +141,7 @@ def test_figures_are_drawn_with_all_their_text(figures, tmp_path):
         assert (tmp_path / f"{name}.svg").stat().st_size > 5000
 
 
+@pytest.mark.slow
 def test_figures_of_the_frame_method(frame, figures):
     bars = figures["solver_search"].axes[3].containers
     spent = frame.solution.reported("function_evaluations")
