@@ -213,7 +213,7 @@ def parse_frame_range(text: str) -> tuple[int | None, int | None]:
     match = re.fullmatch(r"\s*(\d*)\s*:\s*(\d*)\s*", text, flags=re.ASCII)
     start, stop = (int(n) if n else None for n in match.groups()) if match else (None, None)
     if match is None or (start is not None and stop is not None and start >= stop):
-        expected = "A:B with A < B, original frame numbers, B not included"
+        expected = "A:B with A < B, original frame numbers and B excluded"
         raise InputError(Problem("--frames", "range", f"'{text}'", expected))
     return start, stop
 
@@ -255,8 +255,8 @@ def clean(
     absent = len(cleaned.frames) - len(selected.frames)
     used = cleaned.present.sum(axis=0)
     if not used.any():
-        detail = f"every point of the clip missing ({rejected.sum()} rejected as less likely than {likelihood_min:g})"
-        expected = "a lower --set likelihood-min" if rejected.any() else "at least one point to work with"
+        detail = f"every point of the clip missing ({rejected.sum()} with a likelihood below {likelihood_min:g})"
+        expected = "a lower --set likelihood-min" if rejected.any() else "at least one usable point"
         raise InputError(Problem(_source(keypoints), "points", detail, expected))
     missing["missing_absent_frame"] = np.full(len(used), absent)
     counted = {"frames": np.full(len(used), len(cleaned.frames)), "used": used, "missing": sum(missing.values())}
@@ -311,8 +311,8 @@ def select_frames(keypoints: Keypoints, frames: tuple[int | None, int | None] | 
     if not keep.any():
         shown = f"{'' if start is None else start}:{'' if stop is None else stop}"
         has = f"{keypoints.frames[0]} to {keypoints.frames[-1]}" if len(keypoints.frames) else "none"
-        expected = f"a range within its frames ({has})"
-        raise InputError(Problem(_source(keypoints), "frames", f"none in the range {shown}", expected))
+        expected = f"a range of the clip's frames ({has})"
+        raise InputError(Problem(_source(keypoints), "frames", f"no frame in the range {shown}", expected))
     if keep.all():  # copying half an hour takes 100 MB
         return keypoints
     xy_px, confidence, numbers = (values[keep] for values in (keypoints.xy_px, keypoints.confidence, keypoints.frames))

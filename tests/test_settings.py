@@ -235,7 +235,7 @@ def test_no_message_is_in_the_language_of_the_validator():
     [
         ({"keypoints": Path("c.csv"), "fps": 30.0}, ("camera", "nothing", "--hfov-deg with --image-size")),
         (ROUGH | {"image_size_px": None}, ("image_size_px", "nothing", ["--hfov-deg", "1920x1080"])),
-        ({**GIVEN, "hfov_deg": 60.0}, ("hfov_deg", [60.0, "camera file"], "one of the two")),
+        ({**GIVEN, "hfov_deg": 60.0}, ("hfov_deg", [60.0, "camera file"], "only one of the two")),
         (ROUGH | {"camera_name": "cam2"}, ("camera_name", ["'cam2'", "without"], "--camera")),
     ],
 )
@@ -497,7 +497,7 @@ def test_the_height_at_the_withers_is_a_size():
     assert rough.size_sigma == 0.15  # the proportions of no species
     with refusal(("--height-m", "height_m", ["mouse-top", "no feet"], "--set size")):
         read_model_and_cameras(replace(settings, skeleton="mouse-top"))
-    refuses({**GIVEN, "height_m": 1.3, "size": 2.0}, ("height_m", [1.3, "size, 2"], "one of the two"))
+    refuses({**GIVEN, "height_m": 1.3, "size": 2.0}, ("height_m", [1.3, "size, 2"], "only one of the two"))
 
 
 def test_every_help_has_an_example_in_a_paragraph_of_its_own():

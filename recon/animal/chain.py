@@ -272,7 +272,7 @@ def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
         raise InputError(Problem(source, "extends", repr(name), "the name or the file of a skeleton"))
     parent, parent_source = _read(_file_or_builtin(name, source))
     if "segments" in parent or "extends" in parent:
-        expected = "a chain that extends none; a body's lengths stand in a subject file"
+        expected = "a chain that extends no other; a body's lengths belong in a subject file"
         raise InputError(Problem(source, "extends", parent_source, expected))
     return {**parent, **{key: value for key, value in raw.items() if key != "extends"}}
 
@@ -307,8 +307,8 @@ def _chain_problems(file: _ChainFile, source: str) -> Iterator[Problem]:
             source, "links", f"{len(names)}", f"at least {MIN_JOINTS - 1}: fewer joints do not determine a pose"
         )
     if not any(link.theta is None and link.start == file.root for link in file.links):
-        expected = f"one from {file.root} without theta and phi: the body's forward axis lies along it"
-        yield Problem(source, "links", "none without angles from the root", expected)
+        expected = f"one link from {file.root} without theta and phi: the body's forward axis is along it"
+        yield Problem(source, "links", "no link from the root without angles", expected)
     ends = [*(("forward", joint) for joint in file.forward), *(("feet", joint) for joint in file.feet.values())]
     ends += [(f"anatomy.{name}", joint) for name, joints in file.anatomy.items() for joint in joints]
     yield from unknown(source, ends, sorted(known))
@@ -333,7 +333,7 @@ def facing_side(rear_px: Array, front_px: Array) -> tuple[Side, str]:
     forward_px = (front_px - rear_px)[:, 0]
     forward_px = forward_px[np.isfinite(forward_px)]
     if len(forward_px) == 0:
-        return "right", "no frame shows both ends of the trunk: right by default"
+        return "right", "no frame shows both ends of the trunk: the right side is assumed"
     side: Side = "right" if np.median(forward_px) > 0 else "left"
     agree = np.mean((forward_px > 0) == (side == "right"))
     return side, f"the animal faces the {side} of the picture in {percent(agree)} of {len(forward_px)} frames"

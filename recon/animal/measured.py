@@ -61,12 +61,12 @@ _Table = TypeVar("_Table", bound=_SkeletonTable)
 def subject_problems(animal: _SubjectFile, file: _SkeletonTable, source: str) -> Iterator[Problem]:
     """Yield what keeps a subject from fitting a skeleton's table (`recon.animal.skeleton_file`)."""
     if animal.skeleton != file.name:
-        yield Problem(source, "skeleton", repr(animal.skeleton), f"{file.name!r}, the skeleton that it is used with")
+        yield Problem(source, "skeleton", repr(animal.skeleton), f"{file.name!r}, the skeleton with which it is used")
         return
     markers = [marker.name for marker in file.markers]
     names = [*(segment.name for segment in file.segments[1:]), *markers]
     placed = [(f"at_m.{name}", name) for name in animal.at_m]
-    yield from unknown(source, placed, names, f"a segment but the root, or a marker, of {file.name}: ")
+    yield from unknown(source, placed, names, f"a segment (except the root) or a marker of {file.name}: ")
     offset = [(f"keypoint_offset_m.{name}", name) for name in animal.keypoint_offset_m]
     yield from unknown(source, offset, markers, f"a marker of {file.name}: ")
 

@@ -106,7 +106,7 @@ def load_names(name_or_path: str | Path) -> NameMap:
         if len(cells) != 2 or not cells[0] or not "".join(cells).isprintable():
             problems.append(Problem(source, f"line {i}", repr(line)[:60], _EXPECTED))
         elif cells[0] in names:
-            problems.append(Problem(source, f"line {i}", f"{cells[0]!r} again", "every name of the file once"))
+            problems.append(Problem(source, f"line {i}", f"{cells[0]!r} again", "each name of the file only once"))
         elif tuple(cells) != HEADER or names:
             names[cells[0]] = cells[1]
     if not names and not problems:
@@ -152,19 +152,17 @@ def new_names(names: Sequence[str], name_map: NameMap, source: str) -> tuple[lis
         olds.setdefault(name_map.get(name, name) if name in known else name, []).append(name)
     left_out = olds.pop("", [])
     problems = [
-        Problem(name_map.source, "names", f"{new!r} for {', '.join(several)}", "this name for one of them")
+        Problem(name_map.source, "names", f"{new!r} for {', '.join(several)}", "this new name for only one keypoint")
         for new, several in olds.items()
         if len(several) > 1
     ]
     if not olds:
-        problems = [
-            Problem(name_map.source, "names", f"every keypoint of {source} left out", "a name for some of them")
-        ]
+        problems = [Problem(name_map.source, "names", f"every keypoint of {source} left out", "at least one new name")]
     raise_problems(problems)
-    note = f"{len(known)} of {len(names)} keypoints have their names from {Path(name_map.source).name}"
+    note = f"{len(known)} of {len(names)} keypoints are renamed by {Path(name_map.source).name}"
     note += f"; left out: {', '.join(left_out)}" if left_out else ""
     absent = [] if name_map.source in builtin_maps() else [name for name in name_map.names if name not in names]
-    note += f"; not in the file: {', '.join(absent)}." if absent else "."
+    note += f"; not in the keypoint file: {', '.join(absent)}." if absent else "."
     return [k for k, name in enumerate(names) if name not in left_out], tuple(olds), note
 
 
@@ -235,7 +233,7 @@ def problem_of_names(names: Sequence[str], wanted: Sequence[str], skeleton: str,
     """
     detail = f"{', '.join(names)}: {', '.join(name for name in names if name in wanted) or 'none'} of the skeleton's"
     if matching := skeleton_of(names):
-        return Problem(source, "bodyparts", detail, f"with these names, which are its own: --skeleton {matching}")
+        return Problem(source, "bodyparts", detail, f"with these names: --skeleton {matching}")
     maps, (options, count) = fitting_maps(names, wanted), fitting_skeleton(names)
     if count >= _MOST_OF_FILE * len(names) and f"--skeleton {skeleton} " not in f"{options} ":
         hint = f"{options}, or"

@@ -86,13 +86,13 @@ def misfits(arrays: dict[str, Array], n_angles: int) -> list[tuple[str, str, str
     problems = []
     lengths = {"A": n_angles, "B": 2 * n_angles, "K": len(np.atleast_1d(arrays["weights"]))}
     if not lengths["K"]:
-        return [("weights", "none", "one for each component")]
+        return [("weights", "none", "one number for each component")]
     for name, shape in SHAPES.items():
         array, expected = arrays[name], tuple(lengths[letter] for letter in shape)
         if array.shape != expected:
             problems.append((name, f"shape {array.shape}", f"{expected} for {lengths['K']} components"))
         elif not (np.abs(array) < LARGEST).all():
-            problems.append((name, "numbers that are not finite, or beyond all reason", "finite numbers"))
+            problems.append((name, "numbers that are infinite, missing or absurdly large", "finite numbers"))
         elif shape.endswith("AA") and not _is_positive_definite(array):
             problems.append((name, "a matrix that is not positive definite", "covariances"))
         elif name == "weights" and ((array < 0).any() or abs(array.sum() - 1) > 1e-5):

@@ -82,7 +82,7 @@ def fit_prior(
     expected = f"one of {', '.join(dict.fromkeys(owners))}"
     problems += [Problem("prior", "apart", repr(s), expected) for s in apart if s not in owners]
     if not len(accelerations):
-        problems.append(Problem("prior", "frames", "no three in a row", "segments without gaps"))
+        problems.append(Problem("prior", "frames", "no three consecutive frames", "segments without gaps"))
     raise_problems(problems)
 
     mean = poses.mean(axis=0)

@@ -43,7 +43,7 @@ def load_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -
     if "segments" in raw or not raw.keys() & {"links", "extends"}:
         return _load_body(raw, source, subject)
     if subject is not None:
-        expected = f"none: {source} is a chain, and a measured chain is a skeleton of its own"
+        expected = f"nothing: {source} is a chain, and a measured chain needs a skeleton file of its own"
         raise InputError(Problem("--subject", "name or file", repr(str(subject)), expected))
     from recon.animal.chain import chain_of  # hardly any clip is of one
 
@@ -207,7 +207,7 @@ def _body_problems(file: _BodyFile, source: str) -> Iterator[Problem]:
         yield from unknown(source, [(f"mass.share.{name}", name) for name in shares], sorted(segments))
         for name in sorted(segments):
             if name not in shares and other_side(name) not in shares:
-                yield Problem(source, f"mass.share.{name}", "none", "a share and its sigma, as [0.05, 0.01]")
+                yield Problem(source, f"mass.share.{name}", "none", "share and standard deviation, as [0.05, 0.01]")
     if file.forward[0] == file.forward[1]:
         yield Problem(source, "forward", f"{file.forward[0]!r} twice", "two markers, from rear to front")
     yield from foot_problems(file.feet, source)
@@ -218,7 +218,7 @@ def _name_problems(item: _Segment | _Marker, field: str, used: set[str], source:
     if item.name in used:
         yield Problem(source, f"{field}.name", repr(item.name), "a name that no earlier segment or marker has")
     if item.mirrored and side_of(item.name) != "left":
-        expected = "a name with a word of the left side in it, as l_paw, front_left_paw or LeftPaw"
+        expected = "a name that contains the left side, as l_paw, front_left_paw or LeftPaw"
         yield Problem(source, f"{field}.mirrored", repr(item.name), expected)
     used.add(item.name)
 
@@ -347,6 +347,6 @@ def _of_scorers(scorers: Mapping[str, str | None], skeleton: str) -> str:
             f"{Path(file).name} of {detector} (scorer {str(scorers[file])[:60]!r})"
             for file, detector in detectors.items()
         )
-        expected = f"files of one detector, or the one to take for all cameras: --set detector={NONE}, or its name"
+        expected = f"files of one detector, or a single detector for all cameras: --set detector={NONE}, or its name"
         raise InputError(Problem("KEYPOINTS", "detector", ", ".join(files), expected))
     return next(iter(detectors.values()))

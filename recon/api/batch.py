@@ -124,10 +124,10 @@ def _planned(clip: Clip, out: Path, record: Record, overwrite: bool) -> ClipPlan
     if overwrite:
         output.require(names)
         return ClipPlan(clip, out, "refit", "--overwrite", made_from)
-    expected = "a folder without results, or of an earlier batch of this clip; or --overwrite"
+    expected = "a folder without results or with those of an earlier batch of this clip, or --overwrite"
     reason, changed = record.look(clip.name, made_from, out)
     if row is None or (out / MANIFEST in changed and (out / MANIFEST).exists()):
-        raise InputError(Problem(out, "folder", "results that no batch has made", expected))
+        raise InputError(Problem(out, "folder", "results that no batch has written", expected))
     earlier_keypoints = setting_in_folder(out.parent, "keypoints", row.get("keypoints", ()))
     same_names = {*earlier_keypoints} & {*map(str, clip.settings.keypoints)}
     if not same_names and not _keypoints(row["identity"]) & _keypoints(made_from):

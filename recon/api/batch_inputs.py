@@ -171,8 +171,8 @@ def _drafts_of(text: str, common: Mapping[str, Any], recursive: bool) -> Drafts:
     if os.path.exists(path) and (project := find_project(path)):  # a name that is too long makes Path raise OSError
         tables, left_out = predictions(project)
         files = [(file.absolute(), f"{video}{file.suffix}") for video, file in tables.items()]
-        notes = [f"{project.folder} is a project of DeepLabCut, with tables of {len(files)} of its videos."]
-        notes += [f"Left out, other tables of the same videos: {names_text(left_out)}"] if left_out else []
+        notes = [f"{project.folder} is a DeepLabCut project with tables of {len(files)} of its videos."]
+        notes += [f"Other tables of the same videos were left out: {names_text(left_out)}"] if left_out else []
         return [_Draft((file,), named_after=file.with_name(name)) for file, name in files], notes
     if os.path.isdir(path):
         files, notes = _files_in(path, recursive)
@@ -180,7 +180,7 @@ def _drafts_of(text: str, common: Mapping[str, Any], recursive: bool) -> Drafts:
         if (not has_own_files or path.absolute().name.startswith("pose-2d")) and (sessions := _sessions_in(path)):
             return _drafts_of_sessions(sessions, common)
         if not files:
-            deeper = "" if recursive else "; --recursive looks further down"
+            deeper = "" if recursive else "; --recursive also looks in its subfolders"
             raise InputError(Problem(path, "files", "no keypoint files", f"a known format: {titles('2D')}{deeper}"))
         return [_draft_of(file) for file in files], notes
     files = _matching_files(path)
@@ -309,8 +309,8 @@ def _drafts_of_sessions(sessions: Sequence[tuple[Path, Path]], common: Mapping[s
             problems.append(Problem(folder, "calibration", "none", expected))
         unit_missing = uses_calibration and calibration is not None and common.get("camera_unit") is None
         if unit_missing and isinstance(square, int | float) and square >= LEAST_SQUARE_NOT_IN_METRES:
-            actual = f"{square:g}, so that the calibration is not in metres"
-            problems.append(Problem(file or folder, SQUARE, actual, "its unit besides, as in --camera-unit mm"))
+            actual = f"{square:g}, so the calibration is not in metres"
+            problems.append(Problem(file or folder, SQUARE, actual, "its unit as well, as in --camera-unit mm"))
         row = {"camera": str(calibration)} if uses_calibration else {}
         cam_regex = (file, regex) if file is not None and isinstance(regex, str) else None
         files, file_notes = _files_in(poses)
@@ -391,7 +391,7 @@ def _drafts_of_manifest(path: Path) -> list[_Draft]:
             continue
         drafts.append(_Draft(tuple(files), values, out, (path, line)))
     if not drafts and not problems:
-        problems.append(Problem(path, "rows", "none", "one row a clip below the header"))
+        problems.append(Problem(path, "rows", "none", "one row for each clip below the header"))
     raise_problems(problems)
     return drafts
 
@@ -429,8 +429,8 @@ def _joined(
     """
     pattern = None if cameras_by in (AUTO, NONE) else _compiled(cameras_by, OPTION)
     if pattern is not None and camera_name is not None:
-        actual = f"{camera_name if isinstance(camera_name, str) else ', '.join(camera_name)} beside {OPTION}"
-        raise InputError(Problem("--camera-name", "camera_name", actual, "one of the two"))
+        actual = f"{camera_name if isinstance(camera_name, str) else ', '.join(camera_name)} together with {OPTION}"
+        raise InputError(Problem("--camera-name", "camera_name", actual, "only one of the two"))
     groups: dict[Any, list[tuple[_Draft, _Draft]]] = {}  # each draft as it was, and with its camera
     without_camera = []
     for draft in drafts:
@@ -445,7 +445,7 @@ def _joined(
             groups.setdefault(key, []).append((draft, with_camera))
     if without_camera and not any(with_camera.rule for group in groups.values() for _, with_camera in group):
         actual = f"no camera in {names_text(without_camera)}"
-        raise InputError(Problem(OPTION, "pattern", actual, "one that fits the files' names"))
+        raise InputError(Problem(OPTION, "pattern", actual, "a pattern that matches the files' names"))
     joined_groups = [[with_camera for _, with_camera in group] for group in groups.values() if len(group) > 1]
     joined = []
     for group in groups.values():
@@ -459,9 +459,9 @@ def _joined(
     notes = [f"Left out, without a camera in the name: {names_text(without_camera)}"] if without_camera else []
     if joined_groups:
         rules = dict.fromkeys(with_camera.rule for group in joined_groups for with_camera in group)
-        rule_text = " and ".join("the cameras' names in theirs" if rule == AUTO else str(rule) for rule in rules)
+        rule_text = " and ".join("camera names in the file names" if rule == AUTO else str(rule) for rule in rules)
         clips = f"{len(joined_groups)} clips" if len(joined_groups) > 1 else "1 clip"
-        alternative = f" ({OPTION} {NONE} takes each by itself)" if OPTION not in rules else ""
+        alternative = f" ({OPTION} {NONE} fits each file by itself)" if OPTION not in rules else ""
         notes.append(
             f"{sum(map(len, joined_groups))} files are {clips} of several cameras, by {rule_text}{alternative}."
         )
@@ -488,7 +488,7 @@ def _with_camera(
     else:
         rule, cameras = AUTO, {} if cameras_by == NONE else cameras_in(title.stem, camera_names(draft))
     if len(cameras) > 1:
-        expected = f"the name of one camera; {OPTION} with a pattern that finds it, or {OPTION} {NONE}"
+        expected = f"the name of one camera; {OPTION} with a pattern that matches it, or {OPTION} {NONE}"
         raise InputError(Problem(title, "name", f"the cameras {' and '.join(cameras)}", expected))
     for camera, match in cameras.items():
         if camera:
@@ -509,7 +509,7 @@ def _compiled_from_file(text: str, file: Path) -> re.Pattern[str]:
     pattern = _compiled(text, file)
     if slow := slow_part(text):
         expected = f"a simpler pattern, as in '-cam([A-Z])'; or {OPTION} with a pattern of your own"
-        raise InputError(Problem(file, "cam_regex", f"{text[:100]!r}, with {slow}: it can take for ever", expected))
+        raise InputError(Problem(file, "cam_regex", f"{text[:100]!r}, with {slow}: it may never end", expected))
     return pattern
 
 
@@ -517,7 +517,7 @@ def _compiled(text: str, origin: Path | str) -> re.Pattern[str]:
     try:
         return re.compile(text)
     except re.error as error:
-        expected = "a regular expression that finds the camera's name in a file's name, as in '-cam([A-Z])'"
+        expected = "a regular expression that matches the camera's name in a file's name, as in '-cam([A-Z])'"
         raise InputError(Problem(origin, "pattern", f"{text!r} ({error})", expected)) from None
 
 
@@ -559,7 +559,7 @@ def _missing_cameras(drafts: Sequence[_Draft], names: Sequence[str]) -> list[str
         for name, draft in by_name
         if (missing := [camera for camera in all_cameras[draft.cam_regex] if camera not in draft.row["camera_name"]])
     ]
-    return [f"Fitted without cameras that others have: {names_text(incomplete)}"] if incomplete else []
+    return [f"Fitted with fewer cameras than other clips: {names_text(incomplete)}"] if incomplete else []
 
 
 # -- settings -----------------------------------------------------------------------------------------------------
@@ -622,7 +622,7 @@ def _name_problems(drafts: Sequence[_Draft]) -> Iterator[Problem]:
             expected = f"a plain name of a folder below --out, other than {SUMMARY} and {SUMMARY_PAGE}"
             yield Problem(manifest, f"{line}, out", repr(name), expected)
         elif uses[name.casefold()] > 1:
-            yield Problem(manifest, f"{line}, out", f"{name!r} more than once", "a name of its own")
+            yield Problem(manifest, f"{line}, out", f"{name!r} more than once", "a unique name")
 
 
 def _names(drafts: Sequence[_Draft]) -> list[str]:

@@ -49,9 +49,9 @@ def in_sentences(advice_by_camera: Sequence[Advice]) -> Iterator[str]:
     place = AZIMUTHS_RAD[worst[1]], ELEVATIONS_RAD[worst[0]]
     sigma = float(advice_by_camera[0].sigma[worst])
     precision = f"±{in_words(sigma, advice_by_camera[0].unit)}" if np.isfinite(sigma) else "it is not in the picture"
-    yield f"The worst place for one camera is {direction_text(*map(float, place))}: {precision}."
+    yield f"The worst position for one camera is {direction_text(*map(float, place))}: {precision}."
     if advice_by_camera[-1].share.max() < MEASURED_SHARE:
-        yield "No place shows it well: what is expected of it says more than the pixels everywhere."
+        yield "No position shows it well: everywhere, the prior says more about it than the pixels."
 
 
 def direction_text(azimuth_rad: float, elevation_rad: float) -> str:
@@ -88,7 +88,7 @@ class CameraAdviceSettings(Settings):
     def problems(self) -> Iterator[Problem]:
         """Yield a problem if both an angle and a joint are given."""
         if self.angle is not None and self.joint is not None:
-            yield Problem("--angle", "value", "--joint as well", "one of the two, or neither for all joints")
+            yield Problem("--angle", "value", "--joint as well", "only one of the two, or neither for all joints")
 
 
 def run_camera_advice(settings: CameraAdviceSettings, progress: Progress = silent) -> dict[str, Any]:

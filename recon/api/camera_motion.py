@@ -37,9 +37,9 @@ MAX_LOST = 0.5
 MAX_FOCAL_OFF = 0.1
 """Largest relative error of the focal length; the turns are wrong by the same fraction."""
 NOTES = (
-    "the camera is taken to turn about its centre: its place is the world's origin in every frame",
-    "a rolling shutter is not modelled: in a fast turn the rows of a picture were seen at different times",
-    "standard deviations are against the first frame, per axis, and hold where the lens is as the camera file says",
+    "the camera is assumed to turn about its centre: it is at the world's origin in every frame",
+    "a rolling shutter is not modelled: in a fast turn, the rows of a picture were exposed at different times",
+    "standard deviations are for each axis, relative to the first frame, and assume the lens of the camera file",
 )
 
 
@@ -71,7 +71,7 @@ class CameraMotionSettings(Settings):
     def problems(self) -> Iterator[Problem]:
         """Yield a problem if the level is given in two ways."""
         if self.tilt_deg is not None and self.level_marks is not None:
-            yield Problem("--tilt-deg", "level", f"{self.tilt_deg:g} beside {self.level_marks}", "one of the two")
+            yield Problem("--tilt-deg", "level", f"{self.tilt_deg:g} with {self.level_marks}", "only one of the two")
 
 
 def settings_for_clip(settings: FitSettings, video: Path, out: Path, **fields: Any) -> CameraMotionSettings:
@@ -151,19 +151,19 @@ def _require_turning(s: CameraMotionSettings, motion: TurningMotion, lens: Camer
     note = _focal_note(motion, lens)
     if not motion.turned_only:
         grows, zoom = ("", "") if s.zoom else (", or it grows", " (--zoom if its focal length changes)")
-        actual = f"a background that no turn explains: parts of it move against each other{grows}"
+        actual = f"a background that no turn explains: its parts move relative to each other{grows}"
         actual += f"; {note}" if note else ""
         expected = f"a calibrated camera that turns about a fixed point{zoom}; of one that is carried or driven, "
         expected += "make the track with COLMAP, and give that to --camera-track"
         raise InputError(Problem(s.video, "motion", actual, expected))
     if motion.focal is not None and abs(motion.focal[0]) > MAX_FOCAL_OFF and note:
-        expected = "the lens that the video was filmed with, as it was set"
+        expected = "the lens with which the video was filmed, at its setting"
         raise InputError(Problem(s.camera, "focal length", note, expected))
     number = len(motion.frames) + len(motion.lost)
     if not len(motion.frames) or len(motion.lost) > MAX_LOST * number:
         actual = f"too little background that can be followed in {len(motion.lost)} of {number} frames: blurred, "
         actual += "without structure, or hidden"
-        raise InputError(Problem(s.video, "background", actual, f"no more than {percent(MAX_LOST)} of such frames"))
+        raise InputError(Problem(s.video, "background", actual, f"such frames to be {percent(MAX_LOST)} or less"))
 
 
 def _require_same_frames(s: CameraMotionSettings, points: dict[int, Array], times_s: Array) -> None:

@@ -47,8 +47,8 @@ def read_clip_cameras(settings: FitSettings) -> Cameras:
     if settings.tilt_deg is None:
         return chosen
     if any(camera.knows_up for camera, _ in chosen):
-        actual = f"{settings.tilt_deg:g} beside the pose in {settings.camera_text}, which says which way is up"
-        raise InputError(Problem("--tilt-deg", "tilt_deg", actual, "one of the two"))
+        actual = f"{settings.tilt_deg:g} together with the pose in {settings.camera_text}, which says which way is up"
+        raise InputError(Problem("--tilt-deg", "tilt_deg", actual, "only one of the two"))
     tilt_rad = math.radians(settings.tilt_deg)
     return tuple((replace(camera, tilt_rad=tilt_rad), track) for camera, track in chosen)
 
@@ -78,14 +78,14 @@ def _cameras_of_one(settings: FitSettings, tracks: Sequence[CameraTrack]) -> Cam
     )
     if track is not None and track.camera is not None:
         if camera_option is not None:
-            actual = f"{camera_option} beside {track.source}, which has the lens"
-            raise InputError(Problem("--camera-track", "camera", actual, "one of the two"))
+            actual = f"{camera_option} together with {track.source}, which has the lens"
+            raise InputError(Problem("--camera-track", "camera", actual, "only one of the two"))
         return ((_lens_of_track(track.camera, settings, 0), track),)
     if settings.camera is not None:
         return ((_cameras_in_file(settings, ())[0], track),)
     if settings.hfov_deg is not None and settings.image_size_px is not None:
         return ((Camera.from_hfov(settings.hfov_deg, settings.image_size_px), track),)
-    actual = "nothing" if track is None else f"nothing, and {track.source.name} comes without a lens"
+    actual = "nothing" if track is None else f"no lens, and {track.source.name} has none either"
     raise InputError(Problem("settings", "camera", actual, "a camera file, or hfov_deg with image_size_px"))
 
 
@@ -127,7 +127,7 @@ def _camera_by_name(settings: FitSettings, index: int, name: str, tracks: Sequen
         if track.camera is not None and name in cameras_in(track_label(track.source), settings.camera_name or ()):
             return _lens_of_track(track.camera, settings, index)
     if settings.camera is None:
-        raise InputError(Problem("--camera", "camera", f"no lens of {name}", "a camera file with it"))
+        raise InputError(Problem("--camera", "camera", f"no lens of {name}", "a camera file with that lens"))
     return read_camera(settings.camera, name, settings.image_size_px)
 
 

@@ -239,12 +239,12 @@ def cleaned_source(
     require_inside(camera, keypoints, settings)
     if file.fps != fps:
         if track is not None:
-            expected = f"that of the first camera, {fps:g}: one that moves cannot have another"
+            expected = f"the first camera's frame rate, {fps:g}: a moving camera cannot have another"
             raise InputError(Problem(track.source, "fps", f"{file.fps:g}", expected))
         from recon.api.rigs import at_rate
 
         keypoints = at_rate(keypoints, fps)
-        note = f"{camera.name} filmed at {file.fps:g} Hz: its points are taken between its frames, at {fps:g} Hz"
+        note = f"{camera.name} filmed at {file.fps:g} Hz: its points are interpolated in time, to {fps:g} Hz"
         cleaning = replace(cleaning, notes=(*cleaning.notes, note))
     poses = None
     if track is not None:

@@ -49,7 +49,7 @@ CONFIG = "config.toml"
 CORRECTIONS = "corrections.csv"
 """The corrections by hand that a folder of results may have."""
 SCHEMA = {"name": "recon.record", "version": 1}
-AS_THEY_WERE = "the prior and the settings of the fit, as they were: fit the clip again"
+AS_THEY_WERE = "the prior and settings with which the clip was fitted: fit the clip again"
 REFINED_CAMERAS = "cameras.toml"
 """Camera file with the poses that a fit refined."""
 OUTPUT_FILES = (*CLIP_OUTPUTS, REPROJECTION, MOTION, "report.json", "motion.rrd", CONFIG, MANIFEST)
@@ -182,8 +182,8 @@ def input_digests(settings: FitSettings) -> dict[str, str | None]:
 def require_same_inputs(settings: FitSettings, sha256: _Digests) -> None:
     """Raise InputError for input files whose content differs from these digests."""
     changed = [path for role, path in input_files(settings).items() if file_sha256(path) != sha256[role]]
-    expected = "a file that nobody changes while it is fitted: fit the clip again"
-    raise_problems(Problem(path, "content", "another than when the fit began", expected) for path in changed)
+    expected = "a file that does not change during the fit: fit the clip again"
+    raise_problems(Problem(path, "content", "a file that changed during the fit", expected) for path in changed)
 
 
 def file_sha256(path: Path) -> str | None:
@@ -439,7 +439,7 @@ def read_config(config: Path, options: Mapping[str, Any]) -> FitSettings:
     settings = read_settings(config, options)
     missing = {role: path for role, path in _named(options, settings).items() if not path.exists()}
     if missing:
-        expected = "the file that config.toml names, seen from its own folder: move both together, or name it anew"
+        expected = "the file that config.toml names, relative to its folder: move both, or correct the path"
         raise InputError(Problem(config, role, f"{path}, no such file", expected) for role, path in missing.items())
     return settings
 

@@ -368,13 +368,13 @@ def _groups(table: Path | None, by: str | None, names: Sequence[str]) -> dict[st
         raise InputError(Problem(table, "file", " ".join(str(error).split())[:200], "a CSV table")) from None
     columns = ", ".join(map(str, rows.columns))
     raise_problems(
-        Problem(table, "column", f"no {c!r} ({columns})", "columns 'clip' and the one that --by names, between commas")
+        Problem(table, "column", f"no {c!r} ({columns})", "columns between commas: 'clip', and that of --by")
         for c in ("clip", by)
         if c not in rows
     )
     group_by_clip = dict(zip(rows["clip"], rows[by].astype(str), strict=True))
     raise_problems(
-        Problem(table, "clip", f"no row for {name}", "one for every clip")
+        Problem(table, "clip", f"no row for {name}", "one row for every clip")
         for name in names
         if name not in group_by_clip
     )

@@ -137,7 +137,7 @@ class CorrectionSession:
         corrections = self._checked(rows)
         with self._change:
             if digest(self.out) != self._saved:
-                expected = "the file as it was saved last: close the other editor, and start again"
+                expected = "the file as last saved: close the other editor, and start again"
                 raise InputError(Problem(self.out, "content", "changed by another program", expected))
             with staged_file(self.out) as staged:
                 write_corrections(corrections, staged)

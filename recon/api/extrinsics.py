@@ -88,7 +88,7 @@ def run_extrinsics(
     posed, tilt_deg = bool(clips[0].refine_cameras), clips[0].tilt_deg
     inputs = [path for clip in clips for path in input_files(clip).values()]
     output = output_file(out, "calibrate extrinsics", overwrite, inputs)
-    conflict = "a value beside --set refine-cameras=true, whose file says it", "one of the two"
+    conflict = "--set refine-cameras=true as well, which reads it from the file", "only one of the two"
     tilt_options = {"--tilt-deg": tilt_deg, "--level-deg": level_rad or None} if posed else {}
     prepared, *_ = collect_problems(
         lambda: collect_problems(*(lambda clip=clip: _prepared_by_camera(clip) for clip in clips)),
@@ -116,9 +116,9 @@ def run_extrinsics(
         _clip_problem(*problem_inputs, cameras, poses) for problem_inputs in zip(clips, firsts, aligned, strict=True)
     ]
     rig = solve_extrinsics(problems, posed, level_rad or LEVEL_RAD, progress)
-    expected = "clips in which the animal goes other ways through the view"
+    expected = "clips in which the animal crosses the view in other directions"
     raise_problems(
-        Problem("KEYPOINTS", f"camera {camera.name}", f"a turn known to {turn_deg:.0f} degrees only", expected)
+        Problem("KEYPOINTS", f"camera {camera.name}", f"a rotation known only to {turn_deg:.0f} degrees", expected)
         for camera, turn_deg in zip(cameras, np.degrees(np.linalg.norm(rig.sigma[:, :3], axis=1)), strict=True)
         if turn_deg > MAX_TURN_SIGMA_DEG
     )
@@ -159,7 +159,7 @@ def _require_motion(clips: Sequence[Sequence[Source]]) -> None:
     moved = max(_lengths_moved(source.keypoints.xy_px) for sources in clips for source in sources)
     if moved < LEAST_MOVED:
         actual = f"an animal that moves by {moved:.1f} of its length in the pictures"
-        expected = "clips in which it moves by its own length or more: one that stays cannot tell where cameras stand"
+        expected = "clips in which it moves by its own length or more: otherwise camera positions stay unknown"
         raise InputError(Problem("KEYPOINTS", "motion", actual, expected))
 
 
@@ -185,8 +185,8 @@ def _aligned_sources(clip: FitSettings, prepared: Sequence[ClipInputs]) -> tuple
     frames = search_offsets(_clip_problem(clip, prepared[0], sources, cameras, [np.eye(4)] * len(cameras)))
     unmatched = [camera.name for camera, unmatched in zip(cameras, np.isnan(frames), strict=True) if unmatched]
     if unmatched:
-        actual = f"no offset at which it sees the motion that {cameras[0].name} sees"
-        expected = "clips that both see well, or --set offset-s in place of it"
+        actual = f"no time offset at which it sees the motion that {cameras[0].name} sees"
+        expected = "clips that both cameras see well, or --set offset-s instead"
         raise InputError(Problem("--set find-offsets", f"camera {name}", actual, expected) for name in unmatched)
     return align_cameras(sources_apart, (later - later[0] + frames).tolist())
 
@@ -238,6 +238,6 @@ def _all_cameras(prepared: Sequence[Sequence[ClipInputs]]) -> list[Camera]:
         if cameras.setdefault(camera.name, camera).to_dict() != camera.to_dict():
             expected = "the same in all clips"
             raise InputError(
-                Problem("KEYPOINTS", f"camera {camera.name}", "two lenses or poses of that name", expected)
+                Problem("KEYPOINTS", f"camera {camera.name}", "different lenses or poses of that name", expected)
             )
     return list(cameras.values())

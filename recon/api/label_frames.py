@@ -166,7 +166,7 @@ class LabelSession:
             if earlier.names != session.names:
                 actual = ", ".join(earlier.names)[:200]
                 raise InputError(
-                    Problem(table, "bodyparts", actual, f"those of this session: {', '.join(names)[:200]}")
+                    Problem(table, "bodyparts", actual, f"the keypoints of this session: {', '.join(names)[:200]}")
                 )
             labels = np.argwhere(np.isfinite(earlier.xy_px).all(axis=2))
             session.points_px = {
@@ -230,7 +230,7 @@ class LabelSession:
 
     def _checked(self, rows: object) -> dict[tuple[int, int], Point]:
         if not isinstance(rows, list) or len(rows) > len(self.frames) * len(self.names):
-            raise InputError(Problem("labels", "rows", type(rows).__name__, "one for each keypoint of a frame at most"))
+            raise InputError(Problem("labels", "rows", type(rows).__name__, "at most one for each keypoint of a frame"))
         points_px: dict[tuple[int, int], Point] = {}
         for number, row in enumerate(rows, start=1):
             is_row = isinstance(row, list) and len(row) == 4 and all(isinstance(x, int | float) for x in row)

@@ -209,7 +209,7 @@ def _common_body(body_option: Body | None, results: Mapping[Path, Motion]) -> Bo
     }
     if len({(body.name, body.state_names) for body in bodies.values()}) > 1:
         actual = ", ".join(f"{path}: {body.name}" for path, body in bodies.items())
-        raise InputError(Problem("POSES", "skeleton", actual, "the same for all, with the same angles"))
+        raise InputError(Problem("POSES", "skeleton", actual, "one skeleton for all, with the same angles"))
     return next(iter(bodies.values()))
 
 
@@ -224,7 +224,7 @@ def _rates(fps: str | None, tables: Sequence[Path]) -> list[float]:
     """Return the frame rate, or the rates in a JSON file; nothing if there are no pose files."""
     expected = 'frames per second above 0, as in 120, or a JSON file with {"fps": [120, 90]}'
     if (fps is None) != (not tables):
-        no_rates = expected if tables else "nothing: results have their own"
+        no_rates = expected if tables else "nothing: results have their own frame rate"
         raise InputError(Problem("--fps", "frame rate", fps or "nothing", no_rates))
     if fps is None:
         return []
@@ -248,4 +248,4 @@ def _problems_of_files(body: Body, files: _Files, rates: Sequence[float], fps: s
             yield Problem(path, "joints", f"{count_known} of {len(body.markers)}: {', '.join(names)}", expected)
     count = sum(map(len, files.values()))
     if files and len(rates) not in (1, count):
-        yield Problem(fps, "fps", f"{len(rates)} numbers", f"one, or {count}: one for every piece")
+        yield Problem(fps, "fps", f"{len(rates)} numbers", f"one frame rate, or {count}: one for every piece")

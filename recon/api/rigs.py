@@ -50,7 +50,7 @@ def problems_of_several(file: str, cameras: Sequence[Camera], owners: Mapping[Pa
         yield Problem("--camera-track", name, f"{moving.count(name)} tracks of it", "one")
     for camera in (camera for camera in cameras if camera.name not in moving):
         if not camera.has_extrinsics:
-            yield Problem(file, f"camera {camera.name}", "no pose", "its rotation and translation beside the others'")
+            yield Problem(file, f"camera {camera.name}", "no pose", "a rotation and translation, as the others have")
         elif owners and not camera.knows_up:
             expected = "one in the world of the camera track, z up (world_z_up)"
             yield Problem(file, f"camera {camera.name}", "a pose that does not say which way is up", expected)
@@ -58,7 +58,7 @@ def problems_of_several(file: str, cameras: Sequence[Camera], owners: Mapping[Pa
     for first, second in combinations(fixed, 2):
         poses = camera_poses([first, second])
         if first.name != second.name and np.array_equal(poses[0], poses[1]):
-            actual = "the same pose, as of an entry that was copied"
+            actual = "the same pose, as if an entry had been copied"
             yield Problem(file, f"cameras {first.name} and {second.name}", actual, "each camera's own pose")
 
 
@@ -86,7 +86,7 @@ def with_poses(
         actual = f"{track.frames[0]} to {track.frames[-1]}, none in common with {keypoints.source or 'the keypoints'}"
         raise InputError(Problem(track.source, "frame", actual, f"the numbers of the clip's frames, {first} to {last}"))
     if filled.any():
-        between = f"between two of its track that are {track.max_gap_s:g} s apart or less"
+        between = f"between two of the track's frames that are {track.max_gap_s:g} s apart or less"
         note = f"{filled.sum()} frames have a camera pose {between}"
         cleaning = replace(cleaning, notes=(*cleaning.notes, note))
     unknown = keypoints.present & ~poses.known[:, None]
@@ -105,7 +105,7 @@ def at_rate(keypoints: Keypoints, fps: float) -> Keypoints:
     times = keypoints.frames * fps / keypoints.fps
     frames = np.arange(int(np.ceil(times[0])), int(np.floor(times[-1])) + 1)
     if len(times) < 2 or not len(frames):
-        expected = f"two or more that last as long as one at {fps:g} Hz"
+        expected = f"two or more frames that last as long as one frame at {fps:g} Hz"
         raise InputError(Problem(keypoints.source or "keypoints", "frames", str(len(times)), expected))
     next_rows = np.clip(np.searchsorted(times, frames), 1, len(times) - 1)
     share = ((frames - times[next_rows - 1]) / (times[next_rows] - times[next_rows - 1]))[:, None]
@@ -141,9 +141,7 @@ def turned_up(cameras: _Cameras, up: str) -> _Cameras:
     raise_problems(
         Problem("--set up", f"camera {camera.name}", reason, "poses that do not say which way is up")
         for camera, _ in cameras
-        for reason in (
-            ["no pose"] if not camera.has_extrinsics else ["a pose that says it"] if camera.world_z_up else []
-        )
+        for reason in (["no pose"] if not camera.has_extrinsics else ["a pose with z up"] if camera.world_z_up else [])
     )
     return tuple((with_up(camera, direction / np.linalg.norm(direction)), track) for camera, track in cameras)
 

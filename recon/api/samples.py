@@ -13,4 +13,4 @@ def samples_folder() -> Path:
     for folder in (package / "samples", package.parent / "data" / "samples"):
         if (folder / "whole.csv").is_file():
             return folder
-    raise InputError(Problem("recon", "samples", "no samples beside the package", "a complete installation"))
+    raise InputError(Problem("recon", "samples", "no samples in the package", "a complete installation"))

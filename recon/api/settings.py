@@ -52,7 +52,7 @@ Size = Annotated[tuple[Count, Count], BeforeValidator(_size)]
 FrameRange = Annotated[str, AfterValidator(_frames)]
 """Range of frames A:B, which includes A and excludes B."""
 
-FPS = "Frame rate of the video in Hz, as in 120. (default: what the file says, if it does)"
+FPS = "Frame rate of the video in Hz, as in 120. (default: that of the file, if it states one)"
 INDIVIDUAL = "Which animal of a multi-animal file, as in animal1."
 RENAME = Option(
     "New names of keypoints: a CSV file of old and new ones, or a built-in map, as in superanimal-quadruped."
@@ -68,7 +68,7 @@ StrideTimes = Annotated[
 FIRST_FRAME = Option("Number that the video's first frame has in the keypoint file, if it was cut.")
 ANYWAY = Option('Also of a clip whose verdict is "do not use".')
 STRIDE = Option(
-    "A stride, in seconds since frame 0, as in 0.31:0.62. (default: one that is found)",
+    "A stride, in seconds since frame 0, as in 0.31:0.62. (default: a stride of the clip)",
     "START:END in seconds, as in 0.31:0.62",
     metavar="START:END",
 )
@@ -135,7 +135,7 @@ class FitSettings(Settings):
     individual: Annotated[str | None, Option(INDIVIDUAL)] = None
     rename: Annotated[NameOrFile | None, RENAME] = None
     frames: Annotated[
-        FrameRange | None, Option(expected="frame numbers A:B with A < B, from A up to but without B, as in 100:160")
+        FrameRange | None, Option(expected="frame numbers A:B with A < B, from A to B - 1, as in 100:160")
     ] = None
     """Use only these frame numbers, A:B from A up to but not including B, such as 100:160."""
     corrections: File | None = None
@@ -238,21 +238,21 @@ class FitSettings(Settings):
         for name in ("camera_name", "offset_s", "camera_fps"):
             values = getattr(self, name)
             if values is not None and len(values) != count:
-                expected = f"one for each keypoint file, that is {count}"
+                expected = f"one value for each keypoint file, that is {count}"
                 yield Problem("settings", name, f"{len(values)}: {', '.join(map(str, values))}", expected)
         for name in ("find_offsets", "refine_cameras", "focal_sigma"):
             if getattr(self, name) and name != "focal_sigma" and count == 1:
                 yield Problem("settings", name, "one keypoint file", "files of several cameras")
             if getattr(self, name) and name != "find_offsets" and self.camera_track is not None:
-                yield Problem("settings", name, "beside a camera track", "cameras that stand still")
+                yield Problem("settings", name, "together with a camera track", "cameras that stand still")
         if self.cameras_known and self.refine_cameras:
-            yield Problem("settings", "cameras_known", "beside refine_cameras", "one of the two")
+            yield Problem("settings", "cameras_known", "together with refine_cameras", "only one of the two")
         if self.height_m is not None and self.size is not None:
-            yield Problem("settings", "height_m", f"{self.height_m:g} beside size, {self.size:g}", "one of the two")
+            yield Problem("settings", "height_m", f"{self.height_m:g} and size {self.size:g}", "only one of the two")
         if self.camera_fps is not None and self.fps is not None:
-            yield Problem("settings", "camera_fps", f"beside fps, {self.fps:g}", "one of the two")
+            yield Problem("settings", "camera_fps", f"together with fps {self.fps:g}", "only one of the two")
         if count > 1 and self.method == "frame":
-            actual = f"{count} files with the frame method, which knows one camera"
+            actual = f"{count} files with the frame method, which uses one camera"
             yield Problem("settings", "keypoints", actual, "one file, or --set method=trajectory")
         named_tracks = self.camera_track is not None and self.camera_name is not None and self.hfov_deg is None
         if count > 1 and self.camera is None and not named_tracks:
@@ -260,7 +260,7 @@ class FitSettings(Settings):
             yield Problem("settings", "camera", actual, "a calibration of all these cameras")
         if len(self.camera_track or ()) > count:
             actual = f"{len(self.camera_track or ())} for {count} keypoint file{'s' * (count > 1)}"
-            yield Problem("settings", "camera_track", actual, "one for each camera that moves")
+            yield Problem("settings", "camera_track", actual, "one track for each camera that moves")
         if len(set(self.keypoints)) < count:
             actual = ", ".join(str(path) for path in self.keypoints)
             yield Problem("settings", "keypoints", actual, "a different file for each camera")
@@ -360,10 +360,10 @@ def _camera_problems(values: Mapping[str, Any]) -> Iterator[Problem]:
         expected = "a camera file, or --hfov-deg with --image-size for a rough one"
         yield Problem("settings", "camera", "nothing", expected)
     if "camera" in values and "hfov_deg" in values:
-        yield Problem("settings", "hfov_deg", f"{values['hfov_deg']} beside a camera file", "one of the two")
+        yield Problem("settings", "hfov_deg", f"{values['hfov_deg']} and a camera file", "only one of the two")
     if "camera_track" in values and "tilt_deg" in values:
-        actual = f"{values['tilt_deg']} beside a camera track, which says which way is up"
-        yield Problem("settings", "tilt_deg", actual, "one of the two")
+        actual = f"{values['tilt_deg']} together with a camera track, which says which way is up"
+        yield Problem("settings", "tilt_deg", actual, "only one of the two")
     if not values.keys() & {"camera", "camera_track"} and "camera_name" in values:
         actual = f"{values['camera_name']!r} without a camera file"
         yield Problem("settings", "camera_name", actual, "--camera with it")
@@ -371,7 +371,7 @@ def _camera_problems(values: Mapping[str, Any]) -> Iterator[Problem]:
         actual = f"{values['camera_unit']!r} without a camera file"
         yield Problem("settings", "camera_unit", actual, "--camera with it")
     if "camera" not in values and "hfov_deg" in values and "image_size_px" not in values:
-        expected = "the size of the video beside --hfov-deg, as in 1920x1080"
+        expected = "the size of the video together with --hfov-deg, as in 1920x1080"
         yield Problem("settings", "image_size_px", "nothing", expected)
 
 
@@ -385,4 +385,4 @@ def _other_method_problems(values: Mapping[str, Any]) -> Iterator[Problem]:
         owner = info.option.method
         if isinstance(method, str) and method in DEFAULT_SKELETONS and owner not in (None, method):
             actual = f"{info.plain(value)!r} with the {method} method, which does not read it"
-            yield Problem("settings", name, actual, f"nothing, or --set method={owner} with it")
+            yield Problem("settings", name, actual, f"nothing, or --set method={owner} as well")

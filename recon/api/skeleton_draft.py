@@ -117,7 +117,7 @@ def run_skeleton_draft(settings: SkeletonDraftSettings) -> SkeletonDraft:
         draft = _draft_from_geometry(settings)
     elif len(settings.keypoints) > 1:
         actual = f"{len(settings.keypoints)} files without --camera"
-        raise InputError(Problem("KEYPOINTS", "files", actual, "one, for its names; or --camera beside several"))
+        raise InputError(Problem("KEYPOINTS", "files", actual, "one file, for its names, or several with --camera"))
     else:
         project = find_project(source)
         names = bodyparts(project) if project else read_keypoints(source, settings.individual).names
@@ -161,7 +161,7 @@ def _require_size(positions_m: Array, settings: SkeletonDraftSettings) -> None:
     smaller = {unit: size_m * UNITS_M[unit] / UNITS_M[settings.camera_unit] for unit in ("cm", "mm")}
     if size_m > LARGEST_ANIMAL_M:
         units = " or ".join(f"{unit} ({length_text(length)})" for unit, length in smaller.items() if length < size_m)
-        actual = f"an animal of {length_text(size_m)}, with lengths of the calibration in {settings.camera_unit}"
+        actual = f"an animal of {length_text(size_m)}, if the calibration is in {settings.camera_unit}"
         raise InputError(Problem("--camera-unit", "camera_unit", actual, f"the unit of the calibration: {units}"))
 
 
@@ -183,7 +183,7 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDr
     name_of_marker = {marker: name for name, marker in known.items()}
     rear, front = (next((name_of_marker[m] for m in ends if m in name_of_marker), None) for ends in (REAR, FRONT))
     if rear is None or front is None or len(known) < MIN_JOINTS:
-        actual = f"{', '.join(names)}: of these, {', '.join(known) or 'none'} can be placed"
+        actual = f"{', '.join(names)}: of these, {', '.join(known) or 'none'} can be put on the skeleton"
         expected = (
             f"at least {MIN_JOINTS}, one of them at the rear of the trunk ({', '.join(REAR)}) and one at its "
             f"front ({', '.join(FRONT)}); or clips of several cameras with --camera, or a skeleton by hand"
@@ -194,7 +194,7 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDr
         f"A draft for the keypoints of {toml_text(source.name)}: proportions and expectations are of the skeleton",
         f"{BASE}, which are no animal's, and its markers are called as the keypoints. Look at it with recon skeleton",
         "check, and replace the lengths by those of your animal. The fields are explained in docs/skeletons.md.",
-        *([f"Keypoints without a place yet: {', '.join(unplaced)}"] if unplaced else []),
+        *([f"Keypoints not yet on the skeleton: {', '.join(unplaced)}"] if unplaced else []),
     ]
     labels = {label: place for place, label in PLACES.items()}
     feet = {
@@ -333,7 +333,7 @@ def _often_seen(names: Sequence[str], points_m: Array, source: Path) -> tuple[Ar
     frames_together = seen[:, kept].T.astype(int) @ seen[:, kept]
     if len(kept) < MIN_JOINTS or frames_together.min() < FEWEST_FRAMES:
         actual = f"{len(kept)} that two cameras see in {FEWEST_FRAMES} frames, not all of them together"
-        expected = f"{MIN_JOINTS} or more, each together with each other"
+        expected = f"{MIN_JOINTS} or more, every pair of them in some frames"
         raise InputError(Problem(source, "keypoints", actual, expected))
     return points_m[:, kept], [names[k] for k in kept.tolist()]
 

@@ -86,9 +86,9 @@ class SubjectFitSettings(Settings):
         if not self.lengths and not self.offsets:
             yield Problem("--no-lengths", "unknowns", "nothing to fit", "--offsets with it, or without it")
         if self.poses and (self.lengths or not self.offsets):
-            yield Problem("--poses", "unknowns", "lengths, or no offsets", "--no-lengths --offsets beside it")
+            yield Problem("--poses", "unknowns", "lengths, or no offsets", "--no-lengths --offsets as well")
         if self.poses and len(self.poses) != len(self.clips):
-            yield Problem("--poses", "files", f"{len(self.poses)} for {len(self.clips)} clips", "one for each clip")
+            yield Problem("--poses", "files", f"{len(self.poses)} for {len(self.clips)} clips", "a file for each clip")
 
 
 def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
@@ -169,7 +169,7 @@ def clip_problem(settings: FitSettings, path: Path, pose: Pose3D | None) -> Clip
     problem = ClipProblem.from_views(views, inputs.body, inputs.prior, inputs.fps, options)
     if not problem.shows_size:
         actual = f"one camera that stands still, {inputs.sources[0].camera.name}"
-        raise InputError(Problem(path, "cameras", actual, "several cameras, or a moving one: one cannot tell lengths"))
+        raise InputError(Problem(path, "cameras", actual, "several cameras, or a moving one, to measure lengths"))
     if pose is None:
         return problem
     return replace(problem, known_states=_known_states(problem, inputs.sources[0].keypoints.frames, pose))

@@ -132,7 +132,7 @@ def triangulate(
     """
     if len(keypoints) < 2 or len(keypoints) != len(cameras):
         actual = f"{len(keypoints)} keypoint files and {len(cameras)} cameras"
-        raise InputError(Problem("triangulate", "cameras", actual, "two or more, and a camera for each"))
+        raise InputError(Problem("triangulate", "cameras", actual, "two or more files, and a camera for each"))
     fps = keypoints[0].fps
     if fps is None:
         raise InputError(Problem("triangulate", "fps", "keypoints without a frame rate", "frames per second"))
@@ -209,8 +209,8 @@ def run_triangulation(
     output.require((POINTS, COVARIANCES, SUMMARY))
     clip = triangulate_files(settings, smooth)
     if not np.isfinite(clip.points_m[..., 0]).any():
-        actual = "no keypoint that two cameras saw in the same place and frame"
-        expected = "synchronised cameras with the poses of these clips (recon fit tells which one is off)"
+        actual = "no keypoint that two cameras saw in the same frame and at the same position"
+        expected = "synchronised cameras with the poses of these clips (recon fit reports which camera is off)"
         raise InputError(Problem("KEYPOINTS", "points", actual, expected))
     header = [
         ["bodyparts", *(name for name in clip.names for _ in _COVARIANCE_COLUMNS)],

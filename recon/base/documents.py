@@ -52,7 +52,7 @@ def damage_named(source: str | Path, expected: str, field: str = "content") -> I
     except Exception as error:
         message = " ".join(str(getattr(error, "strerror", None) or error).split())[:200] or type(error).__name__
         damage = (
-            f"an entry without {message}" if isinstance(error, KeyError) else f"data that cannot be read ({message})"
+            f"an entry that lacks {message}" if isinstance(error, KeyError) else f"data that cannot be read ({message})"
         )
         raise InputError(Problem(source, field, damage, expected)) from None
 
@@ -192,9 +192,9 @@ def check_unpacked_size(archive: zipfile.ZipFile) -> None:
     infos = archive.infolist()
     size = sum(info.file_size for info in infos)
     if len(infos) > MAX_ARRAYS or size > MAX_UNPACKED:
-        raise ValueError(f"{len(infos)} arrays of {size >> 20} MB are too much")
+        raise ValueError(f"{len(infos)} arrays of {size >> 20} MB, which are too many")
     if any(info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for info in infos):
-        raise ValueError("compressed in another way than NumPy does")  # zipfile would unpack these without a limit
+        raise ValueError("compressed in a way that NumPy does not use")  # zipfile would unpack these without a limit
 
 
 def _array(content: bytes, kinds: str) -> np.ndarray:
@@ -212,7 +212,7 @@ def _array(content: bytes, kinds: str) -> np.ndarray:
         dtype.kind == "U"
         and np.frombuffer(content, f"{dtype.byteorder}u4", offset=start).max(initial=0) > sys.maxunicode
     ):
-        raise ValueError("texts of characters that there are not")
+        raise ValueError("text with characters that do not exist")
     flat = np.frombuffer(content, dtype, offset=start)
     return flat.reshape(shape, order="F" if fortran else "C").copy(order="K")
 

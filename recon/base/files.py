@@ -211,8 +211,8 @@ def exchange(staging: Path, folder: Path, leaving: Mapping[str, FileState]) -> N
         for name in sorted(leaving, key=lambda name: (name != MANIFEST, name)):
             os.replace(folder / name, old / name)
             if FileState.read(old / name) != leaving[name]:
-                expected = "a file that nobody changes meanwhile: run the command again"
-                raise InputError(Problem(folder / name, "file", "one that was changed just now", expected))
+                expected = "a file that does not change during the run: run the command again"
+                raise InputError(Problem(folder / name, "file", "a file that has just been changed", expected))
         for name in names:
             _move_in(new / name, folder / name)
     except BaseException:
@@ -231,8 +231,8 @@ def _move_in(source: Path, target: Path) -> None:
     try:
         os.link(source, target)
     except FileExistsError:
-        expected = "no other run that writes it: run the command again"
-        raise InputError(Problem(target, "file", "one that appeared just now", expected)) from None
+        expected = "no other run that writes this file: run the command again"
+        raise InputError(Problem(target, "file", "a file that has just appeared", expected)) from None
     except OSError:  # the file system has no hard links
         os.replace(source, target)
     else:
@@ -301,14 +301,14 @@ class Manifest:
     def _fault(self, name: str) -> tuple[str, str] | None:
         entry, path = self.files.get(name), self.folder / name
         if entry is None:
-            return "file", f"no word of it in {MANIFEST}"
+            return "file", f"a file that {MANIFEST} does not list"
         try:
             if path.stat().st_size == entry[0] and sha256_of(path) == entry[1]:
                 return None
         except OSError as error:
             is_missing = isinstance(error, FileNotFoundError)
-            return "file", f"no such file, which {MANIFEST} names" if is_missing else f"{error.strerror}"
-        return "content", f"other than {MANIFEST} says: it was changed, or is of another run"
+            return "file", f"no such file, although {MANIFEST} lists it" if is_missing else f"{error.strerror}"
+        return "content", f"not the file that {MANIFEST} lists: it was changed, or belongs to another run"
 
 
 def read_manifest(folder: Path) -> Manifest:
@@ -329,7 +329,7 @@ def read_manifest(folder: Path) -> Manifest:
         if not isinstance(kind, str | None):
             raise ValueError
     except FileNotFoundError:
-        actual = f"no {MANIFEST}: of an interrupted run, or of an earlier version"
+        actual = f"no {MANIFEST}: the run was interrupted, or made by an earlier version"
         raise InputError(Problem(folder, "folder", actual, AGAIN)) from None
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
         raise InputError(Problem(path, "content", "something else", AGAIN)) from None

@@ -146,7 +146,7 @@ def _locked_file(path: Path, until_s: float) -> int:
         os.close(lock)
         if is_free is False and time.monotonic() >= until_s:
             owner_text = f"another process{f' ({owner})' if owner else ''}, which is writing to it"
-            expected = "one at a time: wait until it has ended, or choose another folder"
+            expected = "one process at a time: wait until it has ended, or choose another folder"
             raise InputError(Problem(path.parent, "folder", owner_text, expected))
         time.sleep(_POLL_S if is_free is False else 0.0)
 
@@ -200,9 +200,9 @@ def _not_usable(path: Path) -> InputError:
         fault = "a lock file that cannot be opened"
     else:
         if stat.S_ISREG(state.st_mode) and state.st_nlink == 1 and state.st_uid != _user():
-            fault = f"a lock file of another user ({_name_of(state.st_uid)}), whose run was perhaps killed"
+            fault = f"a lock file of another user ({_name_of(state.st_uid)}), whose run may have been killed"
         else:
-            fault = "a file or link that is no lock file of recon"
+            fault = "a file or link that is not a lock file of recon"
     expected = "no lock file: remove it if no run is still writing to the folder, or choose another folder"
     return InputError(Problem(path, "lock", fault, expected))
 
@@ -225,8 +225,8 @@ def require_usable(out: Path) -> None:
     existing = next(path for path in (out, *out.absolute().parents) if os.path.lexists(path))
     if not existing.exists():
         target = f"{existing}, a link that points to nothing"
-        raise InputError(Problem("--out", "folder", target, "a folder, which is made if need be: remove the link"))
+        raise InputError(Problem("--out", "folder", target, "a folder (it is created if needed): remove the link"))
     if not existing.is_dir():
-        raise InputError(Problem("--out", "folder", f"the file {existing}", "a folder, which is made if need be"))
+        raise InputError(Problem("--out", "folder", f"the file {existing}", "a folder (it is created if needed)"))
     if not os.access(existing, os.W_OK | os.X_OK):
         raise InputError(Problem("--out", "folder", f"{existing}, which may not be written to", "a folder of your own"))

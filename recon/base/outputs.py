@@ -86,7 +86,7 @@ def read_record(folder: Path) -> _Written:
     except (FileNotFoundError, NotADirectoryError):
         return {}
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        expected = "recon's record of the files that it wrote: move this file away"
+        expected = "recon's record of its output files: move this file away"
         raise InputError(Problem(path, "content", "another kind of file", expected)) from None
 
 
@@ -155,7 +155,7 @@ class ReadResults:
     def require_unchanged(self) -> None:
         """Raise InputError if the folder no longer has the results that were read."""
         if _manifest_sha256(self.folder) != self.manifest:
-            change = "other results than were read: another run has replaced them meanwhile"
+            change = "results that another run has replaced since they were read"
             raise InputError(
                 Problem(
                     self.folder, "results", change, "results that do not change during the run: run the command again"
@@ -329,7 +329,7 @@ class Output:
             raise InputError(Problem(self.option, "folder", contents, expected))
 
     def _there_already(self, name: str) -> Problem:
-        existing = f"{self.folder / name}, which is there already"
+        existing = f"{self.folder / name}, which exists already"
         return Problem(self.option, "file", existing, "a new name, or --overwrite")
 
     def _refused(self, names: Sequence[str], description: str) -> Iterator[Problem]:

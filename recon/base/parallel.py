@@ -284,7 +284,7 @@ def carry_out_on_cluster(address: str, work: Work[_Task], tasks: Tasks[_Task], t
                 future = ended.get(timeout=TICK_S)
             except queue.Empty:
                 if client.status in ("closed", "closing"):
-                    raise _lost("no connection to the scheduler any more") from None
+                    raise _lost("a lost connection to the scheduler") from None
             else:
                 name, _ = underway.pop(str(future.key))
                 tell(Event("ended", name, outcome=_outcome(future)))
@@ -332,7 +332,7 @@ def _outcome(future: Future) -> dict[str, Any]:
 
 
 def _lost(reason: str) -> InputError:
-    expected = "workers until the end: the same command again goes on from here"
+    expected = "workers until the end: run the same command again to continue from here"
     return InputError(Problem("recon batch", "workers", reason, expected))
 
 

@@ -156,7 +156,7 @@ def _restored(value: object, arrays: Mapping[str, np.ndarray], classes: Classes)
         return restored
     tag = restored.pop(CLASS)
     if tag not in classes:
-        raise ValueError(f"{str(tag)[:60]!r}, which is no class that such a file holds")
+        raise ValueError(f"{str(tag)[:60]!r}, which is not a class that such a file can hold")
     return _validated(classes[tag](), restored)
 
 

@@ -617,7 +617,7 @@ def solve_time_offsets(
     names = [source.camera.name for source in sources_apart]
     unmatched = [name for name, frames in zip(names, search_result, strict=True) if np.isnan(frames)]
     if unmatched:
-        expected = "30 or more points that it sees together with another camera"
+        expected = "30 or more points that this camera and another see together"
         raise InputError(Problem("--set find-offsets", f"camera {name}", "too few", expected) for name in unmatched)
     offsets = offsets + search_result
     sources = align_cameras(sources_apart, offsets.tolist())
@@ -635,10 +635,8 @@ def solve_time_offsets(
 def _problems(names: Sequence[str], offsets: Array, rest_frames: Array, sigmas: Array) -> Iterator[Problem]:
     for name, frames, lag, sigma in zip(names, offsets, rest_frames, sigmas, strict=True):
         if sigma > MAX_SIGMA_FRAMES or abs(lag) > MAX_SIGMA_FRAMES:
-            lag_text = (
-                f"{frames + lag:.1f} ± {max(sigma, abs(lag)):.1f} frames later, as this motion hardly determines it"
-            )
-            expected = f"a clip that determines it to {MAX_SIGMA_FRAMES:g}, or --set offset-s, measured in another way"
+            lag_text = f"{frames + lag:.1f} ± {max(sigma, abs(lag)):.1f} frames later, hardly determined by this motion"
+            expected = f"a clip that shows it to {MAX_SIGMA_FRAMES:g} frames, or a measured offset (--set offset-s)"
             yield Problem("--set find-offsets", f"camera {name}", lag_text, expected)
 
 

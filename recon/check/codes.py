@@ -28,12 +28,12 @@ FLAG_OF: Mapping[str, str] = {"left_right_swap": SWAPPED, "gross_outliers": OUTL
 """Flags of frames, by the code of their finding."""
 FLAGS: Mapping[str, str] = {
     "no data": "nothing was detected: the pose, if there is one, comes from the frames around",
-    "diverged": "the best pose was out of the camera's sight, and the frame has none",
-    "data poor": "few joints were seen and trusted: the pose is mostly what is expected",
+    "diverged": "the best pose was outside the camera's view, and the frame has no pose",
+    "data poor": "few joints were seen and trusted: the pose comes mostly from what is usual",
     "ambiguous depth": (
-        "seen from the front or the back, or another pose explains it nearly as well: depths in the pose may be wrong"
+        "seen from the front or the back, or nearly as well explained by another pose: depths in the pose may be wrong"
     ),
-    SWAPPED: "the detections look as if left and right were swapped: the pose follows them",
+    SWAPPED: "left and right look swapped in the detections, and the pose has them swapped too",
     OUTLIERS: "the detections are not those of an animal: they are left out, and the pose comes from the frames around",
 }
 """Meaning of each flag of a frame, in the order of a summary."""

@@ -41,13 +41,13 @@ USUAL = {"posterior": -2.4, "distance": 1.9, "end_on": 0.05, "unseen": 0.0, "rat
 """`Evidence.factors` of a typical view."""
 WHY = {
     "posterior": "The detections leave the poses too uncertain.",
-    "distance": "The animal is far away, so that the poses are uncertain.",
-    "end_on": "The animal is seen from the front or the back, which hardly shows its pose: a camera at its side does.",
-    "unseen": "Much of the animal is hardly ever detected: its pose there is only what is usual.",
-    "rate": "The frame rate is low, so that little is known of the pose between the frames.",
+    "distance": "The animal is far away, which makes the poses uncertain.",
+    "end_on": "The animal is seen from the front or the back, which hides its pose: a camera at its side helps.",
+    "unseen": "Much of the animal is hardly ever detected, and its pose there is only what is usual.",
+    "rate": "The frame rate is low, so the pose between the frames is hardly known.",
 }
 """Reasons, by the factor that raises the expected error most."""
-NOTHING_AGAINST = "Nothing in the clip speaks against it."
+NOTHING_AGAINST = "No check of the clip found a fault."
 """Reason of "use" that a list of clips leaves out."""
 _SIGMAS = 1.645
 """5 % of a normal distribution lie further up."""
@@ -218,7 +218,7 @@ def _verdict(motion: Motion) -> Verdict:
     strongest = WHY[max(WHY, key=lambda name: POWERS[name] * (evidence.factors[name] - USUAL[name]))]
     reason = strongest if pose.high > LIMIT_OF_TRUNK else NOTHING_AGAINST
     if level == "use" and (notes := [finding for finding in motion.findings if finding.code == "keypoints_do_not_fit"]):
-        reason = f"Good but for this: {_said(motion, notes[0])}"
+        reason = f"Good except for this: {_said(motion, notes[0])}"
     warned = bool(warnings) and level != "do not use"
     if warned:
         reason = _said(motion, warnings[0])
@@ -257,7 +257,7 @@ def usable(motion: Motion, folder: Path | str, anyway: bool) -> Motion:
     verdict = motion.verdict
     if verdict is not None and verdict.level == "do not use" and not anyway:
         verdict_text = f"do not use: {verdict.reason.rstrip('.')}"
-        raise InputError(Problem(folder, "verdict", verdict_text, "a clip whose result is usable, or --anyway"))
+        raise InputError(Problem(folder, "verdict", verdict_text, "a clip with a usable result, or --anyway"))
     return motion
 
 

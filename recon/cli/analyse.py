@@ -30,7 +30,7 @@ def analyse_command(settings: AnalyseSettings, progress: Progress = silent) -> A
     written, out = run_analysis(settings, progress), settings.out_folder
     lines = [*_lines(written.analysis, written.summary), f"{len(written.files)} files are in {out}."]
     if out == settings.folder / FOLDER and (settings.folder / PLAYBACK).is_file():
-        lines.append(f"See them beside the playback with: recon view {settings.folder}")
+        lines.append(f"See them with the playback: recon view {settings.folder}")
     return Answer(written.summary, lines, files=written.files)
 
 
@@ -44,9 +44,9 @@ def _lines(analysis: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str |
     yield from analysis_sentences(analysis)
     net, sigma = analysis.net_acceleration_m_s2
     if math.isfinite(net) and sigma > ACCELERATION_KNOWN_M_S2:
-        yield "Acceleration along the way: this camera does not tell it."
+        yield "Acceleration along the path: not known from this camera."
     elif math.isfinite(net):
-        yield f"Acceleration along the way, over the whole clip: {interval_text(net, sigma, 'm/s²', '+')}."
+        yield f"Acceleration along the path, over the whole clip: {interval_text(net, sigma, 'm/s²', '+')}."
     if "spine_flexion" in analysis.angles:
         low, high = (math.degrees(angle) for angle in analysis.angles["spine_flexion"].range_rad)
         yield f"Flexion of the spine: {low:+.0f}° to {high:+.0f}° (positive: arched up)."
@@ -57,7 +57,7 @@ def _lines(analysis: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str |
     if (stride := analysis.stride) is not None:
         origin = "as given" if analysis.given is not None else f"of {stride.foot}"
         if stride.at == "end effector":
-            origin += ", from one rearmost point of the foot to the next"
+            origin += ", between two rearmost positions of the foot"
         yield f"Phase portraits: the stride from {stride.start_s:.3f} to {stride.end_s:.3f} s, {origin}."
     if analysis.gait is not None and len(analysis.gait.stances) <= MOST_STANCES:
         spans: dict[str, list[str]] = {foot: [] for foot in motion.foot_names}

@@ -250,15 +250,15 @@ def _doctor() -> CommandFunction:
 COMMANDS = {
     "From a clip to its motion": {
         "fit": (_fit, "One clip: keypoints and a camera in, a folder of results out."),
-        "batch": (_batch, "Many clips in parallel, from where it was stopped."),
+        "batch": (_batch, "Many clips in parallel; a stopped batch continues."),
         "run": (_run, "From a video to a page: keypoints, fit, analysis, overlay, report.html."),
         "triangulate": (_triangulate, "Keypoints of several cameras to 3D points, without a skeleton."),
         "demo": (_demo, "Fit the bundled sample and compare it with its truth."),
-        "settings": (_settings, "All settings of a command, also those that are no options."),
+        "settings": (_settings, "All settings of a command, including those without an option."),
     },
     "Look at it and use it": {
         "view": (_view, "The playback in the rerun viewer, with the plots of its analysis."),
-        "report": (_report, "A page of a result, or of a batch, to look at and to pass on."),
+        "report": (_report, "A page of a result or a batch, to look at and to pass on."),
         "fix": (_fix, "Correct wrong keypoints in a browser, while the animal is fitted again."),
         "analyse": (_analyse, "Speeds, angles, gait, vector fields and phase portraits."),
         "figure": (_figure, "Figures of a result for a paper: PDF, SVG or PNG, with a caption."),
@@ -270,12 +270,12 @@ COMMANDS = {
     },
     "Cameras": {
         "calibrate": (_calibrate, "A camera, from pictures of a board."),
-        "calibrate extrinsics": (_calibrate_extrinsics, "Where cameras stand, from clips of the animal."),
-        "camera-motion": (_camera_motion, "How a camera turned, from its video."),
-        "camera-advice": (_camera_advice, "Where to put a camera, to see an angle or a joint."),
+        "calibrate extrinsics": (_calibrate_extrinsics, "Poses of several cameras, from clips of the animal."),
+        "camera-motion": (_camera_motion, "The motion of a camera, from its video."),
+        "camera-advice": (_camera_advice, "The best position of a camera to measure an angle or a joint."),
     },
     "Keypoints from video": {
-        "label": (_label, "Label frames of a video in a browser, from nothing."),
+        "label": (_label, "Label frames of a video in a browser, starting without keypoints."),
         "train": (_train, "Train a small keypoint network on a few labels."),
         "predict": (_predict, "Find the keypoints in every frame of a video."),
         "evaluate-2d": (_evaluate_2d, "Compare keypoints with labels."),
@@ -283,7 +283,7 @@ COMMANDS = {
     "Models and priors": {
         "skeleton list": (_skeleton_list, "List the skeletons that come with the package."),
         "skeleton check": (_skeleton_check, "Check a skeleton file, list it, and draw it."),
-        "skeleton from-keypoints": (_skeleton_from_keypoints, "Draft one for a file's points."),
+        "skeleton from-keypoints": (_skeleton_from_keypoints, "Draft a skeleton for the points of a file."),
         "subject fit": (_subject_fit, "Measure one animal in clips of several cameras."),
         "prior fit": (_prior_fit, "Fit a motion prior to results or 3D poses."),
     },
@@ -294,7 +294,7 @@ COMMANDS = {
         "robot dh": (_robot_dh, "A leg or chain by its Denavit-Hartenberg table, forward and inverse."),
         "climb": (_climb, "A four-legged robot climbs a step by potential fields."),
         "frame": (_frame, "Fit one side of the animal, one frame after the other."),
-        "solver": (_solver, "What the optimiser of recon frame did: costs, Jacobian, limits."),
+        "solver": (_solver, "Costs, Jacobian and limits in the optimisation of recon frame."),
     },
     "This installation": {
         "doctor": (_doctor, "Check versions, optional parts, the viewer, and a fit of the sample."),
@@ -305,7 +305,7 @@ command is imported.
 """
 GROUPS = {
     "skeleton": "Skeletons: those that come with the package, and your own.",
-    "subject": "Measured animals: lengths of one animal, and how a detector sees it.",
+    "subject": "Measured animals: the lengths of one animal, and a detector's offsets from its markers.",
     "prior": "Motion priors: which poses occur, and how they change.",
     "robot": "A robot's kinematics: its body's pose, legs, tables of parameters; all solutions.",
 }

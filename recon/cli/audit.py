@@ -83,7 +83,7 @@ def _answer(result: Audit, files: list[Path]) -> Answer:
     frames = counted(len(points.frames), "frame")
     head = f"{result.source}: {result.content}, {counted(len(points.names), 'point')}, {frames}"
     serious = [item for item in result.findings if item.severity != "note"]
-    summary = counted(len(serious), "finding") if serious else "Nothing was found that is wrong."
+    summary = counted(len(serious), "finding") if serious else "No fault was found."
     lines = [head, summary, *(finding_text(item.severity, sentence(item)) for item in result.findings)]
     lines += [f"Table and page: {', '.join(map(str, files))}"] if files else []
     data = {

@@ -147,7 +147,7 @@ def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary],
     except KeyboardInterrupt:
         counts = summaries[0].counts() if summaries else {}
         status_text = ", ".join(f"{n} {status}" for status, n in counts.items()) or "nothing was done"
-        stop(f"Stopped: {status_text}. What is done is kept: the same command again goes on from here.")
+        stop(f"Stopped: {status_text}. Finished clips are kept: run the same command again to continue.")
     counts = summary.counts()
     parts = [Text(f"{n} {level}", STYLES[level]) for level, n in reversed(summary.verdicts().items())]
     parts += [Text(f"{n} {status}", style) for status, n in counts.items() if (style := _STYLES.get(status))]
@@ -205,7 +205,7 @@ def _dry_run_answer(plan: Sequence[ClipPlan], problems: Sequence[Problems], stri
         cells.append((row["clip"], camera, fps, row["out"], action_text))
     lines: list[str | Text | Table] = [table_of("clip", "camera", "fps", "out", "what", rows=cells)]
     if len(rows) > 1 and len({(row["camera"], row["fps"]) for row in rows}) == 1:
-        advice = "Where they differ, give a CSV table with columns keypoints, camera and fps instead."
+        advice = "If they differ, give a CSV table with columns keypoints, camera and fps instead."
         lines.append(f"All clips have the same --camera and --fps. {advice}")
     for problem, places in repeated(problems):
         names = ", ".join(rows[place]["clip"] for place in places[:NAMED])

@@ -42,7 +42,7 @@ def calibrate(settings: CalibrationSettings, progress: Progress) -> Answer:
     errors = []
     if report["written"] is None:
         errors = [f"refused: {check['text']}" for check in report["checks"] if check["verdict"] == "refused"]
-        advice = f"mend that, or say --force. What there is: {report['picture']}"
+        advice = f"correct that, or use --force. Picture: {report['picture']}"
         errors.append(f"{settings.out} was not written: {advice}")
     data = json.dumps(report, indent=1) + "\n"  # print the camera with full precision
     return Answer(data, _calibration_lines(report), errors)
@@ -61,7 +61,7 @@ def _calibration_lines(report: dict[str, Any]) -> Iterator[str | Text | Table]:
     yield table_of("picture", numbers=("corners", "error px", "worst px", "tilt", "distance m", ""), rows=rows)
     examined = f"{report['board']}: found in {report['found']} of {report['examined']} pictures"
     if report["found"] > len(pictures):
-        examined += f", the {len(pictures)} sharpest and most different were taken"
+        examined += f", of which the {len(pictures)} sharpest and most varied were used"
     yield examined
     if report["without_board"]:
         yield f"Not found in: {names_text(report['without_board'])}"
@@ -75,7 +75,7 @@ def _calibration_lines(report: dict[str, Any]) -> Iterator[str | Text | Table]:
         if check["verdict"] == "warning" or (check["verdict"] == "refused" and written is not None):
             yield Text.assemble(("warning: ", "yellow"), check["text"])
     if written is not None:
-        yield f"Written: {written}, and what it rests on: {report['picture']}"
+        yield f"Written: {written}, and a picture of the data behind it: {report['picture']}"
 
 
 # -- poses of cameras -----------------------------------------------------------------------------------------------
@@ -143,9 +143,9 @@ def lines_of(cameras: Sequence[Camera], report: Mapping[str, Any]) -> Iterator[s
     largest = {camera.name: max(by_camera[camera.name] for by_camera in disagreements) for camera in cameras}
     if len(disagreements) > 1 and max(largest.values()) > DISAGREEMENT:
         name = max(largest, key=largest.__getitem__)
-        yield f"The clips disagree on where the cameras stand, most on {name}: was one moved between them?"
+        yield f"The clips disagree on the cameras' positions, most of all on {name}: was a camera moved between them?"
     if not report["converged"]:
-        yield "The search had not settled when it was ended: more clips, of other ways through the view, tell more."
+        yield "The search stopped before it had converged: add clips of other ways through the view."
 
 
 # -- a camera that turns -----------------------------------------------------------------------------------------------

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from typer._click.core import Context
     from typer._click.formatting import HelpFormatter
 
-_JSON = typer.Option("--json", help="Print what there is to say as JSON.")
+_JSON = typer.Option("--json", help="Print the summary as JSON.")
 _QUIET = typer.Option("--quiet", "-q", help="Print errors only.")
 HELP = {"help_option_names": ["-h", "--help"]}
 _RATES = ("framerate", "frame-rate")
@@ -104,7 +104,7 @@ def make_command(name: str, function: Callable[..., Answer]) -> SettingsCommand:
     infos = other_infos | own_infos
     parameters = [_parameter(info, name in other_infos) for name, info in infos.items() if info.option.common]
     if len(parameters) < len(infos):
-        help_text = "Another setting, as in sigma-px=2, also several times. Listed by: recon settings"
+        help_text = "Another setting, as in sigma-px=2; may be repeated. List them with: recon settings"
         parameters.append(_keyword(_SET, list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help=help_text)))
     parameters += [_keyword("as_json", bool, _JSON, False), _keyword("quiet", bool, _QUIET, False)]
 

@@ -70,7 +70,7 @@ def convert(settings: ConvertSettings) -> Answer:
         every = (*CONVERTED, *_robot_formats())
         rows = [(f.name, " ".join(f.suffixes), ", ".join(f.writes), f.fps, f.frames, f.axes) for f in every]
         names = ("--to", "extension", "holds", "frame rate", "frame numbers", "3D axes")
-        first = "Where an extension has several formats, the first is meant unless --to names another."
+        first = "If several formats share an extension, the first is used unless --to names another."
         return Answer([by_name(names, row) for row in rows], [table_of(*names, rows=rows), first])
     source, out = settings.source, settings.out
     if source is None or out is None:
@@ -96,9 +96,9 @@ def convert(settings: ConvertSettings) -> Answer:
         output.require([path.name for path in companions])
         written = rig_of(motion, data.fps, settings.body_mass_kg)
         data, notes = written.pose, notes + written.notes
-        notes += (f"Beside it: {', '.join(map(str, companions))}.",) if companions else ()
+        notes += (f"Also written: {', '.join(map(str, companions))}.",) if companions else ()
     elif "bones" in target.writes:
-        wanted = f"a folder of results of recon fit: {target.title} has bones, which turn"
+        wanted = f"a folder of results of recon fit: {target.title} needs rotations of bones"
     elif isinstance(data, Keypoints):
         if "2D" not in target.writes:
             wanted = f"3D positions for {target.title}: fit the clip first (recon fit)"
@@ -106,7 +106,7 @@ def convert(settings: ConvertSettings) -> Answer:
         written = data
         for name, stored in (("missing_zero_zero", "(0, 0)"), ("missing_constant", "one constant")):
             if count := missing[name].sum():
-                notes += (f"{count} points that were stored as {stored} are missing ones.",)
+                notes += (f"{count} points that were stored as {stored} are treated as missing.",)
     elif "3D" not in target.writes:
         wanted = f"2D keypoints for {target.title}"
     if wanted or target.write is None:
@@ -163,7 +163,7 @@ def _pose_of(motion: Motion) -> Pose3D:
     """Return the joints of a fit with z up, and their frame rate and limbs."""
     notes = verdict_lines(motion.verdict)
     if not motion.knows_up:
-        notes += ("Positions are in the level frame, z up: the camera file does not say where the camera is.",)
+        notes += ("Positions are in the level frame, z up, because the camera file does not have the camera's pose.",)
     flags = tuple(", ".join(frame_flags) for frame_flags in motion.flags)
     return replace(motion.upright, notes=notes, sigma_m=motion.upright_sigma_m, flags=flags)
 

@@ -93,7 +93,7 @@ def versions() -> Iterator[_Check]:
     yield _Check("recon", "ok", f"{version()}, in {Path(__file__).parents[1]}")
     # the files of the distribution installed last have replaced those of the other
     with suppress(metadata.PackageNotFoundError):
-        state = f"the package recon {metadata.version('recon')} is here too, whose files have the same names"
+        state = f"the package recon {metadata.version('recon')} is installed too, and its files have the same names"
         hint = f"{pip_command()} uninstall recon {DISTRIBUTION}, and install {DISTRIBUTION} again"
         yield _Check("another recon", "broken", state, hint)
     yield _Check("python", "ok", f"{platform.python_version()}, {platform.system()} {platform.machine()}")
@@ -160,7 +160,7 @@ def viewer(command: Sequence[str] = (sys.executable, "-m", "rerun")) -> Iterator
         yield _Check("display", "ok", "there is one")
     else:
         hint = "a page shows a result in any browser: recon report DIR"
-        yield _Check("display", "note", "none: recon view cannot show anything here", hint)
+        yield _Check("display", "note", "none: recon view cannot show anything on this machine", hint)
 
 
 def self_test() -> Iterator[_Check]:
@@ -181,7 +181,7 @@ def self_test() -> Iterator[_Check]:
     frames, posed, error_mm = shown["summary"]["frames"], shown["summary"]["frames_with_pose"], shown["mpjpe_mm"]
     state = f"{posed} of {frames} frames in {shown['seconds']:.1f} s, {error_mm:.0f} mm from the truth (MPJPE)"
     is_sound = error_mm <= SELF_TEST_MPJPE_MM and posed == frames
-    hint = "" if is_sound else f"{SELF_TEST_MPJPE_MM} mm is the most: reinstall numpy and scipy, or report it"
+    hint = "" if is_sound else f"at most {SELF_TEST_MPJPE_MM} mm is expected: reinstall numpy and scipy, or report it"
     yield _Check(name, "ok" if is_sound else "broken", state, hint)
 
 

@@ -70,13 +70,13 @@ def _table_notes(result: Evaluation) -> Iterator[str]:
     yield "PA      centred, scaled and turned onto the reference"
     yield f"PCK     share of the joints within {thresholds} mm, centred"
     offset_text = f"the mean of the joints is off by {1000 * result.position_m:.1f} mm"
-    yield f"Position: {offset_text}. A verdict's position is an estimate of this, its pose one of MPJPE."
+    yield f"Position: {offset_text}. The verdict's position error estimates this number, its pose error the MPJPE."
     for kind, shares in result.inside.items():
         stated, contained = (
             " and ".join(f"{100 * p:.0f}".replace("nan", "-") for p in name) for name in (LEVELS, shares)
         )
         name = {"place": "position"}.get(kind, kind)
-        yield f"Uncertainty of the {name}: intervals of {stated} % hold {contained} % of the reference's coordinates"
+        yield f"Uncertainty of the {name}: intervals of {stated} % contain {contained} % of the reference's coordinates"
     yield f"Compared: {len(result.frames) - result.frames_not_scored} frames, {len(result.names)} joints."
     for kind, reconstruction, reference in (
         ("Joints", result.joints_only_in_pose, result.joints_only_in_truth),
@@ -86,7 +86,7 @@ def _table_notes(result: Evaluation) -> Iterator[str]:
             if names:
                 yield f"{kind} only in the {place}: {', '.join(names)}"
     if result.frames_not_scored:
-        yield f"Frames of both without a joint known on both sides: {result.frames_not_scored}"
+        yield f"Common frames without a common joint: {result.frames_not_scored}"
 
 
 def _ranges(ranges: Iterable[tuple[int, int]]) -> list[str]:

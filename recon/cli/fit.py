@@ -52,5 +52,5 @@ def fit(settings: FitRunSettings, options: _FitOptions, console: Console, progre
     if out is None:
         raise InputError(no_out)
     for path in [] if config is None else replaced_files(config, options, fitted):
-        say(console, f"note: {path} is not the file that {config} was written for: its content is another")
+        say(console, f"note: {path} is not the file for which {config} was written: its content differs")
     return answer_of_fit(run_clip(fitted, out, settings.overwrite, progress), out)

@@ -62,11 +62,11 @@ class FixSettings(ResultSettings):
     def problems(self) -> Iterator[Problem]:
         """Yield problems of options that need others."""
         if self.export_labels is not None and self.video is None:
-            yield Problem("settings", "video", "nothing", "the video, whose frames go with the labels")
+            yield Problem("settings", "video", "nothing", "the video, whose frames are exported with the labels")
         if self.export_labels is None and self.with_accepted:
-            yield Problem("settings", "with_accepted", "no --export-labels", "one beside the other")
+            yield Problem("settings", "with_accepted", "no --export-labels", "both or neither")
         if self.export_labels is None and self.export_table is None and self.overwrite:
-            yield Problem("settings", "overwrite", "nothing to replace", "--export-labels or --export-table beside it")
+            yield Problem("settings", "overwrite", "nothing to replace", "--export-labels or --export-table as well")
 
 
 def fix(settings: FixSettings, console: Console) -> Answer:
@@ -84,9 +84,9 @@ def fix(settings: FixSettings, console: Console) -> Answer:
     if settings.export_labels is not None or settings.export_table is not None:
         return _export(settings, motion, number, out)
     if not out.parent.is_dir():
-        raise InputError(Problem("--out", "folder", f"{out.parent}, no such folder", "a folder that there is"))
+        raise InputError(Problem("--out", "folder", f"{out.parent}, no such folder", "an existing folder"))
     if out.is_symlink():
-        raise InputError(Problem("--out", "file", f"{out}, a link", "a file that is no link"))
+        raise InputError(Problem("--out", "file", f"{out}, a link", "a file, not a link"))
     with sole_editor(out), TemporaryDirectory() as folder:
         session = CorrectionSession.open(settings.folder, out, number)
         pictures = Path(folder)

@@ -38,9 +38,9 @@ def _ik_lines(summary: dict[str, Any], out: Path) -> Iterator[str | Table]:
     origin = {
         "given": "as given",
         "gait": "from touchdown to touchdown",
-        "end effector": "from one rearmost point of the foot to the next, as in recon analyse",
-        "return": "the clip has no complete one: the nearest return of the foot to the same position",
-        "whole clip": "the clip has no complete one: the whole clip",
+        "end effector": "between two rearmost positions of the foot, as in recon analyse",
+        "return": "the clip has no complete stride: from a position of the foot to its nearest return there",
+        "whole clip": "the clip has no complete stride: the whole clip",
     }[stride["how"]]
     yield f"{summary['foot']}: {len(summary['joints'])} joints, {summary['dimensions']}D ({summary['base_frame']})"
     if summary["misfit_m"]:
@@ -49,14 +49,14 @@ def _ik_lines(summary: dict[str, Any], out: Path) -> Iterator[str | Table]:
     yield f"stride: {stride['start_s']:.3f} to {stride['end_s']:.3f} s, {origin}; {gap}"
     yield from (f"note: {note}" for note in stride["notes"])
     if stride["gap_percent"] > WIDE_GAP_PERCENT:
-        yield "note: so wide a gap is not of one stride: a touchdown was missed, or the clip is too short"
+        yield "note: the gap is too wide for one stride: a touchdown was missed, or the clip is too short"
     driven, along = summary["to_target"], summary["along_stride"]
     if driven:
         yield from _target_lines(driven, summary["target_m"])
     if along:
         yield from _stride_lines(along, summary)
     if driven or along:
-        yield "limits: the first joint that one stopped, and how many more"
+        yield "limits: the first joint that reached its limit, and how many more did"
     if summary["costs"]:
         yield from _cost_lines(summary["costs"])
     parameters = summary["parameters"]
@@ -123,7 +123,7 @@ def _stride_lines(along: dict[str, Any], summary: dict[str, Any]) -> Iterator[st
             later = f"; then {', '.join(row['limits_hit'][1:])}" if row["limits_hit"][1:] else ""
             yield f"{name} does not close, stopped by {row['first_limit']}{later}"
     if any(row["limits_hit"] for row in along.values()):
-        yield "What a method does without the limits of the joints: --no-limits."
+        yield "To run a method without the limits of the joints: --no-limits."
     yield (
         f"result: closes from {CLOSES_PERCENT} % for every joint; off-path from {1000 * OFF_PATH_M:.0f} mm; limited: "
         "does not close, and a joint rests on its limit. "

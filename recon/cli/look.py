@@ -114,7 +114,7 @@ def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int
     if camera is None and (len(names) == 1 or video is None):
         return 0
     actual = "nothing" if camera is None else camera
-    raise InputError(Problem("--camera-name", "camera", actual, f"one of {', '.join(names)}, whose video it is"))
+    raise InputError(Problem("--camera-name", "camera", actual, f"the camera of the video, one of {', '.join(names)}"))
 
 
 # -- overlay on the video ---------------------------------------------------------------------------------------------
@@ -239,8 +239,8 @@ def rate_note(video: Path, fps: float | None) -> str | None:
     if fps is None or stated is None or abs(stated / fps - 1) < RATE_SAME:
         return None
     return (
-        f"{video.name} says {stated:.4g} frames a second, the clip has {fps:.4g}: right if it was filmed so and is "
-        "played back otherwise; if not, times and speeds are wrong by that factor"
+        f"{video.name} says {stated:.4g} frames a second, the clip has {fps:.4g}: unless the video is slowed down or "
+        "sped up, times and speeds are wrong by that factor"
     )
 
 
@@ -291,8 +291,8 @@ def _page_of_clip(settings: PageSettings, progress: Progress, whole_batch: bool 
     batch = neighbours(folder, whole_batch)
     html = clip_page(motion, shown, None if video is None else video.name, files, number, strip, batch)
     output.write(PAGE, html)
-    of_changed = f"missing, or not as the fit wrote it, so that the page has no link to it: {', '.join(changed)}"
-    of_stale = f"not known to be of these results, so that the page has no link to it: {', '.join(stale)}"
+    of_changed = f"missing, or changed since the fit, so the page has no link to it: {', '.join(changed)}"
+    of_stale = f"possibly of other results, so the page has no link to it: {', '.join(stale)}"
     possible_notes = [first_frame_note(motion, settings), of_changed if changed else None, of_stale if stale else None]
     notes = [*filter(None, possible_notes)]
     data = {"page": page, "failed": {}, "notes": notes}
@@ -393,9 +393,9 @@ class ViewSettings(ResultSettings):
         """Yield problems of options that need a video."""
         for name in ("first_frame", "camera_name"):
             if getattr(self, name) and self.video is None:
-                yield Problem("settings", name, "no --video", "one beside the other")
+                yield Problem("settings", name, "no --video", "both or neither")
         if self.web and self.out is not None:
-            yield Problem("--web", "viewer", f"--out {self.out} beside it", "one of the two")
+            yield Problem("--web", "viewer", f"--out {self.out} together with it", "only one of the two")
 
 
 def view(settings: ViewSettings, console: Console) -> Answer:

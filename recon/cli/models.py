@@ -119,9 +119,9 @@ def skeleton_from_keypoints(settings: SkeletonDraftSettings) -> Answer:
     """
     out, (markers, unplaced, _) = settings.out, run_skeleton_draft(settings)
     renamed_texts = [f"{name} as {marker}" for name, marker in markers.items() if name != marker]
-    lines = [f"{out}: {len(markers)} of {len(markers) + len(unplaced)} keypoints have a place."]
-    lines += [f"Taken for the quadruped's: {', '.join(renamed_texts)}."] if renamed_texts else []
-    lines += [f"Without a place: {', '.join(unplaced)}."] if unplaced else []
+    lines = [f"{out}: {len(markers)} of {len(markers) + len(unplaced)} keypoints are on the skeleton."]
+    lines += [f"Renamed to the quadruped's names: {', '.join(renamed_texts)}."] if renamed_texts else []
+    lines += [f"Not on the skeleton: {', '.join(unplaced)}."] if unplaced else []
     look = f"Look at it with: recon skeleton check {shlex.quote(str(out))} --out pictures"
     return Answer({"out": out, "keypoints": markers, "without_place": unplaced}, [*lines, look])
 
@@ -137,7 +137,7 @@ def prior_fit(settings: PriorFitSettings) -> Answer:
     report = run_prior_fit(settings)
     cannot_hold_out = settings.check and report["held_out"] is None
     notes = (
-        [f"Nothing could be held out: --check needs two segments of {FRAMES_PER_COMPONENT} frames."]
+        [f"No segment could be held out: --check needs two segments of {FRAMES_PER_COMPONENT} frames."]
         if cannot_hold_out
         else []
     )
@@ -214,7 +214,7 @@ def _subject_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
     if lengths:
         yield f"Size: {report['size']:.3f} ± {report['size_sigma']:.3f} of the skeleton's lengths."
     if not report["converged"]:
-        yield "The last step was not small yet: more frames would say more."
+        yield "The search was stopped before it had converged: more frames would help."
     kind, use = ("subject", "--subject ") if lengths else ("detector", "--set detector=")
     yield f"From {counted(report['clips'], 'clip')}, {report['frames']} frames. The {kind} is in {out}."
     yield f"Use it with: recon fit {use}{out}"

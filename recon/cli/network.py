@@ -39,7 +39,7 @@ def _training_lines(report: dict[str, Any], out: Path) -> Iterator[str]:
     yield f"{report['steps']} steps in {report['seconds']:.0f} s on {report['device']}."
     best = report["best_validation"]
     if best:
-        yield f"Validation pictures, before any was learned from: median error {best['median_px']:.2f} px at best."
+        yield f"Validation pictures, before training: median error {best['median_px']:.2f} px at best."
         if best["median_px"] > 2 * (right_px := report["tolerance_px"]):
             yield f"That is too far off to be of use: a point counts as right within {right_px:.1f} px."
             yield "Train longer (--minutes), or label more."
@@ -48,8 +48,8 @@ def _training_lines(report: dict[str, Any], out: Path) -> Iterator[str]:
         yield f"Test pictures: median error {score['median_px']:.2f} px, {percent(score['pck_px']['5.0'])} within 5 px."
     if not report["labels_judged"]:
         yield (
-            f"The labels were not judged: the network is off by {report['learned_median_px']:.1f} px (median) in the "
-            f"pictures that it learned from, and fits them from {FITS * report['tolerance_px']:.1f} px."
+            f"The labels were not checked: the network is off by {report['learned_median_px']:.1f} px (median) in its "
+            f"training pictures, and the check needs {FITS * report['tolerance_px']:.1f} px or less."
         )
     suspects = report["suspicious_labels"]
     if suspects:

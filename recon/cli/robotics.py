@@ -76,7 +76,7 @@ def _check_lines(check: dict[str, Any]) -> Iterator[str | Table]:
             f"{degrees(changes['base_turned_rad']):.0f}°"
         )
         if advice:
-            yield "note: no change that was tried keeps every rule in every frame; this one comes nearest"
+            yield "note: no change that was tried keeps every rule in every frame; this one violates them least"
     else:
         yield from (f"{rule_text}: {change}" for rule_text, change in advice.items())
 

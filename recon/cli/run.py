@@ -103,7 +103,7 @@ class _RunSettings(Settings):
     def problems(self) -> Iterator[Problem]:
         """Yield problems of the keypoints' source and of the first stage."""
         if (self.model is None) == (self.keypoints is None):
-            actual = "nothing" if self.model is None else f"{self.keypoints} beside --model"
+            actual = "nothing" if self.model is None else f"{self.keypoints} together with --model"
             yield Problem("--keypoints", "keypoints", actual, "a keypoint file, or --model with a network")
         if self.corrections is not None and self.video.is_dir():
             actual = f"{self.corrections} for a folder of videos"
@@ -235,7 +235,7 @@ def _motion_problems(run_settings: _RunSettings, options: Mapping[str, Any]) -> 
     if run_settings.camera_motion is not None and options.get("camera") is None:
         yield Problem("--camera-motion", "camera", "nothing", "--camera with the camera's lens")
     if run_settings.camera_motion is not None and options.get("camera_track"):
-        yield Problem("--camera-motion", "motion", "a camera track beside it", "one of the two")
+        yield Problem("--camera-motion", "motion", "a camera track together with it", "only one of the two")
 
 
 # -- the work ---------------------------------------------------------------------------------------------------------
@@ -298,8 +298,8 @@ def _carry_out(
         progress("starting", 0.0)
         answer = stage.work(progress)
         if stage.identity() != made_from:
-            expected = "files that nobody changes meanwhile: run the command again"
-            raise InputError(Problem(job.run.video, name, "input files that were changed meanwhile", expected))
+            expected = "files that do not change during the run: run the command again"
+            raise InputError(Problem(job.run.video, name, "input files that changed during the run", expected))
         record.note(name, made_from, files=digests(answer.files, out), notes=[*answer.notes])
     row = record.rows[name]
     return _StageOutcome(name, status, time.perf_counter() - began, tuple(row["files"]), tuple(row.get("notes", ())))
@@ -312,7 +312,7 @@ def _require_own(name: str, stage: _Stage, job: _Job, record: Record, must_run: 
     if present and name not in record.rows and not must_run and not job.run.overwrite:
         more_files = f", and so are {len(present) - 1} more" if len(present) > 1 else ""
         expected = "another --out, or --overwrite"
-        raise InputError(Problem(present[0], "file", "one that recon run has not made" + more_files, expected))
+        raise InputError(Problem(present[0], "file", "a folder that recon run has not made" + more_files, expected))
 
 
 def _check_inputs(job: _Job) -> None:

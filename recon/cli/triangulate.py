@@ -11,7 +11,7 @@ from rich.table import Table
 from recon.api.clip_results import read_settings
 from recon.api.settings import FitSettings
 from recon.api.triangulation import TRIANGULATION_SETTINGS, run_triangulation
-from recon.base.numbers import length_text
+from recon.base.numbers import length_text, percent
 from recon.base.settings import Option, Settings
 from recon.cli.answers import Answer, table_of
 from recon.cli.commands import OptionsOf
@@ -63,7 +63,7 @@ def _lines(out: Path, summary: Mapping[str, Any]) -> Iterator[str | Table]:
         if camera["left_out"] > MANY_LEFT_OUT * max(camera["compared"], 1):
             share = camera["left_out"] / camera["compared"]
             yield (
-                f"{share:.0%} of the detections of {name} disagree with the other cameras. "
+                f"{percent(share)} of the detections of {name} disagree with the other cameras. "
                 "recon fit tests which camera is turned, late or exchanged."
             )
     if not summary["knows_up"]:

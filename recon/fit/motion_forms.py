@@ -74,7 +74,7 @@ def load(motion_class: type[Motion], folder: Path) -> Motion:
         raise InputError(_no_motion(folder))
     if any((folder / name).exists() for name in (MANIFEST, *_OF_A_FIT)):  # not a motion that was saved by itself
         read_manifest(folder).require(MOTION)
-    hint = f"; of an earlier version, make it again by {_again(folder)}" if (folder / _CONFIG).is_file() else ""
+    hint = f"; if it is of an earlier version, run {_again(folder)}" if (folder / _CONFIG).is_file() else ""
     motion = load_record(motion_class, path, SCHEMA, EXPECTED + hint, CLASSES | _CLASSES_BY_PATH, OLDER_VERSIONS)
     try:
         faults = _misfits(motion)
@@ -117,10 +117,10 @@ def _no_motion(folder: Path) -> Problem:
     expected = "the folder of results that `recon fit` wrote"
     if (folder / _REPORT).is_file() and (folder / _CONFIG).is_file():
         content = f"no {MOTION}: results of an earlier version"
-        return Problem(folder, "folder", content, f"results of this version: make them again by {_again(folder)}")
+        return Problem(folder, "folder", content, f"results of this version: write them again with {_again(folder)}")
     clips = sorted(path.parent for path in folder.glob(f"*/{MOTION}")) if folder.is_dir() else []
     content = f"no {MOTION}" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
-    return Problem(folder, "folder", content, f"that of one clip, as in {clips[0]}" if clips else expected)
+    return Problem(folder, "folder", content, f"the folder of one clip, as in {clips[0]}" if clips else expected)
 
 
 # -- for other programs and people -------------------------------------------------------------------------------------

@@ -91,7 +91,7 @@ def triangulate_views(views: Sequence[View], sigma_px: float = 3.0) -> Triangula
     P. H. S. Torr and A. Zisserman, "MLESAC", Computer Vision and Image Understanding 78, 2000.
     """
     if len(views) < 2:
-        raise ValueError("one view: two or more are needed")
+        raise ValueError("one view, but two or more are needed")
     views = [_at_frame_times(view.mask_outside_image()) for view in views]
     sigma = np.full(views[0].xy_px.shape[1], float(sigma_px))
     result = _triangulated(views, sigma)

@@ -451,7 +451,7 @@ def why_no_ground(tracks: Tracks) -> str | None:
     """Return why the ground under the feet is unknown, or None if it is known."""
     planes = [plane for _, plane in tracks.grounds if plane.samples]
     if not planes:
-        return "the ground is not known: no foot is slow enough to stand"
+        return "the ground is not known: no foot is slow enough to be standing"
     spread_m = max(plane.spread_m for plane in planes)
     if not spread_m < LOW[0] * tracks.leg_m:
         return f"the ground is not known: slow feet are {length_text(spread_m)} off a plane (median)"

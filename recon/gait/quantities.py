@@ -24,6 +24,7 @@ from typing import Literal
 import numpy as np
 
 from recon.base.arrays import Array, mean
+from recon.base.numbers import percent
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.result import TrajectorySolution
 from recon.gait.gait import Gait, Stance, Stride, interval_of
@@ -424,7 +425,7 @@ def _why_no_asymmetry(motion: Motion, gait: Gait, feet: tuple[str, str]) -> str 
     for foot in feet:
         joints = next(limb for limb in motion.limbs.values() if motion.names.index(motion.foot_names[foot]) in limb)
         if (share := float(np.mean(solution.data_share[[*joints]]))) < MEASURED_SHARE:
-            return f"the limb of {foot} comes mostly from the prior: pixels determine {share:.0%} of its position"
+            return f"the limb of {foot} comes mostly from the prior: pixels determine {percent(share)} of its position"
     for foot in feet:
         if (count := sum(stride.foot == foot for stride in gait.strides)) < LEAST_STRIDES:
             return f"{count} complete strides of {foot}; {LEAST_STRIDES} are needed"

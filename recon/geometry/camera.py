@@ -32,7 +32,7 @@ BLOCKS: dict[str, tuple[tuple[int, ...], str]] = {
 }
 """The arrays of a camera: their shapes, where fixed, and their meaning."""
 POSE = ("rotation", "translation_m")
-TILT = "radians between -pi/2 and pi/2, and 0 beside a pose that says which way is up"
+TILT = "radians between -pi/2 and pi/2, or 0 if a pose says which way is up"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -1,10 +1,12 @@
-"""Build the chains of an animal, from the root of a skeleton to a foot, and get their angles from a reconstruction.
+"""Build chains from the root of a skeleton to a foot, and get their joint angles from a reconstruction.
 
-They sit in a level base frame at the root. The spine-front-leg chain of the 8U skeleton and planar chains have U along
-the direction of travel, V down, W to the side, right-handed; x and y of planar chains are U and V. The spine's first
-link, which lies on the skeleton's U and has no angles there, is free here: the angles follow from the rotation of the
-skeleton. The chains of whole animals have x along the direction of travel, y left, z up, as in
+Every chain starts at the root, in a level base frame. The base frame of planar chains and of the spine-front-leg chain
+of the 8U skeleton has the axes U along the direction of travel, V down and W to the side, and is right-handed; x and y
+of a planar chain are U and V. The chains of whole animals have x along the direction of travel, y left and z up, as in
 `recon.geometry.kinematics`.
+
+In the 8U skeleton the first link of the spine lies along U and has no angles. In the chain it has two, which follow
+from the rotation of the skeleton.
 """
 
 from __future__ import annotations
@@ -22,23 +24,34 @@ from recon.geometry.kinematics import PITCH, ROOT, YAW, Tree
 from recon.ik.chain import FREE, MAX_RATE_RAD_S, SerialChain, _by_joint, planar_chain, summed_chain
 
 BASE_THETA_RAD = 0.9
-"""Limit of the first link's pitch: three standard deviations of a running animal's."""
+"""Limit of the pitch of the first link: three standard deviations in a running animal."""
 LIMIT_SIGMAS = 3.0
-"""Limits of a whole animal's angles, in standard deviations."""
+"""Limits of the angles of a whole animal, in standard deviations."""
 _TRAVEL_M = 0.1
-"""Length of the root's path below which the path has no direction."""
+"""Length of the root's path below which the path has no direction, metres."""
 _UP = np.array([0.0, 0.0, 1.0])
 
 
 def spine_front_leg(
     chain: Chain, base_length_m: float | None = None, dim: Literal[2, 3] = 3, limited: bool = True
 ) -> SerialChain:
-    """Return the chain r5, r1, r2, r3, r4 of the 8U skeleton, from the root to the front foot, in its level base frame.
+    """Return the chain r5, r1, r2, r3, r4 of the 8U skeleton from the root to the front foot, in its level base frame.
 
-    Its joints are called as the chain's own angles, after the joint at the link's end: theta_9, theta_1 to theta_4, and
-    so the phis. base_length_m: None for the nominal one. Limits are the skeleton's expected ranges, those of the first
-    link `BASE_THETA_RAD` and three standard deviations of the heading about the direction of travel; it turns no faster
-    than the next one. limited: False leaves them out, but for the rates'.
+    The joints are named after the angles of the skeleton at the end of each link: theta_9 for the first link, then
+    theta_1 to theta_4, and the phis likewise.
+
+    Parameters
+    ----------
+    chain
+        The 8U skeleton.
+    base_length_m
+        The base length, metres; None for the nominal one.
+    dim
+        3 for thetas and phis, 2 for thetas alone.
+    limited
+        Whether the joints have limits: the expected ranges of the skeleton, and for the first link `BASE_THETA_RAD` and
+        three standard deviations of the heading about the direction of travel. The limits of the rates always hold; the
+        first link turns no faster than the second.
     """
     links = _path(chain)
     base = chain.nominal_base_length_m if base_length_m is None else base_length_m
@@ -59,11 +72,22 @@ def spine_front_leg(
 
 
 def chain_angles(chain: Chain, states: Array, travel: Array | None = None, dim: Literal[2, 3] = 3) -> Array:
-    """Return the joint angles (T, n) of `spine_front_leg` in its level base frame, for states (T, D) of its body.
+    """Return the joint angles (T, n) of `spine_front_leg` in its level base frame.
 
-    travel: direction of travel, (3,) or (T, 3), of which the level part counts; None: as `body_travel`. All links keep
-    their directions in space exactly (dim 3). Two pairs of angles give the same direction: the pair nearer to that of
-    the chain without roll is taken. dim 2: the thetas, the chain turned into the sagittal plane.
+    In space all links keep their directions exactly. Two pairs of angles give the same direction; the pair nearer to
+    that of the chain without roll is taken. In the plane the angles are the thetas, after the chain is turned into the
+    sagittal plane.
+
+    Parameters
+    ----------
+    chain
+        The 8U skeleton.
+    states
+        The states (T, D) of its body.
+    travel
+        The direction of travel, (3,) or (T, 3), whose level part is used; None for `body_travel`.
+    dim
+        2 or 3.
     """
     R = chain.body.tree.orientations(states)[:, 0] @ UVW_BODY.T
     heading = (body_travel(states) if travel is None else np.asarray(travel, float)) * (1.0, 1.0, 0.0)
@@ -88,14 +112,14 @@ def chain_angles(chain: Chain, states: Array, travel: Array | None = None, dim: 
 
 
 def _angles_near(directions: Array, theta: Array, phi: Array) -> tuple[Array, Array]:
-    """Return T, P (T, L) of unit vectors (T, L, 3), nearest to theta, phi (T, L)."""
+    """Return the angles (T, L) of unit vectors (T, L, 3) that are nearest to the given theta and phi (T, L)."""
     T = np.arcsin(np.clip(directions[..., 1], -1, 1))
     P = np.arctan2(directions[..., 2], directions[..., 0])
     pairs = [
         (theta + np.angle(np.exp(1j * (t - theta))), phi + np.angle(np.exp(1j * (p - phi))))
         for t, p in ((T, P), (np.pi - T, P + np.pi))
     ]
-    # Phi counts only as far as it turns the link.
+    # The weight of phi is how far it turns the link.
     distances = [(t - theta) ** 2 + (np.cos(t) * (p - phi)) ** 2 for t, p in pairs]
     first = distances[0] <= distances[1]
     return np.where(first, pairs[0][0], pairs[1][0]), np.where(first, pairs[0][1], pairs[1][1])
@@ -115,17 +139,32 @@ def _path(chain: Chain) -> list[int]:
 
 
 def _angle_index(chain: Chain, links: list[int]) -> list[int | None]:
-    """Return the index of every link's theta among the thetas, None for a link without one."""
+    """Return the index of each link's theta among all thetas, or None for a link without angles."""
     free = [i for i, link in enumerate(chain.links) if link.free]
     return [free.index(i) if i in free else None for i in links]
 
 
 def body_chain(body: Body, foot: str, size: float = 1.0, limited: bool = True) -> SerialChain:
-    """Return the chain from the root segment's origin to a marker, with the joint names of the state.
+    """Return the chain from the origin of the root segment to a marker, with the joint names of the state.
 
-    The first joints are the root's yaw against the direction of travel, its pitch and its roll. Limits are the body's
-    expectations, `LIMIT_SIGMAS` standard deviations each way, of the yaw half a turn. limited: False leaves them out,
-    but for the rates'. Raises ValueError for a marker that the body lacks, or one behind joints whose angles add up.
+    The first joints are the root's yaw relative to the direction of travel, its pitch and its roll.
+
+    Parameters
+    ----------
+    body
+        A whole animal.
+    foot
+        The marker at the chain's end.
+    size
+        Factor on all lengths.
+    limited
+        Whether the angles have limits: the expected mean ± `LIMIT_SIGMAS` standard deviations, and half a turn for the
+        yaw. The limits of the rates always hold.
+
+    Raises
+    ------
+    ValueError
+        If the body lacks the marker, or if angles on the way to it add up (see `summed_chain`).
     """
     marker = next((m for m in body.tree.markers if m.name == foot), None)
     if marker is None:
@@ -151,8 +190,8 @@ def body_chain(body: Body, foot: str, size: float = 1.0, limited: bool = True) -
 def body_chain_angles(body: Body, foot: str, states: Array, travel: Array | None = None) -> Array:
     """Return the joint angles (T, n) of `body_chain` for states (T, D) of the body, in a world with z up.
 
-    travel: direction of travel, (3,) or (T, 3), of which the level part counts; None: from the first to the last
-    position of the root, or where the animal faces if that is short.
+    travel is the direction of travel, (3,) or (T, 3), whose level part is used. If it is None, the direction from the
+    first to the last position of the root is used, or the direction in which the animal faces if that path is short.
     """
     q = states[:, [body.state_names.index(name) for name in body_chain(body, foot).names]]
     ahead = body_travel(states) if travel is None else np.asarray(travel, float)
@@ -164,7 +203,8 @@ def body_chain_angles(body: Body, foot: str, states: Array, travel: Array | None
 def body_travel(states: Array) -> Array:
     """Return the level direction of travel (3,) of a body's states (T, D).
 
-    It points from the first to the last position of the root, or where the animal faces if the root hardly moves.
+    It points from the first to the last position of the root, or in the direction in which the animal faces if the root
+    hardly moves.
     """
     known = states[np.isfinite(states).all(axis=1)]
     if not len(known):
@@ -177,11 +217,18 @@ def body_travel(states: Array) -> Array:
 
 
 def projected_chain(points_m: Array, travel: ArrayLike) -> tuple[SerialChain, Array, Array]:
-    """Return a planar chain through consecutive joints, its angles q (T, K - 1), and its misfit (T,), metres.
+    """Return a planar chain through consecutive joints, its angles q (T, K - 1), and its misfit (T,) in metres.
 
-    points_m (T, K, 3): joints, world z up, NaN where missing; travel (3,). Everything is projected into the vertical
-    plane along the travel. Lengths are the medians of the projected ones, so that the chain's end does not lie quite
-    where the last joint is seen: the misfit is that distance. Angles do not jump by whole turns. Without limits.
+    All joints are projected onto the vertical plane along the direction of travel. Each link has the median of its
+    projected lengths, so the end of the chain is not exactly at the last joint; the misfit is the distance between the
+    two. The angles do not jump by whole turns, and the chain has no limits.
+
+    Parameters
+    ----------
+    points_m
+        The joints (T, K, 3) in a world with z up, metres; NaN if missing.
+    travel
+        The direction of travel (3,).
     """
     ahead = np.asarray(travel, float) * (1.0, 1.0, 0.0)
     plane = np.array([ahead / np.linalg.norm(ahead), -_UP])

@@ -1,14 +1,14 @@
-"""Describe serial chains: a tree (`recon.geometry.kinematics`) with one branch, and the limits of its joints.
+"""Describe serial chains: a tree (`recon.geometry.kinematics`) with one branch, and limits of its joints.
 
-There are three ways to make a chain. The publication's chains have angles that are relative to the link before and
-add up; T_k, P_k are the sums up to link k, r_k its length. In two dimensions (`planar_chain`) link k adds
-r_k (cos T_k, sin T_k), in three (`summed_chain`), with q = [theta..., phi...],
+There are three ways to make a chain. In the chains of the publication, each angle is relative to the link before, and
+the angles add up. T_k and P_k are the sums up to link k, and r_k is its length. In two dimensions (`planar_chain`)
+link k adds r_k (cos T_k, sin T_k). In three (`summed_chain`), with q = [theta..., phi...], it adds
 
     r_k (cos T_k cos P_k,  sin T_k,  cos T_k sin P_k)
 
-in the base frame UVW of `recon.animal.chain`. `joint_chain` has joints in space that turn about their axes or slide
-along them; the axes are those with all joints at 0, as in Denavit-Hartenberg tables, legs and URDF files. All three
-kinds are trees, so that positions, Jacobians and second derivatives have one implementation.
+in the base frame UVW of `recon.animal.chain`. The joints of a `joint_chain` turn about axes in space, or slide along
+them. The axes are given for all joints at 0, as in Denavit-Hartenberg tables, robots' legs and URDF files. All three
+kinds are trees, so positions, Jacobians and second derivatives have one implementation.
 """
 
 from __future__ import annotations
@@ -39,32 +39,33 @@ MAX_RATE_RAD_S = 50.0
 class SerialChain:
     """Hold a chain with n joints in dim dimensions, with its base at the origin.
 
-    Joint angles q are (n,) or, for many configurations at once, (..., n): rad, and metres for joints that slide.
+    Joint angles q are (n,) or, for many configurations at once, (..., n): in radians, or in metres for joints that
+    slide.
     """
 
     tree: Tree
-    """The tree of one branch, with one marker: the end effector."""
+    """The tree, with one branch and one marker: the end effector."""
     columns: Index
-    """(n,): columns of the tree's state that hold the joints."""
+    """Columns of the tree's state that hold the joints, shape (n,)."""
     names: tuple[str, ...]
-    """(n,): names of the joints."""
+    """Names of the joints, (n,)."""
     groups: tuple[tuple[int, ...], ...]
-    """The joints that follow each other along the chain, one tuple for each kind of angle."""
+    """Joints that follow each other along the chain, one tuple for each kind of angle."""
     lower_rad: Array
-    """The lower limits of the joints, shape (n,); metres for joints that slide, as of all limits."""
+    """Lower limits of the joints, shape (n,), rad; metres for joints that slide."""
     upper_rad: Array
-    """The upper limits of the joints, shape (n,)."""
+    """Upper limits of the joints, shape (n,), rad or metres."""
     max_rate_rad_s: Array
-    """The fastest rates of the joints that are allowed or expected, shape (n,)."""
+    """Largest allowed or expected rates of the joints, shape (n,), rad/s or m/s."""
     base: Array = field(default_factory=lambda: np.eye(3))
-    """(dim, 3): from the axes of the tree's world to those of the base frame."""
+    """Rotation from the axes of the tree's world to those of the base frame, shape (dim, 3)."""
     tool_rotation: Array = field(default_factory=lambda: np.eye(3))
-    """(3, 3): of the end effector on the last link."""
+    """Rotation of the end effector relative to the last link, shape (3, 3)."""
     _latest: dict[bytes, Moved] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not np.all(self.lower_rad <= self.upper_rad):
-            raise ValueError("a lower limit is above the upper one")
+            raise ValueError("a lower limit is above the upper limit")
         if not np.all(np.isfinite(self.max_rate_rad_s) & (self.max_rate_rad_s > 0)):
             raise ValueError("rate limits must be positive and finite")
 
@@ -81,7 +82,7 @@ class SerialChain:
     # -- positions -------------------------------------------------------------------------------------------------
 
     def positions(self, q: Array) -> Array:
-        """Return the positions of the joints along the chain and, last, of the end effector (..., ., dim), metres."""
+        """Return the positions of the joints along the chain and of the end effector (..., L + 1, dim), metres."""
         states = self._states(q)
         points = np.concatenate([self.tree.origins(states)[:, self._moving], self.tree.pose(states).points_m], axis=1)
         return (points @ self.base.T).reshape(*q.shape[:-1], -1, self.dim)
@@ -103,9 +104,9 @@ class SerialChain:
     # -- velocities, for q (n,) ------------------------------------------------------------------------------------
 
     def derivatives(self, q: Array) -> tuple[Array, Curvature]:
-        """Return the end effector's Jacobian (dim, n), and its curvature.
+        """Return the Jacobian (dim, n) of the end effector, and its curvature.
 
-        The curvature is a function of mu (dim,): the sum (n, n) of mu_i times the Hessian of coordinate i.
+        The curvature is a function of mu (dim,). It returns the sum (n, n) of mu_i times the Hessian of coordinate i.
         """
         jacobian, _, curvature = derivatives_of(self.tree, self._moved(q))
 
@@ -115,7 +116,7 @@ class SerialChain:
         return self.base @ jacobian[0][:, self.columns], weighted_curvature
 
     def jacobian(self, q: Array) -> Array:
-        """Return the end effector's Jacobian (..., dim, n), for q (..., n)."""
+        """Return the Jacobian (..., dim, n) of the end effector, for q (..., n)."""
         jacobian = self.tree.pose_with_jacobian(self._states(q)).jacobian[:, 0]
         return (self.base @ jacobian[..., self.columns]).reshape(*q.shape[:-1], self.dim, self.n)
 
@@ -151,7 +152,7 @@ class SerialChain:
 
     @cached_property
     def sliding(self) -> Bools:
-        """(n,): the joints that slide along their axes."""
+        """Whether each joint slides along its axis, shape (n,)."""
         return np.array(["s" in self.tree.axes[column - 3] for column in self.columns])
 
     @cached_property
@@ -161,14 +162,18 @@ class SerialChain:
 
     @cached_property
     def lengths_m(self) -> Array:
-        """(L,): from each position with joints to the next, the last to the end effector, with nothing slid out."""
+        """Distances (L,) from each position with joints to the next, and from the last to the end effector, in metres.
+
+        Joints that slide are at 0.
+        """
         return np.linalg.norm(np.diff(self.positions(np.zeros(self.n)), axis=0), axis=1)
 
     @cached_property
     def joint_lengths_m(self) -> Array:
         """Return the length (n,) of the link that each joint turns.
 
-        The link ends at the next position along the chain that differs from the joint's; 0 if there is none.
+        The link ends at the next position along the chain that differs from the joint's; the length is 0 if no position
+        differs.
         """
         lengths = self.lengths_m.copy()
         for k in range(len(lengths) - 2, -1, -1):
@@ -179,9 +184,9 @@ class SerialChain:
 
     @cached_property
     def reach_m(self) -> tuple[float, float]:
-        """Return bounds of the end effector's distance from the base, by the triangle inequality.
+        """Return the least and the largest distance of the end effector from the base, by the triangle inequality.
 
-        A chain in space need not reach every distance between them. With joints that slide there are no bounds.
+        A chain in space may not reach every distance between the two. A chain with joints that slide has no bounds.
         """
         if self.sliding.any():
             return 0.0, math.inf
@@ -190,10 +195,18 @@ class SerialChain:
 
 
 def mobility(bodies: int, freedoms: Sequence[int], of_a_body: Literal[3, 6] = 6) -> int:
-    """Return the degrees of freedom of a mechanism by Grübler's formula, b (bodies - 1 - joints) + those of the joints.
+    """Return the degrees of freedom of a mechanism by Grübler's formula.
 
-    bodies: number, the ground included; freedoms: of each joint, 1 for a hinge, 2 for a universal joint, 6 for a free
-    body; of_a_body: b, 6 in space, 3 in a plane. Constraints count as independent of each other.
+    It is b (bodies - 1 - joints) plus the freedoms of the joints, if no constraint depends on another.
+
+    Parameters
+    ----------
+    bodies
+        Number of bodies, including the ground.
+    freedoms
+        Degrees of freedom of each joint: 1 for a hinge, 2 for a universal joint, 6 for a free body.
+    of_a_body
+        b, the degrees of freedom of a free body: 6 in space, 3 in a plane.
     """
     return of_a_body * (bodies - 1 - len(freedoms)) + sum(freedoms)
 
@@ -201,7 +214,10 @@ def mobility(bodies: int, freedoms: Sequence[int], of_a_body: Literal[3, 6] = 6)
 def planar_chain(
     lengths_m: ArrayLike, limits_rad: Limits = FREE, max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S
 ) -> SerialChain:
-    """Return a chain of links in a plane, with q (L,): angle 0 along +x, positive towards +y. See `summed_chain`."""
+    """Return a chain of links in a plane, with q (L,): angle 0 is along +x, and positive angles turn towards +y.
+
+    The parameters are those of `summed_chain`.
+    """
     return summed_chain(lengths_m, limits_rad, max_rate_rad_s, dim=2)
 
 
@@ -211,10 +227,23 @@ def summed_chain(
     max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S,
     dim: Literal[2, 3] = 3,
 ) -> SerialChain:
-    """Return a chain of universal joints in space whose angles add up: q (2 L,) = [theta..., phi...], base frame UVW.
+    """Return a chain of universal joints in space whose angles add up, in the base frame UVW.
 
-    lengths_m (L,): of the links; dim 2: only the thetas. Limits: lower and upper; rates: the fastest; each one number
-    or one for each joint. Raises ValueError.
+    Parameters
+    ----------
+    lengths_m
+        Lengths (L,) of the links, metres.
+    limits_rad
+        Lower and upper limits, each one number or one for each joint.
+    max_rate_rad_s
+        Largest rates, one number or one for each joint.
+    dim
+        3 for q (2 L,) = [theta..., phi...]; 2 for the thetas alone.
+
+    Raises
+    ------
+    ValueError
+        If a length is not positive, or a limit or rate is not valid.
     """
     lengths = np.array(lengths_m, float)
     if lengths.ndim != 1 or not len(lengths) or not np.all(np.isfinite(lengths) & (lengths > 0)):
@@ -223,7 +252,7 @@ def summed_chain(
     ends = ["base", *(f"link_{k}" for k in range(1, L + 1))]
     links = [Segment(ends[k + 1], ends[k], "summed", along[k]) for k in range(L)]
     tree = Tree((Segment("base", None, "fixed"), *links), (Marker("end", ends[-1], along[-1]),))
-    # The tree has phi, then theta, of every link.
+    # The tree has the phi and then the theta of every link.
     phi = 3 + 2 * np.arange(L)
     columns = np.concatenate([phi + 1, phi])[: L * (dim - 1)]
     groups = tuple(tuple(range(k * L, (k + 1) * L)) for k in range(dim - 1))
@@ -242,12 +271,31 @@ def joint_chain(
     max_rate_rad_s: ArrayLike = MAX_RATE_RAD_S,
     names: tuple[str, ...] | None = None,
 ) -> SerialChain:
-    """Return a chain of n joints in space, with q (n,) in rad, or metres for joints that slide.
+    """Return a chain of n joints in space, with q (n,) in radians, or in metres for joints that slide.
 
-    It is described in the axes of its base, with all joints at 0. offsets_m (n, 3): each joint's position relative to
-    the joint before it; axes (n, 3); sliding: one or (n,), joints that slide along their axes; tool_m (3,) and
-    tool_rotation: the end effector relative to the last joint; names: None: joint 1 and so on; limits: lower and upper;
-    rates: the fastest; each one number or one for each joint. Raises ValueError.
+    The chain is described in the axes of its base, with all joints at 0.
+
+    Parameters
+    ----------
+    offsets_m
+        Position (n, 3) of each joint relative to the joint before it, metres.
+    axes
+        Axes (n, 3) of the joints.
+    sliding
+        Whether joints slide along their axes, one value or (n,).
+    tool_m, tool_rotation
+        Position (3,) and rotation (3, 3) of the end effector relative to the last joint.
+    limits_rad
+        Lower and upper limits, each one number or one for each joint.
+    max_rate_rad_s
+        Largest rates, one number or one for each joint.
+    names
+        Names (n,) of the joints; None for joint 1 and so on.
+
+    Raises
+    ------
+    ValueError
+        If the numbers do not describe a chain.
     """
     offsets, axes, tool = (np.array(x, float) for x in (offsets_m, axes, tool_m))
     n = len(offsets)
@@ -256,7 +304,7 @@ def joint_chain(
     sizes = np.linalg.norm(axes, axis=1)
     if not all(np.isfinite(x).all() for x in (offsets, axes, tool)) or not (sizes > 0).all():
         raise ValueError("offsets, axes and tool must be finite, and no axis zero")
-    # Frames whose z axes are the joints', and back to the base's axes from that of the base and of each joint.
+    # The z axis of each frame is the axis of its joint; these rotations lead back to the axes of the base.
     to_z = np.array([_with_z_along(axis) for axis in axes / sizes[:, None]])
     back = np.concatenate([np.eye(3)[None], to_z]).transpose(0, 2, 1)
     segments = [Segment("base", None, "fixed")]
@@ -272,7 +320,7 @@ def joint_chain(
 
 
 def _by_joint(n: int, *numbers: ArrayLike) -> list[Array]:
-    """Return numbers for n joints, each given as one number or as (n,)."""
+    """Return values for n joints, given as one number or as (n,)."""
     return [np.array(np.broadcast_to(number, n), float) for number in numbers]
 
 
@@ -290,7 +338,7 @@ def _with_z_along(z: Array) -> Array:
 
 
 def unreachable(chain: SerialChain, target_m: Array, tolerance_m: float = 0.0) -> str:
-    """Return why no angles put the end effector within the tolerance of a target (dim,), or "" if some may."""
+    """Return why no angles put the end effector within the tolerance of a target (dim,), or "" if it may be reached."""
     if not np.isfinite(target_m).all():
         return "unreachable: the target is not finite"
     distance, (nearest, farthest) = float(np.linalg.norm(target_m)), chain.reach_m
@@ -300,7 +348,7 @@ def unreachable(chain: SerialChain, target_m: Array, tolerance_m: float = 0.0) -
 
 
 def manipulability(J: Array) -> Array:
-    """Return sqrt(det J J') of J (..., dim, n) (Yoshikawa 1985): 0 where a direction is lost."""
+    """Return sqrt(det J J') of J (..., dim, n) (Yoshikawa 1985); it is 0 if motion in some direction is impossible."""
     return np.sqrt(np.maximum(0.0, np.linalg.det(J @ J.swapaxes(-1, -2))))
 
 

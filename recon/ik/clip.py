@@ -69,18 +69,18 @@ class IkSettings(Settings):
         ),
     ] = "damped"
     target: str | None = None
-    """Target of the foot: stride-max, its foremost position in the stride, starting from its rearmost; or x,y,z in
-    metres from the chain's base, such as 0.8,0.1,-0.5.
+    """Target of the foot: stride-max, its foremost position in the stride, starting from its rearmost position; or
+    x,y,z in metres from the chain's base, such as 0.8,0.1,-0.5.
     """
     follow: Literal["stride"] | None = None
-    """Path that the foot follows: stride, one stride of its own, closed."""
+    """Path that the foot follows: stride, a closed stride of the foot in the clip."""
     compare: bool = False
     """Compare all methods in one table, for both tasks unless one is chosen."""
     foot: Annotated[str | None, Option(metavar="FOOT")] = None
     """LF, RF, LH, RH, or the joint's name. (default: the first fore foot)"""
     stride: Annotated[StrideTimes | None, STRIDE] = None
     dim: Annotated[Integer, Field(ge=2, le=3)] = 3
-    """2: in the vertical plane of travel; 3: in space."""
+    """2: in the vertical plane of the direction of travel; 3: in space."""
     turns: Annotated[Integer, Field(ge=1)] = 1
     """Number of times to follow the stride."""
     limits: bool = True
@@ -97,8 +97,9 @@ class IkSettings(Settings):
     chaotic.
     """
     alpha: Annotated[Literal["step"] | Number | None, Option(expected="step, or a number other than 0")] = None
-    """Factor on the joints' rates of every method: a number, or step, at every step the one with which the foot moves
-    nearest to what is asked for. (default: none)"""
+    """Factor on the joints' rates of every method: a number, or step, for the factor with which the foot's motion is
+    closest to the requested one at every step. (default: none)
+    """
     out: Path | None = None
     """Folder for tables and figures. (default: ik in DIR)"""
     figures: bool = True
@@ -109,18 +110,18 @@ class IkSettings(Settings):
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """The names of the methods that are run."""
+        """The names of the methods that run."""
         extended = () if self.cost is None else (EXTENDED,)
         return (*METHODS, *extended) if self.compare else (self.method,)
 
     @property
     def parameters(self) -> str:
-        """Which parameters the methods have, in words."""
+        """The origin of the methods' parameters, in words."""
         return "refitted at every frame" if self.online else "fitted to the clip" if self.fitted else "standard"
 
     @property
     def has_no_job(self) -> bool:
-        """Whether no single job is asked for."""
+        """Whether the options ask for no job."""
         return self.target is None and self.follow is None
 
     @property
@@ -150,22 +151,22 @@ class IkRun:
     limb: Limb
     stride: StridePath
     target_m: Array | None
-    """(dim,)"""
+    """Target of the end effector, shape (dim,)."""
     runs: Mapping[str, Mapping[str, Run]]
-    """To the "target" and along the stride ("follow"), by method, empty where not asked for."""
+    """Runs to the "target" and along the stride ("follow"), by method; empty for a task that was not requested."""
     parameters: Mapping[str, ParameterFit]
-    """Fitted to the clip, by method."""
+    """Parameters fitted to the clip, by method."""
     series: pd.DataFrame | None
-    """Fitted to each frame of the stride by itself (`fit_parameter_series`); None where not asked for."""
+    """Parameters fitted to each frame of the stride (`fit_parameter_series`); None if they were not requested."""
 
     portraits: Mapping[str, Portrait]
-    """Closures of the animal's own joints over the stride, by joint."""
+    """Phase portraits of the animal's own joints over the stride, by joint."""
     costs: Mapping[str, CostOutcome]
-    """What the extended Jacobian does with each cost on the stride, by cost, empty where not asked for."""
+    """Behaviour of the extended Jacobian with each cost on the stride, by cost; empty if it was not requested."""
 
     @property
     def begins_s(self) -> float:
-        """When the stride begins in the clip."""
+        """Time at which the stride begins in the clip."""
         return self.limb.first_s + self.stride.start_s
 
     @cached_property
@@ -200,7 +201,7 @@ class IkRun:
 
     @cached_property
     def animal_closures(self) -> dict[str, Array]:
-        """Degrees of closure (n,) of the animal's own joints over the stride, as `Run.closures`; NaN with gaps."""
+        """Degrees of closure (n,) of the animal's own joints over the stride (`Run.closures`); NaN if there are gaps."""
         kinds = "angle", "plane", "unscaled"
         closures = {kind: np.full(self.limb.chain.n, np.nan) for kind in kinds}
         for joint, portrait in enumerate(self.portraits.values()):
@@ -223,9 +224,14 @@ class IkRun:
 
 
 def run_ik(settings: IkSettings) -> IkRun:
-    """Write the tables and figures of `recon ik` into a folder.
+    """Run inverse kinematics on a clip, and write the tables and figures of `recon ik`.
 
-    Parameters that are fitted to the clip are also fitted to each frame of the stride. Raises InputError.
+    Parameters that are fitted to the clip are also fitted to each frame of the stride.
+
+    Raises
+    ------
+    InputError
+        If the results are no fit, or show too little of a stride.
     """
     made_from = ReadResults.read(settings.folder)
     motion = usable(Motion.load(settings.folder), settings.folder, settings.anyway)
@@ -255,14 +261,14 @@ def run_ik(settings: IkSettings) -> IkRun:
         solved = IkRun(settings, motion, limb, stride, goal, runs, parameters, series, portraits, costs)
         with output.staged() as staging:
             _write(solved, staging)
-        if settings.figures:  # after the tables, so that they exist even if a figure fails
+        if settings.figures:  # written after the tables, so that the tables exist even if a figure fails
             with output.staged(adds=True) as staging:
                 write_figures(solved, staging)
     return solved
 
 
 def _cost_outcomes(limb: Limb, stride: StridePath) -> dict[str, CostOutcome]:
-    """Return what the extended Jacobian does with each cost of `COSTS` on the stride."""
+    """Return how the extended Jacobian behaves with each cost of `COSTS` on the stride."""
     interval_s = SLOWER * stride.interval_s
     return {
         name: cost_outcome(limb.chain, stride.q[0], stride.path_m, cost(limb), interval_s)
@@ -317,7 +323,7 @@ def _cell(value: object) -> object:
 
 
 def write_figures(solved: IkRun, folder: Path) -> None:
-    """Write paths in task and joint space, phase portraits with closures by method, and parameters, as PNG and SVG."""
+    """Write figures as PNG and SVG: paths in task and joint space, phase portraits by method, and parameters."""
     limb, aims = solved.limb, {"target": solved.target_m, "follow": solved.stride.path_m}
     for job, runs in solved.runs.items():
         if runs:
@@ -334,7 +340,7 @@ def write_figures(solved: IkRun, folder: Path) -> None:
 
 
 def _save_portraits(portraits: dict[str, Portrait], closures: Mapping[str, Array], source: str, folder: Path) -> None:
-    """Write the phase portraits of a method, or of the animal itself, with closures (n,) by kind."""
+    """Write the phase portraits of a method or of the animal, with closures (n,) by kind."""
     pairs = zip(closures["angle"].tolist(), closures["plane"].tolist(), strict=True)
     by_joint = by_name([*portraits], [Closure(*pair) for pair in pairs])
     style.save(phase_portraits(portraits, by_joint, source), folder, f"follow_phase_{source}")

@@ -1,8 +1,8 @@
 """Study the behaviour of the extended Jacobian with each cost, on a closed path followed many times.
 
-Appendices B and C of C. van der Leek, MSc(Eng), University of Cape Town, 2022, try costs on the joint angles that make
-the method singular or its paths chaotic. A cost is "convergent" if the angles after every turn are those at its
-beginning, "singular" if the extended matrix was singular on the way, "chaotic" if two starts that are `NEAR_RAD` apart
+Appendices B and C of C. van der Leek, MSc(Eng), University of Cape Town, 2022, contain costs on the joint angles for
+which the method becomes singular or its paths chaotic. A cost is "convergent" if each turn ends at the angles at which
+it began, "singular" if the extended matrix was singular on the way, "chaotic" if two starts that are `NEAR_RAD` apart
 end `GROWTH` times as far apart, and "drifting" otherwise.
 """
 
@@ -20,7 +20,7 @@ from recon.ik.methods import ExtendedJacobian
 from recon.ik.null_space import to_null_space_optimum
 
 NEAR_RAD = 1e-6
-"""Distance of two starts in every joint."""
+"""Distance between two starts in every joint."""
 CLOSED_RAD = 1e-3
 """Largest change of a joint over a turn on a path that closes."""
 GROWTH = 1e3
@@ -30,27 +30,30 @@ TURNS = 10
 
 @dataclass(frozen=True)
 class CostOutcome:
-    """Hold what the extended Jacobian does with one cost on a closed path."""
+    """Hold the behaviour of the extended Jacobian with one cost on a closed path."""
 
     outcome: str
     """Convergent, singular, chaotic or drifting."""
     stationary: str
-    """Kind of the stationary point that it starts from, or why none was reached."""
+    """Kind of the stationary point at the start, or why no stationary point was reached."""
     drift_rad: float
     """Largest change of a joint from the start to the end of any turn."""
     growth: float
-    """Factor by which the distance of two near starts grows."""
+    """Factor by which the distance between two close starts grows."""
     singular_steps: int
     worst_error_m: float
     """Largest distance of the end effector from the path."""
     limits_hit: tuple[str, ...]
-    """Joints that a limit stopped."""
+    """Joints that reached a limit."""
 
 
 def cost_outcome(
     chain: SerialChain, q0: Array, path_m: Array, cost: Cost, interval_s: float, turns: int = TURNS
 ) -> CostOutcome:
-    """Return what the extended Jacobian does with a cost on a closed path (K, dim), from the optimum next to q0."""
+    """Return how the extended Jacobian behaves with a cost on a closed path (K, dim).
+
+    It starts at the optimum of the cost closest to q0.
+    """
     method = ExtendedJacobian(cost)
     start, stationary = to_null_space_optimum(chain, q0, cost)
     run = follow(chain, start, path_m, method, turns, interval_s)

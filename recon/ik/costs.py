@@ -1,7 +1,7 @@
 """Define costs on the joint angles of redundant chains, with their gradients and Hessians.
 
-They are the thesis' (C. van der Leek, 2022). In the rotational energies each link has its own length (printed with r5
-throughout).
+The costs are those of C. van der Leek's thesis (2022), except that each link has its own length in the rotational
+energies; the thesis prints r5 for all links.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from recon.ik.chain import SerialChain
 
 @dataclass(frozen=True, eq=False)
 class Cost:
-    """Hold a cost on joint angles q (n,), rad, as three functions."""
+    """Hold a cost on joint angles q (n,), rad, as functions for its value, gradient and Hessian."""
 
     value: Callable[[Array], float]
     gradient: Callable[[Array], Array]
@@ -28,7 +28,7 @@ class Cost:
 
 
 def quadratic(matrix: Array, about: Array | float = 0.0) -> Cost:
-    """Return g = (q - about)' H (q - about) / 2 with a constant symmetric H (n, n); about: (n,), or 0 for all."""
+    """Return g = (q - about)' H (q - about) / 2 with a constant symmetric H (n, n), and about (n,) or 0 for all."""
     return Cost(
         lambda q: float((q - about) @ matrix @ (q - about)) / 2, lambda q: matrix @ (q - about), lambda _: matrix
     )
@@ -41,12 +41,12 @@ def joint_differences(chain: SerialChain) -> Cost:
 
 
 def rotational_energy(chain: SerialChain) -> Cost:
-    """Return sum (r_k q_k)^2 with each joint's own link length r_k, m^2: least rotation, least in the long links."""
+    """Return sum (r_k q_k)^2, m^2, with the length r_k of each joint's link: long links rotate least."""
     return quadratic(2 * np.diag(chain.joint_lengths_m**2))
 
 
 def pose_distance(pose: Array) -> Cost:
-    """Return sum (q_k - p_k)^2, the distance from a pose p (n,), for instance the animal's."""
+    """Return sum (q_k - p_k)^2, the squared distance from a pose p (n,), for instance the animal's."""
     return quadratic(2 * np.eye(len(pose)), pose)
 
 
@@ -70,7 +70,7 @@ def harmonic_map(a: float = 1.0, b: float = 0.0, joints: Sequence[int] = (2, 3, 
     """Return g = q2 (a q1 + b) sqrt(1 + q1^2) with q1 = q[i] - q[j], q2 = q[k] - q[j].
 
     joints: (i, j, k), by default theta_2, theta_3, theta_4 of the spine-front-leg chain. Its Hessian has rank 2, and
-    its stationary points are saddles: the extended Jacobian can be singular at G = 0.
+    its stationary points are saddles, at which the extended Jacobian can be singular.
     """
     i, j, k = joints
 
@@ -103,7 +103,7 @@ def user_cost(function: Callable[[Array], float], step_rad: float = 1e-4) -> Cos
     """Return a cost from any smooth function of q (n,), with derivatives from central differences over step_rad."""
 
     def slopes(f: Callable[[Array], Array | float], q: Array) -> Array:
-        with np.errstate(invalid="ignore"):  # a cost that is infinite has no slope
+        with np.errstate(invalid="ignore"):  # an infinite cost has no slope
             return np.array([np.subtract(f(q + e), f(q - e)) for e in step_rad * np.eye(len(q))]) / (2 * step_rad)
 
     def hessian(q: Array) -> Array:

@@ -1,10 +1,10 @@
-"""Motion of a chain's end effector to a target or along a path by one of the methods.
+"""Move the end effector of a chain to a target or along a path by one of the methods.
 
-One iteration is an interval of time. The end effector is sent to the next point at the velocity that reaches it in the
-interval (which removes the drift of the iteration before), by no more than `MAX_STEP_M`. The method gives the rates,
-and the joints move by rates times interval. Joints that would leave their limits stay, and are taken out of the chain
-for that iteration. The extended Jacobian starts at G = 0 (`recon.ik.null_space`) and is kept there by a gain of
-1 / interval.
+Each iteration covers one interval of time. The end effector is sent towards the next point with the velocity that
+reaches it within the interval, but by no more than `MAX_STEP_M`; this also removes the drift of the iteration before.
+The method gives the rates, and the joints move by the rates times the interval. A joint that would leave its limits
+stays, and is taken out of the chain for that iteration. The extended Jacobian starts at G = 0 (`recon.ik.null_space`)
+and is kept there by a gain of 1 / interval.
 """
 
 from __future__ import annotations
@@ -27,46 +27,51 @@ from recon.ik.null_space import _listed, to_null_space_optimum
 
 TOLERANCE_M = 0.003
 MAX_STEP_M = 0.02
-"""Longest way of the end effector in one iteration."""
+"""Longest path of the end effector in one iteration."""
 PATIENCE = 100
-"""Iterations in which the distance has to shrink by `PROGRESS`."""
+"""Number of iterations within which the distance must shrink by `PROGRESS`."""
 PROGRESS = 0.01
 STILL_RAD = 1e-10
-"""A smaller motion is rounding."""
+"""Motions below this are rounding errors."""
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Hold what a chain did on its way to a target or along a path: K configurations, K - 1 steps."""
+    """Hold the motion of a chain to a target or along a path: K configurations and K - 1 steps."""
 
     q: Array
-    """(K, n), rad."""
+    """Joint angles, shape (K, n), rad."""
     dq: Array
-    """(K, n), rad/s: the rates with which each configuration is left. The last ones are 0 at a target, those with which
-    a closed path begins anew, or those with which an open one ends."""
+    """Rates at which each configuration is left, shape (K, n), rad/s.
+
+    The last rates are 0 at a target, the first rates again on a closed path, and those of the last step on an open
+    path.
+    """
     interval_s: float
-    """From one configuration to the next."""
+    """Time from one configuration to the next."""
     end_m: Array
-    """(K, dim)"""
+    """Positions of the end effector, shape (K, dim)."""
     aim_m: Array
     """The target (dim,), or the points of the path (K, dim)."""
     manipulability: Array
-    """(K,): sqrt(det J J')."""
+    """Manipulability sqrt(det J J'), shape (K,)."""
     singular: Bools
-    """(K - 1,): whether the step was damped at a singular configuration."""
+    """Whether each step was damped at a singular configuration, shape (K - 1,)."""
     solve_s: Array
-    """(K - 1,): computing time of each step."""
+    """Computing time of each step, shape (K - 1,)."""
     limits: dict[str, str]
-    """By joint that a limit stopped, in their order: which limit, and in which step the first time."""
+    """Which limit stopped each joint, and in which step first, by joint in the order of those steps."""
     closed: bool
-    """Whether it was along a closed path."""
+    """Whether the path was closed."""
     note: str
-    """What kept it from a target, "unreachable: ...", "singular: ...", "limits: ..." or "no progress: ..."; along a
-    path the first thing that went wrong, with its step. Empty where nothing did."""
+    """Why the target was not reached: "unreachable: ...", "singular: ...", "limits: ..." or "no progress: ...".
+
+    Along a path it is the first problem, with its step. It is empty if there was no problem.
+    """
 
     @property
     def driven(self) -> bool:
-        """Whether it was to a target."""
+        """Whether the motion was to a target, not along a path."""
         return self.aim_m.ndim == 1
 
     @property
@@ -93,8 +98,8 @@ class Run:
     def control(self) -> tuple[Array, Array]:
         """Return rates and accelerations (K, n) for a controller.
 
-        They are those of the parabola through a sample and its neighbours. A closed path is continued periodically; any
-        other path starts at rest.
+        Each sample's rates and accelerations are those of the parabola through it and its neighbours. A closed path is
+        continued periodically; any other path starts at rest.
         """
         q, interval_s = self.q, self.interval_s
         previous = q[0] - (q[-1] - q[-2]) if self.closed else q[0]
@@ -117,10 +122,11 @@ class Run:
         return float(np.mean(np.sum(np.diff(self.q, 2, axis=0) ** 2, axis=1))) if len(self.q) > 2 else 0.0
 
     def closures(self) -> dict[str, Array]:
-        """Return degrees of closure (n,), in percent, of each joint from the first configuration to the last.
+        """Return the degrees of closure (n,), in percent, of each joint from the first configuration to the last.
 
-        "angle" is that of the angle, "plane" that of the path in the (angle, rate) plane, whose axes are divided by
-        their ranges, "unscaled" that in the plane of rad and rad/s, as published. NaN for a joint that does not move.
+        Three measures are returned, each NaN for a joint that does not move. "angle" is the closure of the angle.
+        "plane" is that of the path in the plane of angle and rate, with each axis divided by its range. "unscaled" is
+        that in the plane of rad and rad/s, as published.
         """
         planes = [np.column_stack(path) for path in zip(self.q.T, self.dq.T, strict=True)]
         return {
@@ -161,9 +167,10 @@ def drive_to(
     max_iterations: int = 2000,
     interval_s: float = INTERVAL_S,
 ) -> Run:
-    """Drive the end effector from q0 (n,) to a target (dim,). What goes wrong is the run's note.
+    """Drive the end effector from q0 (n,) to a target (dim,).
 
-    The extended Jacobian goes to G = 0 first; those configurations are not part of the path.
+    The extended Jacobian first goes to G = 0; those configurations are not part of the path. If the target is not
+    reached, the run's note says why.
     """
     q, target = chain.inside_limits(np.asarray(q0, float)), np.asarray(target_m, float)
     note = unreachable(chain, target, tolerance_m)
@@ -183,10 +190,10 @@ def drive_to(
         if k >= max_iterations or k - best_at >= PATIENCE or (k and float(np.abs(last.dq).max()) <= STILL_RAD):
             left = f"{1000 * distance:.1f} mm left after {k} iterations"
             if stopped:
-                return f"limits: joints {_listed(chain, stopped)} at theirs, {left}"
+                return f"limits: joints {_listed(chain, stopped)} at their limits, {left}"
             if last.singular:
                 return f"{last.note}, {left}"
-            return f"no progress: {left}" + (", the most that are allowed" if k >= max_iterations else "")
+            return f"no progress: {left}" + (", the largest number allowed" if k >= max_iterations else "")
         return (target - end) * (min(1.0, MAX_STEP_M / distance) / interval_s)
 
     return _moved(chain, q, target, ask, lambda _: method, interval_s)
@@ -200,11 +207,29 @@ def follow(
     turns: int = 1,
     interval_s: float = INTERVAL_S,
 ) -> Run:
-    """Follow a path (K, dim), whose points are an interval apart, from q0 (n,), whose end effector is at its start.
+    """Follow a path (K, dim), whose points are one interval apart, from q0 (n,), with the end effector at its start.
 
-    Each step goes from the end effector's position to the next point, and the extended Jacobian (full) keeps G. method:
-    one for all steps, or a function of the step's number. turns: number of times round a closed path (last point =
-    first). Raises ValueError for an array that is no path.
+    Each step goes from the position of the end effector to the next point. The full extended Jacobian keeps G.
+
+    Parameters
+    ----------
+    chain
+        The chain.
+    q0
+        Joint angles (n,) at the start.
+    path_m
+        Points (K, dim) of the path, metres.
+    method
+        One method for all steps, or a function that returns the method of each step from its number.
+    turns
+        How often to follow a closed path, whose last point is its first.
+    interval_s
+        Time from one point to the next.
+
+    Raises
+    ------
+    ValueError
+        If the array is not a path, or an open path is to be followed several times.
     """
     path = np.asarray(path_m, float)
     if path.ndim != 2 or len(path) < 2 or path.shape[1] != chain.dim or not np.isfinite(path).all():
@@ -238,7 +263,7 @@ def _moved(
     method: Callable[[int], Method],
     interval_s: float,
 ) -> Run:
-    """Move on from q (n,), one interval after the other, until ask returns the run's note.
+    """Move on from q (n,), interval by interval, until `ask` returns the note of the run.
 
     ask(k, end, last rates, stopped joints) returns the velocity (dim,) of step k, or the note.
     """
@@ -274,10 +299,11 @@ def _moved(
 
 
 def degree_of_closure(path: Array, is_scaled: bool = True) -> float:
-    """Return D = 100 (1 - d / d_max) in percent: d from start to end, d_max the path's diameter; NaN without motion.
+    """Return the degree of closure D = 100 (1 - d / d_max) of a path, in percent.
 
-    path: an angle (K,), or (angle, rate) (K, 2), whose axes are divided by their ranges unless `is_scaled` is False. An
-    angle that stays within `STILL_RAD` does not move.
+    d is the distance from the start to the end, d_max the diameter of the path. The path is an angle (K,), or angle and
+    rate (K, 2), whose axes are divided by their ranges unless `is_scaled` is False. D is NaN for an angle that stays
+    within `STILL_RAD`.
     """
     if np.ptp(path if path.ndim == 1 else path[:, 0]) <= STILL_RAD:
         return math.nan
@@ -289,9 +315,9 @@ def degree_of_closure(path: Array, is_scaled: bool = True) -> float:
 def _one_interval(
     chain: SerialChain, q: Array, dx: Array, method: Method, interval_s: float
 ) -> tuple[JointRates, Array, list[int]]:
-    """Return the step of one interval, the configuration after it, and the joints that a limit stopped.
+    """Return the step of one interval, the configuration after it, and the joints stopped by a limit.
 
-    The extended Jacobian has the gain that keeps it at G = 0.
+    The extended Jacobian gets the gain that keeps it at G = 0.
     """
     if isinstance(method, ExtendedJacobian) and method.full and not method.gain_per_s:
         method = replace(method, gain_per_s=1 / interval_s)

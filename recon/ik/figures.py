@@ -1,4 +1,4 @@
-"""Figures of motions to a target or along a path, by method."""
+"""Draw motions to a target or along a path, by method."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ VIEWS = {
     "UVW": (("side", 0, 1, "forwards (m)", "down (m)"), ("top", 0, 2, "forwards (m)", "to the left (m)")),
     "xyz": (("side", 0, 2, "forwards (m)", "up (m)"), ("top", 0, 1, "forwards (m)", "to the left (m)")),
 }
-"""The views of the base frames of `recon.ik.chain`: name, coordinates, and what the axes are called."""
+"""Views of the base frames of `recon.ik.chain`: name, the two coordinates, and the labels of their axes."""
 _ROOM = 0.06
 _VECTORS = ("constant-vector", "gradient-projection")
 """Methods whose vector g is drawn."""
@@ -28,7 +28,7 @@ _SINGLE = {
     "gradient-projection_k_1_s": "k, differences",
     "transpose_alpha_1_m2": "transpose",
 }
-"""What the legend calls single parameters."""
+"""Names of single parameters in the legend."""
 
 
 def task_space(
@@ -37,11 +37,11 @@ def task_space(
     aim_m: Array | None = None,
     base: Literal["UVW", "xyz"] = "UVW",
 ) -> Figure:
-    """Draw the end effector's path of each method, in the plane, or in space from the side and from above.
+    """Draw the path of the end effector for each method, in the plane, or in space from the side and from above.
 
-    The chain is drawn at the start and, for each method, at the end. aim_m: the target (dim,), a cross, or the
-    requested path (K, dim). base: the meaning of the coordinates: forwards, down and left, or forwards, left and up;
-    two are U and V.
+    The chain is drawn at the start and, for each method, at the end. aim_m is the target (dim,), drawn as a cross, or
+    the requested path (K, dim). base names the axes of the base frame: "UVW" for forwards, down and left, "xyz" for
+    forwards, left and up. Planar chains have U and V.
     """
     labels, first = [f"{name}{_outcome(move)}" for name, move in moves.items()], next(iter(moves.values()))
     aims = () if aim_m is None else ("path to follow",) if aim_m.ndim == 2 else ("target",)
@@ -77,7 +77,10 @@ def task_space(
 
 
 def joint_space(moves: Mapping[str, Run], names: Sequence[str]) -> Figure:
-    """Draw each joint's angle (deg) by method, over the iterations to a target or the time along a path. names (n,)."""
+    """Draw the angle (deg) of each joint by method, over the iterations to a target or the time along a path.
+
+    names (n,) are the names of the joints.
+    """
     n, driven = len(names), any(move.driven for move in moves.values())
     least, aspect = (3, 0.62) if n <= 6 else (5, 0.9)
     rows, columns = style.grid_shape(n, style.WIDTH_MM, aspect, least)
@@ -103,8 +106,9 @@ def joint_space(moves: Mapping[str, Run], names: Sequence[str]) -> Figure:
 def parameter_series(series: pd.DataFrame, joints: Sequence[str]) -> Figure:
     """Draw the parameters of `fit_parameter_series` by configuration, over the time of the stride.
 
-    Panels: the damping lambda and gamma_max, weights of the joints, the vector g, k and alpha of the transpose, and the
-    factor alpha of every method, the extended Jacobian's too. A panel without values is left out.
+    The panels are the damping lambda and gamma_max, the weights of the joints, the vector g, k and the alpha of the
+    transpose, and the factor alpha of every method, including the extended Jacobian. A panel without values is left
+    out.
     """
     alphas = [str(name) for name in series if str(name).endswith("_best_alpha")]
     panels = {
@@ -136,7 +140,7 @@ def parameter_series(series: pd.DataFrame, joints: Sequence[str]) -> Figure:
 
 
 def _parameter_label(column: str) -> str:
-    """Return what the legend calls a column of the table of parameters."""
+    """Return the label of a column of the table of parameters in the legend."""
     if column in _SINGLE:
         return _SINGLE[column]
     label = column.removesuffix("_best_alpha")
@@ -146,7 +150,7 @@ def _parameter_label(column: str) -> str:
 
 
 def _outcome(move: Run) -> str:
-    """Return what failed in a run, in a few words."""
+    """Return why a run failed, in a few words."""
     if not move.note:
         return ""
     failure = move.note.split(":")[0].split(" (")[0]

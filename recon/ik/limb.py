@@ -1,4 +1,4 @@
-"""A limb of a fitted clip: its chain and joint angles, the methods' parameters fitted to it, and its stride."""
+"""Get a limb of a fitted clip: its chain and joint angles, its stride, and the methods' parameters fitted to it."""
 
 from __future__ import annotations
 
@@ -35,35 +35,36 @@ from recon.ik.parameters import PARAMETERS, PULL, Frames, ParameterFit, explaine
 from recon.ik.stride import OVERSAMPLING, StridePath, find_stride
 
 EXTENDED = "extended"
-"""The extended Jacobian with the cost that is asked for."""
+"""The extended Jacobian with the requested cost."""
 Dim = Literal[2, 3]
 SLOWER = 10
 """Factor by which a stride is followed more slowly than the animal ran it.
 
-Rate limits are those expected of its joints, and would hold back a method that moves other joints than the animal does.
-Closures do not depend on the factor."""
+The limits of the rates are those of the animal's joints. They would restrict a method that uses the joints differently.
+Closures do not depend on the factor.
+"""
 CONSTANT_VECTOR = "constant-vector"
-"""Gradient projection along a constant vector g, in tables of parameters."""
+"""Name, in tables of parameters, of gradient projection along a constant vector g."""
 EXTENDED_COSTS = ("extended-differences", "extended-energy", "extended-harmonic")
 LAST = 3
-"""Frames before each that parameters are refitted to on the way."""
+"""Number of frames before each frame of the stride to which parameters are refitted (online)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """Hold a chain of the animal, and its joint angles in the clip."""
+    """Hold a chain of the animal and its joint angles in the clip."""
 
     foot: str
     chain: SerialChain
     q: Array
-    """(T, n)"""
+    """Joint angles, shape (T, n)."""
     fps: float
     first_s: float
     """Time of the clip's first frame."""
     base: Literal["UVW", "xyz"]
     """Meaning of the base frame's axes: U forwards, V down and W left, or x forwards, y left and z up."""
     misfit_m: float
-    """Distance of the chain's end from the foot, median."""
+    """Median distance of the chain's end from the foot."""
 
 
 COSTS: dict[str, Callable[[Limb], Cost]] = {
@@ -75,10 +76,16 @@ COSTS: dict[str, Callable[[Limb], Cost]] = {
 
 
 def limb_of(motion: Motion, foot: str | None = None, dim: Dim = 3, limited: bool = True) -> Limb:
-    """Return the chain to a foot, by its label (LF) or joint, by default the first fore foot. Raises InputError.
+    """Return the chain to a foot, given by its label (LF) or joint; by default the first fore foot.
 
-    The 8U chain's has the spine and the front leg. A whole animal's has, in space, all joints from the root to the
-    foot, and in the plane the joints' projections onto the vertical plane of travel.
+    The chain of the 8U skeleton has the spine and the front leg. The chain of a whole animal has all joints from the
+    root to the foot in space; in the plane it has the joints' projections onto the vertical plane of the direction of
+    travel.
+
+    Raises
+    ------
+    InputError
+        If the skeleton has no such foot.
     """
     label = _foot_label(motion, foot)
     name = motion.foot_names[label]
@@ -122,9 +129,22 @@ def methods_of(
 ) -> dict[str, Method]:
     """Return the methods by name (`METHODS`, `EXTENDED`), with standard parameters or those of `fit_parameters`.
 
-    Weights have no standard values, and are always fitted. cost: of `EXTENDED`, which needs one, and of gradient
-    projection, by default the joint differences. alpha: a factor on all rates, or "step" for the one of each step with
-    which the foot's motion is closest to the requested one.
+    Weights have no standard values, and are always fitted.
+
+    Parameters
+    ----------
+    limb
+        The limb.
+    names
+        Names of the methods.
+    parameters
+        The fitted parameters, by method.
+    fitted
+        Whether to use the fitted parameters instead of the standard ones.
+    cost
+        Cost of `EXTENDED`, which needs one, and of gradient projection, whose default is the joint differences.
+    alpha
+        Factor on all rates, or "step" for the factor with which the foot's motion is closest to the requested one.
     """
     costs = {name: COSTS[name.removeprefix("extended-")](limb) for name in names if name.startswith("extended-")}
     costs |= {} if cost is None else {EXTENDED: cost}
@@ -139,7 +159,10 @@ def methods_of(
 
 
 def cost_of(limb: Limb, text: str) -> Cost:
-    """Return a cost of `COSTS`, or a weighted sum, as in "energy,differences=0.1". Raises InputError."""
+    """Return a cost of `COSTS`, or a weighted sum such as "energy,differences=0.1".
+
+    Raises InputError if the text names no cost.
+    """
     costs, weights, problems = [], [], []
     for part in text.split(","):
         name, _, weight = part.strip().partition("=")
@@ -156,8 +179,13 @@ def cost_of(limb: Limb, text: str) -> Cost:
 def fit_parameters(limb: Limb, cost: Cost | None = None) -> dict[str, ParameterFit]:
     """Fit the parameters of each method by least squares to the joint rates of the clip.
 
-    The rates are those of a spline through the angles. cost: of gradient projection; None: any constant vector. Raises
-    InputError for fewer than four frames in a row.
+    The rates are those of a spline through the angles. cost is that of gradient projection; None stands for any
+    constant vector.
+
+    Raises
+    ------
+    InputError
+        If the clip has fewer than four consecutive frames.
     """
     frames, _ = _rates_of(limb)
     return {name: fit(frames) for name, fit in fits(() if cost is None else (cost,)).items()}
@@ -166,13 +194,15 @@ def fit_parameters(limb: Limb, cost: Cost | None = None) -> dict[str, ParameterF
 def fit_parameter_series(
     limb: Limb, stride: StridePath, cost: Cost | None = None, last: int = 0
 ) -> tuple[pd.DataFrame, dict[str, list[Method]]]:
-    """Fit the parameters to each frame of a stride by itself, or to the `last` frames before it.
+    """Fit the parameters to each frame of a stride, or to the `last` frames before it.
 
-    Returns the methods, and a table with a row for each frame: time_s in the clip, and for every method its parameter
-    (`PARAMETERS`; one for each joint if there are as many), <method>_best_alpha, and <method>_explained, the share of
-    the frame's own rates. cost: of gradient projection; the default for single frames is the joint differences, with k
-    fitted. Single frames also have the smallest constant g (`CONSTANT_VECTOR`) and, of the extended Jacobian, which has
-    no parameter, the factor alpha. Raises InputError as `fit_parameters`.
+    Returns the methods and a table with a row for each frame. Its columns are time_s in the clip and, for every method,
+    its parameter (`PARAMETERS`; one column for each joint if it has as many), <method>_best_alpha, and
+    <method>_explained, the explained share of the frame's own rates.
+
+    cost is that of gradient projection. For single frames its default is the joint differences, with k fitted. The
+    table then also has the smallest constant g (`CONSTANT_VECTOR`) and the factor alpha of the extended Jacobian, which
+    has no parameter. Raises InputError like `fit_parameters`.
     """
     frames, at_s = _rates_of(limb)
     first, stop = np.searchsorted(at_s, [stride.start_s - 1e-6, stride.end_s + 1e-6]).tolist()
@@ -225,16 +255,21 @@ def _rates_of(limb: Limb) -> tuple[Frames, Array]:
 
 
 def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None = None) -> StridePath:
-    """Return the given stride, or the foot's first valid one (`recon.gait.gait`).
+    """Return the given stride, or the first valid stride of the foot (`recon.gait.gait`).
 
-    A chain's is the stride of the analysis, whatever the dimensions. In a clip without a valid stride it is the closest
-    return of the foot within the duration of a stride. Raises InputError for a clip that shows too little.
+    The stride is that of the analysis, whatever the number of dimensions. In a clip without a valid stride it is the
+    closest return of the foot within the duration of a stride.
+
+    Raises
+    ------
+    InputError
+        If the clip shows too little of a stride.
     """
     stride_in_gait, origin, notes, lasts_s = None, "", [], (0.0, np.inf)
     if stride_s is not None:
         stride_in_gait, origin = stride_given(motion, stride_s), "given"
     elif isinstance(motion.chain, Chain):
-        # One stride for the analysis and for the chain in two and three dimensions.
+        # One stride for the analysis and for the chains in two and three dimensions.
         stride_in_gait = ClipAnalysis(motion).stride
         origin = "" if stride_in_gait is None else "gait" if stride_in_gait.at != "end effector" else stride_in_gait.at
         if stride_in_gait is None and limb.chain.dim == 2:
@@ -261,18 +296,21 @@ def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None =
 def _path_of(
     motion: Motion, limb: Limb, span_s: tuple[float, float] | None, lasts_s: tuple[float, float] = (0.0, np.inf)
 ) -> StridePath:
-    """Return `find_stride` of a limb. Raises InputError for a clip that shows too little."""
+    """Return `find_stride` of a limb.
+
+    Raises InputError if the clip shows too little of a stride.
+    """
     try:
         return find_stride(limb.chain, limb.q, limb.fps, span_s, lasts_s)
     except ValueError as error:
-        raise InputError(Problem(motion.file, "stride", str(error), "a clip that shows more of one")) from None
+        raise InputError(Problem(motion.file, "stride", str(error), "a clip with a longer part of a stride")) from None
 
 
 def stride_lasts_s(gait: Gait) -> tuple[float, float]:
-    """Return the shortest and longest duration of a stride of a foot without a complete one.
+    """Return the shortest and longest possible duration of a stride of a foot without a complete stride.
 
-    It is about the duration that the clip shows. If the clip is shorter than that, and no foot lands twice in it, the
-    stride lasts at least from the first touch-down to the end, to half a frame.
+    Both are close to the duration that the clip suggests. If the clip is shorter than that, and no foot lands twice in
+    it, the stride lasts at least from the first touch-down to the end of the clip, to within half a frame.
     """
     time_s = gait.tracks.time_s
     if 0 < gait.stride_s < time_s[-1] - time_s[0]:
@@ -287,9 +325,9 @@ def stride_lasts_s(gait: Gait) -> tuple[float, float]:
 def follow_stride(
     chain: SerialChain, stride: StridePath, method: Method, turns: int = 1, by_frame: Sequence[Method] = ()
 ) -> Run:
-    """Follow the stride, `SLOWER` than the animal; times and rates are converted back to the animal's.
+    """Follow the stride `SLOWER` times more slowly than the animal; times and rates are converted back to the animal's.
 
-    The extended Jacobian starts where its cost is stationary, with the foot at the same position. by_frame: a
+    The extended Jacobian starts at a stationary point of its cost, with the foot at the same position. by_frame gives a
     method for every frame of the stride.
     """
     q0, steps = stride.q[0], len(stride.path_m) - 1

@@ -1,9 +1,9 @@
-"""Methods of inverse kinematics: joint rates dq (n,), rad/s, for an end-effector velocity dx (dim,), m/s.
+"""Compute joint rates dq (n,), rad/s, for an end-effector velocity dx (dim,), m/s, by several methods.
 
-Each method is one class. All have `rates(chain, q, dx, free)`; free (n,), bool: joints that may move, the others are
-taken out of the chain. Rates are finite and within the chain's limits: where a limit is passed, the motion along the
-null space is scaled down first, then all rates together. J is the Jacobian, J' its transpose. Near a singular
-configuration (det J J' small) the inverse of J J' is damped, and the step says so.
+Each method is one class with `rates(chain, q, dx, free)`. `free` (n,) says which joints may move; the other joints are
+taken out of the chain. The rates are finite and within the limits of the chain. If they exceed a limit, the motion
+along the null space is scaled down first, and then all rates together. J is the Jacobian, J' its transpose. Near a
+singular configuration (small det J J') the inverse of J J' is damped, and the note of the step says so.
 
 References
 ----------
@@ -30,39 +30,43 @@ from recon.ik.costs import Cost
 INTERVAL_S = 1 / 90
 """Duration of one iteration of `drive_to` and `follow`."""
 SINGULAR = 1e-6
-"""The least over the largest eigenvalue of J J', below which it is singular: a ratio of singular values of a
-thousandth."""
+"""Ratio of the smallest to the largest eigenvalue of J J' below which J J' is singular.
+
+It is a ratio of the singular values of J of one thousandth.
+"""
 LOST = 1e-12
-"""The least share of the largest singular value of J: below are directions without motion."""
+"""Ratio to the largest singular value of J below which a direction has no motion."""
 EXTENDED_SINGULAR = 1e-3
-"""The least over the largest eigenvalue of N' M N, by magnitude, below which it is singular."""
+"""Ratio of the smallest to the largest eigenvalue of N' M N, in magnitude, below which the matrix is singular."""
 MAX_CORRECTION_RAD = 0.05
-"""Most that the gain takes away at once: a longer step along the null space would move the end effector, to second
-order, by more than millimetres."""
+"""Largest correction by the gain in one step.
+
+A longer step along the null space would move the end effector by millimetres, to second order.
+"""
 ALL = slice(None)
-"""Every joint may move."""
+"""Selects every joint as free to move."""
 Free = Bools | slice
 
 
 class JointRates(NamedTuple):
-    """Hold the rates with which the joints are to move."""
+    """Hold the rates at which the joints are to move."""
 
     dq: Array
-    """The joints' rates, rad/s, shape (n,)."""
+    """Rates of the joints, rad/s, shape (n,)."""
     singular: bool = False
-    """Whether the rates are damped because a direction is lost."""
+    """Whether the rates are damped because motion in a direction is lost."""
     note: str = ""
-    """What is held back or damped, in words, or empty."""
+    """What was held back or damped, in words; empty if nothing was."""
     along: Array | float = 0.0
-    """A motion along the null space in addition, before limits."""
+    """Further motion along the null space, to be added within the limits."""
 
 
 @dataclass(frozen=True, eq=False)
 class Method(ABC):
-    """Find joint rates, with a factor on all of them."""
+    """Compute joint rates by one method, with a factor on all rates."""
 
     alpha: float | None = field(default=1.0, kw_only=True)
-    """None: <dx, J dq> / |J dq|^2 at every step, with which J dq is nearest to dx."""
+    """Factor on the rates; None for <dx, J dq> / |J dq|^2 at every step, for which J dq is nearest to dx."""
 
     def rates(self, chain: SerialChain, q: Array, dx: Array, free: Free = ALL) -> JointRates:
         """Return the rates for q (n,) and dx (dim,)."""
@@ -74,27 +78,33 @@ class Method(ABC):
         return _within_limits(chain, free, step._replace(dq=alpha * step.dq[free]))
 
     def formula(self, J: Array, dx: Array, q: Array) -> Array:
-        """Return rates (n,) without limits for J (dim, n), dx (dim,), q (n,); the extended Jacobian's N is constant."""
+        """Return the rates (n,) without limits, for J (dim, n), dx (dim,) and q (n,).
+
+        The N of the extended Jacobian is taken to be constant.
+        """
         solved = self._solve(J, dx, q, ALL, None)
         total = solved.dq + solved.along
         return total * (best_scale(J @ total, dx) if self.alpha is None else self.alpha)
 
     @abstractmethod
     def _solve(self, J: Array, dx: Array, q: Array, free: Free, curvature: Curvature | None) -> JointRates:
-        """Return the rates of the m free joints, with their Jacobian J (dim, m), and q and curvature of all joints."""
+        """Return the rates of the m free joints, given their Jacobian J (dim, m).
+
+        q and the curvature are those of all joints.
+        """
 
 
 @dataclass(frozen=True, eq=False)
 class LeastNorm(Method):
-    """Take the smallest rates: W^-1 J' (J W^-1 J' + lambda^2 I)^-1 dx minimises dq' W dq + |J dq - dx|^2 / lambda^2.
+    """Use the smallest rates, dq = W^-1 J' (J W^-1 J' + lambda^2 I)^-1 dx.
 
-    With neither weights nor damping that is J+ dx.
+    They minimise dq' W dq + |J dq - dx|^2 / lambda^2. Without weights and damping they are J+ dx.
     """
 
     weights: Array | None = None
-    """diag W (n,), positive; None: all 1."""
+    """Diagonal of W, shape (n,), positive; None for 1."""
     damping_m: float = 0.0
-    """The damping lambda, in metres."""
+    """Damping lambda, in metres."""
 
     def _solve(self, J: Array, dx: Array, q: Array, free: Free, curvature: Curvature | None) -> JointRates:
         along = J if self.weights is None else J / self.weights[free]
@@ -103,21 +113,24 @@ class LeastNorm(Method):
 
 
 def weighted_least_norm(weights: Array) -> LeastNorm:
-    """Return the method W^-1 J' (J W^-1 J')^-1 dx, which minimises dq' W dq. weights: diag W (n,), positive."""
+    """Return the method W^-1 J' (J W^-1 J')^-1 dx, which minimises dq' W dq.
+
+    weights is the diagonal of W, (n,), positive.
+    """
     return LeastNorm(weights)
 
 
 def damped_least_squares(damping_m: float = 0.05) -> LeastNorm:
     """Return the method J' (J J' + lambda^2 I)^-1 dx, which minimises |J dq - dx|^2 + lambda^2 |dq|^2.
 
-    damping_m: lambda, metres.
+    damping_m is lambda, in metres.
     """
     return LeastNorm(damping_m=damping_m)
 
 
 @dataclass(frozen=True, eq=False)
 class JacobianTranspose(Method):
-    """Take alpha J' dx, by default with the alpha of every step."""
+    """Use the rates alpha J' dx, by default with the best alpha of every step."""
 
     alpha: float | None = None
 
@@ -127,12 +140,12 @@ class JacobianTranspose(Method):
 
 @dataclass(frozen=True, eq=False)
 class GradientProjection(Method):
-    """Take J+ dx + k (I - J+ J) g."""
+    """Use the rates J+ dx + k (I - J+ J) g."""
 
     gradient: Cost | Callable[[Array], Array]
-    """g (n,) as a function of q, or a cost, whose gradient it is."""
+    """g (n,) as a function of q, or a cost with g as its gradient."""
     k: float = -1.0
-    """The step along the cost, 1/s, negative to descend."""
+    """Gain along the gradient, 1/s; negative to descend."""
 
     def _solve(self, J: Array, dx: Array, q: Array, free: Free, curvature: Curvature | None) -> JointRates:
         gradient = self.gradient.gradient if isinstance(self.gradient, Cost) else self.gradient
@@ -145,11 +158,11 @@ class GradientProjection(Method):
 class SelectivelyDamped(Method):
     """Damp each singular direction i, v_i (u_i . dx) / s_i, separately (Buss and Kim 2005, one end effector).
 
-    In an interval, no joint of a direction turns by more than
+    Within one interval, no joint turns by more than the following angle because of one direction:
 
         gamma_i = min(1, 1 / M_i) gamma_max,   M_i = sum_j |v_ji| |J_j| / s_i
 
-    and the sum of the directions turns no joint by more than gamma_max.
+    No joint turns by more than gamma_max because of all directions together.
     """
 
     gamma_max_rad: float = math.pi / 4
@@ -170,19 +183,20 @@ class SelectivelyDamped(Method):
 
 @dataclass(frozen=True, eq=False)
 class ExtendedJacobian(Method):
-    """Keep G = N' grad g = 0, N an orthonormal basis of the null space of J: [J; dG/dq] dq = [dx; -gain G].
+    """Keep G = N' grad g = 0 by solving [J; dG/dq] dq = [dx; -gain G].
 
-    full: dG/dq = N' (Hess g - sum_i mu_i Hess f_i) with J' mu = grad g, f the forward kinematics; otherwise N is held
-    constant, N' Hess g. gain_per_s: 0 keeps G as it is; 1 / interval takes away what an integration step has left.
+    N is an orthonormal basis of the null space of J. If `full` is true, dG/dq = N' (Hess g - sum_i mu_i Hess f_i) with
+    J' mu = grad g and the forward kinematics f; otherwise N is taken to be constant, and dG/dq = N' Hess g. A
+    `gain_per_s` of 0 keeps G as it is; 1 / interval removes the G left by an integration step.
 
-    The rates do not depend on which basis N is (another one multiplies the lower rows, and G, by an orthogonal matrix),
-    so that a continuous one need not be tracked. With M the bracket above and K = N (N' M N)^-1 N' the square system's
-    solution is
+    The rates do not depend on the choice of N, because another basis multiplies the lower rows and G by an orthogonal
+    matrix. A continuous basis therefore need not be tracked. With the bracket above called M, and
+    K = N (N' M N)^-1 N', the solution of the square system is
 
         dq = J+ dx - K (M J+ dx + gain grad g)
 
-    where the gain takes away `MAX_CORRECTION_RAD` at most. The extended matrix is singular where J is or where N' M N
-    is: there, its small eigenvalues are damped, and the step says so.
+    in which the gain removes `MAX_CORRECTION_RAD` at most. The extended matrix is singular if J or N' M N is singular.
+    Its small eigenvalues are then damped, and the note of the step says so.
     """
 
     cost: Cost
@@ -216,16 +230,16 @@ STANDARD: dict[str, Method] = {
 def reduced_gradient(
     cost: Cost, q: Array, pseudo: Array, curvature: Curvature | None, free: Free = ALL
 ) -> tuple[Array, Array]:
-    """Return grad g (m,) and M = Hess g - sum_i mu_i Hess f_i (m, m) of the free joints.
+    """Return grad g (m,) and M = Hess g - sum_i mu_i Hess f_i (m, m) of the m free joints.
 
-    pseudo: their J+ (m, dim); curvature: of all joints; None leaves the sum out.
+    `pseudo` is their J+ (m, dim). `curvature` is that of all joints; None leaves the sum out.
     """
     g, M = cost.gradient(q)[free], cost.hessian(q)[free][:, free]
     return g, M if curvature is None else M - curvature(g @ pseudo)[free][:, free]
 
 
 def best_scale(rates: Array, wanted: Array) -> float:
-    """Return the factor that brings rates closest to those wanted, <wanted, rates> / |rates|^2; 1 if nothing moves."""
+    """Return the factor <wanted, rates> / |rates|^2, which brings rates closest to the wanted ones; 1 for no motion."""
     square = float(np.vdot(rates, rates))
     return float(np.vdot(wanted, rates)) / square if square > 0 else 1.0
 
@@ -233,8 +247,8 @@ def best_scale(rates: Array, wanted: Array) -> float:
 def right_inverse(J: Array, along: Array | None = None, damping: float = 0.0) -> tuple[Array, bool]:
     """Return A' (J A' + damping I)^-1 (n, dim), and whether J A' is singular without the damping.
 
-    A (dim, n) is `along`, or J, which gives J+. If J A' is singular, at least SINGULAR times its trace is added. The
-    result is zero if J A' is zero or not finite.
+    A (dim, n) is `along`, or J, which gives J+. If J A' is singular, at least SINGULAR times its trace is added to its
+    diagonal. The result is zero if J A' is zero or not finite.
     """
     A = J if along is None else along
     gram = J @ A.T
@@ -249,10 +263,10 @@ def right_inverse(J: Array, along: Array | None = None, damping: float = 0.0) ->
 
 
 def _is_singular(gram: Array) -> bool:
-    """Whether a symmetric gram (dim, dim) of no negative eigenvalue is singular, zero or not finite.
+    """Return whether a symmetric matrix (dim, dim) without negative eigenvalues is singular, zero or not finite.
 
-    The ratio of the eigenvalues is estimated from below, by the determinant: all but the least multiply to their mean's
-    power at most.
+    The ratio of its smallest to its largest eigenvalue is estimated from below by the determinant, because the product
+    of all eigenvalues but the smallest is at most their mean to that power.
     """
     trace, rest = float(gram.trace()), max(len(gram) - 1, 1)
     if not 0.0 < trace < math.inf:
@@ -261,9 +275,10 @@ def _is_singular(gram: Array) -> bool:
 
 
 def _reduced_inverse(M: Array, N: Array) -> tuple[Array, bool]:
-    """Return N (N' M N)^-1 N' (n, n), for a symmetric M (n, n) and a basis N (n, m), and whether it is nearly singular.
+    """Return N (N' M N)^-1 N' (n, n), and whether N' M N is nearly singular.
 
-    Eigenvalues of N' M N that vanish against the largest are damped.
+    M (n, n) is symmetric, and N (n, m) is a basis. Eigenvalues of N' M N that are tiny relative to the largest are
+    damped.
     """
     A = N.T @ M @ N
     if not np.isfinite(A).all():
@@ -279,15 +294,16 @@ def _reduced_inverse(M: Array, N: Array) -> tuple[Array, bool]:
 
 
 def _clamped(values: Array, limit: float) -> Array:
-    """Return values scaled down to a largest magnitude of `limit`."""
+    """Return the values scaled down so that the largest magnitude is at most `limit`."""
     largest = float(np.abs(values).max())
     return values * (limit / largest) if largest > limit else values
 
 
 def _within_limits(chain: SerialChain, free: Free, solved: JointRates) -> JointRates:
-    """Return the rates of all joints from those of the free ones, 0 for the others.
+    """Return the rates of all joints from those of the free joints, with 0 for the others.
 
-    The motion along the null space is reduced as far as the limits require. The note says what was reduced, and where.
+    The motion along the null space is reduced as far as the limits require. The note says what was reduced, and at
+    which joints.
     """
     dq, singular, note, along = solved
     limit = chain.max_rate_rad_s[free]

@@ -1,4 +1,4 @@
-"""Motion along the null space to a stationary point of a cost, with the end effector fixed."""
+"""Move along the null space to a stationary point of a cost, with the end effector fixed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from recon.ik.methods import LeastNorm, reduced_gradient, right_inverse
 _NULL_STEP_RAD = 0.3
 """Longest step along the null space."""
 _TOLERANCE = 1e-10
-"""On |G|, relative to 1 + |Hess g|."""
+"""Tolerance of |G|, relative to 1 + |Hess g|."""
 _MAX_ITERATIONS = 500
 KINDS = ("minimum", "saddle", "maximum", "degenerate")
 
@@ -25,12 +25,14 @@ def _listed(chain: SerialChain, joints: Iterable[int]) -> str:
 
 
 def to_null_space_optimum(chain: SerialChain, q0: ArrayLike, cost: Cost) -> tuple[Array, str]:
-    """Move along the null space of J to G = N' grad g = 0, with the end effector at its position for q0 (n,).
+    """Move along the null space of J to G = N' grad g = 0, with the end effector where q0 (n,) puts it.
 
-    Returns q (n,), and the kind of stationary point, "minimum", "saddle", "maximum" or "degenerate", or the reason why
-    it was not reached. Newton steps on N' M N (see `ExtendedJacobian`), with the eigenvalues' magnitudes and a line
-    search, lead down to a minimum. If that finds none, plain Newton steps lead to the stationary point nearby, which
-    can be a saddle. Limits hold; a joint at a limit is taken out.
+    Returns q (n,), and the kind of the stationary point: "minimum", "saddle", "maximum" or "degenerate". If no
+    stationary point was reached, the second value is the reason.
+
+    Newton steps on N' M N (see `ExtendedJacobian`), with the magnitudes of its eigenvalues and a line search, lead to a
+    minimum. If they fail, plain Newton steps lead to the nearest stationary point, which can be a saddle. Limits hold:
+    a joint at its limit is taken out.
     """
     q0 = chain.inside_limits(np.asarray(q0, float))
     minimum = _null_space_newton(chain, q0, cost, descend=True)
@@ -77,7 +79,7 @@ def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool)
         inside = chain.inside_limits(moved)
         outside = (inside != moved) & free
         if outside.any():
-            # The joint keeps its value, which is within its limits; the other joints go on moving.
+            # The joint keeps its value, which is within its limits, while the other joints move on.
             stuck = stuck | outside
             continue
         q = moved
@@ -85,7 +87,7 @@ def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool)
 
 
 def _back_home(chain: SerialChain, q: Array, home: Array, free: Bools) -> Array | None:
-    """Return q with the end effector back at home, by least-norm steps; None if they do not lead there."""
+    """Return q after least-norm steps that bring the end effector back home, or None if they do not lead there."""
     for _ in range(12):
         miss = home - chain.end(q)
         if float(np.linalg.norm(miss)) <= 1e-13:

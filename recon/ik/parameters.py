@@ -1,8 +1,8 @@
-"""Parameters of the methods, from given joint rates by least squares: sum |dq - rates|^2 over frames.
+"""Fit the parameters of the methods to given joint rates by least squares, sum |dq - rates|^2 over frames.
 
-The rates are those of the formulas, without limits. To make the parameters identifiable, diag W has mean 1, and the
-motion along the null space has k = 1. Frames of several chains of one kind can be joined, and a fit to some can be
-tested on others. One frame alone gives the parameters of one configuration.
+The rates are those of the formulas, without limits. Two conventions make the parameters identifiable: diag W has mean
+1, and the motion along the null space has k = 1. Frames of several chains of one kind can be joined, and a fit to some
+of them can be tested on others. A single frame gives the parameters of its configuration.
 """
 
 from __future__ import annotations
@@ -29,39 +29,45 @@ from recon.ik.methods import (
 )
 
 RANGE = (1e-4, 1e2)
-"""Limits of lambda (m) and of gamma_max (rad): beyond, it makes no difference, or no motion."""
+"""Limits of lambda (m) and gamma_max (rad): beyond them the method does not change, or nothing moves."""
 WEIGHT_RANGE = 1e3
-"""Greatest ratio of a weight to the one it starts from."""
+"""Largest ratio of a weight to its starting value."""
 PULL = 0.01
-"""The pull of the weights of one configuration towards even ones, which otherwise many explain: what a factor of e
-costs, as a share of the rates."""
+"""Strength with which the weights of one configuration are drawn towards equal weights.
+
+Many weights would explain a single configuration otherwise. The value is the cost of a factor of e, as a share of the
+rates.
+"""
 PARAMETERS = {
     "transpose": ("alpha_1_m2",),
     "gradient-projection": ("k_1_s",),
     "damped": ("lambda_m",),
     "selectively-damped": ("gamma_max_rad",),
 }
-"""Names in tables of the only parameter of some methods."""
+"""Names of the columns of methods with one parameter."""
 
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """Hold T frames of a chain, or, one after the other, of several of one kind."""
+    """Hold T frames of a chain, or of several chains of one kind, one after the other."""
 
     q: Array
-    """(T, n), rad."""
+    """Joint angles, shape (T, n), rad."""
     jacobian: Array
-    """(T, dim, n)"""
+    """Jacobians, shape (T, dim, n)."""
     dx: Array
-    """(T, dim), m/s."""
+    """Velocities of the end effector, shape (T, dim), m/s."""
     dq: Array
-    """(T, n), rad/s."""
+    """Rates of the joints, shape (T, n), rad/s."""
     names: tuple[str, ...]
-    """(n,): of the joints."""
+    """Names of the joints, (n,)."""
 
     @classmethod
     def without_gaps(cls, chain: SerialChain, q: Array, dx: Array, dq: Array) -> Frames:
-        """Return the frames without a NaN. Raises ValueError if there is none."""
+        """Return the frames without a NaN.
+
+        Raises ValueError if there are none.
+        """
         known = np.isfinite(np.concatenate([q, dx, dq], axis=1)).all(axis=1)
         if not known.any():
             raise ValueError("no frame without a missing value")
@@ -73,30 +79,30 @@ class Frames:
 
 @dataclass(frozen=True, eq=False)
 class ParameterFit:
-    """Hold a method with its parameter, and how well it fits."""
+    """Hold a method with its fitted parameter, and how well it explains the rates."""
 
     method: Method
     parameter: Array
-    """(p,)"""
+    """The parameter, shape (p,)."""
     rms_rad_s: float
-    """The root mean square of the residuals."""
+    """Root mean square of the residuals."""
     explained: float
-    """As `explained_by`, of the frames that it was fitted to."""
+    """Explained share of the rates (`explained_by`) in the frames of the fit."""
     alpha: float
-    """The factor on the rates with which they would explain the most of those."""
+    """Factor on the rates with which they explain most in those frames."""
     note: str
-    """Says that a parameter lies at the edge of its range, or is empty."""
+    """Says that a parameter is at the edge of its range, or is empty."""
 
 
 Fit = Callable[[Frames], ParameterFit]
 
 
 def fits(costs: Sequence[Cost] = (), pull: float = 0.0) -> dict[str, Fit]:
-    """Return the fits of the methods with parameters, and least norm for comparison.
+    """Return functions that fit each method with parameters, and least norm for comparison.
 
-    transpose: alpha, 1/m^2. gradient-projection, with k = 1: coefficients of the costs, or without costs a constant g
-    (n,), the smallest of several solutions. weighted: diag W, positive with mean 1; pull: see `PULL`. damped: lambda,
-    metres. selectively-damped: gamma_max, rad, for `INTERVAL_S`.
+    The parameters are: for transpose, alpha in 1/m^2; for gradient-projection, with k = 1, coefficients of the costs,
+    or without costs the smallest constant g (n,) that fits; for weighted, diag W, positive with mean 1, with the `pull`
+    of `PULL`; for damped, lambda in metres; for selectively-damped, gamma_max in rad for `INTERVAL_S`.
     """
 
     def projection(c: Array) -> Method:
@@ -113,13 +119,13 @@ def fits(costs: Sequence[Cost] = (), pull: float = 0.0) -> dict[str, Fit]:
 
 
 def rates_of(method: Method, frames: Frames) -> Array:
-    """Return the rates (T, n) that the method's formula gives."""
+    """Return the rates (T, n) that the formula of a method gives."""
     rows = zip(frames.jacobian, frames.dx, frames.q, strict=True)
     return np.array([method.formula(J, dx, q) for J, dx, q in rows])
 
 
 def explained_by(rates: Array, dq: Array) -> float:
-    """Return the share of sum dq^2 that rates (T, n) explain, 1 - sum |dq - rates|^2 / sum dq^2."""
+    """Return the share of sum dq^2 that the rates (T, n) explain, 1 - sum |dq - rates|^2 / sum dq^2."""
     total = float(np.sum(dq**2))
     return 1 - float(np.sum((dq - rates) ** 2)) / total if total > 0 else float("nan")
 
@@ -154,7 +160,7 @@ def _linear(method: Callable[[Array], Method], n: int, frames: Frames) -> Parame
 
 
 def _in_range(method: Callable[[float], Method], called: tuple[str, str], frames: Frames) -> ParameterFit:
-    """Fit the parameter within `RANGE` to the frames' rates: the best of a logarithmic grid, refined."""
+    """Fit a parameter within `RANGE` to the rates of the frames: the best of a logarithmic grid, refined."""
 
     def cost(log_value: float) -> float:
         return float(np.sum((rates_of(method(float(np.exp(log_value))), frames) - frames.dq) ** 2))
@@ -167,11 +173,11 @@ def _in_range(method: Callable[[float], Method], called: tuple[str, str], frames
     (low, high), (name, unit), note = RANGE, called, ""
     if i == 0 and name == "lambda":
         # dx is J dq, so that the error is that of least norm plus sum((1 - s^2 / (s^2 + lambda^2))^2 ...): least at 0.
-        note = "lambda is 0: damping only takes from least norm's rates, and those are too small already"
+        note = "lambda is 0: damping only reduces the rates of the least-norm method, which are too small already"
     elif i in (0, len(grid) - 1):
         note = f"{name} at the edge of {low:g} to {high:g} {unit}"
     elif np.array_equal(rates_of(method(value), frames), rates_of(method(high), frames)):
-        note = f"nothing is damped, with this {name} or any from there to {high:g} {unit}"
+        note = f"nothing is damped with this {name}, nor with any other up to {high:g} {unit}"
     return _fitted(method(value), np.array([value]), frames, note)
 
 

@@ -1,15 +1,16 @@
-"""A stride as a task: the closed path of an end effector.
+"""Find a stride as a task for inverse kinematics: the closed path of an end effector.
 
-Between frames the end effector, relative to the base, follows a cubic spline (angles can jump between two pairs for the
-same direction, the position does not). A stride begins at a frame, where the angles are known. It may end between two
-frames: rounded to frames, a stride of nine frames would be wrong by up to a ninth, with a gap as wide as the foot moves
-in a frame.
+Between frames, the end effector relative to the base follows a cubic spline, because the position is continuous while
+the angles can jump between two pairs for the same direction. A stride begins at a frame, where the angles are known,
+and may end between two frames. If a stride of nine frames were rounded to whole frames, its duration would be wrong by
+up to a ninth, and the gap would be as wide as the motion of the foot in a frame.
 
-A given stride begins at the frame next to the given start, the touch-down of a foot for instance, and has the given
-duration. Otherwise the stride is the best return of the end effector to its start. From each frame the foot moves away
-by half the path's diameter and returns to within a quarter of it, moving less than a right angle off its first
-direction; the return ends at the nearest point. It counts if it spans most of the path's diameter. The one with the
-smallest gap at a frame is taken; in a clip without any, all frames. The remaining gap is spread evenly over the path.
+A given stride begins at the frame closest to the given start, for instance a touch-down, and has the given duration.
+Otherwise the stride is the best return of the end effector to its start. From each frame, the foot has to move away by
+half the diameter of the path and return to within a quarter of it, while its direction stays within a right angle of
+its first direction; the return ends at the nearest point. A return counts if it spans most of the path's diameter. The
+return with the smallest gap is taken, or all frames if no return counts. The remaining gap is spread evenly over the
+path.
 """
 
 from __future__ import annotations
@@ -24,34 +25,37 @@ from recon.gait.phase import diameter
 from recon.ik.chain import SerialChain
 
 OVERSAMPLING = 10
-"""Points of the path in a frame."""
+"""Points of the path for each frame."""
 MIN_FRAMES = 4
-"""Fewer known frames do not make a spline."""
+"""Smallest number of known frames for a spline."""
 MAX_GAP_FRAMES = 4
-"""Longest stretch without data that the spline bridges."""
+"""Longest stretch without data that the spline bridges, frames."""
 AWAY, BACK, SPAN = 0.5, 0.25, 0.8
-"""Shares of the path's diameter: how far a return leads away and how near back, and how much of it it spans."""
+"""Shares of the path's diameter: how far a return leads away, how near it comes back, and how much it spans."""
 
 
 @dataclass(frozen=True, eq=False)
 class StridePath:
-    """Hold a stride of F frames as a task, in a clip whose frame 0 is at 0 s; its end may lie between two frames."""
+    """Hold a stride of F frames as a task, in a clip with frame 0 at 0 s.
+
+    The end of the stride may lie between two frames.
+    """
 
     start_s: float
     end_s: float
     origin: str
-    """What it comes from: "given", "gait" where it is a complete one, "return" or "whole clip"."""
+    """Origin of the stride: "given", "gait" for a complete stride, "return" or "whole clip"."""
     q: Array
-    """(F, n): the animal's joint angles, NaN where missing, of which the first is to start from."""
+    """Joint angles of the animal, shape (F, n), NaN if missing; the first row is the start."""
     path_m: Array
-    """(K, dim): the end effector's path, closed, its points `interval_s` apart."""
+    """Closed path of the end effector, shape (K, dim), with points `interval_s` apart."""
     interval_s: float
     gap_m: float
-    """The gap that was closed."""
+    """Width of the gap that was closed."""
     gap_percent: float
-    """The same, of the path's diameter."""
+    """Width of that gap in percent of the path's diameter."""
     notes: tuple[str, ...] = ()
-    """Strides that do not count, and why."""
+    """Strides that do not count, each with the reason."""
 
 
 def find_stride(
@@ -61,16 +65,32 @@ def find_stride(
     span_s: tuple[float, float] | None = None,
     lasts_s: tuple[float, float] = (0.0, np.inf),
 ) -> StridePath:
-    """Return the stride of a chain's joint angles q (T, n) at the frames, NaN where missing; see the module.
+    """Return the stride of a chain from its joint angles; the module describes the search.
 
-    span_s: from when to when, where that is known; lasts_s: how long a return may take, as far as that is known. Only
-    the longest stretch of frames without a gap of more than `MAX_GAP_FRAMES` counts. Raises ValueError for times that
-    it does not hold, or too few frames.
+    Only the longest stretch of frames without a gap of more than `MAX_GAP_FRAMES` counts.
+
+    Parameters
+    ----------
+    chain
+        The chain.
+    q
+        Joint angles (T, n) in the frames, NaN if missing.
+    fps
+        Frames per second.
+    span_s
+        Start and end of the stride, if known.
+    lasts_s
+        Shortest and longest possible duration of a return, if known.
+
+    Raises
+    ------
+    ValueError
+        If the times are not within the clip, or if there are too few frames.
     """
     known = np.flatnonzero(np.isfinite(q).all(axis=1))
     known = max(np.split(known, np.flatnonzero(np.diff(known) > MAX_GAP_FRAMES + 1) + 1), key=np.size)
     if len(known) < MIN_FRAMES:
-        raise ValueError(f"a stride needs {MIN_FRAMES} known frames in a row or more, got {len(known)}")
+        raise ValueError(f"a stride needs {MIN_FRAMES} or more consecutive frames with a pose, got {len(known)}")
     ends = chain.end(q[known])
     curve = CubicSpline(known, ends)
     origin = "given"
@@ -82,7 +102,7 @@ def find_stride(
                 f"a stride within {first:.3f} to {last:.3f} s expected, got {start_s:.3f} to {end_s:.3f} s"
             )
         frames = (end_s - start_s) * fps
-        # Not so late that it would end after the last frame.
+        # A later start would put the end of the stride after the last frame.
         begins = known[(known + frames <= known[-1] + 1e-6) | (known == known[0])]
         start = int(begins[np.argmin(np.abs(begins - start_s * fps))])
         end = min(start + frames, float(known[-1]))
@@ -117,8 +137,8 @@ def find_stride(
 def farthest_reach(chain: SerialChain, q: Array) -> tuple[Array, Array]:
     """Return the angles q0 (n,) with the end effector rearmost, and its foremost position, the target (dim,).
 
-    q: joint angles (K, n), for instance of a stride, NaN where missing. Forwards is the base frame's first axis. Raises
-    ValueError.
+    Forwards is the first axis of the base frame. q holds joint angles (K, n), for instance of a stride, NaN if missing.
+    Raises ValueError if no frame is complete.
     """
     known = q[np.isfinite(q).all(axis=1)]
     if not len(known):
@@ -128,9 +148,9 @@ def farthest_reach(chain: SerialChain, q: Array) -> tuple[Array, Array]:
 
 
 def _return(frames: Index, ends: Array, shortest: float, longest: float) -> tuple[int, int] | None:
-    """Return the rows of the return (see the module) with the smallest gap; None without any.
+    """Return the rows of the return with the smallest gap, or None if there is no return; see the module.
 
-    ends: the path (F, dim). A return lasts `shortest` to `longest` frames.
+    ends is the path (F, dim). A return lasts `shortest` to `longest` frames.
     """
     velocity = np.gradient(ends, frames, axis=0)
     extent = diameter(ends)
@@ -145,7 +165,7 @@ def _return(frames: Index, ends: Array, shortest: float, longest: float) -> tupl
         back = back[(back > left[0]) & (lag >= shortest) & (lag <= longest)]
         if not len(back):
             continue
-        # Up to where it leaves again.
+        # Look only as far as the next time that it leaves.
         visit = back[: np.argmax(np.append(np.diff(back), 2) > 1) + 1]
         j = int(visit[np.argmin(distance[visit])])
         if distance[j] < smallest and diameter(ends[i : i + j + 1]) >= SPAN * extent:

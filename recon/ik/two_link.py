@@ -1,4 +1,4 @@
-"""The planar arm of two links, solved in closed form."""
+"""Solve the planar arm of two links in closed form."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from recon.ik.chain import planar_chain, unreachable
 
 
 def two_link(lengths_m: tuple[float, float], target_m: ArrayLike) -> tuple[Array, str]:
-    """Return both branches (2, 2) of a planar arm for a target (2,), metres, and why there are fewer than two.
+    """Return both solutions (2, 2) of a planar arm for a target (2,), metres, and why there are fewer than two.
 
-    A branch is (q1, q2) in (-pi, pi], first with q2 <= 0, then with q2 >= 0; NaN without a solution.
+    A solution is (q1, q2) in (-pi, pi], first the one with q2 <= 0, then the one with q2 >= 0; NaN if it does not
+    exist.
 
-    cos q2 = (x^2 + y^2 - r1^2 - r2^2) / (2 r1 r2),   q1 = atan2(y, x) - atan2(r2 sin q2, r1 + r2 cos q2)
+        cos q2 = (x^2 + y^2 - r1^2 - r2^2) / (2 r1 r2),   q1 = atan2(y, x) - atan2(r2 sin q2, r1 + r2 cos q2)
 
-    Angle 0 lies along +x, the second is relative to the first link. Raises ValueError for lengths that are not
+    Angle 0 is along +x, and the second angle is relative to the first link. Raises ValueError if a length is not
     positive.
     """
     target = np.asarray(target_m, float)

@@ -74,7 +74,7 @@ def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None
         for file, cameras in zip(path, of_file, strict=True):
             alone = len(cameras) == 1 and names.count(cameras[0].name) > 1
             renamed += [replace(cameras[0], name=file.stem)] if alone else cameras
-        twice = [f"{name}, as in another file" for name in _twice(renamed)]
+        twice = [f"{name}, which another file has too" for name in _twice(renamed)]
         raise_problems(Problem(path[-1], "camera", name, "a name of its own") for name in twice)
         return tuple(renamed)
     path = Path(path)
@@ -129,7 +129,7 @@ def cameras_of(
     cameras = collect_problems(
         *(partial(_camera, record, i, path, image_size_px) for i, record in enumerate(records, 1))
     )
-    expected = "a name of its own for each camera"
+    expected = "a unique name for each camera"
     raise_problems(
         Problem(path, "camera names", f"{name!r} {n} times", expected) for name, n in _twice(cameras).items()
     )
@@ -216,7 +216,7 @@ def _camera(record: CameraRecord, number: int, path: Path, image_size_px: tuple[
     for field, (_, expected) in BLOCKS.items():
         arguments[field] = _numbers(values.get(field))
         if arguments[field] is None and values.get(field) is not None:
-            faults[field] = "something other than a block of numbers", expected
+            faults[field] = "data that is not a block of numbers", expected
     arguments["image_size_px"], fault = _image_size(values.get("image_size_px"), image_size_px)
     faults |= {"image_size_px": fault} if fault else {}
     # the matrix decides which numbers are zero
@@ -232,7 +232,7 @@ def _camera(record: CameraRecord, number: int, path: Path, image_size_px: tuple[
             faults[field] = f"nothing; the file has {', '.join(record.keys)[:KEYS_SHOWN]}", faults[field][1]
     if "matrix" in faults and _is_transposed(arguments["matrix"]):
         matrix_text, expected = faults["matrix"]
-        faults["matrix"] = f"{matrix_text}, which has the principal point in its last row", f"its transpose: {expected}"
+        faults["matrix"] = f"{matrix_text}with the principal point in its last row", f"its transpose: {expected}"
     if faults or camera is None:
         keys = {field: record.place + record.called.get(field, field) for field in faults}
         raise InputError(Problem(path, keys[field], *fault) for field, fault in faults.items())
@@ -278,7 +278,7 @@ def _image_size(value: object, stated: tuple[int, int] | None) -> tuple[tuple[in
         return (1, 1), (str(value), expected)
     width, height = map(int, array)
     if stated is not None and (width, height) != tuple(stated):
-        return (width, height), (f"{width}x{height}", f"{stated[0]}x{stated[1]}, as was given")
+        return (width, height), (f"{width}x{height}", f"{stated[0]}x{stated[1]} as given")
     return (width, height), None
 
 

@@ -299,7 +299,7 @@ def require_lens(path: Path, document: Mapping[str, Any], record: CameraRecord) 
     coefficients = np.asarray(value["data"] if isinstance(value, Mapping) and "data" in value else value)
     ambiguous = coefficients.size == 4 and coefficients.dtype.kind in "iuf" and coefficients.any()
     if ambiguous and stated_lens(document)[1] is None and not {*FISHEYE_KEYS} & document.keys():
-        detail = "4 coefficients, which radtan and fisheye lenses have, and no lens model"
+        detail = "4 coefficients but no lens model: radtan and fisheye lenses both have 4"
         expected = "distortion_model: plumb_bob (radtan) or equidistant (fisheye) in the file"
         raise InputError(Problem(path, record.place + record.called["distortion"], detail, expected))
 

@@ -187,10 +187,10 @@ def read_long(path: Path, individual: str | None = None, columns: Mapping[str, s
         by_name.setdefault(name, column)
     meaning = _by_name if columns is None else _by_map(columns)
     twice = [name for name, same in repeated.items() if not same and meaning(name)]
-    expected = "it once: the columns of that name have different cells"
+    expected = "the column once: the columns of this name differ"
     raise_problems(Problem(path, "header", f"column '{name}' more than once", expected) for name in twice)
     stored = gathered(path, by_name, individual, columns)
-    notes = tuple(f"Column '{name}' stands in the table more than once: the first is read." for name in repeated)
+    notes = tuple(f"Column '{name}' is in the table more than once: the first is read." for name in repeated)
     return replace(stored, notes=(*stored.notes, *notes))
 
 
@@ -348,7 +348,7 @@ INDIVIDUALS = ("individuals", "individual")
 def from_dataframe(table: pd.DataFrame, fps: float | None, individual: str | None) -> Keypoints:
     """Return keypoints from a pandas table; see `recon.Keypoints.from_dataframe`."""
     source = Path("DataFrame")
-    with damage_named(source, "numbers, in DeepLabCut's levels or in columns frame, keypoint, x, y, confidence"):
+    with damage_named(source, "numbers, with DeepLabCut's levels or in columns frame, keypoint, x, y, confidence"):
         if table.columns.nlevels > 1:
             stored = _of_levels(source, table, individual)
         else:

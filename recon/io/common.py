@@ -54,7 +54,7 @@ class Pose3D(Brief):
         if self.fps is not None and not 0 < self.fps < float("inf"):
             raise ValueError(f"fps must be positive: {self.fps}")
         if not {name for edge in self.edges for name in edge} <= set(self.names):
-            raise ValueError("an edge links a joint that is not there")
+            raise ValueError("an edge links a joint that does not exist")
 
     def of_joints(self, names: Sequence[str]) -> np.ndarray:
         """Return the positions (T, N, 3) of N joints, NaN for absent joints."""
@@ -197,9 +197,9 @@ def one_animal(
     problems = []
     for field, entries, count in (("names of points", names, K), ("names of animals", animals, N)):
         faulty = [name for name, times in Counter(entries).items() if not name or not name.isprintable() or times > 1]
-        problems += [Problem(path, field, f"'{name}'", "names that are unique and can be printed") for name in faulty]
+        problems += [Problem(path, field, f"'{name}'", "unique, printable names") for name in faulty]
         if len(entries) not in (0, count):
-            problems.append(Problem(path, field, str(len(entries)), f"{count}, as there are in the data"))
+            problems.append(Problem(path, field, str(len(entries)), f"{count}, as in the data"))
     for field, block, shape in (("likelihoods", likelihood, (T, N, K)), ("occupied frames", occupied, (T, N))):
         if block is not None and block.shape != shape:
             problems.append(Problem(path, field, f"an array of the shape {block.shape}", f"{shape}, as the points"))
@@ -212,7 +212,7 @@ def one_animal(
             first = int(np.argmax(wrong))
             detail = " after ".join(f"{frame:.15g}" for frame in frames[max(first - 1, 0) : first + 1][::-1])
             problems.append(
-                Problem(path, "frames", detail, f"increasing whole numbers up to {MAX_FRAME}, no time stamps")
+                Problem(path, "frames", detail, f"increasing whole numbers up to {MAX_FRAME}, not time stamps")
             )
     raise_problems(problems)
     animal_names = list(animals) or ([""] if N == 1 else [f"track_{n}" for n in range(N)])
@@ -224,7 +224,7 @@ def one_animal(
     if not present[:, chosen].any():
         raise InputError(Problem(path, "frames", "none with the animal", "at least one"))
     named = bool(len(animals)) and (N > 1 or animal_names[0] not in UNNAMED)
-    unnamed = f"The file names no points: in its order they are called point1 to point{K}."
+    unnamed = f"The file does not name its points: in the file's order they are called point1 to point{K}."
     return replace(
         stored,
         names=names or tuple(f"point{k}" for k in range(1, K + 1)),
@@ -265,7 +265,7 @@ def joined_tracks(path: Path, tracks: Sequence[StoredPoints], individual: str) -
     seen = [frames_seen(track) for track in tracks]
     shared = [frame for i, a in enumerate(seen) for b in seen[:i] for frame in np.intersect1d(a, b).tolist()]
     if shared:
-        detail = f"points of two of them in frame {min(shared)}" + f" and {len(shared) - 1} more" * (len(shared) > 1)
+        detail = f"points of two animals in frame {min(shared)}" + f" and {len(shared) - 1} more" * (len(shared) > 1)
         expected = "tracks that never overlap in time, of one animal"
         raise InputError(Problem(path, f"individual {individual}", detail, expected))
     frames = np.unique(np.concatenate([track.frames for track in tracks]))
@@ -307,7 +307,7 @@ def first_problems(problems: Sequence[Problem], path: Path) -> list[Problem]:
     excess = len(problems) - PROBLEMS_SHOWN
     if excess <= 0:
         return list(problems)
-    return [*problems[:PROBLEMS_SHOWN], Problem(path, "more", f"{excess} problems like these", "none")]
+    return [*problems[:PROBLEMS_SHOWN], Problem(path, "more", f"{excess} similar problems", "none")]
 
 
 def number(text: str) -> float:

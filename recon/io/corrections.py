@@ -89,7 +89,7 @@ def _correction(row: dict[str, str]) -> Correction:
     """Return the correction in a row; raise ValueError, with the reason, for a faulty row."""
     text = row.get("frame", "")
     if not text.lstrip("-").isdecimal() or abs(int(text[:12])) > MAX_FRAME:
-        raise ValueError(f"frame {text[:40]!r}, which is no whole number")
+        raise ValueError(f"frame {text[:40]!r}, which is not a whole number")
     if not row.get("keypoint"):
         raise ValueError("no keypoint")
     was_px, now_px = (_point(row, f"{name}_x_px", f"{name}_y_px") for name in ("was", "now"))
@@ -106,7 +106,7 @@ def _point(row: dict[str, str], x_name: str, y_name: str) -> _Point | None:
     except ValueError:
         point = math.nan, math.nan
     if not all(map(math.isfinite, point)):
-        raise ValueError(f"{x_name}, {y_name}: {x[:20]!r}, {y[:20]!r}, which are no two numbers")
+        raise ValueError(f"{x_name}, {y_name}: {x[:20]!r}, {y[:20]!r}, which are not two numbers")
     return point
 
 

@@ -143,7 +143,7 @@ class _File:
             if kind >> 16:  # up to 4 bytes in the same word as the type
                 size, kind, begin, step = kind >> 16, kind & 0xFFFF, position + 4, 8
                 if size > 4:
-                    raise ValueError("an element that is too large for its place")
+                    raise ValueError("an element that is too large for the one that contains it")
             else:
                 begin = position + 8
                 step = 8 + (size if packed and kind == _COMPRESSED else (size + 7) // 8 * 8)
@@ -156,7 +156,7 @@ class _File:
         """Return a matrix' name and value."""
         self.items -= 1
         if depth > MAX_DEPTH or self.items < 0:
-            raise ValueError("more in one another than a file of poses has")
+            raise ValueError("elements nested deeper than a file of poses has them")
         if not len(body):
             return "", None
         elements = [*self.elements(body)]

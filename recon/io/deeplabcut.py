@@ -92,7 +92,7 @@ def _read_header(path: Path, rows: Iterator[tuple[int, list[str]]]) -> tuple[dic
     header = {level: row if any(map(str.strip, row[width:])) else row[:width] for level, row in header.items()}
     if len({len(row) for row in header.values()}) != 1:
         lengths = ", ".join(f"{len(row)} in {name}" for name, row in header.items())
-        raise InputError(Problem(path, "header rows", f"cells: {lengths}", "the same number of cells in each"))
+        raise InputError(Problem(path, "header rows", f"cells: {lengths}", "the same number of cells in every row"))
     # Label files name the image in three columns, which have blank cells in all header rows but for the first cell.
     index_columns = 3 if [cell.strip() for cell in header["coords"][1:3]] == ["", ""] else 1
     columns = {level: row[index_columns:] for level, row in header.items()}
@@ -111,7 +111,7 @@ def _merged_cells(path: Path, header: dict[str, list[str]]) -> Iterator[Problem]
             and any(header["coords"][j].strip() for j, n in enumerate(names) if not n)
         ):
             detail = f"empty cells behind '{names[names.index('') - 1]}', as merged cells leave them"
-            yield Problem(path, f"header row {level}", detail, "a name above each column: unmerge the cells")
+            yield Problem(path, f"header row {level}", detail, "a name in every column: unmerge the cells")
 
 
 def header_problem(path: Path, header: str) -> Problem:
@@ -166,7 +166,7 @@ def points_of_table(
     scorers = list(dict.fromkeys(n.get("scorer", "").strip() for n in named))
     if len(scorers) > 1 and len({*columns}) < len(columns):
         detail = f"points of {len(scorers)} scorers: {', '.join(scorers)[:120]}"
-        raise InputError(Problem(path, "scorer", detail, "those of one scorer; delete the columns of the others"))
+        raise InputError(Problem(path, "scorer", detail, "points of one scorer: delete the columns of the others"))
     everyone = list(dict.fromkeys(animal for animal, _, _ in columns))
     animals = [name for name in everyone if name != UNIQUE_BODYPARTS] or everyone
     of_animal = {name: [j for j, column in enumerate(columns) if column[0] == name] for name in everyone}
@@ -176,7 +176,7 @@ def points_of_table(
     animal = animals[common.choose(path, animals, individual, seen)]
     if animal != UNIQUE_BODYPARTS and UNIQUE_BODYPARTS in everyone:
         left_out = dict.fromkeys(columns[j][1] for j in of_animal[UNIQUE_BODYPARTS])
-        notes += (f"Left out, because they are no part of an animal: {', '.join(left_out)}.",)
+        notes += (f"Left out, because they belong to no animal: {', '.join(left_out)}.",)
     order = np.argsort(frames, kind="stable")
     if (np.diff(order) < 0).any():
         values = values[order]
@@ -188,7 +188,7 @@ def points_of_table(
         points[(points == PADDING).all(axis=2)] = np.nan, np.nan, 0.0
         points, likelihood = points[..., :2], points[..., 2]
         if scorer is None:
-            notes += ("The header's first row, scorer, is missing; the others say what each column is.",)
+            notes += ("The header's first row, scorer, is missing; the remaining rows name every column.",)
         if not images:
             points, cropped = _uncropped(path, points, likelihood)
             notes += cropped
@@ -249,7 +249,7 @@ def _column_problems(path: Path, columns: Sequence[tuple[str, str, str]]) -> Ite
         if coord not in COORDS:
             yield Problem(path, location, f"coordinate '{coord}'", ", ".join(COORDS))
         if not bodypart or not f"{animal}{bodypart}".isprintable():
-            yield Problem(path, location, "a bodypart without a name that can be printed", "letters, digits and signs")
+            yield Problem(path, location, "a bodypart without a printable name", "printable characters")
 
 
 def _points(

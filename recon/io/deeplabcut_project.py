@@ -71,7 +71,7 @@ def refuse_several(path: Path) -> None:
         )
         raise InputError(Problem(path, "file", "a project of DeepLabCut", expected))
     if path.is_dir():
-        openpose = [f" ({file.name} stands for all)" for file in sorted(path.glob("*[0-9]*.json"))[:1]]
+        openpose = [f" (for example {file.name})" for file in sorted(path.glob("*[0-9]*.json"))[:1]]
         expected = f"one of its files{''.join(openpose) or '; recon batch takes all of a folder'}"
         raise InputError(Problem(path, "file", "a folder", expected))
 

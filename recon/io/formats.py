@@ -39,7 +39,7 @@ _Loaded = TypeVar("_Loaded")
 
 
 def _present(function: _Loaded | None) -> _Loaded:
-    assert function is not None, "the table names a format for what its module does not do"
+    assert function is not None, "the table of formats asks a module for a function that it lacks"
     return function
 
 
@@ -454,7 +454,7 @@ def as_keypoints(path: Path, stored: StoredPoints) -> Keypoints:
     stated = likelihood[~np.isnan(likelihood)]
     low, high = (float(stated.min()), float(stated.max())) if stated.size else (0.0, 1.0)
     if low < -LIKELIHOOD_MARGIN or high > 1 + LIKELIHOOD_MARGIN:
-        detail = f"{low:g} to {high:g}{', as if in per cent' * (low >= 0 and 1 < high <= 100)}"
+        detail = f"{low:g} to {high:g}{', apparently in percent' * (low >= 0 and 1 < high <= 100)}"
         raise InputError(Problem(path, "likelihood", detail, "numbers from 0 to 1"))
     if low < 0 or high > 1:
         notes = (*notes, f"Likelihoods range from {low:g} to {high:g}; they should lie between 0 and 1.")

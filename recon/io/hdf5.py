@@ -51,7 +51,7 @@ def opened(path: Path, names_only: bool = False) -> Iterator[h5py.File]:
     With `names_only`, only names and types are read, which is safe without `_require_sound_heaps`. Raises InputError
     for a damaged file, also for h5py's errors inside the block.
     """
-    with damage_named(path, "an HDF5 file that is whole and undamaged"):
+    with damage_named(path, "a complete, undamaged HDF5 file"):
         if not names_only:
             _require_sound_heaps(path)
         try:
@@ -279,7 +279,7 @@ def _require_readable(dataset: h5py.Dataset) -> None:
         raise ValueError(f"the data of {dataset.name} lie in another file")
     for i in range(layout.get_nfilters()):
         if (code := layout.get_filter(i)[0]) not in FILTERS:
-            raise ValueError(f"{dataset.name} is compressed in another way than by gzip (HDF5 filter {code})")
+            raise ValueError(f"{dataset.name} is compressed by something other than gzip (HDF5 filter {code})")
     if dataset.shape is None:
         raise ValueError(f"{dataset.name} is empty")
     stored, item = dataset.id.get_storage_size(), kind.get_size()

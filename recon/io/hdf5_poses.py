@@ -141,7 +141,7 @@ def _is_empty(dataset: h5py.Dataset) -> bool:
     pandas stores an empty array as one with one element, with its shape as an attribute.
     """
     if attribute(dataset, "PSEUDOATOM") is not None:
-        raise ValueError("cells that are pickled Python objects, which could run anything")
+        raise ValueError("cells with pickled Python objects, which could run any program")
     return 0 in (_attribute_value(dataset, "shape") or ())
 
 
@@ -176,7 +176,7 @@ def _attribute_value(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
     try:
         return plain_pickle(value)
     except ValueError as error:
-        raise ValueError(f"{name} is {error}, which could run anything") from None
+        raise ValueError(f"{name} is {error}, which could run any program") from None
 
 
 def write_deeplabcut(data: Keypoints | Pose3D, path: Path) -> None:
@@ -455,7 +455,7 @@ def read_nwb(path: Path, individual: str | None = None) -> StoredPoints:
             problems.append(Problem(path, f"{name}/{point}", f"{positions.shape} positions", expected))
         elif not np.allclose(point_times_s, times_s[0], rtol=0, atol=1e-6):
             problems.append(
-                Problem(path, f"{name}/{point}", f"other times than in {first}", "the same times for all points")
+                Problem(path, f"{name}/{point}", f"other times than {first} has", "the same times for all points")
             )
     raise_problems(problems)
     links = tuple((nodes[a], nodes[b]) for a, b in edges) if {*nodes} == {*points} else ()

@@ -32,7 +32,7 @@ from recon.base.errors import InputError, Problem, raise_problems
 from recon.io import common
 from recon.io.common import StoredPoints
 
-_EXPECTED = "a whole file of JSON"
+_EXPECTED = "a complete JSON file"
 Table = dict[str, Any]
 
 
@@ -307,7 +307,7 @@ ANIMAL3D = (
     "tail_mid"
 )
 """Correct names (Animal3D's), as in FMPose3D's conversion from SuperAnimal's points."""
-LENGTHS = "FMPose3D's lengths have no unit, and its axes are its own: compare them after scaling and turning (PA) only."
+LENGTHS = "FMPose3D's lengths have no unit, and its axes are its own: compare poses only scaled and rotated (PA)."
 
 
 def true_names(names: Sequence[str], model: str, in_space: bool = True) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -320,8 +320,8 @@ def true_names(names: Sequence[str], model: str, in_space: bool = True) -> tuple
     if f"{common.FMPOSE3D}animals" not in model or {*names} != {*true}:
         return tuple(names), notes
     note = (
-        "DeepLabCut gives FMPose3D's points the names of other points (the left front paw is 'neck'): they are read by "
-        "their order, which is Animal3D's."
+        "DeepLabCut gives FMPose3D's points wrong names (the left front paw is 'neck'): they are read in "
+        "their order, which is that of Animal3D."
     )
     return tuple(true[name] for name in names), (note, *notes)
 

@@ -187,7 +187,7 @@ def _parameters(section: bytes, order: str) -> Parameters:
         else:
             by_group.setdefault(group, {})[name] = _value(section, position + 2, order)
         if distance and distance < 2:
-            raise ValueError("parameters that do not follow one another")
+            raise ValueError("parameters that are not contiguous")
         position += distance
     return {groups.get(group, f"{group}"): values for group, values in by_group.items()}
 

@@ -50,7 +50,7 @@ def plain_pickle_with_scalars(content: bytes) -> Plain:
             _require_place(opcode.name, argument, content)
         return _ScalarUnpickler(io.BytesIO(content)).load()
     except (ArithmeticError, AttributeError, LookupError, TypeError, EOFError, pickle.UnpicklingError):
-        raise ValueError("a damaged pickle, or one of other things than plain values") from None
+        raise ValueError("a damaged pickle, or a pickle of something other than plain values") from None
 
 
 class _ScalarUnpickler(pickle.Unpickler):
@@ -58,7 +58,7 @@ class _ScalarUnpickler(pickle.Unpickler):
 
     def find_class(self, module: str, name: str) -> object:
         if (module, name) not in _SCALARS:
-            raise pickle.UnpicklingError(f"{module}.{name} in a pickle of plain values")
+            raise pickle.UnpicklingError(f"{module}.{name} in a pickle that should hold plain values only")
         return super().find_class(module, name)
 
 

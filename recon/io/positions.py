@@ -51,13 +51,14 @@ def in_metres(path: Path, reader: Format, stored: StoredPoints, unit: str | None
     notes, problems = list(stored.notes), []
     for name, option, stated in (("unit", unit, stored.unit), ("up", up, stored.up)):
         if option is not None and stated is not None and option != stated:
-            problems.append(Problem(path, name, f"{option} as given, but {stated} in the file", "one of the two"))
+            problems.append(Problem(path, name, f"{option} as given, but {stated} in the file", "the same in both"))
     unit = unit or stored.unit or reader.unit
     if unit not in PER_METRE:
         detail = "none in the file" if unit is None else unit
         problems.append(Problem(path, "unit", detail, f"one of: {', '.join(PER_METRE)} (--unit)"))
     if up is None and stored.up is None and reader.up != "z":
-        notes.append(f"The file does not say which way is up: read as {reader.up} up, as is the custom (or --up z).")
+        assumed = f"it was read with {reader.up} up, as is usual for the format"
+        notes.append(f"The file does not say which way is up: {assumed}. If that is wrong, give --up z.")
     up = up or stored.up or reader.up
     if up not in ("y", "z"):
         problems.append(Problem(path, "up", up, "y or z (--up)"))

@@ -96,7 +96,7 @@ def nearest_frames(path: Path, times_s: np.ndarray, fps: float) -> np.ndarray:
     frames = rows + np.maximum.accumulate(nearest - rows) if len(rows) else nearest
     if (np.abs(frames - (position - phase)) > 1).any():
         detail = f"{_steps_text(times_s)} between times, so that some share a frame at {fps:g} frames per second"
-        raise InputError(Problem(path, "time", detail, "a frame rate that has a frame for each time, by --fps"))
+        raise InputError(Problem(path, "time", detail, "a frame rate with one frame for each time (--fps)"))
     return frames.astype(np.int64)
 
 
@@ -153,17 +153,15 @@ def _frames_of_times(path: Path, times_s: np.ndarray, fps: float | None) -> tupl
     if counted is None:
         if (steps_s <= 0).any():
             raise InputError(_unordered(path))
-        expected = "even times, or --fps, which gives each time the nearest frame; convert the video to a constant rate"
+        expected = "even times: convert the video to a constant frame rate, or use its nearest frames (--fps)"
         raise InputError(
             Problem(path, "time", f"a variable frame rate: {_steps_text(times_s)} between times", expected)
         )
     since_start, period_s = counted
     if fps is not None:
-        return since_start, fps, f"Times are uneven ({_steps_text(times_s)} apart): each has the nearest frame."
+        return since_start, fps, f"Times are uneven ({_steps_text(times_s)} apart): each belongs to the nearest frame."
     fps = float(f"{1 / period_s:.6g}")
-    note = (
-        f"Times are uneven ({_steps_text(times_s)} apart): frames are numbered at {fps:g} frames per second (or --fps)."
-    )
+    note = f"Times are uneven ({_steps_text(times_s)} apart): frames are numbered at {fps:g} per second (or by --fps)."
     return since_start + round(float(times_s[0]) * fps), fps, note
 
 

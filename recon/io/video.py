@@ -74,7 +74,7 @@ def size_problems(video: Path, info: VideoInfo, camera: Camera) -> Iterator[Prob
     """Yield a problem if a video has another size than the camera is calibrated for."""
     video_size, camera_size = ("{}x{}".format(*size) for size in (info.size_px, camera.image_size_px))
     if video_size != camera_size:
-        yield Problem(video, "size", video_size, f"{camera_size}, the size that the camera is calibrated for")
+        yield Problem(video, "size", video_size, f"{camera_size}, the size for which the camera is calibrated")
 
 
 def read_picture(path: Path, flags: int) -> Image | None:
@@ -127,7 +127,7 @@ def missing_note(path: str | Path, times_s: Array, first_frame: int = 0, previou
         Number of frames before them; None if more follow.
     """
     name, stated = Path(path).name, probe(path).stated_frames
-    counted = "Frames are numbered as they are decoded, as DeepLabCut does, so that keypoints of this file are in step"
+    counted = "Frames are numbered in the order of decoding, as in DeepLabCut, so keypoints keep their frames"
     missing = missing_frames(times_s)
     if missing is None:
         short, long = np.percentile(1e3 * np.diff(times_s), [0, 100])

@@ -74,8 +74,8 @@ def frames_of_text(ranges: Iterable[str]) -> np.ndarray | None:
 def required_fps(fps: float | None, title: str) -> float:
     """Return the frame rate; raise InputError without one."""
     if fps is None:
-        detail = "nothing, and no frame rate in the input"
-        raise InputError(Problem("--fps", "fps", detail, f"frames per second, as in 90: {title} cannot do without"))
+        detail = "no frame rate, neither given nor in the input"
+        raise InputError(Problem("--fps", "fps", detail, f"frames per second, as in 90, which {title} requires"))
     return fps
 
 

@@ -197,7 +197,7 @@ def euler_angles(rotation: npt.ArrayLike) -> Array:
     """
     matrices = np.asarray(rotation, dtype=float)
     if (np.linalg.det(matrices) <= 0).any():  # older versions of scipy accept them as rotations
-        raise ValueError("a matrix with a determinant that is not positive is no rotation")
+        raise ValueError("a matrix without a positive determinant is not a rotation")
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Gimbal lock")
         angles = Rotation.from_matrix(matrices.reshape(-1, 3, 3)).as_euler("XYZ")

@@ -75,13 +75,13 @@ def read_solver(motion: Motion, folder: Path, frame: int | None = None) -> Solve
     options = FrameOptions.from_settings(read_config(folder / CONFIG, {}).plain())
     solved = np.flatnonzero(motion.solved)
     if not len(solved):
-        raise InputError(Problem(folder, "frames", "none with a pose", "one at least"))
+        raise InputError(Problem(folder, "frames", "no frame with a pose", "one at least"))
     if frame is None:
         row = int(solved[np.argmax(solution.reported("function_evaluations")[solved])])
     elif frame in motion.frames[solved]:
         row = int(np.flatnonzero(motion.frames == frame)[0])
     else:
-        expected = f"one with a pose, from {motion.frames[solved[0]]} to {motion.frames[solved[-1]]}"
+        expected = f"a frame with a pose, from {motion.frames[solved[0]]} to {motion.frames[solved[-1]]}"
         raise InputError(Problem("--frame", "frame", str(frame), expected))
     problem = solution.views[0], solution.chain, motion.fps
     solver = FrameSolver(

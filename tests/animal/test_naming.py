@@ -284,7 +284,7 @@ def test_recon_skeleton_from_keypoints(tmp_path):
     assert (ended.code, ended.err) == (0, "")
     assert says(ended.out, f"{out}: 22 of 39 keypoints")
     assert "back_base as withers" in ended.out
-    assert "Without a place: upper_jaw, lower_jaw, " in ended.out
+    assert "Not on the skeleton: upper_jaw, lower_jaw, " in ended.out
     assert load_skeleton(out).name == "mine"
     refused(["skeleton", "from-keypoints", clip, "--out", out], ("--out", "file", out, "--overwrite"))
     assert prepare(settings(clip, skeleton=out)).body.name == "mine"

@@ -197,7 +197,7 @@ def test_too_little_to_fit(body):
         fit_prior(body, swinging(body, 1, 100, 100.0), components=6)
     ((name, states, fps),) = swinging(body, 1, 100, 100.0)
     states[::2] = np.nan
-    no_three = ("prior", "frames", "three in a row")
+    no_three = ("prior", "frames", "three consecutive")
     with refusal(("prior", "components", 6, "20 frames"), no_three):
         fit_prior(body, [(name, states, fps)], components=6)
     with refusal(("prior", "components", "1 for 0 frames"), no_three):
@@ -316,7 +316,7 @@ NOT_DEFINITE = np.eye(24) - 2 * np.eye(24, k=0) * (np.arange(24) == 5)
         ({"covariance": NOT_DEFINITE}, [("covariance", "not positive definite")]),
         ({"covariance": np.eye(24) + 0.1 * np.eye(24, k=1)}, [("covariance", "not positive")]),
         ({"mean": np.full(24, np.nan)}, [("mean", "not finite")]),
-        ({"mean": np.full(24, 1e300)}, [("mean", "beyond all reason")]),
+        ({"mean": np.full(24, 1e300)}, [("mean", "absurdly large")]),
         ({"weights": np.ones(3)}, [("weights", ["1 and more", "3 in all"])]),
         (
             {"means": np.zeros((2, 24)), "drift": np.zeros((24, 24))},

@@ -380,7 +380,7 @@ def test_what_is_wrong_with_cameras_in_names(tmp_path):
     pattern = ("--cameras-by", "pattern")
     refuses([tmp_path], (*pattern, "a-cam1.csv, a_cam1.csv, b-cam2.csv"), common=TWO, by="view(.)")
     refuses([tmp_path], (*pattern, ["'('", "position 0"], "regular expression"), common=TWO, by="(")
-    beside = ("--camera-name", "camera_name", "cam2 beside --cameras-by")
+    beside = ("--camera-name", "camera_name", "cam2 together with --cameras-by")
     refuses([tmp_path], beside, common=TWO | {"camera_name": "cam2"}, by="cam.$")
     filmed(tmp_path, "cam1-cam2.csv")
     refuses([tmp_path], ("cam1-cam2.csv", "name", "cam1 and cam2", "--cameras-by none"), common=TWO)
@@ -417,7 +417,7 @@ def anipose(project: Path, calibration: Path, square: float, *files: str) -> Non
 def test_a_pattern_of_a_file_that_can_take_for_ever_is_refused(tmp_path, pattern):
     anipose(tmp_path, Path("rex/calibration"), 25.0, f"rex/day1/pose-2d/{'a' * 44}!.csv")
     (tmp_path / "config.toml").write_text(tomli_w.dumps({"nesting": 2, "triangulation": {"cam_regex": pattern}}))
-    with refusal((tmp_path / "config.toml", "cam_regex", "can take for ever", "--cameras-by")):
+    with refusal((tmp_path / "config.toml", "cam_regex", "may never end", "--cameras-by")):
         find_clips([tmp_path], {"fps": 120, "camera_unit": "mm"})
 
 
@@ -515,7 +515,7 @@ def test_a_look_says_which_cameras_a_clip_has(tmp_path):
     (row,) = json.loads(run(*command, "--json").out)["clips"]
     assert (row["clip"], row["cameras"], row["action"]) == ("walk", ["cam1", "cam2"], "new")
     assert "cam1, cam2" in run(*command).out
-    assert "Where they differ" not in run(*command).out
+    assert "If they differ" not in run(*command).out
     assert [row["clip"] for row in json.loads(run(*command, "--json", "--cameras-by", "none").out)["clips"]] == [
         "walk-cam1",
         "walk-cam2",
@@ -609,7 +609,7 @@ def test_results_of_others_are_left_alone(clips, tmp_path):
     (other / "c.csv").write_text((clips / "c.csv").read_text())
     fit(found(other / "c.csv"), out)
     (clips / "c.csv").write_text((clips / "c.csv").read_text() + "\n")
-    unknown = ("folder", "no batch has made", "--overwrite")
+    unknown = ("folder", "no batch has written", "--overwrite")
     with refusal((out / "a", *unknown), (out / "b", *unknown), (out / "c", "folder", f"results of {other / 'c.csv'}")):
         plan_batch(found(clips), out)
     assert [p.reason for p in plan_batch(found(clips), out, overwrite=True)] == ["--overwrite"] * 3

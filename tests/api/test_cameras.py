@@ -287,7 +287,7 @@ def test_refined_cameras_are_taken_only_where_every_camera_fits(runs, monkeypatc
 def test_only_several_cameras_that_stand_still_are_refined(runs):
     with refusal(("settings", "refine_cameras", "one keypoint file", "several cameras")):
         settings(runs, 1, refine_cameras=True)
-    with refusal(("settings", "cameras_known", "beside refine_cameras", "one of the two")):
+    with refusal(("settings", "cameras_known", "together with refine_cameras", "only one of the two")):
         settings(runs, 1, 2, refine_cameras=True, cameras_known=True)
     with refusal(("settings", "refine_cameras", "camera track", "stand still")):
         settings(runs, 1, 2, refine_cameras=True, camera_track=["cam1.csv"])
@@ -393,7 +393,7 @@ def test_refined_extrinsics_need_poses(runs, tmp_path):
 def test_which_way_is_up_is_said_once(runs, tmp_path):
     """By the file, where its poses are read."""
     clip, out = settings(runs, 1, 2, tilt_deg=3.0), tmp_path / "out.toml"
-    beside = ("up", "--set refine-cameras=true", "one of the two")
+    beside = ("up", "--set refine-cameras=true", "only one of the two")
     with refusal(("--tilt-deg", *beside), ("--level-deg", *beside)):
         run_extrinsics([replace(clip, refine_cameras=True)], out, level_rad=np.radians(1.0))
 
@@ -411,7 +411,7 @@ def test_a_camera_has_one_lens(runs, tmp_path):
     scene = json.loads((runs / "scene.json").read_text())
     scene["cameras"][1]["k"][0][0] *= 1.1
     (tmp_path / "other.json").write_text(json.dumps(scene))
-    with refusal(("KEYPOINTS", "camera cam2", "two lenses or poses")):
+    with refusal(("KEYPOINTS", "camera cam2", "different lenses or poses")):
         run_extrinsics(
             [settings(runs, 1, 2), settings(runs, 1, 2, camera=tmp_path / "other.json")], tmp_path / "out.toml"
         )

@@ -170,7 +170,7 @@ def test_tilt_of_a_camera_that_does_not_know_which_way_is_up():
     rough = {"camera": None, "hfov_deg": 60.0, "image_size_px": (1920, 1080)}
     motion = fit_clip(sample(method="frame", tilt_deg=4.0, frames="0:2", **rough))
     np.testing.assert_allclose(motion.camera.up, [0, -np.cos(np.deg2rad(4)), -np.sin(np.deg2rad(4))])
-    with refusal(("--tilt-deg", "tilt_deg", [4, "camera.toml"], "one of the two")):
+    with refusal(("--tilt-deg", "tilt_deg", [4, "camera.toml"], "only one of the two")):
         fit_clip(sample(tilt_deg=4.0))
 
 

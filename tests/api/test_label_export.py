@@ -95,7 +95,7 @@ def test_a_corrected_table(whole_results: Path, corrections: Path, tmp_path: Pat
     ("options", "expected"),
     [
         (("--export-labels", "project"), ("--video", "video", "nothing", "the video")),
-        (("--with-accepted",), ("--with-accepted", "with_accepted", "no --export-labels", "beside")),
+        (("--with-accepted",), ("--with-accepted", "with_accepted", "no --export-labels", "both or neither")),
         (("--export-table", "corrected.txt"), ("--export-table", "file", "corrected.txt", ".csv or .h5")),
     ],
 )

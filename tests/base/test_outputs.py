@@ -256,7 +256,7 @@ def test_one_named_file_is_replaced_if_it_is_own(tmp_path):
         with output_file(path, "calibrate", overwrite=True).staged_file() as staged:
             staged.write_text(text)
     assert contents(tmp_path) == {"camera.toml": "2"}
-    with refusal(("--out", "file", f"{path}, which is there already", "a new name, or --overwrite")):
+    with refusal(("--out", "file", f"{path}, which exists already", "a new name, or --overwrite")):
         output_file(path, "calibrate", overwrite=False).require((path.name,))
     with refusal((path, "file", "an input of this run", "another --out")):
         output_file(path, "calibrate", overwrite=True, inputs=[tmp_path / "." / "camera.toml"]).require((path.name,))
@@ -351,7 +351,7 @@ def test_nothing_is_written_of_results_that_are_replaced_meanwhile(tmp_path):
     written(out, a="1")
     for folder in (out, tmp_path / "analysis"):
         with (
-            refusal((out, "results", "another run has replaced them meanwhile", "run the command again")),
+            refusal((out, "results", "another run has replaced", "run the command again")),
             Output(folder, "analyse", True, made_from=ReadResults.read(out)).staged() as staging,
         ):
             (staging / "b.csv").write_text("of the earlier ones")
@@ -376,7 +376,7 @@ def test_a_lock_that_is_something_else_is_left_alone(tmp_path, kind):
         "fifo": lambda: os.mkfifo(lock),
     }
     make[kind]()
-    with refusal((lock, "lock", "no lock file of recon", "remove it")), sole_writer(lock.parent):
+    with refusal((lock, "lock", "not a lock file of recon", "remove it")), sole_writer(lock.parent):
         pass
     assert precious.read_text() == "1234\n" * 100
     assert os.path.lexists(lock)

@@ -103,7 +103,7 @@ def test_command(tmp_path):
     done = run("camera-advice", "--skeleton", "cheetah-8u", "--angle", "theta_6", "--out", out)
     assert done.code == 0
     assert says(done.out, f"Put the camera {direction_text(np.radians(120), 0.5)}", "1.8 m above")
-    assert says(done.out, "worst place", "ahead of it")
+    assert says(done.out, "worst position", "ahead of it")
     table, report = pd.read_csv(out / "camera_advice.csv"), json.loads((out / "camera_advice.json").read_text())
     assert len(table) == 48
     (camera,) = report["cameras"]
@@ -123,5 +123,5 @@ def test_every_mistake_is_said(tmp_path):
         ("--distance-m", "distance_m", "'-1'", "greater than 0"),
     )
     refused([*given, "--angle", "theta_9"], ("--angle", "value", "'theta_9'", "one of J0_pitch"))
-    refused([*given, "--angle", "theta_6", "--joint", "J1"], ("--angle", "value", "--joint", "one of the two"))
+    refused([*given, "--angle", "theta_6", "--joint", "J1"], ("--angle", "value", "--joint", "only one of the two"))
     assert not (tmp_path / "a").exists()

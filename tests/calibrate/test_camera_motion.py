@@ -319,7 +319,7 @@ def test_level_by_marks_is_said_and_so_is_what_does_not_fit(pan_film, tmp_path):
     assert report["roll_deg"][0] == pytest.approx(-np.degrees(np.arctan2(10, 290)), abs=0.05)
     assert report["tilt_deg"][0] == pytest.approx(0.0, abs=0.2)
     marks = tmp_path / "level.csv"
-    beside = ("--tilt-deg", "level", [3, marks], "one of the two")
+    beside = ("--tilt-deg", "level", [3, marks], "only one of the two")
     refused([*given, "--overwrite", "--level-marks", marks, "--tilt-deg", 3], beside)
 
 

@@ -185,7 +185,7 @@ def test_the_command_writes_a_table_and_a_page(tmp_path: Path):
     source, out = SAMPLES / "whole_truth.csv", tmp_path / "audit"
     ended = run("audit", source, "--fps", 60, "--unit", "m", "--out", out)
     assert ended.code == 0
-    assert "Nothing was found that is wrong." in ended.out
+    assert "No fault was found." in ended.out
     table = pd.read_csv(out / "audit.csv")
     assert list(table) == ["code", "severity", "points", "first_frame", "last_frame", "measure", "limit", "text"]
     page = (out / "audit.html").read_text(encoding="utf-8")

@@ -261,7 +261,7 @@ def test_a_config_away_from_its_files_or_beside_others_says_so(tmp_path):
     again = run("fit", "--config", config, "--out", tmp_path / "again")
     assert "note" not in again.out
     rewrite(clip, lambda rows: rows[3].__setitem__(1, "700"))
-    said = f"note: {clip} is not the file that {config} was written for: its content is another"
+    said = f"note: {clip} is not the file for which {config} was written: its content differs"
     assert run("fit", "--config", config, "--out", tmp_path / "other").out.splitlines()[0] == said
     assert "note" not in run("fit", clip, "--config", config, "--out", tmp_path / "given").out
     clip.unlink()
@@ -508,7 +508,7 @@ BAD_INPUT: dict[str, tuple[list[str], list[Refusal]]] = {
     ),
     "tilt beside extrinsics": (
         ["{clip}", "--tilt-deg", "5"],
-        [("--tilt-deg", "tilt_deg", ["5", "{camera}"], "one of the two")],
+        [("--tilt-deg", "tilt_deg", ["5", "{camera}"], "only one of the two")],
     ),
     "options of the frame method": (
         ["{clip}", "--set", "form=printed", "--set", "base-length-m=0.2"],

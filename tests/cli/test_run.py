@@ -291,7 +291,7 @@ def test_all_mistakes_are_said_before_any_work(film, called):
     args = ["run", film, "--camera", "camera.toml", "--out", film.parent / "out"]
     refused(args, ("--keypoints", "keypoints", "nothing", "--model"))
     both = ["--keypoints", "a.csv", "--model", "net"]
-    refused([*args, *both], ("--keypoints", "keypoints", "a.csv beside --model", "--model"))
+    refused([*args, *both], ("--keypoints", "keypoints", "a.csv together with --model", "--model"))
     refused([*args, "--keypoints", "a.csv", "--from", "detect"], ("--from", "stage", "'detect'"))
     refused([*args, "--model", "none"], ("--model", "file", "none, no such file", "recon train"))
     assert called == []

@@ -319,7 +319,7 @@ def test_analysis_and_both_dimensions_have_one_stride_of_the_chain(fit, request,
         assert path.end_s - path.start_s == pytest.approx(stride.duration_s)
         assert path.gap_percent < 16
     done = run("ik", folder, "--follow", "stride", "--no-figures", "--out", tmp_path / "a")
-    assert says(" ".join(done.out.split()), "from one rearmost point of the foot to the next")
+    assert says(" ".join(done.out.split()), "between two rearmost positions of the foot")
 
 
 @pytest.mark.parametrize("dim", [2, 3])

@@ -103,7 +103,9 @@ def test_stretched_chain_ends_with_a_reason(name):
 
 def test_out_of_iterations_and_bad_start():
     chain = front_leg(2)
-    assert "most that are allowed" in drive_to(chain, np.full(5, 0.3), [0.5, 0.5], LeastNorm(), max_iterations=3).reason
+    assert (
+        "largest number allowed" in drive_to(chain, np.full(5, 0.3), [0.5, 0.5], LeastNorm(), max_iterations=3).reason
+    )
     assert drive_to(chain, np.full(5, np.inf), [0.5, 0.5], LeastNorm()).reason == "no progress: the start is not finite"
 
 

@@ -92,7 +92,7 @@ def test_missing_frames():
     assert found.start_s >= 0.15
     assert found.end_s - found.start_s == pytest.approx(0.2)
     assert np.isfinite(found.path_m).all()
-    with pytest.raises(ValueError, match="known frames in a row"):
+    with pytest.raises(ValueError, match="consecutive frames with a pose"):
         find_stride(CHAIN, np.full((20, 3), np.nan), fps=100)
     with pytest.raises(ValueError, match=r"within 0.150 to 0.590 s expected, got 0.050"):
         find_stride(CHAIN, q, fps=100, span_s=(0.05, 0.3))

@@ -247,7 +247,7 @@ def test_faults_of_a_colmap_model_are_named(tmp_path):
 def test_a_world_whose_z_does_not_point_up_is_refused(tmp_path):
     """As COLMAP leaves it: y down. Leaning by less than 60 degrees in most frames passes."""
     down = np.tile(np.eye(4), (3, 1, 1))
-    with refusal(("track.csv", "poses", ["not up by z", "3 of 3 frames"], "z up")):
+    with refusal(("track.csv", "poses", ["not upright, taking z as up", "3 of 3 frames"], "z up")):
         read_camera_track(write_track(tmp_path / "track.csv", np.arange(3), down))
     down[:2] = LEVEL
     assert len(read_camera_track(write_track(tmp_path / "track.csv", np.arange(3), down)).frames) == 3
@@ -325,7 +325,7 @@ def test_a_model_brings_the_lens_of_its_camera(runs, tmp_path):
     sources = prepare(FitSettings(keypoints=files, **plain)).sources
     assert [source.camera.name for source in sources] == ["cam1", "cam2"]
     np.testing.assert_allclose(sources[0].camera.matrix, FISHEYE.matrix, atol=1e-9)
-    with refusal(("--camera-track", "camera", ["camera file", models[0] / "images.txt"], "one of the two")):
+    with refusal(("--camera-track", "camera", ["camera file", models[0] / "images.txt"], "only one of the two")):
         prepare(replace(settings(runs, 1), camera_track=tuple(models[:1])))
 
 

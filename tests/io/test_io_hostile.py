@@ -212,7 +212,7 @@ def test_archives_that_ask_for_the_memory_or_have_no_header(read, tmp_path, monk
     with refusal((tmp_path / "header.npz", field, "multi-line statement")):
         read(archive_of(tmp_path / "header.npz", b"{'descr': '<f8', 'shape': (3,\n"))
     archive_of(tmp_path / "other.npz", b"{}", method=ZIP_LZMA)
-    with refusal((tmp_path / "other.npz", field, "compressed in another way")):
+    with refusal((tmp_path / "other.npz", field, "compressed in a way that NumPy")):
         read(tmp_path / "other.npz")
 
 

@@ -196,8 +196,8 @@ def test_a_robots_folder_is_converted_at_any_rate(whole_results, written, tmp_pa
     refused(["convert", whole_results, later, "--to", "amp"], expected)
     refused(  # over none of the files that it would write
         ["convert", robot, tmp_path / "motion.csv"],
-        ("OUT", "file", f"{tmp_path / 'motion.json'}, which is there already", "--overwrite"),
-        ("OUT", "file", "stride_motion.json, which is there already", "--overwrite"),
+        ("OUT", "file", f"{tmp_path / 'motion.json'}, which exists already", "--overwrite"),
+        ("OUT", "file", "stride_motion.json, which exists already", "--overwrite"),
     )
     assert not (tmp_path / "motion.csv").exists()
 

@@ -384,7 +384,7 @@ def test_a_video_of_another_rate_or_that_goes_on_is_named(small_trajectory):
     stated = probe(film).fps
     assert rate_note(film, stated) is None
     assert rate_note(film, None) is None
-    assert says(rate_note(film, stated * 2), "filmed so")
+    assert says(rate_note(film, stated * 2), "unless the video is slowed down")
     settings = PageSettings(folder=Path("run"), video=film)
     said = first_frame_note(small_trajectory, settings)  # its frames are 10 to 17
     assert says(said, f"has {probe(film).stated_frames} frames", "ends with frame 17", "--first-frame 10")

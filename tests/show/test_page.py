@@ -319,7 +319,7 @@ def test_a_batch_has_a_table_with_what_is_to_be_looked_at_first(batch):
     assert "4 of 5 clips need a look." in page.text
     assert "5 clips: 1 failed, 1 unsolved, 1 do not use, 1 check, 1 use" in page.text
     assert page.text.count("why not") == 2
-    assert "useGood but for this" in page.text
+    assert "useGood except for this" in page.text
     assert "51(34 to 77)" in page.text
     assert "corrected by hand" in page.text
     assert rows[-1].count("<div>23</div>") == 1
