@@ -201,7 +201,7 @@ class IkRun:
 
     @cached_property
     def animal_closures(self) -> dict[str, Array]:
-        """Degrees of closure (n,) of the animal's own joints over the stride (`Run.closures`); NaN if there are gaps."""
+        """Degrees of closure (n,) of the animal's joints over the stride (`Run.closures`), NaN if there are gaps."""
         kinds = "angle", "plane", "unscaled"
         closures = {kind: np.full(self.limb.chain.n, np.nan) for kind in kinds}
         for joint, portrait in enumerate(self.portraits.values()):

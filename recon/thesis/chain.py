@@ -32,19 +32,19 @@ from recon.geometry.kinematics import PITCH, ROLL, ROOT, YAW
 class ChainPose:
     """Hold N states of D unknowns and the positions of their J joints in the camera frame.
 
-    The Jacobians are None unless they were asked for.
+    The Jacobians are None unless they were requested.
     """
 
     state: Array
-    """(N, D)"""
+    """States, shape (N, D)."""
     rotation: Array
-    """(N, 3, 3): R_camera_local."""
+    """Rotations R_camera_local, shape (N, 3, 3)."""
     joints_m: Array
-    """(N, J, 3)"""
+    """Positions of the joints, shape (N, J, 3)."""
     joints_jacobian: Array | None = None
-    """(N, J, 3, D)"""
+    """Derivatives of the positions by the unknowns, shape (N, J, 3, D)."""
     rotation_jacobian: Array | None = None
-    """(N, 3, 3, 3); axis 1 runs over xi, psi, zeta."""
+    """Derivatives of the rotations, shape (N, 3, 3, 3); axis 1 is xi, psi, zeta."""
 
 
 @dataclass(frozen=True)
@@ -60,47 +60,50 @@ class UnknownsChain(Chain):
 
     @cached_property
     def theta_slice(self) -> slice:
-        """The thetas in the state."""
+        """The position of the thetas in the state."""
         return slice(0, self.n_angles)
 
     @cached_property
     def phi_slice(self) -> slice:
-        """The phis in the state."""
+        """The position of the phis in the state."""
         return slice(self.n_angles, 2 * self.n_angles)
 
     @cached_property
     def position_slice(self) -> slice:
-        """x0, y0, z0: the root in the local frame, metres."""
+        """The position of x0, y0, z0 in the state: the root in the local frame, metres."""
         return slice(2 * self.n_angles, 2 * self.n_angles + 3)
 
     @cached_property
     def euler_slice(self) -> slice:
-        """xi, psi, zeta of R_camera_local, rad."""
+        """The position of xi, psi, zeta of R_camera_local in the state, rad."""
         return slice(2 * self.n_angles + 3, 2 * self.n_angles + 6)
 
     @property
     def base_index(self) -> int:
-        """The base length in the state."""
+        """The index of the base length in the state."""
         return 2 * self.n_angles + 6
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:
-        """(D,): names with units, as in theta_6, x0_m, xi and base_length_m."""
+        """Names of the unknowns with units, (D,): theta_6, x0_m, xi, base_length_m and so on."""
         return (*self.angle_names, "x0_m", "y0_m", "z0_m", "xi", "psi", "zeta", "base_length_m")
 
     # -- kinematics --------------------------------------------------------------------------------------------------
 
     def to_body(self, state: Array, T_world_camera: Array) -> tuple[Array, Array]:
-        """Return the states of the chain's body in the world, and its sizes.
+        """Return the states of the chain's body in the world, and factors on its lengths.
 
         Parameters
         ----------
-        state : (N, D), the chain's unknowns
-        T_world_camera : (4, 4) or (N, 4, 4)
+        state
+            States (N, D) of the chain.
+        T_world_camera
+            Camera poses, (4, 4) or (N, 4, 4).
 
         Returns
         -------
-        (N, D') states of `body`, and (N,) factors on its lengths.
+        tuple
+            States (N, D') of `body`, and factors (N,) on its lengths.
         """
         R_world_local = T_world_camera[..., :3, :3] @ euler_rotation(state[:, self.euler_slice])
         R = R_world_local @ UVW_BODY
@@ -137,7 +140,7 @@ class UnknownsChain(Chain):
         size = state[:, self.base_index, None, None] / self.nominal_base_length_m
         c_per_size = UVW_BODY @ tree.points_m.transpose(0, 2, 1)  # (N, 3, J)
         p = c_per_size * size + state[:, self.position_slice, None]
-        # The frame method's inner loop has one frame, and a single rotation is several times quicker than a stack.
+        # The inner loop of the frame method has one frame, and a single rotation is several times faster than a stack.
         angles = state[:, self.euler_slice]
         R, dR = euler_rotation_with_jacobian(angles[0] if N == 1 else angles)
         R, dR = R.reshape(N, 3, 3), dR.reshape(N, 3, 3, 3)
@@ -152,7 +155,7 @@ class UnknownsChain(Chain):
 
 
 def with_unknowns(chain: object) -> object:
-    """Return a chain as `UnknownsChain`; anything that is not a chain is returned unchanged."""
+    """Return a chain as `UnknownsChain`; return anything else unchanged."""
     if isinstance(chain, UnknownsChain) or not isinstance(chain, Chain):
         return chain
     return UnknownsChain(**{field.name: getattr(chain, field.name) for field in fields(Chain)})
@@ -163,12 +166,12 @@ AnyChain = Annotated[UnknownsChain, BeforeValidator(with_unknowns)]
 
 
 def load_chain(name_or_path: str | Path) -> UnknownsChain:
-    """Return a skeleton's chain with its unknowns.
+    """Return the chain of a skeleton, with its unknowns.
 
     Raises
     ------
     InputError
-        For a file that cannot be used, and for a skeleton of a whole animal.
+        If the file cannot be used, or the skeleton is one of a whole animal.
     """
     chain = with_unknowns(load_plain_chain(name_or_path))
     assert isinstance(chain, UnknownsChain)
@@ -187,16 +190,16 @@ def mean_pose(chain: UnknownsChain) -> Array:
 def euler_angles(rotation: npt.ArrayLike) -> Array:
     """Return the angles (..., 3) xi, psi, zeta of rotations (..., 3, 3).
 
-    This is the inverse of `recon.geometry.frames.euler_rotation`. psi lies in [-pi/2, pi/2]. At psi = +-pi/2 only
-    xi + zeta or xi - zeta is determined, and zeta is set to 0.
+    This is the inverse of `recon.geometry.frames.euler_rotation`. psi is in [-pi/2, pi/2]. At psi = ±pi/2 only xi +
+    zeta or xi - zeta is determined, and zeta is set to 0.
 
     Raises
     ------
     ValueError
-        For a matrix whose determinant is not positive.
+        If the determinant of a matrix is not positive.
     """
     matrices = np.asarray(rotation, dtype=float)
-    if (np.linalg.det(matrices) <= 0).any():  # older versions of scipy accept them as rotations
+    if (np.linalg.det(matrices) <= 0).any():  # older versions of scipy accept such matrices as rotations
         raise ValueError("a matrix without a positive determinant is not a rotation")
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Gimbal lock")

@@ -1,4 +1,4 @@
-"""Run the published system: fit a clip frame by frame, and write what its optimiser did."""
+"""Run the published system: fit a clip frame by frame, and write tables and figures of the optimisation."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     Raises
     ------
     InputError
-        For files and settings that cannot be used, with all their problems.
+        If files or settings cannot be used; all their problems are listed.
     """
     clip, chain, plain = prepare(settings), load_chain(settings.skeleton_name), settings.plain()
     (view,), T = views_of(clip.sources), len(clip.sources[0].keypoints.frames)
@@ -48,17 +48,17 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
 def load_body(settings: FitSettings) -> Body:
     """Return the body of the settings' chain.
 
-    Raises InputError for a skeleton that is not a chain.
+    Raises InputError if the skeleton is not a chain.
     """
     return load_chain(settings.skeleton_name).body
 
 
-# -- the work of the optimiser -----------------------------------------------------------------------------------------
+# -- record of the optimisation ----------------------------------------------------------------------------------------
 
 FOLDER, SUMMARY, JACOBIAN = "solver", "solver.json", "jacobian.npz"
-"""Names of the folder, which is in the results folder by default, and of files in it."""
+"""Names of the folder, inside the results folder by default, and of files in it."""
 FIGURES_BEGIN = 0.5
-"""Progress, as a fraction of the whole, at which the figures begin."""
+"""Progress, as a fraction of the whole, at which drawing begins."""
 
 
 class SolverSettings(Settings):
@@ -69,7 +69,7 @@ class SolverSettings(Settings):
     out: Path | None = None
     """Folder for tables and figures. (default: solver in DIR)"""
     frame: Integer | None = None
-    """Frame whose search is shown. (default: the one with the most evaluations)"""
+    """Frame whose search is shown. (default: the frame with the most evaluations)"""
     figures: bool = True
     """Write figures (PNG and SVG) next to the tables."""
     overwrite: bool = False
@@ -87,7 +87,7 @@ def run_solver(settings: SolverSettings, progress: Progress = silent) -> tuple[d
     Returns
     -------
     tuple
-        solver.json, and the files that were written.
+        The content of solver.json, and the files that were written.
     """
     from recon.show.plots import style
     from recon.thesis.figures import FIGURES
@@ -100,7 +100,7 @@ def run_solver(settings: SolverSettings, progress: Progress = silent) -> tuple[d
     with sole_writer(out):
         output.require((SUMMARY, *TABLES, JACOBIAN))
         progress("problem", 0.1)
-        with threadpool_limits(1, user_api="blas"):  # threads cost more than they gain for small matrices
+        with threadpool_limits(1, user_api="blas"):  # threads are slower than a single one for small matrices
             record = read_solver(motion, settings.folder, settings.frame)
             summary = record.summary()
         progress("tables", FIGURES_BEGIN - 0.1)

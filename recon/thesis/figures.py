@@ -1,4 +1,4 @@
-"""Draw figures of the work of the frame method's optimiser (`recon.thesis.inspect`)."""
+"""Draw figures of the frame method's optimisation (`recon.thesis.inspect`)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from recon.thesis.inspect import CAMERA_ANGLES, EXIT_FLAGS, SolverRecord
 _LEAST = 1e-12
 """Smallest value drawn on a logarithmic axis."""
 _DECADES = 1e-6
-"""Lower end of a logarithmic axis relative to its upper end: smaller values hardly matter."""
+"""Lower end of a logarithmic axis relative to its upper end; smaller values hardly matter."""
 _CONFIGURATIONS = 12
 """Largest number of frames whose configurations are drawn."""
 _UNDAMPED = 1e-8
@@ -25,10 +25,10 @@ _UNDAMPED = 1e-8
 
 
 def solver_search(record: SolverRecord) -> Figure:
-    """Draw the course of the search over time.
+    """Draw the progress of the search over time.
 
-    Cost by term, the largest component of the gradient, the length of the last step, evaluations of the residuals,
-    coloured by MINPACK's exit flag, and limits passed.
+    The panels are the cost by term, the largest component of the gradient, the length of the last step, the evaluations
+    of the residuals, coloured by MINPACK's exit flag, and the limits that were exceeded.
     """
     status = record.solution.status
     title = f"{status.count('converged')} of {len(status)} frames converged, each solved by itself"
@@ -58,7 +58,7 @@ def solver_search(record: SolverRecord) -> Figure:
 
 
 def image_errors(record: SolverRecord) -> Figure:
-    """Draw distances of detections from reprojections, joints x frames; white: not detected."""
+    """Draw the distances of detections from reprojections as an image, joints x frames; white: not detected."""
     names, frames, values = record.motion.names, record.motion.frames, record.image_error_px.T
     with style.drawing(min(4.0 * len(names) + 8, style.PAGE_MM - 20) + 14) as figure:
         axes = figure.subplots()
@@ -98,7 +98,7 @@ def solver_unknowns(record: SolverRecord) -> Figure:
 
 
 def solver_frame(record: SolverRecord) -> Figure:
-    """Draw the search within one frame: objective, damping and step from one accepted point to the next."""
+    """Draw the search within one frame: objective, damping and step at each accepted point."""
     search = record.search
     title = f"frame {record.frame}: {len(search.damping)} steps, {search.evaluations_at[-1]} evaluations"
     labels = ("objective (½σ²)", f"damping λ\n({_UNDAMPED:g}: none)", "step (rad, m)")
@@ -133,7 +133,7 @@ def solver_matrices(record: SolverRecord) -> Figure:
 
 
 def solver_rotation(record: SolverRecord) -> Figure:
-    """Draw the camera's rotation fixed and free: its angles, the base length, and the mean error in the picture."""
+    """Compare a free and a fixed camera rotation: its angles, the base length, and the mean error in the picture."""
     (view,) = record.other_solution.views
     labels, names = (*(f"{name} (°)" for name in CAMERA_ANGLES), "base length (m)", "error (px)"), []
     with style.drawing(24 * len(labels) + 20) as figure:
@@ -149,7 +149,7 @@ def solver_rotation(record: SolverRecord) -> Figure:
                 axes.plot(record.motion.time_s, values, **style.dots(len(values), 2.2), **style.look(i))
                 axes.ticklabel_format(useOffset=False)
         low, high = rows[3].get_ylim()
-        if high - low < 0.02:  # a length that does not move should not look as if it did
+        if high - low < 0.02:  # a constant length should not look as if it varied
             rows[3].set_ylim((low + high) / 2 - 0.01, (low + high) / 2 + 0.01)
         _over_time(figure, rows, labels)
         style.add_legend(figure, rows[0].lines, names)
@@ -189,7 +189,7 @@ def reference_path(record: SolverRecord) -> Figure:
 
 
 def configurations(record: SolverRecord) -> Figure:
-    """Draw the pose in the picture, true (detected, grey) beside reprojected (coloured), in up to twelve frames."""
+    """Draw detected poses (grey) next to reprojected poses (coloured) in the picture, in up to twelve frames."""
     motion, picture = record.motion, record.motion.pictures[0]
     solved = np.flatnonzero(motion.solved)
     rows = solved[np.unique(np.linspace(0, len(solved) - 1, min(len(solved), _CONFIGURATIONS)).astype(int))]
@@ -224,7 +224,7 @@ FIGURES = (
     solver_rotation,
     reference_path,
 )
-"""All figures; each is saved under its function's name."""
+"""All figures; each is saved under the name of its function."""
 
 
 def _over_time(figure: Figure, rows: Sequence[Axes], labels: Sequence[str], across: str = "time (s)") -> None:

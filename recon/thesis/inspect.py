@@ -1,8 +1,8 @@
-"""The command `recon solver`: what the optimiser of the frame method did, as tables.
+"""Describe the frame method's optimisation in tables, for the command `recon solver`.
 
-The optimiser minimises half the squared norm of residuals r, divided by their standard deviations, with a Jacobian J.
-Robust terms enter r and J as the solver weighs them, so that J'r is the gradient and J'J the curvature. Columns of the
-tables: docs/solver.md. Figures: `recon.thesis.figures`.
+The optimiser minimises half the squared norm of residuals r, divided by their standard deviations, with the Jacobian J.
+Robust terms enter r and J with the solver's weights, so that J'r is the gradient and J'J the curvature. docs/solver.md
+explains the columns of the tables; `recon.thesis.figures` draws the figures.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ PUBLISHED = {
     "f4": "theta rate",
     "f5": "phi rate",
 }
-"""The published names of the objectives, and the names of their terms."""
+"""Names of the terms, by the published names of the objectives."""
 COUNTS = ("iterations", "function_evaluations", "first_evaluations", "starts", "optimizer_status")
 CAMERA_ANGLES = ("xi", "psi", "zeta")
 EXIT_FLAGS = {
@@ -52,7 +52,7 @@ EXIT_FLAGS = {
     3: "step small",
     4: "cost and step settled",
 }
-"""Meaning of the status of scipy's `least_squares`."""
+"""Meaning of the status values of scipy's `least_squares`."""
 
 
 def read_solver(motion: Motion, folder: Path, frame: int | None = None) -> SolverRecord:
@@ -60,13 +60,17 @@ def read_solver(motion: Motion, folder: Path, frame: int | None = None) -> Solve
 
     Parameters
     ----------
-    folder : of the results that the motion was loaded from, for the fit's settings
-    frame : number of the frame whose search is shown; None: the one with most evaluations
+    motion
+        The fitted motion.
+    folder
+        The folder from which the motion was loaded, with the settings of the fit.
+    frame
+        Number of the frame whose search is shown; None for the frame with the most evaluations.
 
     Raises
     ------
     InputError
-        Where the settings are missing, for results of the other method, and for a frame without a pose.
+        If the settings are missing, the results are of the other method, or the frame has no pose.
     """
     if not isinstance(motion.solution, FrameSolution):
         raise InputError(Problem(folder, "results", "a fit of all frames at once", "results of recon frame"))
@@ -100,16 +104,22 @@ def read_solver(motion: Motion, folder: Path, frame: int | None = None) -> Solve
 
 @dataclass(frozen=True, eq=False)
 class SolverRecord:
-    """Hold what `recon solver` shows of T frames with D unknowns. Arrays are NaN in frames without a pose."""
+    """Hold the data of `recon solver` for T frames with D unknowns.
+
+    Arrays are NaN in frames without a pose.
+    """
 
     motion: Motion
     solution: FrameSolution
     terms: dict[int, dict[str, tuple[Array, Array]]]
-    """Residuals (M,) and Jacobian (M, D) at the solution, by row of the clip and term; the frame before is fixed."""
+    """Residuals (M,) and Jacobian (M, D) at the solution, by row of the clip and term.
+
+    The frame before is fixed.
+    """
     search: FrameSearch
-    """The search of the frame that is shown."""
+    """The search in the frame that is shown."""
     other_solution: FrameSolution
-    """The clip with the camera's rotation fixed, or free where the fit has it fixed."""
+    """The clip with the other choice for the camera's rotation: fixed if the fit has it free, and vice versa."""
     options: FrameOptions
     """Options of the fit."""
 
@@ -120,7 +130,7 @@ class SolverRecord:
 
     @property
     def unknowns(self) -> tuple[str, ...]:
-        """(D,): the names of the chain's unknowns."""
+        """Names of the chain's unknowns, (D,)."""
         return self.solution.chain.state_names
 
     @cached_property
@@ -131,14 +141,14 @@ class SolverRecord:
 
     @cached_property
     def gradient(self) -> Array:
-        """(T, D): the gradient of the cost in each frame."""
+        """Gradient of the cost in each frame, shape (T, D)."""
         return self._by_frame(
             {row: np.sum([J.T @ r for r, J in terms.values()], axis=0) for row, terms in self.terms.items()}
         )
 
     @cached_property
     def column_norm(self) -> Array:
-        """(T, D): norms of the Jacobian's columns."""
+        """Norms of the Jacobian's columns, shape (T, D)."""
         return self._by_frame({row: np.linalg.norm(self.jacobian(row), axis=0) for row in self.terms})
 
     def jacobian(self, row: int) -> Array:
@@ -153,7 +163,7 @@ class SolverRecord:
 
     @property
     def optimality(self) -> Array:
-        """(T,): the largest component of the gradient."""
+        """Largest component of the gradient, shape (T,)."""
         return np.abs(self.gradient).max(axis=1)
 
     @cached_property
@@ -169,17 +179,17 @@ class SolverRecord:
 
     @property
     def image_error_px(self) -> Array:
-        """(T, J): distance of detections from reprojections, NaN where either is missing."""
+        """Distances of detections from reprojections, shape (T, J), NaN if either is missing."""
         return self.motion.pictures[0].distance_px
 
     @property
     def active(self) -> dict[str, Array]:
-        """(T,) by name: number of angles beyond their expected ranges, and of rates beyond their limits."""
+        """Number of angles beyond their expected ranges and of rates beyond their limits, (T,) each, by name."""
         limits = {"ranges": self.solution.beyond_range_rad, "rates": self.solution.beyond_rate_rad_s}
         return {name: (beyond > 0).sum(axis=1) for name, beyond in limits.items()}
 
     def summary(self) -> dict[str, object]:
-        """Return the figures of solver.json."""
+        """Return the content of solver.json."""
         return {
             "cost_by_term": {name: float(c) for name, c in self.cost.sum().items()},
             "largest_gradient": float(np.nanmax(self.optimality)),
@@ -190,7 +200,7 @@ class SolverRecord:
         }
 
     def tables(self) -> dict[str, pd.DataFrame]:
-        """Return every table by the name of its file (`TABLES`)."""
+        """Return every table by its file name (`TABLES`)."""
         tables = (
             self._frames_table(),
             self._unknowns_table(),
@@ -203,7 +213,7 @@ class SolverRecord:
         return dict(zip(TABLES, map(pd.DataFrame, tables), strict=True))
 
     def _variables_table(self) -> dict[str, Any]:
-        """Return the unknowns under their published names, and half the squares of f1 to f5."""
+        """Return the table of the unknowns under their published names, with half the squares of f1 to f5."""
         columns: dict[str, Any] = {"frame": self.motion.frames, "time_s": self.motion.time_s}
         columns |= dict(zip(self.solution.chain.unknown_names, self.solution.chain_states.T, strict=True))
         return columns | {name: self.cost.get(term, 0.0) for name, term in PUBLISHED.items()}
@@ -213,7 +223,7 @@ class SolverRecord:
         return columns | dict(zip(self.unknowns, self.gradient.T, strict=True))
 
     def _paths_table(self) -> dict[str, Any]:
-        """R p0 in the camera frame, with the camera's rotation as fitted and the other way."""
+        """Return the table of R p0 in the camera frame, with the camera's rotation as fitted and the other way."""
         columns: dict[str, Any] = {"frame": self.motion.frames, "time_s": self.motion.time_s}
         for name, solution in self.solutions.items():
             points_m = solution.chain.pose(solution.chain_states).joints_m[:, 0]
@@ -222,7 +232,7 @@ class SolverRecord:
 
     @property
     def solutions(self) -> dict[str, FrameSolution]:
-        """The two solutions by how the camera's rotation is treated, the fit's first: "free" and "fixed"."""
+        """The two solutions, "free" and "fixed" by the camera's rotation; the solution of the fit comes first."""
         first, second = ("fixed", "free") if self.options.camera_rotation == "fixed" else ("free", "fixed")
         return {first: self.solution, second: self.other_solution}
 
@@ -261,7 +271,7 @@ class SolverRecord:
     def write_jacobian(self, path: Path) -> None:
         """Write the Jacobian as NPZ that `scipy.sparse.load_npz` reads as a matrix (M, T D).
 
-        Column t D + d is the unknown d of row t of the clip. The file also has unknowns (D,) and, for every row of the
+        Column t D + d is unknown d in row t of the clip. The file also has the unknowns (D,) and, for every row of the
         matrix, its residual, its term, and its row of the clip.
         """
         empty = np.zeros((0, len(self.unknowns)))

@@ -1,9 +1,9 @@
-"""Levenberg-Marquardt with a damping that is set: its first value, and the factor by which it changes.
+"""Minimise by Levenberg-Marquardt with a chosen damping: its first value, and the factor by which it changes.
 
-MINPACK, which the frame method uses otherwise, has a trust region and finds its damping by itself. The publication's
-solver has a first damping. It is divided by a factor after each step that lowers the cost, and multiplied by the factor
-after each other one. A step solves (J'J + lambda S) step = -J'r. S has the largest squared norms that columns of J have
-had, so that the damping has no unit.
+MINPACK, which the frame method uses by default, has a trust region and finds its own damping. The solver of the
+publication has a first damping. The damping is divided by a factor after each step that lowers the cost, and multiplied
+by the factor after each other step. A step solves (J'J + lambda S) step = -J'r. S contains the largest squared norms
+that the columns of J have had, so the damping has no unit.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ import numpy as np
 from recon.base.arrays import Array
 
 _LARGEST = 1e12
-"""A damping above leads nowhere."""
+"""Damping above which the search ends without progress."""
 
 
 class Minimum(NamedTuple):
-    """Hold where a search ended, with the names of scipy's result."""
+    """Hold the end of a search, with the names of scipy's result."""
 
     x: Array
     cost: float
     """Half the squared residuals."""
     status: int
-    """As of scipy: 0 evaluations used up, 1 gradient small, 2 cost settled, 3 step small."""
+    """Status as in scipy: 0 evaluations used up, 1 gradient small, 2 cost settled, 3 step small."""
     nfev: int
     njev: int
 
@@ -40,7 +40,7 @@ def minimise(
     initial_damping: float,
     factor: float,
 ) -> Minimum:
-    """Return the minimum of half the squared residuals that a start (n,) leads to.
+    """Minimise half the squared residuals from a start (n,).
 
     The Jacobian is computed at accepted points only. `tolerance` limits the relative change of the cost and of the
     step, and the largest component of the gradient relative to the norms of its column and of the residuals.

@@ -1,13 +1,13 @@
-"""The objectives f1 to f5 and the priors: the terms of the least-squares problem of one frame.
+"""Define the objectives f1 to f5 and the priors: the terms of the least-squares problem of one frame.
 
-Each term is one small class. It reads the pose of one frame and, if it `ties` frames, the pose of the frame before,
-which is fixed. It returns residuals without unit (differences divided by a standard deviation) and their exact
-Jacobian. A new term is one class here and one line in the list of `tests/thesis/test_objectives.py`.
+Each term is one small class. A term reads the pose of one frame and, if it `ties` frames, the fixed pose of the frame
+before. It returns residuals without a unit (differences divided by a standard deviation) and their exact Jacobian. A
+new term is one class here and one line in the list of `tests/thesis/test_objectives.py`.
 
-f1 to f5 are those of C. van der Leek, MSc(Eng), University of Cape Town, 2022. `form` chooses between a penalty outside
-the range only ("deadband"), which is meant, and the two-sided penalty as published ("printed"), which pulls towards the
-edge of the range. The Gaussian priors are needed besides: the pixels of one frame leave open the scale, a roll of the
-chain about its axis, one mode of depth, and depth flips of every link.
+f1 to f5 are those of C. van der Leek, MSc(Eng), University of Cape Town, 2022. `form` selects the penalty: "deadband",
+which was intended, penalises only values outside the range; "printed", as published, is two-sided and pulls values
+towards the edge of the range. The Gaussian priors are necessary as well, because the pixels of one frame do not
+determine the scale, a roll of the chain about its axis, one mode of depth, and depth flips of every link.
 """
 
 from __future__ import annotations
@@ -28,45 +28,45 @@ Form = Literal["deadband", "printed"]
 ResidualAndJacobian = tuple[Array, Array]
 
 PLAIN_C = 1e6
-"""In place of `FrameOptions.robust_c` where f1 is as printed: no residual saturates."""
+"""Replaces `FrameOptions.robust_c` if f1 is as printed, so that no residual saturates."""
 
 
 @dataclass(frozen=True)
 class FrameOptions:
-    """Set how the frame method weighs its objectives and searches for their minimum."""
+    """Set the weights of the frame method's objectives and the limits of its search."""
 
     form: Form = "deadband"
     """The form of f2 to f5."""
     reprojection: Literal["robust", "printed"] = "robust"
-    """f1 robust and weighted by confidence, or as printed."""
+    """f1: robust and weighted by confidence, or as printed."""
     angle_prior: Literal["gaussian", "none"] = "gaussian"
-    """The Gaussian priors on angles, roll and heading, or none of them."""
+    """Gaussian priors on angles, roll and heading, or none of them."""
     camera_rotation: Literal["free", "fixed"] = "free"
-    """R of every frame by itself, or fixed to the first frame's."""
+    """Rotation of the camera: free in every frame, or fixed to that of the first frame."""
     base_length_m: float | None = None
-    """In place of the skeleton's base length."""
+    """Base length, metres; None for that of the skeleton."""
     base_sigma_m: float | None = None
-    """In place of the skeleton's standard deviation of the base length."""
+    """Standard deviation of the base length, metres; None for that of the skeleton."""
     sigma_px: float = 3.0
-    """The detector's noise."""
+    """Standard deviation of the detector's noise."""
     keypoint_sigma_m: float | None = None
-    """Distance of keypoints from the model's joints, in place of the skeleton's."""
+    """Distance of keypoints from the model's joints, metres; None for that of the skeleton."""
     keypoint_sigma_max_px: float = 12.0
-    """The largest that this distance is in the picture."""
+    """Largest value of this distance in the picture."""
     robust_c: float = 4.5
-    """Residuals of this many standard deviations count half."""
+    """Number of standard deviations at which a residual counts half."""
     path: Literal["smooth", "free"] = "smooth"
-    """The reference joint's path as smooth as an animal moves (`recon.thesis.path`), or every frame by itself."""
+    """Path of the reference joint: as smooth as an animal moves (`recon.thesis.path`), or free in every frame."""
     start_angles: str | None = None
-    """Angles of the first frame's start, measured by hand (`recon.thesis.start.parse_start_angles`)."""
+    """Angles at the start of the first frame, measured by hand (`recon.thesis.start.parse_start_angles`)."""
     initial_damping: float | None = None
-    """First damping of a search (`recon.thesis.levenberg`); None: MINPACK finds its own."""
+    """First damping of a search (`recon.thesis.levenberg`); None if MINPACK finds its own."""
     damping_factor: float = 10.0
     """Factor by which that damping changes."""
     tolerance: float = 1e-8
     """Relative change of cost, step and gradient at which a search ends."""
     max_evaluations: int = 400
-    """Residual evaluations in one search."""
+    """Largest number of residual evaluations in one search."""
 
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> FrameOptions:
@@ -86,10 +86,14 @@ class Objective:
 
         Parameters
         ----------
-        pose : one state with its Jacobians
-        previous : the pose of the frame before; None at the start
-        frame : row of the clip
-        dt_s : time between the two frames
+        pose
+            One state with its Jacobians.
+        previous
+            The pose of the frame before; None at the start.
+        frame
+            Row of the clip.
+        dt_s
+            Time between the two frames, seconds.
         """
         raise NotImplementedError
 
@@ -103,22 +107,22 @@ def _diagonal(values: Array, columns: slice, n_state: int) -> Array:
 
 @dataclass(frozen=True)
 class JointReprojection(Objective):
-    """f1: projected minus detected position, robust.
+    """Penalise the distance of projected from detected positions (f1), robustly.
 
     With u = sqrt(confidence) (projected - detected) / sigma_px, the two rows of a joint are u / sqrt(1 + |u|^2 / c^2)
-    (Geman-McClure as a squared residual). They saturate at c, so that the pull of a wrong point is bounded. Missing
-    points are zero rows. Joints that the camera cannot project (behind it, outside the lens model) stand at the limit
-    c, because a zero would reward a solution that leaves the picture.
+    (Geman-McClure as a squared residual). They saturate at c, which bounds the pull of a wrong point. Missing points
+    have rows of zeros. Joints that the camera cannot project (behind the camera, or outside the lens model) have a
+    residual of c, because a zero would reward a solution outside the picture.
     """
 
     camera: Camera
     xy_px: Array
-    """(T, J, 2), NaN where missing."""
+    """Detections, shape (T, J, 2), NaN if missing."""
     confidence: Array
-    """(T, J)"""
+    """Confidence of the detections, shape (T, J)."""
     sigma_px: float
     c: float
-    """In standard deviations."""
+    """Saturation limit, in standard deviations."""
     name: str = "reprojection"
 
     def evaluate(self, pose: ChainPose, previous: ChainPose | None, frame: int, dt_s: float) -> ResidualAndJacobian:
@@ -130,7 +134,7 @@ class JointReprojection(Objective):
         weight = np.sqrt(self.confidence[frame]) / self.sigma_px
         u = np.where(usable[:, None], projected - detected, 0.0) * weight[:, None]
         shrink = 1.0 / np.sqrt(1.0 + np.sum(u * u, axis=-1, keepdims=True) / self.c**2)
-        # d(s u) = s (I - s^2 u u' / c^2) du, s the factor that shrinks u
+        # d(s u) = s (I - s^2 u u' / c^2) du, where s is the factor that shrinks u
         by_u = (shrink * usable[:, None])[..., None] * (
             np.eye(2) - (shrink**2)[..., None] * u[:, :, None] * u[:, None, :] / self.c**2
         )
@@ -141,7 +145,10 @@ class JointReprojection(Objective):
 
 @dataclass(frozen=True)
 class _Limit(Objective):
-    """A limit on the size of some unknowns (A,): (size - limit) / softness; deadband: only where positive."""
+    """Limit the size of some unknowns (A,), with residuals (size - limit) / softness.
+
+    With "deadband", only positive residuals count.
+    """
 
     name: str
     columns: slice
@@ -158,7 +165,7 @@ class _Limit(Objective):
 
 @dataclass(frozen=True)
 class AngleRange(_Limit):
-    """f2 (theta) and f3 (phi): (|angle - mean| - tolerance) / softness."""
+    """Penalise angles outside their range (f2 for theta, f3 for phi): (|angle - mean| - tolerance) / softness."""
 
     ranges: AngleRanges
 
@@ -170,12 +177,13 @@ class AngleRange(_Limit):
 
 @dataclass(frozen=True)
 class RateLimit(_Limit):
-    """f4 (theta) and f5 (phi): the speed of a link's tip stays below length times max_rate.
+    """Limit the speed of a link's tip (f4 for theta, f5 for phi) to its length times max_rate.
 
-    For a relative angle change a over the interval dt the tip moves along a chord of 2 r |sin(a / 2)|. deadband: that
-    chord over dt, beyond the limit only (a link that turns over is seen). printed: the chord's rate of change,
-    r |cos(a / 2)| |a| / dt, two-sided, with the publication's missing da/dt and squared limit corrected. The excess is
-    weighed as an angle over the interval: divided by r softness / dt, which cancels the length.
+    If a relative angle changes by a within the interval dt, the tip moves along a chord of 2 r |sin(a / 2)|. "deadband"
+    is that chord over dt, penalised only beyond the limit; a link that turns over is noticed. "printed" is the rate of
+    change of the chord, r |cos(a / 2)| |a| / dt, two-sided, with the publication's missing da/dt and squared limit
+    corrected. The excess is weighted like an angle over the interval: it is divided by r softness / dt, so the length
+    cancels.
     """
 
     max_rate_rad_s: Array
@@ -195,7 +203,10 @@ class RateLimit(_Limit):
 
 @dataclass(frozen=True)
 class GaussianPrior(Objective):
-    """A prior on some unknowns (A,): (unknown - mean) / sigma. The one on the base length fixes the metric scale."""
+    """Add a Gaussian prior on some unknowns (A,): (unknown - mean) / sigma.
+
+    The prior on the base length fixes the metric scale.
+    """
 
     name: str
     columns: slice
@@ -209,26 +220,28 @@ class GaussianPrior(Objective):
 
 @dataclass(frozen=True)
 class DirectionPrior(Objective):
-    """A prior on the direction of one of the root's axes: components (axis - expected) / sigma.
+    """Add a prior on the direction of one of the root's axes: components (axis - expected) / sigma.
 
-    The components are measured against the vertical and not as R's angles: R's axes are the camera's, and mean roll
-    only for an animal seen from the side.
+    The components refer to the vertical instead of the angles of R. R's axes are those of the camera, and mean roll
+    only if the animal is seen from the side.
     """
 
     name: str
     axis: int
-    """0 is forward, U; 2 is lateral, W."""
+    """Axis of the root: 0 is forward, U; 2 is lateral, W."""
     components: Array
-    """(M, 3): rows that the difference is projected on."""
+    """Rows (M, 3) onto which the difference is projected."""
     expected: Array | None
-    """(T, 3): unit vectors in the camera frame, NaN where none is expected (zero rows). None: the axis of the frame
-    before; sigma is then that of a random walk, per root of a second."""
+    """Expected unit vectors (T, 3) in the camera frame, NaN for rows of zeros; None for the axis of the frame before.
+
+    In the latter case sigma is the standard deviation of a random walk, per root of a second.
+    """
     sigma: float
     euler: slice
 
     @property
     def ties(self) -> bool:  # type: ignore[override]
-        """Whether the frame before is read."""
+        """Whether the term reads the frame before."""
         return self.expected is None
 
     def evaluate(self, pose: ChainPose, previous: ChainPose | None, frame: int, dt_s: float) -> ResidualAndJacobian:
@@ -259,12 +272,21 @@ def frame_objectives(
 
     Parameters
     ----------
-    xy_px : (T, J, 2), NaN where missing
-    confidence : (T, J)
+    camera, chain
+        The camera and the chain.
+    xy_px
+        Detections (T, J, 2), pixels; NaN if missing.
+    confidence
+        Confidence (T, J) of the detections.
+    travel
+        The direction of travel.
+    options
+        Options of the fit.
 
     Returns
     -------
-    The objectives, f1 first.
+    tuple
+        The objectives, f1 first.
     """
     softness_rad, prior, form, up = chain.file.softness_rad, chain.file.prior, options.form, camera.up
     is_printed = options.reprojection == "printed"

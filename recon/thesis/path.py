@@ -1,14 +1,14 @@
-"""The path of the reference joint, as smooth as an animal moves, from frames that were solved one by one.
+"""Smooth the path of the reference joint, after the frames were solved one by one.
 
-One frame of one camera hardly shows the depth: the positions R p0 jitter along the line of sight by decimetres from
-frame to frame, and their derivatives are noise. An animal's acceleration is limited and lasts for some time. The path
-is therefore estimated from all frames at once: position, velocity and acceleration in three dimensions, the
-acceleration a random process of standard deviation `ACCELERATION_M_S2` that lasts `ACCELERATION_LASTS_S`. A frame's
-position enters with its posterior covariance. The errors of neighbouring frames are alike, because they come from
-poses that are alike: they count as one measurement for `ERRORS_LAST_S`. The estimate is the Kalman filter's, smoothed
-backwards (Rauch, Tung and Striebel 1965).
+A single frame of one camera hardly shows depth. The positions R p0 jitter along the line of sight by decimetres from
+frame to frame, and their derivatives are noise. The acceleration of an animal, however, is limited and lasts for some
+time. The path is therefore estimated from all frames at once: position, velocity and acceleration in three dimensions,
+with the acceleration as a random process of standard deviation `ACCELERATION_M_S2` and correlation time
+`ACCELERATION_LASTS_S`. The position in each frame has its posterior covariance. Neighbouring frames have similar poses
+and therefore similar errors; their positions count as one measurement for `ERRORS_LAST_S`. The estimate is that of a
+Kalman filter, smoothed backwards (Rauch, Tung and Striebel 1965).
 
-The frames are then solved again with `PathTie`, the distance of R p0 from this path, as one of their objectives.
+The frames are then solved again with the distance of R p0 from this path (`PathTie`) as one of their objectives.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from recon.thesis.chain import ChainPose, UnknownsChain
 from recon.thesis.objectives import Objective, ResidualAndJacobian
 
 ACCELERATION_M_S2 = 9.0
-"""Standard deviation of the acceleration of a running animal's reference joint, in each direction."""
+"""Standard deviation of the acceleration of a running animal's reference joint, for each axis."""
 ACCELERATION_LASTS_S = 0.05
 """Correlation time of this acceleration."""
 ERRORS_LAST_S = 0.06
-"""Time for which the errors of neighbouring frames count as one (integral of their correlation)."""
+"""Time over which the errors of neighbouring frames count as one (integral of their correlation)."""
 LEAST_SIGMA_M = 0.02
-"""A frame's position is never known better than this: the reference joint is no fixed point of the animal."""
+"""Smallest standard deviation of a frame's position, because the reference joint is no fixed point of the animal."""
 TIE_SIGMA_M = 0.01
 """Standard deviation of the reference joint about the path when the frames are solved again."""
 _FIRST_POSITION_M, _FIRST_SPEED_M_S = 100.0, 30.0
-"""Standard deviations of the first position and velocity before any frame is read."""
+"""Standard deviations of position and velocity before the first frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,22 +41,22 @@ class Path:
     """Hold the path of the reference joint in the camera frame over T frames, for the nominal base length."""
 
     position_m: Array
-    """(T, 3)"""
+    """Positions, shape (T, 3)."""
     velocity_m_s: Array
-    """(T, 3)"""
+    """Velocities, shape (T, 3)."""
     covariance: Array
-    """(T, 6, 6): of position and velocity, without the uncertainty of the base length."""
+    """Covariances of position and velocity, shape (T, 6, 6), without the uncertainty of the base length."""
 
 
 @dataclass(frozen=True, eq=False)
 class PathTie(Objective):
-    """The reference joint lies on the path: (R p0 * nominal base length / base length - path) / sigma.
+    """Tie the reference joint to the path: (R p0 * nominal base length / base length - path) / sigma.
 
     The factor leaves the scale open, as the pixels do: the whole scene can grow.
     """
 
     position_m: Array
-    """(T, 3), NaN where there is no path (zero rows)."""
+    """The path, shape (T, 3); NaN for rows of zeros."""
     nominal_base_length_m: float
     base_index: int
     sigma_m: float = TIE_SIGMA_M
@@ -76,12 +76,18 @@ class PathTie(Objective):
 
 
 def path_of(chain: UnknownsChain, states: Array, covariance: Array, fps: float) -> Path | None:
-    """Return the path of the frames' solutions; None for fewer than two of them.
+    """Return the path of the frames' solutions, or None if fewer than two frames have one.
 
     Parameters
     ----------
-    states : (T, D), NaN without a pose
-    covariance : (T, D, D), of the states given the frame before
+    chain
+        The chain.
+    states
+        States (T, D); NaN without a pose.
+    covariance
+        Covariances (T, D, D) of the states, given the frame before.
+    fps
+        Frames per second.
     """
     pose = chain.pose_with_jacobian(states)
     assert pose.joints_jacobian is not None
@@ -105,7 +111,8 @@ def _smoothed(points_m: Array, noise: Array, is_known: Array, dt_s: float) -> Pa
     T = len(points_m)
     x = np.concatenate([points_m[np.flatnonzero(is_known)[0]], np.zeros(6)])
     P = np.diag(np.repeat([_FIRST_POSITION_M**2, _FIRST_SPEED_M_S**2, ACCELERATION_M_S2**2], 3))
-    means, covariances = np.empty((2, T, 9)), np.empty((2, T, 9, 9))  # [0]: predicted, [1]: with the frame's position
+    # first row: predicted; second row: updated with the frame's position
+    means, covariances = np.empty((2, T, 9)), np.empty((2, T, 9, 9))
     for t in range(T):
         if t:
             x, P = F @ x, F @ P @ F.T + Q
@@ -127,7 +134,7 @@ def _motion_model(dt_s: float) -> tuple[Array, Array]:
     A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0 / ACCELERATION_LASTS_S]])
     drive = np.zeros((3, 3))
     drive[2, 2] = 2.0 * ACCELERATION_M_S2**2 / ACCELERATION_LASTS_S
-    # Van Loan (1978): both are blocks of one matrix exponential.
+    # Van Loan (1978): both matrices are blocks of one matrix exponential.
     blocks = expm(dt_s * np.block([[-A, drive], [np.zeros((3, 3)), A.T]]))
     F = blocks[3:, 3:].T
     Q = F @ blocks[:3, 3:]

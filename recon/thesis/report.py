@@ -1,4 +1,4 @@
-"""Sections of report.json, summary and page of the frame method."""
+"""Write the frame method's sections of report.json, the summary and the page."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from recon.thesis.solution import frame_solution
 
 
 def skeleton(motion: Motion) -> dict[str, Any]:
-    """Return the skeleton's section, with the unknowns and the objectives."""
+    """Return the section on the skeleton, with the unknowns and the objectives."""
     solution = frame_solution(motion)
     return skeleton_data(motion) | {"unknowns": solution.chain.state_names, "objectives": solution.objectives}
 
@@ -53,7 +53,7 @@ def _base_length(motion: Motion) -> dict[str, Any]:
 
 
 def summary(motion: Motion) -> dict[str, Any]:
-    """Return the counts of frames, the joints' uncertainty, and the solver's effort."""
+    """Return the numbers of frames, the uncertainty of the joints, and the effort of the solver."""
     solution = frame_solution(motion)
     R = solution.views[0].rotation
     variance = np.diagonal(R @ solution.covariance_m2 @ R.T, axis1=2, axis2=3)  # along the camera's x, y, z
@@ -72,7 +72,7 @@ def summary(motion: Motion) -> dict[str, Any]:
 
 
 def summary_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the summary's lines on frames, uncertainty and effort."""
+    """Yield the lines of the summary on frames, uncertainty and effort."""
     yield (
         "frames",
         f"{data['frames_converged']} of {data['frames']} converged, {data['frames_not_converged']} did not, "
@@ -90,7 +90,7 @@ def summary_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def travel(motion: Motion) -> dict[str, Any]:
-    """Return the heading and the speed of the straight run that the search started from."""
+    """Return the heading and speed of the straight run from which the search started."""
     run = frame_solution(motion).travel
     _, into_picture = level_axes(motion.camera.up)
     to_picture = np.arcsin(np.clip(run.heading @ into_picture, -1.0, 1.0))
@@ -102,7 +102,7 @@ def travel(motion: Motion) -> dict[str, Any]:
 
 
 def travel_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the summary's lines on speed, path and heading."""
+    """Yield the lines of the summary on speed, path and heading."""
     run_m_s = data["median_speed_m_s"]
     if (reason := ClipAnalysis(motion).why_no_speed) is None:
         path = ClipAnalysis(motion).reference_motion
@@ -117,7 +117,7 @@ def travel_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
 
 
 def size_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield the summary's line on the base length."""
+    """Yield the line of the summary on the base length."""
     base = _base_length(motion)
     share = number(100 * base["data_share"], ".0f").lstrip("-")
     expected = f"expected {base['nominal_m']:.3f} ± {base['sigma_m']:.3f} m"
@@ -135,7 +135,7 @@ _OWN = {
         "base_length_m", lambda motion: spread(frame_solution(motion).unknown("base_length_m")), size_lines
     ),
 }
-"""Sections in place of those of the trajectory method."""
+"""Sections that replace those of the trajectory method."""
 _WITHOUT = ("detector", "segments", "stances", "alternative", "convergence")
 SECTIONS = tuple(_OWN.get(section.name, section) for section in TRAJECTORY_SECTIONS if section.name not in _WITHOUT)
-"""In the order of the summary."""
+"""Sections in the order of the summary."""

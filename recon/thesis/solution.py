@@ -1,4 +1,4 @@
-"""The result of the frame method: the state and the report of every frame, and the solution in the world."""
+"""Hold the result of the frame method: states and reports of the frames, and the solution in the world."""
 
 from __future__ import annotations
 
@@ -22,77 +22,92 @@ from recon.thesis.start import Travel
 Status = Literal["converged", "not_converged", "no_data"]
 
 FEW_POINTS_SHARE = 0.75
-"""Frames with a smaller share of the joints detected are flagged "few points"."""
+"""Share of detected joints below which a frame is flagged "few points"."""
 GOOD_SHARE = 1 / 3
-"""Frames with a smaller share of the joints detected and trusted are flagged "data poor"."""
+"""Share of detected and trusted joints below which a frame is flagged "data poor"."""
 WARN_LIMITS = 0.25
-"""Share of the solved frames from which angles beyond their ranges are a finding."""
+"""Share of solved frames with angles beyond their ranges above which there is a finding."""
 FRAME_BY_FRAME = 1.9
-"""Factor by which the stated uncertainty of poses is too small for the verdict's formula, which comes from the
-trajectory method."""
+"""Factor by which the frame method understates the uncertainty of poses for the verdict.
+
+The verdict's formula comes from the trajectory method.
+"""
 POSE_PRIORS = ("theta prior", "phi prior", "roll prior")
 USUAL_PRIOR_COST = 2.4
-"""Squared norm of their residuals in a frame: median of 28 views of five runs. Where it is twice as large, poses are
-off by more than twice what the posterior states (`python benchmarks/thesis.py --only frame`)."""
+"""Squared norm of the Gaussian priors' residuals in a frame: median of 28 views of five runs.
+
+If the norm is twice as large, the error of poses is more than twice the posterior's
+(`python benchmarks/thesis.py --only frame`).
+"""
 UNUSUAL_PRIOR_COST = 2.0
-"""Times the usual cost from which the angles are a finding."""
+"""Multiple of the usual cost from which the angles are a finding."""
 _DIFFERENCE_RAD = 1e-6
-"""Step of the differences that give the root's rotation by the Euler angles."""
+"""Step of the numerical derivative of the root's rotation by the Euler angles."""
 
 
 @dataclass(frozen=True)
 class _FrameReport:
-    """Report what the optimiser did for one frame; residuals have no unit."""
+    """Report the optimisation of one frame; residuals have no unit."""
 
     status: Status
     starts: int
     """Number of starts that were solved."""
     iterations: int
-    """Levenberg-Marquardt iterations of the best start, counted by their Jacobian evaluations. Iterations and function
-    evaluations include its approach with a wide loss."""
+    """Levenberg-Marquardt iterations from the best start, counted by their Jacobian evaluations.
+
+    Iterations and function evaluations include the approach with a wide loss.
+    """
     function_evaluations: int
     optimizer_status: int
-    """The status of scipy's least_squares."""
+    """Status of scipy's least_squares."""
     squared_norm: float
     cost_shares: dict[str, float]
-    """Each term's share of the squared norm."""
+    """Share of each term in the squared norm."""
     step_norm: float
     """Length of the last step."""
     sigma_px: float
     """Standard deviation of a detection."""
     data_share: Array
-    """(D,): share of the posterior precision that comes from the pixels, 0 to 1. NaN where data and priors together
-    leave an unknown undetermined."""
+    """Share of the pixels in the posterior precision of each unknown, shape (D,), 0 to 1.
+
+    It is NaN if data and priors together do not determine an unknown.
+    """
     mean_weight: float
-    """Mean trust in the detections, 0 to 1."""
+    """Mean weight of the detections, 0 to 1."""
     solve_s: float
-    """Time spent on the frame, all starts."""
+    """Time spent on the frame, for all starts."""
     in_view: bool
-    """Whether the camera can see the pose, and it has an animal's size. A pose that diverged is not converged, is not
-    part of the solution, and has no shares and no covariance (NaN)."""
+    """Whether the camera can see the pose, and it has an animal's size.
+
+    A pose that diverged counts as not converged, is left out of the solution, and has no shares and no covariance
+    (NaN).
+    """
     first_evaluations: int = 0
-    """Function evaluations of the first solution, where all frames are solved a second time."""
+    """Function evaluations of the first solution, if all frames are solved a second time."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FrameSolution(Solution):
-    """A solution of the frame method, with D unknowns of the chain. Covariances are given the frame before."""
+    """Hold a solution of the frame method, with D unknowns of the chain.
+
+    Covariances are given the frame before.
+    """
 
     chain: AnyChain
     chain_states: Array
-    """(T, D): as published (`recon.thesis.chain`), NaN where a frame has no data or its pose diverged."""
+    """States as published (`recon.thesis.chain`), shape (T, D); NaN if a frame has no data or its pose diverged."""
     reports: tuple[_FrameReport | None, ...]
-    """One for each frame, None without data."""
+    """Reports of the frames; None for a frame without data."""
     travel: Travel
-    """The direction of travel that the start came from."""
+    """Direction of travel at the start of the search."""
     objectives: tuple[str, ...]
     fps: float
     size_sigma: float | None = None
     """Posterior standard deviation of the size; None without a pose."""
     path: Path | None = None
-    """The path that the reference joint is tied to; None where every frame was solved by itself."""
+    """Path to which the reference joint is tied; None if every frame was solved on its own."""
     start_states: Array | None = None
-    """(T, D): the first solutions, that the path came from; None without a path."""
+    """First solutions (T, D), from which the path was estimated; None without a path."""
 
     method: ClassVar = "frame"
     record_tag: ClassVar = "frame"
@@ -100,12 +115,12 @@ class FrameSolution(Solution):
 
     @property
     def constant_velocity_m_s(self) -> Array:
-        """(T,): the speed of the straight run that the search started from."""
+        """Speed of the straight run from which the search started, shape (T,)."""
         return self.travel.speed_m_s
 
     @property
     def position_lasts_s(self) -> float | None:
-        """Time for which an error of the path lasts; None without a path."""
+        """Correlation time of an error of the path; None without a path."""
         if self.path is None:
             return None
         variance = np.diagonal(self.path.covariance, axis1=1, axis2=2)
@@ -114,7 +129,7 @@ class FrameSolution(Solution):
 
     @property
     def prior_misfit(self) -> float:
-        """Mean squared norm of the Gaussian priors' residuals, relative to that of a view like most; 1 without any."""
+        """Mean squared norm of the Gaussian priors' residuals, relative to that of a typical view; 1 without priors."""
         costs = [
             report.squared_norm * sum(report.cost_shares.get(name, 0.0) for name in POSE_PRIORS)
             for report in self.reports
@@ -124,15 +139,15 @@ class FrameSolution(Solution):
 
     @property
     def posterior_factor(self) -> float:
-        """Factor on the stated uncertainty of the poses, which is larger where the priors are stretched."""
+        """Factor on the stated uncertainty of the poses, which grows with the misfit of the priors."""
         return FRAME_BY_FRAME * max(1.0, self.prior_misfit)
 
     def reported(self, field: str) -> Array:
-        """Return what is reported of each frame (T,), NaN without data."""
+        """Return a field of each frame's report, shape (T,); NaN without data."""
         return np.array([np.nan if report is None else getattr(report, field) for report in self.reports], dtype=float)
 
     def unknown(self, name: str) -> Array:
-        """Return one of the chain's unknowns (T,), NaN without a pose."""
+        """Return one unknown of the chain, shape (T,); NaN without a pose."""
         return self.chain_states[:, self.chain.state_names.index(name)]
 
     @cached_property
@@ -160,22 +175,25 @@ class FrameSolution(Solution):
         return SECTIONS
 
     def _expected(self, field: str) -> Array:
-        """Return what the skeleton expects of theta and phi (2 A,)."""
+        """Return the skeleton's expectations of theta and phi, shape (2 A,)."""
         return np.concatenate([getattr(ranges, field) for ranges in (self.chain.theta, self.chain.phi)])
 
     @property
     def _angles_rad(self) -> Array:
-        """(T, 2 A): theta and phi of the free links."""
+        """Theta and phi of the free links, shape (T, 2 A)."""
         return self.chain_states[:, : 2 * self.chain.n_angles]
 
     @cached_property
     def beyond_range_rad(self) -> Array:
-        """(T, 2 A): distance of angles beyond their expected ranges; negative inside, NaN without a pose."""
+        """Distance of angles beyond their expected ranges, shape (T, 2 A); negative inside, NaN without a pose."""
         return np.abs(self._angles_rad - self._expected("mean_rad")) - self._expected("tolerance_rad")
 
     @cached_property
     def beyond_rate_rad_s(self) -> Array:
-        """(T, 2 A): chord rate since the solved frame before, above its limit; NaN for the first and without a pose."""
+        """Excess of the chord rate over its limit since the solved frame before, shape (T, 2 A).
+
+        It is NaN for the first frame and without a pose.
+        """
         angles = self._angles_rad
         rows = np.flatnonzero(np.isfinite(angles[:, 0]))
         beyond = np.full(angles.shape, np.nan)
@@ -195,9 +213,16 @@ def in_world(view: View, chain: UnknownsChain, states: Array, covariance: Array,
 
     Parameters
     ----------
-    states : (T, D), the chain's
-    covariance : (T, D, D), of the states
-    fields : reports, travel, objectives and fps of the solution, and its path and first states if there is a path
+    view
+        The camera's view.
+    chain
+        The chain.
+    states
+        States (T, D) of the chain.
+    covariance
+        Covariances (T, D, D) of the states.
+    fields
+        Reports, travel, objectives and fps of the solution, and its path and first states if there is a path.
     """
     (T, J), reports = view.present.shape, fields["reports"]
     T_world_camera = inverse(view.T_camera_world)
@@ -209,7 +234,8 @@ def in_world(view: View, chain: UnknownsChain, states: Array, covariance: Array,
         for jacobian in (by_state, by_state - by_state.mean(axis=1, keepdims=True))
     )
     path: Path | None = fields.get("path")
-    if path is not None:  # all joints share the error of the path; the frames' covariances are given the path
+    # All joints share the error of the path, because the covariances of the frames are given the path.
+    if path is not None:
         R = T_world_camera[:3, :3]
         absolute = absolute + (R @ path.covariance[:, :3, :3] @ R.T)[:, None]
     body_states, sizes = chain.to_body(states, T_world_camera)
@@ -234,7 +260,7 @@ def in_world(view: View, chain: UnknownsChain, states: Array, covariance: Array,
         noise_px=np.repeat(sigma_px[None, :, None], J, axis=2),
         weight=np.where(view.present, trust[:, None], np.nan)[None],
         flags=(),
-        alternative_m=np.full(T, np.nan),  # only the best of all starts is kept
+        alternative_m=np.full(T, np.nan),  # only the best result of all starts is kept
         contact=np.zeros((T, len(chain.body.feet))),
         segments=(MotionSegment(slice(0, T), None),),
         stage_s={},
@@ -249,10 +275,10 @@ def in_world(view: View, chain: UnknownsChain, states: Array, covariance: Array,
 def _body_angles(
     chain: UnknownsChain, states: Array, covariance: Array, shares: Array, T_world_camera: Array
 ) -> tuple[Array, Array]:
-    """Return standard deviations and the pixels' shares (T, D' - 3) of the body's angles.
+    """Return standard deviations, and shares of the pixels (T, D' - 3), of the body's angles.
 
-    states (T, D), covariance (T, D, D) and shares (T, D) are the chain's. The root's rotation follows the Euler angles:
-    its shares are theirs, weighted by what they contribute to its variance.
+    states (T, D), covariance (T, D, D) and shares (T, D) are those of the chain. The rotation of the root depends on
+    the Euler angles; its shares are theirs, weighted by their contributions to its variance.
     """
     angles = np.arange(2 * chain.n_angles)
     by_state = np.zeros((len(states), chain.body.n_state - YAW, chain.n_state))

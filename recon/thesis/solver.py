@@ -1,11 +1,12 @@
-"""The solver of the published problem: 21 unknowns, one frame after the other, by Levenberg-Marquardt.
+"""Solve the published problem: 21 unknowns, one frame after the other, by Levenberg-Marquardt.
 
 scipy's `least_squares(method="lm")` (MINPACK) minimises the stacked residuals of all objectives. A frame starts from
-the solution of the frame before, its position carried on along its path. The first frame starts from geometry alone
-(`recon.thesis.start`). Frames whose solution leaves points unexplained get further starts, and the lowest cost wins.
+the solution of the frame before, with its position extrapolated along the path. The first frame starts from geometry
+alone (`recon.thesis.start`). Frames whose solution leaves points unexplained get further starts, and the lowest cost
+wins.
 
-The frames' depths jitter. By default all frames are therefore solved a second time, from their first solutions, with
-the reference joint tied to the path that all of them show together (`recon.thesis.path`).
+The depths of the frames jitter. By default all frames are therefore solved a second time, from their first solutions,
+with the reference joint tied to a smooth path through all frames (`recon.thesis.path`).
 """
 
 from __future__ import annotations
@@ -32,18 +33,20 @@ from recon.thesis.solution import FrameSolution, _FrameReport, in_world
 from recon.thesis.start import estimate_travel, geometric_start, parse_start_angles
 
 CONVERGED = (1, 2, 3, 4)
-"""Status values of scipy's least_squares that name a tolerance that was met."""
+"""Status values of scipy's least_squares after which a tolerance was met."""
 MOST_SIZE = 10.0
-"""A base length this many times larger or smaller than expected is no animal's."""
+"""Factor between the base length and the expected one beyond which the result is no animal."""
 _WIDE_MAX = 50.0
-"""Largest factor on the noise while a start far off is approached."""
+"""Largest factor on the noise during the approach from a start that is far off."""
 _WIDE_UNSEEN = 10.0
-"""The factor where the start has joints that cannot be projected."""
+"""Factor on the noise if the start has joints that cannot be projected."""
 _WIDE_TOLERANCE = 1e-3
 _FIRST_TOLERANCE, _SECOND_TOLERANCE = 1e-3, 1e-5
-"""Tolerances where all frames are solved a second time: a smaller one moves no joint by a tenth of a millimetre."""
+"""Tolerances of the first and the second solution of all frames; a smaller one moves no joint by a tenth of a
+millimetre.
+"""
 _FIRST_TURNS_RAD = (0.0, 0.5, -0.5)
-"""Turns of the first frame's starts from the direction of travel."""
+"""Angles between the direction of travel and the starts of the first frame."""
 
 
 def solve_frames(
@@ -53,16 +56,23 @@ def solve_frames(
     options: FrameOptions,
     progress: Callable[[int], None] = lambda frame: None,
 ) -> FrameSolution:
-    """Fit the chain frame by frame to what a still camera saw.
+    """Fit the chain frame by frame to the view of a camera that does not move.
 
     A frame that cannot be solved raises nothing: its report says so. Detections outside the camera's picture are left
     out (`Camera.sees`).
 
     Parameters
     ----------
-    view : keypoints in the order of the chain's joints
-    fps : frames a second
-    progress : called with the count of frames, the present one included
+    view
+        Keypoints in the order of the chain's joints.
+    chain
+        The chain.
+    fps
+        Frames per second.
+    options
+        Options of the fit.
+    progress
+        Called with the number of frames, including the present one.
     """
     view = view.mask_outside_image()
     passes = 2 if options.path == "smooth" else 1
@@ -81,7 +91,7 @@ def solve_frames(
 
 
 def with_tolerance(options: FrameOptions, least: float = _SECOND_TOLERANCE) -> FrameOptions:
-    """Return the options with a tolerance that is not smaller, if all frames are solved a second time."""
+    """Return the options with a tolerance of at least `least` if all frames are solved a second time."""
     return replace(options, tolerance=max(options.tolerance, least)) if options.path == "smooth" else options
 
 
@@ -90,7 +100,7 @@ def _solve_all(
 ) -> tuple[Array, list[_FrameReport | None]]:
     """Solve every frame into the solver's states; return their covariances (T, D, D) and reports.
 
-    first: reports of the first solutions, where this is the second time. Frames that they have no pose of stay so.
+    In the second round, `first` has the reports of the first solutions. Frames without a first pose stay without one.
     """
     covariance = np.full((*solver.states.shape, solver.chain.n_state), np.nan)
     reports: list[_FrameReport | None] = []
@@ -108,7 +118,7 @@ def _solve_all(
 
 
 def _total(first: _FrameReport, second: _FrameReport) -> _FrameReport:
-    """Return the second report with the effort of both."""
+    """Return the second report with the effort of both rounds."""
     return replace(
         second,
         iterations=first.iterations + second.iterations,
@@ -121,15 +131,15 @@ def _total(first: _FrameReport, second: _FrameReport) -> _FrameReport:
 
 @dataclass(frozen=True, eq=False)
 class FrameProblem:
-    """The least-squares problem of one frame: residuals as functions of its unknowns x (D,)."""
+    """Hold the least-squares problem of one frame: residuals as functions of its unknowns x (D,)."""
 
     chain: UnknownsChain
     terms: tuple[Objective, ...]
-    """f1, the reprojection, comes first."""
+    """The terms; f1, the reprojection, comes first."""
     frame: int
     """The row of the clip."""
     previous: ChainPose | None
-    """The frame before, dt_s earlier, which is fixed; None for terms that read this frame only."""
+    """The fixed frame before, dt_s earlier; None if the terms read this frame only."""
     dt_s: float
 
     def by_term(self, x: Array) -> dict[str, tuple[Array, Array]]:
@@ -156,7 +166,7 @@ class FrameProblem:
     def sigmas_off(self, x: Array) -> Array:
         """Return the distances (n,) of detections from reprojections in standard deviations.
 
-        They are infinite where a joint cannot be projected.
+        They are infinite for joints that cannot be projected.
         """
         pixels, valid = self.pixels.camera.project(self.chain.pose(x[None]).joints_m[0])
         detected = self.pixels.xy_px[self.frame]
@@ -164,7 +174,7 @@ class FrameProblem:
         return distance[np.isfinite(detected[:, 0])] / self.pixels.sigma_px
 
     def in_view(self, x: Array) -> bool:
-        """Return whether every detected joint can be projected, and the animal has a size and is near enough."""
+        """Return whether all detected joints can be projected, and the animal has a plausible size and distance."""
         base, nominal = float(x[self.chain.base_index]), self.chain.nominal_base_length_m
         if not nominal / MOST_SIZE < base < nominal * MOST_SIZE:
             return False
@@ -175,7 +185,7 @@ class FrameProblem:
 
 @dataclass(frozen=True, eq=False)
 class FrameSearch:
-    """The search of one frame from a start to its minimum: K accepted points, approach with a wide loss included."""
+    """Hold the search of one frame from a start to its minimum: K accepted points, with those of a wide loss."""
 
     problem: FrameProblem
     cost: float
@@ -185,20 +195,20 @@ class FrameSearch:
     evaluations: int
     iterations: int
     points: Array
-    """(K, D), the start first."""
+    """Accepted points, shape (K, D), the start first."""
     evaluations_at: Index
-    """(K,): evaluations of the residuals when the point was accepted."""
+    """Number of evaluations of the residuals when each point was accepted, shape (K,)."""
     sigma_px: Array
-    """(K,): noise in the loss of the step from the point; the last is the detections' own."""
+    """Noise in the loss of the step from each point, shape (K,); the last is that of the detections."""
 
     @property
     def x(self) -> Array:
-        """The minimum (D,)."""
+        """The minimum, shape (D,)."""
         return self.points[-1]
 
     @property
     def step_norms(self) -> Array:
-        """(K - 1,): length of the step from each point."""
+        """Length of the step from each point, shape (K - 1,)."""
         return np.asarray(np.linalg.norm(np.diff(self.points, axis=0), axis=1), dtype=float)
 
     @property
@@ -208,7 +218,7 @@ class FrameSearch:
         return float(np.append(0.0, steps[steps > 0])[-1])
 
     def after(self, earlier: FrameSearch) -> FrameSearch:
-        """Return the search together with the one that led to its start."""
+        """Return this search together with the earlier one that led to its start."""
         spent = earlier.evaluations_at[-1]
         return replace(
             self,
@@ -221,14 +231,15 @@ class FrameSearch:
 
     @cached_property
     def costs(self) -> Array:
-        """(K,): half the squared residuals, by the last loss."""
+        """Half the squared residuals at each point under the last loss, shape (K,)."""
         return np.array([0.5 * float(np.sum(self.problem.at(x)[0] ** 2)) for x in self.points])
 
     @cached_property
     def damping(self) -> Array:
-        """(K - 1,): lambda of the step from each point, (J'J + lambda S) step = -J'r.
+        """Damping lambda of the step from each point, shape (K - 1,): (J'J + lambda S) step = -J'r.
 
-        S has the largest squared norms that columns of J have had. It is MINPACK's damping, found from the step taken.
+        S contains the largest squared norms that the columns of J have had. The damping is that of MINPACK, computed
+        from the step.
         """
         damping, scale, sigma_px = [], np.zeros(self.points.shape[1]), 0.0
         for x, step, step_sigma_px in zip(self.points, np.diff(self.points, axis=0), self.sigma_px, strict=False):
@@ -244,11 +255,22 @@ class FrameSolver:
 
     Parameters
     ----------
-    view : detections, in the order of the chain's joints
-    fps : frames a second
-    states : (T, D), solutions from before, NaN elsewhere; None: there are none
-    path : that the reference joint is tied to
-    starts : (T, D), first solutions that the frames start from, NaN where there is none; None: the frame before
+    view
+        Detections, in the order of the chain's joints.
+    chain
+        The chain.
+    fps
+        Frames per second.
+    options
+        Options of the fit.
+    travel
+        The direction of travel.
+    states
+        Earlier solutions (T, D), NaN elsewhere; None if there are none.
+    path
+        Path to which the reference joint is tied.
+    starts
+        First solutions (T, D) from which the frames start, NaN if there are none; None to start from the frame before.
     """
 
     def __init__(
@@ -280,7 +302,10 @@ class FrameSolver:
         return np.flatnonzero(np.isfinite(self.states[:frame, 0]))[-2:].tolist()
 
     def problem(self, frame: int, sigma_px: float) -> FrameProblem:
-        """Return a frame's problem with its noise; without a frame before, the terms that tie frames are left out."""
+        """Return the problem of a frame with its noise.
+
+        The first frame has no terms that tie frames.
+        """
         if earlier := self.solved_before(frame):
             previous, dt_s = self.chain.pose(self.states[earlier[-1]][None]), (frame - earlier[-1]) / self.fps
         else:
@@ -317,7 +342,7 @@ class FrameSolver:
         return best.x, C, report
 
     def search(self, frame: int) -> tuple[FrameSearch, int]:
-        """Return the best of the minima, and the number of starts."""
+        """Return the best minimum and the number of starts."""
         rays, heading, earlier = self.rays[frame], self.travel.heading[frame], self.solved_before(frame)
         if self.path is not None and self.starts is not None and np.isfinite(self.starts[frame, 0]):
             starts = [self._on_path(frame)]
@@ -325,19 +350,19 @@ class FrameSolver:
             starts = [self._carried_on(frame, earlier)] if earlier else self._first_starts(rays, heading)
         problem = self.problem(frame, self._noise_px(starts[0]))
         searches = [self._solve_from(start, problem) for start in starts]
-        # Converged, and no detection further off than c sigma: no point is left unexplained.
+        # Converged, and no detection further off than c sigma, so no point is unexplained.
         is_explained = problem.sigmas_off(searches[0].x) < self.options.robust_c
         if earlier and not (searches[0].status in CONVERGED and is_explained.all()):
             more_starts = self._more_starts(rays, heading, self.states[earlier[-1]])
             searches += [self._solve_from(start, problem) for start in more_starts]
-        # The lowest cost among the poses that the camera can see, or among all if it can see none.
+        # Choose the lowest cost among the poses that the camera can see, or among all poses if it can see none.
         best = min(searches, key=lambda search: (not search.problem.in_view(search.x), search.cost))
         return best, len(searches)
 
     # -- starts ------------------------------------------------------------------------------------------------------
 
     def _first_starts(self, rays: Array, heading: Array) -> list[Array]:
-        """Return the mean pose along the direction of travel, and turned to either side; or the one set by hand."""
+        """Return the mean pose along the direction of travel and turned to either side, or the pose set by hand."""
         if self.options.start_angles is not None:
             angles = parse_start_angles(self.options.start_angles, self.chain)
             return [geometric_start(self.camera, self.chain, rays, heading, angles)]
@@ -348,7 +373,7 @@ class FrameSolver:
         ]
 
     def _on_path(self, frame: int) -> Array:
-        """Return the frame's first solution, its root moved onto the path."""
+        """Return the first solution of the frame with its root moved onto the path."""
         assert self.starts is not None
         assert self.path is not None
         state = self.starts[frame]
@@ -356,9 +381,9 @@ class FrameSolver:
         return self._moved_to(state, size * self.path.position_m[frame])
 
     def _carried_on(self, frame: int, earlier: Sequence[int]) -> Array:
-        """Return the state before, its root moved on along its path.
+        """Return the state before with its root extrapolated along its path.
 
-        The point R p0 is moved, never p0: R turns p0 with a long lever arm.
+        The point R p0 is moved instead of p0, because R turns p0 with a long lever arm.
         """
         poses = self.chain.pose(self.states[earlier])
         position = poses.joints_m[-1, 0]
@@ -368,7 +393,7 @@ class FrameSolver:
         return self._moved_to(self.states[earlier[-1]], position if position[2] > 0 else poses.joints_m[-1, 0])
 
     def _more_starts(self, rays: Array, heading: Array, last: Array) -> list[Array]:
-        """Return the mean pose along the direction of travel, and the last pose where the rays put the mean pose."""
+        """Return the mean pose along the direction of travel, and the last pose at the same position."""
         mean = geometric_start(self.camera, self.chain, rays, heading)
         if self.options.camera_rotation == "fixed":
             mean[self.chain.euler_slice] = last[self.chain.euler_slice]
@@ -384,7 +409,7 @@ class FrameSolver:
     def _noise_px(self, start: Array) -> float:
         """Return the standard deviation of a detection.
 
-        It is made up of the detector's noise and, at the start's distance, the keypoints'.
+        It combines the detector's noise and, at the start's distance, that of the keypoints.
         """
         options = self.options
         depth = max(float(self.chain.pose(start[None]).joints_m[0, :, 2].mean()), 0.1)
@@ -395,9 +420,9 @@ class FrameSolver:
     # -- one optimisation --------------------------------------------------------------------------------------------
 
     def _solve_from(self, start: Array, problem: FrameProblem) -> FrameSearch:
-        """Return the search from one start, approached with a wide loss where the start is far off for the noise.
+        """Return the search from one start, approached with a wide loss if the start is far off relative to the noise.
 
-        Geman-McClure residuals beyond c sigma hardly pull: a start that far off would stay there.
+        Geman-McClure residuals beyond c sigma hardly pull, and the search would not leave such a start.
         """
         distance = float(np.nanmedian(problem.sigmas_off(start)))
         if distance <= self.options.robust_c / 2:
@@ -408,7 +433,7 @@ class FrameSolver:
         return self._minimise(approach.x, problem, self.options.tolerance).after(approach)
 
     def _minimise(self, start: Array, problem: FrameProblem, tolerance: float) -> FrameSearch:
-        """Return the search from one start; a fixed rotation is taken out of the unknowns."""
+        """Return the search from one start, without the rotation among the unknowns if it is fixed."""
         free = np.ones(self.chain.n_state, dtype=bool)
         if self.options.camera_rotation == "fixed" and (problem.previous is not None or self.starts is not None):
             free[self.chain.euler_slice] = False
@@ -424,14 +449,14 @@ class FrameSolver:
             return last[1]
 
         def jacobian(y: Array) -> Array:
-            # The Jacobian is asked for at accepted points only: their differences are the steps taken.
+            # The Jacobian is computed at accepted points only, so their differences are the steps taken.
             steps.append(y.copy())
             counts.append(evaluations)
             if not np.array_equal(last[0], y):
                 residual(y)
             return last[2][:, free]
 
-        tolerance = max(tolerance, float(np.finfo(float).eps))  # less is the same to MINPACK
+        tolerance = max(tolerance, float(np.finfo(float).eps))  # MINPACK does not distinguish smaller values
         options = self.options
         if options.initial_damping is not None:
             damping = options.initial_damping, options.damping_factor
@@ -463,7 +488,7 @@ def _focal_px(camera: Camera) -> float:
 
 
 def posterior_covariance(J: Array) -> Array:
-    """Return C = (J'J)^-1 (D, D) for the Jacobian J (M, D) of all residuals; all NaN where J'J is singular."""
+    """Return C = (J'J)^-1 (D, D) for the Jacobian J (M, D) of all residuals, all NaN if J'J is singular."""
     scale = np.maximum(np.linalg.norm(J, axis=0), 1e-12)
     values, vectors = eigh((J / scale).T @ (J / scale))
     if values[0] < 1e-10 * values[-1]:
@@ -472,14 +497,16 @@ def posterior_covariance(J: Array) -> Array:
 
 
 def precision_shares(C: Array, J_data: Array) -> Array:
-    """Return the pixels' share (D,) in the precision of the unknowns.
+    """Return the share (D,) of the pixels in the precision of the unknowns.
 
-    With C^-1 = H_data + H_priors, C = C H_data C + C H_priors C splits every variance of the posterior covariance
-    C (D, D) into two parts that are not negative; the share is the first one's. It is NaN where C is.
+    With C^-1 = H_data + H_priors, the sum C = C H_data C + C H_priors C splits each variance into two parts that are
+    not negative. The share is that of the first part, and NaN where C is NaN.
 
     Parameters
     ----------
-    C : (D, D), posterior covariance
-    J_data : (M, D), the reprojection's rows of the Jacobian
+    C
+        Posterior covariance (D, D).
+    J_data
+        Rows (M, D) of the Jacobian that belong to the reprojection.
     """
     return np.clip(np.diag(C @ (J_data.T @ J_data) @ C) / np.diag(C), 0, 1)

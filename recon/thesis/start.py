@@ -1,7 +1,7 @@
-"""The start of the search: direction of travel and a rough pose from geometry, without measured angles.
+"""Start the search: the direction of travel and a rough pose from geometry, without measured angles.
 
-The mean pose is put on the detections' rays (`recon.fit.starts`), over many headings and all frames of a stretch. The
-heading is chosen whose chain fits and agrees with the path that it implies.
+The mean pose is placed on the rays of the detections (`recon.fit.starts`), for many headings and all frames of a
+stretch. The chosen heading is the one whose poses fit best and agree with the path that they imply.
 """
 
 from __future__ import annotations
@@ -24,29 +24,34 @@ from recon.thesis.chain import UnknownsChain, euler_angles, mean_pose
 _HEADINGS = 36
 _STRETCH_S = 1.0
 _MIN_SPEED_M_S = 1.0
-"""A slower path says nothing about the heading."""
+"""Speed below which a path does not show the heading."""
 _MIN_STRETCH_S = 0.15
-"""Nor does a path over a shorter time, half a stride."""
+"""Duration below which a path does not show the heading: half a stride."""
 
 
 @dataclass(frozen=True)
 class Travel:
-    """Hold the direction of travel and the speed of every frame."""
+    """Hold the direction of travel and the speed in every frame."""
 
     heading: Array
-    """(T, 3): level unit vector in the camera frame that the animal faces."""
+    """Level unit vectors in the camera frame in which the animal faces, shape (T, 3)."""
     speed_m_s: Array
-    """(T,): along the path, 0 where it is too slow or too rarely seen to have one."""
+    """Speed along the path, shape (T,); 0 if the animal is too slow or too rarely seen."""
 
 
 def estimate_travel(camera: Camera, chain: UnknownsChain, xy_px: Array, fps: float) -> Travel:
-    """Return heading and speed over the clip, about one second of straight path at a time.
+    """Return the heading and the speed over the clip, for about one second of straight path at a time.
 
-    Stretches without five joints in at least five frames take the heading of the nearest stretch that has them.
+    Stretches without five joints in at least five frames get the heading of the nearest stretch that has them.
 
     Parameters
     ----------
-    xy_px : (T, J, 2), detections, NaN where missing
+    camera, chain
+        The camera and the chain.
+    xy_px
+        Detections (T, J, 2), pixels; NaN if missing.
+    fps
+        Frames per second.
     """
     T = len(xy_px)
     rays, _ = camera.rays(xy_px)
@@ -72,16 +77,16 @@ def estimate_travel(camera: Camera, chain: UnknownsChain, xy_px: Array, fps: flo
 
 
 def _stretch_travel(headings: Array, shapes: Array, up: Array, rays: Array, time_s: Array) -> Array:
-    """Return heading and speed (4,) of one stretch; the speed is NaN where the path is too short or slow.
+    """Return the heading and speed (4,) of one stretch; the speed is NaN if the path is too short or too slow.
 
-    For every heading the mean pose runs straight ahead, with a constant acceleration and a slope of the ground. The
-    heading whose run fits all rays best is taken: foreshortening of the shape and the path both decide.
+    For every heading the mean pose runs straight ahead, with a constant acceleration and on a sloping ground. The
+    heading whose run fits all rays best is taken, so the foreshortening of the shape and the path both count.
     """
     time_s = time_s - time_s.mean()
     misfit, runs = constant_velocity(headings, shapes, up, rays, time_s)
     speeds = np.abs(runs[:, 3])
     best = int(np.argmin(misfit))
-    # The minimum between grid points, from the parabola through the best three.
+    # Take the minimum between grid points, from a parabola through the best three.
     left, middle, right = misfit[[best - 1, best, (best + 1) % len(headings)]]
     bend = left - 2 * middle + right
     turn = 0.5 * (left - right) / bend * 2 * np.pi / len(headings) if bend > 0 else 0.0
@@ -91,14 +96,14 @@ def _stretch_travel(headings: Array, shapes: Array, up: Array, rays: Array, time
 
 
 def parse_start_angles(text: str, chain: UnknownsChain) -> dict[int, float]:
-    """Return angles in rad by their index in the state, from text as in "th6=55,th7=97,xi=-3", degrees.
+    """Return angles in rad, by their index in the state, from text such as "th6=55,th7=97,xi=-3" in degrees.
 
     Names are those of `variables.csv` (th6, ph6, xi, psi, zeta) or of `angles.csv` (theta_6).
 
     Raises
     ------
     InputError
-        For names that the chain lacks and for values that are no numbers.
+        If the chain lacks a name, or a value is not a number.
     """
     angle_columns = [*range(2 * chain.n_angles), *range(chain.n_state)[chain.euler_slice]]
     index = {name: k for names in (chain.unknown_names, chain.state_names) for k, name in enumerate(names)}
@@ -122,9 +127,9 @@ def parse_start_angles(text: str, chain: UnknownsChain) -> dict[int, float]:
 def geometric_start(
     camera: Camera, chain: UnknownsChain, rays: Array, heading: Array, angles: Mapping[int, float] | None = None
 ) -> Array:
-    """Return the state (D,) of the mean pose facing `heading` (3,), put on one frame's rays (J, 3).
+    """Return the state (D,) of the mean pose facing `heading` (3,), placed on one frame's rays (J, 3).
 
-    angles: rad by their index in the state, in place of those of the mean pose and of the heading.
+    angles replaces angles of the mean pose and of the heading, in rad by their index in the state.
     """
     state = mean_pose(chain)
     rotation = upright_rotation(heading, camera.up)
@@ -133,7 +138,7 @@ def geometric_start(
         state[[*angles]] = [*angles.values()]
         rotation = euler_rotation(state[chain.euler_slice])
     position = position_on_rays(chain.local_joints(state[None])[0] @ rotation.T, rays[None])
-    # Contradictory rays can meet behind the camera; the solver needs a start that is in view.
+    # Contradictory rays can meet behind the camera, but the solver needs a start in view.
     in_front = position[0] if position[0, 2] > 0 else -position[0]
     state[chain.position_slice] = rotation.T @ in_front
     return state
