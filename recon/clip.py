@@ -23,8 +23,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
 CORNER_PX, CONSTANT_SHARE, CONSTANT_KEYPOINTS = 1.0, 0.005, 3
-"""Distance from the corner, fraction of all points, and number of keypoints above which one exact point is taken for a
-missing value.
+"""Limits above which one exact point is taken for a missing value.
+
+They are its distance from the corner, its fraction of all points, and the number of its keypoints.
 """
 
 
@@ -34,21 +35,21 @@ class Keypoints(Brief):
 
     A reader returns the values of its file: a confidence of NaN means that the file has none, and a missing point may
     still have a confidence. `clean` turns these values into the form below. Raises ValueError if names, shapes or types
-    do not fit together.
+    are inconsistent.
     """
 
     names: tuple[str, ...]
     """Unique names of the K keypoints."""
     xy_px: np.ndarray
-    """(T, K, 2) float, pixels, NaN = missing."""
+    """Detections, shape (T, K, 2), float, pixels; NaN if missing."""
     confidence: np.ndarray
-    """(T, K) float in 0 to 1, 0 where missing."""
+    """Confidence, shape (T, K), float, 0 to 1; 0 if missing."""
     frames: np.ndarray
-    """(T,) int, original frame numbers, strictly increasing."""
+    """Original frame numbers, shape (T,), integer, strictly increasing."""
     fps: float | None = None
     """Frames per second, if known."""
     stated_fps: float | None = None
-    """Frame rate that the file states, if another rate was given."""
+    """Frame rate stated by the file, if another rate was given."""
     image_size_px: tuple[int, int] | None = None
     """Width and height of the picture, if known."""
     individual: str | None = None
@@ -83,16 +84,18 @@ class Keypoints(Brief):
         Parameters
         ----------
         table : pandas.DataFrame
-            As DeepLabCut's (levels scorer, bodyparts, coords, and individuals where there are several), its index the
-            frames; or long, with columns frame, keypoint (or bodypart), x, y and confidence (or likelihood). Pixels.
+            Either as in DeepLabCut, with the column levels scorer, (individuals,) bodyparts and coords, and the frames
+            as its index; or long, with the columns frame, keypoint (or bodypart), x, y and confidence (or likelihood).
+            Pixels.
         fps : float, optional
             Frames per second.
         individual : str, optional
-            Name of the animal, needed for a table of several.
+            Name of the animal, needed if the table has several.
 
         Raises
         ------
         InputError
+            If the table is in neither form, or its content is not valid.
         """
         from recon.io.columns import from_dataframe
 
@@ -109,11 +112,12 @@ class Keypoints(Brief):
         fps : float, optional
             Frames per second.
         individual : str, optional
-            Name of the animal, needed for a dataset of several.
+            Name of the animal, needed if the dataset has several.
 
         Raises
         ------
         InputError
+            If the dataset is not one of movement's poses, or its content is not valid.
         """
         from recon.io.columns import from_xarray
 
@@ -129,10 +133,11 @@ COUNTS = (
     *("frames", "used", "missing", "rejected", "missing_zero_zero", "missing_nan_with_likelihood", "missing_empty"),
     *("missing_absent_frame", "missing_constant", "likelihood_unknown"),
 )
-"""Counts of a keypoint, in frames; used + missing + rejected = frames. A point is missing if it was stored as (0, 0)
-without a likelihood, as NaN with a likelihood, as nothing, or as a constant for missing points
-(`CleaningReport.constant_px`), or if the file lacks its frame. `likelihood_unknown` counts used points without a
-likelihood.
+"""Counts of frames of a keypoint; used + missing + rejected = frames.
+
+A point is missing if it was stored as (0, 0) without a likelihood, as NaN with a likelihood, as nothing, or as a
+constant for missing points (`CleaningReport.constant_px`), or if the file lacks its frame. `likelihood_unknown` counts
+used points without a likelihood.
 """
 
 
@@ -145,22 +150,25 @@ class LeftOut(Brief):
     reasons: tuple[str, ...] = ()
     """Reasons to which `reason` refers."""
     frame: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
-    """(N,): frame numbers of the file."""
+    """Frame numbers of the file, shape (N,)."""
     keypoint: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
-    """(N,): index into `names`."""
+    """Indices into `names`, shape (N,)."""
     reason: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
-    """(N,): index into `reasons`."""
+    """Indices into `reasons`, shape (N,)."""
     xy_px: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
-    """(N, 2): pixels."""
+    """Positions, shape (N, 2), pixels."""
     confidence: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    """(N,): likelihoods, 0 to 1."""
+    """Likelihoods, shape (N,), 0 to 1."""
 
     def count(self, reason: str) -> int:
         """Return the number of detections that were left out for a reason."""
         return int((self.reason == self.reasons.index(reason)).sum()) if reason in self.reasons else 0
 
     def and_points(self, keypoints: Keypoints, points: np.ndarray, reason: str, later_frames: int = 0) -> LeftOut:
-        """Return these and further points (T, K); the clip's frame numbers are `later_frames` after the file's."""
+        """Return these detections and further points (T, K).
+
+        `later_frames` is the clip's frame number minus that of the file.
+        """
         rows, columns = np.nonzero(points)
         names = tuple(dict.fromkeys((*self.names, *keypoints.names)))
         reasons = tuple(dict.fromkeys((*self.reasons, reason)))
@@ -195,12 +203,12 @@ class CleaningReport(Brief):
     notes: tuple[str, ...] = ()
     """Choices of the reader."""
     constant_px: tuple[float, float] | None = None
-    """The constant, such as (-1, -1), stored for missing points although it has a likelihood, if any."""
+    """The constant, such as (-1, -1), stored for missing points with a likelihood, if there is one."""
     left_out: LeftOut = field(default_factory=LeftOut)
     """Detections that are not used."""
 
     def total(self, count: str) -> int:
-        """Return the sum of one count, such as "rejected", over the keypoints."""
+        """Return the sum of a count, such as "rejected", over the keypoints."""
         return sum(counts[count] for counts in self.keypoints.values())
 
 
@@ -208,7 +216,7 @@ def parse_frame_range(text: str) -> tuple[int | None, int | None]:
     """Parse the frame range "A:B" into (A, B).
 
     Either side may be empty (None). B is not included, as in a Python slice. The numbers are those of the file, not row
-    indices. Raises InputError.
+    indices. Raises InputError if the text is no such range.
     """
     match = re.fullmatch(r"\s*(\d*)\s*:\s*(\d*)\s*", text, flags=re.ASCII)
     start, stop = (int(n) if n else None for n in match.groups()) if match else (None, None)
@@ -412,19 +420,19 @@ class View(Brief):
     """
 
     camera: Camera
-    """Lens, intrinsics and size of the picture; the pose is in `T_camera_world`, not here."""
+    """Lens, intrinsics and picture size; the pose is in `T_camera_world`, not here."""
     T_camera_world: Array
-    """(T, 4, 4), or (4, 4) for a still camera."""
+    """Camera poses, shape (T, 4, 4), or (4, 4) for a still camera."""
     xy_px: Array
-    """(T, J, 2): detected keypoints, NaN where missing."""
+    """Detected keypoints, shape (T, J, 2), NaN if missing."""
     confidence: Array
-    """(T, J), 0 to 1."""
+    """Confidence, shape (T, J), 0 to 1."""
     intrinsics_px: Array | None = None
-    """(T, 4): fx, fy, cx, cy of each frame, for a camera that zooms."""
+    """fx, fy, cx, cy of each frame, shape (T, 4), for a camera that zooms."""
     offset_frames: float = 0.0
     """Delay of the pictures relative to the clip's frames; a given offset is 0 up to 1."""
     rotation_sigma_rad: Array | None = None
-    """(T,): standard deviation of each pose's rotation about any axis, if the camera's track has it."""
+    """Standard deviation of each pose's rotation about any axis, shape (T,), if the camera's track states it."""
 
     @property
     def is_still(self) -> bool:
@@ -454,7 +462,7 @@ class View(Brief):
         return float(np.sqrt(self.camera.matrix[0, 0] * self.camera.matrix[1, 1]))
 
     def rotation_covariance_m2(self, points_m: Array) -> Array:
-        """Return the covariance (T, J, 3, 3) that each pose's rotation gives to points (T, J, 3)."""
+        """Return the covariance (T, J, 3, 3) of points (T, J, 3) due to the uncertainty of each pose's rotation."""
         arm = points_m - self.centre_m[:, None]
         variance = np.zeros(len(arm)) if self.rotation_sigma_rad is None else self.rotation_sigma_rad**2
         perpendicular = np.sum(arm * arm, axis=-1)[..., None, None] * np.eye(3) - arm[..., :, None] * arm[..., None, :]
@@ -575,7 +583,7 @@ def still_view(camera: Camera, xy_px: Array, confidence: Array) -> View:
 
 
 BRIDGED_S = 2.0
-"""Time without detections, in seconds, above which a clip is divided in two."""
+"""Time without detections, in seconds, above which a clip is split into two."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -583,11 +591,11 @@ class FramePoses(Brief):
     """Hold poses of a moving camera in T frames, in a world with z up, NaN if unknown."""
 
     T_camera_world: Array
-    """(T, 4, 4): pose of the camera in each frame."""
+    """Pose of the camera in each frame, shape (T, 4, 4)."""
     intrinsics_px: Array | None = None
-    """(T, 4): fx, fy, cx, cy, for a camera that zooms."""
+    """fx, fy, cx, cy of each frame, shape (T, 4), for a camera that zooms."""
     rotation_sigma_rad: Array | None = None
-    """(T,): standard deviation of each pose's rotation about any axis, if known."""
+    """Standard deviation of each pose's rotation about any axis, shape (T,), if known."""
 
     @property
     def known(self) -> Bools:
@@ -615,9 +623,9 @@ class Source(Brief):
     offset_frames: float = 0.0
     """Delay of the pictures relative to the clip's frames, 0 up to 1."""
     poses: FramePoses | None = None
-    """Poses of a moving camera, whose `camera` has none; there are no detections where they are unknown."""
+    """Poses of a moving camera, whose `camera` has none; there are no detections in frames without a pose."""
     offset_s: float = 0.0
-    """Time of the camera's frame 0 after the first camera's, as given or estimated."""
+    """Time of the camera's frame 0 after the first camera's frame 0, given or estimated."""
 
     @property
     def moves(self) -> bool:

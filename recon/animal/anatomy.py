@@ -1,4 +1,4 @@
-"""Name the joints of an animal: the marker of each joint, and the side to which it flexes."""
+"""Name the joints of an animal, with the marker of each joint and the direction of flexion."""
 
 from __future__ import annotations
 
@@ -20,8 +20,11 @@ FLEXES_CAUDALLY: Mapping[str, int] = {
     "spine": 1,
     "neck": 1,
 }
-"""Joints of `[anatomy]`. 1: flexion turns the lower bone backwards, or the front of the trunk and the head downwards;
--1: it turns the lower bone forwards."""
+"""Joints of `[anatomy]`, with the direction of flexion.
+
+1: flexion turns the lower bone backwards, or the front of the trunk and the head downwards. -1: flexion turns the lower
+bone forwards.
+"""
 GIRDLE: Mapping[str, Literal["F", "H"] | None] = {
     **dict.fromkeys(("shoulder", "elbow", "carpus", "fetlock"), "F"),
     **dict.fromkeys(("hip", "stifle", "hock", "hind_fetlock"), "H"),
@@ -31,7 +34,7 @@ GIRDLE: Mapping[str, Literal["F", "H"] | None] = {
 
 
 def joints_of_both_sides(table: Mapping[str, tuple[str, str, str]]) -> dict[str, tuple[str, str, str]]:
-    """Return the joints of `[anatomy]` by name and side, such as left_elbow, adding those of the right."""
+    """Return the joints of `[anatomy]` by name and side, such as left_elbow, including those of the right side."""
     joints: dict[str, tuple[str, str, str]] = {}
     for joint, markers in table.items():
         side = next((side for marker in reversed(markers) if (side := side_of(marker)) is not None), None)

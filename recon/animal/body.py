@@ -1,11 +1,11 @@
 """Describe an animal: its segments and markers, and the expected pose.
 
-A body is a tree (`recon.geometry.kinematics`) with an expected pose and its spread. States are the tree's; x forwards,
-y left, z up. One class serves a whole animal and a chain (`recon.animal.chain`), which is a tree with the limbs of one
-side and has two keypoints for each marker.
+A body is a tree (`recon.geometry.kinematics`) with an expected pose and its spread. Its states are those of the tree,
+with x forwards, y left and z up. One class serves both a whole animal and a chain (`recon.animal.chain`). A chain is a
+tree with the limbs of one side, and has two keypoints for each marker.
 
-Left and right, fore and hind are decided here only: a word in the name of a segment or marker gives its side (`SIDES`),
-and the skeleton's file gives the position of each foot (`PLACES`).
+Only this module decides what is left, right, fore and hind: a word in the name of a segment or marker gives its side
+(`SIDES`), and the skeleton's file gives the position of each foot (`PLACES`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,10 @@ from recon.base.errors import Problem
 from recon.geometry.kinematics import Tree
 
 ROUGH_SIZE_SIGMA = 0.25
-"""Relative standard deviation of the size from which a skeleton is no species': species have up to 0.15."""
+"""Relative standard deviation of the size from which a skeleton is of no particular species.
+
+Skeletons of species have up to 0.15.
+"""
 MIN_JOINTS = 5
 """Smallest number of detected joints that determine an animal's pose."""
 MIN_REACH_PX = 50.0
@@ -33,7 +36,10 @@ MIN_REACH_PX = 50.0
 Side = Literal["left", "right"]
 
 SIDES = {"left": "right", "near": "off", "l": "r"}
-"""Words for the left side, with those for the right. A horse's near side is its left, from any point of view."""
+"""Words for the left side, each with the word for the right side.
+
+A horse's near side is its left, from any point of view.
+"""
 _OPPOSITE = SIDES | {right: left for left, right in SIDES.items()}
 
 
@@ -41,7 +47,7 @@ def _side_pattern() -> re.Pattern[str]:
     """Return a pattern of the word in a name that gives its side.
 
     The word stands between separators, as in front_left_paw or eye.L, or is set off by capitals, as in frontLeftPaw,
-    hipR or Nearknee. A letter may be part of a leg's code: LF, FL, RH, HR, LB, BL. A letter beside a digit does not
+    hipR or Nearknee. A letter may be part of a leg's code: LF, FL, RH, HR, LB, BL. A letter next to a digit does not
     count: l1 may be a vertebra.
     """
     words = [word for word in _OPPOSITE if len(word) > 1]
@@ -71,7 +77,7 @@ CHAIN_PLACES = {"fore": "F", "hind": "H"}
 
 
 def foot_table(allowed: Iterable[str], example: str) -> BeforeValidator:
-    """Return a validator for a table of feet, with one message for all faults."""
+    """Return a validator for a table of feet, with one message for all problems."""
 
     def checked(value: object) -> object:
         if isinstance(value, dict) and {*value} <= {*allowed} and all(isinstance(foot, str) for foot in value.values()):
@@ -82,7 +88,7 @@ def foot_table(allowed: Iterable[str], example: str) -> BeforeValidator:
 
 
 def foot_problems(feet: dict[str, str], source: str) -> Iterator[Problem]:
-    """Yield a problem for each foot on the wrong side, and for feet named twice."""
+    """Yield a problem for each foot on the wrong side, and for each foot that is named twice."""
     for position, foot in feet.items():
         side = side_of(foot)
         if side is not None and position in PLACES and not position.startswith(side):
@@ -94,7 +100,7 @@ def foot_problems(feet: dict[str, str], source: str) -> Iterator[Problem]:
 
 
 def side_of(name: str) -> Side | None:
-    """Return the side that a name gives, decided by the first such word; None is the middle."""
+    """Return the side given by the first word for a side in a name; None is the middle."""
     word = SIDE_WORD.search(name)
     return None if word is None else "left" if word[0].lower() in SIDES else "right"
 
@@ -142,25 +148,25 @@ class Body(Brief):
     title: str
     tree: Tree
     keypoints: tuple[tuple[str, str], ...]
-    """(J,): keypoint names of each marker if the left limbs, and if the right limbs are fitted."""
+    """Names of each marker's keypoint if the left limbs are fitted, and if the right limbs are, (J,)."""
     limbs: dict[str, tuple[str, ...]]
     """Marker names along each limb, for drawing."""
     forward: tuple[str, str]
-    """Two markers, from rear to front."""
+    """Two markers of the trunk, from rear to front."""
     feet: tuple[str, ...]
-    """The markers that touch the ground."""
+    """Markers that touch the ground."""
     foot_labels: tuple[str, ...]
     """Positions of the feet, of `PLACES`, or of `CHAIN_PLACES` for a chain."""
     keypoint_sigma_m: float
     """Standard deviation of a keypoint's distance from its marker."""
     size_sigma: float
-    """The standard deviation of the size, the factor on all lengths, around 1."""
+    """Standard deviation of the size, which is a factor of about 1 on all lengths."""
     mean_rad: Array
-    """(D - 4,): expected angles state[:, 4:], the root's pitch and roll and the joints' angles."""
+    """Expected angles state[:, 4:], shape (D - 4,): the root's pitch and roll, and the joints' angles."""
     sigma_rad: Array
-    """(D - 4,): standard deviations of these angles."""
+    """Standard deviations of these angles, shape (D - 4,)."""
     acceleration_rad_s2: Array
-    """(D - 4,): standard deviations of their accelerations."""
+    """Standard deviations of their accelerations, shape (D - 4,)."""
     keypoint_offset_m: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     """Offset of a detector's keypoint from its marker, (x, y, z) in the marker's segment, by marker."""
     keypoint_spread_m: dict[str, float] = field(default_factory=dict)
@@ -168,7 +174,7 @@ class Body(Brief):
     marker_sigma_m: float = 0.0
     """Standard deviation, along each axis, of the markers' distance from the animal's points that they stand for."""
     keypoint_noise_m: dict[str, float] = field(default_factory=dict)
-    """Standard deviation in a single frame, by marker where known; otherwise keypoint_sigma_m."""
+    """Standard deviation of this offset in a single frame, by marker; `keypoint_sigma_m` for other markers."""
     detector: str | None = None
     """Name of the detector whose keypoints are expected (`recon.animal.skeleton_file`)."""
     mass: dict[str, tuple[float, float]] = field(default_factory=dict)
@@ -223,30 +229,30 @@ class Body(Brief):
         return any(left != right for left, right in self.keypoints)
 
     def keypoint_names(self, side: Side | None) -> tuple[str, ...]:
-        """Return the keypoint names of the markers, (J,), if limbs of `side` are fitted.
+        """Return the names (J,) of the markers' keypoints if the limbs of `side` are fitted.
 
-        None is for a whole animal.
+        `side` is None for a whole animal.
         """
         return tuple(right if side == "right" else left for left, right in self.keypoints)
 
     def feet_by_label(self, side: Side | None = None) -> dict[str, str]:
         """Return the markers of the feet by LF, RF, LH, RH.
 
-        `side` is the fitted one, for a chain.
+        `side` is the fitted side of a chain.
         """
         start = "" if side is None else side[0].upper()
         labels = (label if label in PLACES.values() else start + label for label in self.foot_labels)
         return dict(zip(labels, self.feet, strict=True))
 
     def side_of(self, marker: str) -> Side | None:
-        """Return a marker's side, by its foot label or else by its name."""
+        """Return the side of a marker from its foot label, or else from its name."""
         label = dict(zip(self.feet, self.foot_labels, strict=True)).get(marker, "")
         return _LABELLED[label[0]] if label in PLACES.values() else side_of(marker)
 
     def limb_sides(self, side: Side | None = None) -> dict[str, Side | None]:
         """Return the side of each limb; None is the middle, or both sides.
 
-        `side` is the fitted one, for a chain.
+        `side` is the fitted side of a chain.
         """
         one_sided = {m for m, (left, right) in zip(self.markers, self.keypoints, strict=True) if left != right}
         return {

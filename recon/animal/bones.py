@@ -49,12 +49,12 @@ class Bone:
 
     @property
     def title(self) -> str:
-        """Return the bone with the joints that it connects: upper arm, shoulder to elbow."""
+        """The bone with the joints that it connects: upper arm, shoulder to elbow."""
         return f"{self.name}, {self.connects[0]} to {self.connects[1]}"
 
 
 def bones_of(body: Body) -> tuple[Bone, ...]:
-    """Return the bones of the left or only side and of the trunk, from head to tail; none without `[anatomy]`."""
+    """Return the bones of the left or only side, and of the trunk, from head to tail; empty without `[anatomy]`."""
     bones = [*_trunk(body), *_limbs(body)]
     return tuple(bone for bone in bones if bone.length_m > 0)
 
@@ -76,7 +76,7 @@ def _limbs(body: Body) -> Iterator[Bone]:
 
 
 def _trunk(body: Body) -> Iterator[Bone]:
-    """Yield the two parts of the trunk that meet in the spine, the whole of it, and what is ahead of it."""
+    """Yield the two parts of the trunk that meet at mid-spine, the whole trunk, and the bones ahead of it."""
     if "spine" in body.anatomy:
         rear, _, front = body.anatomy["spine"]
         parts = _bone(body, ("tail base", "spine"), rear, None), _bone(body, ("spine", "neck base"), front, None)

@@ -29,10 +29,10 @@ class Capsule:
 def capsules(tree: Tree, names: Sequence[str]) -> tuple[Capsule, ...]:
     """Return the capsules of a tree.
 
-    They lie in a segment's middle plane, from its origin to the origins of the next segments and to its markers. A
-    capsule is as thick as these points are far apart. Between two other segments of the trunk it is at least as thick
-    as the thinner of them. `names` (J,) are the markers' keypoint names, which give the sides together with the
-    segments' names.
+    The capsules lie in the middle plane of a segment. They lead from its origin to the origins of the next segments and
+    to its markers. A capsule is as thick as these points are far apart. Between two other segments of the trunk it is
+    at least as thick as the thinner of them. `names` (J,) are the keypoint names of the markers, which give the sides
+    together with the segments' names.
     """
     segments = tree.segments
     ends, radii, sides = [], [], []
@@ -55,7 +55,7 @@ def capsules(tree: Tree, names: Sequence[str]) -> tuple[Capsule, ...]:
 
 
 def middles_m(tree: Tree, shape: Sequence[Capsule]) -> Array:
-    """Return the centre of each segment's capsules in its frame (S, 3), the origin if it has none."""
+    """Return the centre of each segment's capsules in its frame, (S, 3), or its origin if it has no capsules."""
     ends = [[c.end_m for c in shape if c.segment == i] or [(0.0, 0.0, 0.0)] for i in range(len(tree.segments))]
     return np.array([np.mean(segment_ends, axis=0) / 2 for segment_ends in ends])
 

@@ -1,6 +1,6 @@
 """Describe a chain of rigid links joined by universal joints, as in the published 8U chain, and read its files.
 
-The chain hangs from a root joint in the local frame UVW (U forwards along the first spine link, V down, W to the side,
+The chain starts at a root joint in the local frame UVW (U forwards along the first spine link, V down, W to the side,
 right-handed). Every link has two angles relative to its parent, theta in the sagittal UV plane and phi in the
 transverse UW plane, and no twist. Along a path from the root the angles add up, T = sum of theta, P = sum of phi, and a
 link of length r adds
@@ -40,13 +40,13 @@ _SKELETONS = "animal/skeletons"
 UVW_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """From the body's axes (x forwards, y left, z up) to U, V (down), W."""
 _PITCH_RAD = 0.3
-"""Standard deviation of a running animal's pitch."""
+"""Standard deviation of the pitch of a running animal."""
 _ROOT_RAD_S2 = 40.0
-"""Standard deviation of the acceleration of its pitch and roll."""
+"""Standard deviation of the accelerations of its pitch and roll."""
 
 
 def _left_and_right(keypoint: object) -> object:
-    """Return (left, right) of a table of both, or of one name for both sides."""
+    """Return (left, right) of a table with both names, or of one name for both sides."""
     if isinstance(keypoint, dict) and {*keypoint} == {"left", "right"}:
         return keypoint["left"], keypoint["right"]
     return (keypoint, keypoint) if isinstance(keypoint, str) else keypoint
@@ -62,7 +62,7 @@ class _Range(FileTable):
 
 
 class _Link(FileTable):
-    """One rigid link."""
+    """Describe one rigid link."""
 
     name: str
     start: str = Field(alias="from")
@@ -108,9 +108,9 @@ class _ChainFile(FileTable):
     prior: _Prior
     links: tuple[_Link, ...] = Field(min_length=1)
     anatomy: dict[str, tuple[str, str, str]] = Field(default_factory=dict)
-    """By joint, the chain's joints above, at and below it."""
+    """Joints of the chain above, at and below each joint, by joint."""
     length_m: dict[str, Sigma] = Field(default_factory=dict)
-    """Measured lengths of links, in place of their ratios."""
+    """Measured lengths of links, which replace their ratios."""
 
 
 @dataclass(frozen=True)
@@ -118,10 +118,10 @@ class AngleRanges:
     """Hold the expected ranges of the free links' angles, arrays (A,) in the order of the state."""
 
     mean_rad: Array
-    """The expected range is mean +- tolerance."""
+    """Middle of the expected range, which is mean ± tolerance."""
     tolerance_rad: Array
     max_rate_rad_s: Array
-    """The fastest expected change."""
+    """Largest expected rate."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ class Chain(Skeleton):
 
     @cached_property
     def links(self) -> tuple[_Link, ...]:
-        """The links of the file, with measured lengths in place of ratios where there are any."""
+        """Links of the file, with measured lengths instead of ratios if there are any."""
         nominal_m = self.file.base_length.nominal_m
         measured = {name: length_m / nominal_m for name, length_m in self.file.length_m.items()}
         return tuple(
@@ -147,7 +147,7 @@ class Chain(Skeleton):
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
-        """Names, root first, then the links' ends in the order of the links."""
+        """Names of the joints, the root first, then the ends of the links in their order."""
         return self.file.root, *(link.end for link in self.links)
 
     @cached_property
@@ -167,22 +167,23 @@ class Chain(Skeleton):
 
     @cached_property
     def angle_names(self) -> tuple[str, ...]:
-        """theta_<link's end> and phi_<link's end> without the joint's letter, as in theta_6."""
+        """Names theta_<end of the link> and phi_<end of the link> without the joint's letter, such as theta_6."""
         ends = [link.end.lstrip("J") for link in self.links if link.free]
         return tuple(f"theta_{e}" for e in ends) + tuple(f"phi_{e}" for e in ends)
 
     @cached_property
     def unknown_names(self) -> tuple[str, ...]:
-        """(2 A + 7,): published names of a frame's unknowns in their order, 21 for the 8U chain."""
+        """Published names of the unknowns of a frame in their order, (2 A + 7,); 21 for the 8U chain."""
         angles = (name.replace("theta_", "th").replace("phi_", "ph") for name in self.angle_names)
         return (*angles, "x0", "y0", "z0", "xi", "psi", "zeta", "base_length")
 
     @cached_property
     def body(self) -> Body:
-        """The chain as a tree of segments in metres, root first: one for each link, named after the joint at its end.
+        """The chain as a tree of segments in metres, the root first.
 
-        The segments' x axes lie along the links. The root's axes are x = U, y = W, z = -V, its origin is the root
-        joint, and every joint is a marker: theta is pitch, phi is yaw, both summed.
+        There is one segment for each link, named after the joint at its end. The x axes of the segments are along the
+        links. The root has the axes x = U, y = W, z = -V, and its origin is the root joint. Every joint is a marker.
+        Theta is pitch and phi is yaw, and both add up along the chain.
         """
         length = {link.end: link.length_ratio * self.nominal_base_length_m for link in self.links}
         segments = [Segment(self.joints[0], None, "free")]
@@ -224,8 +225,8 @@ class Chain(Skeleton):
 
     @cached_property
     def body_angles(self) -> Index:
-        """(2 A,): columns of the body's state that hold the thetas, then the phis."""
-        # After the root's six unknowns, every free link has its yaw and then its pitch.
+        """Columns of the body's state that hold the thetas and then the phis, (2 A,)."""
+        # After the six unknowns of the root, every free link has its yaw and then its pitch.
         pitch = 7 + 2 * np.arange(self.n_angles)
         return np.concatenate([pitch, pitch - 1])
 
@@ -251,7 +252,7 @@ def load_chain(name_or_path: str | Path) -> Chain:
     Raises
     ------
     InputError
-        For a file that cannot be used, and for a skeleton of a whole animal.
+        If the file cannot be used, or the skeleton is one of a whole animal.
     """
     raw, source = _read(name_or_path, builtin_chains())
     if "segments" in raw:
@@ -278,13 +279,16 @@ def _extended(raw: dict[str, Any], source: str) -> dict[str, Any]:
 
 
 def _file_or_builtin(name: str, source: str) -> str:
-    """Return a skeleton that a file names: built in, a file in the same folder, or one from the current folder."""
+    """Return the skeleton that a file names: a built-in one, or a file in the same or the current folder."""
     file = Path(source).parent / name
     return str(file) if os.path.isfile(file) and name not in documents.builtin_names(_SKELETONS, ".toml") else name
 
 
 def chain_of(raw: dict[str, Any], source: str) -> Chain:
-    """Return the chain that a file's tables describe. Raises InputError with all their problems."""
+    """Return the chain that the tables of a file describe.
+
+    Raises InputError with all their problems.
+    """
     file = validated(_ChainFile, _extended(raw, source), source)
     raise_problems(_chain_problems(file, source))
     return Chain(file.name, file.title, file, file.base_length.nominal_m)
@@ -322,13 +326,14 @@ def _ranges(ranges: Iterable[_Range | None]) -> AngleRanges:
 
 
 def facing_side(rear_px: Array, front_px: Array) -> tuple[Side, str]:
-    """Return the side of the animal that faces an upright camera, and why.
+    """Return the side of the animal that faces an upright camera, and the reason.
 
     An animal that faces the right of the picture shows its right side.
 
     Parameters
     ----------
-    rear_px, front_px : (T, 2), ends of the trunk, NaN where missing
+    rear_px, front_px
+        Ends of the trunk (T, 2), pixels; NaN if missing.
     """
     forward_px = (front_px - rear_px)[:, 0]
     forward_px = forward_px[np.isfinite(forward_px)]

@@ -36,7 +36,7 @@ def read_subject(table: dict[str, Any], source: str) -> _SubjectFile:
 
 
 class _Row(Protocol):
-    """A segment or a marker in the table of a skeleton."""
+    """Describe a segment or a marker in the table of a skeleton."""
 
     @property
     def name(self) -> str: ...
@@ -44,7 +44,7 @@ class _Row(Protocol):
 
 
 class _SkeletonTable(Protocol):
-    """The table of a skeleton (`recon.animal.skeleton_file`), as far as a subject changes it."""
+    """Describe the part of a skeleton's table (`recon.animal.skeleton_file`) that a subject changes."""
 
     @property
     def name(self) -> str: ...
@@ -59,7 +59,7 @@ _Table = TypeVar("_Table", bound=_SkeletonTable)
 
 
 def subject_problems(animal: _SubjectFile, file: _SkeletonTable, source: str) -> Iterator[Problem]:
-    """Yield what keeps a subject from fitting a skeleton's table (`recon.animal.skeleton_file`)."""
+    """Yield the reasons why a subject does not fit a skeleton's table (`recon.animal.skeleton_file`)."""
     if animal.skeleton != file.name:
         yield Problem(source, "skeleton", repr(animal.skeleton), f"{file.name!r}, the skeleton with which it is used")
         return
@@ -72,7 +72,7 @@ def subject_problems(animal: _SubjectFile, file: _SkeletonTable, source: str) ->
 
 
 def with_subject(animal: _SubjectFile, file: _Table) -> _Table:
-    """Return a skeleton's table with an animal's lengths and keypoint offsets; the root stays."""
+    """Return a skeleton's table with an animal's lengths and keypoint offsets; the root does not change."""
 
     def changed(item: _Row) -> _Row:
         measured = {"at_m": animal.at_m, "keypoint_offset_m": animal.keypoint_offset_m}
@@ -125,7 +125,7 @@ def detector_toml(body: Body, title: str, notes: Sequence[str] = ()) -> str:
 
 
 def save_prior(prior: MotionPrior, path: str | Path) -> None:
-    """Write an .npz: the arrays in single precision, the texts as JSON, no pickles."""
+    """Write a prior to an .npz file: the arrays in single precision, the texts as JSON, without pickles."""
     description: dict[str, Any] = {"format": 1, "name": prior.name, "source": prior.source}
     description |= {"angles": list(prior.angles), "segments": [asdict(row) for row in prior.segments]}
     arrays = {name: getattr(prior, name).astype(np.float32) for name in SHAPES}

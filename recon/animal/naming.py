@@ -39,7 +39,7 @@ _LIMB_OF = {
     **dict.fromkeys(("elbow", "carpus", "wrist"), "front"),
     **dict.fromkeys(("stifle", "hock", "tarsus"), "back"),
 }
-"""Words of joints that only one pair of limbs has."""
+"""Words of joints that only the fore or only the hind limbs have."""
 _SEPARATORS = "_-. "
 _FILLERS = {"of", "the", "limb"}
 ANATOMICAL = "anatomical"
@@ -47,7 +47,7 @@ ANATOMICAL = "anatomical"
 _NEAR = 0.8
 """Names are similar if they share this part of their letters."""
 _MOST_OF_FILE = 0.8
-"""A skeleton with this share of a file's keypoints is probably theirs."""
+"""Share of a file's keypoints above which a skeleton is probably theirs."""
 
 
 _Default = TypeVar("_Default")
@@ -58,9 +58,9 @@ class NameMap:
     """The skeleton's names for keypoints of a file."""
 
     source: str
-    """Built-in name, or the file's."""
+    """Name of a built-in map, or of the file."""
     names: Mapping[str, str]
-    """The skeleton's name by the file's, empty for keypoints that are left out."""
+    """The skeleton's name for each name in the file; empty for keypoints that are left out."""
 
     @overload
     def get(self, name: str) -> str | None: ...
@@ -71,7 +71,7 @@ class NameMap:
     def get(self, name: str, otherwise: _Default | None = None) -> str | _Default | None:
         """Return the skeleton's name for a keypoint of the file, or `otherwise`.
 
-        A built-in map finds a name in any spelling of its side and words: left_carpus, LeftCarpus, carpus_L.
+        A built-in map knows a name in any spelling of its side and words: left_carpus, LeftCarpus, carpus_L.
         """
         return self.names.get(name, self._by_words.get(_written(name), otherwise))
 
@@ -80,7 +80,7 @@ class NameMap:
         return {_written(name): new for name, new in self.names.items() if self.source in builtin_maps()}
 
     def common(self, names: Iterable[str], wanted: Iterable[str]) -> int:
-        """Return how many of the wanted names a file with these names then has."""
+        """Return how many of the wanted names a file with these names has after renaming."""
         return len({self.get(name, name) for name in names} & {*wanted})
 
 
@@ -123,9 +123,9 @@ def _cells(line: str, delimiter: str) -> list[str]:
 
 
 def renamed(keypoints: Keypoints, name_map: NameMap) -> Keypoints:
-    """Return keypoints with the map's names, and a note.
+    """Return keypoints with the names of the map, and a note.
 
-    Raises InputError as `new_names`.
+    Raises InputError like `new_names`.
     """
     keep, names, note = new_names(keypoints.names, name_map, keypoints.source or "the keypoints")
     return replace(
@@ -162,7 +162,7 @@ def new_names(names: Sequence[str], name_map: NameMap, source: str) -> tuple[lis
     note = f"{len(known)} of {len(names)} keypoints are renamed by {Path(name_map.source).name}"
     note += f"; left out: {', '.join(left_out)}" if left_out else ""
     absent = [] if name_map.source in builtin_maps() else [name for name in name_map.names if name not in names]
-    note += f"; not in the keypoint file: {', '.join(absent)}." if absent else "."
+    note += f"; not in the file: {', '.join(absent)}." if absent else "."
     return [k for k, name in enumerate(names) if name not in left_out], tuple(olds), note
 
 
@@ -170,7 +170,7 @@ def new_names(names: Sequence[str], name_map: NameMap, source: str) -> tuple[lis
 
 
 def suggestions(unused: Iterable[str], missing: Iterable[str]) -> dict[str, str]:
-    """Return the most similar missing name for each unused one; each once, the closest first."""
+    """Return the most similar missing name for each unused name, the closest pairs first; each name is used once."""
     pairs = [(likeness, a, b) for a in unused for b in missing if (likeness := _likeness(a, b)) >= _NEAR]
     matches: dict[str, str] = {}
     for _, a, b in sorted(pairs, key=lambda pair: -pair[0]):
@@ -188,7 +188,7 @@ def fitting_maps(names: Sequence[str], wanted: Iterable[str]) -> list[str]:
 
 
 def fitting_skeleton(names: Sequence[str]) -> tuple[str, int]:
-    """Return options for the built-in skeleton that has most of these keypoints, and their number.
+    """Return options for the built-in skeleton with most of these keypoints, and the number of keypoints.
 
     The options name the map if one helps: `--skeleton human-25 --rename coco-17`.
     """
@@ -199,7 +199,7 @@ def fitting_skeleton(names: Sequence[str]) -> tuple[str, int]:
 def marker_names(names: Sequence[str]) -> tuple[str | None, dict[str, int]]:
     """Return the built-in skeleton with most of these keypoints, and their indices by its markers.
 
-    Names are compared as they are, or by a built-in map; None if no skeleton has any of them.
+    Names are compared as they are and after each built-in map. The result is None if no skeleton has any of them.
     """
     (skeleton, name_map), count = _best_skeleton(names)
     if not count:
@@ -210,7 +210,7 @@ def marker_names(names: Sequence[str]) -> tuple[str | None, dict[str, int]]:
 
 
 def _best_skeleton(names: Sequence[str]) -> tuple[tuple[str, NameMap], int]:
-    """Return the built-in skeleton and the map with which most of these keypoints are its markers, and their number."""
+    """Return the built-in skeleton and map that give most of these keypoints a marker, and the number of keypoints."""
     maps = [NameMap("", {}), *map(load_names, builtin_maps())]
     counts = [
         ((skeleton, name_map), name_map.common(names, markers))
@@ -227,9 +227,9 @@ def _whole_animals() -> dict[str, tuple[str, ...]]:
 
 
 def problem_of_names(names: Sequence[str], wanted: Sequence[str], skeleton: str, source: str) -> Problem:
-    """Return the problem of a file whose names are not the skeleton's, with a way out.
+    """Return the problem of a file whose names are not those of the skeleton, with a solution.
 
-    The way out is another skeleton, a built-in map, or a map that the problem's lines begin.
+    The solution is another skeleton, a built-in map, or a map of which the problem shows the first lines.
     """
     detail = f"{', '.join(names)}: {', '.join(name for name in names if name in wanted) or 'none'} of the skeleton's"
     if matching := skeleton_of(names):
@@ -245,7 +245,7 @@ def problem_of_names(names: Sequence[str], wanted: Sequence[str], skeleton: str,
 
 
 def map_to_write(names: Iterable[str], wanted: Iterable[str]) -> Iterator[str]:
-    """Yield lines of a map for a file with these names, with similar and anatomical names filled in."""
+    """Yield the lines of a map for a file with these names, with similar and anatomical names filled in."""
     names, wanted = list(names), list(wanted)
     unused, missing = [n for n in names if n not in wanted], [w for w in wanted if w not in names]
     near, anatomical = suggestions(unused, missing), load_names(ANATOMICAL)
@@ -258,7 +258,7 @@ def map_to_write(names: Iterable[str], wanted: Iterable[str]) -> Iterator[str]:
 
 
 def _likeness(a: str, b: str) -> float:
-    """Return the similarity of two names from 0 to 1; 0 for different sides."""
+    """Return the similarity of two names from 0 to 1, which is 0 for different sides."""
     if side_of(a) != side_of(b):
         return 0.0
     if _written(a) == _written(b):
@@ -270,7 +270,7 @@ def _likeness(a: str, b: str) -> float:
 
 
 def _written(name: str) -> tuple[str | None, ...]:
-    """Return a name's side and words in a fixed order and case."""
+    """Return the side and the words of a name in a fixed order and case."""
     return side_of(name), *sorted(_words(name))
 
 
@@ -298,7 +298,7 @@ def without_side(name: str) -> str:
 
 
 def both_sides(name: str) -> str:
-    """Return a name that shows both sides, l_paw or r_paw -> l/r_paw; a name without a side is unchanged."""
+    """Return a name for both sides, l_paw or r_paw -> l/r_paw; a name without a side is unchanged."""
     word = SIDE_WORD.search(name)
     if word is None:
         return name
@@ -307,10 +307,7 @@ def both_sides(name: str) -> str:
 
 
 def skeleton_of(keypoints: Iterable[str]) -> str | None:
-    """Return the built-in skeleton whose markers are all among these keypoints.
-
-    Of several skeletons, the largest; None if there is none.
-    """
+    """Return the largest built-in skeleton whose markers are all among these keypoints, or None."""
     names = {*keypoints}
     fitting = {name: len(markers) for name, markers in _whole_animals().items() if {*markers} <= names}
     return max(fitting, key=lambda name: fitting[name], default=None)

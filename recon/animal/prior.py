@@ -1,7 +1,7 @@
 """Describe a class of motions: which poses occur, how likely they are, and how they change.
 
-A prior is about a body's angles z = state[4:], the root's pitch and roll and the joints' angles. Built-in priors are
-the files of `recon/animal/priors`, .npz without pickles. `recon.animal.prior_fit` makes priors.
+A prior describes the angles z = state[4:] of a body: the root's pitch and roll, and the joints' angles. Built-in priors
+are the files of `recon/animal/priors`, .npz without pickles. `recon.animal.prior_fit` makes priors.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from recon.base.documents import FileTable
 from recon.base.errors import InputError, Problem, raise_problems
 
 ANGLES = slice(4, None)
-"""The prior's angles in the state."""
+"""Angles of the state that a prior describes."""
 NONE = "none"
 """Name of the prior that has only the body's own expectations."""
 LARGEST = 1e12
-"""The largest number in a prior; more can only be damage."""
+"""Largest number in a prior; larger numbers are damage."""
 SHAPES = {
     "weights": "K",
     "means": "KA",
@@ -51,29 +51,29 @@ class SegmentRow:
 
 @dataclass(frozen=True, eq=False)
 class MotionPrior:
-    """Statistics of A angles in rad, with K components.
+    """Hold statistics of A angles in rad, with K components.
 
-    Raises ValueError, naming everything that does not fit.
+    Raises ValueError with every problem of the arrays.
     """
 
     name: str
     angles: tuple[str, ...]
-    """(A,): state_names[4:] of the body."""
+    """Names of the angles, state_names[4:] of the body, (A,)."""
     weights: Array
-    """(K,), means (K, A) and covariances (K, A, A): Gaussian mixture of the poses."""
+    """Gaussian mixture of the poses: weights (K,), means (K, A) and covariances (K, A, A)."""
     means: Array
     covariances: Array
     mean: Array
-    """(A,), and covariance (A, A): one Gaussian of the same poses."""
+    """One Gaussian of the same poses: mean (A,) and covariance (A, A)."""
     covariance: Array
     drift: Array
-    """(A, 2A): d2z/dt2 = drift @ [z - mean, dz/dt] + noise, in rad and s."""
+    """Matrix (A, 2A) of the accelerations: d2z/dt2 = drift @ [z - mean, dz/dt] + noise, in rad and s."""
     acceleration_covariance: Array
-    """(A, A): covariance of that noise."""
+    """Covariance of that noise, shape (A, A)."""
     source: str
     """Origin of the poses."""
     segments: tuple[SegmentRow, ...] = ()
-    """The pieces of motion that were available."""
+    """Pieces of motion that were available."""
 
     def __post_init__(self) -> None:
         wrong = misfits({name: getattr(self, name) for name in SHAPES}, len(self.angles))
@@ -82,7 +82,7 @@ class MotionPrior:
 
 
 def misfits(arrays: dict[str, Array], n_angles: int) -> list[tuple[str, str, str]]:
-    """Return (field, found, expected) of each fault of a prior's arrays."""
+    """Return (field, found, expected) for each problem of a prior's arrays."""
     problems = []
     lengths = {"A": n_angles, "B": 2 * n_angles, "K": len(np.atleast_1d(arrays["weights"]))}
     if not lengths["K"]:
@@ -106,7 +106,7 @@ def _is_positive_definite(matrices: Array) -> bool:
 
 
 def prior_from_body(body: Body) -> MotionPrior:
-    """Return the prior of a skeleton's file alone: independent angles with its expectations."""
+    """Return a prior from the skeleton file alone: independent angles with the expectations of the file."""
     mean, covariance, n = body.mean_rad, np.diag(body.sigma_rad**2), len(body.mean_rad)
     dynamics = np.zeros((n, 2 * n)), np.diag(body.acceleration_rad_s2**2)
     arrays = (np.ones(1), mean[None], covariance[None], mean, covariance, *dynamics)
@@ -114,7 +114,7 @@ def prior_from_body(body: Body) -> MotionPrior:
 
 
 def mean_speed_m_s(states: Array, fps: float) -> float:
-    """Return the mean horizontal speed of the root over states (T, D), 0 without consecutive frames."""
+    """Return the mean horizontal speed of the root over states (T, D), or 0 without consecutive frames."""
     steps = np.linalg.norm(np.diff(states[:, :2], axis=0), axis=1) * fps
     return float(np.nanmean(steps)) if np.isfinite(steps).any() else 0.0
 
@@ -142,12 +142,17 @@ def builtin_priors() -> tuple[str, ...]:
 def load_prior(name_or_path: str | Path | None, body: Body) -> MotionPrior:
     """Load a prior by its built-in name or from a file.
 
-    "none" is `prior_from_body`. None is the first built-in prior for a body with these angles, or else
-    `prior_from_body`. Raises InputError, naming every problem.
+    "none" stands for `prior_from_body`. None stands for the first built-in prior of a body with these angles, or
+    `prior_from_body` if there is none.
+
+    Raises
+    ------
+    InputError
+        If the file is not a prior of this body; every problem is listed.
     """
     if name_or_path is None:
         for name in builtin_priors():
-            with suppress(InputError):  # it is another animal's
+            with suppress(InputError):  # the prior is one of another animal
                 return load_prior(name, body)
     if name_or_path is None or str(name_or_path) == NONE:
         return prior_from_body(body)
@@ -178,7 +183,7 @@ def _prior(content: bytes, source: str, body: Body) -> MotionPrior:
         for key in SHAPES
         if stored[key].dtype.kind != "f"
     )
-    with np.errstate(invalid="ignore"):  # a NaN that signals, as damaged floats can be
+    with np.errstate(invalid="ignore"):  # damaged floats can be signalling NaNs
         arrays = {key: stored[key].astype(float) for key in SHAPES}
     raise_problems(Problem(source, *misfit) for misfit in misfits(arrays, len(description.angles)))
     for key in ("covariances", "covariance", "acceleration_covariance"):

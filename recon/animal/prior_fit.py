@@ -17,19 +17,22 @@ from recon.base.arrays import Array, Bools
 from recon.base.errors import Problem, raise_problems
 
 FRAMES_PER_COMPONENT = 20
-"""Least number of frames for each component of the mixture; a smaller component could be one short piece of one
-segment."""
+"""Smallest number of frames for each component of the mixture.
+
+A smaller component could be one short piece of one segment.
+"""
 POSE_FLOOR_RAD = 0.1
-"""Added to the spread of every angle, because no reconstruction is exact. The value maximises the likelihood of
-held-out segments (docs/priors.md).
+"""Added to the spread of every angle, because no reconstruction is exact.
+
+The value maximises the likelihood of held-out segments (docs/priors.md).
 """
 STILL_SIGMA_RAD = 0.15
-"""Spread of angles that do not move in the data."""
+"""Spread of angles that are constant in the data."""
 MISSING_BELOW_RAD = 0.01
-"""Angles with a smaller spread do not exist in the model that the poses come from."""
+"""Spread below which an angle does not exist in the model behind the poses."""
 _EM_ITERATIONS, _K_MEANS_ITERATIONS = 30, 50
 RIDGE_PER_ROW = 0.1
-"""The value maximises the likelihood of held-out accelerations (docs/priors.md)."""
+"""Ridge for each row; the value maximises the likelihood of held-out accelerations (docs/priors.md)."""
 ACCELERATION_FLOOR_RAD_S2 = 10.0
 """Added to the spread of every acceleration."""
 
@@ -46,24 +49,30 @@ def fit_prior(
 ) -> MotionPrior:
     """Fit a prior to segments of motion.
 
-    Every segment counts a second time mirrored left to right.
+    Every segment is used a second time, mirrored left to right.
 
     Parameters
     ----------
-    segments : sequence of (name, states (T, D), frames per second)
-        NaN frames are left out.
-    shrink : float
-        How far the covariance of a component is moved towards the average within all components.
-    min_speed_m_s : float
-        Slower segments are listed, but not used.
-    apart : sequence of str
-        Segments of the body, such as a tail, whose movement neither follows from the pose nor depends on the others';
+    body
+        The animal.
+    segments
+        Name, states (T, D) and frames per second of each segment. NaN frames are left out.
+    name, source
+        Name of the prior, and origin of the poses.
+    components
+        Number of components of the mixture.
+    shrink
+        How far the covariance of a component is moved towards the average within all components, 0 to 1.
+    min_speed_m_s
+        Speed below which segments are listed, but not used.
+    apart
+        Segments of the body, such as a tail, whose movement neither follows from the pose nor affects the other angles;
         their acceleration is noise.
 
     Raises
     ------
     InputError
-        For too few frames, and where `apart` names no segment with angles.
+        If there are too few frames, or `apart` names no segment with angles.
     """
     rows = tuple(
         SegmentRow(label, len(states), float(fps), speed, speed >= min_speed_m_s)
@@ -97,9 +106,9 @@ def fit_prior(
 
 
 def _poses_and_changes(body: Body, segments: Sequence[tuple[Array, float]]) -> tuple[Array, Array, Array, Array]:
-    """Return all poses (N, A), and poses, rates and accelerations (M, A) of inner frames.
+    """Return all poses (N, A), and the poses, rates and accelerations (M, A) of inner frames.
 
-    Inner frames have a frame before and after. Each segment is followed by its mirror image.
+    Inner frames have a frame before and a frame after. Each segment is followed by its mirror image.
     """
     permutation, sign = body.mirror
     empty = np.empty((0, body.n_state - 4))
@@ -117,7 +126,7 @@ def _poses_and_changes(body: Body, segments: Sequence[tuple[Array, float]]) -> t
 
 
 def _still(poses: Array) -> Bools:
-    """Return which angles of poses (N, A) do not move, (A,)."""
+    """Return whether each angle of poses (N, A) is constant, (A,)."""
     return poses.std(axis=0) < MISSING_BELOW_RAD
 
 
@@ -155,11 +164,11 @@ def _mixture_parameters(poses: Array, share: Array, shrink: float, extra: Array)
 def ridge(states: Array, accelerations: Array, loose: Bools) -> tuple[Array, Array]:
     """Return the drift (A, 2A) from states (M, 2A) to accelerations (M, A), and the residual covariance (A, A).
 
-    The loose angles (A,) take no part.
+    The loose angles (A,) are left out.
     """
     scale = states.std(axis=0)
     n_angles = accelerations.shape[1]
-    # An angle that does not move, or only by the noise of the fit, explains nothing.
+    # An angle that does not change, or changes only by the noise of the fit, explains nothing.
     moves = np.tile(~_still(states[:, :n_angles]) & ~loose, 2) & (scale > 0)
     scaled = np.where(moves, states / np.where(moves, scale, 1.0), 0.0)
     normal = scaled.T @ scaled + RIDGE_PER_ROW * len(scaled) * np.eye(scaled.shape[1])
@@ -171,7 +180,7 @@ def ridge(states: Array, accelerations: Array, loose: Bools) -> tuple[Array, Arr
 
 
 def as_one_gaussian(prior: MotionPrior) -> MotionPrior:
-    """Return the prior with its one Gaussian of poses instead of the mixture."""
+    """Return a prior with a single Gaussian of poses instead of the mixture."""
     return replace(prior, weights=np.ones(1), means=prior.mean[None], covariances=prior.covariance[None])
 
 

@@ -36,8 +36,17 @@ def builtin_subjects() -> tuple[str, ...]:
 def load_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -> Body:
     """Load a skeleton by its built-in name or from a TOML file.
 
-    `subject` is the name or file of a measured animal, for a whole animal only. Raises InputError, naming every
-    problem.
+    Parameters
+    ----------
+    name_or_path
+        Name or file of the skeleton.
+    subject
+        Name or file of a measured animal; only for skeletons of whole animals.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be used; every problem is listed.
     """
     raw, source = read_named(name_or_path)
     if "segments" in raw or not raw.keys() & {"links", "extends"}:
@@ -45,7 +54,7 @@ def load_skeleton(name_or_path: str | Path, subject: str | Path | None = None) -
     if subject is not None:
         expected = f"nothing: {source} is a chain, and a measured chain needs a skeleton file of its own"
         raise InputError(Problem("--subject", "name or file", repr(str(subject)), expected))
-    from recon.animal.chain import chain_of  # hardly any clip is of one
+    from recon.animal.chain import chain_of  # imported here because few clips use a chain
 
     return chain_of(raw, source).body
 
@@ -54,7 +63,7 @@ def read_named(
     name_or_path: str | Path,
     kind: Literal["skeleton", "subject", "detector"] = "skeleton",
 ) -> tuple[dict[str, Any], str]:
-    """Return a file's tables, and its name for messages."""
+    """Return the tables of a file, and its name for messages."""
     option = "--set detector" if kind == "detector" else f"--{kind}"
     return documents.named_table(name_or_path, f"animal/{kind}s", option, kind)
 
@@ -107,7 +116,9 @@ class _Marker(FileTable):
 class _Mass(FileTable):
     source: str
     share: dict[str, tuple[_Share, _Share]]
-    """By segment, and one standard deviation; 0 of what only carries markers."""
+    """Mass of each segment as a share of the body's, and its standard deviation; 0 for segments that only carry
+    markers.
+    """
 
 
 class _BodyFile(FileTable):
@@ -123,7 +134,7 @@ class _BodyFile(FileTable):
     markers: tuple[_Marker, ...]
     limbs: dict[str, tuple[str, ...]]
     anatomy: dict[str, tuple[str, str, str]] = Field(default_factory=dict)
-    """Markers above, at and below each joint; a left joint also stands for the right one."""
+    """Markers above, at and below each joint; a left joint also defines the right one."""
     mass: _Mass | None = None
 
 
@@ -140,7 +151,7 @@ def _load_body(raw: dict[str, Any], source: str, subject: str | Path | None) -> 
         problems = [*subject_problems(animal, file, subject_source)]
         file = with_subject(animal, file)
     problems += _body_problems(file, source)
-    raise_problems(dict.fromkeys(problems))  # both sides of a mirrored segment can have the same
+    raise_problems(dict.fromkeys(problems))  # both sides of a mirrored segment can have the same problem
     return replace(_body(file), subject=None if subject is None else str(subject))
 
 
@@ -148,7 +159,7 @@ _Item = TypeVar("_Item", _Segment, _Marker)
 
 
 def _both_sides(items: Iterable[_Item]) -> Iterator[tuple[int, _Item]]:
-    """Yield every segment or marker with its row in the file, mirrored ones twice: left, then right."""
+    """Yield every segment or marker with its row in the file; mirrored ones come twice, first left, then right."""
     for i, item in enumerate(items):
         yield i, item
         if item.mirrored and side_of(item.name) == "left":
@@ -257,9 +268,9 @@ def _body(f: _BodyFile) -> Body:
 # -- detectors --------------------------------------------------------------------------------------------------------
 
 NONE = "none"
-"""Name of the detector whose keypoints lie on the markers."""
+"""Name of the detector with keypoints at the markers."""
 OWN = "own"
-"""Name of the detector where the skeleton's or the subject's own file has the offsets."""
+"""Name of the detector if the skeleton's or the subject's own file has the offsets."""
 
 
 class _Keypoint(FileTable):
@@ -277,7 +288,7 @@ class _DetectorFile(FileTable):
 
 
 def of_scorer(scorer: str | None, skeleton: str) -> str:
-    """Return the built-in detector that writes `scorer` into its files, "none" if unknown."""
+    """Return the built-in detector that writes `scorer` into its files, or "none" if there is none."""
     for name in documents.builtin_names("animal/detectors", ".toml") if scorer else ():
         raw, _ = read_named(name, "detector")
         if raw["skeleton"] == skeleton and any(
@@ -292,21 +303,22 @@ def with_detector_offsets(
 ) -> Body:
     """Return the body with a detector's keypoint offsets.
 
+    Markers of the right side get the mirrored offsets of the left.
+
     Parameters
     ----------
-    detector : name, file or "none"
-        By default the detector that the subject's or the skeleton's file names, else that of the scorers.
-    scorers : mapping of file to scorer
-        Scorers of the keypoint files.
+    body
+        The animal.
+    detector
+        Name or file of a detector, or "none". By default it is the detector named in the subject's or the skeleton's
+        file, or else that of the scorers.
+    scorers
+        Scorers of the keypoint files, by file.
 
     Raises
     ------
     InputError
-        For a file that does not fit the body, and for scorers of two detectors.
-
-    Notes
-    -----
-    Markers of the right side follow those of the left, mirrored.
+        If a file does not fit the body, or the scorers are those of two detectors.
     """
     if detector is None and body.keypoint_offset_m:
         return replace(body, detector=OWN)

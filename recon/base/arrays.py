@@ -1,4 +1,4 @@
-"""Name types of arrays, show objects in one line, and compute with arrays that have missing values.
+"""Name the types of arrays, show objects in one line, and compute with arrays that have missing values.
 
 The types name the content of an array; docstrings give its shape.
 """
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Integers = NDArray[np.int64]
 Index = NDArray[np.intp]
-"""Indices into another array."""
+"""Indices of elements of another array."""
 LONGEST, LONGEST_PART, SMALL = 250, 75, 12
 """Largest number of characters shown for an object and for a part of it; largest array that is shown in full."""
 

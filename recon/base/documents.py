@@ -37,13 +37,13 @@ MAX_TOML_BYTES = 1 << 23
 
 @contextmanager
 def damage_named(source: str | Path, expected: str, field: str = "content") -> Iterator[None]:
-    """Turn almost any exception that Python and libraries raise for a damaged file into an InputError.
+    """Turn almost every exception that a damaged file causes into an InputError.
 
     `expected` describes an undamaged file, for the message.
     """
     try:
         yield
-    except (InputError, AssertionError, NameError, ImportError):  # these exceptions are no fault of the file
+    except (InputError, AssertionError, NameError, ImportError):  # these exceptions are not the file's fault
         raise
     except UnicodeDecodeError as error:
         raise InputError(Problem(source, field, f"bytes that are not {error.encoding.upper()}", expected)) from None
@@ -60,7 +60,7 @@ def damage_named(source: str | Path, expected: str, field: str = "content") -> I
 def read_text(path: Path, expected: str, most_bytes: int = MAX_BYTES) -> str:
     """Return the text of a UTF-8 file.
 
-    `expected` describes the file, for messages. Raises InputError for anything else.
+    `expected` describes the file, for messages. Raises InputError if the file is anything else.
     """
     return text_of(read_content(path, expected, most_bytes), path, expected)
 
@@ -96,7 +96,7 @@ def read_head(path: Path, expected: str = "a file that can be read", length: int
 
 
 def utf8_path(path: Path) -> str:
-    """Return an absolute path for a library that takes only names in UTF-8; raise InputError for another name."""
+    """Return an absolute path for a library that accepts only names in UTF-8; raise InputError for another name."""
     name = str(path.absolute())
     if encodable(name) != name:
         raise InputError(Problem(path, "name", "bytes that are not UTF-8", "a name in UTF-8: rename the file"))
@@ -140,14 +140,14 @@ def parse_toml(text: str, source: str | Path, expected: str = "TOML") -> dict[st
     """Return the table of a TOML text; raise InputError for anything else."""
     with damage_named(source, expected):
         if _LONG_KEY.search(text):
-            raise RecursionError  # time and memory of tomllib grow with the square of a key's length
+            raise RecursionError  # the time and memory of tomllib grow with the square of a key's length
         return tomllib.loads(text)
 
 
 _Model = TypeVar("_Model")
 
 
-_adapter = cache(TypeAdapter)  # making an adapter takes longer than checking a table
+_adapter = cache(TypeAdapter)  # kept because making an adapter takes longer than checking a table
 
 
 def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path) -> _Model:

@@ -36,13 +36,13 @@ _NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 
 @contextmanager
 def staged_folder(folder: str | Path) -> Iterator[Path]:
-    """Yield a folder to write files in, which move into `folder` when the block ends without an exception.
+    """Yield a folder to write files to, which move into `folder` when the block ends without an exception.
 
-    Each file replaces the one of its name in one step; other files in `folder` stay. After an exception nothing is
-    left, not even a folder that was made for the purpose. After a kill only a hidden staging folder is left, which the
-    next run removes. Any number of processes may write into one folder at a time. An OSError names the file that was to
-    be written, or the folder. Commands write through `recon.base.outputs.Output`, which replaces none of a user's
-    files.
+    Each file replaces the file of the same name in one step; other files in `folder` stay. After an exception nothing
+    is left, not even a folder that was made for the purpose. After a kill only a hidden staging folder is left, which
+    the next run removes. Any number of processes may write into one folder at the same time. An OSError names the file
+    that was to be written, or the folder. Commands write through `recon.base.outputs.Output`, which never replaces a
+    user's files.
     """
     with staging_in(Path(folder)) as staging:
         yield staging / NEW
@@ -133,7 +133,7 @@ def _new_staging(folder: Path) -> tuple[Path, int]:
             staging = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=folder))
             lock = os.open(staging / _LOCK, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
         except (FileNotFoundError, FileExistsError):
-            continue  # another process has just removed it as a dead one's, or has removed the folder that it had made
+            continue  # another process has just removed it as abandoned, or has removed the folder that it had made
         try:
             if is_locked_here(lock) is not False:
                 (staging / NEW).mkdir()
@@ -263,8 +263,8 @@ def is_plain_name(name: str) -> bool:
 
 # -- manifests: files that belong together ----------------------------------------------------------------------------
 
-# A manifest goes before the first file of a run is replaced, and comes after the last (`exchange`): a run that is
-# killed in between leaves none, and a mixture of two runs is not taken for one.
+# The manifest is removed before the first file of a run is replaced, and added after the last (`exchange`). A killed
+# run therefore leaves no manifest, and files of two runs are not taken for one run.
 
 
 @dataclass(frozen=True)
@@ -295,7 +295,7 @@ class Manifest:
         return [Problem(self.folder / name, *fault, AGAIN) for name, fault in faults if fault]
 
     def require(self, *names: str) -> None:
-        """Raise InputError unless these files exist and are as the run wrote them."""
+        """Raise InputError unless these files exist and have not changed since the run wrote them."""
         raise_problems(self.changed(names))
 
     def _fault(self, name: str) -> tuple[str, str] | None:

@@ -31,11 +31,18 @@ class Interrupts:
     """Handle the signals of `STOPPING` in a process that runs one command.
 
     While the command runs, the first Ctrl-C is a KeyboardInterrupt, so that the command can clean up. During an import
-    the KeyboardInterrupt comes when the import has ended, because libraries turn exceptions into others there, or print
-    them. The process ends at once at any other time, at a second Ctrl-C, and where the command does not end in time.
+    the KeyboardInterrupt comes when the import has ended, because libraries turn exceptions during imports into others,
+    or print them. The process ends at once at any other time, at a second Ctrl-C, and if the command does not end in
+    time.
 
-    in_command: whether a command runs that can clean up. received: whether the command has to stop. said: whether the
-    line has been printed.
+    Attributes
+    ----------
+    in_command
+        Whether a command that can clean up is running.
+    received
+        Whether the command has to stop.
+    said
+        Whether the line has been printed.
     """
 
     def __init__(self) -> None:
@@ -49,7 +56,7 @@ class Interrupts:
     def install(self) -> None:
         """Install the handler, in the main thread.
 
-        Where SIGINT is ignored, as in the background jobs of a shell script, it stays ignored.
+        If SIGINT is ignored, as in the background jobs of a shell script, it stays ignored.
         """
         taken = [
             number for number in STOPPING if signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL)
@@ -109,8 +116,8 @@ class Interrupts:
     def _watch(self, reader: int, main: int) -> None:
         """Bring a signal to the main thread's next step.
 
-        Python runs signal handlers between two steps of the main thread, which may be in a library for long, or begin
-        to wait just after the signal. SIGURG, which has no other effect, wakes it.
+        Python runs signal handlers between two steps of the main thread. That thread may be in a library for long, or
+        begin to wait just after the signal; SIGURG, which has no other effect, wakes it.
         """
         while not {*STOPPING} & {*os.read(reader, 64)}:
             pass

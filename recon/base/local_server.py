@@ -16,7 +16,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 WASM = "application/wasm"
-"""Kind of WebAssembly, which browsers take without a charset only."""
+"""Media type of WebAssembly, which browsers accept only without a charset."""
 MOST_BYTES = 4_000_000
 """Largest request in bytes: thousands of corrections."""
 _POLICY = (
@@ -35,7 +35,9 @@ class Reply:
 
 
 Handler = Callable[[str, object], Reply]
-"""Answers a request, given the rest of the address after the handler's name, and the JSON data or None."""
+"""A function that answers a request, given the rest of the address after the handler's name, and the JSON data or
+None.
+"""
 
 
 def json_reply(value: object, status: HTTPStatus = HTTPStatus.OK) -> Reply:
@@ -51,7 +53,7 @@ class LocalServer(ThreadingHTTPServer):
     pages
         Handlers of GET requests, by name; "" is the page itself.
     posts
-        What takes data, by name.
+        Handlers of POST requests, by name.
     policy
         The page's Content-Security-Policy.
     """

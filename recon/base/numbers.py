@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 
 SHORT_M = 0.1
-"""Length below which lengths are given in millimetres: those of a mouse would be 0.00 m."""
+"""Length below which lengths are given in millimetres; the lengths of a mouse would be 0.00 m."""
 _ONE_DIGIT, _ONE_DIGIT_OF_INTERVAL = 1.95, 3.55
 """Leading digits of an uncertainty, and of an interval's half width, above which one digit is enough."""
 
 
 def decimals(value: float) -> str:
-    """Return the format of a speed or path without uncertainty: one decimal, or two below 1, as for a mouse."""
+    """Return the format of a speed or path without uncertainty: one decimal, or two below 1."""
     return ".1f" if abs(value) >= 1 else ".2f"
 
 

@@ -1,9 +1,9 @@
 """Decide what a command may write: no file of the user is ever replaced or deleted.
 
 A command replaces or deletes only files that an earlier run of the same kind wrote and that nobody has changed since.
-Size and SHA-256 identify these files; they stand in `RECORD`, a hidden file in every folder that recon writes to, and
-in the folder's manifest, if it has one. Everything else stays: an input of the run that is starting, a link, a folder,
-a file of a user's or of another command. A command that would have to write such a name stops with a message before it
+Size and SHA-256 identify these files; they are listed in `RECORD`, a hidden file in every folder that recon writes to,
+and in the folder's manifest, if it has one. Everything else stays: inputs of the run that is starting, links, folders,
+files of a user or of another command. A command that would have to replace such a file stops with a message before it
 changes anything. This holds for a folder and for a single file that the user names, as in --out camera.toml.
 
 `RECORD` gets the new digests before the first file moves, and loses the old ones after the last. Files that a killed
@@ -67,7 +67,7 @@ class WrittenFile:
 
 
 _Written = dict[str, tuple[WrittenFile, ...]]
-"""The contents that recon may have left under each name."""
+"""Contents that recon may have left, by file name."""
 
 
 def read_record(folder: Path) -> _Written:
@@ -181,14 +181,14 @@ def is_current(path: Path, results: Path) -> bool:
 
 
 def _is_of(entry: WrittenFile, folder: Path, results: Path) -> bool:
-    """Return whether a file in a folder was made from the present content of a results folder."""
+    """Return whether a file in a folder was made from the present results in another folder."""
     if entry.results is None:
         return False
     return os.path.realpath(folder / entry.results) == os.path.realpath(results)
 
 
 def _goes(entry: WrittenFile, folder: Path, results: Path) -> bool:
-    """Return whether a file is removed together with the results that it was made from."""
+    """Return whether a file is removed together with the results from which it was made."""
     return _is_of(entry, folder, results) and not entry.is_named
 
 
@@ -217,9 +217,9 @@ class Output:
     mark: str = ""
     """Name of a file that identifies a manifest of version 0.2, which does not state its command."""
     content: str = "results"
-    """What messages call the files."""
+    """Name of the files in messages."""
     option: str = "--out"
-    """What messages call the folder or file, or "" if no option names another one."""
+    """Name of the folder or file in messages, or "" if no option names another one."""
 
     def require(self, names: Iterable[str] = ()) -> None:
         """Raise InputError if the folder cannot be written to, or a file of these names may not be replaced.

@@ -1,6 +1,6 @@
 """Find the distribution from which this package is installed, its version, and the command that adds an extra.
 
-The distribution has another name than the package, because `recon` on the public index belongs to somebody else.
+The distribution and the package have different names, because `recon` on the public index belongs to somebody else.
 """
 
 from __future__ import annotations

@@ -96,10 +96,27 @@ def outcome_of(work: Work[_Task], task: _Task, progress: Progress) -> dict[str, 
 def carry_out(work: Work[_Task], tasks: Tasks[_Task], tell: Tell, jobs: int | None = None, retries: int = 0) -> None:
     """Run tasks in processes on this machine with one thread each, and report their events to `tell`.
 
-    jobs: tasks at a time, by default one for each core. retries: number of further attempts at a task whose process
-    died, or that raised anything but InputError; after the last attempt the outcome is a failure with the last lines of
-    the process as "log". After an exception, such as Ctrl-C, the processes are stopped, which takes seconds, and tasks
-    that ended before are reported. Raises InputError if processes cannot be started.
+    After an exception, such as Ctrl-C, the processes are stopped, which takes seconds, and tasks that ended before are
+    reported.
+
+    Parameters
+    ----------
+    work
+        Function that does a task.
+    tasks
+        The tasks with their names.
+    tell
+        Called with each event.
+    jobs
+        Tasks at the same time, by default one for each core.
+    retries
+        Further attempts at a task whose process died, or that raised anything but InputError. After the last attempt
+        the outcome is a failure, with the last lines of the process as "log".
+
+    Raises
+    ------
+    InputError
+        If processes cannot be started.
     """
     waiting = deque((name, task, 1) for name, task in tasks)
     underway: dict[Any, tuple[_Process, str, _Task, int]] = {}

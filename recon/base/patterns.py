@@ -1,4 +1,4 @@
-"""Check regular expressions from files of unknown origin: only fast ones are used."""
+"""Check regular expressions of unknown origin, so that only fast ones are used."""
 
 from __future__ import annotations
 

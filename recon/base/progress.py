@@ -9,4 +9,4 @@ Progress = Callable[[str, float], None]
 
 
 def silent(stage: str, share: float) -> None:
-    """Report nothing to anybody."""
+    """Report nothing."""

@@ -90,8 +90,8 @@ def load_record(
 def _plain(value: object, field: str, arrays: dict[str, np.ndarray], name_of: dict[int, str]) -> object:
     """Return a value as JSON types, with larger arrays replaced by their names.
 
-    field: the fields that lead to the value. name_of: names by an array's identity, so that an array with several names
-    is written once.
+    `field` has the fields that lead to the value. `name_of` has the names by the identity of the array, so that an
+    array with several names is written once.
     """
 
     def inside(name: str | int, item: object) -> object:
@@ -135,7 +135,7 @@ def _tag(subclass: type, field: str) -> str:
 
 
 def _restored(value: object, arrays: Mapping[str, np.ndarray], classes: Classes) -> object:
-    """Return a value of `_plain` with its arrays, slices and the dataclasses that have a tag.
+    """Return a value of `_plain` with its arrays, slices and tagged dataclasses restored.
 
     Other dataclasses are still mappings.
     """

@@ -1,4 +1,4 @@
-"""Write tables that people open in a spreadsheet, which runs a text that begins like a formula."""
+"""Write tables that are safe to open in a spreadsheet, which runs a text that begins like a formula."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _is_number(text: str) -> bool:
 
 
 def write_frame(table: pd.DataFrame, path: Path, index: bool = False) -> None:
-    """Write a table as CSV with every text guarded; index: whether the names of the rows are written, too."""
+    """Write a table as CSV with every text guarded, with the names of the rows if `index` is true."""
     texts = table.select_dtypes(exclude=["number", "bool"]).columns
     table = table.assign(**{name: table[name].map(guarded) for name in texts}).rename(columns=guarded)
     table.to_csv(path, index=index, lineterminator="\n")

@@ -1,1 +1,1 @@
-"""Rotations, frames of reference, cameras with their lenses, and kinematic trees."""
+"""Provide rotations, frames of reference, cameras with their lenses, and kinematic trees."""

@@ -23,14 +23,14 @@ from recon.geometry.lens import LENS_MODELS, Lens
 
 MIN_DEPTH_M = 1e-6
 LARGEST = 1e9
-"""The largest number that a camera may have; more can only be damage."""
+"""Largest number in a camera; larger numbers are damage."""
 BLOCKS: dict[str, tuple[tuple[int, ...], str]] = {
     "matrix": ((3, 3), "[[fx, s, ox], [0, fy, oy], [0, 0, 1]], fx and fy > 0"),
     "distortion": ((), "the lens coefficients"),
     "rotation": ((3, 3), "a rotation, world to camera: 3x3 or a Rodrigues vector"),
     "translation_m": ((3,), "a translation of 3 numbers"),
 }
-"""The arrays of a camera: their shapes, where fixed, and their meaning."""
+"""Arrays of a camera: their shapes, if fixed, and their meaning."""
 POSE = ("rotation", "translation_m")
 TILT = "radians between -pi/2 and pi/2, or 0 if a pose says which way is up"
 
@@ -51,17 +51,19 @@ class Camera(Brief):
     name: str
     """Name of the camera in its calibration file."""
     matrix: Array
-    """(3, 3), K with skew s = K[0, 1]."""
+    """Camera matrix K, shape (3, 3), with skew s = K[0, 1]."""
     distortion: Array
-    """The coefficients of the lens `model`, shape (n,)."""
+    """Coefficients of the lens `model`, shape (n,)."""
     model: str
-    """The lens model, one of `LENS_MODELS`."""
+    """Lens model, one of `LENS_MODELS`."""
     image_size_px: tuple[int, int]
     """Width and height of the picture, pixels."""
     rotation: Array | None = None
-    """(3, 3), of T_camera_world: X_camera = rotation X_world + translation_m. None when the pose is unknown."""
+    """Rotation of T_camera_world, shape (3, 3): X_camera = rotation X_world + translation_m. None if the pose is
+    unknown.
+    """
     translation_m: Array | None = None
-    """(3,), None when the pose is unknown."""
+    """Translation, shape (3,), metres; None if the pose is unknown."""
     world_z_up: bool = True
     """Whether the world's z axis points up; False if a calibration board defines the world."""
     tilt_rad: float = 0.0
@@ -110,8 +112,8 @@ class Camera(Brief):
     def from_hfov(cls, hfov_deg: float, image_size_px: tuple[int, int], name: str = "cam1") -> Camera:
         """Return a pinhole camera with a given horizontal field of view.
 
-        Pixels are square and the principal point is central. Raises ValueError for a field of view outside (0, 180)
-        degrees.
+        Pixels are square and the principal point is central. Raises ValueError if the field of view is not between 0
+        and 180 degrees.
         """
         if not 0 < hfov_deg < 180:
             raise ValueError(f"the horizontal field of view must lie between 0 and 180 degrees, got {hfov_deg}")
@@ -259,7 +261,7 @@ class Camera(Brief):
 
     @property
     def centre_world(self) -> Array:
-        """Centre of projection (3,), world frame, metres. Raises ValueError when the pose is unknown."""
+        """Centre of projection, shape (3,), world frame, metres. Raises ValueError if the pose is unknown."""
         return self.camera_to_world(np.zeros(3))
 
     def world_to_camera(self, points_m: npt.ArrayLike) -> Array:
@@ -278,9 +280,9 @@ class Camera(Brief):
         return self.rotation, self.translation_m
 
     def corrected(self, correction: Array) -> Camera:
-        """Return the camera with an extrinsic correction (6,), as `View.corrected`.
+        """Return the camera with an extrinsic correction (6,), as in `View.corrected`.
 
-        Raises ValueError when the pose is unknown.
+        Raises ValueError if the pose is unknown.
         """
         rotation, translation = self._pose()
         turn = euler_rotation(correction[:3])

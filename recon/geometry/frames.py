@@ -4,8 +4,8 @@
 
 - camera: x to the picture's right, y down, z forward (OpenCV's).
 - level: origin at a camera's centre, x to the picture's right, y away from the camera, z up.
-- world: where motion is solved, right-handed with z up and at rest: the camera files' world where its z axis is known
-  to point up, otherwise the level frame of the first camera.
+- world: the frame in which motion is solved, right-handed, at rest, with z up. It is the world of the camera files if
+  its z axis is known to point up, otherwise the level frame of the first camera.
 - reference: the frame of results: the camera files' world if there is one, otherwise the first camera's frame.
 
 Rotations are Euler angles with their derivatives, which scipy's `Rotation` does not give. R = Rx(xi) Ry(psi) Rz(zeta)

@@ -45,7 +45,7 @@ _SUMMED = {"z": "phi", "y": "theta"}
 """Names of a summed joint's rotations, as published for the 8U chain."""
 
 _BLOCK, _FRAMES_AT_ONCE = 64, 4096
-"""Frames per block: with Jacobians, to stay in the processor's cache; and without, to keep memory small."""
+"""Frames in a block: with Jacobians, to stay in the processor's cache; without them, to limit memory."""
 
 CYCLE = np.array([0, 1, 2, 0, 1])
 _IDENTITY, _NONE = np.eye(3), np.zeros(0)
@@ -68,8 +68,9 @@ class Segment:
     offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Origin in the parent's frame, (x, y, z)."""
     rotation: tuple[tuple[float, ...], ...] | None = None
-    """(3, 3), from the segment's frame to its parent's before the joint moves; only for joints turn, slide and
-    fixed.
+    """Rotation (3, 3) from the segment's frame to its parent's before the joint moves.
+
+    Only joints of the kinds turn, slide and fixed have one.
     """
 
 
@@ -87,11 +88,11 @@ class TreePose:
     """Hold the markers of a tree for N states; derivatives are empty unless requested."""
 
     points_m: Array
-    """(N, J, 3), the markers in the world."""
+    """Markers in the world, shape (N, J, 3)."""
     jacobian: Array = field(default_factory=lambda: _NONE)
-    """(N, J, 3, D), by the state."""
+    """Derivatives of the markers by the state, shape (N, J, 3, D)."""
     d_size: Array = field(default_factory=lambda: _NONE)
-    """(N, J, 3), by the logarithm of the size."""
+    """Derivatives of the markers by the logarithm of the size, shape (N, J, 3)."""
 
 
 class _Plan:
@@ -206,13 +207,13 @@ _Placed = TypeVar("_Placed", Segment, Marker)
 
 @dataclass(frozen=True, repr=False)
 class Tree(Brief):
-    """Segments, root first and parents before children, and J markers; D = 6 + number of angles."""
+    """Hold segments, the root first and parents before children, and J markers; D = 6 + number of angles."""
 
     segments: tuple[Segment, ...]
     markers: tuple[Marker, ...]
 
     def lengthened(self, factor_of: Callable[[str], float]) -> Tree:
-        """Return the tree with each offset times a factor of its segment's or marker's name."""
+        """Return the tree with the offset of each segment and marker times a factor for its name."""
 
         def longer(item: _Placed) -> _Placed:
             return replace(item, offset_m=tuple(float(factor_of(item.name)) * value for value in item.offset_m))
@@ -225,7 +226,7 @@ class Tree(Brief):
 
     @cached_property
     def state_names(self) -> tuple[str, ...]:
-        """(D,): x_m, y_m, z_m, then <segment>_yaw etc.; phi_6 and theta_6 for the summed joint of segment J6."""
+        """Names (D,): x_m, y_m, z_m, then <segment>_yaw etc.; phi_6 and theta_6 for the summed joint of segment J6."""
         names = [
             f"{_SUMMED[axis]}_{s.name.lstrip('J')}" if s.joint == "summed" else f"{s.name}_{_NAMES[axis]}"
             for s in self.segments
@@ -235,7 +236,7 @@ class Tree(Brief):
 
     @cached_property
     def axes(self) -> tuple[str, ...]:
-        """(D - 3,): the axis of each angle of the state, "x", "y" or "z"."""
+        """Axis of each angle of the state, "x", "y" or "z", (D - 3,)."""
         return tuple(axis for _, axis in self.rotations)
 
     @cached_property
@@ -365,7 +366,7 @@ Moved = tuple[Array, Array, Array]
 def derivatives(tree: Tree, state: Array) -> tuple[Array, Array, Callable[[Array], Array]]:
     """Return first and second derivatives of the markers for one state (D,), for inverse kinematics.
 
-    Only for trees without summed joints.
+    The tree must not have summed joints.
 
     Returns
     -------
