@@ -45,11 +45,11 @@ from recon.base.arrays import Array, Integers
 _UNKNOWN = 1e-9
 """Precision added to an unknown whose covariance is lost to rounding, relative to its own precision."""
 _IN_BLOCKS = 8
-"""Number of right-hand sides from which on products of matrices are faster than LAPACK's solver, which takes one by
+"""Number of right-hand sides from which matrix products are faster than LAPACK's solver, which takes them one by
 one.
 """
 _KEPT = 1 << 24
-"""Most numbers of windows that are kept until the shared unknowns are known, 128 MB."""
+"""Most numbers in windows that are kept until the shared unknowns are known: 128 MB."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def step(pieces: Iterable[Normal], damping: float) -> tuple[Array, Array]:
         if not isinstance(part, Window):
             return -part[..., 0] - part[..., 1:] @ shared
         white = part.whitened[..., 0] + part.whitened[..., 1:] @ shared
-        return -part.unwhiten(white)  # one right-hand side in place of all
+        return -part.unwhiten(white)  # one right-hand side replaces all
 
     return np.concatenate([frames_step(part) for part, _ in windows]), shared
 
@@ -209,7 +209,7 @@ class _Factor:
         return self._solved(right, "N")
 
     def unwhiten(self, white: Array) -> Array:
-        """Return x = L^-T z of z (T, D, ...): a white z becomes one whose covariance is the inverse of H."""
+        """Return x = L^-T z of z (T, D, ...): for a white z, the covariance of x is the inverse of H."""
         return self._solved(white, "T")
 
     def _solved(self, right: Array, transposed: Literal["N", "T"]) -> Array:
@@ -219,9 +219,10 @@ class _Factor:
         return dtbtrs(self.band, flat, uplo="L", trans=transposed)[0].reshape(right.shape)
 
     def _solved_in_blocks(self, right: Array, transposed: Literal["N", "T"]) -> Array:
-        """Return what `_solved` does for (TD, K), block row by block row of as many rows as the band has.
+        """Return `_solved` of (TD, K), computed in block rows that are as wide as the band.
 
-        A column of the band begins at the diagonal: read with a stride that is shorter by one, it is a triangle of L.
+        Each column of the band begins at the diagonal. Read with a stride that is shorter by one, the band is a
+        triangle of L.
         """
         size, count = self.band.shape
         solution, starts = np.array(right, dtype=float, order="C"), [*range(0, count, size)]

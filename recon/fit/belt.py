@@ -22,7 +22,7 @@ _Solution = TypeVar("_Solution", bound=Solution)
 def belt_path_m(solution: Solution, time_s: Array, speed_m_s: float) -> Array:
     """Return the distance that the belt has carried the animal at each time, as vectors of shape (T, 3).
 
-    The belt is taken to be level and to run against the mean direction of the trunk.
+    The belt is assumed to be level and to run opposite to the mean direction of the trunk.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ def belt_path_m(solution: Solution, time_s: Array, speed_m_s: float) -> Array:
 
 
 def views_from_belt(views: Sequence[View], path_m: Array) -> tuple[View, ...]:
-    """Return views whose cameras move along a path (T, 3), as they do in the belt's frame."""
+    """Return views whose cameras move along a path (T, 3), as they do in the frame of the belt."""
     T_world_belt = np.tile(np.eye(4), (len(path_m), 1, 1))
     T_world_belt[:, :3, 3] = -path_m
     return tuple(replace(view, T_camera_world=view.T_camera_world @ T_world_belt) for view in views)

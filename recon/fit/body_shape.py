@@ -21,8 +21,8 @@ LENGTH_SIGMA = 0.05
 OFFSET_SIGMA_M = 0.01
 """Expected offset of a keypoint from its marker along each axis.
 
-Keypoints lie further off, but a body that is fitted to them adapts. This value lets single cameras find the published
-poses best in runs that were left out (docs/benchmarks.md).
+Keypoints are further off, but the body is fitted to them and adapts. In runs that were left out, single cameras
+estimate the published poses best with this value (docs/benchmarks.md).
 """
 
 
@@ -32,11 +32,15 @@ class Shape:
 
     body: Body
     lengths: tuple[str, ...] = ()
-    """Segments and markers whose distance from their origin is unknown; lengths on the right equal those on the
-    left.
+    """Segments and markers whose distance from their origin is unknown.
+
+    Lengths on the right equal those on the left.
     """
     offsets: tuple[str, ...] = ()
-    """Markers with unknown keypoint offsets, x, y and z each; offsets on the right mirror those on the left."""
+    """Markers with unknown keypoint offsets along x, y and z.
+
+    Offsets on the right mirror those on the left.
+    """
     offset_sigma_m: float = OFFSET_SIGMA_M
 
     @classmethod
@@ -96,7 +100,7 @@ class Shape:
         return by_shape
 
     def leader(self, name: str) -> str:
-        """Return the name whose unknowns a name shares: its counterpart on the left, or itself."""
+        """Return the name whose unknowns are used for a name: its counterpart on the left, or the name itself."""
         return other_side(name) if follows(name, self.body) else name
 
     def _mirror(self, name: str) -> Array:
@@ -121,7 +125,7 @@ class FreeShape:
     """The body whose shape values are all 0."""
     lengths: Shape
     _shaped: dict[bytes, Body] = field(default_factory=dict, repr=False)
-    """The last requested body, by its values."""
+    """The body that was requested last, by its values."""
 
     @classmethod
     def of_body(cls, body: Body) -> FreeShape:

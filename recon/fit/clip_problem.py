@@ -19,31 +19,34 @@ from recon.fit.result import Ground
 
 UP = np.array([0.0, 0.0, 1.0])
 _NEAREST_M = 0.3
-"""Least distance of anything from a camera."""
+"""Least distance of any point from a camera."""
 _SAME_CENTRE_M = 1e-6
 """Distance below which a camera counts as being at the origin."""
 
 
 @dataclass(frozen=True)
 class TrajectoryOptions:
-    """Hold the options of a fit that users choose; `recon.fit.constants` holds the numbers that nobody sets."""
+    """Hold the options of a fit that users choose.
+
+    `recon.fit.constants` holds the numbers that no user sets.
+    """
 
     fast: bool = False
     """Whether to try fewer starts, solve only one of them to the end, and use looser tolerances."""
     ground: Literal["auto", "none"] = "auto"
-    """auto: standing feet do not move and are on one plane; none: nothing is assumed about them."""
+    """auto: standing feet do not move and are on one plane; none: no assumption about the feet."""
     sigma_px: float = 3.0
     """Standard deviation of the detector's noise."""
     keypoint_sigma_m: float | None = None
-    """Standard deviation of keypoints about the markers; None means the body's."""
+    """Standard deviation of keypoints about the markers, metres; None for that of the body."""
     size_sigma: float | None = None
-    """Relative standard deviation of the size; None means the body's."""
+    """Relative standard deviation of the size; None for that of the body."""
     find_offsets: bool = False
     """Whether the time offsets of all cameras but the first are unknowns."""
     refine_cameras: bool = False
     """Whether the poses of all cameras but the first are unknowns."""
     focal_sigma: float | None = None
-    """Relative standard deviation of all cameras' focal lengths; None means that they are exact.
+    """Relative standard deviation of all cameras' focal lengths; None if they are exact.
 
     Several cameras estimate the focal lengths; with one camera they only add to the uncertainty.
     """
@@ -56,10 +59,10 @@ class TrajectoryOptions:
 
 
 def focal_sigma_of(settings: Mapping[str, Any], cameras: int) -> float | None:
-    """Return the relative standard deviation of the focal lengths, by how the cameras were given; None: exact.
+    """Return the relative standard deviation of the focal lengths from how the cameras were given; None if exact.
 
-    settings: those of a fit, by name. Several cameras, which find focal lengths, and cameras that move have it only
-    where it is given.
+    settings are those of a fit, by name. Several cameras, which estimate focal lengths, and moving cameras have a
+    standard deviation only if it is given.
     """
     sigma: float | None = settings.get("focal_sigma")
     if sigma is not None or cameras > 1 or settings.get("camera_track") is not None:
@@ -77,23 +80,27 @@ class ClipProblem:
     fps: float
     options: TrajectoryOptions
     origin_m: Array
-    """(3,), world frame: the fixed point about which the body's size scales the scene, the first camera's (mean)
-    centre.
+    """Fixed point about which the body's size scales the scene, shape (3,), world frame.
+
+    It is the (mean) centre of the first camera.
     """
     ground_near_zero: bool
     """Whether the ground is known to lie near the world's z = 0."""
     time_offset_frames: float
     """Standard deviation of the pictures' time offset, if it is not estimated."""
     prior_weight: float = 1.0
-    """See `MotionSegment.prior_weight`."""
+    """Weight of the prior, as in `MotionSegment.prior_weight`."""
     known_states: Array | None = None
-    """(T, D): states whose heading and angles are known, NaN in other frames; None if none are known."""
+    """States (T, D) with known heading and angles, NaN in other frames; None if none are known."""
     shape: FreeShape | None = None
     """The shape of `body`, if it is unknown."""
     solves_shape: bool = True
     """Whether the shape is estimated; otherwise it only adds to the uncertainty."""
     shape_scale: tuple[float, float] = (1.0, 1.0)
-    """Factors on the expected standard deviations of lengths and of keypoint offsets, as wide as the animal's are."""
+    """Factors on the expected standard deviations of lengths and of keypoint offsets.
+
+    They make the expected spread as wide as that of the animal.
+    """
 
     @classmethod
     def from_views(
@@ -122,14 +129,14 @@ class ClipProblem:
         return replace(self, views=tuple(view.part(frames) for view in self.views), known_states=known)
 
     def with_free_shape(self) -> ClipProblem:
-        """Return the problem with the body's shape unknown, where several cameras can tell it.
+        """Return the problem with the body's shape unknown, if several cameras can estimate it.
 
-        One camera cannot: lengths that were measured on nobody's kind then only add to the uncertainty.
+        One camera cannot. Lengths that were measured on other animals then only add to the uncertainty.
         """
         if self.options.lengths_known or self.known_states is not None:
             return self
         if len(self.views) == 1:
-            is_chain = self.body.one_sided  # whose lengths are those of the published animal
+            is_chain = self.body.one_sided  # a chain has the lengths of the published animal
             is_rough = self.body.subject is None and self.prior.name == NONE and not is_chain
             return replace(self, shape=FreeShape.of_body(self.body), solves_shape=False) if is_rough else self
         scale = constants.KNOWN_SHAPE_SCALE if self.detector_is_measured else constants.FIRST_SHAPE_SCALE
@@ -141,9 +148,9 @@ class ClipProblem:
         return bool(self.body.keypoint_noise_m)
 
     def with_likely_shape_spread(self, shared: Mapping[str, Array]) -> ClipProblem:
-        """Return the problem with lengths and offsets expected to spread as much as those of a solution do.
+        """Return the problem with lengths and offsets expected to spread as widely as those of a solution.
 
-        The expected spread counts as `SHAPE_COUNT` of them, and is never made less.
+        The expected spread counts as `SHAPE_COUNT` lengths or offsets, and is never reduced.
         """
         unknowns, _ = self.shared_unknowns()
         least = constants.KNOWN_SHAPE_SCALE if self.detector_is_measured else (1.0, 1.0)
@@ -158,7 +165,7 @@ class ClipProblem:
         return replace(self, shape_scale=(scales[terms.LENGTHS], scales[terms.COMMON_KEYPOINT_BIAS]))
 
     def thinned(self, step: int) -> ClipProblem:
-        """Return the problem of every step-th frame, which also counts for the frames left out."""
+        """Return the problem of every step-th frame, weighted for the frames left out."""
         thin = self.part(slice(None, None, step))
         views = tuple(
             replace(view, confidence=step * view.confidence, offset_frames=view.offset_frames / step)
@@ -192,7 +199,7 @@ class ClipProblem:
 
     @property
     def shows_size(self) -> bool:
-        """Return whether a picture was taken from elsewhere than the origin."""
+        """Return whether a picture was taken from a position other than the origin."""
         return any(np.abs(view.centre_m - self.origin_m).max() > _SAME_CENTRE_M for view in self.views)
 
     def present(self) -> Bools:
@@ -200,18 +207,18 @@ class ClipProblem:
         return np.any([view.present for view in self.views], axis=0)
 
     def markers(self, states: Array) -> Array:
-        """Return where the detector sees the markers, (T, J, 3), at nominal size about the origin."""
+        """Return the positions at which the detector sees the markers, (T, J, 3), at nominal size about the origin."""
         return self.body.detected.pose(states).points_m
 
     def in_world(self, points_m: Array, size: float = 1.0) -> Array:
-        """Return points (..., 3) of nominal size about the origin in the world."""
+        """Return points (..., 3), given at nominal size about the origin, in the world."""
         return self.origin_m + size * points_m
 
     # -- the problem ----------------------------------------------------------------------------------------------
 
     @property
     def correlation_frames(self) -> float:
-        """Return the correlation length of errors: neighbouring frames within it count once in the uncertainty."""
+        """Return the correlation length of errors in frames, within which neighbouring frames count once."""
         return max(constants.ERROR_TIME_S * self.fps, 1.0)
 
     @property
@@ -221,7 +228,7 @@ class ClipProblem:
 
     @property
     def keypoint_bias_m(self) -> float:
-        """Return the expected keypoint bias, the distance from its marker that lasts all clip."""
+        """Return the expected keypoint bias, a distance from the marker that is constant over a clip."""
         return constants.KEYPOINT_BIAS_SHARE * self.keypoint_sigma_m
 
     @property
@@ -245,7 +252,8 @@ class ClipProblem:
     def noise_px(self, points_m: Array, factor: Array, size: float = 1.0) -> Array:
         """Return the noise of detections (V, T, J) for markers (T, J, 3) at nominal size.
 
-        It is the detector's noise and the keypoints', times sqrt(factor) (V, J), and that of a camera's rotation.
+        It combines the noise of the detector and of the keypoints, times sqrt(factor) (V, J), and that of a camera's
+        rotation.
         """
         px_per_m = self.px_per_m(points_m, size)[..., None]
         noise = np.hypot(self.options.sigma_px, self.in_frame_m * px_per_m) * np.sqrt(factor)[:, None]
@@ -255,11 +263,11 @@ class ClipProblem:
         return np.hypot(noise, rotation_px[..., None])
 
     def shared_unknowns(self, shifts_m: Array | None = None) -> tuple[list[SharedUnknown], list[SharedUnknown]]:
-        """Return the unknowns that all frames share: those that pictures can show, and the nuisance ones.
+        """Return the unknowns that all frames share: those that the pictures determine, and nuisance unknowns.
 
-        Nuisance unknowns only add to the uncertainty, as a single camera's time offset and focal length.
-        shifts_m (V,): the expected shift of cameras that are refined. Standard deviations are of what lasts: more
-        frames make it no better known.
+        Nuisance unknowns only add to the uncertainty, such as a single camera's time offset and focal length. shifts_m
+        (V,) is the expected shift of refined cameras. Standard deviations are those of lasting errors, which more
+        frames do not reduce.
         """
         options, V, root_correlation = self.options, len(self.views), np.sqrt(self.correlation_frames)
 
@@ -302,13 +310,13 @@ class ClipProblem:
 
     @property
     def _single_length_sigmas(self) -> Array:
-        """Return the relative standard deviations of the lengths, (L,), that one camera cannot correct."""
+        """Return the relative standard deviations of lengths, (L,), that one camera cannot correct."""
         assert self.shape is not None
         share = max(constants.LENGTH_SIGMA, constants.LENGTH_SHARE * self.body.size_sigma)
         return np.full(len(self.shape.lengths), share)
 
     def shifts_m(self, around_m: Array, size: float) -> Array:
-        """Return how far cameras may stand from their positions, (V,); a small rig is measured better."""
+        """Return the expected errors of the cameras' positions, (V,); a small rig is measured more accurately."""
         middle = self.in_world(around_m.mean(axis=1), size)
         distances_m = [np.median(np.linalg.norm(middle - view.centre_m, axis=1)) for view in self.views]
         return np.minimum(constants.CAMERA_SHIFT_M, constants.CAMERA_SHIFT_SHARE * np.array(distances_m))
@@ -321,18 +329,22 @@ class ClipProblem:
         around_m: Array | None = None,
         size: float = 1.0,
     ) -> LeastSquares:
-        """Return the problem with all terms; each is switched on here, those of the feet in `contacts`.
+        """Return the problem with all terms.
+
+        Each term is switched on here; `contacts` gives those of the feet.
 
         Parameters
         ----------
         noise_px
-            (V, T, J): the noise of each detection.
+            Noise of each detection, (V, T, J).
         temperature
-            That of the mixture of poses; None: one Gaussian.
+            Temperature of the mixture of poses; None for one Gaussian.
         contact_terms
-            Terms of the feet and the ground: see `contacts`.
+            Terms of the feet and the ground, from `contacts`.
         around_m
-            (T, J, 3): a solution's markers, and `size` its size. With them the shared unknowns are free.
+            Markers of a solution, (T, J, 3). If they are given, the shared unknowns are free.
+        size
+            Size of that solution.
         """
         D, T = self.body.n_state, len(self)
         rear, front = (self.body.markers.index(marker) for marker in self.body.forward)
@@ -371,9 +383,9 @@ class ClipProblem:
 
 
 LOW_FEET = 0.1
-"""Share of the frames in which the lowest foot is taken to be on the ground."""
+"""Fraction of the frames in which the lowest foot is assumed to be on the ground."""
 OFF_ZERO_SIGMAS = 2.0
-"""Number of standard deviations from z = 0 at which the ground is not taken to lie there."""
+"""Number of standard deviations from z = 0 beyond which the ground is not assumed to be there."""
 
 
 def sigmas_above_ground(clip: ClipProblem, points_m: Array, size: float = 1.0) -> float:
@@ -386,7 +398,7 @@ def sigmas_above_ground(clip: ClipProblem, points_m: Array, size: float = 1.0) -
 def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Ground | None, tuple[terms.Term, ...]]:
     """Return contact (T, F) of the feet of markers (T, J, 3), the ground under them, and the terms of both.
 
-    The ground is a plane through the feet that stand, found by reweighted least squares; it is None where too few
+    The ground is a plane through the standing feet, fitted by reweighted least squares. It is None if too few feet
     stand.
     """
     feet = clip.feet
@@ -402,9 +414,10 @@ def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Gr
         sigma = float(np.hypot(constants.GROUND_HEIGHT_M, clip.size_sigma * height))
     contact, plane, centre, covariance = _fit_plane(middle, slow, height, sigma, clip.fps)
     contact_of_frames = np.concatenate([contact[:1], np.maximum(contact[1:], contact[:-1]), contact[-1:]])
-    if contact.sum() < 3:  # no foot stands: nothing is known of the ground
+    if contact.sum() < 3:  # no foot stands, so the ground is unknown
         return contact_of_frames, None, (stance,)
-    # Several cameras see where the ground lies, and at nominal size it would bias the size; refined cameras see less.
+    # Several cameras see the height of the ground, and at nominal size it would bias the size; refined cameras see
+    # less.
     in_world = len(clip.views) > 1 and (near_zero or not clip.options.refine_cameras)
     plane_size = size if in_world else None
     on_ground = terms.OnGround(feet, contact, plane, centre, clip.fps, constants.GROUND_FOOT_M, plane_size)
@@ -417,9 +430,9 @@ def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Gr
 def _stance_by_size(clip: ClipProblem, points_m: Array, size: float, slow: Array) -> Array:
     """Return the derivatives of the feet's velocities by the size (T - 1, F, 3), if one moving camera sees the animal.
 
-    Standing feet show the size: with a wrong size they would appear to move with the camera, and swinging feet move in
-    any case. If the camera moves along with the animal, feet appear to move both forwards and backwards, and all of
-    them count the more.
+    Standing feet show the size: with a wrong size they would appear to move with the camera, while swinging feet move
+    in any case. If the camera moves along with the animal, feet appear to move both forwards and backwards, and all of
+    them get more weight.
     """
     camera = np.diff(clip.views[0].centre_m, axis=0)[:, None]
     body = (
@@ -433,11 +446,11 @@ def _stance_by_size(clip: ClipProblem, points_m: Array, size: float, slow: Array
 def _fit_plane(
     middle: Array, slow: Array, height: float, sigma: float, fps: float
 ) -> tuple[Array, Array, Array, Array]:
-    """Fit the ground to feet (N, F, 3), with weights (N, F) of how slow they are.
+    """Fit the ground to feet (N, F, 3), with weights (N, F) for how slow they are.
 
-    height and its standard deviation sigma are the expectation. Returns the contact (N, F), the plane (3,) about the
-    feet's middle (2,), that middle, and the plane's covariance (3, 3). Each round weighs the feet by their height
-    above the last plane (Geman-McClure).
+    height and sigma are the expected height and its standard deviation. Returns the contact (N, F), the plane (3,)
+    about the middle of the feet, that middle (2,), and the covariance of the plane (3, 3). Each round weights the feet
+    by their height above the last plane (Geman-McClure).
     """
     spread = np.array([sigma, constants.GROUND_SLOPE, constants.GROUND_SLOPE])
     centre = np.median(middle[..., :2].reshape(-1, 2), axis=0)

@@ -1,40 +1,42 @@
 """Define the numbers of the trajectory method that no user sets, each with its reason.
 
-They are standard deviations unless said otherwise. They are read by name (`constants.ROBUST_C`), so that tests can set
-another value. docs/benchmarks.md shows how much they matter.
+They are standard deviations unless stated otherwise. Code reads them by name (`constants.ROBUST_C`), so that tests can
+set other values. docs/benchmarks.md shows their effect.
 """
 
 # -- detections ---------------------------------------------------------------------------------------------------
 
 ROBUST_C = 3.0
-"""Number of standard deviations at which a residual counts half. A round number."""
+"""Number of standard deviations at which a residual counts half; a round number."""
 KEYPOINT_BIAS_SHARE = 0.6
 """Fraction of a keypoint's distance from its marker that stays constant over a clip."""
 COMMON_BIAS_SHARE = 0.4
-"""Fraction of the variance of the keypoint bias that several cameras share: the most likely value in the benchmark's
-real runs.
+"""Fraction of the variance of the keypoint bias that several cameras share.
+
+It is the most likely value in the benchmark's real runs.
 """
 NOISE_ABOUT_BIAS = 1.2
-"""Factor on the variance of detections about their keypoint bias, as real bias is not quite constant over a clip.
+"""Factor on the variance of detections about their keypoint bias, because real bias is not quite constant over a clip.
 
-With this factor the 90 % intervals of the benchmark's real runs hold as often as if the whole bias counted as noise.
+With this factor the 90 % intervals of the benchmark's real runs contain the truth as often as if the whole bias counted
+as noise.
 """
 ERROR_TIME_S = 0.16
-"""Correlation time of errors of detections, in seconds: detections within it count once in the uncertainty.
+"""Correlation time of errors of detections, in seconds; detections within it count once in the uncertainty.
 
-Chosen on the benchmark's real runs, so that 90 % regions contain about 90 % of the joints.
+It was chosen on the benchmark's real runs, so that 90 % regions contain about 90 % of the joints.
 """
 
 # -- cameras and their clocks -------------------------------------------------------------------------------------
 
 CALIBRATED_FOCAL, STATED_FOCAL = 0.02, 0.1
-"""Relative standard deviations of a single camera's focal length, by a calibration file and by a field of view.
+"""Relative standard deviations of a single camera's focal length, from a calibration file and from a field of view.
 
-The second is about how far cameras' data sheets are off for a video, which uses only a part of the sensor.
+The second is about how far data sheets of cameras are off for a video, which uses only a part of the sensor.
 """
 
 TIME_OFFSET_FRAMES = 12**-0.5
-"""Time offset of a camera in frames, for pictures taken at any time within a frame."""
+"""Standard deviation of a camera's time offset in frames, for pictures taken at any time within a frame."""
 SOUGHT_OFFSET_FRAMES = 2.0
 """Time offset, in frames, of a camera whose offset is estimated."""
 CAMERA_ROTATION_RAD, CAMERA_SHIFT_M, CAMERA_SHIFT_SHARE = 0.03490658503988659, 0.05, 0.02
@@ -48,30 +50,33 @@ CALIBRATED_RAD = 0.008726646259971648
 MISPLACED = 12.0
 """Factor on the usual errors for a camera that was moved after its calibration, or whose clock is wrong.
 
-It gives 6 degrees, 0.6 m, 3.5 frames. A round number.
+It gives 6 degrees, 0.6 m and 3.5 frames. It is a round number.
 """
 SIZE_OF_TWO_CAMERAS = 0.03
-"""Relative standard deviation of a size that two cameras measure."""
+"""Relative standard deviation of a size measured by two cameras."""
 
 LEAST_NOISE, NOISE_COUNT = 0.02, 1.0
-"""Least variance of a joint's detections relative to the expected one, and how many detections that counts for, where
-several cameras solve for the body's shape and the detector was not measured.
+"""Least variance of a joint's detections relative to the expected variance, and the number of detections it counts as.
+
+They apply if several cameras solve for the body's shape and the detector was not measured.
 """
 LENGTH_SHARE, OFFSET_SHARE = 0.3, 0.4
-"""Standard deviations with which several cameras solve for the shape: of single lengths as a share of that of the size,
-and of keypoint offsets as a share of that of the common bias. Both are widened where the animal's are larger.
+"""Standard deviations with which several cameras solve for the shape.
+
+The first is that of single lengths as a share of that of the size, the second that of keypoint offsets as a share of
+that of the common bias. Both are widened if those of the animal are larger.
 """
 LENGTH_SIGMA = 0.1
-"""Least relative standard deviation of single lengths of a skeleton without a prior, as one camera sees the animal."""
+"""Least relative standard deviation of single lengths of a skeleton without a prior, for one camera."""
 FIRST_SHAPE_SCALE, KNOWN_SHAPE_SCALE = (3.0, 2.5), (1 / 3, 1 / 2)
-"""Factors on both in the first round, whose lengths and offsets say how much they spread; and of an animal whose
-detector was measured with the skeleton, which fit each other.
+"""Factors on both standard deviations: in the first round, and for a detector that was measured with the skeleton.
 
-In the benchmark's real runs, each with a detector that was measured in the others, poses are then within 1 % of those
-with exact lengths and offsets.
+The lengths and offsets of the first round show how widely they spread. A detector and a skeleton that were measured
+together fit each other; in the benchmark's real runs, each with a detector measured in the others, poses are then
+within 1 % of those with exact lengths and offsets.
 """
 SHAPE_COUNT = 8.0
-"""Number of lengths, or coordinates of offsets, that the expected spread counts for."""
+"""Number of lengths, or coordinates of offsets, that the expected spread counts as."""
 
 # -- the animal's motion ------------------------------------------------------------------------------------------
 
@@ -80,14 +85,15 @@ POSE_WEIGHT, MOTION_WEIGHT = 1.0, 1.0
 ACCELERATION_M_S2 = (12.0, 12.0, 9.0)
 """Accelerations of the root in the level frame.
 
-These values, the next ones and those of standing feet come from the reconstructions behind the prior `running-cheetah`.
+These values, the following ones and those of standing feet come from the reconstructions behind the prior
+`running-cheetah`.
 """
 YAW_ACCELERATION_RAD_S2 = 40.0
 """Angular acceleration of the root about the vertical."""
 LATERAL_M_S = 0.5
 """Velocity across the trunk: an angle of 0.05 rad at 10 m/s."""
 SIDESLIP_RAD = 0.1
-"""Constant angle between the trunk and the direction of travel, with several cameras, as in the real runs."""
+"""Constant angle between the trunk and the direction of travel, for several cameras; as in the real runs."""
 CLIMB_M_S = 0.5
 """Vertical velocity of the root."""
 MISFIT_USUAL = 3.6
@@ -96,23 +102,26 @@ MISFIT_USUAL = 3.6
 It is 2.3 to 4.6 in 32 real views at 90 to 200 Hz, 2.0 to 4.4 with every second frame.
 """
 MISFIT_LEVEL, MISFIT_SIGMAS = 2.0, 2.33
-"""Smallest misfit of a motion unlike those of the prior, and the number of sigmas that a fitting motion exceeds in 1 of
-100 clips.
+"""Smallest misfit of a motion that is unlike those of the prior, and a number of sigmas.
+
+A motion that fits the prior exceeds this number of sigmas in 1 of 100 clips.
 """
 
 # -- feet and ground ----------------------------------------------------------------------------------------------
 
 SLIP_M_S, SLIP_C = 2.5, 2.0
-"""Velocity of a standing foot, and the number of standard deviations at which the loss saturates."""
+"""Velocity of a standing foot, and the number of standard deviations at which its loss saturates."""
 GROUND_HEIGHT_M, GROUND_SLOPE = 0.12, 0.02
-"""Height of the ground, where it is known to lie near z = 0, and its slopes."""
+"""Height and slopes of the ground, if it is known to be near z = 0."""
 GROUND_FOOT_M = 0.04
 """Height of a standing foot above the ground."""
 
 # -- the search ---------------------------------------------------------------------------------------------------
 
 NOISE_ROUNDS = 3
-"""Number of times that noise, contacts and ground are estimated (step 4 of `recon.fit.trajectory`); once in a fast fit.
+"""Number of rounds in which noise, contacts and ground are estimated (step 4 of `recon.fit.trajectory`).
+
+A fast fit has one round.
 """
 TOLERANCE = 1e-4
 """Relative decrease of the cost at which the search ends; a fast fit uses ten times this value."""

@@ -7,7 +7,7 @@ weight w, which is 0 if it is missing or was left out. If it were corrected, two
 vanish:
 
 **1. Variance.** The detection would have its full weight. The precision in the picture grows by d = (1 - w) / sigma^2,
-and the covariance falls by Z A' (I / d + A Z A')^-1 A Z. The trace of that by G is
+and the covariance falls by Z A' (I / d + A Z A')^-1 A Z. The trace of that, weighted by G, is
 
     tr((I / d + A Z A')^-1 A Q A'),   Q = Z G Z
 
@@ -49,7 +49,7 @@ def correction_gain_m2(
     """Return the expected fall of the pose's mean squared error if a detection were corrected, (V, T, J).
 
     The error is the distance of the joints from their true positions, both poses centred, and the mean is over all
-    frames and joints. NaN in frames without a pose, and where the camera cannot see the joint.
+    frames and joints. It is NaN in frames without a pose, and if the camera cannot see the joint.
 
     Parameters
     ----------
@@ -64,7 +64,8 @@ def correction_gain_m2(
     """
     clip = ClipProblem.from_views(solution.views, solution.body, prior, fps, options)
     gain_m2 = np.full(solution.weight.shape, np.nan)
-    # One thread as in `solve_trajectory`: the matrices are small. A spoilt file's points may be too far for squares.
+    # One thread as in `solve_trajectory`, because the matrices are small. Points of a damaged file may be too large to
+    # square.
     with threadpool_limits(1, user_api="blas"), np.errstate(over="ignore", invalid="ignore"):
         for rows, segment_clip, problem, estimate in _problems_at(clip, solution):
             segment_gain_m2 = _segment_gain(segment_clip, problem, estimate, solution, rows)
@@ -77,7 +78,7 @@ def _problems_at(
 ) -> Iterator[tuple[slice, ClipProblem, LeastSquares, Estimate]]:
     """Yield the rows, the problem and the minimum of each segment, set up again at the solution.
 
-    Its views have the time offsets and corrections of the cameras that were found.
+    The views have the estimated time offsets and corrections of the cameras.
     """
     size = solution.size if clip.shows_size else 1.0
     values = {SIZE: np.array([size]), SIDESLIP: np.array([solution.sideslip_rad])}

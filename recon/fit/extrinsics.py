@@ -1,17 +1,17 @@
-"""Find the poses of cameras from the animal alone, in short clips filmed by the same cameras.
+"""Estimate the poses of cameras from the animal alone, in short clips filmed by the same cameras.
 
-1. Each view is solved by itself, which gives the joints in its own camera's frame, in metres of the animal's lengths.
-2. The rigid motion that takes one camera's joints to those of the others, over all joints, frames and clips, robustly,
-gives that camera's pose relative to those already known; the first camera is level.
-3. All views of a clip are solved together with fixed cameras. At the minimum everything that belongs to the clip
-(states, time offsets, and the keypoint bias of each view) is eliminated from the normal equations (`recon.fit.banded`),
-and the poses take the Gauss-Newton step of the sum over the clips, together with the first camera's tilt and roll. Up
+1. Each view is solved on its own, which gives the joints in the frame of its camera, in metres of the animal's lengths.
+2. A rigid motion maps the joints of one camera to those of the others, over all joints, frames and clips, robustly. It
+gives the pose of that camera relative to those already known; the first camera is level.
+3. All views of a clip are solved together with fixed cameras. At the minimum, the unknowns of the clip alone (states,
+time offsets, and the keypoint bias of each view) are eliminated from the normal equations (`recon.fit.banded`). The
+poses, and the first camera's tilt and roll, take the Gauss-Newton step of the sum over the clips. The upward direction
 follows from the ground under the feet, the animal's climb and its upright posture. A few rounds of both lead to the
-minimum over all unknowns, and the inverse of the sum is the poses' covariance.
+minimum over all unknowns, and the inverse of the sum is the covariance of the poses.
 
 If the poses are roughly known, only the third step is done and the first camera is kept; the distances between the
-cameras then determine the animal's size. Otherwise the animal determines the scale: its size is fixed at that of the
-body.
+cameras then determine the size of the animal. Otherwise the animal determines the scale: its size is fixed at that of
+the body.
 """
 
 from __future__ import annotations
@@ -36,18 +36,19 @@ from recon.fit.trajectory import SegmentFit, refined, solve_segments, solve_traj
 from recon.geometry.frames import level_from_camera, rigid
 
 _UNKNOWN_RAD, _UNKNOWN_M = float(np.radians(10.0)), 1.0
-"""Errors of the first poses, about each axis and along it."""
+"""Errors of the first poses, about each axis and along each axis."""
 LEVEL_RAD = float(np.radians(5.0))
 """Deviation of cameras from level, or from the given tilt, about each axis, if it was not measured."""
 _FIXED, _SIZE_SIGMA, _MIN_FRAMES = 1e-6, 1e-3, 5
 _TIME_OFFSET_FRAMES = 1.0
-"""Time offset in frames of cameras that began together; in two clips a larger offset could not be told from a
-rotation.
+"""Time offset in frames of cameras that were started together.
+
+In two clips, a larger offset could not be distinguished from a rotation.
 """
 _SEARCHED_S = 1.0
-"""Largest time offset between cameras that is searched."""
+"""Largest time offset between cameras in the search."""
 _MATCHING = 0.5
-"""Largest distance of matching joints, as a part of their distance from the animal's middle."""
+"""Largest distance between matching joints, as a fraction of their distance from the animal's middle."""
 ROUNDS, CLOSE_ENOUGH = 12, 0.05
 """Largest number of rounds, and the step, in standard deviations, below which the rounds end."""
 
@@ -57,20 +58,25 @@ class Rig:
     """Hold the poses of V cameras in a common world, in metres."""
 
     T_camera_world: tuple[Array, ...]
-    """(4, 4) each. The world is the given one, or a level world with the first camera at its origin."""
+    """Pose of each camera, (4, 4).
+
+    The world is the given one, or a level world with the first camera at its origin.
+    """
     sigma: Array
-    """(V, 6): standard deviations of each camera's pose relative to the first, as in `View.corrected`."""
+    """Standard deviations of each camera's pose relative to the first, as in `View.corrected`, shape (V, 6)."""
     ground_m: float
     """Height of the ground below the middle of the animal's longest path; NaN if no ground was found."""
     height_sigma_m: Array
-    """(V,): standard deviations of the cameras' heights above the ground, NaN without one."""
+    """Standard deviations of the cameras' heights above the ground, shape (V,); NaN without a ground."""
     disagreement: Array
-    """(C, V): squared deviation of each camera's pose in each of C clips from the pose in all clips together.
+    """Squared deviation of each camera's pose in each of C clips from its pose in all clips together, shape (C, V).
 
-    It is about 6 at most for errors of the stated size.
+    For errors of the stated size it is about 6 at most.
     """
     time_offset_frames: tuple[Array, ...]
-    """(V,) of each clip: delay of the cameras' pictures beyond the stated offset; 0 for a camera without detections."""
+    """Delay of the cameras' pictures beyond the stated offset, (V,) for each clip; 0 for a camera without
+    detections.
+    """
     converged: bool
     """Whether the last step was small."""
 
@@ -83,7 +89,7 @@ def solve_extrinsics(
     Parameters
     ----------
     clips
-        Problems of clips, each with the same V cameras in the same order; a camera that did not film a clip has no
+        Problems of clips, each with the same V cameras in the same order. A camera that did not film a clip has no
         detections in it.
     posed
         Whether the views have poses with errors of `constants.CAMERA_ROTATION_RAD` and `CAMERA_SHIFT_M`.
@@ -95,7 +101,7 @@ def solve_extrinsics(
     Raises
     ------
     InputError
-        For a view with too few frames with a pose in common with the others.
+        If a view has too few frames with a pose in common with the others.
     """
     clips = [_as_rig(reduced_problem, posed) for reduced_problem in clips]
     rough_sigmas = (constants.CAMERA_ROTATION_RAD, constants.CAMERA_SHIFT_M)
@@ -145,15 +151,15 @@ def _as_rig(clip: ClipProblem, posed: bool) -> ClipProblem:
 def search_offsets(clip: ClipProblem) -> Array:
     """Return the delay in whole frames of each camera relative to the first, beyond that of the views, (V,).
 
-    For cameras without poses: the joints found by each camera alone are compared with those of the first. NaN if they
-    never match.
+    It is for cameras without poses: the joints of each camera's own solution are compared with those of the first. The
+    delay is NaN if they never match.
     """
     joints = [_joints_by_view(clip, view) for view in clip.views]
     return np.array([_best_offset(joints[0], camera_joints, round(_SEARCHED_S * clip.fps)) for camera_joints in joints])
 
 
 def _best_offset(reference: Array, shifted: Array, max_frames: int) -> float:
-    """Return the offset in frames between joints (T, J, 3) in two cameras' frames.
+    """Return the offset in frames between joints (T, J, 3) in the frames of two cameras.
 
     If offsets match equally well, the one with more common frames is chosen, because poses repeat after a stride.
     """
@@ -232,7 +238,7 @@ def _initial_poses(clips: Sequence[ClipProblem], progress: Progress) -> list[Cli
 
 
 def _joints_by_view(clip: ClipProblem, view: View) -> Array:
-    """Return the joints in the camera's frame by its view alone, (T, J, 3), NaN where there is no pose."""
+    """Return the joints in the camera's frame, solved from its view alone, (T, J, 3); NaN without a pose."""
     level = rigid(level_from_camera(view.camera.up).T, np.zeros(3))
     views = [replace(view, T_camera_world=level)]
     return solve_trajectory(
@@ -241,7 +247,7 @@ def _joints_by_view(clip: ClipProblem, view: View) -> Array:
 
 
 def _rigid_motion(a: Array, b: Array, rounds: int = 30) -> Array:
-    """Return T (4, 4) that takes points (N, 3) to others as well as possible, with outliers down-weighted."""
+    """Return T (4, 4) that maps points (N, 3) to other points as closely as possible, with outliers down-weighted."""
     weight, R, t = np.ones(len(a)), np.eye(3), np.zeros(3)
     for _ in range(rounds):
         share = weight / weight.sum()
@@ -254,7 +260,7 @@ def _rigid_motion(a: Array, b: Array, rounds: int = 30) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _ReducedProblem:
-    """Hold a segment's cost as a function of the camera poses: curvature (6V, 6V) and gradient (6V,)."""
+    """Hold the cost of a segment as a function of the camera poses: curvature (6V, 6V) and gradient (6V,)."""
 
     curvature: Array
     gradient: Array
@@ -274,9 +280,9 @@ class _ReducedProblem:
 
 
 def _reduced(clip: ClipProblem, solved: SegmentFit) -> _ReducedProblem:
-    """Return the problem of the poses alone.
+    """Return the problem of the camera poses alone.
 
-    The ground is left out: its plane follows from the feet, and a fixed plane would fix the world's tilt.
+    The ground is left out: its plane follows from the feet, and a fixed plane would fix the tilt of the world.
     """
     V, problem = len(clip.views), solved.problem
     corrections = [SharedUnknown(extrinsic_correction(i), np.zeros(6), np.full(6, np.inf)) for i in range(V)]
@@ -293,7 +299,7 @@ def _reduced(clip: ClipProblem, solved: SegmentFit) -> _ReducedProblem:
 
 
 def _disagreement(clips: Sequence[ClipProblem], reduced: Sequence[tuple[int, _ReducedProblem]]) -> Array:
-    """Return twice the drop of each clip's cost if one camera could move for it alone, (C, V): see `Rig`."""
+    """Return twice the drop of each clip's cost if one camera could move for that clip alone, (C, V), as in `Rig`."""
     C, V = len(clips), len(clips[0].views)
     curvature, gradient = np.zeros((C, V, 6, 6)), np.zeros((C, V, 6))
     cameras = np.arange(V)
@@ -332,9 +338,9 @@ def _ground_and_heights(
     reduced: Sequence[tuple[int, _ReducedProblem]],
     covariance: Array,
 ) -> tuple[float, Array]:
-    """Return the ground's height and the deviations (V,) of the cameras' heights above it: see `Rig`.
+    """Return the height of the ground and the standard deviations (V,) of the cameras' heights above it, as in `Rig`.
 
-    The ground follows the cameras' poses as the animal does.
+    The ground follows the poses of the cameras, as the animal does.
     """
     V = len(clips[0].views)
     solved_segments = [

@@ -3,8 +3,8 @@
 The unknowns are the states (T, D) of all frames and a few unknowns that all frames share. Every term reads a few
 neighbouring frames, so that the Gauss-Newton curvature H is block-banded, with a border for the shared unknowns
 (`recon.fit.banded`). A step solves (H + damping) step = -gradient, and is accepted on the robust cost. The damping is
-the same for all unknowns, in radians and metres: relative to the diagonal it would freeze slow changes of the whole
-path, which are stiff in every single frame and soft only for all of them together.
+the same for all unknowns, in radians and metres. Damping relative to the diagonal would freeze slow changes of the
+whole path, which are stiff for every single frame and soft only for all frames together.
 """
 
 from __future__ import annotations
@@ -39,12 +39,13 @@ BANDS = 2
 _FRAMES_AT_ONCE = 128
 """Frames whose terms are evaluated at once: few enough for the processor's cache."""
 _PIECE_S = 5.5
-"""Time in seconds beyond which frames hardly influence each other: solving in pieces changes the states by 1e-6 at
-most.
+"""Time in seconds beyond which frames hardly influence each other.
+
+Solving in pieces changes the states by 1e-6 at most.
 """
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e6
 _STEP_SHARES = (1.0, 0.5, 0.2)
-"""Parts of a step that are tried before it is damped more."""
+"""Fractions of a step that are tried before the damping is increased."""
 
 
 def piece_of(fps: float) -> int:
@@ -78,10 +79,10 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
-    """State a least-squares problem: terms (`recon.fit.terms`) that read a tree's markers, and shared unknowns.
+    """State a least-squares problem: terms (`recon.fit.terms`) that read the markers of a tree, and shared unknowns.
 
-    The attribute `shared` holds the free unknowns; the methods take their values as `shared`, by default the expected
-    ones. `nuisance` unknowns stay at their expected values and count in the posterior only.
+    The attribute `shared` holds the free unknowns. The methods take their values as `shared`, by default the expected
+    values. `nuisance` unknowns stay at their expected values and count only in the posterior.
     """
 
     tree: Tree
@@ -94,8 +95,9 @@ class LeastSquares:
     of the next piece.
     """
     shape: FreeShape | None = None
-    """The body's shape, if `LENGTHS` and `COMMON_KEYPOINT_BIAS` are unknowns of the solution; `tree` then has the
-    unchanged shape.
+    """The body's shape, if `LENGTHS` and `COMMON_KEYPOINT_BIAS` are unknowns of the solution.
+
+    `tree` then has the unchanged shape.
     """
 
     @cached_property
@@ -147,7 +149,7 @@ class LeastSquares:
     def normals(self, states: Array, shared: Mapping[str, Array] | None = None) -> Callable[[], Iterable[Normal]]:
         """Return a function that gives the normal equations in pieces.
 
-        The pieces are computed anew at each call, unless the clip is short.
+        The pieces are computed again at each call, unless the clip is short.
         """
         T = len(states)
         if 2 * self.piece < T:
@@ -224,7 +226,7 @@ class LeastSquares:
         return current
 
     def _damped_step(self, current: Estimate, damping: float) -> tuple[Estimate | None, float]:
-        """Return a point of lower cost along a damped step (None if there is none), and the next damping."""
+        """Return a point of lower cost along a damped step, or None if there is none, and the next damping."""
         normals = self.normals(current.states, current.shared)
         while damping <= _MOST_DAMPING:
             try:
@@ -263,7 +265,7 @@ class LeastSquares:
                 return
 
     def _cameras_in_step(self, span: Span) -> list[Reprojection]:
-        """Return the cameras whose detections are summed before they meet the state: those that read one frame."""
+        """Return the cameras that read one frame, whose detections are summed before the state's derivatives are applied."""
         cameras = [term for term in self.terms if isinstance(term, Reprojection) and len(term.stencil) == 1]
         return cameras if len(cameras) > 1 and len(span.pose.points_m[span.own_rows]) else []
 
@@ -274,7 +276,7 @@ class LeastSquares:
         return self.shape.jacobian(span.shared, span.states)
 
     def _linear_blocks(self, start: int, T: int, blocks: Array) -> None:
-        """Fill blocks (n, BANDS + 1, D, D) with the linear terms' curvature in frames from `start` of a clip of T."""
+        """Fill blocks (n, BANDS + 1, D, D) with the linear terms' curvature, from frame `start` of T frames."""
         frames, curvature = np.arange(start, start + len(blocks)), self._linear_kinds
         if len(curvature) >= T:
             curvature, kinds = self._linear_curvature(T), frames
@@ -284,14 +286,14 @@ class LeastSquares:
 
     @cached_property
     def _linear_kinds(self) -> Array:
-        """Return the linear terms' curvature in a clip's first frames, one frame in its middle, and its last frames.
+        """Return the curvature of the linear terms in a clip's first frames, one frame in its middle, and its last frames.
 
         The shape is (2 BANDS + 1, BANDS + 1, D, D).
         """
         return self._linear_curvature(2 * BANDS + 1)
 
     def _linear_curvature(self, T: int) -> Array:
-        """Return the curvature of the linear terms of a whole clip, (T, BANDS + 1, D, D): the same at every point."""
+        """Return the curvature of the linear terms of a whole clip, (T, BANDS + 1, D, D), which is constant."""
         blocks = np.zeros((T, BANDS + 1, self.tree.n_state, self.tree.n_state))
         for term in self.linear:
             for a, column in enumerate(term.stencil):
@@ -319,11 +321,12 @@ def _add_detections(
     start: int,
     by_shape: Array | None,
 ) -> None:
-    """Add what several cameras' detections say, in place, as `add_normal` and `_add_shared` do with each camera's rows.
+    """Add the normal equations of several cameras' detections, in place.
 
-    Each camera knows a marker's derivatives B (2, 3) only by its position p, which moves by A with the state, by L with
-    the lengths, and by R with its own keypoint bias. With W = sum of B'B, the curvature is A'W A, A'W L and so on: the
-    wide products are made once for all cameras. `start` is the frame of the first row.
+    The result is that of `add_normal` and `_add_shared` with the rows of each camera. Each camera knows the derivatives
+    B (2, 3) of a marker only by its position p, which moves by A with the state, by L with the lengths, and by R with
+    its own keypoint bias. With W = sum of B'B, the curvature is A'W A, A'W L and so on, so the wide products are
+    computed once for all cameras. `start` is the frame of the first row.
     """
     A = span.pose.jacobian[span.own_rows]
     (N, J), D = A.shape[:2], A.shape[3]
@@ -434,7 +437,7 @@ def _by_lengths_and_bias(
 ) -> tuple[Array | None, Array | None]:
     """Return the derivatives of markers by the lengths (3NJ, L), and by their own keypoint bias (N, J, 3, 3).
 
-    None where these are not unknown.
+    They are None if the lengths or the bias are not unknown.
     """
     if by_shape is None:
         is_free = span.rotations is not None and COMMON_KEYPOINT_BIAS in columns

@@ -1,4 +1,4 @@
-"""The result of a fit: the animal's motion, the data it was fitted to, and its uncertainty."""
+"""Hold the result of a fit: the motion of the animal, the data, and the uncertainty."""
 
 from __future__ import annotations
 
@@ -32,19 +32,22 @@ MEASURED_SHARE = 0.5
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Picture(Brief):
-    """Hold one camera's picture of a motion, T frames with J joints: the detections, and the joints of the pose."""
+    """Hold one camera's picture of a motion with T frames and J joints: the detections, and the joints of the pose."""
 
     source: Source
     T_reference_camera: Array
-    """(4, 4), or (T, 4, 4) for a moving camera: transform to the motion's frame of reference."""
+    """Transform from the camera to the motion's frame of reference, (4, 4), or (T, 4, 4) for a moving camera."""
     joints_camera_m: Array
-    """(T, J, 3) in this camera's frame at the times of its pictures, NaN without a pose."""
+    """Joints in this camera's frame at the times of its pictures, shape (T, J, 3); NaN without a pose."""
     reprojected_px: Array
-    """(T, J, 2): reprojected keypoints of the joints in the picture, NaN without a pose."""
+    """Reprojected keypoints, shape (T, J, 2); NaN without a pose."""
     sigma_px: Array
-    """(T, J): standard deviation assigned to each detection."""
+    """Standard deviation assigned to each detection, shape (T, J)."""
     weight: Array
-    """(T, J): weight of each detection, 0 to 1, NaN if missing; with the frame method, the mean over the frame."""
+    """Weight of each detection, shape (T, J), 0 to 1; NaN if missing.
+
+    In the frame method it is the mean over the frame.
+    """
 
     @property
     def camera(self) -> Camera:
@@ -58,7 +61,7 @@ class Picture(Brief):
 
     @property
     def detected_px(self) -> Array:
-        """Return the detections, (T, J, 2), NaN where missing."""
+        """Return the detections, (T, J, 2), NaN if missing."""
         return self.source.keypoints.xy_px
 
     @property
@@ -68,7 +71,7 @@ class Picture(Brief):
 
     @cached_property
     def image_error_px(self) -> Array:
-        """Return the reprojected minus the detected positions, (T, J, 2), NaN where either is missing."""
+        """Return the reprojected minus the detected positions, (T, J, 2), NaN if either is missing."""
         return self.reprojected_px - self.detected_px
 
     @cached_property
@@ -110,12 +113,14 @@ class Motion:
     chain: Skeleton | None = None
     """The `recon.animal.chain.Chain` that `body` was made from, if any."""
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """All settings of the fit in JSON types; paths are absolute, or relative to the results folder in a saved
-    motion.
+    """All settings of the fit in JSON types.
+
+    Paths are absolute, or relative to the results folder in a saved motion.
     """
     correction_gain_m2: Array | None = None
-    """(V, T, J): expected fall of the mean squared error of the pose if a detection were corrected
-    (`recon.fit.correction_gain`); None if the method cannot compute it.
+    """Expected fall of the mean squared error of the pose if a detection were corrected, shape (V, T, J).
+
+    See `recon.fit.correction_gain`. It is None if the method cannot compute it.
     """
     timing_s: Mapping[str, float] = field(default_factory=dict)
     """Seconds that parts of the fit took, by name, in addition to the solution's stages."""
@@ -169,8 +174,8 @@ class Motion:
     def sample(self, n: int = 100, seed: int = 0) -> Array:
         """Return motions drawn from the posterior, shape (n, T, J, 3), metres; NaN without a pose.
 
-        Neighbouring frames and joints vary together as their errors do, and so does the animal's size. The mean of a
-        quantity over the draws and its quantiles are its estimate and its interval.
+        Neighbouring frames and joints vary together as their errors do, and so does the size of the animal. The mean
+        and the quantiles of a quantity over the draws are its estimate and its interval.
 
         Parameters
         ----------
@@ -195,7 +200,7 @@ class Motion:
     def plot(self) -> Figure:
         """Return a figure of the animal from the side at even steps of the clip (matplotlib).
 
-        `figure.savefig("side.pdf")` keeps it; a notebook shows it.
+        `figure.savefig("side.pdf")` saves the figure; a notebook shows it.
         """
         from recon.fit.motion_forms import figure_of
 
@@ -277,12 +282,12 @@ class Motion:
 
     @property
     def size(self) -> float:
-        """Return the factor on the body's lengths; of the frame method, the median over the frames."""
+        """Return the factor on the body's lengths; for the frame method, the median over the frames."""
         return self.solution.size
 
     @cached_property
     def limb_sides(self) -> dict[str, Side | None]:
-        """Return the side of each limb; None: the middle."""
+        """Return the side of each limb; None is the middle."""
         return self.body.limb_sides(self.side)
 
     @property
@@ -320,7 +325,7 @@ class Motion:
 
     @property
     def reference_joint(self) -> str:
-        """Return the joint that gives the animal's position: the root's, or else the trunk's rear one."""
+        """Return the joint that gives the animal's position: the root's, or the trunk's rear one if the root has none."""
         return self.root_name if self.root_name in self.joints else self.body.forward[0]
 
     @property
@@ -328,7 +333,7 @@ class Motion:
         """Return the keypoint of the reference joint."""
         return self.names[self.joints.index(self.reference_joint)]
 
-    # -- the fit's input, first camera only -----------------------------------------------------------------------
+    # -- the input of the fit, for the first camera ---------------------------------------------------------------
 
     @property
     def camera(self) -> Camera:
@@ -352,7 +357,7 @@ class Motion:
 
     @property
     def cleaning(self) -> CleaningReport:
-        """Return what happened to the first file's points."""
+        """Return the record of the first file's cleaning."""
         return self.sources[0].cleaning
 
     @property
@@ -370,7 +375,7 @@ class Motion:
 
     @property
     def frames(self) -> Integers:
-        """Return the frame numbers of the first keypoint file, (T,), without most frames far from any detection."""
+        """Return the frame numbers of the first keypoint file, (T,), without most frames far from detections."""
         return self.keypoints.frames
 
     @property
@@ -417,7 +422,7 @@ class Motion:
 
     @property
     def states(self) -> Array:
-        """Return the states, (T, D), NaN where a frame has no pose."""
+        """Return the states, (T, D), NaN in frames without a pose."""
         return self.solution.states
 
     @property
@@ -458,7 +463,7 @@ class Motion:
         """Return the median information fraction over the frames by name; NaN if unknown."""
         return dict(zip(self.posture_names, map(median, self.posture_data_share.T), strict=True))
 
-    # -- upright: in the frame that the motion was solved in, z up, the world or the level frame --------------------
+    # -- upright: in the frame in which the motion was solved, with z up --------------------------------------------
 
     @cached_property
     def upright(self) -> Pose3D:
@@ -487,7 +492,7 @@ class Motion:
 
     @property
     def frame_of_reference(self) -> Literal["world", "camera"]:
-        """Return "world" where the camera file has extrinsics or the camera moves, otherwise "camera"."""
+        """Return "world" if the camera file has extrinsics or the camera moves, otherwise "camera"."""
         return "world" if self.camera.has_extrinsics or self.camera_moves else "camera"
 
     @property
@@ -564,7 +569,7 @@ class Motion:
 
     @property
     def alternative_m(self) -> Array:
-        """Return the mean distance of the joints in the second best solution, (T,), both centred, NaN without one."""
+        """Return the mean distance of the joints in the second best solution, (T,), both centred, NaN if there is none."""
         return self.solution.alternative_m
 
     @property
@@ -589,7 +594,7 @@ class Motion:
     @cached_property
     def place_sigma_m(self) -> Array:
         """Return the standard deviation of the mean of all joints along the first camera's line of sight, (T,)."""
-        # Joints are the mean plus offsets that sum to zero: mean covariances differ by the mean's own.
+        # Joints are the mean plus offsets that sum to zero, so mean covariances differ by that of the mean.
         mean_covariance = (self.solution.covariance_m2 - self.solution.relative_covariance_m2).mean(axis=1)
         ray = self.solution.joints_m.mean(axis=1) - self.solution.views[0].centre_m
         ray /= np.linalg.norm(ray, axis=1, keepdims=True)
@@ -597,7 +602,7 @@ class Motion:
 
     @cached_property
     def mean_weight(self) -> Array:
-        """Return the mean weight of all cameras' detections, (T,), 0 to 1, NaN without any or without a pose."""
+        """Return the mean weight of all cameras' detections, (T,), 0 to 1; NaN without detections or without a pose."""
         return mean_along(self.solution.weight, (0, 2))
 
     def _turned(self, covariance_m2: Array) -> Array:

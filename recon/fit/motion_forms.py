@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 MOTION = "motion.npz"
 SCHEMA, OLDER_VERSIONS = {"name": "recon.motion", "version": 3}, (2,)
-"""Version 2 named classes by their modules (`_CLASSES_BY_PATH`)."""
+"""Name and version of the format. Version 2 named classes by their modules (`_CLASSES_BY_PATH`)."""
 EXPECTED = "the motion that `recon fit` or `Motion.save` wrote"
 _REPORT, _CONFIG = "report.json", "config.toml"
 """Files next to the motion in a results folder of `recon fit`."""
@@ -45,7 +45,7 @@ def _trajectory_solution() -> type:
 
 
 def _frame_solution() -> type:
-    # A wing: its results are motions, too, and are read when it is installed.
+    # An optional part: its results are motions, too, and can be read if it is installed.
     from recon.thesis.solution import FrameSolution
 
     return FrameSolution
@@ -72,7 +72,7 @@ def load(motion_class: type[Motion], folder: Path) -> Motion:
     path = folder / MOTION
     if not path.is_file():
         raise InputError(_no_motion(folder))
-    if any((folder / name).exists() for name in (MANIFEST, *_OF_A_FIT)):  # not a motion that was saved by itself
+    if any((folder / name).exists() for name in (MANIFEST, *_OF_A_FIT)):  # otherwise the motion was saved on its own
         read_manifest(folder).require(MOTION)
     hint = f"; if it is of an earlier version, run {_again(folder)}" if (folder / _CONFIG).is_file() else ""
     motion = load_record(motion_class, path, SCHEMA, EXPECTED + hint, CLASSES | _CLASSES_BY_PATH, OLDER_VERSIONS)

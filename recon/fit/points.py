@@ -30,9 +30,9 @@ def solve_points(
     Parameters
     ----------
     body
-        The body with J markers and D unknowns a frame.
+        The body with J markers and D unknowns per frame.
     points_m
-        (T, J, 3): the points in the world, z up, metres, NaN where missing.
+        Points (T, J, 3) in the world, z up, metres; NaN if missing.
     size
         Factor on the body's lengths for all frames; None to estimate it.
     pull_m_per_rad

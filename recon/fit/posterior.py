@@ -1,8 +1,8 @@
 """Compute the uncertainty of a trajectory: the Gaussian approximation of the posterior at the minimum.
 
 **1. Covariance of the states.** Let H be the curvature of the cost at the minimum by the states x of all frames, B that
-between x and the shared unknowns s, Y = H^-1 B, and S the curvature by s with x eliminated (`recon.fit.banded`). Where
-s moves by ds, x follows by -Y ds. The covariance of s is S^-1. That of a frame is a block of H^-1, with s fixed, plus Y
+between x and the shared unknowns s, Y = H^-1 B, and S the curvature by s with x eliminated (`recon.fit.banded`). If s
+moves by ds, x follows by -Y ds. The covariance of s is S^-1. That of a frame is a block of H^-1, with s fixed, plus Y
 S^-1 Y'. The size is one of the shared unknowns, and is kept separate because the ground may determine it further.
 `curvature` computes these parts; `posterior` adds them up frame by frame.
 
@@ -16,7 +16,7 @@ their means over the joints.
 
 **3. Errors that last.** The cost treats the errors of neighbouring frames as independent, but they are correlated: all
 variances are multiplied by `variance_factor`, the correlation length in frames. A keypoint bias lasts for the whole
-clip. The bias is not an unknown of the solution but of the posterior; its expected variance is widened where the
+clip. The bias is not an unknown of the solution but of the posterior; its expected variance is widened if the
 detections show more (`_bias_scale`). The noise about the bias is estimated again (`with_noise_about_bias`), because
 otherwise the bias would count twice.
 
@@ -24,7 +24,7 @@ otherwise the bias would count twice.
 them, from the other terms alone: 1 - variance / variance without pixels.
 
 **5. Prior misfit and prior weight.** At a minimum the angles deviate from what the prior expects by whitened residuals
-r. Let P be the prior's curvature, H that of all terms, and n the number of unknowns. Where the prior fits, |r|^2 is n -
+r. Let P be the prior's curvature, H that of all terms, and n the number of unknowns. If the prior fits, |r|^2 is n -
 tr(H^-1 P), the number of unknowns that the pixels determine, times a usual mean square (`MISFIT_USUAL`), which is above
 1 because errors last (D. MacKay, *Bayesian interpolation*, Neural Computation 4, 1992). The ratio of the two is the
 most likely scale of the prior's variances, and its inverse is the new weight of the prior.
@@ -68,17 +68,20 @@ class Posterior:
     """Hold the covariance of T frames with J joints and D unknowns each, at nominal size about the origin."""
 
     covariance_m2: Array
-    """(T, J, 3, 3): of the joints, for a given size."""
+    """Covariances of the joints, shape (T, J, 3, 3), for a given size."""
     relative_covariance_m2: Array
-    """(T, J, 3, 3): of the joints relative to their mean, for a given size."""
+    """Covariances of the joints relative to their mean, shape (T, J, 3, 3), for a given size."""
     data_share: Array
-    """(J,): information fraction of each joint, see `_data_share`."""
+    """Information fraction of each joint (`_data_share`), shape (J,)."""
     angle_variance: Array
-    """(2, T, D - 3): of the root's rotation and the joints' angles, for a given size, with and without pixels."""
+    """Variances of the root's rotation and the joints' angles for a given size, shape (2, T, D - 3).
+
+    The first are those with the pixels, the second those without.
+    """
     state_by_size: Array
-    """(T, D): derivatives of the states by the size."""
+    """Derivatives of the states by the size, shape (T, D)."""
     joint_by_size_m: Array
-    """(T, J, 3): q in the module's docstring."""
+    """Derivatives q of the joints by the size (see the module), shape (T, J, 3)."""
     size_precision: float
     """Precision of the size due to the pixels; 0 if they do not determine it."""
     shared_sigma: dict[str, Array]
@@ -105,16 +108,16 @@ class _Curvature:
     eliminated: Callable[[], Iterable[Window]]
     root: Array
     others_by_size: Array
-    """(P,): derivatives of the other shared unknowns by the size."""
+    """Derivatives of the other shared unknowns by the size, shape (P,)."""
     shared_precision: Array
     size_known: float
     """Precision of the size due to the pixels, before the variance factor; 0 if it is not an unknown."""
     beyond_m2: Array | float
-    """(J,): excess of the variance of the common keypoint bias over the expected one."""
+    """Excess of the variance of the common keypoint bias over the expected variance, shape (J,)."""
     expected_precision: Array
-    """(1 + P,): the prior part of the precision of each shared unknown."""
+    """Part of each shared unknown's precision that is due to the prior, shape (1 + P,)."""
     pull: Array
-    """(1 + P,): the gradient by the shared unknowns, with all other unknowns at their minimum."""
+    """Gradient by the shared unknowns, with all other unknowns at their minimum, shape (1 + P,)."""
     lengths: slice | None = None
     """Indices of the lengths among the P unknowns, if lengths are unknown."""
 
@@ -152,7 +155,7 @@ def curvature(problem: LeastSquares, estimate: Estimate, variance_factor: float)
         variance_scale = _bias_scale(S, without_bias, bias_columns, variance_m2, variance_factor)
         S[bias_columns, bias_columns] += np.diag((1.0 / variance_scale - 1.0) / variance_m2)
         prior_precision[bias_columns] /= variance_scale
-        if solved_bias is None:  # a bias that was solved for is in the joints already
+        if solved_bias is None:  # a bias that was solved for is already in the joints
             beyond_m2 = (variance_scale - 1.0) * variance_m2[::3]
     others_covariance, size_known = np.linalg.inv(S[n_size:, n_size:]), 0.0
     others_by_size = np.zeros(len(others_covariance))
@@ -175,10 +178,10 @@ def curvature(problem: LeastSquares, estimate: Estimate, variance_factor: float)
 
 
 def _bias_scale(S: Array, g: Array, columns: slice, variance: Array, variance_factor: float) -> float:
-    """Return the likeliest factor on the expected variances of some shared unknowns, 1 at least.
+    """Return the most likely factor on the expected variances of some shared unknowns, at least 1.
 
-    Expectation and maximisation: the expected squares of the unknowns under their posterior give the factor, and the
-    factor their posterior.
+    It is found by expectation and maximisation: the expected squares of the unknowns under their posterior give the
+    factor, and the factor gives their posterior.
     """
     rest = np.delete(np.arange(len(g)), columns)
     by_rest = np.linalg.solve(S[np.ix_(rest, rest)], S[rest, columns]).T
@@ -368,7 +371,7 @@ def _data_share(with_pixels_m2: Array, without_m2: Array) -> Array:
     """Return the information fraction of each joint, (J,), 0 to 1.
 
     It is the median over frames of 1 - variance / variance without pixels, (T, J), of the joint relative to the mean of
-    the joints, with position and heading given. NaN for joints that cannot move then.
+    the joints, with position and heading given. It is NaN for joints that cannot move then.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.median(1.0 - with_pixels_m2 / without_m2, axis=0)
@@ -426,7 +429,7 @@ def prior_misfit_of(problem: LeastSquares, estimate: Estimate) -> PriorMisfit:
 
 
 DEGREES_OF_FREEDOM = 7.0
-"""nu: the most likely one for the errors of 28 real views (`benchmarks/uncertainty.py`)."""
+"""Degrees of freedom nu, the most likely ones for the errors of 28 real views (`benchmarks/uncertainty.py`)."""
 _ROUNDING_M2 = 1e-12
 """Added to variances, because those of a pose relative to its own middle may be singular to rounding."""
 

@@ -51,8 +51,8 @@ def predicted_keypoints(solution: Solution, view: View, fps: float | None = None
     xy_px : (T, J, 2) array
         Pixels, NaN without a pose.
     covariance_px2 : (T, J, 2, 2) array
-        Covariances of detections about them: of the keypoints in 3D, and the detections' noise in the solution's
-        views, scaled to the distance from this one.
+        Covariances of detections about these positions: those of the keypoints in 3D, and the noise of detections in
+        the solution's views, scaled to the distance from this view.
     """
     markers_m, covariance_m2 = solution.markers_m, solution.covariance_m2
     if fps is None or len(solution.views) == 1 or not solution.posed.any():
@@ -86,7 +86,7 @@ def _predicted(solution: Solution, view: View, points_m: Array, points_m2: Array
 
 
 def _tail_factor(solution: Solution) -> float:
-    """Return the factor on the noise's variance with which 90 % regions hold 90 % of the detections of the views.
+    """Return the factor on the noise's variance with which 90 % regions contain 90 % of the views' detections.
 
     The noise of the fit is that of its robust loss, which leaves out the tails that detectors have.
     """
@@ -119,7 +119,7 @@ def _noise_m(solution: Solution) -> Array:
         noise_px / _px_per_m(view, solution.markers_m)
         for view, noise_px in zip(solution.views, solution.noise_px, strict=True)
     ]
-    with warnings.catch_warnings(action="ignore"):  # of frames without a pose
+    with warnings.catch_warnings(action="ignore"):  # some frames have no pose
         return np.asarray(np.nanmedian(noise_m, axis=0))
 
 

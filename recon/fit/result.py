@@ -43,7 +43,7 @@ LEVELS: tuple[Level, ...] = ("do not use", "check", "use")
 
 
 _NOTHING = 0.1
-"""Low end of an interval, relative to its high end, that says no more than "at most"."""
+"""Lower end of an interval, relative to its upper end, below which the interval only says "at most"."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -83,7 +83,7 @@ class Verdict(Brief):
     position_m: ExpectedError | None = None
     """Distance of the mean of all joints from its true position, mean over the frames."""
     warned: bool = False
-    """Whether a warning says that errors may be larger."""
+    """Whether a warning says that errors may be larger than stated."""
 
     @property
     def lines(self) -> tuple[str, ...]:
@@ -145,13 +145,13 @@ class SecondCamera:
 
     @property
     def is_misplaced(self) -> bool:
-        """Return whether it is likelier turned or moved than as calibrated, and not clearly likelier late."""
+        """Return whether the camera is likelier turned or moved than calibrated, and not clearly likelier late."""
         return self.misplaced > max(0.0, self.late - 1.0)
 
 
 @dataclass(frozen=True, repr=False)
 class MotionSegment(Brief):
-    """Hold a part of the clip that was solved separately, because there are no detections for long before and after it.
+    """Hold a part of the clip that was solved separately, because of long gaps without detections around it.
 
     Segments are in order and do not overlap.
     """
@@ -163,13 +163,14 @@ class MotionSegment(Brief):
     prior_misfit: float | None = None
     """Misfit of the motion under the prior, about 1 if it fits; None without a prior."""
     prior_weight: float = 1.0
-    """Fraction of its weight that the prior kept, 1 if the motion fits; the rest of the weight is on each angle
-    separately.
+    """Fraction of its weight that the prior kept; 1 if the motion fits.
+
+    The rest of the weight is on each angle separately.
     """
     unlike_prior: bool = False
     """Whether the motion is unlike all motions of the prior."""
     second_camera: SecondCamera | None = None
-    """None if there is no second of two cameras, or its pose was not fixed."""
+    """Test of the second camera; None if there are not two cameras, or the second camera's pose was not fixed."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -233,7 +234,7 @@ class Solution(Brief):
     alternative_m: Array
     """(T,): mean distance of the joints in the second best solution, both centred, NaN if there is none."""
     contact: Array
-    """(T, F): contact of the feet with the ground, 0 to 1; 0 if the method does not look for contacts."""
+    """Contact of the feet with the ground, shape (T, F), 0 to 1; 0 if the method does not estimate contacts."""
     segments: tuple[MotionSegment, ...]
     """Parts of the clip that have a pose, each with its own ground."""
     stage_s: dict[str, float]

@@ -1,7 +1,7 @@
 """Draw motions of whole clips from the posterior.
 
-With H = L L' at the solution (`recon.fit.banded`), x = L^-T z of a white z is one draw, whose neighbouring frames are
-correlated as H says. The shared unknowns are drawn separately, and so is the size, which the states follow.
+With H = L L' at the solution (`recon.fit.banded`), x = L^-T z of a white z is one draw. Neighbouring frames of a draw
+are correlated as H says. The shared unknowns are drawn separately, and so is the size, which the states follow.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int
         problem = segment_clip.problem(
             noise_px, 1.0, contacts(segment_clip, points, size)[2] if has_ground else (), points, size
         )
-        # refined cameras are already in the views
+        # refined cameras are already part of the views
         shared = {name: (problem.expected() | shared_values)[name] for name in problem.columns}
         estimate, variance_factor = Estimate(states, 0.0, 0, True, shared), clip.correlation_frames
         problem_curvature = curvature(
@@ -98,11 +98,11 @@ def sample_joints(
     Parameters
     ----------
     sources
-        What the cameras saw.
+        Data of the cameras.
     solution
         The solution for them.
     fps
-        Frames a second.
+        Frames per second.
     settings
         Settings of the fit, by name, from which the problem is set up again.
     count, seed

@@ -26,12 +26,13 @@ from recon.fit.trajectory import SegmentFit, refined, solve_segments, with_solve
 from recon.geometry.kinematics import TreePose
 
 MODEL_SIGMA = 0.04
-"""Relative standard deviation of a measured length for everything that a rigid skeleton cannot follow: sliding
-shoulders, keypoints off their joints. It makes 90 % intervals hold 88 % of the lengths
-(`benchmarks/parts/bone_lengths.py`).
+"""Relative standard deviation of a measured length due to everything that a rigid skeleton cannot follow.
+
+Examples are sliding shoulders, and keypoints that are not at their joints. With this value 90 % intervals contain 88 %
+of the lengths (`benchmarks/parts/bone_lengths.py`).
 """
 POSED_OFFSET_SIGMA_M = 0.02
-"""Expected offset if the poses are known, so that no change of pose can replace an offset."""
+"""Expected offset if the poses are known, when no change of pose can replace an offset."""
 SIZE_HELD = 1e-4
 """Standard deviation of the size, which is fixed because the lengths replace it."""
 _PRIOR_COUNT = 8
@@ -46,9 +47,9 @@ class ShapeFit:
 
     shape: Shape
     values: Array
-    """(K,): the unknowns' values."""
+    """Values of the unknowns, shape (K,)."""
     covariance: Array
-    """(K, K): their covariance."""
+    """Covariance of the unknowns, shape (K, K)."""
     converged: bool
     """Whether the last step was small."""
     keypoint_sigma_m: float
@@ -56,8 +57,9 @@ class ShapeFit:
     noise_m: dict[str, float]
     """Standard deviation of a keypoint in a single frame, for the markers of the left side and the middle."""
     spread_m: dict[str, float]
-    """Keypoint bias along each axis, constant within one clip and camera, for the markers of the left side and the
-    middle.
+    """Keypoint bias along each axis, constant within one clip and camera.
+
+    It is given for the markers of the left side and the middle.
     """
 
     @cached_property
@@ -78,7 +80,7 @@ class ShapeFit:
         Returns
         -------
         length_m, sigma_m, data_share : float
-            The standard deviation contains `MODEL_SIGMA`; the share is that of the information, 0 to 1.
+            The standard deviation includes `MODEL_SIGMA`; the fraction is that of the information, 0 to 1.
         """
         body = self.shape.applied(self.shape.body, self.values)
         offset_m = {item.name: item.offset_m for item in (*body.tree.segments, *body.tree.markers)}
@@ -142,7 +144,7 @@ def fit_shape(shape: Shape, clips: Sequence[ClipProblem]) -> ShapeFit:
             if converged:
                 break
     covariance = np.asarray(np.linalg.inv(total), dtype=float)
-    # (J, views), of each marker's logarithm
+    # logarithm of each marker's noise in each view, (J, views)
     noise_m = np.concatenate([np.log(clip.in_frame_m) + 0.5 * np.log(segment.noise) for clip, segment in solved]).T
     by_marker: dict[str, list[Array]] = {}
     for name, log_noise in zip(shape.body.markers, noise_m, strict=True):

@@ -1,8 +1,8 @@
-"""Find where the solution of a clip starts: the mean pose at constant velocity, then an approach from the best starts.
+"""Find starts for the solution of a clip: the mean pose at constant velocity, then an approach from the best starts.
 
-For a given heading, the position that brings a shape nearest to the rays of one frame is a small linear problem, and
-its distance follows from the shape's size. The path over a window decides what a single frame cannot: whether the
-animal comes nearer or goes away.
+For a given heading, the position that brings a shape nearest to the rays of one frame is a small linear problem; its
+distance follows from the size of the shape. The path over a window decides whether the animal comes nearer or goes
+away, which a single frame cannot show.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from recon.fit.least_squares import Estimate
 from recon.geometry.kinematics import ROOT, YAW
 
 _MISFIT_M = 0.15
-"""Distance from a ray at which a joint of the mean pose counts half: a leg's swing."""
+"""Distance from a ray at which a joint of the mean pose counts half: that of a leg's swing."""
 
 
 def position_on_rays(joints_m: Array, rays: Array) -> Array:
@@ -122,12 +122,12 @@ def constant_velocity(
     time_s
         (F,): times of the rays, of mean zero.
     centres_m
-        (F, 3): the points that the rays come from; None: the origin.
+        (F, 3): the origins of the rays; None for zero.
 
     Returns
     -------
     misfits : (H,) array
-        0 to 1, or up to 2 where a run would go backwards.
+        0 to 1, or up to 2 if a run would go backwards.
     unknowns : (H, 6) array
         Position at time zero (m), speed and acceleration along the heading (m/s, m/s^2), and climb (m/s).
     """

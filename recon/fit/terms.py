@@ -30,12 +30,14 @@ from recon.geometry.kinematics import ROOT, YAW, TreePose
 SIZE = "size"
 """Name of the shared unknown: a factor on all lengths, 1 if it is not an unknown."""
 COMMON_KEYPOINT_BIAS = "common keypoint bias"
-"""Name of the shared unknowns (3J,): the bias common to all cameras, in the marker's segment, used only for the
-uncertainty.
+"""Name of the shared unknowns (3J,): the bias common to all cameras, in the marker's segment.
+
+It is used only for the uncertainty.
 """
 LENGTHS = "segment lengths"
-"""Name of the shared unknowns (L,): logarithms of factors on the lengths of segments and markers, equal on both
-sides.
+"""Name of the shared unknowns (L,): logarithms of factors on the lengths of segments and markers.
+
+They are equal on both sides.
 """
 SIDESLIP = "sideslip"
 """Name of the shared unknown: the angle, to the left, between the animal's trunk and its direction of travel, rad."""
@@ -89,7 +91,7 @@ class Span:
     is_last: bool
     shared: Mapping[str, Array] = field(default_factory=dict)
     rotations: Array | None = None
-    """(n, J, 3, 3): rotations of the markers' segments, where `COMMON_KEYPOINT_BIAS` is an unknown."""
+    """Rotations of the markers' segments, shape (n, J, 3, 3), if `COMMON_KEYPOINT_BIAS` is an unknown."""
 
     @property
     def own_rows(self) -> slice:
@@ -99,7 +101,7 @@ class Span:
 
 @dataclass(frozen=True)
 class TermRows:
-    """Hold the cost, residual and derivatives of a term; without Jacobian all but the cost are empty."""
+    """Hold the cost, residual and derivatives of a term; without a Jacobian all but the cost are empty."""
 
     cost: Array
     residual: Array = field(default_factory=lambda: _ZERO[:0])
@@ -109,7 +111,7 @@ class TermRows:
 
 @dataclass(frozen=True)
 class PointRows:
-    """Hold what one camera's detections give, before the markers' derivatives by the state."""
+    """Hold the residuals of one camera's detections, before the markers' derivatives by the state are applied."""
 
     cost: Array
     """(N,)."""
@@ -148,8 +150,8 @@ class Term(Protocol):
 class Linear:
     """Define a Gaussian term with a constant Jacobian: r = sum of slots[s] x(frame + stencil[s]) - target.
 
-    The term applies to every frame whose stencil fits. `slots` (S, M, D) and `target` (M,) are divided by standard
-    deviations.
+    The term applies to every frame whose stencil is within the clip. `slots` (S, M, D) and `target` (M,) are divided by
+    standard deviations.
     """
 
     name: str
@@ -158,7 +160,7 @@ class Linear:
     target: Array
 
     def frames(self, T: int) -> Index:
-        """Return the frames (N,) of a clip of T frames whose stencil fits."""
+        """Return the frames (N,) of a clip of T frames whose stencil is within the clip."""
         return np.arange(-self.stencil[0], max(T - self.stencil[-1], -self.stencil[0]))
 
     def residual(self, states: Array) -> Array:
@@ -188,7 +190,7 @@ def pose_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Li
 
 
 def dynamics_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Linear:
-    """Return the term of the angles' acceleration: what the prior expects of pose and rates, plus white noise."""
+    """Return the term of the angles' acceleration: linear in pose and rates by the prior, plus white noise."""
     A = len(prior.mean)
     white = _whitener(prior.acceleration_covariance) * _rate(fps, weight)
     by_angle, by_rate = prior.drift[:, :A], prior.drift[:, A:]
@@ -280,19 +282,19 @@ class PoseMixture:
 
 @dataclass(frozen=True)
 class _Scene:
-    """Hold what a camera looks at in N frames of a span, with the shared unknowns applied."""
+    """Hold the scene of a camera in N frames of a span, with the shared unknowns applied."""
 
     frames: slice
     """Frames of the clip."""
     parts: list[tuple[slice, float]]
-    """Frames of the span that each picture lies between, and their interpolation weights."""
+    """Frames of the span between which each picture was taken, and their interpolation weights."""
     points_m: Array
-    """(N, J, 3): the markers when the pictures were taken, at nominal size about the origin."""
+    """Markers at the times of the pictures, shape (N, J, 3), at nominal size about the origin."""
     size: float
     world_m: Array
     """(N, J, 3): the markers in the world."""
     given_view: View
-    """The view without corrections of its camera."""
+    """The view without the corrections of its camera."""
     view: View
     sigma_px: Array
     """(N, J)."""
@@ -411,7 +413,7 @@ class Reprojection:
         return span.shared.get(keypoint_bias(self.number))
 
     def _by_scene(self, span: Span, scene: _Scene, by_point: Array) -> dict[str, Array]:
-        """Return the derivatives by the size and the time offset, where they are unknown."""
+        """Return the derivatives by the size and the time offset, if they are unknown."""
         N, J = by_point.shape[:2]
         by_shared: dict[str, Array] = {}
         if SIZE in span.shared:
@@ -422,12 +424,12 @@ class Reprojection:
         return by_shared
 
     def _parts(self, span: Span) -> list[tuple[slice, float]]:
-        """Return the span's frames that each picture lies between, and their interpolation weights."""
+        """Return the frames of the span between which each picture was taken, and their interpolation weights."""
         share, count = self.view.offset_frames, len(span.states)
         return [(slice(0, count - 1), 1.0 - share), (slice(1, count), share)] if share else [(span.own_rows, 1.0)]
 
     def weights(self, points_m: Array) -> Array:
-        """Return the weights (T, J) of detections, 1 to 0, NaN where missing, for markers (T, J, 3) of the world."""
+        """Return the weights (T, J) of detections, 1 to 0, NaN if missing, for markers (T, J, 3) of the world."""
         projected, valid = self.view.project(points_m)
         q = np.sum((projected - self.view.xy_px) ** 2, axis=-1) / (self.c * self.sigma_px) ** 2
         return np.where(self.view.present, np.where(valid, 1.0 / (1.0 + q), 0.0), np.nan)
@@ -435,7 +437,7 @@ class Reprojection:
 
 @dataclass(frozen=True, eq=False)
 class KnownAngles:
-    """Constrain heading and angles to given states (T, D) in frames that have them; the position is free."""
+    """Constrain heading and angles to given states (T, D) in frames that have them, while the position is free."""
 
     states: Array
     sigma_rad: float = 1e-4
@@ -457,7 +459,7 @@ class KnownAngles:
 
 @dataclass(frozen=True)
 class Heading:
-    """Keep the animal moving in the direction that it faces, or at an angle `SIDESLIP` to it.
+    """Keep the animal moving in the direction that it faces, or at an angle `SIDESLIP` to that direction.
 
     The residual of each pair of frames is (v x u) / sigma, m/s, with the root's velocity v and the direction u from the
     marker `rear` to `front`.
@@ -500,15 +502,15 @@ class Heading:
 
 @dataclass(frozen=True)
 class StanceVelocity:
-    """Keep a foot (F,) that hardly moves at rest: its velocity has the Geman-McClure loss, at most (c sigma)^2 / 2.
+    """Keep feet (F,) that hardly move at rest: their velocities have the Geman-McClure loss, at most (c sigma)^2 / 2.
 
-    Velocities are those in the world: at nominal size, feet followed by a moving camera would appear to stand if the
-    animal were large enough.
+    The velocities are those in the world. At nominal size, feet followed by a moving camera would appear to stand if
+    the animal were large enough.
 
-    by_size (n, F, 3), frozen: the derivative of velocities by the size about `at`, m/s, with fixed states. By default
-    they are in proportion to the size. If one moving camera sees the animal, they are in proportion relative to the
-    camera, so that the feet of a smaller animal are slower in front of a slow camera, which says nothing of its size:
-    see `contacts`.
+    `by_size` (n, F, 3) is frozen: the derivative of velocities by the size about `at`, m/s, with fixed states. By
+    default velocities are proportional to the size. If one moving camera sees the animal, the velocities relative to
+    the camera are proportional to the size. The feet of a smaller animal are then slower in front of a slow camera,
+    which does not show its size: see `contacts`.
     """
 
     feet: Index
@@ -555,8 +557,8 @@ class StanceVelocity:
 class OnGround:
     """Keep feet in stance on a plane: r = (z - height - slope . (x - middle)) sqrt(contact) / sigma.
 
-    Feet are at x and z times the size relative to `at`. feet (F,); contact (T - 1, F), frozen; plane (3,): height,
-    slope x, slope y; middle (2,).
+    Feet are at x and z times the size relative to `at`. The arrays are feet (F,); contact (T - 1, F), frozen; plane
+    (3,): height, slope x, slope y; and middle (2,).
     """
 
     feet: Index
@@ -566,7 +568,10 @@ class OnGround:
     fps: float
     sigma_m: float
     at: float | None = None
-    """Size at which the plane was found, if it is fixed in the world; None if the plane scales with the size."""
+    """Size at which the plane was fitted, if it is fixed in the world.
+
+    It is None if the plane scales with the size.
+    """
     name: str = "ground"
     stencil: tuple[int, ...] = (0, 1)
 

@@ -179,7 +179,7 @@ class SegmentFit:
 
     @classmethod
     def unsolved(cls, clip: ClipProblem, rows: slice, estimate: Estimate) -> SegmentFit:
-        """Return a segment before its first round, with the noise that is expected."""
+        """Return a segment before its first round, with the expected noise."""
         noise, contact = np.ones((len(clip.views), len(clip.body.markers))), np.zeros((len(clip), len(clip.feet)))
         return cls(rows, estimate, LeastSquares(clip.body.detected, [], []), noise, np.zeros(0), contact, None)
 
@@ -234,7 +234,7 @@ def _solve_segments_from(clip: ClipProblem, start: TrajectorySolution) -> list[S
 
 
 def _solve_with_noise(clip: ClipProblem, solved: SegmentFit) -> SegmentFit:
-    """Return the minimum from a solution, with its noise and the contacts that it shows."""
+    """Return the minimum from a solution, with the noise and contacts of that solution."""
     points, size = clip.markers(solved.estimate.states), solved.size
     contact, ground, contact_terms = solved.contact, None, ()
     if clip.options.ground == "auto" and len(clip.feet) and len(clip) > 2:
@@ -247,7 +247,7 @@ def _solve_with_noise(clip: ClipProblem, solved: SegmentFit) -> SegmentFit:
 
 
 def _with_misfit_of(start: TrajectorySolution, solution: TrajectorySolution) -> TrajectorySolution:
-    """Return a solution with the prior's misfit of the one that it began from, where it was not measured again."""
+    """Return a solution with the prior misfit of an earlier one, unless it was measured again."""
     known = {(part.rows.start, part.rows.stop): part for part in start.segments}
     segments = []
     for segment in solution.segments:
@@ -292,7 +292,7 @@ def _without_shape(segment: SegmentFit) -> SegmentFit:
 
 
 def refined(clip: ClipProblem, solved: SegmentFit) -> SegmentFit:
-    """Solve one more round from a solution, for a problem that may have changed a little."""
+    """Solve one more round from a solution, for a problem that may have changed slightly."""
     return _solve_round(replace(clip.part(solved.rows), prior_weight=solved.prior_weight), solved, 1.0, whole=True)
 
 
@@ -300,7 +300,7 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
     """Solve one segment: starts, approach, mixture of poses, rounds."""
     options, T = clip.options, len(clip)
     rounds = constants.NOISE_ROUNDS
-    if options.fast:  # the noise of the first round is about the expected shape
+    if options.fast:  # the first round estimates the noise about the expected shape
         rounds = 1 if clip.shape is None or not clip.solves_shape else 2
     windows = _windows(clip, progress)
     iterations = sum(start.iterations for _, starts in windows for start in starts)
@@ -320,7 +320,7 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
     solved = SegmentFit.unsolved(clip, rows, estimate)
     for i, (temperature, whole) in enumerate(stages):
         is_first, is_last = whole and (i == 0 or not stages[i - 1][1]), i == len(stages) - 1
-        keeps_shape = is_first and clip.detector_is_measured  # which is close to the expected shape
+        keeps_shape = is_first and clip.detector_is_measured  # the solution is close to the expected shape
         solved = _solve_round(replace(clip, shape=None) if keeps_shape else clip, solved, temperature, whole)
         if LENGTHS in solved.estimate.shared:
             clip = clip.with_likely_shape_spread(solved.estimate.shared)
@@ -382,7 +382,7 @@ def _shared_fields(
         of_views(time_offset),
         of_views(focal_scale),
         of_views(lambda _: SIDESLIP),
-    )  # means, sigmas
+    )  # (means, sigmas)
     corrections = of_views(extrinsic_correction, 6)
     return (
         {"time_offset_frames": offsets[0][:, 0], "time_offset_sigma_frames": offsets[1][:, 0]}
@@ -416,7 +416,7 @@ def _solved_views(
 
 
 def _windows(clip: ClipProblem, progress: Progress) -> list[tuple[slice, list[Estimate]]]:
-    """Return the starts of every window of about a second that has detections."""
+    """Return the starts of every window of about one second that has detections."""
     windows, is_present, T = [], clip.present(), len(clip)
     windows_of_frames = np.array_split(np.arange(T), min(max(1, round(T / clip.fps / WINDOW_S)), T))
     for i, window_frames in enumerate(windows_of_frames):
@@ -432,8 +432,8 @@ def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Arr
 
     The factor is the mean of weight times squared residual per coordinate, in which the expectation counts as eight
     detections. It is limited to 1/4 to 6, so that no joint is followed blindly or given up. If the body's shape is
-    unknown, the residuals are those of the estimated shape; they then tell more about the noise than the expectation
-    for an unmeasured detector.
+    unknown, the residuals are those of the estimated shape, which then show the noise better than the expectation for
+    an unmeasured detector does.
     """
     world = clip.in_world(points_m, size)
     is_expected = clip.shape is None or clip.detector_is_measured or len(clip.views) == 1
@@ -476,7 +476,7 @@ def _solution(clip: ClipProblem, segments: Sequence[SegmentFit], expected: Body,
     arrays: dict[str, Array] = {}
 
     def by_frame(name: str) -> Array:
-        """Return one of the arrays, frames first, NaN in frames of no segment."""
+        """Return one of the arrays, frames first, with NaN in frames outside all segments."""
         if name not in arrays:
             arrays[name] = np.full(shapes[name], np.nan)
         return np.moveaxis(arrays[name], SHAPES[name].index("T"), 0)
@@ -678,7 +678,7 @@ def _test_second_camera(clip: ClipProblem, segment: SegmentFit) -> SecondCamera:
 
 
 def _seen_by_both(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
-    """Return the part in which both cameras see most; over a whole clip, lasting model errors would add up."""
+    """Return the part in which both cameras see most, because lasting model errors would add up over a whole clip."""
     seen_by_both = np.all([view.present[segment.rows] for view in clip.views], axis=0).sum(axis=1)
     rows = densest_window(seen_by_both, round(TESTED_S * clip.fps))
     if rows.stop - rows.start == len(seen_by_both):
@@ -709,7 +709,7 @@ def _pair_problem(clip: ClipProblem, segment: SegmentFit) -> tuple[LeastSquares,
 
 
 def _size_error_of_bias(clip: ClipProblem) -> float:
-    """Return the apparent size error of keypoints that are all displaced in the same direction from their markers."""
+    """Return the apparent error of the size if all keypoints are displaced from their markers in the same direction."""
     body = clip.body
     state = np.zeros((1, body.n_state))
     state[0, ANGLES] = clip.prior.mean
@@ -718,7 +718,7 @@ def _size_error_of_bias(clip: ClipProblem) -> float:
 
 
 def _alternative_cost(clip: ClipProblem, segment: SegmentFit, size: float, distance_m: Array) -> float:
-    """Return the least extra cost of another start.
+    """Return the smallest extra cost of another start.
 
     The mean distance of the joints, both poses centred, is written to distance_m (T,).
     """

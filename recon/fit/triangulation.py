@@ -3,7 +3,7 @@
 **Start.** Every pair of cameras that saw a keypoint in a frame gives a point, the middle of the shortest line between
 the two rays. Each such point is scored by its reprojection into all cameras, with squared errors cut off at `OUTLIER`
 standard deviations (MSAC; Torr and Zisserman 2000), and the best one is the start. With V cameras all V (V - 1) / 2
-pairs are tried, so that no draw is left to chance.
+pairs are tried, so that nothing is left to chance.
 
 **Minimum.** Gauss-Newton steps minimise the reprojection errors in the distorted pictures, with Cauchy's weights at
 first. Detections that are then further off than `OUTLIER` standard deviations are left out, and the others get their
@@ -41,8 +41,9 @@ BRIDGED_S = 0.2
 """Longest gap that a spline fills."""
 _CAUCHY_ROUNDS, _FINAL_ROUNDS, _NOISE_ROUNDS, _SPLINE_ROUNDS = 4, 3, 2, 3
 _MEDIAN_OF_CHI_SQUARE, _MEDIAN_OF_TWO_RAYS = 1.3863, 0.9099
-"""Medians of a detection's squared error, relative to its expectation for the noise, of several rays; and of two rays,
-whose errors are one number.
+"""Medians of a detection's squared error relative to its expectation: for several rays, and for two rays.
+
+The errors of two rays are a single number.
 """
 _LEAST_OF_KEYPOINT = 20
 """Smallest number of detections from which a keypoint's own noise is estimated."""
@@ -79,7 +80,7 @@ def triangulate_views(views: Sequence[View], sigma_px: float = 3.0) -> Triangula
     views
         V >= 2 views of the same T frames and J keypoints, in one world.
     sigma_px
-        Expected noise of the detections in pixels; that of each keypoint is estimated from there.
+        Expected noise of the detections in pixels, from which the noise of each keypoint is estimated.
 
     Raises
     ------
@@ -157,7 +158,7 @@ def _best_of_pairs(views: Sequence[View], present: Bools, sigma: Array) -> Array
 
 
 def _between_rays(ray_a: Array, centre_a: Array, ray_b: Array, centre_b: Array) -> Array:
-    """Return the middles of the shortest lines between rays, (T, J, 3); NaN where they hardly cross or are behind."""
+    """Return the middles of the shortest lines between rays, (T, J, 3); NaN if they hardly cross or the point is behind."""
     line = centre_b - centre_a
     cosine = np.sum(ray_a * ray_b, axis=-1)
     along_a, along_b = np.sum(ray_a * line, axis=-1), np.sum(ray_b * line, axis=-1)
@@ -171,7 +172,7 @@ def _between_rays(ray_a: Array, centre_a: Array, ray_b: Array, centre_b: Array) 
 
 
 def _errors(views: Sequence[View], points: Array, sigma: Array, derivatives: bool = True) -> tuple[Array, Array, Bools]:
-    """Return errors (V, T, J, 2) in standard deviations, their derivatives by the points, and which can be projected.
+    """Return errors (V, T, J, 2) in standard deviations, derivatives by the points, and which can be projected.
 
     Missing detections have an error of 0.
     """
@@ -191,7 +192,7 @@ def _errors(views: Sequence[View], points: Array, sigma: Array, derivatives: boo
 
 
 def _gauss_newton_step(error: Array, by_point: Array, weight: Array) -> Array:
-    """Return the step of points (T, J, 3), 0 where fewer than two detections have a weight."""
+    """Return the step of points (T, J, 3), 0 if fewer than two detections have a weight."""
     weighted = by_point * weight[..., None, None]
     normal = np.sum(weighted.swapaxes(-1, -2) @ by_point, axis=0)
     pull = np.sum(weighted.swapaxes(-1, -2) @ error[..., None], axis=0)
@@ -232,7 +233,7 @@ def _estimate_noise(result: Triangulation, sigma: Array, expected_px: float) -> 
     median = np.where(count > 2, _MEDIAN_OF_CHI_SQUARE, _MEDIAN_OF_TWO_RAYS)
     with np.errstate(invalid="ignore"):
         square = result.error_px**2 / freedom / median
-    is_counted = np.isfinite(square) & (count > 2)  # with two rays, errors are visible across one direction only
+    is_counted = np.isfinite(square) & (count > 2)  # with two rays, errors are visible only across one direction
     if not is_counted.any():
         is_counted = np.isfinite(square)
     everything = square[is_counted]
@@ -293,6 +294,7 @@ def _spline(frames: Index, values: Array, sigma: Array, every: Index) -> Array:
             spline = make_smoothing_spline(x, values[:, axis], weight)
             result[:, axis] = spline(every)
             squares += ((values[:, axis] - spline(x)) / sigma[:, axis]) ** 2
-        spread = max(float(np.median(squares)) / 2.366, 1e-12)  # the median of a chi square with three
+        # the median of a chi square variable with three degrees of freedom
+        spread = max(float(np.median(squares)) / 2.366, 1e-12)
         root = 1.0 / (1.0 + squares / spread / OUTLIER**2)
     return result
