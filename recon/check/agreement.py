@@ -1,16 +1,16 @@
 """Test whether the cameras of a clip agree: compare each camera's detections with points from the other cameras.
 
-**Points and levels.** Where cameras see the same keypoint in the same frame, their rays should meet. For each camera,
-the points are triangulated from all other cameras, robustly and with their covariance (`_points`), and compared with
-the directions in which this camera saw them (`_errors`). An error in standard deviations contains the noise of both.
+**Points and levels.** If cameras see the same keypoint in the same frame, their rays should meet. For each camera, the
+points are triangulated from all other cameras, robustly and with their covariance (`_points`), and compared with the
+directions in which this camera saw them (`_errors`). An error in standard deviations accounts for the noise of both.
 The median error, divided by the median that pure noise has, is the camera's level: about 1 if the cameras agree. Two
 cameras alone have no third camera to triangulate with, so they are compared with each other by the epipolar planes of
 their rays (`_pair_level`).
 
-The test uses no body and no fit, so a camera that pulls the fit away from the others is found too.
+The test uses no body and no fit, so it also detects a camera that pulls the fit away from the others.
 
 **Which camera is off.** If levels are too high, cameras are left out one by one until the rest agrees
-(`_largest_agreeing_group`). For each camera left out, the rotation and the time offset that fit best are found
+(`_largest_agreeing_group`). For each camera left out, the best rotation and the best time offset are determined
 (`_best_turned`, `_best_shifted`). If one of them lowers the level enough, it is named as the cause; otherwise the cause
 is unknown. Exchanged files of two cameras are tried first, since they explain two cameras at once (`_exchanged_pair`).
 Two cameras that agree with no other camera are named as a pair.
@@ -44,18 +44,19 @@ MAX_LEVEL = 1.6
 NOISIEST = 2.0
 """Largest factor on the expected errors that is attributed to noise of the detector."""
 NOISIEST_OF_TWO = 1.1
-"""Largest factor for two cameras, without a third one to show that the errors are noise.
+"""Largest factor for two cameras, without a third camera to show that the errors are noise.
 
 Levels of 68 real pairs are up to 1.5. A rotation of one of two cameras is visible only across the line between them.
 """
 EXPLAINED = 0.25
 """A cause that reduces a camera's level to this fraction or less also explains it."""
 CLEAR_ROTATION_RAD, CLEAR_OFFSET, CLEAR_GAIN = np.radians(3.0), 3.0, 1.5
-"""A camera that agrees is still reported if a rotation or time offset (frames) of at least this size reduces its level
-by at least this factor.
+"""Limits for a camera that agrees but is still reported.
+
+It is reported if a rotation or a time offset (frames) of at least this size reduces its level by at least this factor.
 """
 LARGEST_ROTATION_RAD = np.radians(45.0)
-"""A larger best-fitting rotation is not taken for a rotation of the camera."""
+"""Largest best-fitting rotation that is attributed to the camera."""
 MIN_POINTS = 30
 """Smallest number of points, over all frames, from which a level is computed."""
 SOUGHT_OFFSET_S, LITTLE_OFFSET = 0.5, 3
@@ -63,9 +64,9 @@ SOUGHT_OFFSET_S, LITTLE_OFFSET = 0.5, 3
 FRAMES = 480
 """Number of frames of a longer clip that are compared: the part with the most common detections."""
 OFFSET_S = 1.0
-"""Largest time offset in seconds searched for a camera known to be out of step; at most half a clip."""
+"""Largest time offset in seconds in the search for a camera that is out of step; at most half a clip."""
 CLEARLY = 0.9
-"""Largest ratio of the level with a time offset to that without at which the offset counts."""
+"""Largest ratio of the level with a time offset to the level without it at which the offset counts."""
 _OFFSET_ROWS = 200
 """Number of frames that are compared for an offset."""
 _COMPARED = 0.3
@@ -80,11 +81,14 @@ _PARALLEL = 1e-4
 
 
 Numbers = dict[str, float]
-"""Comparison of one camera with those that agree with each other, NaN where it cannot be determined.
+"""Comparison of one camera with the cameras that agree with each other; NaN if it cannot be determined.
 
-points: number compared; error_px: median distance from where the others see the points; level: typical error in units
-of the expected one; turn_rad: angle of the rotation of the camera that fits best; late_frames: how much later than said
-its pictures seem to be; level_turned and level_late: the level with these.
+- points: number of points compared
+- error_px: median distance from the positions at which the others see the points
+- level: typical error relative to the expected error
+- turn_rad: angle of the best rotation of the camera
+- late_frames: delay of its pictures relative to the stated times
+- level_turned, level_late: level after that rotation, and after that delay
 """
 
 
@@ -124,7 +128,7 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
             numbers = numbers | _effect_m(given_sights, v, [o for o in agreeing if o != v]) | {"offset_s": offset_s}
             item = finding(_code(numbers, limit), frames, names[v], **numbers)
             findings.append(by_effect(item, motion.trunk_m, is_gross=numbers["level"] > MAX_LEVEL * NOISIEST))
-    for v in exchanged:  # compared as given, without undoing the exchange
+    for v in exchanged:  # compared as given, with the exchange in place
         partners = [sights[o] for o in agreeing or range(len(views)) if o != v]
         comparisons[v] = _compare(given_sights[v], partners, fps, wide=False)
     disagreeing = () if agreeing else tuple(range(len(views)))
@@ -142,7 +146,7 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
 def _without_exchange(
     views: Sequence[View], sights: list[_Sight], sigma_px: float, keypoint_sigma_m: float
 ) -> tuple[list[_Sight], tuple[int, ...], float]:
-    """Return the sights with exchanged cameras put back, the two exchanged cameras, and the limit of levels.
+    """Return the sights with exchanged cameras corrected, the two exchanged cameras, and the limit of levels.
 
     Without exchanged cameras the pair is (). The limit is higher than `MAX_LEVEL` if the cameras that agree best are
     noisier than expected.
@@ -167,7 +171,7 @@ def swaps_by_effect(
 ) -> tuple[Finding, ...]:
     """Return findings with the severity of a swap in one of three or more cameras set by its effect on the fit.
 
-    The robust fit follows the others where they agree. Parameters are as in `agreement_findings`.
+    The robust fit follows the other cameras if they agree. Parameters are as in `agreement_findings`.
     """
     names = [view.camera.name for view in motion.solution.views]
     if len(names) < 3 or not any(item.code.startswith("left_right_swap") for item in findings):
@@ -187,8 +191,8 @@ def swaps_by_effect(
 def _effect_m(sights: Sequence[_Sight], v: int, partners: Sequence[int]) -> dict[str, float]:
     """Return how far camera v moves the points that the other cameras see, in metres.
 
-    One number is about the points' middle, the other is the movement of this middle: means over joints and frames, NaN
-    if the other cameras alone see too few points.
+    The first number is the movement about the middle of the points, the second the movement of this middle. Both are
+    means over joints and frames, and NaN if the other cameras alone see too few points.
     """
     effects = dict.fromkeys(EFFECTS, np.nan)
     if len(partners) < 2:
@@ -288,11 +292,11 @@ def _with_exchanged(views: Sequence[View], a: int, b: int) -> list[View]:
 
 
 def _largest_agreeing_group(sights: Sequence[_Sight], fps: float, limit: float) -> tuple[int, ...]:
-    """Return the cameras left after removing those that agree least one by one, or () if no two agree.
+    """Return the cameras left after removing the least agreeing cameras one by one, or () if no two agree.
 
-    The last two of three cameras can only be compared with each other, and a camera next to another may pass in spite
-    of its time offset. Therefore the first to go is one that a rotation or an offset would bring into agreement with
-    both.
+    The last two of three cameras can only be compared with each other, and a camera next to another one may pass in
+    spite of its time offset. The first camera to be removed is therefore one that a rotation or an offset would bring
+    into agreement with both.
     """
     agreeing = tuple(range(len(sights)))
     while not _are_within(_levels(sights, agreeing), limit):
@@ -326,14 +330,14 @@ class _Sight:
     """Hold the directions in which one camera saw J keypoints in T frames, as unit vectors in the world frame."""
 
     rays: Array
-    """(T, J, 3), NaN where missing."""
+    """Directions, shape (T, J, 3); NaN if missing."""
     centre_m: Array
-    """(T, 3): the camera's centre."""
+    """Centre of the camera, shape (T, 3)."""
     rotation: Array
-    """(T, 3, 3): R_camera_world."""
+    """Rotation R_camera_world, shape (T, 3, 3)."""
     focal_px: float
     noise_rad: Array
-    """(T, 1): the noise of a detection as an angle."""
+    """Noise of a detection as an angle, shape (T, 1)."""
 
     def later(self, frames: float) -> _Sight:
         """Return the directions for pictures taken a number of frames later."""
@@ -347,11 +351,11 @@ class _Sight:
 
 
 _Points = tuple[Array, Array]
-"""Positions (T, J, 3) and their covariances (T, J, 3, 3), NaN where fewer than two rays meet."""
+"""Positions (T, J, 3) and their covariances (T, J, 3, 3); NaN if fewer than two rays meet."""
 
 
 def _shifted(values: Array, frames: float) -> Array:
-    """Return values (T, ...) shifted by a number of rows, interpolated linearly; NaN where they come from outside."""
+    """Return values (T, ...) shifted by a number of rows, with linear interpolation, and NaN beyond the ends."""
     whole, T = int(np.floor(frames)), len(values)
     rows = np.arange(T) - np.array([[whole], [whole + 1]])
     inside = ((rows >= 0) & (rows < T)).reshape(2, T, *[1] * (values.ndim - 1))
@@ -373,7 +377,7 @@ def _sights(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -> 
 
 
 def triangulated_m(views: Sequence[View], sigma_px: float, keypoint_sigma_m: float) -> Array:
-    """Return the points (T, J, 3) where the rays of several views meet, NaN where fewer than two rays do."""
+    """Return the points (T, J, 3) at which the rays of several views meet; NaN if fewer than two rays do."""
     return _points(_sights(views, sigma_px, keypoint_sigma_m))[0]
 
 
@@ -382,7 +386,7 @@ def _with_keypoint_noise(sight: _Sight, position_m: Array, keypoint_sigma_m: flo
     distance = np.linalg.norm(position_m - sight.centre_m[:, None], axis=-1)
     if np.isnan(distance).all():
         return sight
-    with warnings.catch_warnings(action="ignore"):  # frames without points
+    with warnings.catch_warnings(action="ignore"):  # some frames have no points
         typical = np.nanmedian(distance, axis=1)
     typical = np.where(np.isnan(typical), np.nanmedian(distance), typical)
     return replace(sight, noise_rad=np.hypot(sight.noise_rad, keypoint_sigma_m / typical[:, None]))
@@ -427,7 +431,7 @@ def _levels(sights: Sequence[_Sight], agreeing: Sequence[int]) -> Array:
 
 
 def _compare(sight: _Sight, partners: Sequence[_Sight], fps: float, wide: bool) -> Numbers:
-    """Compare a camera with others; with `wide`, the time offset is searched over a long range."""
+    """Compare a camera with others; with `wide`, search a long range of time offsets."""
     numbers = dict.fromkeys(("turn_rad", "level_turned", "late_frames", "level_late"), np.nan)
     if len(partners) == 1:
         level, error_rad, n = _pair_level(sight, partners[0])
@@ -531,8 +535,8 @@ def search_offsets(views: Sequence[View], fps: float, sigma_px: float, keypoint_
     """Return the time offset of each camera from the first, in whole frames beyond the stated offset, (V,).
 
     Views have the same T frames; the noise is as in `agreement_findings`. Each camera in turn gets the offset at which
-    its rays pass those of the cameras before it most closely, then, a few times, those of all others. The offset is 0
-    if no other is clearly better, and NaN if a camera shares too few points with the others.
+    its rays pass closest to those of the cameras before it. A few rounds with the rays of all other cameras follow. The
+    offset is 0 if no other value is clearly better, and NaN if a camera shares too few points with the others.
     """
     sights = _sights(views, sigma_px, keypoint_sigma_m)
     T = len(views[0].xy_px)
@@ -573,13 +577,17 @@ CLOSE_FRAMES = 0.05
 WORSE, BETTER, LOST, FAR = 1.1, 1.02, 5.0, 4.0
 """Limits for refined poses.
 
-Factor of a camera's median reprojection error up to which it is unchanged, as others may lose a little to what one
-gains; factor of no change at all; factor to that of the rig's middle camera that makes a camera an outlier all the
-time; and factor to the expected rotation that is not where the file says.
+- `WORSE`: factor of a camera's median reprojection error up to which it counts as unchanged, since some cameras may
+lose
+  a little of what one camera gains
+- `BETTER`: factor of no change at all
+- `LOST`: factor relative to the rig's middle camera above which a camera is an outlier all the time
+- `FAR`: factor on the expected rotation above which a camera is not at the pose in the file
 """
 MAX_SIGMA_FRAMES = 1.0
-"""Largest uncertainty of an estimated offset; a less certain offset, or one that does not settle to this, is
-refused.
+"""Largest uncertainty of an estimated offset in frames.
+
+A less certain offset, or an offset that does not converge to this, is refused.
 """
 
 SolveSources = Callable[[tuple[Source, ...]], TrajectorySolution]
@@ -671,7 +679,7 @@ def why_not_refined(refined: TrajectorySolution, fixed: TrajectorySolution) -> t
 
 
 def pair_refined(refined: TrajectorySolution) -> Finding:
-    """Return the finding on the second of two cameras, whose pose was refined without being asked for."""
+    """Return the finding on the second of two cameras, whose pose was refined although nobody requested it."""
     turn, shift = refined.extrinsic_correction[1, :3], refined.extrinsic_correction[1, 3:]
     cameras = tuple(view.camera.name for view in refined.views)
     return finding(

@@ -1,4 +1,4 @@
-"""Define every code of a finding: its severity and its sentence.
+"""Define every code of a finding: its severity and its text.
 
 docs/findings.md explains each code: its meaning, its effect on the result, and the remedy.
 """
@@ -19,9 +19,9 @@ from recon.fit.motion import Motion
 from recon.fit.result import Finding, Severity
 
 NAMED = 5
-"""Largest number of names listed in a sentence."""
+"""Largest number of names in a text."""
 LENGTHS = ("height", "apart", "shift", "in_cm", "in_mm")
-"""Numbers of a finding that its sentence formats as lengths: height_m, with sigma_m if present, as height_length."""
+"""Numbers of a finding that its text shows as lengths: height_m, with sigma_m if present, as height_length."""
 SWAPPED, OUTLIERS = "left-right swap", "gross outliers"
 """Flags of frames in which one camera's detections are wrong."""
 FLAG_OF: Mapping[str, str] = {"left_right_swap": SWAPPED, "gross_outliers": OUTLIERS}
@@ -39,11 +39,11 @@ FLAGS: Mapping[str, str] = {
 """Meaning of each flag of a frame, in the order of a summary."""
 _ROWS = tomllib.loads(builtin_file("check", "codes.toml").read_text(encoding="utf-8"))
 CODES: Mapping[str, tuple[Severity, str]] = {code: (row["severity"], row["text"]) for code, row in _ROWS.items()}
-"""Severity and sentence, by code, from `codes.toml`; causes before their consequences."""
+"""Severity and text by code, from `codes.toml`; causes come before their consequences."""
 FOLLOWS = frozenset(code for code, row in _ROWS.items() if row.get("follows"))
 """Codes of findings that may be consequences of others."""
 EFFECTS: tuple[str, str] = ("pose_effect_m", "position_effect_m")
-"""Numbers of findings: the difference in poses (joints about their middle) and positions if the finding is right."""
+"""Numbers of findings: the change of poses (joints about their middle) and of positions if the finding is right."""
 _SERIOUS: tuple[Severity, ...] = ("error", "warning", "note")
 
 
@@ -55,8 +55,9 @@ def finding(code: str, frames: tuple[int, int] | None = None, camera: str | None
 def by_effect(item: Finding, trunk_m: float, is_gross: bool = False) -> Finding:
     """Return a finding whose severity follows from its effect, if it has the numbers of `EFFECTS`.
 
-    It keeps its own severity if an effect is as large as an error that spoils most uses, or is not known (NaN). It is
-    at most a warning below that, and a note if the effect is about what the fit itself is off, unless it is gross.
+    The severity does not change if an effect is unknown (NaN), or as large as an error that spoils most uses. Below
+    that the finding is at most a warning. It is a note if the effect is no larger than the fit's own error, unless it
+    is gross.
     """
     effects_m = [item.numbers.get(name) for name in EFFECTS]
     known_m = [value for value in effects_m if isinstance(value, float) and math.isfinite(value)]
@@ -70,7 +71,7 @@ def by_effect(item: Finding, trunk_m: float, is_gross: bool = False) -> Finding:
 def sort_findings(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     """Return findings sorted by severity, then in the order of `CODES`; findings of one code keep their order.
 
-    If any error is not itself a consequence, findings that may be consequences are left out.
+    If an error is no consequence itself, findings that may be consequences are left out.
     """
     caused = any(item.severity == "error" and item.code not in FOLLOWS for item in findings)
     kept, order = (item for item in findings if not (caused and item.code in FOLLOWS)), [*CODES]
@@ -78,7 +79,7 @@ def sort_findings(findings: Sequence[Finding]) -> tuple[Finding, ...]:
 
 
 def sentence(item: Finding, named: bool = True) -> str:
-    """Return a finding as a sentence; with `named`, cameras are called by name, for clips with several cameras."""
+    """Return the text of a finding; with `named`, cameras are called by name, for clips with several cameras."""
     words = CODES[item.code][1]
     numbers: dict[str, Any] = item.numbers
     values = {name: names_text(value) if isinstance(value, tuple) else value for name, value in numbers.items()}
@@ -103,13 +104,13 @@ def effect_text(numbers: Mapping[str, Any]) -> str:
 
 
 def sentences(motion: Motion) -> Iterator[tuple[Finding, str]]:
-    """Yield each finding of a motion with its sentence."""
+    """Yield each finding of a motion with its text."""
     for item in motion.findings:
         yield item, sentence(item, named=len(motion.sources) > 1)
 
 
 def names_text(names: Sequence[str]) -> str:
-    """Return the first few names as a list within a sentence."""
+    """Return the first few names as a list for a text."""
     rest = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     return ", ".join(names[:NAMED]) + rest
 

@@ -1,8 +1,8 @@
-"""Find wrong inputs: copies, moving cameras, swaps, gross outliers, another picture or camera, a wrong frame rate.
+"""Detect wrong inputs: copies, moving cameras, swaps, gross outliers, another picture or camera, a wrong frame rate.
 
 Copies, and motions that no animal makes, come first. Detections that are the same to the last digit were copied, not
-measured. Under a camera that pans, all standing feet slide together. Other faults are recognised by how much more
-likely the clip is after undoing them (`recon.check.likelihood`).
+measured. Under a camera that pans, all standing feet slide together. Other faults are recognised from how much more
+likely the clip becomes when they are undone (`recon.check.likelihood`).
 """
 
 from __future__ import annotations
@@ -41,8 +41,9 @@ FASTEST_M_S = 40.0
 """Largest speed of an animal: cheetahs reach 29 m/s (N. Sharp, *Timed running speed of a cheetah*, J. Zool. 1997)."""
 
 MOSTLY_POOR = 0.9
-"""Fraction of frames with few or no detections above which the motion, and with it the rate, follows the prior
-alone.
+"""Fraction of frames with few or no detections above which the motion follows the prior alone.
+
+The same is then true of the frame rate.
 """
 MOVES = ("animal_still", "time_reversed", "treadmill", "camera_moves")
 """Codes of motions in which left and right cannot be distinguished."""
@@ -79,7 +80,7 @@ def input_findings(
     weighted_clip = replace(
         clip, prior_weight=min((segment.prior_weight for segment in solution.segments), default=1.0)
     )
-    too_fast = mean_speed_m_s(solution.states, fps) > FASTEST_M_S  # the prior does not contain such speeds
+    too_fast = mean_speed_m_s(solution.states, fps) > FASTEST_M_S  # the prior contains no such speeds
     is_unlike = too_fast or any(segment.unlike_prior for segment in solution.segments)
     findings = [*copies(motion.sources, resampled=bool(motion.settings.get("camera_fps")))]
     is_certain = any(item.severity == "error" for item in findings)
@@ -152,34 +153,37 @@ def with_flags(motion: Motion, findings: Sequence[Finding]) -> Motion:
 # -- copied coordinates ------------------------------------------------------------------------------------------------
 
 SHARE = 0.2
-"""Smallest fraction of identical coordinates that cannot be chance; hand labels in whole pixels have a few."""
+"""Smallest fraction of identical coordinates that is not chance; hand labels in whole pixels have some."""
 FRAMES = 0.05
-"""Smallest fraction of a clip's frames that repeat the frame before; fewer are a hiccup of a camera."""
+"""Smallest relevant fraction of a clip's frames that repeat the frame before; cameras sometimes repeat a few frames."""
 FEWEST = 4
 """Smallest number of identical keypoints in a frame; fewer may be chance."""
 STRAIGHT_PX, STRAIGHT = 0.01, 0.02
-"""Largest deviation of an interpolated point from the line between its neighbours, in pixels and as a part of its path;
-of one on a cubic, whose fourth difference is that small.
+"""Largest deviation of an interpolated point from the line between its neighbours, in pixels and relative to its path.
+
+A point on a cubic has a fourth difference as small as that.
 """
 _CUBIC_FRAMES = 5
 """Number of frames that lie on one cubic if their fourth difference is 0."""
 CURVED_PX = 0.1
-"""Least deviation from that line of a point that is tested for a cubic: others lie on one if they are on the line."""
+"""Smallest deviation from that line of a point that is tested for a cubic, because points on the line are on a cubic
+too.
+"""
 LONG, SHORT, SHARE_LONG = 1.45, 0.5, 0.13
-"""Ratios of a step to the steps around it that are long or short, and share of long steps.
+"""Ratios of a step to the steps around it from which it is long or short, and the largest usual share of long steps.
 
-If more are long, and less than half as many short, frames were left out. At most 0.12 of the steps are long in 32 real
-views, also with half of their points missing, a side hidden, or an animal that comes into the picture; 0.2 where a
-quarter of the frames is left out.
+If more steps are long, and less than half as many are short, frames were left out. In 32 real views at most 0.12 of the
+steps are long, also with half of their points missing, a side hidden, or an animal that comes into the picture. The
+share is 0.2 if a quarter of the frames is left out.
 """
 ALONE, SHARE_ALONE = 1.3, 0.4
 """Ratio of a long step to both its neighbours, and the share of long steps that have it.
 
-Swinging legs, seen alone or by a camera that follows, are fast for several frames. Chosen on simulated cameras and
-noise (cheetahs, dogs).
+Swinging legs, seen on their own or by a camera that follows, are fast for several frames. The values were chosen on
+simulated cameras and noise (cheetahs, dogs).
 """
 AROUND, LEAST_STEP_PX, LEAST_STEPS = 7, 5.0, 20
-"""Number of steps of a keypoint that are compared; least length of a step, and least number of them."""
+"""Number of steps of a keypoint that are compared, smallest length of a step, and smallest number of steps."""
 
 
 def copies(sources: Sequence[Source], resampled: bool = False) -> Iterator[Finding]:
@@ -219,7 +223,7 @@ def repeats_of(values: Array) -> Bools:
 
 
 def _repeated(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
-    """Yield a finding on frames that repeat the frame before: every second one (a video at twice its rate), or some."""
+    """Yield a finding on frames that repeat the frame before: every second frame (a doubled rate), or some."""
     repeats = repeats_of(keypoints.xy_px)
     if repeats.sum() <= FRAMES * len(repeats):
         return
@@ -255,7 +259,7 @@ def _interpolated(keypoints: Keypoints, camera: str) -> list[Finding]:
 
 
 def step_ratios(tracks: Array) -> Array | None:
-    """Return the lengths of steps between frames, relative to those around; None if too few steps can be compared.
+    """Return the lengths of steps between frames, relative to those around, or None if too few steps can be compared.
 
     Each keypoint of the tracks (T, K, 2 or 3), in pixels, is compared with itself, because visibility changes and paws
     are faster than the trunk. The ratio of a frame is the median over its keypoints.
@@ -305,31 +309,36 @@ def _copied_sides(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
 LEAST_S = 0.25
 """Shortest motion that is tested, in seconds."""
 STILL, STILL_M_S, STILL_RAD_S, STILL_TRUNKS = 0.95, 0.3, 0.6, 0.5
-"""Limits of an animal that stands still: the share of frames in which its speed is below the limit and below a trunk's
-length a second; the median of its joints' angular speeds; and its distance from its position, in trunk lengths.
+"""Limits of an animal that stands still.
+
+They are the share of frames in which its speed is below the limits in m/s and in trunk lengths per second, the median
+of its joints' angular speeds, and its distance from its mean position in trunk lengths.
 """
 BACKWARDS_M_S, BACKWARDS = 1.0, 0.9
 """Speed above which no animal runs backwards, and the fraction of a clip."""
 SLOWEST = 0.1
-"""Fraction of the feet, over all frames, whose speed is that of standing feet or less."""
+"""Fraction of the feet, over all frames, that move at the speed of standing feet or more slowly."""
 SLIDE_SHARE, SLIDE_LEGS_S = 0.25, 0.5
-"""Backward speed that standing feet do not reach, relative to the body's speed over them, if that is so many leg
-lengths a second. 0.06 at most in real views of cheetahs and dogs; 0.9 to 1.0 on a treadmill at any speed.
+"""Backward speed that standing feet do not reach, relative to the body's speed over them.
+
+It counts if the body moves over the feet at that number of leg lengths per second. It is 0.06 at most in real views of
+cheetahs and dogs, and 0.9 to 1.0 on a treadmill at any speed.
 """
 STAYS_SHARE = 0.3
-"""Speed of the body, relative to the feet, below which it stays in its position, as on a treadmill."""
+"""Speed of the body relative to the feet below which the body stays where it is, as on a treadmill."""
 SLIDE_M_S, GLIDE_M_S = -2.5, 8.0
-"""Speeds that standing feet do not reach, backwards and forwards. 32 real views of running cheetahs: -0.7 to 4.1 m/s.
+"""Speeds that standing feet do not reach, backwards and forwards; 32 real views of running cheetahs have -0.7 to 4.1
+m/s.
 """
 JOLTS = {"root acceleration": 1.0, "heading": 0.55, "climb": 1.1}
-"""Costs in 1/90 s, half squared standard deviations, from which a body's path is no animal's.
+"""Costs per 1/90 s, half squared standard deviations, from which the body's path is not that of an animal.
 
 They are up to 0.5, 0.35 and 0.7 in real views, and 0.8 of the first in the drawn film (benchmarks/wrong_inputs.py).
 """
 
 
 def movement(motion: Motion) -> Iterator[Finding]:
-    """Yield at most one finding on the motion: the clearest one."""
+    """Yield at most one finding on the motion, the clearest."""
     solution, posed = motion.solution, motion.solved
     assert isinstance(solution, TrajectorySolution)
     if posed.sum() < max(LEAST_S * motion.fps, 3):
@@ -346,7 +355,7 @@ def movement(motion: Motion) -> Iterator[Finding]:
         yield sliding
     elif is_staying and np.nanquantile(speed, STILL) < min(STILL_M_S, trunk_m) and np.nanmedian(turns) < STILL_RAD_S:
         standing = finding("animal_still", speed_m_s=float(np.nanmedian(speed)))
-        # without a prior of running animals no movement is expected
+        # without a prior of running animals, movement is not expected
         yield replace(standing, severity="note") if solution.prior == NONE else standing
     elif np.mean(forward[np.isfinite(forward)] < -BACKWARDS_M_S) > BACKWARDS:
         yield finding("time_reversed", speed_m_s=-float(np.nanmedian(forward)))
@@ -375,7 +384,7 @@ def _sliding(motion: Motion, forward: Array, feet: Array) -> Finding | None:
     if not is_relative and SLIDE_M_S < slowest_m_s < GLIDE_M_S:
         return None
     if slowest_m_s < 0 and abs(body_m_s) < STAYS_SHARE * over_feet_m_s:
-        slide_m_s = -float(np.nanquantile(feet, SLOWEST / 2))  # the middle of the standing feet's speeds
+        slide_m_s = -float(np.nanquantile(feet, SLOWEST / 2))  # the middle of the speeds of the standing feet
         return finding("treadmill", slide_m_s=slide_m_s, speed_m_s=body_m_s)
     return finding("camera_moves", slide_m_s=slowest_m_s, speed_m_s=body_m_s)
 
@@ -396,7 +405,7 @@ def _along(motion: Motion) -> tuple[Array, Array]:
 GROSS = "in frames whose detections are gross outliers"
 """Reason for leaving out the detections of a frame."""
 MOST = 0.5
-"""Largest fraction of frames that may be outliers; with more, the fit or another input is wrong."""
+"""Largest fraction of frames that may be outliers; above it, the fit or another input is wrong."""
 
 
 def outlier_ratios(view: View, markers_m: Array, noise_px: Array) -> Array:

@@ -1,12 +1,12 @@
 """Compare the likelihood of a camera's detections under the given inputs and under alternatives.
 
-A hypothesis is a `ClipProblem` with other keypoints or another camera. A second of the clip is solved again under the
-hypothesis and compared with the same second as given. This takes as long as a fit, so callers first check for cheap
-evidence. A detector's errors last, and keypoints of one limb err together: an error that stays is common, one that
-jumps is not (`negative_log_density`).
+A hypothesis is a `ClipProblem` with other keypoints or another camera. One second of the clip is solved again under the
+hypothesis and compared with the same second as given. This takes as long as a fit, so callers first look for cheap
+evidence. Errors of a detector last, and the keypoints of one limb have similar errors: an error that lasts is common,
+and an error that jumps is not (`negative_log_density`).
 
-The hypotheses here are another picture than the camera's (keypoints of 0 to 1, turned over, of a smaller video, of one
-without the lens), a picture that zooms, and another frame rate, at which angles do not swing as the prior knows.
+The hypotheses in this module are: a different picture (keypoints from 0 to 1, turned over, of a smaller video, without
+lens distortion), a picture that zooms, and a different frame rate, at which angles do not swing as in the prior.
 Left-right swaps are in `swaps`.
 """
 
@@ -36,23 +36,26 @@ from recon.geometry.frames import inverse
 from recon.geometry.kinematics import ROOT
 
 _TOLERANCE, _ITERATIONS = 3e-3, 12
-"""Relative tolerance and largest number of iterations of a minimum here."""
+"""Relative tolerance and largest number of iterations of a minimum in this module."""
 CLEAR = float(np.log(1000.0))
 """Log-likelihood gain above which a hypothesis is examined further."""
 MARGIN, SURE = 25.0, 30.0
 """Log-likelihood gain above which a swap or a zoom is reported.
 
 The second limit is for a swap that contradicts another, for the whole clip with all swaps undone, and for another frame
-rate. Chosen on real clips (docs/benchmarks.md, left-right swaps): model errors are not noise.
+rate. The values were chosen on real clips (docs/benchmarks.md, left-right swaps) and allow for errors of the model.
 """
 OWN_SHARE = 0.4
-"""Fraction of the information of a limb's keypoints that is independent. Chosen on real clips (docs/benchmarks.md)."""
+"""Fraction of the information of a limb's keypoints that is independent.
+
+It was chosen on real clips (docs/benchmarks.md).
+"""
 TAILS = 3.0
 """Degrees of freedom of Student's t distribution of the errors."""
 TESTED_S = 1.0
 """Seconds of a clip that are tested at once."""
 LOOSE = 2.0
-"""Factor on the noise of a fit that does not know left from right."""
+"""Factor on the noise for a fit in which a keypoint may belong to either side."""
 
 
 def exceeds_margin(ratio: float, surely: bool = False) -> bool:
@@ -226,7 +229,7 @@ def best_seen(view: View, fps: float) -> slice:
 SMALLER = (2, 3, 4)
 """Factors by which a video may be smaller than the camera's calibration says."""
 UPRIGHT = 0.7
-"""Least height of the trunk above the feet, as a part of their distance, that needs no other picture.
+"""Smallest height of the trunk above the feet, relative to their distance, that suggests no other picture.
 
 It is 0.83 or more in 32 real views.
 """
@@ -332,15 +335,17 @@ def smaller(camera: Camera, times: float) -> Camera:
 # -- the lens ----------------------------------------------------------------------------------------------------------
 
 ZOOM, LARGEST, _ROUNDS = 0.2, 5.0, 6
-"""Logarithm of the zoom in a second that is tried first, which is also the least that is reported; the largest factor
-on it; and the number of rounds. Smaller zooms fit better, too, if an animal of other proportions comes nearer. Chosen
-by leaving runs out.
+"""Limits for zooms.
+
+They are the logarithm of the zoom per second that is tried first, which is also the smallest that is reported; the
+largest factor on it; and the number of rounds. Smaller zooms also fit better if an animal of other proportions comes
+nearer. The values were chosen by leaving runs out.
 """
 LASTING = 0.25
-"""Part of the first and of the last third of a second in which a lasting keypoint is seen.
+"""Fraction of the first and of the last third of a second in which a lasting keypoint is seen.
 
-A zoom is tested by these keypoints, and only with all feet among them: an animal that leaves the picture does not grow,
-and feet that nobody sees do not slide.
+A zoom is tested with these keypoints, and only if all feet are among them: an animal that leaves the picture does not
+grow, and feet that are not seen do not slide.
 """
 _Minimum = Callable[[View, Array], Estimate]
 """Function that minimises another view of a second of a clip, from states."""
@@ -352,12 +357,12 @@ def whole_fit_gain(alternative: TrajectorySolution, original: TrajectorySolution
     weight = np.array([np.where(view.present, view.confidence, 0.0) for view in original.views])
     log_noise = 2.0 * np.nansum(
         weight * np.log(original.noise_px / alternative.noise_px)
-    )  # both coordinates of a detection
+    )  # both coordinates of each detection
     return original_cost - alternative_cost + float(log_noise)
 
 
 def lens_findings(baseline: Baseline, noise_px: Array) -> Iterator[Finding]:
-    """Yield at most one finding, in the second in which most is seen.
+    """Yield at most one finding, for the second with the most detections.
 
     The finding is about keypoints that were already undistorted, or about a picture that zooms. `noise_px` (T, J) is
     the noise of the fit.
@@ -420,15 +425,16 @@ RATE_STEP, RATE_STEPS = 2**0.5, 8
 NEARLY, ANOTHER, SPEEDS = 1.02, 1.3, 1.25
 """Factors of frame rates.
 
-Rates that files state within the first factor are the same. A rate at which angles swing differs from the second factor
-on: animals of one gait swing up to 1.21 times faster or slower than the prior's (32 real views; 1.22 in a drawn clip),
-with a standard deviation of a tenth. At its true rate an animal is not faster or slower than all of the prior's by more
-than the third: an animal that stands or turns is no slow motion.
+Stated rates within `NEARLY` are the same. The rate at which angles swing counts as another one from `ANOTHER` on:
+animals of one gait swing up to 1.21 times faster or slower than the prior's (32 real views; 1.22 in a drawn clip), with
+a standard deviation of a tenth. At its true rate an animal is not faster or slower than all animals of the prior by
+more than `SPEEDS`, so that an animal that stands or turns does not count as slow motion.
 """
 FAR = 1.5
 """Factor from which a different frame rate is an error, because speeds are wrong by this factor whatever the poses are.
-Below it, a different rate is at most a warning unless poses or positions change, too: animals that turn swing their
-legs 1.45 times slower than those that run straight on.
+
+Below it, a different rate is at most a warning unless poses or positions change, too. Animals that turn swing their
+legs 1.45 times slower than animals that run straight ahead.
 """
 RATE_S = 5.0
 """Seconds of a clip that are tested."""
@@ -465,7 +471,8 @@ def frame_rate_finding(
     as_stated, rescaled = (_at_rate(clip, states, by) for by in (1.0, factor))
     misfit_given, misfit_other = (prior_misfit_of(*solved) for solved in (as_stated, rescaled))
     gain = _rate_cost(*as_stated, clip.correlation_frames) - _rate_cost(*rescaled, clip.correlation_frames)
-    is_unknown = misfit_other.unlike and misfit_other.level >= misfit_given.level  # to the prior, at that rate
+    # unlike the motions of the prior at that rate
+    is_unknown = misfit_other.unlike and misfit_other.level >= misfit_given.level
     if is_unknown or gain < (CLEAR if thin_gain > CLEAR else SURE):
         return None
     numbers: dict[str, Any] = {"given_hz": clip.fps, "other_hz": clip.fps * factor, "log_likelihood_ratio": gain}
@@ -490,7 +497,7 @@ def _likeliest_rate(clip: ClipProblem, states: Array) -> tuple[float, float]:
     """Return the factor on the frame rate at which angles swing as the prior expects, and its log-likelihood gain.
 
     Rates in steps of `RATE_STEP` are tried downhill, on a few frames; the minimum is that of the parabola through the
-    last three. The factor is 1 if the given rate is the best, or if the best one is the last rate tried.
+    last three. The factor is 1 if the given rate is the best, or if the best rate is the last that was tried.
     """
     step = max(1, round(clip.fps / APPROACH_HZ))
     thin, thin_states, correlation_frames = clip.thinned(step), states[::step], clip.correlation_frames

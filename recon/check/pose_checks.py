@@ -1,7 +1,7 @@
 """Check 3D poses: bone lengths, unit, upward axis, gravity in flight, feet on the ground, range of joints.
 
-Points are in metres with z up, as stated in the file or usual for its format. Bones are found from the points: the tree
-of pairs whose distances vary least.
+Points are in metres with z up, as stated in the file or usual for its format. Bones are derived from the points: they
+are the tree of pairs whose distances vary least.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ LENGTH_SHARE, LENGTH_SPREADS = 0.1, 5.0
 DRIFT_SHARE, DRIFT_FRAMES = 0.08, 5
 """Smallest relevant common change of all lengths, and number of frames over which it is smoothed."""
 NEAR = 0.02
-"""Weight of the length of a pair against its variation: close points are connected, but not feet standing side by
+"""Weight of a pair's length against its variation, so that close points are connected, but not feet standing side by
 side.
 """
 LEAST_KNOWN = 0.3
@@ -37,9 +37,9 @@ IN_AIR = 0.1
 FLIGHT_FRAMES = 5
 """Smallest number of frames of a flight from which its acceleration is measured."""
 SIGMAS = 2.0
-"""Deviation of the acceleration, in standard deviations, that is still consistent."""
+"""Deviation of the acceleration, in standard deviations, that is consistent with gravity."""
 RATIO = 1.5
-"""Factor between the acceleration and gravity, beyond the uncertainty, that is a contradiction."""
+"""Ratio of the acceleration to gravity, beyond the uncertainty, that is a contradiction."""
 OWN_MOTION = 0.02
 """Motion of the trunk relative to the centre of mass in a flight, relative to the length of the legs."""
 RANGE_DEG: Mapping[str, tuple[float, float]] = {
@@ -50,7 +50,7 @@ RANGE_DEG: Mapping[str, tuple[float, float]] = {
 }
 """Flexion of joints that bend to one side only, 0 for a straight one, of mammals from mice to horses."""
 BEYOND_DEG, BEYOND_FRAMES = 15.0, 2
-"""Smallest relevant angle beyond the range, and number of frames."""
+"""Smallest relevant angle beyond the range, and smallest number of frames."""
 LEVEL_DEG = 60.0
 """Largest angle between the direction from the feet to the trunk and the vertical."""
 
@@ -104,7 +104,7 @@ def _lengths(points: AuditedPoints) -> Iterator[Measure]:
     deviation = np.abs(relative / common[:, None] - 1)
     usual = 1.4826 * np.nanmedian(deviation, axis=0)
     score = np.nan_to_num(deviation / np.maximum(LENGTH_SHARE, LENGTH_SPREADS * usual))
-    # The second largest value is used, because one frame may be an outlier.
+    # The second largest value is used because one frame may be an outlier.
     peaks = np.sort(score, axis=0)[-2] if len(score) > 1 else score[-1]
     e = int(np.argmax(peaks))
     at = int(np.argmax(score[:, e]))
@@ -139,7 +139,7 @@ def _unit(points: AuditedPoints) -> Iterator[Measure]:
         times = points.extent / low if points.extent < low else max(points.extent / high, 1.0)
     value = abs(float(np.log10(max(times, 1e-12))))
     if len(ratios) < 3 and times != 1.0:
-        value += 0.6  # outside of what any animal has
+        value += 0.6  # larger or smaller than any animal
     yield Measure("unit_unlikely", value, None, {"extent_m": points.extent, "times": times, "unit": _unit_for(times)})
 
 
@@ -251,7 +251,7 @@ def _gravity(points: AuditedPoints) -> Iterator[Measure]:
     value = abs(float(np.log(max(nearest_m_s2, 1e-2) / GRAVITY_M_S2) / np.log(RATIO)))
     numbers: dict[str, float | str] = {"acceleration_m_s2": -mean, "sigma_m_s2": sigma, "given_hz": points.fps}
     advice = "Check --fps, and --unit."
-    if -mean > SIGMAS * sigma:  # otherwise it says nothing of the rate
+    if -mean > SIGMAS * sigma:  # otherwise it does not show the rate
         numbers["other_hz"] = points.fps * float(np.sqrt(GRAVITY_M_S2 / -mean))
         advice = f"At about {numbers['other_hz']:.0f} frames a second it would be right (now {points.fps:g})."
     numbers["advice"] = advice

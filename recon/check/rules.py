@@ -30,28 +30,29 @@ from recon.fit.trajectory import ALTERNATIVE_M
 Rule = Callable[[Motion], Iterator[Finding]]
 
 MANY_OUTLIERS = 0.2
-"""Fraction of outliers above which they are reported; correct views have up to 15 % (32 real ones)."""
+"""Fraction of outliers above which they are reported; correct views have up to 15 % (32 real views)."""
 EXPLAINED_SIGMAS = 1.9
-"""Median deviation of detections, in standard deviations, above which the fit does not explain them; correct views have
-1.0 to 1.4.
+"""Median deviation of detections, in standard deviations, above which the fit does not explain them.
+
+Correct views have 1.0 to 1.4.
 """
 EXPLAINED_DETECTORS = 3.0
-"""The same limit in units of the detectors' usual errors, since a fit's own noise estimate can hide a misfit.
+"""The same limit in units of the detectors' usual errors, because a fit's own noise estimate can hide a misfit.
 
-Right views have 0.7 to 1.4, frames in random order 5 to 9.
+Correct views have 0.7 to 1.4, frames in random order 5 to 9.
 """
 UNEXPLAINED_SHARE = 0.1
-"""Share of outliers from which a motion that the prior does not know is not an animal's.
+"""Share of outliers above which a motion that the prior does not know is not that of an animal.
 
-Another gait than the prior's has misfits of up to 5, and hardly an outlier more (dogs that run, with the prior of dogs
-that walk).
+A gait that the prior does not know has misfits of up to 5, but hardly more outliers (running dogs, with a prior of
+walking dogs).
 """
 AMBIGUOUS_SHARE = 0.1
 """Fraction of frames with a second solution above which it is reported."""
 KEYPOINT_SHARE, KEYPOINT_LEAST = 1 / 3, 10
-"""Fraction, and number, of one keypoint's detections that are outliers, above which the keypoint is reported."""
+"""Fraction and number of a keypoint's detections that are outliers, above which the keypoint is reported."""
 OUT_OF_STEP_SIGMAS = 3.0
-"""Difference between two cameras' time offsets, in expected standard deviations, above which it is an error."""
+"""Difference between the time offsets of two cameras, in expected standard deviations, above which it is an error."""
 FARTHEST = 100.0
 """Distance between cameras, in animal sizes, that only another unit can explain."""
 FEW_FRAMES = 12
@@ -62,7 +63,7 @@ SIZE_SIGMAS_MOST, LOG_SIZE_MOST = 4.0, math.log(2.0)
 """Largest deviation of a grown animal's size, in standard deviations and as a logarithm of its size."""
 UNITS_PER_M = {"m": 1.0, "inches": 39.37, "cm": 100.0, "mm": 1000.0}
 NEARLY_UNIT = 1.35
-"""Factor within which a camera's height is that of a unit: an animal's size is not known better."""
+"""Factor within which a camera's height suggests a unit, because the size of an animal is not known better."""
 SUBJECT_SIGMAS = 3.0
 """Deviation of an animal's lengths from those of its kind, in standard deviations of the existing sizes."""
 
@@ -92,7 +93,7 @@ def many_outliers(motion: Motion) -> Iterator[Finding]:
 
 
 def detections_not_explained(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if the median detection is far off; a few distant outliers do not count."""
+    """Yield a finding if the median detection is far from the pose; a few distant outliers do not count."""
     sigmas = _median_deviation(motion, [picture.sigma_px for picture in motion.pictures])
     detectors = _median_deviation(motion, _detector_noise_px(motion))
     if sigmas >= EXPLAINED_SIGMAS or detectors >= EXPLAINED_DETECTORS:
@@ -211,9 +212,9 @@ def no_pose(motion: Motion) -> Iterator[Finding]:
 def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
     """Yield a finding if two cameras' time offsets differ by more than expected.
 
-    A time offset is expected to be a fraction of a frame, so a larger estimate is an underestimate. Offsets that the
-    pictures hardly determine come out small: estimates vary by the expected variance minus the posterior variance. Two
-    cameras also count as out of step if that is more likely than not.
+    A time offset is expected to be a fraction of a frame, so a larger offset is underestimated. Offsets that the
+    pictures hardly determine come out small, because estimates vary by the expected variance minus the posterior
+    variance. Two cameras also count as out of step if that is more likely than not.
     """
     if len(motion.sources) < 2:
         return
@@ -277,9 +278,7 @@ def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
             distance_m = math.hypot(camera_m[0], camera_m[1])
             given_per_m = UNITS_PER_M[motion.settings.get("camera_unit") or "m"]
             for unit, per_m in UNITS_PER_M.items() if given_per_m == 1.0 else [("metres", 1 / given_per_m)]:
-                in_metres = (
-                    1.0 < distance_m < min(50.0, 0.5 * per_m)
-                )  # in that unit the camera would stand at the origin
+                in_metres = 1.0 < distance_m < min(50.0, 0.5 * per_m)  # in that unit the camera would be at the origin
                 if per_m != 1.0 and not in_metres and 1 / NEARLY_UNIT < times / per_m < NEARLY_UNIT:
                     yield finding("camera_unit", unit=unit, times=float(times))
                     return

@@ -30,7 +30,7 @@ def downgrade_swap(swap: Finding) -> Finding:
 def without_swaps(
     sources: Sequence[Source], findings: Sequence[Finding], body: Body
 ) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
-    """Return the sources with the found swaps undone, and the findings, marked as undone."""
+    """Return the sources with the detected swaps undone, and the findings, marked as undone."""
     mended, marked, opposite_names = [*sources], [*findings], opposites(body.markers)
     for i, swap in enumerate(findings):
         if swap.code != "left_right_swap" or swap.frames is None:

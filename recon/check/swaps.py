@@ -1,4 +1,4 @@
-"""Find left-right swaps: in single frames, a part or a whole clip, of all keypoints or of one pair of legs.
+"""Detect left-right swaps: in single frames, a part or a whole clip, of all keypoints or of one pair of legs.
 
 A fit follows exchanged keypoints, so its residuals do not reveal a swap. Candidate stretches of frames are first found
 by two cheap signs. At the beginning and end of a swap, the keypoints of both sides jump at the same time, unless the
@@ -27,19 +27,22 @@ from recon.fit.result import Finding
 JUMP = -3.0
 """Log-likelihood gain above which a swap may begin or end; crossing legs hardly jump."""
 LIKELY, REFITTED, STRETCHES = 15.0, 3, 4
-"""Log-likelihood gain above which a stretch is tried, number of stretches tried at a time, and largest number of swaps
-in a clip.
+"""Limits of the search.
+
+They are the log-likelihood gain above which a stretch is tried, the number of stretches tried at a time, and the
+largest number of swaps in a clip.
 """
 LOOKS = -10.0
 """Smallest log-likelihood gain at which a swap of the whole clip is tried.
 
-A clip that is likelier undone, but below the margin, or only looks `LIKELY` to be exchanged, is to be looked at, as
-nothing else shows a mirrored video. In 32 clips that are right, undoing loses 6 at least or is not tried, and gains 9
-in looks at most.
+A clip is to be looked at if it is likelier undone but below the margin, or if only its appearance suggests a swap
+(`LIKELY`), because nothing else shows a mirrored video. In 32 correct clips, undoing loses 6 or more or is not tried,
+and gains 9 in appearance at most.
 """
 LEAST_S = 0.25
-"""Shortest clip, in seconds, whose sides can be tested as a whole: less than a stride; the clip must also show a
-leg.
+"""Shortest clip, in seconds, whose sides can be tested as a whole.
+
+It is less than a stride; the clip must also show a leg.
 """
 OF_LEG = 3
 """Number of a leg's last markers that show its side; the upper markers hardly do."""
@@ -165,7 +168,7 @@ def with_undone(baseline: Baseline, trial: _SwapTrial) -> Baseline:
 
 
 def propose_stretches(baseline: Baseline, kinds: dict[str, Index], is_unlike: bool) -> list[_Stretch]:
-    """Return the stretches for which tracks and appearance give most evidence."""
+    """Return the stretches for which tracks and appearance give the most evidence."""
     if not np.isfinite(baseline.states).any():
         return []
     T, evidence = len(baseline.states), _evidence(baseline, kinds)
@@ -233,7 +236,7 @@ def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str,
     low, high = sums - gain, sums + gain
     best_ahead, best_behind = np.full(len(ends), -np.inf), np.full(len(ends), np.inf)
     best_ahead[:-1], best_behind[1:] = np.maximum.accumulate(high[:0:-1])[::-1], np.minimum.accumulate(low[:-1])
-    is_candidate = (best_ahead - low > LIKELY) | (high - best_behind > LIKELY)  # few rows of a long clip are left
+    is_candidate = (best_ahead - low > LIKELY) | (high - best_behind > LIKELY)  # a long clip has few rows left
     ends, low, high = ends[is_candidate], low[is_candidate], high[is_candidate]
     first, stop = ends[:, None], ends[None]
     score = np.where((stop > first) & (stop - first < T), high[None] - low[:, None], -np.inf)
@@ -264,8 +267,8 @@ def _evidence(baseline: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
 def jumps(view: View, places: Index) -> Array:
     """Return the log-likelihood gain of the tracks if the sides are exchanged from a frame on, (T,).
 
-    The difference between the points of a pair follows a straight line for a few frames. The gain is minus infinity
-    where nothing is seen in between, or where all pairs jump about as far as the distance between their points.
+    The difference between the points of a pair follows a straight line for a few frames. The gain is minus infinity if
+    nothing is seen in between, or if all pairs jump about as far as the distance between their points.
     """
     n, pairs = 2 * _STRAIGHT, [(j, int(k)) for j, k in enumerate(places) if j < k]
     differences = view.xy_px[:, [j for j, _ in pairs]] - view.xy_px[:, [k for _, k in pairs]]

@@ -23,8 +23,10 @@ AGREES_SIGMAS = 2.0
 MOST_LISTED = 500
 """Largest number of rows: more than anybody corrects by hand."""
 Reason = Literal["far", "left out", "low likelihood", "missing", "uncertain"]
-"""Reason for a correction. far: used, but not explained by the pose; left out: for a reason other than its likelihood;
-uncertain: further than `AGREES_SIGMAS` from its expected position.
+"""Reason for a correction.
+
+far: used, but not explained by the pose; left out: for a reason other than its likelihood; uncertain: further than
+`AGREES_SIGMAS` from its expected position.
 """
 
 
@@ -68,7 +70,7 @@ def to_correct(motion: Motion, limit: int = MOST_LISTED) -> list[ToCorrect]:
     if gain_m2 is None:
         gain_m2 = np.full(found_px.shape[:3], np.nan)
     expected_px = np.array([picture.reprojected_px for picture in pictures])
-    distance_px = np.hypot(*np.moveaxis(found_px - expected_px, -1, 0))  # points may be too far for squares
+    distance_px = np.hypot(*np.moveaxis(found_px - expected_px, -1, 0))  # distant points may be too large to square
     inside = np.array([_inside(picture) for picture in pictures])
     outliers = np.array([picture.outliers for picture in pictures])
     is_left_out = reason_code > _USED

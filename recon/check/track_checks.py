@@ -1,8 +1,8 @@
 """Check tracks of points in 2D or 3D: copied, frozen and interpolated points, swapped sides, missing frames.
 
 The checks use only the coordinates and the names of the points. Detections that are the same to the last digit were
-copied. The vector from a point's right counterpart to the left one turns slowly; where the sides are swapped, it is
-suddenly reversed.
+copied. The vector from a right point to its left counterpart turns slowly; at a swap of the sides it is suddenly
+reversed.
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ DIGITS = 1e-9
 IDENTICAL_SHARE = 0.05
 """Fraction of frames in which two points may be identical, if these are at least `FEWEST` frames."""
 STRUCTURAL = 0.9
-"""Fraction of frames above which two identical points of one side are two names of one point, such as hips and
-spine.
+"""Fraction of frames above which two identical points of one side are two names of one point.
+
+Examples are hips and spine.
 """
 APART = 10.0
 """Smallest usual distance or movement, in steps of the resolution, at which two points count as different."""
@@ -32,7 +33,7 @@ BENT = 5.0
 STRAIGHT = 0.02
 """Largest deviation from a line, relative to the track's usual deviation."""
 MOVING, STANCE = 0.01, 1.0
-"""Distances that the other points move, relative to the animal's size, during which a point, and a foot, cannot stay
+"""Distances relative to the animal's size: if the other points move this far, a point, and a foot, cannot stay
 still.
 """
 GAP_FRAMES = 3
@@ -125,7 +126,7 @@ def _frozen_points(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _interpolated(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the longest run of a point on a straight line at an even speed, where its track usually bends."""
+    """Yield the longest run of a point that moves on a straight line at an even speed while its track usually bends."""
     values = points.positions
     if len(values) < 3:
         return
@@ -154,7 +155,7 @@ def _interpolated(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _missing_frames(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the fraction of steps twice as long as the steps around them, relative to the limit for real tracks."""
+    """Yield the fraction of steps twice as long as those around them, relative to the limit for real tracks."""
     scale = PX_OF_EXTENT / points.extent if points.in_space else 1.0
     ratios = step_ratios(points.positions * scale)
     if ratios is not None and steps_are_missing(ratios):

@@ -1,4 +1,4 @@
-"""Find the upward direction from the ground on which the feet of an animal stand, if the cameras' poses lack it.
+"""Estimate the upward direction from the ground under the feet of an animal, if the cameras' poses lack it.
 
 The keypoints are triangulated from all cameras, and a plane is fitted to the standing feet. No body is fitted.
 """
@@ -20,10 +20,11 @@ from recon.fit.terms import StanceVelocity
 MAX_SIGMA_RAD = np.radians(10.0)
 """Largest uncertainty of the upward direction, which is that of a camera assumed to be level."""
 POSTURE_RAD = np.radians(15.0)
-"""Angle between up and the direction from the feet to the body, in the mean over a clip."""
+"""Standard deviation of the angle between up and the direction from the feet to the body, averaged over a clip."""
 FOOT_SHARE = 1 / 15
-"""Height of standing feet above the ground as a fraction of the body's height above them: `GROUND_FOOT_M` of a
-cheetah.
+"""Height of standing feet above the ground as a fraction of the body's height above them.
+
+It is `GROUND_FOOT_M` of a cheetah.
 """
 MIN_STANDING = 3
 """Smallest number of standing feet, over all frames, as in `recon.fit.clip_problem`."""
@@ -32,7 +33,7 @@ MIN_STANDING = 3
 class _Upward(NamedTuple):
     """Hold an upward unit vector (3,), a point (3,) on the ground, and the uncertainty of the direction.
 
-    Metres, in the poses' world; the standard deviation is about the less known axis.
+    Lengths are metres in the poses' world. The standard deviation is that about the less certain axis.
     """
 
     up: Array
@@ -41,7 +42,7 @@ class _Upward(NamedTuple):
 
 
 def up_from_feet(views: Sequence[View], body: Body, fps: float, sigma_px: float) -> _Upward | None:
-    """Return the upward direction found from the standing feet of an animal seen by several cameras, or None.
+    """Return the upward direction estimated from the standing feet of an animal seen by several cameras, or None.
 
     The direction is the normal of the plane through the standing feet: slow feet that lie in a plane with other slow
     feet. The body, which is above the feet, stabilises the plane if they stand on one line. The result is None if the
@@ -68,7 +69,7 @@ def up_from_feet(views: Sequence[View], body: Body, fps: float, sigma_px: float)
     if is_seen.sum() < MIN_STANDING or posture_m is None:
         return None
     axes = np.linalg.svd(posture_m[None])[2]
-    axes[0] *= np.sign(axes[0] @ posture_m)  # upwards by the posture, and across
+    axes[0] *= np.sign(axes[0] @ posture_m)  # upwards according to the posture
 
     slow = StanceVelocity(feet, fps, constants.SLIP_M_S, constants.SLIP_C).contact(positions_m, 1.0)[2][is_seen]
     middle = np.median(step[is_seen], axis=0)

@@ -1,8 +1,8 @@
 """Give the verdict on a clip: use, check or do not use, with its reason and the expected errors of pose and position.
 
-The posterior is right on average, but does not separate good views from bad ones. Therefore the expected error of the
-pose is a product of powers of quantities that do (`Evidence.factors`), which `benchmarks/uncertainty.py` fits. The
-expected error of the position is that of the posterior.
+The posterior is right on average, but does not distinguish good views from bad views. The expected error of the pose is
+therefore a product of powers of quantities that do (`Evidence.factors`); `benchmarks/uncertainty.py` fits the powers.
+The expected error of the position is that of the posterior.
 """
 
 from __future__ import annotations
@@ -27,15 +27,17 @@ from recon.fit.posterior import radius
 from recon.fit.result import ExpectedError, Finding, Level, TrajectorySolution, Verdict
 
 POWERS = {"posterior": 0.66, "distance": 0.14, "end_on": 0.78, "unseen": 0.80, "rate": 0.32}
-"""Powers of `Evidence.factors`; the last is 0.29 to 0.36 with one run left out, at a half and a quarter of its rate."""
-RATE_HZ = 60.0
-"""Frame rate below which less is known of a pose than the posterior says, under a prior that was learned from motions.
-"""
-SCALE, SPREAD, SPREAD_UNSEEN = -1.30, 0.23, 0.45
-"""Constant of the logarithm of the pose's error by the trunk, and its standard deviations.
+"""Powers of `Evidence.factors`.
 
-The first is that in runs left out where the pixels show everything. The second is added where they show nothing,
-because the error of what only the prior says is the same in all frames.
+The last is 0.29 to 0.36 with one run left out, at a half and a quarter of its rate.
+"""
+RATE_HZ = 60.0
+"""Frame rate below which a pose is less certain than the posterior states, under a prior learned from motions."""
+SCALE, SPREAD, SPREAD_UNSEEN = -1.30, 0.23, 0.45
+"""Constant of the logarithm of the pose's error relative to the trunk, and its standard deviations.
+
+The first standard deviation is that in runs left out, if the pixels show everything. The second is added if they show
+nothing, because the error of a pose from the prior alone is the same in all frames.
 """
 USUAL = {"posterior": -2.4, "distance": 1.9, "end_on": 0.05, "unseen": 0.0, "rate": 0.0}
 """`Evidence.factors` of a typical view."""
@@ -48,13 +50,13 @@ WHY = {
 }
 """Reasons, by the factor that raises the expected error most."""
 NOTHING_AGAINST = "No check of the clip found a fault."
-"""Reason of "use" that a list of clips leaves out."""
+"""Reason of the verdict "use", which a list of clips leaves out."""
 _SIGMAS = 1.645
 """5 % of a normal distribution lie further up."""
 _MEAN_OF_NORM = 0.92
 """Mean length of a vector of three equal normal components, in roots of their summed variance."""
 _LEAST_M2 = 1e-8
-"""Least variance: one that is all the size's has rounding left."""
+"""Least variance; below it a variance due to the size alone is rounding."""
 _MEAN_OF_SIGMA = 0.8
 """Mean distance of a quantity from its middle, in standard deviations."""
 
@@ -66,7 +68,7 @@ class Evidence:
     trunk_m: float
     """Length of the trunk."""
     posterior_m: float
-    """Mean distance of the joints that the posterior expects, both poses centred, at the size that was found.
+    """Mean distance of the joints expected by the posterior, both poses centred, at the estimated size.
 
     The size moves all joints together, and animals are as large as expected more often than stated.
     """
@@ -77,9 +79,9 @@ class Evidence:
     end_on: float
     """Cosine between the trunk and the line of sight of the camera that sees the animal most from the side."""
     unseen: float
-    """Part of the joints' variance that is not from the pixels; 0 for a method that solves each frame by itself."""
+    """Share of the joints' variance that is not due to the pixels; 0 for a method that solves each frame on its own."""
     position_sigma_m: float
-    """Posterior standard deviation, in which one camera's focal length is uncertain."""
+    """Posterior standard deviation, including that of one camera's focal length."""
 
     slowness: float = 1.0
     """`RATE_HZ` relative to the frame rate, 1 at least; 1 without a learned prior."""
@@ -97,7 +99,7 @@ class Evidence:
 
 
 def evidence_of(motion: Motion) -> Evidence:
-    """Return the evidence for the verdict on a motion of which some frame has a pose."""
+    """Return the evidence for the verdict on a motion with at least one pose."""
     solution = motion.solution
     frames = _frame_evidence(motion)
     is_trajectory = isinstance(solution, TrajectorySolution)
@@ -190,7 +192,7 @@ def expected_pose_of_trunk(evidence: Evidence) -> ExpectedError:
 
 
 def expected_position(evidence: Evidence) -> ExpectedError:
-    """Return the expected error of the animal's middle, mean over the frames, nearly all of it common to them."""
+    """Return the expected error of the animal's middle, averaged over frames, which have nearly all of it in common."""
     return ExpectedError(_MEAN_OF_SIGMA, radius(0.05), radius(0.95)).times(evidence.position_sigma_m)
 
 
@@ -210,7 +212,7 @@ def _verdict(motion: Motion) -> Verdict:
     pose_effect_m, position_effect_m = effects_of(motion.findings)
     pose = _widened(expected_pose_of_trunk(evidence), pose_effect_m / evidence.trunk_m)
     position = _widened(expected_position(evidence), position_effect_m)
-    if not np.isfinite(pose.expected + position.expected):  # the frame method without its priors
+    if not np.isfinite(pose.expected + position.expected):  # the frame method without its priors has no expected errors
         return Verdict("do not use", WHY["posterior"])
     warnings = [finding for finding in motion.findings if finding.severity == "warning"]
     level = level_of(pose, error=False, warning=bool(warnings))
@@ -235,7 +237,7 @@ def effects_of(findings: Sequence[Finding]) -> tuple[float, float]:
 
 
 def _widened(error: ExpectedError, effect: float) -> ExpectedError:
-    """Return an expected error whose interval also holds an effect that may be there or not."""
+    """Return an expected error whose interval also contains an effect that may or may not be real."""
     return replace(error, high=math.hypot(error.high, effect))
 
 
@@ -252,7 +254,7 @@ def usable(motion: Motion, folder: Path | str, anyway: bool) -> Motion:
     Raises
     ------
     InputError
-        If its verdict is "do not use", unless it is wanted anyway.
+        If its verdict is "do not use", unless `anyway` is true.
     """
     verdict = motion.verdict
     if verdict is not None and verdict.level == "do not use" and not anyway:

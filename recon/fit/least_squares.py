@@ -265,7 +265,7 @@ class LeastSquares:
                 return
 
     def _cameras_in_step(self, span: Span) -> list[Reprojection]:
-        """Return the cameras that read one frame, whose detections are summed before the state's derivatives are applied."""
+        """Return the cameras that read one frame: their detections are summed before the state's derivatives."""
         cameras = [term for term in self.terms if isinstance(term, Reprojection) and len(term.stencil) == 1]
         return cameras if len(cameras) > 1 and len(span.pose.points_m[span.own_rows]) else []
 
@@ -286,7 +286,7 @@ class LeastSquares:
 
     @cached_property
     def _linear_kinds(self) -> Array:
-        """Return the curvature of the linear terms in a clip's first frames, one frame in its middle, and its last frames.
+        """Return the curvature of the linear terms in a clip's first frames, a middle frame, and its last frames.
 
         The shape is (2 BANDS + 1, BANDS + 1, D, D).
         """

@@ -325,7 +325,7 @@ class Motion:
 
     @property
     def reference_joint(self) -> str:
-        """Return the joint that gives the animal's position: the root's, or the trunk's rear one if the root has none."""
+        """Return the joint that gives the animal's position: the root's, or else the trunk's rear joint."""
         return self.root_name if self.root_name in self.joints else self.body.forward[0]
 
     @property
@@ -569,7 +569,7 @@ class Motion:
 
     @property
     def alternative_m(self) -> Array:
-        """Return the mean distance of the joints in the second best solution, (T,), both centred, NaN if there is none."""
+        """Return the mean distance of the joints in the second best solution, (T,), both centred; NaN without one."""
         return self.solution.alternative_m
 
     @property

@@ -3,9 +3,9 @@
 Layouts of further programs are in `recon.io.lab_cameras`.
 
 - OpenCV YAML, JSON and XML (`camera_matrix`, `distortion_coefficients`, `image_width`, `image_height`, and the other
-  spellings in use), including ROS camera_info YAML with `distortion_model`. The lens is the
-  stated one (`LENS_KEYS`, `fisheye: 1`), else radial-tangential. A pose is optional (`R`, `T`; `rotation`,
-  `translation`; `rvec`, `tvec`; world to camera). z is known to point up only where the file has `world_z_up: 1`.
+  spellings in use), including ROS camera_info YAML with `distortion_model`. The lens is the stated one (`LENS_KEYS`,
+  `fisheye: 1`), else radial-tangential. A pose is optional (`R`, `T`; `rotation`, `translation`; `rvec`, `tvec`; world
+  to camera). z is known to point up only if the file has `world_z_up: 1`.
 - AcinoSet JSON: a scene (`cameras` with `k`, `d`, `r`, `t` and perhaps `name`) or one camera (`k`, `d`). Fisheye
   lenses, world to camera, metres, world z up.
 - Anipose and Pose2Sim TOML: one table per camera. World to camera in the length unit of the calibration board, which
@@ -81,7 +81,7 @@ def _tables(path: Path, value: object, expected: str) -> dict[str, dict[str, Any
 def record_of(name: object, place: str, table: Mapping[str, Any], **changes: Any) -> CameraRecord:
     """Return the record of a table with other programs' keys (`ALIASES`), and further values by field.
 
-    The lens is the stated one, otherwise radial-tangential.
+    The lens is the stated lens, otherwise radial-tangential.
     """
     called = {field: next((key for key in keys if key in table), keys[0]) for field, keys in ALIASES.items()}
     values = {field: table.get(key) for field, key in called.items()}

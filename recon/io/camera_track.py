@@ -4,8 +4,9 @@
   deviation of a rotation, in any order. Other columns are ignored. Unit quaternion and translation take points from the
   world to the camera, X_camera = R X_world + t. The camera's position may be in x, y, z instead of tx, ty, tz: then the
   quaternion takes points from the camera to the world, X_world = R X_camera + (x, y, z).
-- COLMAP: images.txt with cameras.txt beside it, or their folder. Frame numbers are the last digits of the images'
-  names. COLMAP's pixel (0, 0) is the corner of the first pixel, recon's is its centre, so half a pixel is subtracted.
+- COLMAP: images.txt with cameras.txt in the same folder, or that folder. Frame numbers are the last digits of the
+  images' names. COLMAP's pixel (0, 0) is the corner of the first pixel, recon's is its centre, so half a pixel is
+  subtracted.
 - OpenDroneMap, OpenSfM: reconstruction.json (`shots`), or shots.geojson with the cameras' positions in UTM. Frame
   numbers are the last digits of the pictures' names.
 
@@ -43,8 +44,9 @@ UNIT_TOLERANCE = 1e-2
 """Tolerance of a quaternion's length, which three digits satisfy."""
 MAX_PLACE_M, MAX_PX, MAX_SIGMA_DEG, MAX_ROTATION_RAD = 1e7, 1e6, 10.0, 100.0
 LEANING_MAX_RAD = np.radians(60)
-"""Angle above which a camera leans too far: if it does so most of the time and does not look down, z does not
-point up.
+"""Angle above which a camera leans too far.
+
+If it does so most of the time and does not look down, z does not point up.
 """
 LOOKING_DOWN_RAD = np.radians(45)
 """Angle above which a camera looks down, as on a drone, so that any edge of the picture may be the upper one."""
@@ -259,7 +261,7 @@ def _read_shots(path: Path) -> CameraTrack:
             problems.append(Problem(path, f"shots.{name[:60]}", "other values", expected))
             continue
         rotation = Rotation.from_rotvec(turn)
-        if features is not None:  # places, not translations
+        if features is not None:  # the columns are positions, not translations
             translation = -rotation.apply(translation)
         x, y, z, w = rotation.as_quat().tolist()
         rows[f"shots.{name}"] = [frame, w, x, y, z, *translation]

@@ -63,8 +63,9 @@ METADATA = b"recon"
 _Meaning = tuple[str, str, str | None]
 """Bodypart of a column ("" if it applies to all), its role in `ROLES`, and its unit, if stated."""
 _Layout = tuple[dict[tuple[str, str], str], str | None, list[str]]
-"""Columns by bodypart ("" in a long table) and role; the unit of the coordinates, if they share one; and the other
-columns.
+"""Columns by bodypart ("" in a long table) and role, the unit of the coordinates, and the other columns.
+
+The unit is given if all coordinates share one.
 """
 
 

@@ -24,7 +24,7 @@ from recon.base.errors import InputError, Problem, raise_problems
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Pose3D(Brief):
-    """Hold 3D positions of J joints in T frames; raise ValueError if the parts do not fit together."""
+    """Hold 3D positions of J joints in T frames; raise ValueError if the parts are inconsistent."""
 
     names: tuple[str, ...]
     """Names of the J joints."""
@@ -111,7 +111,7 @@ MISSING = ("", "nan", "na", "none", "null")
 # Enough to see what is wrong with a file; a file of the wrong kind has thousands of problems.
 PROBLEMS_SHOWN = 10
 MAX_FRAME = 10**9
-"""Largest absolute frame number, three months at 120 Hz; larger numbers are time stamps or mistakes."""
+"""Largest absolute frame number, three months at 120 Hz; larger numbers are time stamps or errors."""
 POINTS_MAX = 20_000_000
 """Largest number of points in all frames of a file, since each point takes memory even if missing."""
 
@@ -206,7 +206,7 @@ def one_animal(
     if len(frames) != T:
         problems.append(Problem(path, "frames", f"{len(frames)} numbers", f"{T}, one for each frame"))
     else:
-        with np.errstate(invalid="ignore"):  # infinite numbers
+        with np.errstate(invalid="ignore"):  # some numbers are infinite
             wrong = ~(np.abs(frames) <= MAX_FRAME) | (frames % 1 != 0) | (np.diff(frames, prepend=-np.inf) <= 0)
         if wrong.any():
             first = int(np.argmax(wrong))
@@ -325,7 +325,7 @@ def numbers(cells: Iterable[object]) -> tuple[np.ndarray, list[int]]:
     cells = list(cells)
     with suppress(ValueError, TypeError):  # the usual case, and several times as fast
         joined = "".join(cells)  # type: ignore[arg-type]
-        if not joined:  # nothing was detected, as in most of a long recording
+        if not joined:  # nothing was detected, as in most frames of a long recording
             return np.full(len(cells), np.nan), []
         if "_" not in joined and joined.isascii():
             values = np.array([float(cell) if cell else np.nan for cell in cells])  # type: ignore[arg-type]

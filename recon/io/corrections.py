@@ -1,6 +1,6 @@
 """Read and write corrections.csv: detections corrected by hand.
 
-A row has the frame of the keypoint file, the camera (empty: the only one), the keypoint, its detected position
+A row has the frame of the keypoint file, the camera (empty if there is only one), the keypoint, its detected position
 (`was_x_px`, `was_y_px`; empty: not detected), its corrected position (`now_x_px`, `now_y_px`; empty: hidden, or not to
 be used), and optionally `why` and `when`. If several rows correct the same detection, the last one counts.
 """
@@ -34,7 +34,7 @@ class Correction:
     frame: int
     """Frame number in the keypoint file."""
     camera: str
-    """Name of the camera; empty: the only one."""
+    """Name of the camera; empty if there is only one."""
     keypoint: str
     was_px: _Point | None
     """Position found by the detector, or None."""
@@ -86,7 +86,7 @@ def write_corrections(corrections: Iterable[Correction], path: Path) -> None:
 
 
 def _correction(row: dict[str, str]) -> Correction:
-    """Return the correction in a row; raise ValueError, with the reason, for a faulty row."""
+    """Return the correction in a row; raise ValueError with the reason if the row is not valid."""
     text = row.get("frame", "")
     if not text.lstrip("-").isdecimal() or abs(int(text[:12])) > MAX_FRAME:
         raise ValueError(f"frame {text[:40]!r}, which is not a whole number")

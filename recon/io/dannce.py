@@ -2,12 +2,13 @@
 
 Label3D's file has cameras (`params`) and labels (`labelData`); predictions are `save_data_AVG.mat` (`pred`,
 `sampleID`). Poses and matrices are MATLAB's: rows are points, X_camera = X_world r + t and pixels X_camera K, and the
-first pixel is (1, 1). Lengths are in the unit of the calibration, by custom millimetres. Points have no names unless
-the file has a `skeleton`. Frames are those of the first camera's video, `data_frame`, and `sampleID` for predictions.
+first pixel is (1, 1). Lengths are in the unit of the calibration, which is usually millimetres. Points have no names
+unless the file has a `skeleton`. Frames are those of the first camera's video, `data_frame`, and `sampleID` for
+predictions.
 
-MATLAB's files of versions 5 to 7 are read here without running or trusting anything, since damaged ones crash scipy. A
-file is a list of elements: a type, a size in bytes, and data; or one such element, compressed. A matrix holds its
-flags, sizes, name and data as elements. Every size is checked before memory is taken. Version 7.3 is HDF5.
+MATLAB's files of versions 5 to 7 are read here with checks of everything, because damaged files crash scipy. A file is
+a list of elements: a type, a size in bytes, and data; or one such element, compressed. A matrix holds its flags, sizes,
+name and data as elements. Every size is checked before memory is taken. Version 7.3 is HDF5.
 """
 
 from __future__ import annotations
@@ -169,7 +170,7 @@ class _File:
         if kind == _CHAR:
             text_type, text = elements[3]
             return name, bytes(text).decode(_TEXTS[text_type])
-        if not 6 <= kind < 16 or flags & 0x0800:  # neither numbers nor real ones
+        if not 6 <= kind < 16 or flags & 0x0800:  # texts and complex numbers
             return name, None
         values = self.numbers(*elements[3]) if len(elements) > 3 else np.zeros(0)
         if min(shape) < 0:

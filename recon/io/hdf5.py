@@ -22,13 +22,14 @@ from recon.base.errors import InputError, Problem
 from recon.io.common import starts_with
 
 FREE_BYTES = 1 << 26
-"""Memory that a dataset or a piece of it may always take. A larger one may take its size in the file, or, up to
-`MAX_UNPACKED`, `MAX_RATIO` times that.
+"""Memory that a dataset or a piece of it may always take.
+
+A larger one may take its size in the file or, up to `MAX_UNPACKED`, `MAX_RATIO` times that.
 """
 MAX_RATIO = 1100
 """gzip can compress by at most 1032."""
 USUAL_RATIO = 100
-"""Up to this ratio a table may be four times larger, because tracks of many animals are mostly empty."""
+"""Ratio up to which a table may be four times larger, because tracks of many animals are mostly empty."""
 """The most that gzip can compress is 1032 times."""
 FILTERS = (1, 2, 3, 32000)
 """gzip, shuffle, Fletcher's checksum, LZF: the filters of every h5py, with robust decoders."""

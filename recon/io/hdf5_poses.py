@@ -7,14 +7,14 @@
   each dataset has the order of its axes; files without it have SLEAP's first order. The frame axis counts from frame 0
   of the video. Frames in which a track is not occupied are left out.
 - sleap-anipose's points3d.h5: `tracks` (frame, track, node, xyz), and perhaps `frames`, the first and the end. Files of
-  others have names beside them, and the rate as `recording_frame_rate`.
+  other programs also have names, and the rate as `recording_frame_rate`.
 - movement's netCDF 4: `position (time, space, keypoint, individual)` and `confidence`. Dimensions are called
   `keypoints` and `individuals` in files of movement before 0.17. `space` is x, y in pixels, or x, y, z in a unit that
   only our own files state (`length_unit`, `up_axis`). Our files have the names of movement 0.17, and times in seconds
   since frame 0 if the frame rate is known, otherwise in frames.
-- NWB: one `PoseEstimationSeries` for each point, in one container for each animal. Groups are found by the types that
-  they state, so that all versions of the extension are read. Our files state 1970-01-01 as the start of their session,
-  which NWB requires and nobody knows here.
+- NWB: one `PoseEstimationSeries` for each point, in one container for each animal. Groups are identified by the types
+  that they state, so that all versions of the extension can be read. Our files state 1970-01-01 as the start of their
+  session, which NWB requires and nobody knows here.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def _axis(group: h5py.Group, name: str) -> tuple[list[str | None], list[Label]]:
     levels, level_labels = [], []
     for i in range(int(attribute(group, f"{name}_nlevels"))):
         level = member(group, f"{name}_level{i}")
-        level_names = np.array([*_labels(group, level), "nan"], object)  # code -1
+        level_names = np.array([*_labels(group, level), "nan"], object)  # the code -1
         codes = numbers(member(group, f"{name}_label{i}")).ravel()
         if codes.min(initial=0) < -1:
             raise ValueError(f"{name}_label{i} has codes without a label")
@@ -343,7 +343,7 @@ def _of_variables(path: Path, stored: Variables, attributes: Mapping[str, Any], 
         Problem(path, field, detail, expected) for field, (detail, expected, right) in wrong.items() if not right
     )
     ticks, fps = stored["time"][1] if "time" in stored else np.arange(len(values)), common.rate(attributes["fps"])
-    # Without the attribute, whole numbers are taken as frames.
+    # Without the attribute, whole numbers are treated as frames.
     in_frames = (attributes["time_unit"] or ("frames" if ticks.dtype.kind in "iu" else "seconds")) == "frames"
     frames = frames_of_numbers(path, ticks.astype(float)) if in_frames else np.arange(len(ticks))
     extra: dict[str, Any] = {"fps": fps}

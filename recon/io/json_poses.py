@@ -13,8 +13,8 @@
   points have no names, as OpenPose's.
 - FMPose3D: `run_DLC_fmpose3d_animals_3d.json` of DeepLabCut, with `model`, `bodyparts`, `poses_3d`. A pose comes from
   one picture: relative to a point of the body, in the network's own axes and unit. Frames are numbered from 0, and
-  those without an animal are empty. Beside it lies the same as a table, `..._3d.h5`. FMPose3D's own demo writes `.npz`
-  files (`recon.io.npz`).
+  those without an animal are empty. The same folder has the same poses as a table, `..._3d.h5`. FMPose3D's own demo
+  writes `.npz` files (`recon.io.npz`).
 """
 
 from __future__ import annotations
@@ -196,8 +196,9 @@ LISTS = {
         f"{_COCO} Head Neck Hip {_TOES}".split(),
     )
 }
-"""Names of the points by their number, in order: COCO's 17, OpenPose's COCO with a neck (18), BODY_25, and
-Halpe's 26.
+"""Names of the points by their number, in order.
+
+The lists are COCO's 17, OpenPose's COCO with a neck (18), BODY_25, and Halpe's 26.
 """
 _FILE_NAME = re.compile(r"(.*?)(\d+)((?:_keypoints)?\.json)", re.IGNORECASE | re.DOTALL)
 
@@ -297,8 +298,9 @@ _BY_DEEPLABCUT = (
     "right_front_paw left_hip left_knee left_back_paw right_hip right_knee right_back_paw withers throat left_ear "
     "right_ear mouth chin left_hock right_hock tail_tip"
 )
-"""Names that DeepLabCut (3.0, 2026) assigns to the points in the network's order. They belong to another list, so that
-the left front paw is called "neck".
+"""Names that DeepLabCut (3.0, 2026) assigns to the points in the network's order.
+
+They belong to another list, so the left front paw is called "neck".
 """
 ANIMAL3D = (
     "left_eye right_eye mouth_mid left_front_paw right_front_paw left_back_paw right_back_paw tail_base "

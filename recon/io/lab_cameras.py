@@ -2,8 +2,8 @@
 
 - JSON with a table for each camera, in a list or by name, such as CMU Panoptic's: keys as `recon.io.camera_files`
   knows them, a lens that is stated or radial-tangential, world to camera.
-- EasyMocap: `intri.yml` with `K_01`, `dist_01` of each name in `names`, and `extri.yml` beside it with `Rot_01` or
-  `R_01` and `T_01`.
+- EasyMocap: `intri.yml` with `K_01`, `dist_01` of each name in `names`, and `extri.yml` in the same folder with
+  `Rot_01` or `R_01` and `T_01`.
 - JARVIS: `intrinsicMatrix`, `distortionCoefficients`, `R`, `T` of one camera. Matrices are MATLAB's, whose rows are
   points, and are transposed here.
 - OpenCV's stereo files: `K1` (`M1`, `cameraMatrix1`), `D1`, `K2`, `D2`, and `R`, `T` from the first camera to the
@@ -88,7 +88,7 @@ def recognises_easymocap(path: Path) -> bool:
 
 
 def read_easymocap(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Return the cameras of EasyMocap's lenses, with the poses of the file beside it; raise InputError."""
+    """Return the cameras of EasyMocap's lenses, with the poses of the file in the same folder; raise InputError."""
     document = document_of(path)
     if not any(key.startswith("K_") for key in document):
         expected = "the file of lenses, intri.yml, in the same folder"

@@ -1,4 +1,4 @@
-"""Read and write NumPy archives of 3D positions: our own, and those of FMPose3D's demo for animals.
+"""Read and write NumPy archives of 3D positions: our own, and those of FMPose3D's animal demo.
 
 Ours have `names`, `xyz_m`, `frames`, `fps` (NaN if unknown) and `edges`, z up. FMPose3D's are `pose3D/0000_3D.npz` with
 the points of a picture as `pose3d`.

@@ -1,4 +1,4 @@
-"""Read pickles of plain values; a pickle is a program, which is run only if all its instructions are known."""
+"""Read pickles of plain values: a pickle is a program, which is run only if all its instructions are known."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def plain_pickle_with_scalars(content: bytes) -> Plain:
 
 
 class _ScalarUnpickler(pickle.Unpickler):
-    """An unpickler that imports only what makes NumPy's numbers."""
+    """Read a pickle that imports nothing but the functions that make NumPy's numbers."""
 
     def find_class(self, module: str, name: str) -> object:
         if (module, name) not in _SCALARS:

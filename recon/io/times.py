@@ -20,10 +20,14 @@ EVEN_MIN = 10
 EVEN_STEP, EVEN_OFF = 1.75, 0.75
 """Limits for times of consecutive frames: largest step, and largest distance from an even count, in frames."""
 JITTER_RMS = 0.2
-"""Largest root mean square distance from the nearest frame, in frames, where frames may be missing. Times that know
-nothing of a rate have 0.29."""
+"""Largest root mean square distance from the nearest frame, in frames, if frames may be missing.
+
+Times without any rate have 0.29.
+"""
 ROUNDED_GAPS, ROUNDED_OFF = 3, 0.6
-"""Least number of gaps, and largest distance from even times in units, of times rounded to a unit near the period."""
+"""Smallest number of gaps, and largest distance from even times in units, of times rounded to a unit near the
+period.
+"""
 PHASE_SHARED = 0.5
 """Length of the mean direction of the times' phases above which the times share a phase."""
 _WINDOW = 16
@@ -64,7 +68,7 @@ def with_times(path: Path, stored: StoredPoints, times_s: np.ndarray, fps: float
 
 
 def with_rate(path: Path, stored: StoredPoints, fps: float | None) -> StoredPoints:
-    """Return points whose uneven times have the nearest frame number at a given rate, if any.
+    """Return points whose uneven times have the nearest frame number at a given rate, if there is one.
 
     Raises InputError for times that fit no rate, if none is given.
     """

@@ -1,8 +1,8 @@
 """Read and write videos, frame by frame.
 
 Frames are counted from 0 in the order in which they are decoded, never by seeking. Seeking is inexact in many formats,
-and a detector that went through the video counted its frames in this way. The number of frames that a file states is
-only an estimate.
+and a detector that went through the video counted its frames in the same way. The number of frames that a file states
+is only an estimate.
 """
 
 from __future__ import annotations
@@ -27,17 +27,21 @@ from recon.geometry.camera import Camera
 
 Image = npt.NDArray[np.uint8]
 CODECS = {".mp4": "mp4v", ".avi": "MJPG", ".webm": "VP80"}
-"""Codecs that OpenCV's own wheels encode: MPEG-4 part 2, which players show but browsers do not; Motion JPEG; and VP8,
-which every browser plays and which takes a second for a picture of 1920x1380. The wheels have no encoder for H.264.
+"""Codecs that OpenCV's own wheels encode.
+
+MPEG-4 part 2 is shown by players but not by browsers. VP8 is played by every browser, and takes a second for a picture
+of 1920x1380. MJPG is Motion JPEG. The wheels have no encoder for H.264.
 """
 
 UNEVEN, STAMP_S = 0.3, 1e-3
-"""Largest deviation of the time between frames from a multiple of the usual one: a share of it, plus seconds.
+"""Largest deviation of the time between frames from a multiple of the usual time: a share of it, plus seconds.
+
 Matroska's time stamps are whole milliseconds.
 """
 DRIFT, DRIFT_FRAMES = 0.05, 30
-"""Largest deviation from the usual rate, and the number of frames over which it is measured. Phones film more slowly in
-the dark.
+"""Largest deviation from the usual rate, and the number of frames over which it is measured.
+
+Phones film more slowly in the dark.
 """
 MOST_PLACES = 5
 
@@ -183,7 +187,7 @@ def timed_frames(
 def video_writer(path: str | Path, size_px: tuple[int, int], fps: float) -> Iterator[Callable[[Image], None]]:
     """Yield a function that appends a picture (height, width, 3; blue, green, red) to a new video.
 
-    size_px is (width, height), even. The file appears, or replaces its predecessor, when the block ends without an
+    size_px is (width, height), even. The file appears, or replaces an earlier one, when the block ends without an
     exception; otherwise nothing is left. Raises InputError for a suffix that is not in `CODECS`, or if OpenCV lacks the
     encoder; OSError if the disk is full.
     """
@@ -258,11 +262,11 @@ def _ends_as_it_says(path: Path) -> bool:
 
 
 def _webm_length(path: Path) -> int:
-    """Return the length that a WebM file states: of its head, and of the segment with all the rest."""
+    """Return the length that a WebM file states: that of its head plus that of the segment with all the rest."""
     with path.open("rb") as file:
         head = file.read(80)
     position = 0
-    for _ in range(2):  # each has an identity of four bytes, the length's length as leading zeros, and the length
+    for _ in range(2):  # each part has an identity of four bytes, the length's length as leading zeros, and the length
         size_bytes = 9 - head[position + 4].bit_length() if len(head) > position + 12 else 1
         size = int.from_bytes(head[position + 4 : position + 4 + size_bytes], "big") & ((1 << 7 * size_bytes) - 1)
         position += 4 + size_bytes + size
