@@ -31,6 +31,15 @@ def of_method(method: str) -> list[str]:
     return [name for name, setting in SETTINGS.items() if setting.option.method == method]
 
 
+def test_the_help_of_a_setting_is_about_that_setting():
+    for name, word in (
+        ("initial_damping", "damping"),
+        ("damping_factor", "damping"),
+        ("keypoint_sigma_m", "keypoints"),
+    ):
+        assert word in SETTINGS[name].option.help
+
+
 def refuses(given: dict, *expected: tuple[object, ...], config: Path | None = None) -> None:
     """expected: each problem as for `refusal`, without the file: the setting's own option, or config."""
     with refusal(*((config or SETTINGS[str(one[0])].on_command_line, *one) for one in expected)):

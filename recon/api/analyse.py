@@ -36,7 +36,7 @@ SUMMARY = "analysis.json"
 FOLDER = "analysis"
 """Name of the analysis folder inside the results folder, by default."""
 PLAYBACK = "motion.rrd"
-"""The playback that the fit wrote."""
+"""The playback that the fit has written."""
 FIGURES_BEGIN = 0.5
 """Progress, as a fraction of the whole, at which the figures begin."""
 SHOWN = 3
@@ -113,7 +113,7 @@ def run_analysis(settings: AnalyseSettings, progress: Progress = silent) -> Writ
     with sole_writer(out):
         output.require((SUMMARY, *TABLES, *MORE_TABLES[settings.tables_format]))
         progress("analysis", 0.1)
-        with threadpool_limits(1, user_api="blas"):  # threads cost more than they save on small matrices
+        with threadpool_limits(1, user_api="blas"):  # threads cost more than they gain on small matrices
             analysis = analyse(motion, settings.stride)
         analysis = replace(analysis, body_mass_kg=settings.body_mass_kg)
         summary = summarise(analysis, settings.folder.absolute().name)
@@ -130,7 +130,7 @@ def run_analysis(settings: AnalyseSettings, progress: Progress = silent) -> Writ
                 write_long(analysis, staging, settings.decimal_comma)
             (staging / SUMMARY).write_text(to_json(summary), encoding="utf-8")
             names = [path.name for path in staging.iterdir()]
-        if settings.figures:  # after the tables, so that they exist even if a figure fails
+        if settings.figures:  # written after the tables, so that the tables exist even if a figure fails
             with output.staged(adds=True) as staging:
                 write_figures(analysis, staging, progress, settings.all_figures)
                 names += [path.name for path in staging.iterdir()]
@@ -174,7 +174,7 @@ def summarise(analysis: ClipAnalysis, results: str) -> dict[str, Any]:
 
 
 def _origin(stride: Stride | None) -> str:
-    """Return where the stride comes from: the gait, the end effector of a chain, or the user."""
+    """Return the origin of the stride: the gait, the end effector of a chain, or the user."""
     return stride.at if stride is not None and stride.at in ("given", "end effector") else "gait"
 
 
@@ -209,7 +209,7 @@ def _dynamics_summary(analysis: ClipAnalysis) -> dict[str, Any] | None:
     dynamics = analysis.dynamics
     if dynamics is None or analysis.gait is None:
         return None
-    # Energy errors are correlated over time: the mean over the clip may be as uncertain as the value at one instant.
+    # Errors of the energy are correlated over time, so the mean may be as uncertain as the value at one instant.
     sigma = {name: mean(values) for name, values in dynamics.energy_sigma_j_kg.items()}
     means = {name: interval_of(mean(values), sigma[name]) for name, values in dynamics.energy_j_kg.items()}
     return {

@@ -1,4 +1,4 @@
-"""Fit many clips with `find_clips`, `plan_batch` and `run_batch`, each of which takes the previous one's result.
+"""Fit many clips with `find_clips`, `plan_batch` and `run_batch`, each of which takes the result of the one before.
 
 The batch's folder holds three files: `batch.jsonl` records the inputs that each clip's results were made from,
 `summary.csv` has one row per clip and is rewritten as clips finish, and `summary.html` is made from it.
@@ -77,7 +77,7 @@ STATUSES = ("done", "done earlier", "unsolved", "failed", "pending")
 """
 WRITE_EVERY_S = 0.5
 DYING_S = 5.0
-"""Seconds for which a process may still hold a clip's folder after its batch was killed."""
+"""Seconds for which a process may still use a clip's folder after its batch was killed."""
 
 
 OnEvent = Callable[[Event, "Summary"], None]
@@ -289,7 +289,7 @@ def fit_planned(planned: ClipPlan, progress: Progress) -> dict[str, Any]:
 def results_of(report: Mapping[str, Any]) -> dict[str, Any]:
     """Return the columns `RESULTS` of a summary row, from a report.
 
-    Speeds are those of the root, without the frame-to-frame jitter where it is known. `warnings` is the number of
+    Speeds are those of the root, without the frame-to-frame jitter if that is known. `warnings` is the number of
     warnings. `size` is the factor on the skeleton's lengths, which only the trajectory method estimates.
     """
     summary, path, verdict = report["summary"], report["root_path"], report["verdict"] or {}
@@ -329,11 +329,11 @@ class Summary:
         self._written_s = -WRITE_EVERY_S
 
     def end(self, clip: str, outcome: Mapping[str, Any]) -> None:
-        """Record the outcome of a clip, which has some of the columns."""
+        """Record the outcome of a clip, which gives some of the columns."""
         self.rows[clip] |= {column: outcome[column] for column in COLUMNS if column in outcome}
 
     def write_now_and_then(self) -> None:
-        """Write the file unless it was just written; a file that another program holds open is retried later."""
+        """Write the file unless it was just written; retry later if another program holds it open."""
         if time.monotonic() - self._written_s >= WRITE_EVERY_S:
             with suppress(PermissionError):
                 self.write()

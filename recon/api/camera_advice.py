@@ -1,4 +1,4 @@
-"""Advise where to place one or two cameras to measure an angle or a joint."""
+"""Advise on the positions of one or two cameras for measuring an angle or a joint."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ ABOVE = "almost above it"
 
 
 def in_sentences(advice_by_camera: Sequence[Advice]) -> Iterator[str]:
-    """Yield sentences on where to place the camera, or the best first and second cameras."""
+    """Yield sentences on the best position of the camera, or of the first and the second camera."""
     for number, advice in enumerate(advice_by_camera, start=1):
         camera = "the camera" if len(advice_by_camera) == 1 else f"camera {number}"
         share, sigma = (float(values[advice.best]) for values in (advice.share, advice.sigma))

@@ -1,4 +1,4 @@
-"""Find how a camera turned: read its video, and write a camera track, a report and a panorama."""
+"""Estimate the rotation of a camera: read its video, and write a camera track, a report and a panorama."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def motion_files(track: Path) -> tuple[str, str, str]:
 
 
 def run_camera_motion(settings: CameraMotionSettings, output: Output, progress: Progress = silent) -> dict[str, Any]:
-    """Find how a camera turned, write the files of `motion_files` to an output, and return the report."""
+    """Estimate the rotation of a camera, write the files of `motion_files` to an output, and return the report."""
     files = motion_files(settings.out)
     info, lens, animal, marks, *_ = collect_problems(
         lambda: probe(settings.video),
@@ -132,7 +132,7 @@ def run_camera_motion(settings: CameraMotionSettings, output: Output, progress: 
 
 
 def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:
-    """Return a note if the turning of the background suggests another focal length than the camera file's."""
+    """Return a note if the rotation of the background suggests another focal length than the camera file's."""
     if motion.focal is None or abs(motion.focal[0]) <= CLEARLY * motion.focal[1]:
         return None
     px = _focal_px(motion.focal, lens)
@@ -144,7 +144,7 @@ def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:
 
 
 def _require_turning(s: CameraMotionSettings, motion: TurningMotion, lens: Camera) -> None:
-    """Raise InputError for a cut, too little background, or a camera that did more than turn."""
+    """Raise InputError for a cut, too little background, or a camera that did not only rotate."""
     if motion.cut is not None:
         actual = f"a cut, or a jump of the whole view, at frame {motion.cut + s.first_frame}"
         raise InputError(Problem(s.video, "video", actual, "one take: cut the video there"))
@@ -191,7 +191,7 @@ def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
 def _up(
     s: CameraMotionSettings, motion: TurningMotion, lens: Camera, marks: Sequence[LevelMark]
 ) -> tuple[Array | None, str]:
-    """Return up (3,) in the first frame's camera, or None if the mean frame counts as level, and how up is known."""
+    """Return up (3,) in the first frame's camera, or None if the mean frame counts as level, and the origin of up."""
     if s.tilt_deg is not None:
         level = f"the first frame looks {s.tilt_deg:g} degrees down, as given, and its roll is taken as 0"
         return tilted(np.radians(s.tilt_deg)), level

@@ -88,22 +88,23 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
 
 
 def refit_clip(settings: FitSettings, motion: Motion) -> Motion:
-    """Fit a clip again from an earlier fit of it, after a few detections have changed.
+    """Fit a clip again, starting from an earlier fit, after a few detections have changed.
 
-    The search begins at the earlier motion, and the findings on the input files are the earlier ones: a preview of what
-    `fit_clip` finds. Where that would have to find more than the motion, this is `fit_clip`.
+    The search begins at the earlier motion, and the findings on the input files are those of the earlier fit, so the
+    result is a preview of that of `fit_clip`. If unknowns other than the motion have to be estimated again, `fit_clip`
+    is called instead.
 
     Parameters
     ----------
     settings
-        Those of the fit, with the corrections.
+        Settings of the fit, including the corrections.
     motion
         The earlier fit.
 
     Raises
     ------
     InputError
-        As `fit_clip`.
+        As in `fit_clip`.
     """
     is_refined = any(item.code == "pair_refined" for item in motion.findings)
     is_more = settings.seeks_cameras or is_refined or settings.belt_speed_m_s is not None or settings.find_offsets
@@ -146,7 +147,7 @@ def _solve(
 
 
 def _solve_first(inputs: ClipInputs, options: TrajectoryOptions, solve: Solve) -> _Fit:
-    """Solve for the motion, and for the cameras' time offsets if they are to be found."""
+    """Solve for the motion, and for the cameras' time offsets if they are to be estimated."""
     if not options.find_offsets:
         return _Fit(inputs.sources, options, solve(inputs.sources, options), inputs.findings)
     from recon.check.agreement import solve_time_offsets
@@ -183,9 +184,10 @@ def _solve_again_with_fixed_cameras(fit: _Fit, solve: Solve, lengths_known: bool
 
 
 def _refine_pair(fit: _Fit, inputs: ClipInputs, settings: FitSettings, solve: Solve) -> _Fit:
-    """Refine the poses of two cameras of which one is likelier turned or moved than as calibrated.
+    """Refine the poses of two cameras if one of them is likelier turned or moved than as calibrated.
 
-    The animal's lengths have to be known roughly, as only they contradict the poses of a pair whose rays meet.
+    The animal's lengths have to be known roughly, because only lengths can contradict the poses of a pair whose rays
+    meet.
     """
     is_fixed = settings.cameras_known or settings.camera_track is not None or settings.belt_speed_m_s is not None
     if is_fixed or fit.options.refine_cameras or len(fit.sources) != 2 or inputs.body.size_sigma > ROUGH_SIZE_SIGMA:
@@ -205,7 +207,7 @@ def _solve_again_without_gross_outliers(fit: _Fit, solve: Solve) -> _Fit:
     """Leave out detections that are far from any pose, unless no frame can be solved without them."""
     cleaned, outliers = without_gross_outliers(fit.sources, fit.solution)
     solution = solve(cleaned, fit.options) if outliers else fit.solution
-    if not solution.posed.any() and fit.solution.posed.any():  # these were no outliers
+    if not solution.posed.any() and fit.solution.posed.any():  # these detections were not outliers
         return fit
     return replace(fit, sources=cleaned, solution=solution, findings=(*fit.findings, *outliers))
 
@@ -217,7 +219,7 @@ def _check_inputs(fit: _Fit, motion: Motion, inputs: ClipInputs, settings: FitSe
 
 
 def _solve_again_without_swaps(fit: _Fit, inputs: ClipInputs, settings: FitSettings, solve: Solve) -> _Fit:
-    """Exchange left and right where a swap was found, if the settings allow it and the exchange improves the fit.
+    """Exchange left and right in detected swaps, if the settings allow it and the exchange improves the fit.
 
     A swap is downgraded to a possible swap if the exchange does not improve the fit.
     """
@@ -281,10 +283,10 @@ def _log(motion: Motion) -> None:
 
 
 def _file_facts(inputs: ClipInputs, settings: FitSettings) -> tuple[list[str | None], float | None, bool]:
-    """Return the facts about the files that `input_findings` takes.
+    """Return the facts about the files that `input_findings` needs.
 
-    These facts are: another camera named in a keypoint file's name, a frame rate in the file that differs from the
-    given one, and whether to look for swaps.
+    They are another camera in a keypoint file's name, a frame rate in the file that differs from the given rate, and
+    whether to look for swaps.
     """
     named = []
     for source, path in zip(inputs.sources, settings.keypoints, strict=True):

@@ -35,18 +35,22 @@ from recon.io.corrections import read_corrections, with_corrections
 from recon.io.formats import read_keypoints
 
 RATES_HZ = (1.0, 10_000.0)
-"""Frame rates that a clip can have. If slower, a whole stride falls between two frames and nothing connects them; if
-faster, rounding hides the animal's acceleration between frames.
+"""Frame rates that a clip can have, Hz.
+
+At a lower rate a whole stride fits between two frames, and nothing connects them. At a higher rate, rounding hides the
+animal's acceleration between frames.
 """
 FEW_OF_SKELETON, FEW_OF_FILE = 0.25, 0.5
-"""A file has other keypoint names than the skeleton if it has fewer than this fraction of the skeleton's keypoints, and
-fewer than this fraction of its own keypoints are in the skeleton.
+"""Limits below which a file has other keypoint names than the skeleton.
+
+The file then has fewer than this fraction of the skeleton's keypoints, and fewer than this fraction of its own
+keypoints are in the skeleton.
 """
 HEIGHT_SIGMA, HEIGHT_SIGMA_OF_NO_SPECIES = 0.05, 0.15
 """Relative uncertainty of a size that follows from the height at the withers.
 
-Proportions differ between animals of one species, and more between species: dogs whose height is given with the
-skeleton quadruped come out 13 % off.
+Proportions differ between animals of one species, and more between species: the size of dogs whose height is given with
+the skeleton quadruped is 13 % off.
 """
 _FAR_OUTSIDE = "too far outside the picture to have been found in it"
 
@@ -150,7 +154,7 @@ def arrange(keypoints: Keypoints, names: tuple[str, ...]) -> Keypoints:
 
 
 def read_clips(settings: FitSettings) -> list[Keypoints]:
-    """Return the keypoints of all files, with the frame rate that is given or that of the file.
+    """Return the keypoints of all files, with the given frame rate or that of the file.
 
     Raises InputError with the problems of all files, including missing and differing frame rates.
     """
@@ -258,7 +262,10 @@ def cleaned_source(
 
 
 def _require_keypoints_of(body: Body, keypoints: Keypoints) -> None:
-    """Raise InputError for a file with too few of the body's keypoints: a few common ones such as nose are no match."""
+    """Raise InputError for a file with too few of the body's keypoints.
+
+    A few common keypoints such as nose are no match.
+    """
     wanted = tuple(dict.fromkeys(name for pair in body.keypoints for name in pair))
     known = [name for name in keypoints.names if name in wanted]
     if known and (len(known) >= FEW_OF_SKELETON * len(wanted) or len(known) >= FEW_OF_FILE * len(keypoints.names)):

@@ -47,7 +47,7 @@ FIT = "fit"
 """Manifest kind of the files of a fit."""
 CONFIG = "config.toml"
 CORRECTIONS = "corrections.csv"
-"""The corrections by hand that a folder of results may have."""
+"""The corrections by hand in a folder of results, if there are any."""
 SCHEMA = {"name": "recon.record", "version": 1}
 AS_THEY_WERE = "the prior and settings with which the clip was fitted: fit the clip again"
 REFINED_CAMERAS = "cameras.toml"
@@ -338,7 +338,7 @@ _REPLACED_BY = {
     "hfov_deg": ("camera", "camera_name", "camera_unit"),
     "camera_track": ("tilt_deg",),
 }
-"""Settings of config.toml that a given setting replaces, such as all those of another camera."""
+"""Settings of config.toml that a given setting replaces, such as those of another camera."""
 
 
 def read_settings(config: Path | None, options: Mapping[str, Any] | None = None) -> FitSettings:
@@ -391,7 +391,7 @@ def setting_in_folder(folder: Path, name: str, value: T) -> T:
 
 
 LIMITS = {"gt": "exclusiveMinimum", "ge": "minimum", "lt": "exclusiveMaximum", "le": "maximum"}
-"""JSON schema's names for pydantic's limits, which pydantic leaves unchanged where a text is parsed first."""
+"""JSON schema's names for pydantic's limits, which pydantic leaves unchanged if a text is parsed first."""
 
 
 def config_schema() -> dict[str, Any]:

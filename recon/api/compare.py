@@ -1,10 +1,10 @@
 """Compare the strides and speeds of several clips by group, with the uncertainty of each.
 
 The mean of a clip has a standard deviation s, from the scatter of its strides and the uncertainty of the fit. Clips of
-a group vary by a further standard deviation tau. The group's mean weighs each clip by 1 / (s^2 + tau^2), where tau
-follows from the method of moments (DerSimonian and Laird 1986). If the animal's size is the average of the species, the
-error of the size is common to all clips: it adds to the uncertainty of mean lengths and speeds, however many clips
-there are.
+a group vary by a further standard deviation tau. The mean of the group weights each clip by 1 / (s^2 + tau^2), with tau
+from the method of moments (DerSimonian and Laird 1986). If the animal's size is taken from the average of the species,
+the error of the size is common to all clips. It then adds to the uncertainty of mean lengths and speeds, however many
+clips there are.
 """
 
 from __future__ import annotations
@@ -290,9 +290,10 @@ def _page(
 
 
 def _copies(motions: Mapping[str, Motion], folders: Mapping[str, Path]) -> dict[str, str]:
-    """Return the names of results that repeat another one with as many frames or more, each with the other's name.
+    """Return the names of results that repeat another result with as many frames or more, each with the other's name.
 
-    They were made from the same keypoint and camera files, by their digests, for the same animal and at the same time.
+    Such results were made from the same keypoint and camera files, by their digests, for the same animal and at the
+    same time.
     """
     known: dict[tuple[Any, ...], list[str]] = {}
     copies = {}
@@ -313,7 +314,7 @@ def _copies(motions: Mapping[str, Motion], folders: Mapping[str, Path]) -> dict[
 
 
 def _input_digests(folder: Path) -> tuple[frozenset[str], frozenset[str]] | None:
-    """Return the digests of a result's keypoint files and camera files, or None where they were not recorded."""
+    """Return the digests of a result's keypoint files and camera files, or None if they were not recorded."""
     try:
         digests = read_toml(folder / CONFIG)["recon"]["sha256"].items()
     except (InputError, KeyError, TypeError, AttributeError):
@@ -401,7 +402,7 @@ def _stride_rows(analysis: ClipAnalysis) -> Iterator[dict]:
 
 
 def _clip_row(analysis: ClipAnalysis, strides: Sequence[dict]) -> dict:
-    """Return a clip's quantities with the standard deviations that `recon analyse` gives.
+    """Return the quantities of a clip with the standard deviations that `recon analyse` gives.
 
     `_sigma` has all errors, `_own_sigma` those that the clip does not share with others of the same animal's size, and
     `_measurement_sigma` of these the ones that the scatter of the strides does not contain.

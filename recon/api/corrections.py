@@ -27,22 +27,22 @@ from recon.show.page.player_data import player_data
 
 MOST_CORRECTIONS = 100_000
 IDLE_S = 2.0
-"""Time without a change after which the clip is fitted from nothing."""
+"""Time without a change after which the clip is fitted from the start."""
 
 
 @dataclass(eq=False)
 class CorrectionSession:
     """Hold the corrections of one result, save them with every change, and fit with them.
 
-    The fit runs behind the editor: `changed` waits for the next one. After a change, the fit begins at the present
-    motion, which takes a fraction of the time. When nothing has changed for a while, the clip is fitted from nothing,
-    as `recon fit --corrections` does it.
+    The fit runs while the editor is used: `changed` waits for the next fit. After a change, the fit begins at the
+    present motion, which takes a fraction of the time. After some time without a change, the clip is fitted from the
+    start, as `recon fit --corrections` does.
     """
 
     folder: Path
     """Folder of the corrected result; nothing in it is changed."""
     out: Path
-    """File of the corrections; the session begins with those that it already has."""
+    """File of the corrections; the session begins with the corrections that it already contains."""
     motion: Motion
     """The latest fit."""
     camera: int = 0
@@ -51,7 +51,7 @@ class CorrectionSession:
     version: int = 0
     """Number of fits so far."""
     is_whole: bool = True
-    """Whether the latest fit is what `recon fit --corrections` gives."""
+    """Whether the latest fit equals that of `recon fit --corrections`."""
     problem: str = ""
     """Why the latest corrections could not be fitted, or ""."""
 
@@ -106,7 +106,7 @@ class CorrectionSession:
             return self._change.wait_for(lambda: self.version > version, wait_s)
 
     def lines_px(self, camera: int, row: int, joint: int) -> dict[str, object]:
-        """Return the lines on which other cameras see a keypoint, by camera; none for numbers that there are not."""
+        """Return the lines on which other cameras see a keypoint, by camera; none if a number does not exist."""
         motion = self.motion
         counts = len(motion.sources), len(motion.frames), len(motion.names)
         if len(motion.sources) < 2 or not all(
@@ -127,7 +127,7 @@ class CorrectionSession:
     # -- changes by the editor ----------------------------------------------------------------------------------------
 
     def save(self, rows: object) -> int:
-        """Save the full list of corrections that the editor sends, start a fit with them, and return their number.
+        """Save all corrections sent by the editor, start a fit with them, and return their number.
 
         Raises
         ------
@@ -181,7 +181,7 @@ class CorrectionSession:
         return Correction(frame, row["camera"], str(keypoint), was_px, now_px, reason)
 
     def _fit(self) -> None:
-        """Fit with the saved corrections until none are left that were not fitted, the last time from nothing."""
+        """Fit with the saved corrections until all have been fitted, the last time from the start."""
         while True:
             with self._change:
                 if not self._is_due and self.is_whole:

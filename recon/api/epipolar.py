@@ -1,4 +1,4 @@
-"""Show where a keypoint that other cameras see can be in a camera's picture."""
+"""Show where in a camera's picture a keypoint can be that other cameras see."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ NEAREST, FARTHEST, COUNT = 0.1, 10.0, 97
 def epipolar_lines_px(
     motion: Motion, camera: int, row: int, joint: int, marks_px: Mapping[int, tuple[float, float] | None]
 ) -> dict[str, Array]:
-    """Return for each other camera the line in a camera's picture on which its keypoint lies.
+    """Return, for each other camera, the line in a camera's picture on which its keypoint lies.
 
-    The line is the picture of the ray through the other camera's detection, bent as the lens bends it.
+    The line is the picture of the ray through the other camera's detection, curved by the distortion of the lens.
 
     Parameters
     ----------
@@ -30,12 +30,12 @@ def epipolar_lines_px(
     row, joint
         The frame's row, and the keypoint.
     marks_px
-        Corrected positions by the number of the camera, in place of the detections; None: hidden.
+        Corrected positions that replace the detections, by the number of the camera; None if hidden.
 
     Returns
     -------
     dict
-        Points (n, 2) in pixels by the other camera's name; without cameras that do not see the keypoint.
+        Points (n, 2) in pixels by the other camera's name, without cameras that do not see the keypoint.
     """
     views = [view.part(slice(row, row + 1)) for view in motion.solution.views]
     lines: dict[str, Array] = {}

@@ -1,4 +1,4 @@
-"""Find the poses of cameras: from lenses and clips of the animal, write a file with all poses."""
+"""Estimate the poses of cameras from lenses and clips of the animal, and write a file with all poses."""
 
 from __future__ import annotations
 
@@ -27,11 +27,13 @@ from recon.geometry.frames import level_from_camera, rigid
 from recon.io.camera_files import write_cameras
 
 DISAGREEMENT = 16.0
-"""Squared deviation of a camera's 6 pose parameters above which it probably moved (1 in 70 by chance)."""
+"""Squared deviation of a camera's 6 pose parameters above which it probably moved; 1 in 70 exceeds it by chance."""
 MAX_TURN_SIGMA_DEG = 10.0
-"""Uncertainty of a camera's turn, degrees, above which its clips do not determine its pose (benchmarks/cameras.py)."""
+"""Uncertainty of a camera's rotation, degrees, above which its clips do not determine its pose
+(benchmarks/cameras.py).
+"""
 LEAST_MOVED = 0.5
-"""Shortest path of an animal in the picture, in body lengths: one that only sways on its feet moves less."""
+"""Shortest path of an animal in the picture, in body lengths; an animal that only sways on its feet moves less."""
 
 
 def clips_of(
@@ -55,7 +57,7 @@ def run_extrinsics(
     level_rad: float = 0.0,
     progress: Progress = silent,
 ) -> tuple[tuple[Camera, ...], dict[str, Any]]:
-    """Find the poses of cameras from clips of the animal, and write `out`, a camera file.
+    """Estimate the poses of cameras from clips of the animal, and write `out`, a camera file.
 
     The world has z up and the ground at z = 0. If the clips' settings ask to refine the poses of the camera file, its
     world is kept.
@@ -77,8 +79,8 @@ def run_extrinsics(
     -------
     tuple
         The cameras, and the report that `--json` prints. The sigmas of a camera in the report are those of its position
-        relative to the first camera (`Camera.corrected`). The sigma of the height is None if the ground was not found
-        or comes from the camera file. Time offsets are those given or found.
+        relative to the first camera (`Camera.corrected`). The sigma of the height is None if the ground is unknown or
+        comes from the camera file. Time offsets are the given or the estimated ones.
 
     Raises
     ------
@@ -104,7 +106,7 @@ def run_extrinsics(
             expected = "a camera file with the poses of all cameras"
             raise InputError(Problem("--set refine-cameras", "poses", f"none of {', '.join(unposed)}", expected))
         poses = camera_poses(cameras)
-    else:  # each camera has a level world of its own
+    else:  # each camera has its own level world
         tilt = {} if tilt_deg is None else {"tilt_rad": math.radians(tilt_deg)}
         cameras = [replace(camera, rotation=None, translation_m=None, **tilt) for camera in cameras]
         poses = [rigid(level_from_camera(camera.up).T, np.zeros(3)) for camera in cameras]
@@ -175,7 +177,7 @@ def _lengths_moved(xy_px: Array) -> float:
 
 
 def _aligned_sources(clip: FitSettings, prepared: Sequence[ClipInputs]) -> tuple[Source, ...]:
-    """Return the sources of a clip on its frames, using the given time offsets or those found to a whole frame."""
+    """Return the sources of a clip on its frames, with time offsets that are given or estimated to a whole frame."""
     sources_apart, fps = [inputs.sources[0] for inputs in prepared], prepared[0].fps
     later = np.array(clip.offset_s or np.zeros(len(prepared))) * fps
     sources = align_cameras(sources_apart, (later - later[0]).tolist())

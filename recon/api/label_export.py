@@ -1,4 +1,4 @@
-"""Bring corrections back to the detector: labels to train it with again, and a corrected table of detections."""
+"""Return corrections to the detector: as labels for training, and as a corrected table of detections."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from recon.io.label_files import (
 from recon.io.video import Image, probe, read_frames
 
 ACCEPTED = "accepted"
-"""Reason of a correction that only took over the position that the model expects."""
+"""Reason of a correction that only accepted the position expected by the model."""
 BY_HAND, FROM_MODEL, DETECTED = "by hand", "accepted from the model", "detected, and the pose agrees"
 
 
@@ -45,9 +45,9 @@ class CorrectedClip:
     corrections: tuple[Correction, ...]
     """The corrections of this camera."""
     names: Mapping[str, str]
-    """Names in the keypoint file, by those that they were given for the fit."""
+    """Names in the keypoint file, by their names in the fit."""
     file: Keypoints
-    """The keypoint file as it is."""
+    """The keypoint file without corrections."""
 
     @classmethod
     def read(cls, folder: Path, path: Path, number: int = 0) -> CorrectedClip:
@@ -91,8 +91,7 @@ class CorrectedClip:
     def labels(self, video: str, scorer: str, with_accepted: bool = False) -> LabelledFrames:
         """Return the labels of the frames that were corrected by hand.
 
-        They have the corrected points, and the detector's own ones of the same frames that the fit uses and the pose
-        explains.
+        They are the corrected points, and those detections in the same frames that the fit uses and the pose explains.
 
         Parameters
         ----------
@@ -160,7 +159,7 @@ def labels_output(folder: Path, video: str, kind: str, option: str, overwrite: b
     Raises
     ------
     InputError
-        If the package that writes DeepLabCut's files is not installed, or the names are no names of files.
+        If the package that writes DeepLabCut's files is not installed, or the names cannot be file names.
     """
     require_label_writer()
     require_label_names(video, "labels")
@@ -173,13 +172,13 @@ def write_labels(labels: LabelledFrames, video: Path, number_of_first: int, outp
     Parameters
     ----------
     labels
-        Those of the video.
+        Labels of the video.
     video
         The video.
     number_of_first
         The number that the labels' frames give to the video's first frame.
     output
-        Where they go.
+        Output of the files.
 
     Raises
     ------

@@ -27,13 +27,13 @@ from recon.io.video import probe, read_frames
 THUMBNAIL_PX = 24
 """Longer side of the small pictures that are compared."""
 MOST_COMPARED = 600
-"""Most frames of a video that are compared."""
+"""Largest number of frames of a video that are compared."""
 SEED = 0
 Point = tuple[float, float]
 
 
 def choose_frames(video: Path, count: int) -> list[int]:
-    """Return numbers of frames that differ: the one nearest to the centre of each of `count` groups of pictures.
+    """Return numbers of frames that differ: those nearest to the centres of `count` groups of pictures.
 
     The groups are those of k-means on small pictures. The same video gives the same frames.
 
@@ -58,7 +58,7 @@ def choose_frames(video: Path, count: int) -> list[int]:
     points = np.array(pictures)
     groups = min(count, len(np.unique(points, axis=0)))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # a group that has become empty
+        warnings.simplefilter("ignore", UserWarning)  # a group can become empty
         centres, group = kmeans2(points, groups, minit="++", rng=np.random.default_rng(SEED))
     distance = np.linalg.norm(points - centres[group], axis=1)
     chosen = {int(members[np.argmin(distance[members])]) for members in _groups(np.asarray(group, dtype=np.intp))}
@@ -114,7 +114,7 @@ class LabelSession:
     scorer: str
     output: Output
     edges: tuple[tuple[int, int], ...] = ()
-    """Keypoints that a bone joins, as indices."""
+    """Pairs of keypoints joined by a bone, as indices."""
     points_px: dict[tuple[int, int], Point] = field(default_factory=dict)
     """Labels by frame and keypoint's index."""
 
@@ -129,14 +129,14 @@ class LabelSession:
         skeleton: str | None = None,
         preferred: Sequence[int] = (),
     ) -> LabelSession:
-        """Choose frames, write their pictures, and read the labels that there are from an earlier session.
+        """Choose frames, write their pictures, and read the labels of an earlier session, if there are any.
 
         Parameters
         ----------
         video
             The video.
         out
-            Folder of the project, in which labeled-data is.
+            Folder of the project, which contains labeled-data.
         names
             Names of the keypoints.
         scorer
@@ -161,7 +161,7 @@ class LabelSession:
         session = cls(video, tuple(names), (), scorer, output, edges)
         table = output.folder / f"CollectedData_{scorer}.csv"
         if table.is_file():
-            output.require((table.name,))  # not one that somebody else has made
+            output.require((table.name,))  # not a table that somebody else has made
             earlier = read_keypoints(table)
             if earlier.names != session.names:
                 actual = ", ".join(earlier.names)[:200]
@@ -189,10 +189,10 @@ class LabelSession:
         info = probe(self.video)
         self._size_px, self._digits = info.size_px, max(4, len(str(info.stated_frames or 0)))
 
-    # -- what the page reads
+    # -- data for the page -
 
     def state(self) -> dict[str, object]:
-        """Return what the page shows, in JSON types."""
+        """Return the content of the page in JSON types."""
         return {
             "names": [*self.names],
             "frames": [*self.frames],
@@ -203,19 +203,19 @@ class LabelSession:
         }
 
     def picture(self, frame: int) -> Path | None:
-        """Return the file of a frame's picture; None for another frame."""
+        """Return the file of a frame's picture, or None for another frame."""
         path = self.output.folder / self._labels().picture(frame)
         return path if frame in self.frames and path.is_file() else None
 
-    # -- what the page changes
+    # -- changes by the page -
 
     def save(self, rows: object) -> int:
-        """Save labels, all of them, as the page sends them: frame, keypoint's index, x and y. Return their number.
+        """Save all labels sent by the page, each with frame, index of the keypoint, x and y, and return their number.
 
         Raises
         ------
         InputError
-            If they are no labels of this video, or if somebody has changed the files.
+            If the labels are not of this video, or if somebody has changed the files.
         """
         points_px = self._checked(rows)
         with self._lock:
@@ -249,7 +249,7 @@ class LabelSession:
         return all(math.isfinite(x) and -0.5 <= x <= size - 0.5 for x, size in zip(point, self._size_px, strict=True))
 
     def _labels(self) -> LabelledFrames:
-        """Return the labels of the frames that have any."""
+        """Return the labels of the frames that have labels."""
         frames = sorted({frame for frame, _ in self.points_px}) or [self.frames[0]]
         row_of = {frame: i for i, frame in enumerate(frames)}
         xy_px: Array = np.full((len(frames), len(self.names), 2), np.nan)
@@ -260,7 +260,7 @@ class LabelSession:
         return LabelledFrames(self.video.stem, self.scorer, self.names, numbers, xy_px, **properties)
 
     def _write_pictures(self) -> None:
-        """Write the pictures of the frames that have none yet."""
+        """Write the pictures of the frames without a picture."""
         labels = self._labels()
         lacking = [f for f in self.frames if not (self.output.folder / labels.picture(f)).is_file()]
         if not lacking:

@@ -1,4 +1,4 @@
-"""Find the sample clips that come with the package."""
+"""Locate the sample clips that come with the package."""
 
 from __future__ import annotations
 

@@ -199,9 +199,7 @@ class FitSettings(Settings):
     pose along the direction of travel)
     """
     initial_damping: Annotated[Positive | None, _FRAME] = None
-    """Distance of keypoints from the joints, one standard deviation, in metres, such as 0.05. (default: the
-    skeleton's)
-    """
+    """First damping of a search, such as 0.01. (default: MINPACK finds its own)"""
     damping_factor: Annotated[Annotated[Number, Field(gt=1)], _FRAME] = 10.0
     """Factor by which the damping falls after a step that lowers the cost, and grows after any other step."""
     base_length_m: Annotated[Positive | None, _FRAME] = None
@@ -211,7 +209,9 @@ class FitSettings(Settings):
     sigma_px: Annotated[Positive, _RARE] = 3.0
     """Noise of the detector in pixels, one standard deviation."""
     keypoint_sigma_m: Annotated[NotNegative | None, _RARE] = None
-    """How far keypoints lie from the joints, metres, as in 0.05. (default: the skeleton's)"""
+    """Distance of keypoints from the joints, one standard deviation, in metres, such as 0.05. (default: the
+    skeleton's)
+    """
 
     @model_validator(mode="before")
     @classmethod

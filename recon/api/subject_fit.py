@@ -1,4 +1,4 @@
-"""Measure one animal: from clips filmed by several cameras, find its lengths and its detector's offsets."""
+"""Measure one animal from clips of several cameras: its lengths, and the offsets of its detector."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from recon.io.common import Pose3D
 from recon.io.positions import read_pose3d
 
 LEAST_SIZE_SIGMA = 0.01
-"""Smallest size_sigma of a measured animal: its lengths are known no better than the positions of keypoints on it."""
+"""Smallest size_sigma of a measured animal, because keypoints on it are known no more accurately."""
 
 
 def _rows(fit: ShapeFit, size_sigma: float) -> Iterator[dict[str, Any]]:

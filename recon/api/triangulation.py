@@ -107,7 +107,7 @@ def triangulate(
     Parameters
     ----------
     keypoints
-        Keypoints of V >= 2 synchronised cameras, as read. All are taken to have the first one's frame rate.
+        Keypoints of V >= 2 synchronised cameras, as read. All are assumed to have the frame rate of the first.
     cameras
         The cameras in the same order, each with its pose.
     sigma_px
@@ -121,8 +121,7 @@ def triangulate(
     Returns
     -------
     TriangulatedClip
-        Points (T, J, 3) of all keypoints in the files, metres, with covariances; NaN where fewer than two cameras
-        agree.
+        Points (T, J, 3) of all keypoints in the files, metres, with covariances; NaN if fewer than two cameras agree.
 
     Raises
     ------

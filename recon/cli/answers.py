@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 EXIT_UNSOLVED = 1
 EXIT_BAD_INPUT = 2
 LEAST_SHARE, LEAST_S = 0.03, 2.0
-"""Share of the work, and seconds, from which the time that is left is stated."""
+"""Share of the work, and seconds, after which the remaining time is shown."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def stop(message: str = MESSAGE) -> NoReturn:
 
 
 def wait_for_ctrl_c() -> None:
-    """Wait for Ctrl-C where it ends a command that serves a page, and is no error."""
+    """Wait for Ctrl-C, which ends a command that serves a page and is not an error."""
     with suppress(KeyboardInterrupt):
         threading.Event().wait()
     interrupts = installed()
@@ -186,9 +186,9 @@ def progress_bar(console: Console) -> Iterator[ProgressFunction]:
 
 
 class RemainingTime:
-    """Estimate the time that is left, from the time since the start and the share of the work that is done.
+    """Estimate the remaining time from the time since the start and the finished share of the work.
 
-    The pace of the last seconds alone, as rich takes it, is wrong by far where the work is done in large pieces.
+    rich uses the pace of the last seconds, which is misleading if the work is done in large pieces.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:

@@ -1,4 +1,4 @@
-"""The command line: the list of commands, how a command is called, and how errors end."""
+"""Define the command line: the list of commands, how a command is called, and how errors end."""
 
 from __future__ import annotations
 
@@ -300,8 +300,9 @@ COMMANDS = {
         "doctor": (_doctor, "Check versions, optional parts, the viewer, and a fit of the sample."),
     },
 }
-"""Commands by heading and name: the function that imports the command, and its line in `recon --help`. Only the called
-command is imported.
+"""Commands by heading and name: the function that imports the command, and its line in `recon --help`.
+
+Only the called command is imported.
 """
 GROUPS = {
     "skeleton": "Skeletons: those that come with the package, and your own.",

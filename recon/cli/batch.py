@@ -42,7 +42,7 @@ _FitOptions = Annotated[dict[str, Any], OptionsOf(FitSettings, OF_ANY_CLIP, _COM
 
 
 class _BatchSettings(Settings):
-    """Settings of `recon batch` in addition to those of the fits."""
+    """Settings of `recon batch`, in addition to those of the fits."""
 
     inputs: Annotated[OneOrMore[str], Option(argument="INPUT")]
     """Keypoint files, quoted patterns such as 'clips/*.csv', folders, projects of DeepLabCut and Anipose, or manifests:
@@ -163,7 +163,7 @@ def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary],
 
 
 def _table(summary: Summary) -> list[Table | str]:
-    """Return a table of the clips, those to look at first; none for a single clip."""
+    """Return a table of the clips, beginning with those that need attention; none for a single clip."""
     rank = {level: place for place, level in enumerate(LEVELS)}
     rows = sorted(summary.rows.values(), key=lambda row: (rank.get(row["verdict"] or "", -1), row["clip"]))
     if len(rows) < 2:

@@ -1,4 +1,4 @@
-"""The commands for cameras: lens calibration, poses from clips, motion of a turning camera, and camera placement."""
+"""Define the commands for cameras: lens calibration, poses from clips, camera motion, and camera placement."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ class SettingsCommand(TyperCommand):
 
     def format_help(self, ctx: Context, formatter: HelpFormatter) -> None:
         """Write the help, which marks required settings."""
-        for parameter in self.params:  # the parser does not know which settings are required, so the help says it
+        for parameter in self.params:  # the parser does not know which settings are required, so the help states it
             info = self.infos.get(str(parameter.name))
             parameter.required = info is not None and info.default is MISSING
         super().format_help(ctx, formatter)

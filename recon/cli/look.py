@@ -49,7 +49,7 @@ MIN_WIDTH_PX = 640
 """Width below which videos are enlarged by a whole factor, so that their text is readable."""
 STILLS = 9
 VIDEO_PLAYBACK = "playback.rrd"
-"""Recording with the video that `recon run` writes, which `recon view` opens then."""
+"""Recording with the video, which `recon run` writes and `recon view` then opens."""
 BESIDE = ("overlay.mp4", "analysis/analysis.json", VIDEO_PLAYBACK)
 """Files that a page links to, in addition to those of the fit, if they exist when it is made."""
 
@@ -233,7 +233,7 @@ def first_frame_note(motion: Motion, settings: ResultSettings) -> str | None:
 def rate_note(video: Path, fps: float | None) -> str | None:
     """Return a note if the frame rate in the video file differs from that of the clip.
 
-    Such a video may have been filmed faster than it is played.
+    Such a video may be slowed down or sped up.
     """
     stated = probe(video).fps
     if fps is None or stated is None or abs(stated / fps - 1) < RATE_SAME:
@@ -270,9 +270,9 @@ def report(settings: PageSettings, progress: Progress = silent) -> Answer:
 
 
 def _page_of_clip(settings: PageSettings, progress: Progress, whole_batch: bool = False) -> Answer:
-    """Make the page of one result; `whole_batch` means that the pages of all clips of its batch are being made.
+    """Make the page of one result.
 
-    whole_batch: the pages of all clips of its batch are being made, too.
+    whole_batch states that the pages of all clips of its batch are being made, too.
     """
     folder, page, video = settings.folder, settings.folder / PAGE, settings.video
     output = Output(folder, "report", True, made_from=ReadResults.read(folder), option="")
@@ -302,7 +302,7 @@ def _page_of_clip(settings: PageSettings, progress: Progress, whole_batch: bool 
 def neighbours(folder: Path, whole_batch: bool = False) -> Neighbours | None:
     """Return the links to the pages of a result's batch, or None if it is not part of a batch.
 
-    whole_batch: all of these pages will be there; otherwise only to those that are.
+    If whole_batch is true, all of these pages will exist; otherwise only existing pages are linked.
     """
     folder = folder.absolute()
     out = folder.parent

@@ -16,7 +16,7 @@ from recon.cli.answers import say, wait_for_ctrl_c
 
 
 def serve_until_ctrl_c(console: Console, server: LocalServer, note: str, browser: bool) -> None:
-    """Serve a page, print its address and a note, and open it in the browser if asked to."""
+    """Serve a page, print its address and a note, and open it in the browser if requested."""
     threading.Thread(target=server.serve_forever, daemon=True).start()
     say(console, f"The page is at {server.address}")
     say(console, note)

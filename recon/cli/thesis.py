@@ -1,4 +1,4 @@
-"""The commands of the published system: `recon frame` fits a clip, `recon solver` shows the work of the optimiser."""
+"""Define the commands of the published system: `recon frame` fits a clip, `recon solver` describes the optimisation."""
 
 from __future__ import annotations
 
