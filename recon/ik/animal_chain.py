@@ -37,8 +37,9 @@ def spine_front_leg(
 ) -> SerialChain:
     """Return the chain r5, r1, r2, r3, r4 of the 8U skeleton from the root to the front foot, in its level base frame.
 
-    The joints are named after the angles of the skeleton at the end of each link: theta_9 for the first link, then
-    theta_1 to theta_4, and the phis likewise.
+    The joints are named as in the publication, after the joint at the end of each link: theta_9 for the first link,
+    then theta_1 to theta_4, and the phis likewise. The skeleton has no angles theta_9 and phi_9: they are the pitch
+    `J0_pitch` of its root, and its yaw `J0_yaw` relative to the direction of travel.
 
     Parameters
     ----------
