@@ -5,7 +5,7 @@ with x forwards, y left and z up. One class serves both a whole animal and a cha
 tree with the limbs of one side, and has two keypoints for each marker.
 
 Only this module decides what is left, right, fore and hind: a word in the name of a segment or marker gives its side
-(`SIDES`), and the skeleton's file gives the position of each foot (`PLACES`).
+(`SIDES`), and the skeleton's file gives the position of each foot (`FOOT_LABELS`).
 """
 
 from __future__ import annotations
@@ -69,10 +69,10 @@ def _side_pattern() -> re.Pattern[str]:
 
 SIDE_WORD = _side_pattern()
 
-PLACES = {"left_fore": "LF", "right_fore": "RF", "left_hind": "LH", "right_hind": "RH"}
+FOOT_LABELS = {"left_fore": "LF", "right_fore": "RF", "left_hind": "LH", "right_hind": "RH"}
 """Positions of a whole animal's feet, with their labels."""
 _LABELLED: dict[str, Side] = {"L": "left", "R": "right"}
-CHAIN_PLACES = {"fore": "F", "hind": "H"}
+CHAIN_FOOT_LABELS = {"fore": "F", "hind": "H"}
 """Positions of a chain's feet; the letter of the fitted side is put in front of the label."""
 
 
@@ -91,7 +91,7 @@ def foot_problems(feet: dict[str, str], source: str) -> Iterator[Problem]:
     """Yield a problem for each foot on the wrong side, and for each foot that is named twice."""
     for position, foot in feet.items():
         side = side_of(foot)
-        if side is not None and position in PLACES and not position.startswith(side):
+        if side is not None and position in FOOT_LABELS and not position.startswith(side):
             yield Problem(
                 source, f"feet.{position}", repr(foot), f"a {position.split('_')[0]} one: by its name it is {side}"
             )
@@ -156,7 +156,7 @@ class Body(Brief):
     feet: tuple[str, ...]
     """Markers that touch the ground."""
     foot_labels: tuple[str, ...]
-    """Positions of the feet, of `PLACES`, or of `CHAIN_PLACES` for a chain."""
+    """Positions of the feet, of `FOOT_LABELS`, or of `CHAIN_FOOT_LABELS` for a chain."""
     keypoint_sigma_m: float
     """Standard deviation of a keypoint's distance from its marker."""
     size_sigma: float
@@ -241,13 +241,13 @@ class Body(Brief):
         `side` is the fitted side of a chain.
         """
         start = "" if side is None else side[0].upper()
-        labels = (label if label in PLACES.values() else start + label for label in self.foot_labels)
+        labels = (label if label in FOOT_LABELS.values() else start + label for label in self.foot_labels)
         return dict(zip(labels, self.feet, strict=True))
 
     def side_of(self, marker: str) -> Side | None:
         """Return the side of a marker from its foot label, or else from its name."""
         label = dict(zip(self.feet, self.foot_labels, strict=True)).get(marker, "")
-        return _LABELLED[label[0]] if label in PLACES.values() else side_of(marker)
+        return _LABELLED[label[0]] if label in FOOT_LABELS.values() else side_of(marker)
 
     def limb_sides(self, side: Side | None = None) -> dict[str, Side | None]:
         """Return the side of each limb; None is the middle, or both sides.

@@ -28,7 +28,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from recon.animal.anatomy import anatomy_problems
-from recon.animal.body import CHAIN_PLACES, MIN_JOINTS, Body, Side, Skeleton, foot_problems, foot_table
+from recon.animal.body import CHAIN_FOOT_LABELS, MIN_JOINTS, Body, Side, Skeleton, foot_problems, foot_table
 from recon.base import documents
 from recon.base.arrays import Array, Index
 from recon.base.documents import FileTable, Number, Sigma, unknown, validated
@@ -92,7 +92,7 @@ class _Prior(FileTable):
     travel_sigma_rad: Sigma
 
 
-_ChainFeet = Annotated[dict[str, str], foot_table(CHAIN_PLACES, '{ fore = "J4", hind = "J8" }, with its joints')]
+_ChainFeet = Annotated[dict[str, str], foot_table(CHAIN_FOOT_LABELS, '{ fore = "J4", hind = "J8" }, with its joints')]
 
 
 class _ChainFile(FileTable):
@@ -215,7 +215,7 @@ class Chain(Skeleton):
             anatomy=self.file.anatomy,
             forward=self.file.forward,
             feet=tuple(self.file.feet.values()),
-            foot_labels=tuple(CHAIN_PLACES[place] for place in self.file.feet),
+            foot_labels=tuple(CHAIN_FOOT_LABELS[position] for position in self.file.feet),
             keypoint_sigma_m=self.file.keypoint_sigma_m,
             size_sigma=self.file.base_length.sigma_m / self.nominal_base_length_m,
             mean_rad=expected[0, 4:],

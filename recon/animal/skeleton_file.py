@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from recon.animal.anatomy import anatomy_problems, joints_of_both_sides
-from recon.animal.body import MIN_JOINTS, PLACES, Body, foot_problems, foot_table, other_side, side_of
+from recon.animal.body import FOOT_LABELS, MIN_JOINTS, Body, foot_problems, foot_table, other_side, side_of
 from recon.base import documents
 from recon.base.documents import FileTable, Number, Sigma, unknown, validated
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
@@ -75,7 +75,7 @@ _Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 _BodyFeet = Annotated[
     dict[str, str],
     foot_table(
-        PLACES,
+        FOOT_LABELS,
         '{ left_fore = "l_front_paw", right_fore = "r_front_paw", left_hind = "l_back_paw", right_hind = '
         '"r_back_paw" }, with its markers',
     ),
@@ -251,7 +251,7 @@ def _body(f: _BodyFile) -> Body:
         anatomy=joints_of_both_sides(f.anatomy),
         forward=f.forward,
         feet=tuple(f.feet.values()),
-        foot_labels=tuple(PLACES[position] for position in f.feet),
+        foot_labels=tuple(FOOT_LABELS[position] for position in f.feet),
         keypoint_sigma_m=f.keypoint_sigma_m,
         marker_sigma_m=f.marker_sigma_m,
         size_sigma=f.size_sigma,

@@ -166,15 +166,15 @@ def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Pro
 
 def repeated(problems_by_clip: Sequence[Problems]) -> list[tuple[Problem, tuple[int, ...]]]:
     """Return each distinct problem once, ignoring file names, with the indices of the clips that have it."""
-    places_by_content: dict[tuple[str, str, str], list[tuple[int, Problem]]] = {}
-    for place, problems in enumerate(problems_by_clip):
+    indices_by_content: dict[tuple[str, str, str], list[tuple[int, Problem]]] = {}
+    for index, problems in enumerate(problems_by_clip):
         for problem in problems:
-            places_by_content.setdefault((problem.field, problem.found, problem.expected), []).append((place, problem))
+            indices_by_content.setdefault((problem.field, problem.found, problem.expected), []).append((index, problem))
     merged = []
-    for occurrences in places_by_content.values():
+    for occurrences in indices_by_content.values():
         file, *more_files = dict.fromkeys(str(problem.file) for _, problem in occurrences)
         named = f"{file} and {counted(len(more_files), 'more file')}" if more_files else file
-        merged.append((replace(occurrences[0][1], file=named), tuple(dict.fromkeys(place for place, _ in occurrences))))
+        merged.append((replace(occurrences[0][1], file=named), tuple(dict.fromkeys(index for index, _ in occurrences))))
     return merged
 
 
@@ -378,9 +378,9 @@ def read_rows(path: Path) -> list[dict[str, str]]:
     (_, header), *rows = [*text_rows(path)] or [(1, [])]
     texts = ([*map(unguarded, cells)] for _, cells in rows)
     named_rows = [{name: x for name, x in zip(header, row, strict=False) if x} for row in texts]
-    places = (f"{path}, line {line}" for line, _ in rows)
+    locations = (f"{path}, line {line}" for line, _ in rows)
     collect_problems(
-        *(partial(validated, _Row, *row_and_place) for row_and_place in zip(named_rows, places, strict=True))
+        *(partial(validated, _Row, *row_and_location) for row_and_location in zip(named_rows, locations, strict=True))
     )
     return [dict.fromkeys(COLUMNS, "") | row for row in named_rows]
 

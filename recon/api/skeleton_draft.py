@@ -20,7 +20,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial.distance import squareform
 
-from recon.animal.body import MIN_JOINTS, PLACES, other_side, side_of
+from recon.animal.body import FOOT_LABELS, MIN_JOINTS, other_side, side_of
 from recon.animal.naming import fitting_maps, fitting_skeleton, load_names, suggestions
 from recon.animal.skeleton_file import load_skeleton
 from recon.api.clip_cameras import read_clip_cameras
@@ -196,7 +196,7 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDr
         "check, and replace the lengths by those of your animal. The fields are explained in docs/skeletons.md.",
         *([f"Keypoints not yet on the skeleton: {', '.join(unplaced)}"] if unplaced else []),
     ]
-    labels = {label: place for place, label in PLACES.items()}
+    labels = {label: position for position, label in FOOT_LABELS.items()}
     feet = {
         labels[label]: name_of_marker[foot] for label, foot in body.feet_by_label().items() if foot in name_of_marker
     }

@@ -36,8 +36,8 @@ class Problem:
     def __str__(self) -> str:
         option = "--" + self.field.replace("_", "-")
         says_it = str(self.file) in (option, option.removesuffix("-px"), f"--set {option[2:]}")
-        place = self.file if says_it else f"{self.file}: {self.field}"
-        return printable(f"{place}: found {self.found}, expected {self.expected}")
+        location = self.file if says_it else f"{self.file}: {self.field}"
+        return printable(f"{location}: found {self.found}, expected {self.expected}")
 
 
 def printable(text: str) -> str:

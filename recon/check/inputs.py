@@ -297,9 +297,9 @@ def _left_out(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
 
 
 def _copied_sides(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
-    places = opposites(keypoints.names)
-    left = np.flatnonzero(np.arange(len(places)) < places)
-    identical, in_both = _identical(keypoints.xy_px[:, left], keypoints.xy_px[:, places[left]])
+    opposite = opposites(keypoints.names)
+    left = np.flatnonzero(np.arange(len(opposite)) < opposite)
+    identical, in_both = _identical(keypoints.xy_px[:, left], keypoints.xy_px[:, opposite[left]])
     if _many(identical, in_both):
         yield finding("far_side_copied", camera=camera, share=float(identical.sum() / in_both.sum()))
 

@@ -59,42 +59,42 @@ class _Stretch:
     """Hold rows of a clip, and the permutation (J,) of its markers in them."""
 
     rows: slice
-    places: Index
+    permutation: Index
 
     @property
     def markers(self) -> tuple[int, ...]:
         """Return a mask of the exchanged markers."""
-        return tuple(int(j) for j in np.flatnonzero(self.places != np.arange(len(self.places))))
+        return tuple(int(j) for j in np.flatnonzero(self.permutation != np.arange(len(self.permutation))))
 
     def mask(self, T: int) -> Bools:
         """Return a mask of the exchanged markers in each frame, (T, J)."""
-        is_exchanged = np.zeros((T, len(self.places)), dtype=bool)
+        is_exchanged = np.zeros((T, len(self.permutation)), dtype=bool)
         is_exchanged[self.rows, self.markers] = True
         return is_exchanged
 
 
 def with_exchanged(view: View, stretch: _Stretch) -> View:
     """Return the view with the sides of a stretch exchanged."""
-    return replace(view, **exchanged_rows(view, stretch.rows, stretch.places))
+    return replace(view, **exchanged_rows(view, stretch.rows, stretch.permutation))
 
 
-def exchanged_rows(seen: View | Keypoints, rows: slice, places: Index) -> dict[str, Array]:
+def exchanged_rows(seen: View | Keypoints, rows: slice, permutation: Index) -> dict[str, Array]:
     """Return the detections with the keypoints of some rows permuted by `places` (J,)."""
     values = {"xy_px": seen.xy_px.copy(), "confidence": seen.confidence.copy()}
     for array in values.values():
-        array[rows] = array[rows][:, places]
+        array[rows] = array[rows][:, permutation]
     return values
 
 
 def pairs_of(body: Body) -> dict[str, Index]:
     """Return the permutation (J,) of the exchanged markers by kind: of all, of the fore and of the hind legs."""
-    places, none = opposites(body.markers), np.arange(len(body.markers))
-    kinds = {"all": places}
+    permutation, none = opposites(body.markers), np.arange(len(body.markers))
+    kinds = {"all": permutation}
     for name, end in (("fore", "F"), ("hind", "H")):
         feet = {foot for foot, label in zip(body.feet, body.foot_labels, strict=True) if label.endswith(end)}
         legs = {marker for limb in body.limbs.values() if {*limb} & feet for marker in limb[-OF_LEG:]}
-        kinds[name] = np.where([marker in legs for marker in body.markers], places, none)
-    return {name: places for name, places in kinds.items() if (places != none).any()}
+        kinds[name] = np.where([marker in legs for marker in body.markers], permutation, none)
+    return {name: permutation for name, permutation in kinds.items() if (permutation != none).any()}
 
 
 def swaps(baseline: Baseline, is_unlike: bool = False) -> list[_SwapTrial]:
@@ -174,8 +174,8 @@ def propose_stretches(baseline: Baseline, kinds: dict[str, Index], is_unlike: bo
     T, evidence = len(baseline.states), _evidence(baseline, kinds)
     suspects = [
         suspect
-        for name, places in kinds.items()
-        for suspect in _suspects(jumps(baseline.view, places), evidence[name], name)
+        for name, permutation in kinds.items()
+        for suspect in _suspects(jumps(baseline.view, permutation), evidence[name], name)
     ]
     whole = float(evidence["all"].sum())
     suspects = sorted(suspects, reverse=True)[:REFITTED]
@@ -251,26 +251,26 @@ def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str,
 
 def _evidence(baseline: Baseline, kinds: dict[str, Index]) -> dict[str, Array]:
     """Return the log-likelihood gain of each frame if its keypoints are exchanged, (T,), by kind; "all" is all legs."""
-    legs = {name: places != np.arange(len(places)) for name, places in kinds.items() if name != "all"}
+    legs = {name: permutation != np.arange(len(permutation)) for name, permutation in kinds.items() if name != "all"}
     in_legs = np.any([np.zeros(len(kinds["all"]), dtype=bool), *legs.values()], axis=0)
-    places, seen = np.where(in_legs, kinds["all"], np.arange(len(in_legs))), baseline.view.xy_px
+    permutation, seen = np.where(in_legs, kinds["all"], np.arange(len(in_legs))), baseline.view.xy_px
     projected, sigma_px = likelihood.project_either_side(
-        baseline, with_exchanged(baseline.view, _Stretch(slice(None), places)), in_legs
+        baseline, with_exchanged(baseline.view, _Stretch(slice(None), permutation)), in_legs
     )
     given_cost, exchanged_cost = (
-        likelihood.log_tail((points - seen) / sigma_px[..., None]) for points in (projected, projected[:, places])
+        likelihood.log_tail((points - seen) / sigma_px[..., None]) for points in (projected, projected[:, permutation])
     )
     gains = np.where(np.isfinite(baseline.states[:, :1]), given_cost - exchanged_cost, 0.0)
     return {name: gains[:, markers].sum(axis=1) for name, markers in (legs | {"all": in_legs}).items()}
 
 
-def jumps(view: View, places: Index) -> Array:
+def jumps(view: View, permutation: Index) -> Array:
     """Return the log-likelihood gain of the tracks if the sides are exchanged from a frame on, (T,).
 
     The difference between the points of a pair follows a straight line for a few frames. The gain is minus infinity if
     nothing is seen in between, or if all pairs jump about as far as the distance between their points.
     """
-    n, pairs = 2 * _STRAIGHT, [(j, int(k)) for j, k in enumerate(places) if j < k]
+    n, pairs = 2 * _STRAIGHT, [(j, int(k)) for j, k in enumerate(permutation) if j < k]
     differences = view.xy_px[:, [j for j, _ in pairs]] - view.xy_px[:, [k for _, k in pairs]]
     gain = np.full(len(differences), -np.inf)
     if len(differences) < n:
@@ -305,7 +305,9 @@ def swap_finding(trial: _SwapTrial, source: Source, body: Body) -> Finding:
     """Return the finding on a swap in one camera's keypoints."""
     stretch, numbers = trial.stretch, source.keypoints.frames
     frames = int(numbers[stretch.rows.start]), int(numbers[stretch.rows.stop - 1]) + 1
-    part = next(PARTS[name] for name, places in pairs_of(body).items() if np.array_equal(places, stretch.places))
+    part = next(
+        PARTS[name] for name, permutation in pairs_of(body).items() if np.array_equal(permutation, stretch.permutation)
+    )
     names = tuple(source.keypoints.names[j] for j in stretch.markers)
     code = "left_right_swap" if trial.clear else "left_right_swap_possible"
     return finding(code, frames, source.camera.name, part=part, keypoints=names, log_likelihood_ratio=trial.ratio)

@@ -18,6 +18,7 @@ import numpy as np
 from recon.animal.prior import NONE
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
+from recon.base.numbers import NORMAL_90
 from recon.check.codes import EFFECTS, sentence
 from recon.check.constants import LIMIT_OF_TRUNK
 from recon.check.rules import findings_of
@@ -51,8 +52,6 @@ WHY = {
 """Reasons, by the factor that raises the expected error most."""
 NOTHING_AGAINST = "No check of the clip found a fault."
 """Reason of the verdict "use", which a list of clips leaves out."""
-_SIGMAS = 1.645
-"""5 % of a normal distribution lie further up."""
 _MEAN_OF_NORM = 0.92
 """Mean length of a vector of three equal normal components, in roots of their summed variance."""
 _LEAST_M2 = 1e-8
@@ -187,7 +186,7 @@ def _cosine(a: Array, b: Array) -> Array:
 def expected_pose_of_trunk(evidence: Evidence) -> ExpectedError:
     """Return the expected mean error of the joints, both poses centred, relative to the length of the trunk."""
     middle = SCALE + sum(POWERS[name] * value for name, value in evidence.factors.items())
-    reach = _SIGMAS * math.hypot(SPREAD, SPREAD_UNSEEN * evidence.unseen)
+    reach = NORMAL_90 * math.hypot(SPREAD, SPREAD_UNSEEN * evidence.unseen)
     return ExpectedError(*map(math.exp, (middle, middle - reach, middle + reach)))
 
 
@@ -196,10 +195,10 @@ def expected_position(evidence: Evidence) -> ExpectedError:
     return ExpectedError(_MEAN_OF_SIGMA, radius(0.05), radius(0.95)).times(evidence.position_sigma_m)
 
 
-def add_verdict(with_findings: Motion) -> Motion:
+def add_verdict(motion: Motion) -> Motion:
     """Return a motion with all its findings (`recon.check.rules.findings_of`) and its verdict."""
-    with_findings = replace(with_findings, findings=findings_of(with_findings))
-    return replace(with_findings, verdict=_verdict(with_findings))
+    motion = replace(motion, findings=findings_of(motion))
+    return replace(motion, verdict=_verdict(motion))
 
 
 def _verdict(motion: Motion) -> Verdict:
@@ -273,5 +272,5 @@ def verdict_lines(verdict: Verdict | None) -> tuple[str, ...]:
     return () if verdict is None else verdict.lines
 
 
-def _said(motion: Motion, found_issue: Finding) -> str:
-    return sentence(found_issue, named=len(motion.sources) > 1)
+def _said(motion: Motion, item: Finding) -> str:
+    return sentence(item, named=len(motion.sources) > 1)

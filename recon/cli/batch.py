@@ -94,7 +94,7 @@ def batch(settings: _BatchSettings, options: _FitOptions, console: Console) -> A
     if settings.dry_run:
         return _dry_run_answer(plan, input_problems(clips), settings.strict)
     shared = repeated(input_problems(clips, shared_only=True))  # even if every clip has its own file
-    raise_problems(problem for problem, places in shared if len(places) == len(clips))
+    raise_problems(problem for problem, clip_indices in shared if len(clip_indices) == len(clips))
     left = sum(planned.action != "done" for planned in plan)
     if left < len(plan):
         are = "clip is" if len(plan) == 1 else "clips are"
@@ -164,7 +164,7 @@ def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary],
 
 def _table(summary: Summary) -> list[Table | str]:
     """Return a table of the clips, beginning with those that need attention; none for a single clip."""
-    rank = {level: place for place, level in enumerate(LEVELS)}
+    rank = {level: order for order, level in enumerate(LEVELS)}
     rows = sorted(summary.rows.values(), key=lambda row: (rank.get(row["verdict"] or "", -1), row["clip"]))
     if len(rows) < 2:
         return []
@@ -207,9 +207,9 @@ def _dry_run_answer(plan: Sequence[ClipPlan], problems: Sequence[Problems], stri
     if len(rows) > 1 and len({(row["camera"], row["fps"]) for row in rows}) == 1:
         advice = "If they differ, give a CSV table with columns keypoints, camera and fps instead."
         lines.append(f"All clips have the same --camera and --fps. {advice}")
-    for problem, places in repeated(problems):
-        names = ", ".join(rows[place]["clip"] for place in places[:NAMED])
-        more_clips = "" if len(places) <= NAMED else f" and {len(places) - NAMED} more clips"
+    for problem, clip_indices in repeated(problems):
+        names = ", ".join(rows[index]["clip"] for index in clip_indices[:NAMED])
+        more_clips = "" if len(clip_indices) <= NAMED else f" and {len(clip_indices) - NAMED} more clips"
         lines.append(Text.assemble((f"{names}{more_clips}: ", "bold red"), str(problem)))
     counts = Counter(row["action"] for row in rows)
     bad = f", {counts[CANNOT]} that {CANNOT}" if counts[CANNOT] else ""

@@ -82,9 +82,9 @@ def _table_notes(result: Evaluation) -> Iterator[str]:
         ("Joints", result.joints_only_in_pose, result.joints_only_in_truth),
         ("Frames", _ranges(result.frames_only_in_pose), _ranges(result.frames_only_in_truth)),
     ):
-        for place, names in (("reconstruction", reconstruction), ("reference", reference)):
+        for source, names in (("reconstruction", reconstruction), ("reference", reference)):
             if names:
-                yield f"{kind} only in the {place}: {', '.join(names)}"
+                yield f"{kind} only in the {source}: {', '.join(names)}"
     if result.frames_not_scored:
         yield f"Common frames without a common joint: {result.frames_not_scored}"
 

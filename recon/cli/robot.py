@@ -61,8 +61,8 @@ def _chain_lines(answer: dict[str, Any], title: str) -> Iterator[str | Table]:
 
 
 def _pose_text(answer: dict[str, Any]) -> str:
-    place = ", ".join(f"{x:z.4f}" for x in answer["place_m"])
-    return f"at ({place}) m, roll, pitch and yaw ({', '.join(_deg(answer['roll_pitch_yaw_rad']))})°"
+    position = ", ".join(f"{x:z.4f}" for x in answer["place_m"])
+    return f"at ({position}) m, roll, pitch and yaw ({', '.join(_deg(answer['roll_pitch_yaw_rad']))})°"
 
 
 def _typed(values: Sequence[float], slides: Sequence[bool]) -> list[str]:

@@ -41,9 +41,9 @@ def _retarget_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
         yield text
     if "samples" in report:
         samples = report["samples"]
-        place, angle = (max(samples[name].values()) for name in ("base_sigma_m", "joint_sigma_rad"))
+        position_sigma, angle = (max(samples[name].values()) for name in ("base_sigma_m", "joint_sigma_rad"))
         text = f"{samples['count']} motions that it may have been, in {out / 'samples.npz'}: the base is known to"
-        yield f"{text} {place:.3f} m, joint angles to {angle:.2f} rad (one standard deviation, the worst)"
+        yield f"{text} {position_sigma:.3f} m, joint angles to {angle:.2f} rad (one standard deviation, the worst)"
         if "keep_every_rule" in samples:
             yield f"{samples['keep_every_rule']} of these motions keep every rule below in every frame"
     if "check" in report:

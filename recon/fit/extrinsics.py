@@ -279,23 +279,23 @@ class _ReducedProblem:
         return replace(self.solved, estimate=followed)
 
 
-def _reduced(clip: ClipProblem, solved: SegmentFit) -> _ReducedProblem:
+def _reduced(clip: ClipProblem, segment: SegmentFit) -> _ReducedProblem:
     """Return the problem of the camera poses alone.
 
     The ground is left out: its plane follows from the feet, and a fixed plane would fix the tilt of the world.
     """
-    V, problem = len(clip.views), solved.problem
+    V, problem = len(clip.views), segment.problem
     corrections = [SharedUnknown(extrinsic_correction(i), np.zeros(6), np.full(6, np.inf)) for i in range(V)]
     terms = [term for term in problem.terms if not isinstance(term, OnGround)]
     shared = [*problem.shared, *problem.nuisance, *corrections]
     problem = replace(problem, terms=terms, shared=shared, nuisance=())
-    normal = problem.normal(solved.estimate.states, problem.expected() | dict(solved.estimate.shared))
+    normal = problem.normal(segment.estimate.states, problem.expected() | dict(segment.estimate.shared))
     (window,) = eliminated([normal], bounded=True)
     Y, S = np.roll(window.solved(), -1, axis=2), window.reduced()
     n = len(S) - 6 * V
     by_poses = np.asarray(np.linalg.solve(S[:n, :n], S[:n, n:]), dtype=float)
     remaining = S[n:, n:] - S[n:, :n] @ by_poses
-    return _ReducedProblem(remaining[:, :-1], remaining[:, -1], solved, Y[..., n:] - Y[..., :n] @ by_poses, by_poses)
+    return _ReducedProblem(remaining[:, :-1], remaining[:, -1], segment, Y[..., n:] - Y[..., :n] @ by_poses, by_poses)
 
 
 def _disagreement(clips: Sequence[ClipProblem], reduced: Sequence[tuple[int, _ReducedProblem]]) -> Array:

@@ -186,10 +186,10 @@ def _spread_m(body: Body, solved: Sequence[tuple[ClipProblem, SegmentFit]]) -> d
     }
 
 
-def _reduced(shape: Shape, clip: ClipProblem, solved: SegmentFit) -> tuple[Array, Array]:
+def _reduced(shape: Shape, clip: ClipProblem, segment: SegmentFit) -> tuple[Array, Array]:
     """Return the curvature (K, K) and gradient (K,) of a segment's cost by the shape, with the states eliminated."""
-    states, problem = solved.estimate.states, solved.problem
-    normal = problem.normal(states, solved.estimate.shared)
+    states, problem = segment.estimate.states, segment.problem
+    normal = problem.normal(states, segment.estimate.shared)
     K = len(shape)
     border, corner, gradient = np.zeros((*states.shape, K)), np.zeros((K, K)), np.zeros(K)
     pose = problem.tree.pose_with_jacobian(states)
@@ -197,7 +197,7 @@ def _reduced(shape: Shape, clip: ClipProblem, solved: SegmentFit) -> tuple[Array
     for term in problem.terms:
         if not isinstance(term, Reprojection | StanceVelocity | OnGround):
             continue
-        shared = solved.estimate.shared
+        shared = segment.estimate.shared
         by_state = term.evaluate(Span(0, states, pose, True, shared), jacobian=True)
         by_shape_rows = term.evaluate(Span(0, states, TreePose(pose.points_m, by_shape), True, shared), jacobian=True)
         of_shape = by_shape_rows.jacobian.sum(axis=2)

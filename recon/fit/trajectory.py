@@ -233,16 +233,16 @@ def _solve_segments_from(clip: ClipProblem, start: TrajectorySolution) -> list[S
     return segments
 
 
-def _solve_with_noise(clip: ClipProblem, solved: SegmentFit) -> SegmentFit:
+def _solve_with_noise(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
     """Return the minimum from a solution, with the noise and contacts of that solution."""
-    points, size = clip.markers(solved.estimate.states), solved.size
-    contact, ground, contact_terms = solved.contact, None, ()
+    points, size = clip.markers(segment.estimate.states), segment.size
+    contact, ground, contact_terms = segment.contact, None, ()
     if clip.options.ground == "auto" and len(clip.feet) and len(clip) > 2:
         contact, ground, contact_terms = contacts(clip, points, size)
-    problem = clip.problem(solved.noise_px, 1.0, contact_terms, points, size)
-    shared = problem.expected() | dict(solved.estimate.shared)
-    estimate = problem.minimise(solved.estimate.states, constants.TOLERANCE, constants.MAX_ITERATIONS, shared)
-    fit = replace(solved, contact=contact, ground=ground, estimate=estimate, problem=problem)
+    problem = clip.problem(segment.noise_px, 1.0, contact_terms, points, size)
+    shared = problem.expected() | dict(segment.estimate.shared)
+    estimate = problem.minimise(segment.estimate.states, constants.TOLERANCE, constants.MAX_ITERATIONS, shared)
+    fit = replace(segment, contact=contact, ground=ground, estimate=estimate, problem=problem)
     return replace(fit, iterations=estimate.iterations)
 
 
@@ -258,11 +258,11 @@ def _with_misfit_of(start: TrajectorySolution, solution: TrajectorySolution) -> 
     return replace(solution, segments=tuple(segments))
 
 
-def with_solved_shape(clip: ClipProblem, solved: SegmentFit) -> ClipProblem:
+def with_solved_shape(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
     """Return the problem with the body's lengths and keypoint offsets of a solution."""
-    if clip.shape is None or LENGTHS not in solved.estimate.shared:
+    if clip.shape is None or LENGTHS not in segment.estimate.shared:
         return clip
-    return replace(clip, body=clip.shape.applied(solved.estimate.shared))
+    return replace(clip, body=clip.shape.applied(segment.estimate.shared))
 
 
 def _with_one_shape(clip: ClipProblem, segments: list[SegmentFit]) -> tuple[ClipProblem, list[SegmentFit]]:
@@ -291,9 +291,9 @@ def _without_shape(segment: SegmentFit) -> SegmentFit:
     return replace(segment, estimate=replace(segment.estimate, shared=shared))
 
 
-def refined(clip: ClipProblem, solved: SegmentFit) -> SegmentFit:
+def refined(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
     """Solve one more round from a solution, for a problem that may have changed slightly."""
-    return _solve_round(replace(clip.part(solved.rows), prior_weight=solved.prior_weight), solved, 1.0, whole=True)
+    return _solve_round(replace(clip.part(segment.rows), prior_weight=segment.prior_weight), segment, 1.0, whole=True)
 
 
 def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> SegmentFit:
@@ -317,37 +317,43 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
     estimate = Estimate(
         interpolate_states(np.concatenate([states for _, states in first_states]), start_frames, T), np.inf, 0, False
     )
-    solved = SegmentFit.unsolved(clip, rows, estimate)
+    segment = SegmentFit.unsolved(clip, rows, estimate)
     for i, (temperature, whole) in enumerate(stages):
         is_first, is_last = whole and (i == 0 or not stages[i - 1][1]), i == len(stages) - 1
         keeps_shape = is_first and clip.detector_is_measured  # the solution is close to the expected shape
-        solved = _solve_round(replace(clip, shape=None) if keeps_shape else clip, solved, temperature, whole)
-        if LENGTHS in solved.estimate.shared:
-            clip = clip.with_likely_shape_spread(solved.estimate.shared)
-        unsettled = solved.prior_misfit is None or (solved.prior_weight < 1 and not is_last)
+        segment = _solve_round(replace(clip, shape=None) if keeps_shape else clip, segment, temperature, whole)
+        if LENGTHS in segment.estimate.shared:
+            clip = clip.with_likely_shape_spread(segment.estimate.shared)
+        unsettled = segment.prior_misfit is None or (segment.prior_weight < 1 and not is_last)
         if whole and unsettled and clip.prior.name != NONE:
-            misfit = prior_misfit_of(solved.problem, solved.estimate)
+            misfit = prior_misfit_of(segment.problem, segment.estimate)
             clip = replace(clip, prior_weight=clip.prior_weight * misfit.prior_weight)
-            solved = replace(solved, prior_misfit=solved.prior_misfit or misfit, prior_weight=clip.prior_weight)
+            segment = replace(segment, prior_misfit=segment.prior_misfit or misfit, prior_weight=clip.prior_weight)
         done = sum(ROUND_EFFORT if is_whole else 1.0 for _, is_whole in stages[: i + 1])
         all_effort = sum(ROUND_EFFORT if is_whole else 1.0 for _, is_whole in stages)
         progress("whole clip", STARTS_END + (ROUNDS_END - STARTS_END) * done / all_effort)
-    settled = solved.prior_misfit is None or not solved.prior_misfit.unlike
-    for _ in range(int(rounds == 1 and solved.prior_weight < 1) if settled else _MORE_ROUNDS):
-        solved = _solve_round(clip, solved, 1.0, whole=True)
-    return replace(solved, windows=windows, iterations=solved.iterations + iterations)
+    settled = segment.prior_misfit is None or not segment.prior_misfit.unlike
+    for _ in range(int(rounds == 1 and segment.prior_weight < 1) if settled else _MORE_ROUNDS):
+        segment = _solve_round(clip, segment, 1.0, whole=True)
+    return replace(segment, windows=windows, iterations=segment.iterations + iterations)
 
 
-def _solve_round(clip: ClipProblem, solved: SegmentFit, temperature: float | None, whole: bool) -> SegmentFit:
+def _solve_round(clip: ClipProblem, segment: SegmentFit, temperature: float | None, whole: bool) -> SegmentFit:
     """Return the minimum from a solution.
 
     With `whole`, the noise, the contacts and the ground are first estimated from the solution.
     """
     options = clip.options
-    estimate, noise, contact, ground, contact_terms = solved.estimate, solved.noise, solved.contact, solved.ground, ()
-    points, size = with_solved_shape(clip, solved).markers(estimate.states), solved.size
+    estimate, noise, contact, ground, contact_terms = (
+        segment.estimate,
+        segment.noise,
+        segment.contact,
+        segment.ground,
+        (),
+    )
+    points, size = with_solved_shape(clip, segment).markers(estimate.states), segment.size
     if whole:
-        noise = _noise_factors(with_solved_cameras(clip, solved), points, size, noise)
+        noise = _noise_factors(with_solved_cameras(clip, segment), points, size, noise)
         if options.ground == "auto" and len(clip.feet) and len(clip) > 2:
             contact, ground, contact_terms = contacts(clip, points, size)
     noise_px = clip.noise_px(points, noise, size)
@@ -355,8 +361,8 @@ def _solve_round(clip: ClipProblem, solved: SegmentFit, temperature: float | Non
     tolerance = 1e-3 if not whole else (10 if options.fast else 1) * constants.TOLERANCE
     max_iterations = constants.MAX_ITERATIONS if whole else 8
     estimate = problem.minimise(estimate.states, tolerance, max_iterations, problem.expected() | dict(estimate.shared))
-    solved = replace(solved, noise=noise, noise_px=noise_px, contact=contact, ground=ground)
-    return replace(solved, estimate=estimate, problem=problem, iterations=solved.iterations + estimate.iterations)
+    segment = replace(segment, noise=noise, noise_px=noise_px, contact=contact, ground=ground)
+    return replace(segment, estimate=estimate, problem=problem, iterations=segment.iterations + estimate.iterations)
 
 
 def _shared_fields(
@@ -392,15 +398,15 @@ def _shared_fields(
     )
 
 
-def with_solved_cameras(clip: ClipProblem, solved: SegmentFit) -> ClipProblem:
+def with_solved_cameras(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
     """Return the problem with the time offsets and corrected cameras of a solution in its views."""
     V = range(len(clip.views))
-    offsets = [float(solved.shared_values(time_offset(i))[0]) for i in V]
-    corrections = [solved.shared_values(extrinsic_correction(i), 6) for i in V]
+    offsets = [float(segment.shared_values(time_offset(i))[0]) for i in V]
+    corrections = [segment.shared_values(extrinsic_correction(i), 6) for i in V]
     return replace(
         clip,
         views=_solved_views(
-            clip.views, offsets, corrections, [float(solved.shared_values(focal_scale(i))[0]) for i in V]
+            clip.views, offsets, corrections, [float(segment.shared_values(focal_scale(i))[0]) for i in V]
         ),
     )
 

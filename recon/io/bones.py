@@ -251,7 +251,7 @@ def _numbers(values: Array | Sequence[float]) -> str:
 # -- OpenSim ----------------------------------------------------------------------------------------------------------
 
 OPENSIM, OPENSIM_VERSION = "OpenSim model", "40000"
-PLACE = {"x_m": (1, 0, 0), "y_m": (0, 0, -1), "z_m": (0, 1, 0)}
+ROOT_AXES = {"x_m": (1, 0, 0), "y_m": (0, 0, -1), "z_m": (0, 1, 0)}
 """Coordinates of the root's origin, and their axes."""
 
 
@@ -293,7 +293,7 @@ def _join(joints: Element, rig: Armature, bone: Bone) -> None:
     if not bone.turns:
         return
     coordinates = _add(joint, "coordinates")
-    for name in PLACE if bone.parent is None else ():
+    for name in ROOT_AXES if bone.parent is None else ():
         _add(coordinates, "Coordinate", name, clamped="false")
     for turn in bone.turns:
         limits = {"default_value": repr(turn.mean_rad), "range": _numbers(turn.range_rad)}
@@ -302,7 +302,7 @@ def _join(joints: Element, rig: Armature, bone: Bone) -> None:
     # OpenSim needs three axes, even for fewer angles.
     of_kind = {turn.kind: turn.name for turn in bone.turns}
     turns = [(of_kind.get(kind, ""), AXIS[kind]) for kind in dict.fromkeys((*of_kind, *AXIS))]
-    moves = [(name if bone.parent is None else "", axis) for name, axis in PLACE.items()]
+    moves = [(name if bone.parent is None else "", axis) for name, axis in ROOT_AXES.items()]
     for kind_of_axis, axes in (("rotation", turns), ("translation", moves)):
         for i, (name, axis) in enumerate(axes, start=1):
             element = _add(transform, "TransformAxis", f"{kind_of_axis}{i}", coordinates=name, axis=_numbers(axis))
@@ -326,9 +326,9 @@ def _draw(body: Element, rig: Armature, bone: Bone) -> None:
 
 def _write_motion(rig: Armature, path: Path) -> None:
     turns = [turn for bone in rig.bones for turn in bone.turns]
-    root = rig.root_m @ np.array([*PLACE.values()], dtype=float).T
+    root = rig.root_m @ np.array([*ROOT_AXES.values()], dtype=float).T
     values = np.column_stack([rig.pose.frames / rig.fps, root, *(turn.angle_rad for turn in turns)])
-    columns = ["time", *PLACE, *(turn.name for turn in turns)]
+    columns = ["time", *ROOT_AXES, *(turn.name for turn in turns)]
     sizes = [f"nRows={len(values)}", f"nColumns={len(columns)}"]
     header = ["Coordinates", "version=1", *sizes, "inDegrees=no", "endheader"]
     lines = [*header, "\t".join(columns), *("\t".join(map(repr, row)) for row in values.tolist())]

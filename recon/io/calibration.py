@@ -39,7 +39,7 @@ class CameraRecord:
     """Hold one camera as its file describes it."""
 
     name: Any
-    place: str
+    location: str
     values: Mapping[str, Any]
     """Unchecked values, by field of `Camera`."""
     called: Mapping[str, str]
@@ -187,13 +187,13 @@ def read_own(path: Path, individual: str | None = None) -> list[CameraRecord]:
     if not tables or not all(isinstance(table, dict) for table in tables.values()):
         raise InputError(Problem(path, "format", "no table of a camera", f'[camera] with format = "{FORMAT}"'))
     words, expected = "format {!r}, version {!r}", (FORMAT, VERSION)
-    stated = {f"{place}format": (table.get("format"), table.get("version")) for place, table in tables.items()}
+    stated = {f"{location}format": (table.get("format"), table.get("version")) for location, table in tables.items()}
     wrong = {field: values for field, values in stated.items() if values != expected}
     raise_problems(
         Problem(path, field, words.format(*values), words.format(*expected)) for field, values in wrong.items()
     )
     defaults = {"world_z_up": True}
-    return [CameraRecord(table.get("name"), place, defaults | table, {}) for place, table in tables.items()]
+    return [CameraRecord(table.get("name"), location, defaults | table, {}) for location, table in tables.items()]
 
 
 # -- from records to cameras ------------------------------------------------------------------------------------------
@@ -234,7 +234,7 @@ def _camera(record: CameraRecord, number: int, path: Path, image_size_px: tuple[
         matrix_text, expected = faults["matrix"]
         faults["matrix"] = f"{matrix_text}with the principal point in its last row", f"its transpose: {expected}"
     if faults or camera is None:
-        keys = {field: record.place + record.called.get(field, field) for field in faults}
+        keys = {field: record.location + record.called.get(field, field) for field in faults}
         raise InputError(Problem(path, keys[field], *fault) for field, fault in faults.items())
     return camera
 

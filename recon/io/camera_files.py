@@ -78,7 +78,7 @@ def _tables(path: Path, value: object, expected: str) -> dict[str, dict[str, Any
     return value
 
 
-def record_of(name: object, place: str, table: Mapping[str, Any], **changes: Any) -> CameraRecord:
+def record_of(name: object, location: str, table: Mapping[str, Any], **changes: Any) -> CameraRecord:
     """Return the record of a table with other programs' keys (`ALIASES`), and further values by field.
 
     The lens is the stated lens, otherwise radial-tangential.
@@ -90,7 +90,7 @@ def record_of(name: object, place: str, table: Mapping[str, Any], **changes: Any
     values |= {"model": model or "radtan", "world_z_up": False} | changes
     if called["matrix"] == "intrinsicMatrix":  # JARVIS has MATLAB's matrices, whose rows are points
         values |= {field: transposed(values[field]) for field in ("matrix", "rotation")}
-    return CameraRecord(name, place, values, called, keys=tuple(map(str, table)))
+    return CameraRecord(name, location, values, called, keys=tuple(map(str, table)))
 
 
 def stated_lens(table: Mapping[str, Any]) -> tuple[str, str | None]:
@@ -301,7 +301,7 @@ def require_lens(path: Path, document: Mapping[str, Any], record: CameraRecord) 
     if ambiguous and stated_lens(document)[1] is None and not {*FISHEYE_KEYS} & document.keys():
         detail = "4 coefficients but no lens model: radtan and fisheye lenses both have 4"
         expected = "distortion_model: plumb_bob (radtan) or equidistant (fisheye) in the file"
-        raise InputError(Problem(path, record.place + record.called["distortion"], detail, expected))
+        raise InputError(Problem(path, record.location + record.called["distortion"], detail, expected))
 
 
 def _of_region(path: Path, document: Mapping[str, Any], record: CameraRecord) -> CameraRecord:
@@ -326,7 +326,7 @@ def _of_region(path: Path, document: Mapping[str, Any], record: CameraRecord) ->
     region_px = [part or full for part, full in zip(size, whole, strict=True)]
     image_size_px = [int(side / by) for side, by in zip(region_px, binning, strict=True)]
     values = dict(record.values) | {"matrix": matrix.tolist(), "image_size_px": image_size_px}
-    return CameraRecord(record.name, record.place, values, record.called, keys=record.keys)
+    return CameraRecord(record.name, record.location, values, record.called, keys=record.keys)
 
 
 def number_or(value: object, otherwise: float) -> float:

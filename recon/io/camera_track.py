@@ -42,7 +42,7 @@ Columns = dict[str, Array]
 """Numbers (N,) of N poses: frame and `POSE`, and `INTRINSICS` or `SIGMA` if known."""
 UNIT_TOLERANCE = 1e-2
 """Tolerance of a quaternion's length, which three digits satisfy."""
-MAX_PLACE_M, MAX_PX, MAX_SIGMA_DEG, MAX_ROTATION_RAD = 1e7, 1e6, 10.0, 100.0
+MAX_METRES, MAX_PX, MAX_SIGMA_DEG, MAX_ROTATION_RAD = 1e7, 1e6, 10.0, 100.0
 LEANING_MAX_RAD = np.radians(60)
 """Angle above which a camera leans too far.
 
@@ -50,7 +50,7 @@ If it does so most of the time and does not look down, z does not point up.
 """
 LOOKING_DOWN_RAD = np.radians(45)
 """Angle above which a camera looks down, as on a drone, so that any edge of the picture may be the upper one."""
-PLACE = ("x", "y", "z")
+POSITION_COLUMNS = ("x", "y", "z")
 """Columns that replace tx, ty, tz if poses are given from the camera to the world."""
 IMAGES, CAMERAS = "images.txt", "cameras.txt"
 SHOTS = (".json", ".geojson")
@@ -152,18 +152,18 @@ def read_camera_track(path: Path) -> CameraTrack:
 
 
 def _checked_track(
-    path: Path, places: Sequence[str], columns: Columns, problems: Sequence[Problem], camera: Camera | None = None
+    path: Path, locations: Sequence[str], columns: Columns, problems: Sequence[Problem], camera: Camera | None = None
 ) -> CameraTrack:
     """Return the track of N rows, given their positions in the file.
 
     Raises InputError with the known problems, or with those of the rows.
     """
     raise_problems(first_problems(problems, path))
-    if not len(places):
+    if not len(locations):
         raise InputError(Problem(path, "rows", "none", "a pose for each frame"))
-    frames, sigma = columns["frame"], columns.get(SIGMA, np.zeros(len(places)))
+    frames, sigma = columns["frame"], columns.get(SIGMA, np.zeros(len(locations)))
     quaternion, translation = _joined(columns, POSE[:4]), _joined(columns, POSE[4:])
-    zoom = _joined(columns, INTRINSICS) if INTRINSICS[0] in columns else np.ones((len(places), 4))
+    zoom = _joined(columns, INTRINSICS) if INTRINSICS[0] in columns else np.ones((len(locations), 4))
     _, row_of, count = np.unique(frames, return_inverse=True, return_counts=True)
     with np.errstate(all="ignore"):
         lengths, lens_text = np.linalg.norm(quaternion, axis=1), f"pixels, no more than {MAX_PX:g}, fx and fy above 0"
@@ -172,11 +172,15 @@ def _checked_track(
             ("frame", "one pose for each frame, of one camera", count[row_of] == 1),
             ("numbers", "finite numbers", np.isfinite(np.hstack([quaternion, translation, zoom])).all(axis=1)),
             ("qw, qx, qy, qz", f"unit quaternions (to {UNIT_TOLERANCE:g})", ~(np.abs(lengths - 1) > UNIT_TOLERANCE)),
-            ("tx, ty, tz", f"metres, no more than {MAX_PLACE_M:g}", ~(np.abs(translation) > MAX_PLACE_M).any(axis=1)),
+            (
+                "tx, ty, tz",
+                f"metres, no more than {MAX_METRES:g}",
+                ~(np.abs(translation) > MAX_METRES).any(axis=1),
+            ),
             ("fx, fy, cx, cy", lens_text, ~((zoom[:, :2] <= 0).any(axis=1) | (np.abs(zoom) > MAX_PX).any(axis=1))),
             (SIGMA, f"0 to {MAX_SIGMA_DEG:g} degrees", (sigma >= 0) & (sigma <= MAX_SIGMA_DEG)),
         )
-    wrong = [(kind, [*compress(places, np.logical_not(right))], expected) for kind, expected, right in checks]
+    wrong = [(kind, [*compress(locations, np.logical_not(right))], expected) for kind, expected, right in checks]
     raise_problems(
         Problem(path, kind, f"other values in {_some(rows)}", expected) for kind, rows, expected in wrong if rows
     )
@@ -209,30 +213,30 @@ def _read_csv(path: Path) -> CameraTrack:
     require_file(path, EXPECTED)
     rows = text_rows(path)
     header = [cell.strip().lower() for cell in next(rows, (1, []))[1]]
-    outward = {*PLACE} <= {*header} and not {"tx", "ty", "tz"} & {*header}
+    outward = {*POSITION_COLUMNS} <= {*header} and not {"tx", "ty", "tz"} & {*header}
     zooms = any(name in header for name in INTRINSICS)
-    wanted = ["frame", *POSE[:4], *(PLACE if outward else POSE[4:]), *(INTRINSICS if zooms else ())]
+    wanted = ["frame", *POSE[:4], *(POSITION_COLUMNS if outward else POSE[4:]), *(INTRINSICS if zooms else ())]
     wanted += [SIGMA] * (SIGMA in header)
     wrong = [f"{name} more than once" if name in header else f"no {name}" for name in wanted if header.count(name) != 1]
     raise_problems(Problem(path, "columns", detail, EXPECTED) for detail in wrong)
     indices = [header.index(name) for name in wanted]
-    places: list[str] = []
+    locations: list[str] = []
 
     def chosen() -> Iterator[tuple[int, list[str]]]:
         for line, row in rows:
             yield line, [row[column] for column in indices if column < len(row)]
-            places.append(f"line {line}")
+            locations.append(f"line {line}")
 
     _, values, problems = number_rows(path, chosen(), wanted)  # row by row, because a long track has many rows
     columns = dict(zip(wanted, values.T, strict=True))
     if outward:
-        quaternion, position = _joined(columns, POSE[:4]) * [1, -1, -1, -1], _joined(columns, PLACE)
+        quaternion, position = _joined(columns, POSE[:4]) * [1, -1, -1, -1], _joined(columns, POSITION_COLUMNS)
         largest = np.abs(quaternion).max(axis=1, initial=0)
         # other rows raise an error below
         usable = np.isfinite(values[:, 1:8]).all(axis=1) & (largest > 0.1) & (largest < 10)
         position[usable] = -(_rotations(quaternion[usable]) @ position[usable, :, None])[..., 0]
         columns |= dict(zip(POSE, np.hstack([quaternion, position]).T, strict=True))
-    return _checked_track(path, places, columns, problems)
+    return _checked_track(path, locations, columns, problems)
 
 
 # -- OpenDroneMap, OpenSfM ------------------------------------------------------------------------------------------

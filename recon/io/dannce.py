@@ -91,8 +91,8 @@ def read_cameras(path: Path, individual: str | None = None) -> list[CameraRecord
             "r": table["r" if "r" in table else "R"].T,
             "t": table["t"],
         }
-        name, place = names[i] if len(names) == len(tables) else None, f"params[{i}]." * ("params" in variables)
-        records.append(record_of(name, place, values))
+        name, location = names[i] if len(names) == len(tables) else None, f"params[{i}]." * ("params" in variables)
+        records.append(record_of(name, location, values))
     return records
 
 

@@ -39,7 +39,9 @@ TRIANGULATED = (
     "ahead, unless they were turned: they are read with z up (or --up y)."
 )
 MAX_CROP_PX = 100_000
-PLACES = {"l", "r", "left", "right", "f", "h", "front", "back", "fore", "hind", "rear", "upper", "lower", "near", "far"}
+_SIDE_WORDS = {"l", "r", "left", "right", "near", "far"}
+POSITION_WORDS = _SIDE_WORDS | {"f", "h", "front", "back", "fore", "hind", "rear", "upper", "lower"}
+"""Words for a position on an animal, which are no prefixes of animals' names."""
 MIN_PARTS = 3
 """Smallest number of bodyparts of each animal whose names begin with the animal's name."""
 
@@ -310,7 +312,11 @@ def _prefixes(bodyparts: Iterable[str]) -> tuple[str, ...]:
         of_prefix.setdefault(animal, set()).add(bodypart)
     same_parts = len(of_prefix) > 1 and len({*map(frozenset, of_prefix.values())}) == 1
     least_count = min(map(len, of_prefix.values()), default=0) >= MIN_PARTS
-    return tuple(of_prefix) if same_parts and least_count and not PLACES & {name.lower() for name in of_prefix} else ()
+    return (
+        tuple(of_prefix)
+        if same_parts and least_count and not POSITION_WORDS & {name.lower() for name in of_prefix}
+        else ()
+    )
 
 
 # -- writing ---------------------------------------------------------------------------------------------------------

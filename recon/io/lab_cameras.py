@@ -48,7 +48,7 @@ def read_tables(path: Path, individual: str | None = None) -> list[CameraRecord]
     """Return the cameras of a JSON file with a table for each; raise InputError."""
     tables = _tables_of(parse_json(read_calibration(path), path))
     records = [
-        record_of(name, place, table, world_z_up=table.get("world_z_up", False)) for name, place, table in tables
+        record_of(name, location, table, world_z_up=table.get("world_z_up", False)) for name, location, table in tables
     ]
     for record, (_, _, table) in zip(records, tables, strict=True):
         require_lens(path, table, record)
@@ -65,13 +65,13 @@ def _tables_of(document: object) -> list[tuple[Any, str, Mapping[str, Any]]]:
         named = [(None, f"{start}[{i}].", table) for i, table in enumerate(cameras)]
     else:
         return []
-    tables = [(n, place, table) for n, place, table in named if isinstance(table, Mapping)]
+    tables = [(n, location, table) for n, location, table in named if isinstance(table, Mapping)]
     if not any({*ALIASES["matrix"]} & table.keys() for _, _, table in tables):
         return []
     known = {key for keys in ALIASES.values() for key in keys}
     return [
-        (table.get("name", table.get("camera_name", name)), place, table)
-        for name, place, table in tables
+        (table.get("name", table.get("camera_name", name)), location, table)
+        for name, location, table in tables
         if known & table.keys()
     ]
 

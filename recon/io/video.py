@@ -43,7 +43,7 @@ DRIFT, DRIFT_FRAMES = 0.05, 30
 
 Phones film more slowly in the dark.
 """
-MOST_PLACES = 5
+MOST_GAPS = 5
 
 SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".mts")
 
@@ -141,10 +141,10 @@ def missing_note(path: str | Path, times_s: Array, first_frame: int = 0, previou
         )
     if missing:
         gaps = [f"{count} before frame {frame + first_frame}" for frame, count in missing.items()]
-        rest = ", ..." if len(gaps) > MOST_PLACES else ""
+        rest = ", ..." if len(gaps) > MOST_GAPS else ""
         gap_frame = next(iter(missing)) + first_frame
         return (
-            f"by its time stamps {name} lacks frames ({', '.join(gaps[:MOST_PLACES])}{rest}): speeds are wrong "
+            f"by its time stamps {name} lacks frames ({', '.join(gaps[:MOST_GAPS])}{rest}): speeds are wrong "
             f"there. {counted}; fit the parts between by themselves, the first with --frames :{gap_frame}"
         )
     if previous_frames is not None and stated is not None and (decoded := previous_frames + len(times_s)) < stated:

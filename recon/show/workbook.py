@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from recon.base.file_names import encodable
+from recon.base.numbers import NORMAL_90
 from recon.base.package import version
 from recon.base.tables import guarded
 from recon.gait.clip import ClipAnalysis
@@ -145,7 +146,7 @@ def write_workbook(analysis: ClipAnalysis, results: str, path: Path) -> None:
     front = [
         [f"Analysis of {results} by recon {version()}"],
         *([line] for line in verdict),
-        ["90 % intervals are 1.645 standard deviations on either side. Empty cells are not known."],
+        [f"90 % intervals are {NORMAL_90} standard deviations on either side. Empty cells are not known."],
         ["The sheet long has every number in a row of its own, also those of tables with many columns."],
         [],
     ]

@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from recon.base.numbers import counted, interval
+from recon.base.numbers import NORMAL_90, counted, interval
 from recon.fit.result import LEVELS
 from recon.show.page.pages import rendered
 from recon.show.page.scripts import script
 
-NORMAL_90 = 1.645
-"""Half width of a 90 % interval in standard deviations."""
 HEIGHT, TOP, BOTTOM, LEFT, RIGHT = 250.0, 10.0, 52.0, 46.0, 8.0
 """Height of a plot and its margins, px. The lower margin has the groups' names and numbers of clips."""
 WIDTH, GROUP_WIDTH = 274.0, 84.0
