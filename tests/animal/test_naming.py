@@ -119,7 +119,7 @@ def test_points_go_with_their_names():
 def test_a_map_that_does_not_fit_is_refused():
     for names, *expected in (
         ({"x": "y"}, ["x: none", "clip.csv"], "a, b"),
-        ({"a": "b"}, "'b' for a, b", "one of them"),
+        ({"a": "b"}, "'b' for a, b", "only one"),
         ({"a": "", "b": ""}, ["every keypoint", "clip.csv"]),
     ):
         with refusal(("map.csv", "names", *expected)):

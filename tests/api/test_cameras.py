@@ -377,7 +377,7 @@ def test_cameras_out_of_step_without_poses(runs, tmp_path):
     assert [line for line in lines_of(cameras, report) if "run_cam2.csv +0.0" in line]
     alone = replace(given, keypoints=(runs / "run_cam1.csv", tmp_path / "blind_cam2.csv"))
     (tmp_path / "blind_cam2.csv").write_text("\n".join([*table[:3], *rows[:3]]) + "\n")
-    with refusal(("--set find-offsets", "camera cam2", ["no offset", "cam1"], "--set offset-s")):
+    with refusal(("--set find-offsets", "camera cam2", ["no time offset", "cam1"], "--set offset-s")):
         run_extrinsics([alone], tmp_path / "other.toml")
 
 

@@ -509,9 +509,9 @@ class TestMalformed:
         [
             ("k", None, "nothing"),
             ("k", K[:2], "shape (2, 3)"),
-            ("k", [[1, 2], [3]], "something other"),
-            ("k", "wide", "something other"),
-            ("k", [["1", "0", "0"]] * 3, "something other"),
+            ("k", [[1, 2], [3]], "not a block of numbers"),
+            ("k", "wide", "not a block of numbers"),
+            ("k", [["1", "0", "0"]] * 3, "not a block of numbers"),
             ("k", [[float("nan"), 0, 0], *K[1:]], "nan"),
             ("k", [[-1.0, 0, 0], *K[1:]], "-1.0"),
             ("k", np.transpose(K).tolist(), str(np.transpose(K).tolist()[2])),

@@ -500,7 +500,7 @@ def test_what_is_wrong_is_said(tmp_path, text, expected):
 
 
 def test_several_columns_that_are_wrong(tmp_path):
-    nameless = ((f"column {kind}", "without a name") for kind in ("x", "y", "likelihood"))
+    nameless = ((f"column {kind}", "without a printable name") for kind in ("x", "y", "likelihood"))
     refuses(save(tmp_path, SINGLE.replace("nose", "")), *nameless)
     twice = (("bodypart nose", "more than one"), ("bodypart nose", "no y"))
     refuses(save(tmp_path, SINGLE.replace("coords,x,y,", "coords,x,likelihood,")), *twice)

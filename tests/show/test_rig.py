@@ -210,7 +210,7 @@ def test_recon_convert(whole_results, tmp_path, extension):
     joints = dict(bones.READERS[extension])[name](out)
     assert bones.largest_error_m(joints, results.names, results.upright.xyz_m) < 1e-3
     beside = [f"{tmp_path}/run.mot", f"{tmp_path}/run.trc"] if extension == ".osim" else []
-    said = [line for line in ended.out.splitlines() if line.startswith("Beside it")]
+    said = [line for line in ended.out.splitlines() if line.startswith("Also written")]
     assert said == ([f"Also written: {', '.join(beside)}."] if beside else [])
     for there in ([str(out)], beside, beside[1:]):  # what is beside it is looked at when it may be written
         if there:
