@@ -567,7 +567,7 @@ def test_a_column_that_is_repeated(tmp_path):
     path.write_text("frame,nose_x,nose_y,frame\n0,1,2,0\n1,3,4,1\n")
     found = read_keypoints(path)
     assert found.xy_px.tolist() == [[[1, 2]], [[3, 4]]]
-    assert "'frame' stands in the table more than once" in " ".join(found.notes)
+    assert "'frame' is in the table more than once" in " ".join(found.notes)
     path.write_text("frame,nose_x,nose_y,nose_x\n0,1,2,0\n1,3,4,1\n")
     with refusal((path, "header", "column 'nose_x' more than once", "columns of this name differ")):
         read_keypoints(path)
