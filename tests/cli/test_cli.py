@@ -824,7 +824,9 @@ def test_evaluate_names_what_could_not_be_compared(tmp_path):
     assert rows["[b]"] == ["0.0", "0.0", "0.0", "-", "100 %", "100 %", "100 %"]
     assert rows["c"] == ["-"] * 7
     assert "Compared: 1 frames, 3 joints." in ended.out
-    assert says(ended.out, "only in the reconstruction: 2\n", "only in the reference: 4\n", "without a common joint: 1\n")
+    assert says(
+        ended.out, "only in the reconstruction: 2\n", "only in the reference: 4\n", "without a common joint: 1\n"
+    )
 
 
 def test_demo(tmp_path):
