@@ -255,8 +255,8 @@ def _same_runs(results: _Results, design: pd.DataFrame | None) -> Iterator[str]:
     ]
     if pairs:
         yield (
-            f"Probably of one run, by their cameras' folder, frames and paths, and yet each counted as a clip: "
-            f"{names_text(pairs)}. Give one result of each run, best that of all its cameras."
+            f"Probably of the same run, judged by folder, frames and paths, but each counted as a clip: "
+            f"{names_text(pairs)}. Give one result for each run, if possible the one from all its cameras."
         )
 
 
