@@ -287,7 +287,7 @@ def batch(folder, tmp_path_factory) -> Path:
             row = {"clip": name, "status": status, "frames": 8, "mean_reprojection_px": 7.77, "size": 1}
             row |= {"verdict": verdicts.get(name, ""), "reason": "why not"}
             if name == "good":
-                row |= {"reason": "Good but for this", "pose_mm": 51.2, "pose_mm_low": 33.6, "pose_mm_high": 77}
+                row |= {"reason": "Good except for this", "pose_mm": 51.2, "pose_mm_low": 33.6, "pose_mm_high": 77}
                 row |= {"corrected": 23}
             writer.writerow(
                 row
