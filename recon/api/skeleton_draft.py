@@ -420,7 +420,7 @@ def _feet(
             is_fore, is_hind = "hand" in labels[k].lower(), "hand" not in labels[k].lower()
         is_fore = bool(is_fore) if is_fore or is_hind else x[k] > middle_x
         feet.setdefault(f"{side}_{'fore' if is_fore else 'hind'}", labels[k])
-    return feet if len(feet) == len(PLACES) else {}
+    return feet if len(feet) == len(FOOT_LABELS) else {}
 
 
 def _directions_ahead(
