@@ -134,7 +134,7 @@ class _Results:
 
     folders: Mapping[str, Path]
     motions: Mapping[str, Motion]
-    """Those that count."""
+    """Motions of the results that count."""
     levels: Mapping[str, str]
     left_out: Sequence[str]
     notes: Sequence[str]

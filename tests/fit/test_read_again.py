@@ -125,7 +125,7 @@ CLIPS = {name: one_camera(name) for name in builtin_names()}
 ODD = ("offset", "bare root", "away")
 """Whose points are written in every format, too."""
 SLOW = ("away", "six, drafted")
-"""Those of 146 frames and of six cameras."""
+"""They have 146 frames, and six cameras."""
 CLIPS |= {"away": away_for_a_minute, "offset": one_began_earlier, "bare root": bare_root, "track": followed}
 CLIPS |= {"six, drafted": six_that_began_apart}
 
