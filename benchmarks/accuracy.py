@@ -13,6 +13,7 @@ PARTS = {
     "views": Part("trajectory.py", ["--only", "accuracy"], data="cheetah-runs"),
     "ablation": Part("trajectory.py", ["--only", "ablation"], data="cheetah-runs"),
     "robustness": Part("trajectory.py", ["--only", "robustness"], data="cheetah-runs"),
+    "one-camera": Part("one_camera.py", data="cheetah-runs"),
     "size": Part("trajectory.py", ["--only", "size"], data="cheetah-runs"),
     "focal": Part("focal.py", data="cheetah-runs"),
     "prior": Part("mismatch.py", data="cheetah-runs"),
