@@ -59,8 +59,8 @@ OVERSAMPLING = 10
 MAX_GAP_S = 0.05
 """Longest gap of a foot or the body that is interpolated. A longer gap could hide a touch-down."""
 SLOW, SWING = (0.16, 0.32), 1.3
-"""Speed of a standing foot over the ground relative to its speed in the swing, once for certain standing and once at
-most; and smallest speed in the swing relative to the body's speed.
+"""Speed of a foot over the ground, relative to its speed in the swing, below which it certainly stands, and below which
+it may stand; and smallest speed in the swing relative to the body's speed.
 """
 LANDS, LIFTS, EVENT_SIGMAS = 0.12, 0.22, (0.05, 0.1)
 """Relative speed at touch-down and at lift-off, fitted to force plates, and the standard deviation of each."""
@@ -69,7 +69,7 @@ SPEED_ERROR = 0.6
 the value on two of three kinds of recordings, and times the stances of the third with this value.
 """
 LOW = (0.15, 0.3)
-"""Height of a standing foot above the ground in leg lengths, once for certain standing and once at most."""
+"""Height above the ground, in leg lengths, below which a slow foot certainly stands, and below which it may stand."""
 INTERVAL = 0.9
 """Probability with which the intervals contain times and duty factors."""
 MIN_STANCE_S = 0.02

@@ -614,7 +614,7 @@ def _swings(time_s: Array, standing: Bools) -> tuple[Array, Array, Array, Array,
     next_standing = np.minimum.accumulate(np.where(standing, samples, len(samples))[::-1])[::-1]
     since, until = time_s - np.append(time_s, -np.inf)[last_standing], np.append(time_s, np.inf)[next_standing] - time_s
     swing = since + until
-    # A swing that is cut by the clip's ends is assumed as long as the longest complete swing.
+    # A swing that the clip cuts is assumed to last as long as the longest complete swing.
     longest = swing[np.isfinite(swing)].max() or time_s[-1] - time_s[0]
     return last_standing, next_standing, since, until, np.where(np.isfinite(swing) & ~standing, swing, longest)
 
