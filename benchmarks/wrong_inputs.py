@@ -12,6 +12,7 @@ from question import Part, main
 PARTS = {
     "inputs": Part("wrong_inputs.py", ["--views", "3", "--findings"], data="cheetah-runs"),
     "right": Part("wrong_inputs.py", ["--views", "3", "--cases", "right:"], data="cheetah-runs"),
+    "lens": Part("wrong_inputs.py", ["--views", "5", "--cases", "focal,anamorphic,letterboxed"], data="cheetah-runs"),
     "audit": Part("audit.py", data="cheetah-runs"),
     "planted-faults": Part("planted_faults.py", quick=["--seeds", "1"]),
     "swaps": Part("left_right_swaps.py", data="cheetah-runs"),

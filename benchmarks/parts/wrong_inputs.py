@@ -428,6 +428,17 @@ def hidden(which: Callable[[str], bool]) -> Change:
     return change
 
 
+def some_keypoints(count: int) -> Change:
+    """So many keypoints of the file, chosen at random; the others are never detected."""
+
+    def change(clip: Clip, given: Given) -> Given:
+        seen = clip.rng.choice(len(given.keypoints.names), count, replace=False)
+        never = ~np.isin(np.arange(len(given.keypoints.names)), seen)
+        return given.seen(np.where(never[:, None], np.nan, given.xy_px))
+
+    return change
+
+
 def lower_leg(name: str) -> bool:
     return name.endswith(("knee", "ankle", "paw"))
 
@@ -534,6 +545,8 @@ CASES = {
     "right: a side hidden": Case(hidden(lambda name: name.startswith("r_"))),
     "right: a fore leg hidden": Case(hidden(lambda name: name.startswith("r_front") and lower_leg(name))),
     "right: lower legs hidden": Case(hidden(lower_leg)),
+    "right: 16 of 24 keypoints": Case(some_keypoints(16)),
+    "right: 12 of 24 keypoints": Case(some_keypoints(12)),
     "right: 15 frames": Case(middle(15)),
     "right: comes into the picture": Case(beyond_edge(True)),
     "right: leaves the picture": Case(beyond_edge(False)),
