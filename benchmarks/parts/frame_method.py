@@ -1,17 +1,19 @@
 """Measure the frame method on every view of real runs: peak speeds, poses, 90 % intervals, verdicts and effort.
 
-    python benchmarks/parts/frame_method.py [FOLDER] [--only RUN ...] [--quick] [--set path=free ...]
+    python benchmarks/parts/frame_method.py [FOLDER] [--only RUN ...] [--quick] [--set path=free ...] [--tie 0.1 1]
 
 Each run of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA, has camN.csv, scene.json, truth.csv and
 meta.json. Every view is fitted like `recon frame`. The true peak speed is the largest speed of the reference joint in
 the frames, from the spline through the reconstruction of all cameras. A speed counts as stated if
-`ClipAnalysis.why_no_speed` is None. --quick: only the camera named in meta.json. The last lines are the summary, also
-with each run left out, since the numbers of the method were chosen on all runs.
+`ClipAnalysis.why_no_speed` is None. --quick: only the camera named in meta.json. --tie: standard deviations of the
+reference joint about its path, along the line of sight and across it, in place of `TIE_SIGMA_M`. The last lines are the
+summary, also with each run left out, since the numbers of the method were chosen on all runs.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +28,28 @@ from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis
 from recon.gait.gait import INTERVAL
 from recon.gait.kinematics import frame_jitter_m, frame_times, net_acceleration, series_kinematics
+from recon.thesis.objectives import ResidualAndJacobian
+from recon.thesis.path import PathTie
 from recon.thesis.solution import frame_solution
 
 WITHIN = 0.3
 """Relative error of a stated peak speed within which the speed is near the truth."""
 POOR_MM = 160.0
 """Error above which no pose may have the verdict "use"."""
+
+
+def tie_of(along_m: float, across_m: float) -> Callable[..., ResidualAndJacobian]:
+    """Return the path tie with other standard deviations along the line of sight and across it."""
+    evaluate = PathTie.evaluate
+
+    def weighed(self: PathTie, *args: Any) -> ResidualAndJacobian:
+        residual, jacobian = evaluate(self, *args)
+        ray = self.position_m[args[2]] / np.linalg.norm(self.position_m[args[2]])
+        along = np.outer(ray, ray)
+        weight = self.sigma_m * (along / along_m + (np.eye(3) - along) / across_m)
+        return (weight @ residual, weight @ jacobian) if np.isfinite(ray[0]) else (residual, jacobian)
+
+    return weighed
 
 
 def view_row(run: Path, camera: int, meta: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
@@ -134,7 +152,10 @@ def summary(table: pd.DataFrame) -> list[str]:
 def main() -> None:
     parser = parser_of(__doc__, "--quick", "--set", "--csv", kind="cheetah-runs")
     parser.add_argument("--only", nargs="+", default=[], metavar="RUN", help="runs whose names begin so")
+    parser.add_argument("--tie", nargs=2, type=float, metavar=("ALONG_M", "ACROSS_M"))
     arguments = parser.parse_args()
+    if arguments.tie:
+        PathTie.evaluate = tie_of(*arguments.tie)  # type: ignore[method-assign]
     options = settings_of(arguments)
     rows = []
     for run in runs_of(arguments.folder):
