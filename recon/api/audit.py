@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,8 @@ import numpy as np
 import pandas as pd
 
 from recon.base.arrays import Array, Integers
+from recon.base.errors import InputError, Problem
+from recon.base.numbers import counted
 from recon.check.audit import LEAST_FRAMES, audit
 from recon.check.audited import AuditedPoints, resolution_of, roles_of
 from recon.check.codes import finding, sentence, sort_findings
@@ -19,7 +22,7 @@ from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
 from recon.fit.result import Finding
 from recon.io.common import StoredPoints
-from recon.io.formats import Format, as_keypoints, read_points
+from recon.io.formats import Format, as_keypoints, read_points, recognised
 from recon.io.positions import PER_METRE, in_metres
 
 LIKELIHOOD_MIN = 0.5
@@ -100,8 +103,30 @@ def audit_file(
         pose = motion.upright
         points = audited_points(pose.names, pose.xyz_m, pose.frames, fps or motion.fps)
         return Audit(path, "results of recon fit", points, audit(points))
+    if path.is_dir():
+        raise InputError(_folder_problem(path))
     reader, stored = read_points(path, individual, by=columns, fps=None)
     return audit_points(path, reader, stored, fps, unit, up, likelihood_min)
+
+
+def _has_points(path: Path) -> bool:
+    try:
+        return path.is_file() and recognised(path) is not None
+    except InputError:  # a damaged file
+        return False
+
+
+def _folder_problem(folder: Path) -> Problem:
+    """Return the problem of a folder that is no result, with one of its results or files to audit instead."""
+    inside = sorted(path.parent for path in folder.glob(f"*/{MOTION}"))
+    if inside:
+        content = f"a folder of {counted(len(inside), 'result')}"
+    else:
+        inside = sorted(path for path in folder.iterdir() if _has_points(path))
+        content = f"a folder with {counted(len(inside), 'file')} of points"
+    if not inside:
+        return Problem(folder, "file", "a folder without files of points", "a file of 2D keypoints or 3D poses")
+    return Problem(folder, "file", content, f"one of them, as in: recon audit {shlex.quote(str(inside[0]))}")
 
 
 def audit_points(

@@ -182,7 +182,7 @@ class ClipAnalysis(Brief):
         stands = np.zeros((len(motion.frames), len(motion.feet)), dtype=bool)
         if len(stands) >= MIN_POINTS and self.gait is not None:
             for stance in self.gait.stances:
-                rows = slice(math.ceil(stance.start_frame), math.floor(stance.end_frame) + 1)
+                rows = slice(math.ceil(stance.start_row), math.floor(stance.end_row) + 1)
                 stands[rows, motion.foot_labels.index(stance.foot)] = True
         return stands & motion.solved[:, None]
 

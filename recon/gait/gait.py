@@ -106,9 +106,9 @@ class Stance:
     foot: str
     start_s: float
     end_s: float
-    start_frame: float
+    start_row: float
     """Row of the clip at which the stance begins, with a fraction."""
-    end_frame: float
+    end_row: float
     """Row of the clip at which the stance ends, with a fraction."""
     begins: bool = True
     """False if the clip, or a gap in it, cuts the beginning, so that the stance may have begun earlier."""
@@ -118,6 +118,16 @@ class Stance:
     """Standard deviation of the beginning, NaN if the clip cuts it."""
     end_sigma_s: float = np.nan
     """Standard deviation of the end, NaN if the clip cuts it."""
+
+    @property
+    def start_frame(self) -> float:
+        """Return `start_row` by its former name; in tables, `start_frame` is the frame of the video."""
+        return self.start_row
+
+    @property
+    def end_frame(self) -> float:
+        """Return `end_row` by its former name."""
+        return self.end_row
 
     @property
     def duration_s(self) -> float:

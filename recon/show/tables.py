@@ -284,7 +284,7 @@ def stances(analysis: ClipAnalysis) -> Table:
     rows = [
         (
             *(s.foot, analysis.motion.foot_names[s.foot], s.start_s, s.end_s),
-            *(float(np.interp(row, rows_of, analysis.pose.frames)) for row in (s.start_frame, s.end_frame)),
+            *(float(np.interp(row, rows_of, analysis.pose.frames)) for row in (s.start_row, s.end_row)),
             s.duration_s,
             *(_yes(s.begins), _yes(s.ends), *s.start_interval_s, *s.end_interval_s),
         )

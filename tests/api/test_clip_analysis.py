@@ -425,4 +425,4 @@ def test_the_summary_and_the_analysis_have_the_same_stances(whole):
     report = build_report(whole.motion)
     for foot, joint in whole.motion.foot_names.items():
         own = [s for s in whole.gait.stances if s.foot == foot]
-        assert report["stances"][joint] == [[round(s.start_frame), round(s.end_frame) + 1] for s in own]
+        assert report["stances"][joint] == [[round(s.start_row), round(s.end_row) + 1] for s in own]

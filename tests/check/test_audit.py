@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -203,3 +204,16 @@ def test_a_page_has_a_row_for_each_finding(poses: AuditedPoints):
     assert "The animal would be" in page
     assert "gravity_unlikely" in page
     assert next(iter(LIMITS)) == "detections_repeated"
+
+
+def test_a_folder_is_refused_with_a_file_to_audit(tmp_path: Path):
+    def refuses(content: str, expected: object) -> None:
+        refused(["audit", tmp_path], (tmp_path, "file", content, expected))
+
+    refuses("a folder without files of points", "a file of 2D keypoints or 3D poses")
+    (tmp_path / "broken.h5").write_bytes(b"no HDF5")
+    shutil.copy(SAMPLES / "clean.csv", tmp_path / "clip.csv")
+    refuses("a folder with 1 file of points", f"recon audit {tmp_path / 'clip.csv'}")
+    (tmp_path / "first").mkdir()
+    (tmp_path / "first" / "motion.npz").touch()
+    refuses("a folder of 1 result", f"recon audit {tmp_path / 'first'}")

@@ -180,8 +180,8 @@ def test_stances_of_the_simulated_gallop():
         assert len(found) == len(slow)
         for (a, b), s in zip(slow, found, strict=True):
             total += 1
-            assert s.start_frame == pytest.approx(a / 40, abs=1.0)
-            assert s.end_frame == pytest.approx(b / 40, abs=1.0)
+            assert s.start_row == pytest.approx(a / 40, abs=1.0)
+            assert s.end_row == pytest.approx(b / 40, abs=1.0)
     assert total >= 12
 
 
@@ -248,14 +248,14 @@ def test_gaps_cut_stances_and_hide_strides():
     whole = pose_gait(pose, FPS)
     lf = NAMES.index("l_front_paw")
     stance = next(s for s in whole.stances if s.foot == "LF" and s.begins and s.ends)
-    middle = round((stance.start_frame + stance.end_frame) / 2)
+    middle = round((stance.start_row + stance.end_row) / 2)
     xyz = pose.xyz_m.copy()
     xyz[middle : middle + 30, lf] = np.nan
     found = pose_gait(replace(pose, xyz_m=xyz), FPS)
     cut = next(s for s in found.stances if s.foot == "LF" and s.start_s == pytest.approx(stance.start_s, abs=0.005))
     assert (cut.begins, cut.ends) == (True, False)
-    assert cut.end_frame == middle - 1
-    assert all(not (s.start_frame < middle + 20 and s.end_frame > middle) for s in found.stances if s.foot == "LF")
+    assert cut.end_row == middle - 1
+    assert all(not (s.start_row < middle + 20 and s.end_row > middle) for s in found.stances if s.foot == "LF")
     assert len([s for s in found.strides if s.foot == "LF"]) < len([s for s in whole.strides if s.foot == "LF"])
     # Two missing frames are bridged.
     xyz = pose.xyz_m.copy()
@@ -414,7 +414,7 @@ def test_stances_are_those_of_the_force_plates(shared_data: Path):
         pose = read_pose3d(folder / "truth.csv")
         found, measured = stances(pose_tracks(pose, 200.0)), pd.read_csv(folder / "stances.csv").set_index("joint")
         assert sorted(s.foot for s in found) == sorted(FEET)
-        off = np.array([(s.start_frame, s.end_frame) - measured.loc[FEET[s.foot]].to_numpy() for s in found])
+        off = np.array([(s.start_row, s.end_row) - measured.loc[FEET[s.foot]].to_numpy() for s in found])
         touch_down, lift_off = np.median(off + pose.frames[0], axis=0)
         assert abs(touch_down) <= 2
         assert abs(lift_off) <= 4

@@ -290,7 +290,7 @@ def _stances(motion: Motion, analysis: ClipAnalysis) -> list[dict[str, Any]]:
     """Return when each foot stands, in rows with fractions."""
     assert analysis.gait is not None
     return [
-        {"foot": stance.foot, "rows": [round(stance.start_frame, 3), round(stance.end_frame, 3)]}
+        {"foot": stance.foot, "rows": [round(stance.start_row, 3), round(stance.end_row, 3)]}
         | {"begins": stance.begins, "ends": stance.ends}
         for stance in analysis.gait.stances
     ]

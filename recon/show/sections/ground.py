@@ -44,7 +44,7 @@ def stances_data(motion: Motion) -> dict[str, Any]:
     gait = ClipAnalysis(motion).gait if motion.solved.sum() >= MIN_POINTS else None
     ranges, last = {name: [] for name in motion.foot_names.values()}, len(motion.frames) - 1
     for stance in gait.stances if gait else ():
-        first, stop = (min(round(row), last) for row in (stance.start_frame, stance.end_frame))
+        first, stop = (min(round(row), last) for row in (stance.start_row, stance.end_row))
         ranges[motion.foot_names[stance.foot]].append((motion.frames[first], motion.frames[stop] + 1))
     return ranges
 
