@@ -13,8 +13,14 @@ PARTS = {
     "several": Part("cameras.py", data="cheetah-runs"),
     "left-out": Part(
         "left_out_camera.py",
-        ["--quick", "--outs", "2", "--jobs", "5"],
-        quick=["--only", "rat", "--quick", "--outs", "1"],
+        ["--quick", "--outs", "1", "--jobs", "2"],
+        quick=["--only", "rat", "--quick", "--outs", "1", "--no-anipose"],
+        data="cheetah-runs",
+    ),
+    "pairs": Part(
+        "pairs.py",
+        ["--jobs", "2", "--pairs", "1", "--cameras", "two", "all"],
+        quick=["--pairs", "1", "--cameras", "two", "--degrees", "3"],
         data="cheetah-runs",
     ),
     "moving": Part("moving.py", data="cheetah-runs"),

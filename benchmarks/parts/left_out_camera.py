@@ -29,8 +29,8 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
+import pickle
 import tempfile
-import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -54,6 +54,7 @@ from recon.clip import View, still_view
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.posterior import radius
 from recon.fit.prediction import predicted_keypoints
+from recon.fit.result import TrajectorySolution
 from recon.fit.trajectory import solve_trajectory
 from recon.fit.triangulation import Triangulation, smoothed, triangulate_views
 from recon.geometry.camera import Camera
@@ -132,11 +133,13 @@ def aniposelib_prediction(views: Sequence[View], out: View) -> Prediction | None
     return Prediction(np.where(is_known[..., None], projected, np.nan))
 
 
-def predictions(clip: Clip, seen: Sequence[int], out: int, anipose: bool) -> tuple[dict[str, Prediction], float]:
+def predictions(
+    clip: Clip, seen: Sequence[int], out: int, anipose: bool, kept: Path | None
+) -> tuple[dict[str, Prediction], float]:
+    """Return the predictions of each method, and how long the fit took."""
     views, view, made = [clip.views[c] for c in seen], clip.views[out], {}
-    began = time.perf_counter()
-    solution = solve_trajectory(views, clip.body, clip.prior, clip.fps, TrajectoryOptions(fast=clip.fast))
-    seconds = time.perf_counter() - began
+    solution = solved(clip, views, kept)
+    seconds = solution.stage_s["all"]
     made["fit"] = Prediction(*predicted_keypoints(solution, view, clip.fps))
     if len(seen) > 1:
         result = triangulate_views(views)
@@ -146,6 +149,17 @@ def predictions(clip: Clip, seen: Sequence[int], out: int, anipose: bool) -> tup
         if other is not None:
             made["aniposelib"] = other
     return made, seconds
+
+
+def solved(clip: Clip, views: Sequence[View], kept: Path | None) -> TrajectorySolution:
+    """Return a fit, that of an earlier run if it is kept in a file."""
+    if kept is not None and kept.is_file():
+        return pickle.loads(kept.read_bytes())  # our own files
+    solution = solve_trajectory(views, clip.body, clip.prior, clip.fps, TrajectoryOptions(fast=clip.fast))
+    if kept is not None:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.write_bytes(pickle.dumps(solution))
+    return solution
 
 
 def choices(clip: Clip, out: int, cameras: str) -> list[int]:
@@ -201,12 +215,13 @@ def number_text(value: float, digits: int = 2) -> str:
     return f"{value:.{digits}f}" if np.isfinite(value) else ""
 
 
-def scored(clip: Clip, cameras: str, outs: Sequence[int], anipose: bool) -> Score:
+def scored(clip: Clip, cameras: str, outs: Sequence[int], anipose: bool, solutions: Path | None) -> Score:
     """Leave some cameras of a clip out, one at a time, and return the errors."""
     score = Score()
     for out in outs:
         view = clip.views[out].mask_outside_image()
-        made, seconds = predictions(clip, choices(clip, out, cameras), out, anipose)
+        kept = None if solutions is None else solutions / f"{clip.kind}, {clip.name}, {out}, {cameras}.pkl"
+        made, seconds = predictions(clip, choices(clip, out, cameras), out, anipose, kept)
         score.seconds.append(seconds)
         off = {name: prediction.xy_px - view.xy_px for name, prediction in made.items()}
         common = np.all([np.isfinite(e[..., 0]) for e in off.values()], axis=0)
@@ -302,8 +317,9 @@ def clips_of(options: argparse.Namespace) -> Iterator[Clip]:
 def score_of(options: argparse.Namespace, task: tuple[Clip, str]) -> Score:
     """Leave the cameras of a clip out that the command line asks for."""
     clip, cameras = task
-    outs = [out for out, view in enumerate(clip.views) if view.present.sum() > 100][: options.outs]
-    return scored(clip, cameras, outs, not options.no_anipose)
+    outs = [out for out, view in enumerate(clip.views) if view.present.sum() > 100]
+    chosen = [out for out in outs if options.outs is None or out in options.outs]
+    return scored(clip, cameras, chosen, not options.no_anipose, options.solutions)
 
 
 def main() -> None:
@@ -311,7 +327,8 @@ def main() -> None:
     parser = parser_of(__doc__, "--quick", "--jobs", kind="cheetah-runs", only=("runs", "simulated", "rat"))
     parser.add_argument("--cameras", nargs="+", default=["all", "two", "one"])
     parser.add_argument("--detectors", nargs="+", default=["none"], help="none, others or acinoset")
-    parser.add_argument("--outs", type=int, help="only so many cameras are left out")
+    parser.add_argument("--outs", nargs="+", type=int, help="numbers of the cameras that are left out, from 0")
+    parser.add_argument("--solutions", type=Path, help="folder that keeps the fits, for a further run")
     parser.add_argument("--no-anipose", action="store_true")
     options = parser.parse_args()
     scores: dict[tuple[str, str], list[Score]] = {}

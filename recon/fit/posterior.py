@@ -343,9 +343,9 @@ def _shared_sigma(
     columns, precision = replace(problem, shared=[*unknowns.values()]).columns, solution.shared_precision
     sigma = np.sqrt(variance_factor * np.diagonal(np.linalg.inv(precision)))
     solved = [unknown.name for unknown in problem.shared]
-    sigmas = {name: sigma[columns[name]] for name in (*solved, *(unknowns.keys() & {LENGTHS, COMMON_KEYPOINT_BIAS}))}
-    if LENGTHS not in sigmas:
-        return sigmas
+    by_name = {name: sigma[columns[name]] for name in (*solved, *(unknowns.keys() & {LENGTHS, COMMON_KEYPOINT_BIAS}))}
+    if LENGTHS not in by_name:
+        return by_name
     lengths, precision = columns[LENGTHS], precision.copy()
     if not is_measured:
         wide = np.maximum(unknowns[LENGTHS].sigma, constants.LENGTH_SIGMA / np.sqrt(variance_factor))
@@ -355,7 +355,7 @@ def _shared_sigma(
     if SIZE in columns:  # the logarithms of a length and of the size add up
         size = columns[SIZE].start
         variance += 2.0 * covariance[lengths, size] + covariance[size, size]
-    return sigmas | {LENGTHS: np.sqrt(np.maximum(variance, 0.0))}
+    return by_name | {LENGTHS: np.sqrt(np.maximum(variance, 0.0))}
 
 
 def with_size(covariance_m2: Array, by_size_m: Array, size: float, size_sigma: float) -> Array:

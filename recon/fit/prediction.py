@@ -164,8 +164,8 @@ class _Residuals:
 
     def off_px(self, deviation: Array) -> Array:
         """Return the errors (..., T, J, 2) that deviations (..., T, J, 3) leave, NaN if missing."""
-        off = self.error_px - (self.by_point @ deviation[..., None])[..., 0]
-        return np.where(self.weight[..., None] > 0, off, np.nan)
+        remaining_px = self.error_px - (self.by_point @ deviation[..., None])[..., 0]
+        return np.where(self.weight[..., None] > 0, remaining_px, np.nan)
 
 
 def _deviations(solution: Solution, residuals: list[_Residuals], fps: float) -> tuple[Array, Array, float]:
@@ -179,8 +179,8 @@ def _deviations(solution: Solution, residuals: list[_Residuals], fps: float) -> 
     costs = np.zeros((len(choices), len(noise_m)))
     for row, (share, lasting_s) in zip(costs, choices, strict=True):
         for number, residual in enumerate(residuals):
-            others = total - information[number], total_pull - pull[number]
-            deviation, _ = smoothed_deviations(*others, share * noise_m, np.exp(-1.0 / (fps * lasting_s)))
+            by_rest = total - information[number], total_pull - pull[number]
+            deviation, _ = smoothed_deviations(*by_rest, share * noise_m, np.exp(-1.0 / (fps * lasting_s)))
             square = np.sum(residual.off_px(deviation) ** 2, axis=-1) / residual.noise_px**2
             row += np.nansum(np.log1p(square), axis=0)
     chosen = [choices[k] for k in np.argmin(costs + OTHERS * costs.mean(axis=1, keepdims=True), axis=0)]
@@ -188,8 +188,8 @@ def _deviations(solution: Solution, residuals: list[_Residuals], fps: float) -> 
     carried = np.exp([-1.0 / (fps * lasting_s) for _, lasting_s in chosen])
     squares = []
     for number, (residual, view) in enumerate(zip(residuals, solution.views, strict=True)):
-        others = total - information[number], total_pull - pull[number]
-        deviation, deviation_m2 = smoothed_deviations(*others, sigma_m, carried)
+        by_rest = total - information[number], total_pull - pull[number]
+        deviation, deviation_m2 = smoothed_deviations(*by_rest, sigma_m, carried)
         _, covariance = _predicted(
             solution, view, solution.markers_m + deviation, solution.covariance_m2 + deviation_m2, 1.0
         )

@@ -573,7 +573,7 @@ def _solved_shape(
 def _lengths_m(body: Body, names: Sequence[str]) -> Array:
     """Return the distances (L,) of segments and markers from their origins."""
     items = {item.name: item for item in (*body.tree.markers, *body.tree.segments)}
-    return np.array([np.linalg.norm(items[name].offset_m) for name in names])
+    return np.array([np.linalg.norm(items[name].offset_m) for name in names], dtype=np.float64)
 
 
 def _with_expected_shape_spread(clip: ClipProblem, problem: LeastSquares) -> LeastSquares:
