@@ -134,7 +134,7 @@ def known(
     views = [_seen(body, states, camera) for camera in cameras]
     if not any(view.present.any() for view in views):
         return np.inf, 0.0
-    clip = ClipProblem.from_views(views, body, prior, FPS, TrajectoryOptions())
+    clip = ClipProblem.from_views(views, body, prior, FPS, TrajectoryOptions(cameras_known=True))
     at_origin = states.copy()
     at_origin[:, ROOT] -= clip.origin_m
     around_m = clip.markers(at_origin)

@@ -50,6 +50,8 @@ class TrajectoryOptions:
 
     Several cameras estimate the focal lengths; with one camera they only add to the uncertainty.
     """
+    cameras_known: bool = False
+    """Whether the poses of two cameras are exact; otherwise usual errors of the second one add to the uncertainty."""
     lengths_known: bool = False
     """Whether the body's lengths and the keypoints' offsets are fixed; otherwise several cameras estimate them."""
 
@@ -306,6 +308,9 @@ class ClipProblem:
         shifts = [] if shifts_m is None or not options.refine_cameras else [*enumerate(shifts_m.tolist())][1:]
         rotation = [constants.CAMERA_ROTATION_RAD] * 3
         corrections = [lasting(terms.extrinsic_correction(i), np.array([*rotation, *[m] * 3])) for i, m in shifts]
+        if V == 2 and shifts_m is not None and not (shifts or options.cameras_known):
+            usual = [*[constants.CALIBRATED_RAD] * 3, *[float(shifts_m[1])] * 3]
+            biases = [*biases, lasting(terms.extrinsic_correction(1), np.array(usual))]
         return [*size, *sideslip, *time_offsets, *corrections, *focals, *shapes], biases
 
     @property

@@ -9,9 +9,11 @@ import pytest
 
 from recon import load_skeleton
 from recon.animal.prior import prior_from_body
-from recon.fit.clip_problem import TrajectoryOptions
+from recon.fit import constants
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.prediction import predicted_keypoints
 from recon.fit.result import TrajectorySolution
+from recon.fit.terms import extrinsic_correction
 from recon.fit.trajectory import solve_trajectory
 from recon.fit.triangulation import smoothed, triangulate_views
 from recon.gait.evaluation import aligned
@@ -92,3 +94,15 @@ def test_one_camera_keeps_the_lengths_and_is_less_sure_of_poses():
     variances = [np.trace(fit.relative_covariance_m2, axis1=2, axis2=3).mean() for fit in (free, known)]
     assert variances[0] > 1.02 * variances[1]
     assert free.body == BODY
+
+
+def test_the_second_of_two_cameras_is_as_uncertain_as_calibrations_are():
+    """It counts in the uncertainty of a pair, unless its pose is known or an unknown of the fit."""
+    for options, is_uncertain in (({}, True), ({"cameras_known": True}, False), ({"refine_cameras": True}, False)):
+        clip = ClipProblem.from_views(VIEWS[:2], BODY, prior_from_body(BODY), FPS, TrajectoryOptions(**options))
+        _, nuisance = clip.shared_unknowns(np.array([0.05, 0.02]))
+        sigmas = {unknown.name: unknown.sigma * np.sqrt(clip.correlation_frames) for unknown in nuisance}
+        assert (extrinsic_correction(1) in sigmas) == is_uncertain
+        if is_uncertain:
+            usual = [constants.CALIBRATED_RAD] * 3 + [0.02] * 3
+            np.testing.assert_allclose(sigmas[extrinsic_correction(1)], usual)
