@@ -144,7 +144,7 @@ def solve_extrinsics(
 
 def _as_rig(clip: ClipProblem, posed: bool) -> ClipProblem:
     size_sigma = clip.options.size_sigma if posed else _SIZE_SIGMA
-    options = replace(clip.options, refine_cameras=False, size_sigma=size_sigma)
+    options = replace(clip.options, refine_cameras=False, cameras_known=True, size_sigma=size_sigma)
     return replace(clip, options=options, time_offset_frames=_TIME_OFFSET_FRAMES)
 
 
