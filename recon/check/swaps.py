@@ -197,12 +197,14 @@ def is_refuted(baseline: Baseline, stretch: _Stretch) -> bool:
         return False
     view, clip, rows = baseline.view, baseline.clip, stretch.rows
     projected, _ = view.project(view.shift_to_exposure(points_m))
-    sigma_px = likelihood.LOOSE * clip.noise_px(clip.markers(baseline.states), np.ones((1, len(stretch.places))))[0]
+    sigma_px = (
+        likelihood.LOOSE * clip.noise_px(clip.markers(baseline.states), np.ones((1, len(stretch.permutation))))[0]
+    )
     given_cost, exchanged_cost = (
         likelihood.log_tail((points - view.xy_px) / sigma_px[..., None])
-        for points in (projected, projected[:, stretch.places])
+        for points in (projected, projected[:, stretch.permutation])
     )
-    is_seen = np.isfinite(projected[..., 0]) & np.isfinite(projected[:, stretch.places, 0]) & view.present
+    is_seen = np.isfinite(projected[..., 0]) & np.isfinite(projected[:, stretch.permutation, 0]) & view.present
     gains = np.where(is_seen & np.isfinite(sigma_px), given_cost - exchanged_cost, 0.0)
     return likelihood.exceeds_margin(-float(gains[rows][:, stretch.markers].sum()))
 
