@@ -230,7 +230,7 @@ def agreed(view: View, motion: Motion, one: _Stretch) -> bool:
     """Return whether the reconstruction from all cameras agrees that the detector exchanged these keypoints."""
     projected, _ = view.lens.project(view.truth_m)
     sigma_px = motion.solution.noise_px[0]
-    q = [np.sum((to - view.xy_px) ** 2, axis=-1) / sigma_px**2 for to in (projected, projected[:, one.places])]
+    q = [np.sum((to - view.xy_px) ** 2, axis=-1) / sigma_px**2 for to in (projected, projected[:, one.permutation])]
     return float(np.nansum((np.log1p(q[0] / 3.0) - np.log1p(q[1] / 3.0))[one.rows][:, [*one.markers]])) > 0.0
 
 
@@ -361,7 +361,7 @@ def margin_rows(view: View, name: str, case: Case, folder: Path) -> list[dict[st
     ratios, wrong, right, mended = [1.0], [np.zeros(len(changed), dtype=bool)], [False], view_in(view, case)
     mm = error_mm(view, motion, everywhere)
     for trial in trials:
-        rows, places = trial.stretch.rows, trial.stretch.places
+        rows, places = trial.stretch.rows, trial.stretch.permutation
         xy_px = mended.xy_px.copy()
         wrongly = wrong[-1].copy()
         wrongly[rows] |= not agreed(mended, motion, trial.stretch)
