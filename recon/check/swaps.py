@@ -79,7 +79,7 @@ def with_exchanged(view: View, stretch: _Stretch) -> View:
 
 
 def exchanged_rows(seen: View | Keypoints, rows: slice, permutation: Index) -> dict[str, Array]:
-    """Return the detections with the keypoints of some rows permuted by `places` (J,)."""
+    """Return the detections with the keypoints of some rows permuted by `permutation` (J,)."""
     values = {"xy_px": seen.xy_px.copy(), "confidence": seen.confidence.copy()}
     for array in values.values():
         array[rows] = array[rows][:, permutation]
