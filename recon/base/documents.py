@@ -52,7 +52,7 @@ def damage_named(source: str | Path, expected: str, field: str = "content") -> I
     except Exception as error:
         message = " ".join(str(getattr(error, "strerror", None) or error).split())[:200] or type(error).__name__
         damage = (
-            f"an entry that lacks {message}" if isinstance(error, KeyError) else f"data that cannot be read ({message})"
+            f"an entry without {message}" if isinstance(error, KeyError) else f"data that cannot be read ({message})"
         )
         raise InputError(Problem(source, field, damage, expected)) from None
 

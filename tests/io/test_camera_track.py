@@ -289,9 +289,9 @@ def test_settings_that_do_not_fit(runs, tmp_path):
     track = write_track(tmp_path / "track.csv", np.arange(40), turning(40))
     given: dict[str, Any] = {"keypoints": runs / "run_cam1.csv", "fps": FPS}
     for more, *expected in (
-        ({"camera_track": track}, "camera", ["nothing", "track.csv"], "camera file"),
+        ({"camera_track": track}, "camera", ["no lens", "track.csv"], "camera file"),
         ({"camera_track": [track, track], "camera": "a.json"}, "camera_track", "2 for 1 keypoint file"),
-        ({"camera_track": track, "camera": "a.json", "tilt_deg": 5}, "tilt_deg", "5 beside a camera track"),
+        ({"camera_track": track, "camera": "a.json", "tilt_deg": 5}, "tilt_deg", "5 together with a camera track"),
         ({"camera_track": track, "camera": "a.json", "method": "frame"}, "camera_track", "frame method"),
     ):
         with refusal(("settings", *expected)):

@@ -362,10 +362,10 @@ def test_stray_blanks_in_names_are_noted(tmp_path):
 def test_likelihoods_that_mean_something_else_are_refused(tmp_path):
     """In per cent, every one would pass the cut-off."""
     for text, *expected in (
-        (SINGLE.replace("0.9", "37"), "likelihood", ["0 to 37", "per cent"], "0 to 1"),
+        (SINGLE.replace("0.9", "37"), "likelihood", ["0 to 37", "percent"], "0 to 1"),
         (SINGLE.replace("0.9", "-1"), "likelihood", "-1 to 1", "0 to 1"),
         (SINGLE.replace("0.9", "inf"), "line 4, nose/likelihood", "'inf'"),
-        ("frame,bodypart,x,y,likelihood\n0,nose,1,2,90\n", "likelihood", ["90 to 90", "per cent"], "0 to 1"),
+        ("frame,bodypart,x,y,likelihood\n0,nose,1,2,90\n", "likelihood", ["90 to 90", "percent"], "0 to 1"),
     ):
         refuses(save(tmp_path, text), tuple(expected))
 
@@ -516,7 +516,7 @@ def test_all_bad_cells_are_named_up_to_ten(tmp_path):
         read_keypoints(save(tmp_path, "\n".join([*SINGLE.splitlines()[:3], *rows])))
     *cells, more = caught.value.problems
     assert [cell.found for cell in cells] == ["'x'"] * 10
-    assert says(more.found, "14 problems")
+    assert says(more.found, "14 similar problems")
 
 
 def test_problems_of_different_kinds_come_together(tmp_path):

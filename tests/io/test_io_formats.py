@@ -821,7 +821,7 @@ def test_bvh_by_hand(tmp_path):
     refuses(tmp_path / "a.bvh", ("unit", "none", "m, cm, mm (--unit)"), read=read_pose3d)
     centimetres = read_pose3d(tmp_path / "a.bvh", unit="cm")
     np.testing.assert_allclose(centimetres.xyz_m[1, 1], [0.03, -0.03, 0.02])
-    assert says(centimetres.notes[0], "as y up")
+    assert says(centimetres.notes[0], "with y up")
 
 
 def test_bvh_against_another_reader(tmp_path):
