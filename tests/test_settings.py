@@ -506,7 +506,7 @@ def test_the_height_at_the_withers_is_a_size():
     assert rough.size_sigma == 0.15  # the proportions of no species
     with refusal(("--height-m", "height_m", ["mouse-top", "no feet"], "--set size")):
         read_model_and_cameras(replace(settings, skeleton="mouse-top"))
-    refuses({**GIVEN, "height_m": 1.3, "size": 2.0}, ("height_m", [1.3, "size, 2"], "only one of the two"))
+    refuses({**GIVEN, "height_m": 1.3, "size": 2.0}, ("height_m", [1.3, "size 2"], "only one of the two"))
 
 
 def test_every_help_has_an_example_in_a_paragraph_of_its_own():
