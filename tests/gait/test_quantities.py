@@ -61,7 +61,7 @@ def test_without_a_complete_stride_the_period_counts(whole: ClipAnalysis):
     assert any("From the period of the motion, strides are" in sentence for sentence in analysis_sentences(analysis))
     vars(unknown := ClipAnalysis(whole.motion))["gait"] = replace(cut, stride_s=np.nan, stride_sigma_s=np.nan)
     assert np.isnan(unknown.quantities["stride_length_m"].value)
-    assert "too short" in unknown.quantities["stride_length_m"].why_unknown
+    assert "too little" in unknown.quantities["stride_length_m"].why_unknown
 
 
 def test_asymmetry_is_refused_or_has_an_interval(whole: ClipAnalysis):
