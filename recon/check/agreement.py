@@ -13,7 +13,7 @@ The test uses no body and no fit, so it also detects a camera that pulls the fit
 (`_largest_agreeing_group`). For each camera left out, the best rotation and the best time offset are determined
 (`_best_turned`, `_best_shifted`). If one of them lowers the level enough, it is named as the cause; otherwise the cause
 is unknown. Exchanged files of two cameras are tried first, since they explain two cameras at once (`_exchanged_pair`).
-Two cameras that agree with no other camera are named as a pair.
+If no two of the cameras agree, one error names all of them.
 
 **Time offsets and refined poses.** The same levels are used to search for offsets between cameras whose clocks differ
 (`search_offsets`), before the fit solves for them (`solve_time_offsets`). After a fit that refined poses,
@@ -73,7 +73,10 @@ _COMPARED = 0.3
 """Smallest fraction of the comparable points that a time offset has to leave."""
 _ROBUST = 3.0
 """Distance in standard deviations at which a ray counts half in a point."""
-_ROUNDS = 3
+_POINT_ROUNDS = 3
+"""Rounds of reweighting in which outliers lose their weight in a point."""
+_OFFSET_ROUNDS = 3
+"""Largest number of rounds over the cameras in the search for time offsets."""
 _MEDIAN_OF_LINE, _MEDIAN_OF_POINT = 0.4549, 1.3863
 """Medians of a squared error in standard deviations in one dimension, and in two."""
 _PARALLEL = 1e-4
@@ -96,7 +99,7 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
     """Return the findings on a motion's two or more cameras, compared with each other at their given poses.
 
     There is a note on each camera, and an error for each camera that does not agree: exchanged, turned, late, or for an
-    unknown reason. If it cannot be determined which camera is wrong, one error names both. The result is deterministic.
+    unknown reason. If no two cameras agree, one error names all that disagree. The result is deterministic.
 
     Parameters
     ----------
@@ -231,7 +234,7 @@ def _compare_with_agreeing(sights: Sequence[_Sight], fps: float, limit: float) -
 
 
 def _are_within(levels: Array, limit: float) -> bool:
-    """Return whether no level exceeds the limit; NaN counts as exceeding it."""
+    """Return whether no level exceeds the limit; NaN, an unknown level, does not count."""
     return not (levels > limit).any()
 
 
@@ -402,7 +405,7 @@ def _points(sights: Sequence[_Sight]) -> _Points:
     across_rays = np.eye(3) - rays[..., :, None] * rays[..., None, :]
     weight, distance, enough_rays = seen.astype(float), np.ones(seen.shape), seen.sum(axis=0) > 1
     position, information = np.zeros((*enough_rays.shape, 3)), np.zeros((*enough_rays.shape, 3, 3))
-    for _ in range(_ROUNDS):
+    for _ in range(_POINT_ROUNDS):
         ray_information = (weight / (noise * distance) ** 2)[..., None, None] * across_rays
         information = ray_information.sum(axis=0)
         spread = np.linalg.eigvalsh(information)
@@ -422,7 +425,7 @@ def _points(sights: Sequence[_Sight]) -> _Points:
 
 
 def _levels(sights: Sequence[_Sight], agreeing: Sequence[int]) -> Array:
-    """Return the level of each agreeing camera compared with the others (V,); NaN for all other cameras."""
+    """Return the level of each agreeing camera compared with the other agreeing ones, (V,); NaN for the rest."""
     levels = np.full(len(sights), np.nan)
     for v in agreeing:
         partners = [sights[o] for o in agreeing if o != v]
@@ -453,9 +456,9 @@ def _pair_level(a: _Sight, b: _Sight) -> tuple[float, float, int]:
     The planes contain both centres and one of b's rays.
     """
     line = b.centre_m - a.centre_m
-    plane_a, plane_b = np.cross(b.rays, line[:, None]), np.cross(line[:, None], a.rays)
-    size_a, size_b = np.linalg.norm(plane_a, axis=-1), np.linalg.norm(plane_b, axis=-1)
-    off_plane = np.abs(np.sum(a.rays * plane_a, axis=-1))
+    plane_of_b, plane_of_a = np.cross(b.rays, line[:, None]), np.cross(line[:, None], a.rays)
+    size_a, size_b = np.linalg.norm(plane_of_b, axis=-1), np.linalg.norm(plane_of_a, axis=-1)
+    off_plane = np.abs(np.sum(a.rays * plane_of_b, axis=-1))
     is_known = np.isfinite(off_plane) & (size_a > 0) & (size_b > 0)
     if is_known.sum() < MIN_POINTS:
         return np.nan, np.nan, int(is_known.sum())
@@ -544,7 +547,7 @@ def search_offsets(views: Sequence[View], fps: float, sigma_px: float, keypoint_
     reach = max(min(round(OFFSET_S * fps), T // 2), 1)
     offsets = np.full(len(views), np.nan)
     offsets[0] = 0.0
-    for round_number in range(_ROUNDS):
+    for round_number in range(_OFFSET_ROUNDS):
         previous = offsets.copy()
         for v in range(1, len(views)):
             partners = [o for o in range(len(views)) if o != v and np.isfinite(offsets[o])]
@@ -578,8 +581,7 @@ WORSE, BETTER, LOST, FAR = 1.1, 1.02, 5.0, 4.0
 """Limits for refined poses.
 
 - `WORSE`: factor of a camera's median reprojection error up to which it counts as unchanged, since some cameras may
-lose
-  a little of what one camera gains
+  lose a little of what one camera gains
 - `BETTER`: factor of no change at all
 - `LOST`: factor relative to the rig's middle camera above which a camera is an outlier all the time
 - `FAR`: factor on the expected rotation above which a camera is not at the pose in the file
@@ -604,7 +606,7 @@ def solve_time_offsets(
 
     Parameters
     ----------
-    apart
+    sources_apart
         Sources on their own frames.
     later_frames
         Offsets at which the search begins.

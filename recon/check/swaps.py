@@ -63,7 +63,7 @@ class _Stretch:
 
     @property
     def markers(self) -> tuple[int, ...]:
-        """Return a mask of the exchanged markers."""
+        """Return the indices of the exchanged markers."""
         return tuple(int(j) for j in np.flatnonzero(self.permutation != np.arange(len(self.permutation))))
 
     def mask(self, T: int) -> Bools:

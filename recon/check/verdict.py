@@ -52,6 +52,8 @@ WHY = {
 """Reasons, by the factor that raises the expected error most."""
 NOTHING_AGAINST = "No check of the clip found a fault."
 """Reason of the verdict "use", which a list of clips leaves out."""
+NOT_ALL_CHECKED = "No check that ran found a fault; frame rate, swaps, lens and zoom were not checked."
+"""Reason of the verdict "use" without a learned prior, which those checks need."""
 _MEAN_OF_NORM = 0.92
 """Mean length of a vector of three equal normal components, in roots of their summed variance."""
 _LEAST_M2 = 1e-8
@@ -217,13 +219,18 @@ def _verdict(motion: Motion) -> Verdict:
     level = level_of(pose, error=False, warning=bool(warnings))
     # the factor that most exceeds its value in a good view
     strongest = WHY[max(WHY, key=lambda name: POWERS[name] * (evidence.factors[name] - USUAL[name]))]
-    reason = strongest if pose.high > LIMIT_OF_TRUNK else NOTHING_AGAINST
+    reason = strongest if pose.high > LIMIT_OF_TRUNK else _nothing_against(motion)
     if level == "use" and (notes := [finding for finding in motion.findings if finding.code == "keypoints_do_not_fit"]):
         reason = f"Good except for this: {_said(motion, notes[0])}"
     warned = bool(warnings) and level != "do not use"
     if warned:
         reason = _said(motion, warnings[0])
     return Verdict(level, reason, pose.times(evidence.trunk_m), pose, position, warned)
+
+
+def _nothing_against(motion: Motion) -> str:
+    solution = motion.solution
+    return NOT_ALL_CHECKED if isinstance(solution, TrajectorySolution) and solution.prior == NONE else NOTHING_AGAINST
 
 
 def effects_of(findings: Sequence[Finding]) -> tuple[float, float]:

@@ -10,6 +10,8 @@ import pytest
 from recon.check.codes import finding, sentence
 from recon.check.verdict import (
     LIMIT_OF_TRUNK,
+    NOT_ALL_CHECKED,
+    NOTHING_AGAINST,
     add_verdict,
     evidence_of,
     expected_pose_of_trunk,
@@ -128,6 +130,14 @@ def test_a_low_frame_rate_expects_more(small_trajectory):
     solution = replace(small_trajectory.solution, prior="running-cheetah")
     assert evidence_of(replace(small_trajectory, solution=solution)).slowness == pytest.approx(60 / 30)
     assert evidence_of(replace(small_trajectory, solution=replace(solution, prior="none"))).slowness == 1.0
+
+
+def test_without_a_learned_prior_the_reason_names_what_was_not_checked(small_trajectory, monkeypatch):
+    """A grossly wrong frame rate passes without the prior: the verdict must not say that it was checked."""
+    monkeypatch.setattr("recon.check.verdict.findings_of", lambda motion: ())
+    for prior, reason in (("none", NOT_ALL_CHECKED), ("running-cheetah", NOTHING_AGAINST)):
+        motion = replace(small_trajectory, solution=replace(small_trajectory.solution, prior=prior))
+        assert add_verdict(motion).verdict.reason == reason
 
 
 def test_an_uncertain_pose_is_not_to_be_used(small_trajectory):
