@@ -185,8 +185,8 @@ def notes(analysis: ClipAnalysis) -> Iterator[str]:
         yield "Paths and angles are smoothed by their jitter from frame to frame."
     if count := len(analysis.not_measured):
         yield (
-            f"{count} of {len(analysis.skeleton_angles)} angles are mostly expected, not seen (less than "
-            f"{percent(MEASURED_SHARE)} of their precision from the pixels), and grey in figures: "
+            f"{count} of {len(analysis.skeleton_angles)} angles come mostly from the prior (less than "
+            f"{percent(MEASURED_SHARE)} of their precision from the pixels) and are grey in figures: "
             f"{', '.join(analysis.not_measured)}."
         )
     if gait is not None and len(motion.foot_names) < 4:

@@ -114,7 +114,9 @@ def design_of_names(pattern: str, names: Sequence[str]) -> pd.DataFrame:
     )
     matches = {name: re.fullmatch(regex, name) for name in names}
     raise_problems(
-        Problem("--names", "clip", name, f"a name of the form {pattern}") for name in names if matches[name] is None
+        Problem("--names", "clip", repr(name), f"a name of the form {pattern}")
+        for name in names
+        if matches[name] is None
     )
     rows = {name: match.groupdict() for name, match in matches.items() if match is not None}
     return _design(rows, "--names", "group", ())
@@ -326,11 +328,12 @@ def fit_experiment(
             continue
         if animals <= columns:
             needed = f"{counted(columns, 'group or covariate') if columns == 1 else f'{columns} groups and covariates'}"
-            notes.append(f"No mixed model of {name}: {counted(animals, 'animal')} for {needed}; one more at least.")
+            enough = f"{counted(animals, 'animal')} for {needed}; at least one more is needed"
+            notes.append(f"No mixed model of {_title(name)}: {enough}.")
             continue
         model = _fit(name, known, strides, groups, used, with_size)
         if model is None:
-            notes.append(f"No mixed model of {name}: {names_text(used)} cannot be told from the groups.")
+            notes.append(f"No mixed model of {_title(name)}: {names_text(used)} cannot be told from the groups.")
         else:
             models.append(model)
     if models:
@@ -338,13 +341,17 @@ def fit_experiment(
     return models, notes
 
 
+def _title(name: str) -> str:
+    return re.sub("_(m|m_s|hz)$", "", name).replace("_", " ")
+
+
 def _joined_levels(models: Sequence[QuantityModel]) -> Iterator[str]:
     """Yield notes on levels that the data do not separate."""
     if any(model.model.runs == model.model.animals for model in models):
         yield "Each animal has one run: the variance between runs is part of that between animals."
-    single = [model.name for model in models if model.model.strides == model.model.runs]
+    single = [_title(model.name) for model in models if model.model.strides == model.model.runs]
     if single:
-        yield f"One value a run of {names_text(single)}: the variance between strides is part of that between runs."
+        yield f"One value per run of {names_text(single)}: the variance between strides is part of that between runs."
 
 
 def _fit(

@@ -23,7 +23,9 @@ CAPTIONS: Mapping[str, str] = {
         "means over strides; shaded: 90 % between strides; thin lines: 90 % by the uncertainty of the fit; bars: the "
         "foot stands."
     ),
-    "footfalls": "Stances of the feet over time; thin lines: 90 % of their ends; lines with ticks: complete strides.",
+    "footfalls": (
+        "Stances of the feet over time; thin lines: 90 % interval of each end; lines with ticks: complete strides."
+    ),
     "speed": "Speed over time, and the acceleration where it is known; bands: 90 %.",
     "composites": (
         "Configurations over the clip from the side, from above and from ahead, coloured by time. Dashed: left; thin: "

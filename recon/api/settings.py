@@ -66,7 +66,7 @@ StrideTimes = Annotated[
 ]
 """(start, end) in seconds since frame 0, or text such as "0.31:0.62"."""
 FIRST_FRAME = Option("Number that the video's first frame has in the keypoint file, if it was cut.")
-ANYWAY = Option('Also of a clip whose verdict is "do not use".')
+ANYWAY = Option('Also use clips whose verdict is "do not use".')
 STRIDE = Option(
     "A stride, in seconds since frame 0, as in 0.31:0.62. (default: a stride of the clip)",
     "START:END in seconds, as in 0.31:0.62",

@@ -25,7 +25,7 @@ from typing import Annotated, Any, TypeAlias, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from recon.base.errors import InputError, Problem
+from recon.base.errors import ANY_FILE, NO_FILE, InputError, Problem
 from recon.base.file_names import encodable
 
 Json: TypeAlias = Any
@@ -82,7 +82,7 @@ def read_content(path: Path, expected: str, most_bytes: int = MAX_BYTES) -> byte
     return content
 
 
-def read_head(path: Path, expected: str = "a file that can be read", length: int = 64) -> bytes:
+def read_head(path: Path, expected: str = ANY_FILE, length: int = 64) -> bytes:
     """Return the first bytes of a file.
 
     Raises InputError for an empty file, and for anything that is not a readable file.
@@ -103,7 +103,7 @@ def utf8_path(path: Path) -> str:
     return name
 
 
-def require_file(path: Path, expected: str = "a file that can be read") -> None:
+def require_file(path: Path, expected: str = ANY_FILE) -> None:
     """Raise InputError for anything but a file, such as a pipe, which would block while reading."""
     with damage_named(path, expected, "file"):
         if not path.is_file():
@@ -114,7 +114,7 @@ def _kind_of(path: Path) -> str:
     """Return a description of a path that is not a file, for a message."""
     if path.exists():
         return "a folder" if path.is_dir() else "a pipe or a device"
-    return "a link that points to nothing" if path.is_symlink() else "no such file"
+    return "a link that points to nothing" if path.is_symlink() else NO_FILE
 
 
 def read_json(path: Path, expected: str) -> Json:

@@ -9,6 +9,9 @@ from typing import Any, TypeVar, overload
 
 from recon.base.file_names import encodable
 
+NO_FILE, ANY_FILE = "no such file", "a file that can be read"
+"""Texts of a file that is missing."""
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -36,6 +39,9 @@ class Problem:
     def __str__(self) -> str:
         option = "--" + self.field.replace("_", "-")
         says_it = str(self.file) in (option, option.removesuffix("-px"), f"--set {option[2:]}")
+        if (self.field, self.found) == ("file", NO_FILE):
+            expected = "" if self.expected == ANY_FILE else f", expected {self.expected}"
+            return printable(f"{self.file}: {NO_FILE}{expected}")
         location = self.file if says_it else f"{self.file}: {self.field}"
         return printable(f"{location}: found {self.found}, expected {self.expected}")
 

@@ -100,7 +100,8 @@ def effect_text(numbers: Mapping[str, Any]) -> str:
     pose_m, position_m = (numbers.get(name, math.nan) for name in EFFECTS)
     if not math.isfinite(pose_m + position_m):
         return ""
-    return f" Poses change by {1000 * pose_m:.0f} mm and positions by {1000 * position_m:.0f} mm."
+    lengths = f"{1000 * pose_m:.0f} mm and positions by {1000 * position_m:.0f} mm"
+    return f" Without this fault, poses would change by {lengths}."
 
 
 def sentences(motion: Motion) -> Iterator[tuple[Finding, str]]:

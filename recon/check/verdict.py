@@ -17,7 +17,7 @@ import numpy as np
 
 from recon.animal.prior import NONE
 from recon.base.arrays import Array
-from recon.base.errors import InputError, Problem
+from recon.base.errors import InputError, Problem, printable
 from recon.base.numbers import NORMAL_90
 from recon.check.codes import EFFECTS, sentence
 from recon.check.constants import LIMIT_OF_TRUNK
@@ -254,6 +254,13 @@ def level_of(pose_of_trunk: ExpectedError, error: bool, warning: bool) -> Level:
     return "check" if warning or pose_of_trunk.high > LIMIT_OF_TRUNK else "use"
 
 
+class _UnusableClip(Problem):
+    """Describe a clip that is refused for its verdict, in a sentence of its own."""
+
+    def __str__(self) -> str:
+        return printable(f"{self.file}: the verdict is {self.found}. Use --anyway to go on")
+
+
 def usable(motion: Motion, folder: Path | str, anyway: bool) -> Motion:
     """Return the motion of a folder.
 
@@ -264,8 +271,8 @@ def usable(motion: Motion, folder: Path | str, anyway: bool) -> Motion:
     """
     verdict = motion.verdict
     if verdict is not None and verdict.level == "do not use" and not anyway:
-        verdict_text = f"do not use: {verdict.reason.rstrip('.')}"
-        raise InputError(Problem(folder, "verdict", verdict_text, "a clip with a usable result, or --anyway"))
+        verdict_text = f'"do not use" ({verdict.reason.rstrip(".")})'
+        raise InputError(_UnusableClip(folder, "verdict", verdict_text, "a clip with a usable result, or --anyway"))
     return motion
 
 

@@ -24,8 +24,9 @@ from recon.show.page.own_page import COMPARE_PAGE
 def compare(settings: CompareSettings, progress: Progress) -> Answer:
     """Compare strides and speeds of several clips by group, with uncertainties, group means and spreads.
 
-    With --design or --names, a mixed model tells animals, runs, strides and measurement apart. --plan says how many
-    animals an effect needs.
+    With --design or --names, a mixed model tells animals, runs, strides and measurement apart.
+
+    --plan says how many animals an effect needs.
 
     Example: recon compare results/a results/b results/c --table animals.csv --by sex --out comparison
     """
@@ -70,7 +71,10 @@ def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str
         for quantity in QUANTITIES
     )
     yield table_of("group", "quantity", numbers=(f"{unit}s", "strides", "mean", "±", "spread"), rows=rows)
-    yield f"±: one standard deviation of the mean, with the size's; spread: one standard deviation between the {unit}s."
+    yield (
+        "±: one standard deviation of the mean, including that of the animal's size; spread: one standard deviation "
+        f"between the {unit}s."
+    )
     if missing := [QUANTITIES[quantity][0] for quantity in QUANTITIES if quantity not in known_quantities(clips)]:
         reason = "No clip has a complete stride: no" if not groups["strides"].sum() else "No clip has a known"
         yield f"{reason} {', '.join(missing)}."
@@ -97,7 +101,7 @@ def _model_lines(experiment: Experiment) -> Iterator[str | Table]:
     yield table_of("standard deviation", numbers=headings, rows=rows)
     yield (
         "ICC: intraclass correlation, the share of the variance of single strides that is between animals; change: the "
-        "smallest one between two runs of an animal that 95 % of unchanged animals do not show."
+        "change between two runs that an unchanged animal exceeds in only 5 % of cases."
     )
     shared = max(model.shared for model in experiment.models)
     if shared:
@@ -146,7 +150,7 @@ def _planned(table: PlanTable) -> Answer:
 def _plan_lines(table: PlanTable, sigmas: dict[str, float]) -> Iterator[str | Table]:
     plan = table.plan
     title = QUANTITIES.get(plan.quantity, (plan.quantity, False))[0]
-    groups = "the same animals twice" if plan.paired else "two groups of animals"
+    groups = "two measurements of the same animals" if plan.paired else "two groups of animals"
     yield f"To find a difference of {_short(table.effect)} in {title} between {groups}, at 5 %:"
     rows = (
         (

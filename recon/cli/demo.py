@@ -41,6 +41,8 @@ def demo(settings: _DemoSettings, progress: Progress) -> Answer:
     page = report(PageSettings(folder=out), progress).data["page"]
     mpjpe_mm = 1000 * evaluate_files(out / "pose3d.csv", samples / "whole_truth.csv").mpjpe_m.mean
     answer, analysis = answer_of_fit(fit_report, out, page, mpjpe_mm=mpjpe_mm), ClipAnalysis(Motion.load(out))
-    error = f"Error against the sample's truth: {mpjpe_mm:.0f} mm (MPJPE); what is expected is fitted to real clips"
+    error = (
+        f"Error against the sample's truth: {mpjpe_mm:.0f} mm (MPJPE); the expected error is calibrated on real clips"
+    )
     sentences = analysis_sentences(analysis)
     return replace(answer, lines=[*answer.lines, error, *sentences])

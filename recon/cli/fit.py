@@ -31,7 +31,7 @@ _FitOptions = Annotated[dict[str, Any], OptionsOf(FitSettings)]
 
 
 def fit(settings: FitRunSettings, options: _FitOptions, console: Console, progress: Progress) -> Answer:
-    """Reconstruct one clip: turn keypoints and a camera into 3D poses, angles, a report and a playback.
+    """Reconstruct one clip: turn keypoints and a camera into 3D poses, angles, report.json and a playback.
 
     Example: recon fit clip.csv --camera scene.json --camera-name cam2 --fps 90 --out results/clip
 

@@ -225,7 +225,7 @@ def job_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> _Job:
     if settings.fps is None:
         if info.fps is None:
             raise InputError(
-                Problem("--fps", "fps", f"nothing, and {run_settings.video} does not say", "frames per second")
+                Problem("--fps", "fps", f"nothing ({run_settings.video} does not state it)", "frames per second")
             )
         settings = replace(settings, fps=info.fps)
     return _Job(run_settings, with_corrections_in(run_settings.out, settings))

@@ -292,7 +292,7 @@ FORMATS: tuple[Format, ...] = (
     Format("coco", "COCO JSON", (".json",), _json_poses_coco, _2D),
     Format("alphapose", "AlphaPose JSON", (".json",), _json_poses_alphapose, _2D),
     Format("mmpose", "MMPose JSON", (".json",), _json_poses_mmpose, _2D),
-    Format("openpose", "OpenPose JSON, a file a frame", (".json",), _json_poses_openpose, _2D),
+    Format("openpose", "OpenPose JSON (one file per frame)", (".json",), _json_poses_openpose, _2D),
     Format("fmpose3d", "FMPose3D JSON of DeepLabCut", (".json",), _json_poses_fmpose3d, _3D, unit="m"),
     Format("trc", "TRC", (".trc",), _markers_trc, _3D, _3D, "needed", "kept", "m, y up", up="y"),
     Format("c3d", "C3D", (".c3d",), _markers_c3d, _3D, _3D, "needed", "RECON:FRAMES", "mm, z up"),
@@ -473,7 +473,7 @@ def as_keypoints(path: Path, stored: StoredPoints) -> Keypoints:
 
 
 def individuals(path: str | Path) -> tuple[str, ...]:
-    """Return the animals with points in a file of several, or nothing for a single animal or an unreadable file."""
+    """Return the animals that have points in a multi-animal file; nothing for one animal or an unreadable file."""
     try:
         read_keypoints(path)
     except NoChoiceError as error:

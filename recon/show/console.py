@@ -11,7 +11,9 @@ from rich.text import Text
 STYLES = {"use": "bold green", "check": "bold yellow", "do not use": "bold red"}
 """Style of each level of a verdict."""
 TO_DO = {
-    "check": "Look at the poses on the video (recon overlay) before use: reason and warnings say what may be wrong.",
+    "check": (
+        "Look at the poses on the video (recon overlay) before use: the reason and the warnings say what may be wrong."
+    ),
     "do not use": "Do not use these numbers: correct the cause that the reason names, and fit again.",
 }
 """Advice for each level of a verdict; "use" needs none."""

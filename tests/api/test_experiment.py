@@ -153,14 +153,14 @@ def test_levels_that_the_data_do_not_separate_are_named(tables: tuple[pd.DataFra
     experiment = model_experiment(single, strides.iloc[:0], {"duty_factor": False})
     assert [note.partition(":")[0] for note in experiment.notes] == [
         "Each animal has one run",
-        "One value a run of duty_factor",
+        "One value per run of duty factor",
     ]
     (row,) = experiment.variances.to_dict("records")
     assert (row["run_sd"], row["stride_sd"]) == (0, 0)
     few = model_experiment(single.iloc[[0, 3]], strides, {"duty_factor": False})
     assert (few.models, few.notes) == (
         [],
-        ["No mixed model of duty_factor: 2 animals for 2 groups and covariates; one more at least."],
+        ["No mixed model of duty factor: 2 animals for 2 groups and covariates; at least one more is needed."],
     )
     constant = model_experiment(single.assign(age=3.0), strides, {"duty_factor": False}, ["age"])
     assert says(constant.notes[0], "age cannot be told from the groups")

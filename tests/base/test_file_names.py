@@ -160,4 +160,4 @@ def test_standard_output_may_be_closed_or_of_ascii(tmp_path):
     listed, usage = done.stdout.decode("ascii").split("Usage:")
     assert json.loads(listed)
     assert "--camera" in usage
-    assert rb"L\xf6we.csv: file: found no such file" in done.stderr
+    assert rb"L\xf6we.csv: no such file" in done.stderr

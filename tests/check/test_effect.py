@@ -44,10 +44,9 @@ def test_a_finding_without_an_effect_keeps_its_severity_and_a_note_stays_one():
 
 
 def test_a_sentence_says_the_effect_where_it_is_known():
-    assert "(31 px, 5.2 times the expected error). Poses change by 12 mm and positions by 40 mm." in sentence(
-        late(0.012, 0.04)
-    )
-    assert "error). --set find-offsets=true" in sentence(late(np.nan, np.nan))
+    effect = "Without this fault, poses would change by 12 mm and positions by 40 mm."
+    assert f"(31 px, 5.2 times the expected error). {effect}" in sentence(late(0.012, 0.04))
+    assert "error). Measure the time offset with --set find-offsets=true" in sentence(late(np.nan, np.nan))
 
 
 def test_the_intervals_of_the_verdict_contain_the_effect(small_trajectory):

@@ -110,7 +110,7 @@ SENTENCES = {
     ),
     "camera_turned": (
         "cam1 looks turned by about 5.0 degrees relative to the other cameras (31 px, 5.2 times the expected error). "
-        "Poses change by 12 mm and positions by 40 mm. Check",
+        "Without this fault, poses would change by 12 mm and positions by 40 mm. Check",
         {"turn_rad": np.radians(5.0), **AGAINST, "pose_effect_m": 0.012, "position_effect_m": 0.04},
     ),
     "camera_late": ("cam1 is 2.5 frames early relative to", {"late_frames": -2.5, "offset_s": 0.1, **AGAINST}),

@@ -653,7 +653,7 @@ def test_bad_input_in_a_process_of_its_own_is_one_line(tmp_path, monkeypatch):
     """The sentence that is made of a problem."""
     monkeypatch.chdir(tmp_path)
     ended = run_process("evaluate", "no.csv", TRUTH)
-    assert ended == Ended(2, "", "error: no.csv: file: found no such file, expected a file that can be read\n")
+    assert ended == Ended(2, "", "error: no.csv: no such file\n")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -125,7 +125,7 @@ def _legend(figure: Figure, gaits: Mapping[str, Gait], feet: Sequence[str]) -> N
     if not all(s.begins and s.ends for g in gaits.values() for s in g.stances):
         handles.append(Line2D([], [], linestyle="", marker=">", ms=4, color="k", label="cut by the clip"))
     if any(np.isfinite((s.start_sigma_s, s.end_sigma_s)).any() for g in gaits.values() for s in g.stances):
-        handles.append(Line2D([], [], color="0.35", lw=0.7, label="90 % of its ends"))
+        handles.append(Line2D([], [], color="0.35", lw=0.7, label="90 % interval of each end"))
     if any(g.strides for g in gaits.values()):
         handles.append(Line2D([], [], color="k", lw=0.7, marker="|", ms=5, label="complete stride"))
     style.add_legend(figure, handles, [h.get_label() for h in handles])

@@ -51,7 +51,7 @@ def summary_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     away_m, camera = min(by_camera, default=(math.inf, ""))
     if sigma_m is not None and sigma_m > HARDLY_KNOWN * away_m:
         is_size_known = trajectory_solution(motion).size_sigma <= HARDLY_KNOWN / 2
-        reason = "these pictures hardly determine it" if is_size_known else "the animal's size is not known better"
+        reason = "these pictures hardly determine it" if is_size_known else "no more certain than the animal's size"
         yield "distance", f"{plus_minus(away_m, sigma_m, 'm')} from {camera}: {reason}"
 
 
