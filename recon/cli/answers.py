@@ -56,7 +56,7 @@ class Answer:
     """
 
     def show(self, console: Console, as_json: bool) -> None:
-        """Print the answer, and exit with its code."""
+        """Print the answer; raise `typer.Exit` if its exit code is not 0."""
         if as_json:
             typer.echo(_shown_json(self.data if isinstance(self.data, str) else _json(self.data)), nl=False)
         for line in () if as_json else self.lines:

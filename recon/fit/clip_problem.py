@@ -201,7 +201,10 @@ class ClipProblem:
 
     @property
     def shows_size(self) -> bool:
-        """Return whether a picture was taken from a position other than the origin."""
+        """Return whether a picture was taken from a position other than the origin.
+
+        The size scales the scene about the origin, which changes no picture that is taken from there.
+        """
         return any(np.abs(view.centre_m - self.origin_m).max() > _SAME_CENTRE_M for view in self.views)
 
     def present(self) -> Bools:

@@ -202,7 +202,7 @@ def dynamics_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -
 
 
 def root_term(n_state: int, fps: float, acceleration_m_s2: Array, yaw_acceleration_rad_s2: float) -> Linear:
-    """Return the term of the root's acceleration (level x, y, z) and its yaw acceleration: Gaussian about zero."""
+    """Return the term of the root's acceleration (x, y horizontal, z) and its yaw acceleration: Gaussian about zero."""
     rows = np.zeros((4, n_state))
     rows[:3, ROOT] = np.diag(1.0 / np.asarray(acceleration_m_s2))
     rows[3, YAW] = 1.0 / yaw_acceleration_rad_s2

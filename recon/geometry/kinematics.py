@@ -305,7 +305,7 @@ class Tree(Brief):
         return state[:, None, ROOT] + relative.transpose(2, 0, 1)
 
     def _points(self, frames: Array, state: Array, size: Array | float) -> Array:
-        """Return `_Plan.points` relative to the root (S + J, 3, N), for the frames of `_frames`."""
+        """Return the positions of `_Plan.points` relative to the root (S + J, 3, N), for the frames of `_frames`."""
         plan, N = self.plan, len(state)
         columns = frames.reshape(plan.points.shape[1], 3, N)
         points = np.tensordot(plan.points, columns, 1) * size

@@ -68,8 +68,8 @@ def _require_sound_heaps(path: Path) -> None:
     """Raise ValueError if an object in a global heap has no end.
 
     A global heap holds texts of any length. The library would look for the next object for ever. Header: signature,
-    version, 3 bytes, size (8); objects: number (2), references (2), 4 bytes, size (8), data in steps of 8 bytes. Number
-    0 is the free rest, whose size includes its header.
+    version, 3 bytes, size (8); objects: number (2), references (2), 4 bytes, size (8), data in steps of 8 bytes. Object
+    0 is the remaining free space, whose size includes its header.
     """
     with path.open("rb") as file:
         head = file.read(24)

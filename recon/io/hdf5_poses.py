@@ -89,7 +89,7 @@ def _keys(path: Path) -> list[str]:
         return [str(group.name) for group in hdf5.groups(file) if h5py.h5a.exists(group.id, b"pandas_type")]
 
 
-# fixed layout: the axes and the blocks of columns of one type, each an array
+# -- fixed layout: the axes and the blocks of columns of one type, each an array ---------------------------------------
 
 
 def _fixed_frame(group: h5py.Group) -> _Table:
@@ -145,7 +145,7 @@ def _is_empty(dataset: h5py.Dataset) -> bool:
     return 0 in (_attribute_value(dataset, "shape") or ())
 
 
-# table layout: one array of records, and the labels of its columns pickled
+# -- table layout: one array of records, with pickled column labels ----------------------------------------------------
 
 
 def _table_frame(group: h5py.Group) -> _Table:

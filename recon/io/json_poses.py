@@ -118,7 +118,7 @@ def read_coco(path: Path, individual: str | None = None) -> StoredPoints:
     info, names = content.get("info"), _names(path, content["categories"], people)
     extra: dict[str, Any] = {"fps": common.rate(info.get("fps")) if isinstance(info, dict) else None, "notes": notes}
     extra["image_size_px"] = _size(content["images"])
-    named = any("individual" in annotation for annotation in people)  # the number of the only track is not a name
+    named = any("individual" in annotation for annotation in people)  # the number of a lone track is not a name
     return _points(path, individual, names, numbers.values(), seen, named, **extra)
 
 

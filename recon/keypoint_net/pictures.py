@@ -64,10 +64,10 @@ MOVED_LEVELS = 22.0
 
 @dataclass(frozen=True)
 class Augmentation:
-    """Hold ranges of random changes of a picture.
+    """Hold the ranges of random changes to a picture.
 
-    Each value is drawn uniformly within its range, and the logarithm uniformly if the value is a factor. Shares are
-    probabilities. `partner` is the index of each keypoint's mirror partner; None means that pictures are not mirrored.
+    Values are drawn uniformly, factors on a log scale. Shares are probabilities. `partner` is the
+    index of each keypoint's mirror partner; None means that pictures are not mirrored.
     """
 
     rotation_deg: float = 20.0

@@ -395,7 +395,7 @@ def as_level(orientations: Sequence[Orientation], up: Array | None) -> tuple[Ori
 
 
 def tilted(tilt_rad: float) -> Array:
-    """Return the upward direction (3,) for a camera that looks down by an angle and is level sideways."""
+    """Return the upward direction (3,) for a camera tilted down by an angle, without roll."""
     return np.array([0.0, -math.cos(tilt_rad), -math.sin(tilt_rad)])
 
 

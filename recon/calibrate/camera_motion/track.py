@@ -323,7 +323,7 @@ class Tracker:
         return index, key.number, orientation.rotation @ key.orientation.rotation.T, zooms, normal, gradient
 
     def _new_key(self, frame: GreyPicture, mask: Bools | None, agreement: AgreedOrientation, seen: _Seen) -> None:
-        """Make the frame a keyframe, with points that are trusted like the nearest points followed into the frame."""
+        """Make the frame a keyframe, with points trusted as much as the nearest tracked points."""
         points = turning.corners(frame, mask)
         background = np.full(len(points), 0.5)
         if len(points) >= MIN_CORNERS:
