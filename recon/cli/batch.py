@@ -176,7 +176,7 @@ def _table(summary: Summary) -> list[Table | str]:
         frames = "" if row["frames"] is None else f"{float(row['frames']):.0f}"
         styled = Text(state, STYLES.get(state, _STYLES.get(state, "")))
         cells.append((row["clip"], styled, frames, pose, speed))
-    table = table_of("clip", "verdict", numbers=("frames", "pose off by, mm", "mean speed, m/s"), rows=cells)
+    table = table_of("clip", "verdict", numbers=("frames", "pose error, mm", "mean speed, m/s"), rows=cells)
     notes = [f"{counted(len(rows) - LISTED, 'more clip')}: see the summary."] if len(rows) > LISTED else []
     return [table, *notes]
 
@@ -224,7 +224,7 @@ def _row_text(row: Mapping[str, Any]) -> Text:
     text = Text.assemble((row["status"], _STYLES.get(row["status"], "")), f"  {row['clip']}")
     if row["error"]:
         return text.append(f": {row['error']}")
-    pose = "" if row["pose_mm"] is None else f", pose off by {row['pose_mm']:.0f} mm"
+    pose = "" if row["pose_mm"] is None else f", pose error {row['pose_mm']:.0f} mm"
     reason = "" if row["reason"] in (None, NOTHING_AGAINST) else f": {row['reason']}"
     text.append("  ").append(level, STYLES.get(level, ""))
     return text.append(f"{pose}, {row['frames']} frames, {row['seconds']:.1f} s{reason}")

@@ -95,7 +95,7 @@ class Verdict(Brief):
         prefix = "apart from that, " if self.warned else ""
         return (
             verdict_line,
-            f"{prefix}pose off by {self.pose_m.in_words}, {share}; position by {self.position_m.in_words}",
+            f"{prefix}pose error {self.pose_m.in_words}, {share}; position error {self.position_m.in_words}",
         )
 
 

@@ -63,7 +63,7 @@ def test_errors_that_a_warning_doubts_are_said_to_be_so(whole_results):
     verdict = add_verdict(replace(Motion.load(whole_results), findings=(warned,))).verdict
     assert verdict is not None
     assert (verdict.level, verdict.warned) == ("check", True)
-    assert verdict.lines[1].startswith("apart from that, pose off by")
+    assert verdict.lines[1].startswith("apart from that, pose error")
 
 
 def test_a_clip_to_be_used_names_keypoints_that_do_not_fit(whole_results):
@@ -166,8 +166,8 @@ def test_no_pose_is_not_to_be_used(small_trajectory):
 def test_words_are_in_the_unit_that_fits(small_trajectory):
     said, errors = verdict_lines(add_verdict(small_trajectory).verdict)
     assert said.split(":")[0] in ("use", "check", "do not use")
-    assert "pose off by" in errors
-    assert "of the trunk's length; position by" in errors
+    assert "pose error" in errors
+    assert "of the trunk's length; position error" in errors
     assert verdict_lines(None) == ()
 
 

@@ -160,7 +160,7 @@ def test_a_page_begins_with_the_verdict_the_error_and_what_to_do(whole_results, 
     html = clip_page(motion, [("still.jpg", "frame 0")], None, [])
     told = [
         motion.verdict.reason,
-        "Expected: pose off by",
+        "Expected: pose error",
         *([TO_DO[level]] if level in TO_DO else []),
         "still.jpg",
         "Frames: 60 of 60",

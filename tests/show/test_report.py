@@ -550,7 +550,7 @@ def test_how_up_was_found_is_said_to_begin_with(small_trajectory):
 def test_a_summary_begins_with_the_verdict_and_what_to_do(trajectory, level):
     report = trajectory | {
         "verdict": {"level": level, "reason": "It is so."},
-        "lines": [["verdict", f"{level}: It is so."], ["expected", "pose off by 40 mm"], *trajectory["lines"]],
+        "lines": [["verdict", f"{level}: It is so."], ["expected", "pose error 40 mm"], *trajectory["lines"]],
     }
     out = StringIO()
     Console(file=out, width=160).print(console_summary(report))
