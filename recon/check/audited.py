@@ -18,6 +18,8 @@ from recon.base.arrays import Array, Bools, Brief, Index, Integers
 
 NAMES_KNOWN = 0.6
 """Fraction of a file's points, or of a skeleton's markers, with matching names above which the skeleton is used."""
+LEAST_NAMES = 4
+"""Fewest matching names by which a skeleton is used: two or three fit several animals."""
 _FOOT = re.compile(r"(?i)paw|hoof|toe|foot(?!base)|feet|hand(?!le)|claw|ankle|wrist")
 _STANDING = re.compile(rf"{_FOOT.pattern}|fetlock|pastern|digit|heel|hock|tarsus|carpus|knee")
 _LOWEST = re.compile(r"(?i)paw|hoof|toe|foot|feet|hand|claw")
@@ -124,7 +126,7 @@ def roles_of(names: Sequence[str]) -> Roles:
     """Return the parts of the animal from the points' names, according to a built-in skeleton or one of its maps."""
     skeleton, by_marker = marker_names(names)
     body = None if skeleton is None else load_skeleton(skeleton)
-    if body is None or len(by_marker) < NAMES_KNOWN * min(len(names), len(body.markers)):
+    if body is None or len(by_marker) < max(LEAST_NAMES, NAMES_KNOWN * min(len(names), len(body.markers))):
         feet = [i for i, name in enumerate(names) if _LOWEST.search(name)]
         feet = feet or [i for i, name in enumerate(names) if _FOOT.search(name)]
         upper = (i for i, name in enumerate(names) if _TRUNK.search(name) and i not in feet)
