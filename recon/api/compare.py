@@ -35,7 +35,7 @@ from recon.api.experiment import (
 )
 from recon.api.settings import ANYWAY
 from recon.base.arrays import Array
-from recon.base.documents import read_toml
+from recon.base.documents import read_toml, require_file
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import seen_from, write_bytes
 from recon.base.outputs import Output
@@ -363,6 +363,7 @@ def _is_one_run(first: Motion, second: Motion, first_files: _FilesByCamera, seco
 def _groups(table: Path | None, by: str | None, names: Sequence[str]) -> dict[str, str]:
     if table is None or by is None:
         return dict.fromkeys(names, ALL)
+    require_file(table, "a CSV table")
     try:
         rows = pd.read_csv(table, dtype=str)
     except (OSError, ValueError) as error:

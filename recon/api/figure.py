@@ -17,11 +17,14 @@ if TYPE_CHECKING:
 
 CITATION = "The recon developers. recon: metric 3D motion of a running animal from one camera and DeepLabCut keypoints."
 CAPTIONS: Mapping[str, str] = {
-    "side_view": "Side view of the animal at even steps of one stride, which runs to the right; grey: the ground.",
+    "side_view": (
+        "Side view of the animal, which runs to the right, at even steps of a stride: the first complete "
+        "one of the foot with the most strides, whose touch-down is 0 %; grey: the ground."
+    ),
     "joint_flexion": (
         "Joint angles over the stride: flexion from a straight joint, 0 % at the touch-down of the limb's foot. Lines: "
         "means over strides; shaded: 90 % between strides; thin lines: 90 % by the uncertainty of the fit; bars: the "
-        "foot stands."
+        "foot stands (for spine and neck: the foot with the most strides)."
     ),
     "footfalls": (
         "Stances of the feet over time; thin lines: 90 % interval of each end; lines with ticks: complete strides."

@@ -10,7 +10,7 @@ from textwrap import fill
 import pandas as pd
 from rich.table import Table
 
-from recon.api.compare import FIGURE, QUANTITIES, CompareSettings, Comparison, known_quantities, run_compare
+from recon.api.compare import FIGURE, GROUPS, QUANTITIES, CompareSettings, Comparison, known_quantities, run_compare
 from recon.api.experiment import MODEL, VARIANCES, Experiment
 from recon.api.experiment_plan import PLAN, PlanTable, plan_experiment, read_plan, read_variances
 from recon.base.errors import InputError, Problem
@@ -73,7 +73,7 @@ def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str
     yield table_of("group", "quantity", numbers=(f"{unit}s", "strides", "mean", "±", "spread"), rows=rows)
     yield (
         "±: one standard deviation of the mean, including that of the animal's size; spread: one standard deviation "
-        f"between the {unit}s."
+        f"between the {unit}s, 0 if they differ no more than by their own uncertainties."
     )
     if missing := [QUANTITIES[quantity][0] for quantity in QUANTITIES if quantity not in known_quantities(clips)]:
         reason = "No clip has a complete stride: no" if not groups["strides"].sum() else "No clip has a known"
@@ -134,8 +134,13 @@ def _cells(mean: float, sigma: float, spread: float) -> tuple[str, ...]:
 
 def _earlier_variances(settings: CompareSettings) -> pd.DataFrame | None:
     """Return the variances of an earlier comparison if its folder is the only one."""
-    if settings.plan and len(settings.folders) == 1 and (settings.folders[0] / VARIANCES).is_file():
-        return read_variances(settings.folders[0] / VARIANCES)
+    if not settings.plan or len(settings.folders) != 1:
+        return None
+    (folder,) = settings.folders
+    if (folder / VARIANCES).is_file():
+        return read_variances(folder / VARIANCES)
+    if (folder / GROUPS).is_file() and (folder / COMPARE_PAGE).is_file():  # a comparison without a mixed model
+        raise InputError(Problem(folder, VARIANCES, "nothing", "a comparison made with --design or --names"))
     return None
 
 

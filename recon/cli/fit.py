@@ -24,7 +24,7 @@ class FitRunSettings(Settings):
     config: Path | None = None
     """config.toml of an earlier run; options given here override it."""
     overwrite: bool = False
-    """Replace results in the folder."""
+    """Replace results in the folder; an earlier page and analysis made from them are deleted."""
 
 
 _FitOptions = Annotated[dict[str, Any], OptionsOf(FitSettings)]

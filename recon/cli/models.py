@@ -15,7 +15,7 @@ from recon.api.prior_fit import PriorFitSettings, run_prior_fit
 from recon.api.skeleton_check import REACH_SIGMAS, check_skeleton
 from recon.api.skeleton_draft import SkeletonDraftSettings, run_skeleton_draft
 from recon.api.subject_fit import SubjectFitSettings, run_subject_fit
-from recon.base.numbers import counted, length_text
+from recon.base.numbers import counted, length_text, rounded
 from recon.base.outputs import Output
 from recon.base.settings import Option, Settings, input_paths
 from recon.cli.answers import Answer, table_of
@@ -91,10 +91,10 @@ def _skeleton_lines(check: dict[str, Any]) -> Iterator[str | Table]:
     rows = []
     for part in check["parts"]:
         ranges = {angle["name"]: f"{angle['low_deg']:.0f} to {angle['high_deg']:.0f}" for angle in part["angles"]}
-        lengths = f"{part['length_m']:.3f}", *(ranges.get(name, "-") for name in names)
+        lengths = rounded(part["length_m"], 3), *(ranges.get(name, "-") for name in names)
         rows.append((part["name"], part["parent"], *lengths))
-    yield table_of("segment", "turns on", numbers=("length m", *(f"{name} °" for name in names)), rows=rows)
-    rows = [(m["name"], m["segment"], *(f"{x:.3f}" for x in m["at_m"])) for m in check["markers"]]
+    yield table_of("segment", "turns on", numbers=("from parent, m", *(f"{name} °" for name in names)), rows=rows)
+    rows = [(m["name"], m["segment"], *(rounded(x, 3) for x in m["at_m"])) for m in check["markers"]]
     yield table_of("marker", "on segment", numbers=("x m", "y m", "z m"), rows=rows)
     yield "Angles: mean ± 2 standard deviations; - for none."
     if links := check.get("links"):

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping
 
 from recon.base.arrays import median
-from recon.base.numbers import decimals, interval, length_text, percent, percent_range
+from recon.base.numbers import counted, decimals, interval, length_text, percent, percent_range
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.gait.dynamics import G_M_S2
@@ -74,6 +75,16 @@ def _speed_sentence(
     return f"The animal moved {path_m:{decimals(path_m)}} m, at {mean_text}{peak}."
 
 
+def _strides_text(gait: Gait) -> str:
+    """Return the number of strides, such as "9 strides (2 to 3 of each foot)"."""
+    counts = Counter(stride.foot for stride in gait.strides)
+    numbers = sorted({counts[foot] for foot in gait.order})
+    text = counted(len(gait.strides), "stride")
+    if len(gait.order) < 2:
+        return text
+    return f"{text} ({' to '.join(map(str, dict.fromkeys((numbers[0], numbers[-1]))))} of each foot)"
+
+
 def _stride_sentences(gait: Gait, quantities: Mapping[str, GaitQuantity]) -> Iterator[str]:
     length_m, frequency = length_text(gait.stride_length_m), f"{gait.stride_frequency_hz:.2f} a second"
     low, high = gait.name.duty_interval
@@ -82,7 +93,7 @@ def _stride_sentences(gait: Gait, quantities: Mapping[str, GaitQuantity]) -> Ite
         frequency = quantity_text(quantities["stride_frequency_hz"], "Hz")
         low, high = quantities["duty_factor"].interval
     yield (
-        f"Strides are {length_m} long, {frequency}, averaged over {len(gait.strides)} strides; a foot stands "
+        f"Strides are {length_m} long, {frequency}, averaged over {_strides_text(gait)}; a foot stands "
         f"{percent(gait.name.duty_factor)} of the time (90 %: {percent_range(low, high)})."
     )
     lasts_s, swing_s = 1 / gait.stride_frequency_hz, 2 * math.pi * math.sqrt(gait.tracks.leg_m / 1.5 / G_M_S2)

@@ -131,6 +131,8 @@ def test_what_cannot_be_compared_is_refused(clips: Path, tmp_path: Path, whole_m
 
     refuses([clips, "--table", lacking, "--by", "sex"], *((lacking, "clip", f"for {name}") for name in "bc"))
     refuses([clips, "--table", lacking, "--by", "age"], (lacking, "column", ["'age'", "(clip, sex)"]))
+    absent = tmp_path / "absent.csv"
+    refuses([clips, "--table", absent, "--by", "sex"], (absent, "file", "no such file", "a CSV table"))
     refuses([clips, "--by", "age"], ("--by", "table", "--table"))
     for folder in (tmp_path, clips / "animals.csv"):
         refuses([folder], (folder, "folder", "no results"))

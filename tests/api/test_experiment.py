@@ -224,6 +224,8 @@ def test_the_command_compares_a_herd_and_plans(
     assert says(
         run("compare", "--plan", "effect=1 animal=1 run=0 stride=0 animals=9").out, "Smallest effect", "two groups"
     )
+    (out / "variances.csv").unlink()  # a comparison without a design has none
+    refused(["compare", out, "--plan", "effect=10%"], (out, "variances.csv", "nothing", ["--design", "--names"]))
     refused(["compare"], ("DIR", "folders", "nothing"), ("--out", "folder", "nothing"))
     both = ["compare", out, "--design", design_file, "--names", "{animal}", "--out", tmp_path / "b"]
     refused(both, ("--names", "pattern", "a design, too"))

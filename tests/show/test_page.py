@@ -127,7 +127,7 @@ def test_a_page_says_what_the_report_says(page, folder):
         "few joints were seen and trusted",
         "The grey line is the ground under the feet",
         "rings: detections within the expected error",
-        "The acceleration is not shown: most of the time it is smaller than its standard deviation.",
+        "The instantaneous acceleration is not shown: most of the time it is smaller than its standard deviation.",
     ):
         assert text in page.text
     assert "frames 10 to 17, 0.333 to 0.567 s at 30 frames per second" in page.text
@@ -236,7 +236,7 @@ def test_a_page_of_frames_that_are_too_few_for_a_speed(small_motion, tmp_path):
     given = {"camera": Path("camera.toml"), "fps": 30, "method": "frame"}
     write_clip(motion, FitSettings(keypoints=Path("run.csv"), **given), tmp_path)
     html = report(PageSettings(folder=tmp_path)).data["page"].read_text(encoding="utf-8")
-    assert "The acceleration is not shown" in html
+    assert "The instantaneous acceleration is not shown" in html
 
 
 def test_a_page_without_any_pose(small_trajectory, tmp_path):

@@ -213,7 +213,7 @@ def speeds(
             axes.set_ylabel(f"{name} ({unit})")
             _limit(axes, pairs)
         banded = any(np.isfinite(motion.speed_sigma_m_s).any() for motion in curves.values())
-        panels[-1].set_xlabel("time (s)" + ("; bands, ±: 90 %" if banded else ""))
+        panels[-1].set_xlabel("time (s)" + ("; bands and ±: 90 %" if banded else ""))
         style.add_legend(figure, lines, labels, width_mm)
     return figure
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from recon.animal.prior import NONE as NO_PRIOR
 from recon.base.arrays import mean, median
-from recon.base.numbers import decimals, length_text, percent
+from recon.base.numbers import decimals, length_text, percent, plus_minus
 from recon.fit.motion import MEASURED_SHARE, Motion
 from recon.fit.result import SolvedShape, TrajectorySolution
 from recon.gait.kinematics import MIN_POINTS, frame_jitter_m, jitter_errors, point_kinematics
@@ -130,9 +130,8 @@ def size_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     sources, size_source = size_sources(trajectory_solution(motion)), given_size(motion)
     animal = data["lengths"].split(",")[0]
     if sources:
-        uncertainty = f"±{percent(data['sigma'] / data['factor'])}"
-        factor = f"{data['factor']:.2f} times the skeleton ({size_source or animal})"
-        yield "size", f"{factor}, {uncertainty}, by {' and '.join(sources)}"
+        factor = f"{plus_minus(data['factor'], data['sigma'])} times the skeleton ({size_source or animal})"
+        yield "size", f"{factor}, by {' and '.join(sources)}"
     elif size_source:
         yield "size", f"as given ({size_source}), ±{percent(data['sigma'])}"
     else:
