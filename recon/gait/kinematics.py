@@ -140,7 +140,7 @@ class JointKinematics(Brief):
         values, is_known = self.acceleration_m_s2, np.isfinite(self.acceleration_m_s2)
         if is_known.any() and np.mean(self.acceleration_sigma_m_s2[is_known] > values[is_known]) <= 0.5:
             return ""
-        return "The instantaneous acceleration is not shown: most of the time it is smaller than its standard deviation."
+        return "The instantaneous acceleration is not shown: mostly it is smaller than its standard deviation."
 
 
 @dataclass(frozen=True, eq=False, repr=False)
