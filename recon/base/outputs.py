@@ -137,7 +137,7 @@ class ReadResults:
 
     @classmethod
     def read(cls, folder: Path) -> ReadResults:
-        """Return the results that are presently in the folder."""
+        """Return the results that are now in the folder."""
         return cls(folder, _manifest_sha256(folder))
 
     @contextmanager

@@ -202,7 +202,7 @@ class _Process:
         return _failure(f"crashed: {(log.strip().splitlines() or ['no word'])[-1]}", log)
 
     def stop(self) -> None:
-        """Stop the task, which cleans up; a process that waits for a task ends."""
+        """Stop the task, which first cleans up, or end the process if it waits for a task."""
         self._process.terminate()
 
     def join(self, until_s: float) -> None:

@@ -313,7 +313,7 @@ def _largest_agreeing_group(sights: Sequence[_Sight], fps: float, limit: float) 
 def _cost_without(
     sights: Sequence[_Sight], agreeing: Sequence[int], rest: Sequence[int], fps: float, limit: float
 ) -> tuple[bool, float]:
-    """Return the cost of removing a camera: whether a cause can bring it back, and how well the rest agrees."""
+    """Return the cost of removing a camera: whether a correction makes it agree, and how well the rest agrees."""
     (v,) = {*agreeing} - {*rest}
     if len(rest) > 2:
         return False, float(np.nansum(_levels(sights, rest)))

@@ -170,7 +170,7 @@ CURVED_PX = 0.1
 too.
 """
 LONG, SHORT, SHARE_LONG = 1.45, 0.5, 0.13
-"""Ratios of a step to the steps around it from which it is long or short, and the largest usual share of long steps.
+"""Ratios above and below which a step is long or short for the steps around it, and the usual share of long steps.
 
 If more steps are long, and less than half as many are short, frames were left out. In 32 real views at most 0.12 of the
 steps are long, also with half of their points missing, a side hidden, or an animal that comes into the picture. The

@@ -152,7 +152,7 @@ def _content(content: bytes) -> tuple[Parameters, np.ndarray, int]:
     if block < 2 or not np.isfinite(scale) or begin + size > len(content):
         raise ValueError(f"{len(content)} bytes of {begin + size} that the header announces")
     rows = np.frombuffer(content[begin : begin + size], kind).reshape(T, width)[:, : 4 * points].reshape(T, points, 4)
-    with np.errstate(invalid="ignore"):  # a NaN that signals, as damaged floats can be
+    with np.errstate(invalid="ignore"):  # damaged floats can be signalling NaNs
         xyz = rows[..., :3].astype(float) * (1.0 if scale < 0 else scale)
         xyz[~(rows[..., 3] >= 0)] = np.nan
     return parameters, xyz, max(first, 1)

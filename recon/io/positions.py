@@ -64,7 +64,7 @@ def in_metres(path: Path, reader: Format, stored: StoredPoints, unit: str | None
         problems.append(Problem(path, "up", up, "y or z (--up)"))
     if problems or unit is None:
         raise InputError(problems)
-    with np.errstate(invalid="ignore"):  # a NaN that signals, as damaged floats can be
+    with np.errstate(invalid="ignore"):  # damaged floats can be signalling NaNs
         xyz_m = stored.values / PER_METRE[unit]
     return Pose3D(
         stored.names,

@@ -79,7 +79,7 @@ def read_solver(motion: Motion, folder: Path, frame: int | None = None) -> Solve
     options = FrameOptions.from_settings(read_config(folder / CONFIG, {}).plain())
     solved = np.flatnonzero(motion.solved)
     if not len(solved):
-        raise InputError(Problem(folder, "frames", "no frame with a pose", "one at least"))
+        raise InputError(Problem(folder, "frames", "no frame with a pose", "at least one frame"))
     if frame is None:
         row = int(solved[np.argmax(solution.reported("function_evaluations")[solved])])
     elif frame in motion.frames[solved]:

@@ -129,7 +129,7 @@ def geometric_start(
 ) -> Array:
     """Return the state (D,) of the mean pose facing `heading` (3,), placed on one frame's rays (J, 3).
 
-    angles replaces angles of the mean pose and of the heading, in rad by their index in the state.
+    `angles` holds angles in rad by their index in the state, which replace those of the mean pose and of the heading.
     """
     state = mean_pose(chain)
     rotation = upright_rotation(heading, camera.up)
