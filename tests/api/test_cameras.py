@@ -358,7 +358,7 @@ def test_cameras_that_the_clips_do_not_tell_are_refused(runs, tmp_path, monkeypa
 
     monkeypatch.setattr("recon.api.extrinsics.solve_extrinsics", solve)
     clip = settings(runs, 1, 2, frames="10:36", refine_cameras=True)
-    with refusal(("KEYPOINTS", "camera cam2", ["turn", "26 degrees"])):
+    with refusal(("KEYPOINTS", "camera cam2", ["rotation", "26 degrees"])):
         run_extrinsics([clip], tmp_path / "out.toml")
     assert not (tmp_path / "out.toml").exists()
 

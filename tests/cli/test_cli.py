@@ -495,7 +495,7 @@ BAD_INPUT: dict[str, tuple[list[str], list[Refusal]]] = {
     ),
     "subject of a chain": (
         ["{clip}", "--subject", "jules", "--skeleton", "cheetah-8u"],
-        [("--subject", "name or file", "'jules'", "none")],
+        [("--subject", "name or file", "'jules'", "nothing")],
     ),
     "unknown prior": (["{clip}", "--prior", "zebras"], [("--prior", "name or file", "'zebras'")]),
     "prior of another skeleton": (

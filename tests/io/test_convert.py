@@ -140,7 +140,7 @@ def test_without_a_frame_rate(target, tmp_path):
         ("3D" in target.writes and target.write, replace(a_pose(), fps=None), read_pose3d),
     ):
         if write and target.fps == "needed":
-            with refusal(("--fps", "fps", "nothing", "as in 90")):
+            with refusal(("--fps", "fps", "no frame rate", "as in 90")):
                 write(data, path)
             assert not path.exists()
         elif write:
@@ -402,7 +402,7 @@ def test_whole_or_not_at_all(files_2d, tmp_path):
     out = tmp_path / "new" / "a.nwb"
     no_rate = replace(a_clip(), fps=None)
     FORMATS[0].write(no_rate, tmp_path / "a.csv")
-    with refusal(("--fps", "fps", "nothing")):
+    with refusal(("--fps", "fps", "no frame rate")):
         convert(ConvertSettings(source=tmp_path / "a.csv", out=out))
     assert not out.parent.exists()
     convert(ConvertSettings(source=tmp_path / "a.csv", out=out, fps=50))

@@ -112,7 +112,7 @@ def test_clips_of_a_project(project):
             "run1": f"run1{NETWORK}",
             "run2": f"run2{NETWORK}",
         }
-        assert says(notes[1], "Left out", f"same videos: run1{NETWORK}_filtered.csv")
+        assert says(notes[1], f"same videos were left out: run1{NETWORK}_filtered.csv")
     copy(SAMPLE, project / "videos" / "run2DLC_HrnetW32_horseMay1shuffle2_snapshot_200.csv")
     with refusal(("config.yaml", "predictions of run2", ["2 networks", "DLC_HrnetW32_horseMay1shuffle2_snapshot_200"])):
         find_clips([project], CAMERA)
@@ -173,7 +173,7 @@ def test_poses_of_fmpose3d(of_fmpose3d, suffix):
     assert found.pa_mpjpe_m.mean < 1e-6 < 0.1 < found.scale_mpjpe_m.mean
     plain = evaluate_files(path, truth)
     assert plain.names == tuple(name for name in pose.names if name in ("nose", "tail_base"))
-    assert any(says(note, "--rename animal3d", "19 joints", "not 2") for note in plain.notes)
+    assert any(says(note, "--rename animal3d", "19 joints", "instead of 2") for note in plain.notes)
     assert json.loads(run("evaluate", path, truth, "--rename", "animal3d", "--json").out)["pa_mpjpe_mm"] < 1e-3
 
 

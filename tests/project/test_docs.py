@@ -300,6 +300,7 @@ def all_options() -> Iterator[str]:
 
 
 OTHERS_OPTIONS = {
+    "--clips",
     "--folds",
     "--others",
     "--only",
