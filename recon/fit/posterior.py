@@ -1,13 +1,14 @@
 """Compute the uncertainty of a trajectory: the Gaussian approximation of the posterior at the minimum.
 
-**1. Covariance of the states.** Let H be the curvature of the cost at the minimum by the states x of all frames, B that
-between x and the shared unknowns s, Y = H^-1 B, and S the curvature by s with x eliminated (`recon.fit.banded`). If s
-moves by ds, x follows by -Y ds. The covariance of s is S^-1. That of a frame is a block of H^-1, with s fixed, plus Y
-S^-1 Y'. The size is one of the shared unknowns, and is kept separate because the ground may determine it further.
-`curvature` computes these parts; `posterior` adds them up frame by frame.
+**1. Covariance of the states.** Let H be the curvature of the cost at the minimum with respect to the states x of all
+frames, B that between x and the shared unknowns s, Y = H^-1 B, and S the curvature with respect to s with x eliminated
+(`recon.fit.banded`). If s moves by ds, x follows by -Y ds. The covariance of s is S^-1. That of a frame is a block of
+H^-1, with s fixed, plus Y S^-1 Y'. The size is one of the shared unknowns, and is kept separate because the ground may
+determine it further. `curvature` computes these parts; `posterior` adds them up frame by frame.
 
-**2. Covariance of the joints.** A joint lies at origin + size p. Let J be the Jacobian of p by the frame's unknowns,
-and let a be the derivative of these unknowns by the size (`state_by_size`). With q = p + size J a,
+**2. Covariance of the joints.** A joint lies at origin + size p. Let J be the Jacobian of p with respect to the frame's
+unknowns, and let a be the derivative of these unknowns with respect to the size (`state_by_size`). With q = p + size J
+a,
 
     cov(joint) = size^2 J C J' + var(size) q q'
 
@@ -57,6 +58,7 @@ _FIXED = 1e8
 _NEARLY_FREE = 1e-3
 """Precision of an almost unknown position and heading (1 / m^2, 1 / rad^2)."""
 _FRAMES_AT_ONCE, _FRAMES_OF_SHAPE = 256, 32
+"""Number of frames whose covariances are computed at once, without and with unknown lengths; it bounds the memory."""
 _BIAS_ROUNDS, _PRIOR_COUNT = 10, 8
 """Rounds of expectation and maximisation, and the number of unknowns that the expected variance counts as."""
 _NOISE_ROUNDS, _NOISE_FACTOR = 2, (0.05, 4.0)
@@ -65,7 +67,11 @@ _NOISE_ROUNDS, _NOISE_FACTOR = 2, (0.05, 4.0)
 
 @dataclass(frozen=True)
 class Posterior:
-    """Hold the covariance of T frames with J joints and D unknowns each, at nominal size about the origin."""
+    """Hold the covariance of T frames with J joints and D unknowns each.
+
+    Joints are those of an animal of the skeleton's size, relative to the origin from which the size scales them;
+    `with_size` applies the size.
+    """
 
     covariance_m2: Array
     """Covariances of the joints, shape (T, J, 3, 3), for a given size."""
@@ -79,9 +85,9 @@ class Posterior:
     The first are those with the pixels, the second those without.
     """
     state_by_size: Array
-    """Derivatives of the states by the size, shape (T, D)."""
+    """Derivatives of the states with respect to the size, shape (T, D)."""
     joint_by_size_m: Array
-    """Derivatives q of the joints by the size (see the module), shape (T, J, 3)."""
+    """Derivatives q of the joints with respect to the size (see the module), shape (T, J, 3)."""
     size_precision: float
     """Precision of the size due to the pixels; 0 if they do not determine it."""
     shared_sigma: dict[str, Array]
@@ -108,24 +114,24 @@ class _Curvature:
     eliminated: Callable[[], Iterable[Window]]
     root: Array
     others_by_size: Array
-    """Derivatives of the other shared unknowns by the size, shape (P,)."""
+    """Derivatives of the other shared unknowns with respect to the size, shape (P,)."""
     shared_precision: Array
     size_known: float
     """Precision of the size due to the pixels, before the variance factor; 0 if it is not an unknown."""
     beyond_m2: Array | float
     """Excess of the variance of the common keypoint bias over the expected variance, shape (J,)."""
     expected_precision: Array
-    """Part of each shared unknown's precision that is due to the prior, shape (1 + P,)."""
+    """Part of each shared unknown's precision that its own expected spread contributes, shape (1 + P,)."""
     pull: Array
-    """Gradient by the shared unknowns, with all other unknowns at their minimum, shape (1 + P,)."""
+    """Gradient with respect to the shared unknowns, with all other unknowns at their minimum, shape (1 + P,)."""
     lengths: slice | None = None
     """Indices of the lengths among the P unknowns, if lengths are unknown."""
 
     def windows(self) -> Iterator[tuple[Window, Array, Array]]:
-        """Yield the windows with the derivatives of their n frames by the shared unknowns.
+        """Yield the windows with the derivatives of their n frames with respect to the shared unknowns.
 
         The first array is Y (n, D, P) for the P unknowns other than the size, whose change moves the frames by -Y; the
-        second array is the derivative (n, D) by the size.
+        second array is the derivative (n, D) with respect to the size.
         """
         n_size = len(self.shared_precision) - len(self.root)  # the size comes first
         for window in self.eliminated():
@@ -143,7 +149,7 @@ def curvature(problem: LeastSquares, estimate: Estimate, variance_factor: float)
     normals = problem.normals(estimate.states, problem.expected() | dict(estimate.shared))
 
     def windows() -> Iterable[Window]:
-        return eliminated(normals(), bounded=True)
+        return eliminated(normals(), bounded=True)  # an undetermined unknown gets a large variance, not an error
 
     reduced = np.sum([window.reduced() for window in windows()], axis=0)
     S, n_size, beyond_m2 = reduced[:, :-1].copy(), int(SIZE in problem.columns), 0.0
@@ -270,7 +276,7 @@ def posterior(problem: LeastSquares, body: Body, estimate: Estimate, variance_fa
 
 
 def _add_shared(state_covariance: Array, by_others: Array, root: Array) -> None:
-    """Add the uncertainty of the shared unknowns other than the size, in place: H^-1 + Y S^-1 Y'."""
+    """Add the uncertainty of the shared unknowns other than the size, in place: Y S^-1 Y'."""
     for first in range(0, len(state_covariance), _FRAMES_AT_ONCE):
         rows = slice(first, first + _FRAMES_AT_ONCE)
         lasting = by_others[rows] @ root
@@ -288,9 +294,9 @@ def _add_shape(
 ) -> None:
     """Add the uncertainty of the shared unknowns other than the size to the joints, which lengths also move directly.
 
-    `joints` holds absolute and relative covariances (n, J, 3, 3) and the derivatives by the size (n, J, 3). These and
-    the covariance of the states change in place. A joint moves by X (3, D + L) with states and lengths, which together
-    have the covariance S (D + L, D + L): the covariance of the joint is X S X'.
+    `joints` holds absolute and relative covariances (n, J, 3, 3) and the derivatives (n, J, 3) with respect to the
+    size. These and the covariance of the states change in place. A joint moves by X (3, D + L) with states and lengths,
+    which together have the covariance S (D + L, D + L): the covariance of the joint is X S X'.
     """
     absolute, relative, by_size = joints
     shape, root_of_lengths = Shape.of_body(body), solution.root[solution.lengths]
@@ -336,8 +342,8 @@ def _shared_sigma(
 ) -> dict[str, Array]:
     """Return the standard deviations (P,) of the shared unknowns: see `Posterior.shared_sigma`.
 
-    is_measured: whether the animal's lengths were measured; otherwise they are stated as if nothing was known of them,
-    as an individual's may differ from the skeleton's more than those of the fit do.
+    `is_measured` says whether the animal's lengths were measured. If not, the expected spread of lengths is at least
+    `constants.LENGTH_SIGMA`, because an individual may differ from the skeleton by more than the fit assumed.
     """
     unknowns = {unknown.name: unknown for unknown in (*problem.shared, *problem.nuisance)}
     columns, precision = replace(problem, shared=[*unknowns.values()]).columns, solution.shared_precision
