@@ -333,7 +333,7 @@ def test_command_writes_tables_figures_and_plots(of_results, whole_results, monk
     written = {path.name for path in (folder / "analysis").iterdir()}
     assert {*TABLES, "analysis.json"} <= written
     assert {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()} == results
-    assert f"with: recon view {folder}\n" in printed
+    assert f"playback: recon view {folder}\n" in printed
     assert {name for name in written if name.endswith((".png", ".svg"))} == {
         f"{figure}.{suffix}" for figure in DEFAULT_FIGURES for suffix in ("png", "svg")
     }

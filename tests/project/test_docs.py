@@ -301,6 +301,8 @@ def all_options() -> Iterator[str]:
 
 OTHERS_OPTIONS = {
     "--clips",
+    "--levels",
+    "--tie",
     "--folds",
     "--others",
     "--only",
