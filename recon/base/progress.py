@@ -9,4 +9,4 @@ Progress = Callable[[str, float], None]
 
 
 def silent(stage: str, share: float) -> None:
-    """Report nothing."""
+    """Report no progress at all."""

@@ -103,7 +103,8 @@ def one_steps(
     states = solution.states[segment.rows].copy()
     states[:, ROOT] = (states[:, ROOT] - clip.origin_m) / solution.size
     points_m = clip.markers(states)
-    *_, contact_terms = contacts(clip, points_m, solution.size)
+    has_contacts = clip.options.ground == "auto" and len(clip.feet) and len(clip) > 2
+    contact_terms = contacts(clip, points_m, solution.size)[-1] if has_contacts else ()
     problem = clip.problem(noise_px[:, segment.rows], 1.0, contact_terms, points_m, solution.size)
     terms = [
         _extended(term, unknowns) if isinstance(term, Reprojection) and term.number in unknowns else term

@@ -286,7 +286,7 @@ def test_problems_of_several_inputs_at_once(clips, tmp_path):
         (tmp_path / "typo.csv", "file", "no such file"),
         (tmp_path / "*.h5", "files", "none that match"),
         (tmp_path / "none", "files", "no keypoint files"),
-        (path, "column 'speed'", "unknown", "out, keypoints, camera"),
+        (path, "column 'speed'", "unknown", "keypoints, camera"),
         (path, "line 2", "5 cells", 3),
         (empty, "rows", "none"),
     )
@@ -327,7 +327,7 @@ def test_files_of_one_clip_are_known_by_the_names_of_cameras(tmp_path):
     assert input_problems(clips) == [(), (), ()]
     several, without = notes
     assert says(several, "4 files", "2 clips", "names", "--cameras-by none")
-    assert says(without, "without", "trot (cam1)")
+    assert says(without, "fewer cameras", "trot (cam1)")
 
 
 @pytest.mark.parametrize("given", [["pose/cam?_json/*.json"], ["pose/cam1_json", "pose/cam2_json"]])
@@ -438,7 +438,7 @@ def test_projects_of_anipose(tmp_path):
     sessions, several, without = notes
     assert says(sessions, "2 sessions", "3 files", "pose-2d and pose-2d-filtered")
     assert says(several, "2 files", "1 clip", "cam_regex", tmp_path / "config.toml", "--cameras-by none")
-    assert says(without, "without", "trot (A)")
+    assert says(without, "fewer cameras", "trot (A)")
     both = [tmp_path / "rex/day1", tmp_path / "rex/day2/pose-2d"]
     assert cameras(both, common) == {"day1-walk": ("A", "B"), "trot": ("A",), "day2-walk": ("A",)}
     assert cameras(both[:1], common, "none") == {"walk-camA": ("A",), "walk-camB": ("B",)}

@@ -57,7 +57,7 @@ def test_without_noise_the_pixels_say_all(monkeypatch):
     for least, what in ((0.99, {"target": "theta_6"}), (0.9, {"target": "phi_6"}), (0.99, {"target": "J8"})):
         usual = seen_from((1.2, 0.5), **what)
         with monkeypatch.context() as without_noise:
-            without_noise.setattr("recon.calibrate.camera_advice.TrajectoryOptions", lambda: exact)
+            without_noise.setattr("recon.calibrate.camera_advice.TrajectoryOptions", lambda **settings: exact)
             sigma, share = seen_from((1.2, 0.5), **what)
         assert share > least > usual[1]
         assert sigma < usual[0] / 2

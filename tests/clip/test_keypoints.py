@@ -119,7 +119,7 @@ def test_unlikely_points_are_rejected_not_missing():
     assert cleaned.confidence[:, 0].tolist() == [0, 0.6, 0.61, 0]
     assert (report.total("rejected"), report.total("missing")) == (2, 0)
     assert clean(clip, 0)[1].total("used") == 4
-    with refusal(("keypoints", "points", ["every point", "4 rejected"], "--set likelihood-min")):
+    with refusal(("keypoints", "points", ["every point", "4 with a likelihood below"], "--set likelihood-min")):
         clean(clip, 0.7)
 
 
@@ -156,7 +156,7 @@ def test_absurd_gap_asks_for_a_range():
 
 def test_all_missing_is_an_error_that_counts_the_rejected():
     clip = one_point((1, 1, 0.1), (2, 2, 0.2), (0, 0, 0), source="clip.csv")
-    with refusal(("clip.csv", "points", ["every point", "2 rejected", 0.6])):
+    with refusal(("clip.csv", "points", ["every point", "2 with a likelihood below", 0.6])):
         clean(clip, 0.6)
 
 

@@ -205,5 +205,5 @@ def test_links_that_are_not_there(arm):
 
 def test_without_the_reader(arm, monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    with refusal((arm, "robot", "no MuJoCo", "[robots]")):
+    with refusal((arm, "robot", "MuJoCo is not installed", "[robots]")):
         read_model(arm)

@@ -525,7 +525,7 @@ def test_console_summary_of_a_trajectory(trajectory):
         "23 of the skeleton's 24 used; missing: r_eye; not used: ear",
         "9.0 m/s on average",
         "not measured: all metres and m/s assume average size (cheetah, ±6 %)",
-        "Nothing says which way is up, so the camera is assumed to be level",
+        "is assumed to be level",
     ):
         assert text in shown
     lines = str(summary_lines(trajectory))
