@@ -368,7 +368,8 @@ def test_quiet_prints_nothing_and_many_stances_are_not_listed(whole_results, tmp
     many = run("analyse", whole_results, "--out", tmp_path / "b", "--no-figures")
     assert "LH l_back_paw" not in many.out
     strides = r"Strides are 4\.\d m \(90 %: 3\.\d to \d\.\d\) long, 3\.\d+ Hz \(90 %: \d[.\d]* to \d[.\d]*\)"
-    assert re.search(rf"{strides}, averaged over [5-9] strides; a foot", " ".join(many.out.split())), many.out
+    averaged = rf"{strides}, averaged over [5-9] strides \(\d to \d of each foot\); a foot"
+    assert re.search(averaged, " ".join(many.out.split())), many.out
 
 
 def test_standard_deviations_of_angles_are_in_the_table_where_there_are_any(whole, one_sided):
