@@ -7,7 +7,7 @@ effect by the same factor in every clip: it does not change how often the effect
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import product
 from pathlib import Path
@@ -99,9 +99,8 @@ def read_plan(texts: Sequence[str]) -> Plan:
     effect_text = values["effect"]
     is_relative = effect_text.endswith("%")
     effect = number("effect", effect_text.removesuffix("%")) * (0.01 if is_relative else 1.0)
-    expected = "yes or no"
     if values.get("paired", "no") not in ("yes", "no"):
-        problems.append(Problem(PLAN, "paired", repr(values["paired"]), expected))
+        problems.append(Problem(PLAN, "paired", repr(values["paired"]), "yes or no"))
     sigmas = {name: number(name, values[name], -1e-12) for name in _SIGMAS if name in values}
     counts = {name: tuple(whole(name, text) for text in values[name].split(",")) for name in COUNTS if name in values}
     plan = Plan(
@@ -149,7 +148,7 @@ def plan_experiment(plan: Plan, variances: pd.DataFrame | None = None) -> PlanTa
     InputError
         If a variance or the mean is not known.
     """
-    plan, earlier, problems = replace(plan), None, []
+    earlier, problems = None, []
     if variances is not None:
         rows = {str(row["quantity"]): row for row in variances.to_dict("records")}
         earlier = rows.get(plan.quantity)

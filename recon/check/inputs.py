@@ -35,7 +35,6 @@ from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.motion import Motion
 from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.terms import REFERENCE_HZ
-from recon.geometry.kinematics import ROOT
 
 FASTEST_M_S = 40.0
 """Largest speed of an animal: cheetahs reach 29 m/s (N. Sharp, *Timed running speed of a cheetah*, J. Zool. 1997)."""
@@ -130,8 +129,7 @@ def _of_rate(
     if segment is None:
         return ()
     longest = segment.rows
-    states = solution.states[longest].copy()
-    states[:, ROOT] = (states[:, ROOT] - clip.origin_m) / solution.size
+    states = clip.nominal(solution.states[longest], solution.size)
     poor_share = np.mean([bool({*flags} & {"no data", "data poor"}) for flags in solution.flags[longest]]) > MOSTLY_POOR
     rate_finding = frame_rate_finding(clip.part(longest), states, stated_hz, by_motion=not poor_share)
     if rate_finding is None:

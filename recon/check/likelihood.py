@@ -33,7 +33,6 @@ from recon.fit.trajectory import solve_trajectory
 from recon.fit.triangulation import triangulate_views
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse
-from recon.geometry.kinematics import ROOT
 
 _TOLERANCE, _ITERATIONS = 3e-3, 12
 """Relative tolerance and largest number of iterations of a minimum in this module."""
@@ -210,10 +209,8 @@ def project_either_side(baseline: Baseline, mirrored: View, is_exchanged: Bools)
 def baseline_of(clip: ClipProblem, number: int, states: Array, size: float) -> Baseline:
     """Return the baseline of one view of a clip; states (T, D) have the root in the world."""
     single = single_view(clip, clip.views[number])
-    centred_states = states.copy()
-    centred_states[:, ROOT] = (states[:, ROOT] - single.origin_m) / size
     other_views = tuple(view for i, view in enumerate(clip.views) if i != number)
-    return Baseline(single, centred_states, other_views)
+    return Baseline(single, single.nominal(states, size), other_views)
 
 
 def best_seen(view: View, fps: float) -> slice:

@@ -19,7 +19,6 @@ from recon.fit.least_squares import Estimate, SharedUnknown
 from recon.fit.posterior import curvature
 from recon.fit.result import TrajectorySolution
 from recon.fit.terms import SIZE, PointRows, Reprojection, Span
-from recon.geometry.kinematics import ROOT
 
 _EXTRA = "one more unknown"
 _FREE = 10.0
@@ -100,11 +99,9 @@ def one_steps(
     if segment is None:
         return {}
     clip, noise_px = replace(clip.part(segment.rows), prior_weight=segment.prior_weight), solution.noise_px
-    states = solution.states[segment.rows].copy()
-    states[:, ROOT] = (states[:, ROOT] - clip.origin_m) / solution.size
+    states = clip.nominal(solution.states[segment.rows], solution.size)
     points_m = clip.markers(states)
-    has_contacts = clip.options.ground == "auto" and len(clip.feet) and len(clip) > 2
-    contact_terms = contacts(clip, points_m, solution.size)[-1] if has_contacts else ()
+    contact_terms = contacts(clip, points_m, solution.size)[-1] if clip.finds_ground else ()
     problem = clip.problem(noise_px[:, segment.rows], 1.0, contact_terms, points_m, solution.size)
     terms = [
         _extended(term, unknowns) if isinstance(term, Reprojection) and term.number in unknowns else term

@@ -16,6 +16,7 @@ from recon.fit import constants, terms
 from recon.fit.body_shape import FreeShape
 from recon.fit.least_squares import LeastSquares, SharedUnknown, piece_of
 from recon.fit.result import Ground
+from recon.geometry.kinematics import ROOT
 
 UP = np.array([0.0, 0.0, 1.0])
 _NEAREST_M = 0.3
@@ -195,6 +196,11 @@ class ClipProblem:
         return self.ground_near_zero and self.options.ground == "auto"
 
     @property
+    def finds_ground(self) -> bool:
+        """Return whether contacts and a ground are estimated, which needs feet and more than two frames."""
+        return self.options.ground == "auto" and len(self.body.feet) > 0 and len(self) > 2
+
+    @property
     def size_sigma(self) -> float:
         """Return the prior standard deviation of the size, around 1."""
         return self.body.size_sigma if self.options.size_sigma is None else self.options.size_sigma
@@ -210,6 +216,12 @@ class ClipProblem:
     def present(self) -> Bools:
         """Return which markers a camera saw, (T, J)."""
         return np.any([view.present for view in self.views], axis=0)
+
+    def nominal(self, states: Array, size: float) -> Array:
+        """Return states (T, D) whose roots are in the world as `markers` takes them: size 1, about the origin."""
+        nominal = states.copy()
+        nominal[:, ROOT] = (states[:, ROOT] - self.origin_m) / size
+        return nominal
 
     def markers(self, states: Array) -> Array:
         """Return the positions at which the detector sees the markers, (T, J, 3), at nominal size about the origin."""

@@ -36,7 +36,6 @@ from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
 from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.result import TrajectorySolution
 from recon.fit.terms import SIDESLIP, SIZE
-from recon.geometry.kinematics import ROOT
 
 _MOST_WEIGHT = 0.99
 _RELATIVE_STEP = 1e-4
@@ -82,16 +81,14 @@ def _problems_at(
     """
     size = solution.size if clip.shows_size else 1.0
     values = {SIZE: np.array([size]), SIDESLIP: np.array([solution.sideslip_rad])}
-    nominal = solution.states.copy()
-    nominal[:, ROOT] = (nominal[:, ROOT] - clip.origin_m) / solution.size
+    nominal = clip.nominal(solution.states, solution.size)
     for segment in solution.segments:
         rows, states = segment.rows, nominal[segment.rows]
         part = replace(clip.part(rows), prior_weight=segment.prior_weight)
         if not np.isfinite(states).all():
             continue
         points = part.markers(states)
-        has_ground = clip.options.ground == "auto" and len(part.feet) > 0 and len(states) > 2
-        contact_terms = contacts(part, points, size)[2] if has_ground else ()
+        contact_terms = contacts(part, points, size)[2] if part.finds_ground else ()
         problem = part.problem(solution.noise_px[:, rows], 1.0, contact_terms, points, size)
         shared = {name: (problem.expected() | values)[name] for name in problem.columns}
         yield rows, part, problem, Estimate(states, 0.0, 0, True, shared)

@@ -50,8 +50,7 @@ def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int
     size = solution.size if clip.shows_size else 1.0
     shared_values = {time_offset(i): np.array([later]) for i, later in enumerate(solution.time_offset_frames)}
     shared_values |= {SIZE: np.array([size]), SIDESLIP: np.array([solution.sideslip_rad])}
-    nominal, drawn = solution.states.copy(), np.full((count, *solution.states.shape), np.nan)
-    nominal[:, ROOT] = (nominal[:, ROOT] - clip.origin_m) / solution.size
+    nominal, drawn = clip.nominal(solution.states, solution.size), np.full((count, *solution.states.shape), np.nan)
     for segment in solution.segments:
         segment_clip, states = (
             replace(clip.part(segment.rows), prior_weight=segment.prior_weight),
@@ -62,9 +61,8 @@ def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int
         points = segment_clip.markers(states)
         noise_px = segment_clip.noise_px(points, np.ones_like(mean_noise_px), size)
         noise_px *= (mean_noise_px / noise_px.mean(axis=1))[:, None]
-        has_ground = clip.options.ground == "auto" and len(segment_clip.feet) > 0 and len(states) > 2
         problem = segment_clip.problem(
-            noise_px, 1.0, contacts(segment_clip, points, size)[2] if has_ground else (), points, size
+            noise_px, 1.0, contacts(segment_clip, points, size)[2] if segment_clip.finds_ground else (), points, size
         )
         # refined cameras are already part of the views
         shared = {name: (problem.expected() | shared_values)[name] for name in problem.columns}

@@ -215,8 +215,7 @@ def _solve_segments_from(clip: ClipProblem, start: TrajectorySolution) -> list[S
 
     A segment without a pose in the solution is solved from the beginning.
     """
-    states = start.states.copy()
-    states[:, ROOT] = (states[:, ROOT] - clip.origin_m) / start.size
+    states = clip.nominal(start.states, start.size)
     shared = {SIZE: np.array([start.size])} if clip.shows_size else {}
     weights = {(part.rows.start, part.rows.stop): part.prior_weight for part in start.segments}
     segments = []
@@ -237,7 +236,7 @@ def _solve_with_noise(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
     """Return the minimum from a solution, with the noise and contacts of that solution."""
     points, size = clip.markers(segment.estimate.states), segment.size
     contact, ground, contact_terms = segment.contact, None, ()
-    if clip.options.ground == "auto" and len(clip.feet) and len(clip) > 2:
+    if clip.finds_ground:
         contact, ground, contact_terms = contacts(clip, points, size)
     problem = clip.problem(segment.noise_px, 1.0, contact_terms, points, size)
     shared = problem.expected() | dict(segment.estimate.shared)
@@ -354,7 +353,7 @@ def _solve_round(clip: ClipProblem, segment: SegmentFit, temperature: float | No
     points, size = with_solved_shape(clip, segment).markers(estimate.states), segment.size
     if whole:
         noise = _noise_factors(with_solved_cameras(clip, segment), points, size, noise)
-        if options.ground == "auto" and len(clip.feet) and len(clip) > 2:
+        if clip.finds_ground:
             contact, ground, contact_terms = contacts(clip, points, size)
     noise_px = clip.noise_px(points, noise, size)
     problem = (clip if whole else replace(clip, shape=None)).problem(noise_px, temperature, contact_terms, points, size)
