@@ -121,7 +121,7 @@ UPWARD = {
 
 
 class Syntax(NamedTuple):
-    """Hold the nodes of a file's syntax tree, and which of them are inside a function."""
+    """Nodes of a file's syntax tree, and which of them are inside a function."""
 
     nodes: list[ast.AST]
     local: list[ast.AST]

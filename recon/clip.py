@@ -1,4 +1,4 @@
-"""Hold the data of a clip: for each camera, cleaned 2D keypoints and a view.
+"""Data of a clip: for each camera, cleaned 2D keypoints and a view.
 
 Keypoints are on the frames that all cameras share. A view holds the keypoints of one camera and its poses.
 """
@@ -143,7 +143,7 @@ used points without a likelihood.
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LeftOut(Brief):
-    """Hold N detections of a file that the fit does not use."""
+    """N detections of a file that the fit does not use."""
 
     names: tuple[str, ...] = ()
     """Names of the keypoints to which `keypoint` refers."""
@@ -186,7 +186,7 @@ class LeftOut(Brief):
 
 @dataclass(frozen=True, repr=False)
 class CleaningReport(Brief):
-    """Hold the result of `clean`.
+    """Result of `clean`.
 
     Frame ranges are half-open pairs (A, B) of original frame numbers: A is in, B is not.
     """
@@ -414,7 +414,7 @@ def _source(keypoints: Keypoints) -> str:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class View(Brief):
-    """Hold the keypoints that one camera saw in the T frames of a clip, and the camera's poses.
+    """Keypoints that one camera saw in the T frames of a clip, and the camera's poses.
 
     Lengths are metres. Pixels are those of the distorted picture.
     """
@@ -588,7 +588,7 @@ BRIDGED_S = 2.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FramePoses(Brief):
-    """Hold poses of a moving camera in T frames, in a world with z up, NaN if unknown."""
+    """Poses of a moving camera in T frames, in a world with z up, NaN if unknown."""
 
     T_camera_world: Array
     """Pose of the camera in each frame, shape (T, 4, 4)."""
@@ -612,7 +612,7 @@ class FramePoses(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Source(Brief):
-    """Hold one camera's cleaned keypoints, and the record of their cleaning."""
+    """One camera's cleaned keypoints, and the record of their cleaning."""
 
     camera: Camera
     keypoints: Keypoints

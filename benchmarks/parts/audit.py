@@ -37,7 +37,7 @@ Fault = Callable[[AuditedPoints, np.random.Generator], AuditedPoints | None]
 
 @dataclass(frozen=True)
 class File:
-    """Hold one file of points: its name, the recording it comes from, and its points as read by the audit."""
+    """One file of points: its name, the recording it comes from, and its points as read by the audit."""
 
     name: str
     source: str

@@ -46,7 +46,7 @@ HELD = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Hold a run: sources and views by camera, and the truth (T, J, 3) in their frames, world frame."""
+    """A run: sources and views by camera, and the truth (T, J, 3) in their frames, world frame."""
 
     folder: Path
     sources: dict[int, Source]

@@ -59,7 +59,7 @@ Rows = list[dict]
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """Hold a clip.
+    """A clip.
 
     points_m (T, J, 3): joints in a world with z up, in the order of `names`.
     """
@@ -129,7 +129,7 @@ def _mean_points(body: Body) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class SegmentFit:
-    """Hold a clip as states (T, D) of the skeleton.
+    """A clip as states (T, D) of the skeleton.
 
     rms_m (T,): root mean square distance of the skeleton's markers from the recorded ones.
     """

@@ -277,7 +277,7 @@ def print_circle() -> None:
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """Hold a run's front leg: names, chain at the animal's size, angles (T, n), frame rate, stride durations."""
+    """A run's front leg: names, chain at the animal's size, angles (T, n), frame rate, stride durations."""
 
     name: str
     chain: SerialChain
@@ -424,7 +424,7 @@ FITS: tuple[tuple[str, Callable[[SerialChain], Fit], str], ...] = (
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """Hold a leg's stride, its frames, and its run."""
+    """A leg's stride, its frames, and its run."""
 
     leg: Leg
     stride: StridePath

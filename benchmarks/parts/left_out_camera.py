@@ -70,7 +70,7 @@ RAT_LENGTH_M, RAT_BIAS_M = 0.2, 0.005
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """Hold a clip from which to leave out cameras."""
+    """A clip from which to leave out cameras."""
 
     kind: str
     name: str
@@ -83,7 +83,7 @@ class Clip:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Hold predicted keypoints (T, J, 2) of a view, with covariances (T, J, 2, 2) or None."""
+    """Predicted keypoints (T, J, 2) of a view, with covariances (T, J, 2, 2) or None."""
 
     xy_px: np.ndarray
     covariance_px2: np.ndarray | None = None
@@ -176,7 +176,7 @@ def choices(clip: Clip, out: int, cameras: str) -> list[int]:
 
 @dataclass(eq=False)
 class Score:
-    """Hold the errors of all methods in cameras that were left out."""
+    """Errors of all methods in cameras that were left out."""
 
     errors_px: dict[str, list[np.ndarray]] = field(default_factory=dict)
     """Errors (n,) of each method, over the points that all methods give."""

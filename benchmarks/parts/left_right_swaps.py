@@ -68,7 +68,7 @@ Change = Callable[["View"], tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Hold a view of a run.
+    """A view of a run.
 
     The file's keypoints are in the order of the body's markers, xy_px (T, J, 2). The truth (T, J, 3) is in the camera's
     frame, NaN if unknown.

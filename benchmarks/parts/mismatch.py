@@ -50,7 +50,7 @@ Rows = list[dict]
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Hold a clip, and the truth (T, J, 3) in the world."""
+    """A clip, and the truth (T, J, 3) in the world."""
 
     name: str
     body: Body

@@ -27,7 +27,7 @@ NOISE_PX = 2.0
 
 @dataclass(frozen=True)
 class Circle:
-    """Hold the results of a whole circle.
+    """Results of a whole circle.
 
     training: report of the training. points: scores of the predictions in the frames without labels. predicted, noisy:
     3D scores over all frames, from fits of predictions and of true points with noise.

@@ -40,7 +40,7 @@ OWN = (path.ACCELERATION_M_S2, path.ACCELERATION_LASTS_S, path.ERRORS_LAST_S)
 
 @dataclass(frozen=True)
 class SolvedView:
-    """Hold one view, solved frame by frame."""
+    """One view, solved frame by frame."""
 
     run: str
     chain: UnknownsChain

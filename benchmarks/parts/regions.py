@@ -41,7 +41,7 @@ WORST = 0.6
 
 @dataclass(frozen=True)
 class Fit:
-    """Hold the errors of a fit over the known joints.
+    """Errors of a fit over the known joints.
 
     off: errors of pose and position in standard deviations. mm: mean errors.
     """

@@ -66,7 +66,7 @@ STEP = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Hold a motion.
+    """A motion.
 
     points_m, marked_m (n, J, 3): the body's markers at nominal size, relative to the middle of the path, and the points
     that the detector marks.

@@ -91,7 +91,7 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Hold the errors of a fit.
+    """Errors of a fit.
 
     Errors (T, J) are in m, centred and not. inside_relative, inside_place (T, J): whether the truth is in the 90 %
     regions. sigma_m (T,): RMS over the joints of the relative standard deviation. too_far_m: mean distance of the

@@ -75,7 +75,7 @@ OFF = ("cameras_disagree", "cameras_exchanged", "cameras_out_of_step", "size_une
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """Hold where keypoints really come from: run, camera, and the delay of their frame numbers."""
+    """Where keypoints really come from: run, camera, and the delay of their frame numbers."""
 
     run: Path
     camera: Camera
@@ -84,7 +84,7 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Given:
-    """Hold the content of a camera's files, and how the truth relates to it.
+    """Content of a camera's files, and how the truth relates to it.
 
     The relation is the frame of the truth for each frame of the clip, and the world of the camera file, x' = R x + t.
     """
@@ -133,7 +133,7 @@ class Given:
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """Hold one or two cameras of a run."""
+    """One or two cameras of a run."""
 
     run: Path
     cameras: tuple[str, ...]

@@ -134,7 +134,7 @@ def common_side(sides: Iterable[Side | None]) -> Side | None:
 
 @dataclass(frozen=True)
 class Skeleton:
-    """Hold a skeleton file with its own form, which is converted to a body (`recon.animal.chain`)."""
+    """Base class of skeletons with a file format of their own, which are converted to a body (`recon.animal.chain`)."""
 
     name: str
     title: str
@@ -142,7 +142,7 @@ class Skeleton:
 
 @dataclass(frozen=True, repr=False)
 class Body(Brief):
-    """Describe a tree with J markers and D unknowns per frame, and the expected values of the unknowns."""
+    """A tree with J markers and D unknowns per frame, and the expected values of the unknowns."""
 
     name: str
     title: str

@@ -36,7 +36,7 @@ CHAINS = (("shoulder", "elbow", "carpus", "fetlock"), ("hip", "stifle", "hock", 
 
 @dataclass(frozen=True)
 class Bone:
-    """Describe one bone, or several in line, such as the trunk."""
+    """One bone, or several in line, such as the trunk."""
 
     name: str
     """Anatomical name, such as upper arm."""

@@ -17,7 +17,7 @@ _SLENDER = 0.12
 
 @dataclass(frozen=True)
 class Capsule:
-    """Describe a cylinder with round ends, from a segment's origin to a point (x, y, z) in its frame, metres."""
+    """A cylinder with round ends, from a segment's origin to a point (x, y, z) in its frame, metres."""
 
     segment: int
     """Index of the tree's segment that carries the capsule."""

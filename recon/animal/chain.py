@@ -62,7 +62,7 @@ class _Range(FileTable):
 
 
 class _Link(FileTable):
-    """Describe one rigid link."""
+    """One rigid link."""
 
     name: str
     start: str = Field(alias="from")
@@ -115,7 +115,7 @@ class _ChainFile(FileTable):
 
 @dataclass(frozen=True)
 class AngleRanges:
-    """Hold the expected ranges of the free links' angles, arrays (A,) in the order of the state."""
+    """Expected ranges of the free links' angles, arrays (A,) in the order of the state."""
 
     mean_rad: Array
     """Middle of the expected range, which is mean ± tolerance."""
@@ -126,7 +126,7 @@ class AngleRanges:
 
 @dataclass(frozen=True)
 class Chain(Skeleton):
-    """Describe a chain: its links, its keypoints, and the expected ranges of its angles."""
+    """A chain: its links, its keypoints, and the expected ranges of its angles."""
 
     record_tag: ClassVar[str] = "chain"
     """Tag of the class in files of motions (`recon.fit.motion_forms.CLASSES`)."""

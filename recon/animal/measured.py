@@ -36,7 +36,7 @@ def read_subject(table: dict[str, Any], source: str) -> _SubjectFile:
 
 
 class _Row(Protocol):
-    """Describe a segment or a marker in the table of a skeleton."""
+    """A segment or a marker in the table of a skeleton."""
 
     @property
     def name(self) -> str: ...
@@ -44,7 +44,7 @@ class _Row(Protocol):
 
 
 class _SkeletonTable(Protocol):
-    """Describe the part of a skeleton's table (`recon.animal.skeleton_file`) that a subject changes."""
+    """Part of a skeleton's table (`recon.animal.skeleton_file`) that a subject changes."""
 
     @property
     def name(self) -> str: ...

@@ -51,7 +51,7 @@ class SegmentRow:
 
 @dataclass(frozen=True, eq=False)
 class MotionPrior:
-    """Hold statistics of A angles in rad, with K components.
+    """Statistics of A angles in rad, with K components.
 
     Raises ValueError with every problem of the arrays.
     """

@@ -86,7 +86,7 @@ class AnalyseSettings(Settings):
 
 @dataclass(frozen=True)
 class WrittenAnalysis:
-    """Hold an analysis and the files written for it."""
+    """An analysis and the files written for it."""
 
     analysis: ClipAnalysis
     summary: dict[str, Any]

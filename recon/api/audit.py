@@ -31,7 +31,7 @@ LIKELIHOOD_MIN = 0.5
 
 @dataclass(frozen=True)
 class Audit:
-    """Hold the findings on one file of points."""
+    """Findings on one file of points."""
 
     source: Path
     content: str

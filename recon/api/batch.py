@@ -86,7 +86,7 @@ OnEvent = Callable[[Event, "Summary"], None]
 
 @dataclass(frozen=True, repr=False)
 class ClipPlan(Brief):
-    """Hold what a batch does with one clip, and why."""
+    """What a batch does with one clip, and why."""
 
     clip: Clip
     out: Path
@@ -317,7 +317,7 @@ def summary_output(out: Path) -> Output:
 
 
 class Summary:
-    """Hold the rows of a batch by clip, and the file they are written to.
+    """Rows of a batch by clip, and the file they are written to.
 
     Clips that an earlier run finished have their rows from the start.
     """

@@ -58,7 +58,7 @@ _BY_CAMERA = ("offset_s", "camera_track", "camera_fps", "find_offsets", "refine_
 
 @dataclass(frozen=True, repr=False)
 class Clip(Brief):
-    """Hold one fit of a batch."""
+    """One fit of a batch."""
 
     name: str
     """Name of the clip's folder, unique within the batch even when upper and lower case are not distinguished."""
@@ -67,7 +67,7 @@ class Clip(Brief):
 
 @dataclass(frozen=True)
 class _Draft:
-    """Hold a clip, or part of one, with its own settings."""
+    """A clip, or part of one, with its own settings."""
 
     paths: tuple[Path, ...]
     row: Mapping[str, Any] = field(default_factory=dict)

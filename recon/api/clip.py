@@ -34,7 +34,7 @@ CHECKS_BEGIN = 0.9
 
 @dataclass(frozen=True)
 class _Fit:
-    """Hold the fit of a clip after one of its stages."""
+    """A clip after one stage of its fit."""
 
     sources: tuple[Source, ...]
     """Keypoints of each camera that this stage uses."""

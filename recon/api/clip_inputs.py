@@ -61,7 +61,7 @@ SharedInputs = tuple[Body, MotionPrior, Cameras]
 
 @dataclass(frozen=True)
 class ClipInputs:
-    """Hold all inputs of a fit: the animal, its expected motion, and the keypoints of each camera."""
+    """All inputs of a fit: the animal, its expected motion, and the keypoints of each camera."""
 
     body: Body
     prior: MotionPrior

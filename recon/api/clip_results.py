@@ -237,7 +237,7 @@ class _Identity:
 
 @dataclass(frozen=True)
 class _Line:
-    """Hold one line of a record.
+    """One line of a record.
 
     The fields after `identity` exist once the part has ended; the last two are free for notes.
     """

@@ -117,7 +117,7 @@ class CompareSettings(Settings):
 
 @dataclass(frozen=True)
 class Comparison:
-    """Hold the clips and groups of a comparison, and the excluded results."""
+    """Clips and groups of a comparison, and the excluded results."""
 
     clips: pd.DataFrame
     groups: pd.DataFrame

@@ -32,7 +32,7 @@ IDLE_S = 2.0
 
 @dataclass(eq=False)
 class CorrectionSession:
-    """Hold the corrections of one result, save them with every change, and fit with them.
+    """Corrections of one result, which are saved with every change and used in a new fit.
 
     The fit runs while the editor is used: `changed` waits for the next fit. After a change, the fit begins at the
     present motion, which takes a fraction of the time. After some time without a change, the clip is fitted from the

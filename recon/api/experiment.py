@@ -246,7 +246,7 @@ def joined_value(values: Array, sigmas: Array, common: Array) -> tuple[float, fl
 
 @dataclass(frozen=True, eq=False)
 class QuantityModel:
-    """Hold the mixed model of one quantity."""
+    """Mixed model of one quantity."""
 
     name: str
     model: MixedModel
@@ -393,7 +393,7 @@ def _fit(
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """Hold the runs of an experiment, the mixed models of its quantities, and their tables."""
+    """Runs of an experiment, the mixed models of its quantities, and their tables."""
 
     runs: pd.DataFrame
     """One row for each run."""

@@ -30,7 +30,7 @@ _USUAL: Mapping[str, tuple[int, ...]] = {"runs": (1, 2), "strides": (3, 10), "ca
 
 @dataclass(frozen=True)
 class Plan:
-    """Hold what a plan asks for."""
+    """Request of a plan."""
 
     effect: float
     """Difference between two groups, in the unit of the quantity or relative to the mean."""
@@ -49,7 +49,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class PlanTable:
-    """Hold the answer to a plan."""
+    """Answer to a plan."""
 
     plan: Plan
     effect: float

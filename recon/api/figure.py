@@ -56,7 +56,7 @@ _BY_START: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class PrintedFigure:
-    """Hold a figure for a paper, and its caption."""
+    """A figure for a paper, and its caption."""
 
     figure: Figure
     caption: str

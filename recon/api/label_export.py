@@ -36,7 +36,7 @@ BY_HAND, FROM_MODEL, DETECTED = "by hand", "accepted from the model", "detected,
 
 @dataclass(frozen=True)
 class CorrectedClip:
-    """Hold one camera's corrections of a result, and the fit with them."""
+    """One camera's corrections of a result, and the fit with them."""
 
     settings: FitSettings
     motion: Motion

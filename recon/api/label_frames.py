@@ -106,7 +106,7 @@ def _spread(numbers: Sequence[int], count: int) -> list[int]:
 
 @dataclass(eq=False)
 class LabelSession:
-    """Hold the labels of chosen frames of a video; every change is saved in DeepLabCut's label files."""
+    """Labels of chosen frames of a video; every change is saved in DeepLabCut's label files."""
 
     video: Path
     names: tuple[str, ...]

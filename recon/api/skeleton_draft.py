@@ -240,7 +240,7 @@ def _understood(names: Sequence[str], markers: Sequence[str]) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class _Part:
-    """Hold a segment: its number, the point where it begins, its parent, its points, and the line along it."""
+    """A segment: its number, the point where it begins, its parent, its points, and the line along it."""
 
     number: int
     origin: int
@@ -255,7 +255,7 @@ class _Part:
 
 @dataclass(frozen=True)
 class _Distances:
-    """Hold the distances between K keypoints over a clip, metres."""
+    """Distances between K keypoints over a clip, metres."""
 
     usual_m: Array
     """(K, K): median over the frames."""

@@ -34,7 +34,7 @@ _COVARIANCE_COLUMNS = {"xx": (0, 0), "xy": (0, 1), "xz": (0, 2), "yy": (1, 1), "
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TriangulatedClip(Brief):
-    """Hold the triangulated points of a clip: T frames of J keypoints seen by V cameras."""
+    """Triangulated points of a clip: T frames of J keypoints seen by V cameras."""
 
     names: tuple[str, ...]
     """Names of the J keypoints."""

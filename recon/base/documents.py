@@ -225,7 +225,7 @@ Sigma = Annotated[float, Field(gt=1e-9, lt=1e6, allow_inf_nan=False)]
 
 
 class FileTable(BaseModel):
-    """Hold a table of a file that has no fields other than these."""
+    """A table of a file, which may have no other fields than these."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 

@@ -15,7 +15,7 @@ NO_FILE, ANY_FILE = "no such file", "a file that can be read"
 
 @dataclass(frozen=True)
 class Problem:
-    """Describe one problem of an input.
+    """One problem of an input.
 
     As text, a problem is one line, with codes for characters that cannot be printed.
     """

@@ -27,7 +27,7 @@ _POLICY = (
 
 @dataclass(frozen=True)
 class Reply:
-    """Hold the answer to a request."""
+    """Answer to a request."""
 
     content: bytes
     kind: str = "application/json"

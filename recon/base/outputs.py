@@ -50,7 +50,7 @@ NAMED = 3
 
 @dataclass(frozen=True)
 class WrittenFile:
-    """Describe a file as a run wrote it."""
+    """A file as a run wrote it."""
 
     kind: str
     """The command that wrote it, such as analyse."""
@@ -197,7 +197,7 @@ def _goes(entry: WrittenFile, folder: Path, results: Path) -> bool:
 
 @dataclass(frozen=True)
 class Output:
-    """Describe a folder that a command writes to."""
+    """A folder that a command writes to."""
 
     folder: Path
     kind: str

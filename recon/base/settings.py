@@ -81,7 +81,7 @@ OneOrMore = Annotated[tuple[_Value, ...], BeforeValidator(_as_tuple), Field(min_
 
 @dataclass(frozen=True)
 class Option:
-    """Describe a setting beyond its type and its default."""
+    """A setting beyond its type and its default."""
 
     help: str = ""
     """Help on the command line; if empty, the text below the field. If the default is None, brackets say what happens
@@ -105,7 +105,7 @@ class Option:
 
 @dataclass(frozen=True)
 class SettingInfo:
-    """Hold one setting of a class, for the command line and for messages."""
+    """One setting of a class, for the command line and for messages."""
 
     field: str
     option: Option
@@ -207,7 +207,7 @@ class _ReadableSignature:
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)
 class Settings:
-    """Hold the settings of a command: a subclass is a frozen dataclass, with the help of each field below it.
+    """Settings of a command: a subclass is a frozen dataclass, with the help of each field below it.
 
     Texts are accepted for numbers, sizes and files; None means not given. Raises InputError with all problems.
     """

@@ -81,7 +81,7 @@ Corners = tuple[Index, Array]
 
 @dataclass(frozen=True)
 class Board:
-    """Describe a chessboard, or a ChArUco board, which has markers in the light squares."""
+    """A chessboard, or a ChArUco board, which has markers in the light squares."""
 
     columns: int
     """Number of inner corners across, or of squares for a board with markers."""
@@ -206,7 +206,7 @@ def _refined_corners(image: Gray, xy_px: Array, reach: float) -> Array:
 
 @dataclass(frozen=True)
 class BoardView:
-    """Hold a picture in which the board was detected.
+    """A picture in which the board was detected.
 
     name: name of the file, or number of the frame.
     """
@@ -220,7 +220,7 @@ class BoardView:
 
 @dataclass(frozen=True)
 class BoardViews:
-    """Hold the pictures of a board from some files."""
+    """Pictures of a board from some files."""
 
     board: Board
     image_size_px: tuple[int, int]
@@ -412,7 +412,7 @@ _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-10)
 
 @dataclass(frozen=True)
 class _FittedBoardView(BoardView):
-    """Hold a fitted picture with N corners."""
+    """A fitted picture with N corners."""
 
     rotation: Array
     """(3, 3): X_camera = rotation X_board + translation_m."""
@@ -441,7 +441,7 @@ class _FittedBoardView(BoardView):
 
 @dataclass(frozen=True)
 class Calibration:
-    """Hold a camera and the views used to calibrate it."""
+    """A camera and the views used to calibrate it."""
 
     camera: Camera
     board: Board
@@ -608,7 +608,7 @@ Verdict = Literal["ok", "warning", "refused"]
 
 @dataclass(frozen=True)
 class _CalibrationCheck:
-    """Hold a measured value and its limits."""
+    """A measured value and its limits."""
 
     name: str
     quantity: str

@@ -330,7 +330,7 @@ def _cost_without(
 
 @dataclass(frozen=True, eq=False)
 class _Sight:
-    """Hold the directions in which one camera saw J keypoints in T frames, as unit vectors in the world frame."""
+    """Directions in which one camera saw J keypoints in T frames, as unit vectors in the world frame."""
 
     rays: Array
     """Directions, shape (T, J, 3); NaN if missing."""

@@ -1,4 +1,4 @@
-"""Hold the points of a file to audit, and the body parts that their names indicate."""
+"""Points of a file to audit, and the body parts that their names indicate."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ DECIMALS = 6
 
 @dataclass(frozen=True)
 class Roles:
-    """Hold the parts of the animal among the K points, as indices."""
+    """Parts of the animal among the K points, as indices."""
 
     skeleton: str | None = None
     """Built-in skeleton with the points' names."""
@@ -50,7 +50,7 @@ class Roles:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class AuditedPoints(Brief):
-    """Hold K points of one animal in T frames, in pixels or metres (z up)."""
+    """K points of one animal in T frames, in pixels or metres (z up)."""
 
     names: tuple[str, ...]
     positions: Array
@@ -100,7 +100,7 @@ class AuditedPoints(Brief):
 
 @dataclass(frozen=True)
 class Measure:
-    """Hold the result of one check; a larger value is more suspicious."""
+    """Result of one check; a larger value is more suspicious."""
 
     code: str
     value: float

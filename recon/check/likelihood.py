@@ -70,7 +70,7 @@ def single_view(clip: ClipProblem, view: View) -> ClipProblem:
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """Hold the solution of part of a clip, states (n, D) at nominal size about the origin, and its likelihoods."""
+    """Solution of part of a clip, states (n, D) at nominal size about the origin, and its likelihoods."""
 
     states: Array
     correlated: float
@@ -143,7 +143,7 @@ def log_tail(residual: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """Hold one view of a clip as given, and the states (T, D) estimated for it, at nominal size about its origin."""
+    """One view of a clip as given, and the states (T, D) estimated for it, at nominal size about its origin."""
 
     clip: ClipProblem
     states: Array

@@ -27,7 +27,7 @@ _FREE = 10.0
 
 @dataclass(frozen=True)
 class Detections:
-    """Hold the detections of N frames of a camera, as a derivative needs them."""
+    """Detections of N frames of a camera, as a derivative needs them."""
 
     frames: Array
     """(N,): frames of the clip."""
@@ -45,7 +45,7 @@ ByUnknown = Callable[[Detections], Array]
 
 @dataclass(frozen=True)
 class Step:
-    """Hold the estimate of an unknown and its standard deviation."""
+    """Estimate of an unknown and its standard deviation."""
 
     value: float
     sigma: float

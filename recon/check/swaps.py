@@ -56,7 +56,7 @@ STEADY = 1.0
 
 @dataclass(frozen=True, eq=False)
 class _Stretch:
-    """Hold rows of a clip, and the permutation (J,) of its markers in them."""
+    """Rows of a clip, and the permutation (J,) of its markers in them."""
 
     rows: slice
     permutation: Index
@@ -128,7 +128,7 @@ def swaps(baseline: Baseline, is_unlike: bool = False) -> list[_SwapTrial]:
 
 @dataclass(frozen=True, eq=False)
 class _SwapTrial:
-    """Hold an exchanged stretch, the solution of its part of the clip, and its log-likelihood gain."""
+    """An exchanged stretch, the solution of its part of the clip, and its log-likelihood gain."""
 
     stretch: _Stretch
     refit: Refit

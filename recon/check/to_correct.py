@@ -32,7 +32,7 @@ far: used, but not explained by the pose; left out: for a reason other than its 
 
 @dataclass(frozen=True)
 class ToCorrect:
-    """Hold one detection that is worth correcting."""
+    """A detection that is worth correcting."""
 
     frame: int
     """Frame number in the keypoint file."""

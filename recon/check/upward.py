@@ -31,7 +31,7 @@ MIN_STANDING = 3
 
 
 class _Upward(NamedTuple):
-    """Hold an upward unit vector (3,), a point (3,) on the ground, and the uncertainty of the direction.
+    """An upward unit vector (3,), a point (3,) on the ground, and the uncertainty of the direction.
 
     Lengths are metres in the poses' world. The standard deviation is that about the less certain axis.
     """

@@ -64,7 +64,7 @@ _MEAN_OF_SIGMA = 0.8
 
 @dataclass(frozen=True)
 class Evidence:
-    """Hold the quantities from which an expected error is computed, means over the frames with a pose."""
+    """Quantities from which an expected error is computed, means over the frames with a pose."""
 
     trunk_m: float
     """Length of the trunk."""
@@ -124,7 +124,7 @@ def evidence_of(motion: Motion) -> Evidence:
 
 @dataclass(frozen=True, eq=False)
 class _FrameEvidence:
-    """Hold the quantities of `Evidence` for each of the n frames with a pose and each of the V cameras."""
+    """Quantities of `Evidence` for each of the n frames with a pose and each of the V cameras."""
 
     trunk_m: Array
     """(n,)."""
@@ -255,7 +255,7 @@ def level_of(pose_of_trunk: ExpectedError, error: bool, warning: bool) -> Level:
 
 
 class _UnusableClip(Problem):
-    """Describe a clip that is refused for its verdict, in a sentence of its own."""
+    """A clip that is refused for its verdict, in a sentence of its own."""
 
     def __str__(self) -> str:
         return printable(f"{self.file}: the verdict is {self.found}. Use --anyway to go on")

@@ -38,7 +38,7 @@ LEAST_SHARE, LEAST_S = 0.03, 2.0
 
 @dataclass(frozen=True)
 class Answer:
-    """Hold the answer of a command, for people and for other programs."""
+    """Answer of a command, for people and for other programs."""
 
     data: Any
     """Content of --json; a string is printed unchanged."""

@@ -44,7 +44,7 @@ _MODULE = "import sys; from recon.cli.app import main; sys.exit(main())"
 
 @dataclass(frozen=True)
 class _Check:
-    """Hold one checked part of the installation."""
+    """One checked part of the installation."""
 
     name: str
     status: Literal["ok", "absent", "note", "broken"]

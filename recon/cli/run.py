@@ -121,7 +121,7 @@ class _RunSettings(Settings):
 
 @dataclass(frozen=True)
 class _Job:
-    """Hold a video, and the settings of its run."""
+    """A video, and the settings of its run."""
 
     run: _RunSettings
     settings: FitSettings
@@ -140,7 +140,7 @@ class _Job:
 
 
 class _Stage(NamedTuple):
-    """Hold one stage of the work."""
+    """One stage of the work."""
 
     work: Callable[[Progress], Answer]
     """Does the work, and returns the written files and notes on the video."""
@@ -153,7 +153,7 @@ class _Stage(NamedTuple):
 
 
 class _StageOutcome(NamedTuple):
-    """Hold the outcome of a stage."""
+    """Outcome of a stage."""
 
     stage: str
     status: Literal["done", "unchanged", "left out"]

@@ -54,7 +54,7 @@ _KEPT = 1 << 24
 
 @dataclass(frozen=True)
 class Normal:
-    """Hold the normal equations of a clip, or of a piece of T frames, with P >= 0 shared unknowns."""
+    """Normal equations of a clip, or of a piece of T frames, with P >= 0 shared unknowns."""
 
     blocks: Array
     """(T, W+1, D, D): the blocks of H; [t, k] is in block row t + k and block column t."""
@@ -70,7 +70,7 @@ class Normal:
 
 @dataclass(frozen=True)
 class Window:
-    """Hold a piece of a clip, n frames, with all frames before it eliminated."""
+    """A piece of a clip, n frames, with all frames before it eliminated."""
 
     rows: slice
     piece: Normal
@@ -193,7 +193,7 @@ def add_normal(
 
 @dataclass(frozen=True)
 class _Factor:
-    """Hold the Cholesky factor of the system of T frames; `factored` creates it."""
+    """Cholesky factor of the system of T frames; `factored` creates it."""
 
     band: Array
     """((W+1)D, TD): L in LAPACK's lower band storage."""

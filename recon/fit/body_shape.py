@@ -28,7 +28,7 @@ estimate the published poses best with this value (docs/benchmarks.md).
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """Hold the K unknowns of a body's shape: logarithms of factors on lengths, then offsets of keypoints (m)."""
+    """K unknowns of a body's shape: logarithms of factors on lengths, then offsets of keypoints (m)."""
 
     body: Body
     lengths: tuple[str, ...] = ()
@@ -115,7 +115,7 @@ def follows(name: str, body: Body) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class FreeShape:
-    """Hold the lengths and keypoint offsets of a body as unknowns that all frames share.
+    """Lengths and keypoint offsets of a body as unknowns that all frames share.
 
     They are the L values `LENGTHS`, logarithms of factors on the lengths of segments and markers, left as right, and
     the 3J values `COMMON_KEYPOINT_BIAS`, distances of keypoints from their markers in the markers' segments, metres.

@@ -27,7 +27,7 @@ _SAME_CENTRE_M = 1e-6
 
 @dataclass(frozen=True)
 class TrajectoryOptions:
-    """Hold the options of a fit that users choose.
+    """Options of a fit that users choose.
 
     `recon.fit.constants` holds the numbers that no user sets.
     """
@@ -75,7 +75,7 @@ def focal_sigma_of(settings: Mapping[str, Any], cameras: int) -> float | None:
 
 @dataclass(frozen=True, eq=False)
 class ClipProblem:
-    """Hold the fixed inputs of one fit, for all T frames of a clip or a part of them."""
+    """Fixed inputs of one fit, for all T frames of a clip or a part of them."""
 
     views: tuple[View, ...]
     body: Body

@@ -55,7 +55,7 @@ ROUNDS, CLOSE_ENOUGH = 12, 0.05
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Hold the poses of V cameras in a common world, in metres."""
+    """Poses of V cameras in a common world, in metres."""
 
     T_camera_world: tuple[Array, ...]
     """Pose of each camera, (4, 4).
@@ -260,7 +260,7 @@ def _rigid_motion(a: Array, b: Array, rounds: int = 30) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _ReducedProblem:
-    """Hold the cost of a segment as a function of the camera poses: curvature (6V, 6V) and gradient (6V,)."""
+    """Cost of a segment as a function of the camera poses: curvature (6V, 6V) and gradient (6V,)."""
 
     curvature: Array
     gradient: Array

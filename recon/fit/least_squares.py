@@ -55,7 +55,7 @@ def piece_of(fps: float) -> int:
 
 @dataclass(frozen=True)
 class SharedUnknown:
-    """Describe unknowns (P,) of one name that all frames share, by their prior mean and standard deviation."""
+    """Unknowns (P,) of one name that all frames share, by their prior mean and standard deviation."""
 
     name: str
     mean: Array
@@ -64,7 +64,7 @@ class SharedUnknown:
 
 @dataclass(frozen=True)
 class Estimate:
-    """Hold a minimum, or an intermediate point of the search."""
+    """A minimum, or an intermediate point of the search."""
 
     states: Array
     """(T, D)."""
@@ -79,7 +79,7 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
-    """State a least-squares problem: terms (`recon.fit.terms`) that read the markers of a tree, and shared unknowns.
+    """A least-squares problem: terms (`recon.fit.terms`) that read the markers of a tree, and shared unknowns.
 
     The attribute `shared` holds the free unknowns. The methods take their values as `shared`, by default the expected
     values. `nuisance` unknowns stay at their expected values and count only in the posterior.
@@ -304,7 +304,7 @@ class LeastSquares:
 
 @dataclass(frozen=True)
 class _Sums:
-    """Hold the sums of a piece's normal equations, as in `Normal`."""
+    """Sums of a piece's normal equations, as in `Normal`."""
 
     blocks: Array
     gradient: Array

@@ -1,4 +1,4 @@
-"""Hold the result of a fit: the motion of the animal, the data, and the uncertainty."""
+"""Result of a fit: the motion of the animal, the data, and the uncertainty."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ MEASURED_SHARE = 0.5
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Picture(Brief):
-    """Hold one camera's picture of a motion with T frames and J joints: the detections, and the joints of the pose."""
+    """One camera's picture of a motion with T frames and J joints: the detections, and the joints of the pose."""
 
     source: Source
     T_reference_camera: Array
@@ -92,7 +92,7 @@ class Picture(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Motion:
-    """Hold T frames of an animal with J joints and D unknowns, of which A are angles."""
+    """T frames of an animal with J joints and D unknowns, of which A are angles."""
 
     sources: tuple[Source, ...]
     """Keypoints of each camera, in the order of the solution's views.

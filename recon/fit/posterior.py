@@ -67,7 +67,7 @@ _NOISE_ROUNDS, _NOISE_FACTOR = 2, (0.05, 4.0)
 
 @dataclass(frozen=True)
 class Posterior:
-    """Hold the covariance of T frames with J joints and D unknowns each.
+    """Covariance of T frames with J joints and D unknowns each.
 
     Joints are those of an animal of the skeleton's size, relative to the origin from which the size scales them;
     `with_size` applies the size.
@@ -105,7 +105,7 @@ class Posterior:
 
 @dataclass(frozen=True, eq=False)
 class _Curvature:
-    """Hold the curvature of a problem at its solution.
+    """Curvature of a problem at its solution.
 
     The fields are the windows of the normal equations, a root (P, P) of the covariance of the shared unknowns other
     than the size, and the precision (1 + P, 1 + P) of all shared unknowns.
@@ -403,7 +403,7 @@ def _joint_covariances(
 
 @dataclass(frozen=True)
 class PriorMisfit:
-    """Hold the misfit of a prior."""
+    """Misfit of a prior."""
 
     level: float
     """Squared residuals relative to their expectation if the prior fits, about 1."""

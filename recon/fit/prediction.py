@@ -128,7 +128,7 @@ def _noise_m(solution: Solution) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Residuals:
-    """Hold the errors of one view of T frames with J keypoints."""
+    """Errors of one view of T frames with J keypoints."""
 
     error_px: Array
     """(T, J, 2): detections minus projected markers, 0 if missing."""

@@ -1,4 +1,4 @@
-"""Hold the result of a fit as data: findings, the verdict, a `Solution`, and the additions of the trajectory method."""
+"""Result of a fit as data: findings, the verdict, a `Solution`, and the additions of the trajectory method."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Number = float | int | str | tuple[str, ...]
 
 @dataclass(frozen=True)
 class Finding:
-    """Hold a finding of a check; `recon.check.codes.CODES` has the severity and the text of each code."""
+    """A finding of a check; `recon.check.codes.CODES` has the severity and the text of each code."""
 
     code: str
     severity: Severity
@@ -48,7 +48,7 @@ _NOTHING = 0.1
 
 @dataclass(frozen=True, repr=False)
 class ExpectedError(Brief):
-    """Hold the expected size of an unknown error: the median, and the interval that holds 90 %."""
+    """Expected size of an unknown error: the median, and the interval that holds 90 %."""
 
     expected: float
     low: float
@@ -71,7 +71,7 @@ class ExpectedError(Brief):
 
 @dataclass(frozen=True, repr=False)
 class Verdict(Brief):
-    """Hold the verdict on one clip; `recon.check.verdict` makes it, and docs/verdict.md explains it."""
+    """Verdict on one clip; `recon.check.verdict` makes it, and docs/verdict.md explains it."""
 
     level: Level
     reason: str
@@ -118,7 +118,7 @@ OUTLIER_SIGMAS = 3.0
 
 @dataclass(frozen=True)
 class Ground:
-    """Hold a ground plane, z = height_m + slope (2,) . (x, y), and the sigma of its height under the animal."""
+    """A ground plane, z = height_m + slope (2,) . (x, y), and the sigma of its height under the animal."""
 
     height_m: float
     slope: Array
@@ -134,7 +134,7 @@ class Ground:
 
 @dataclass(frozen=True)
 class SecondCamera:
-    """Hold the test of the second of two cameras: the evidence that it is misplaced or late."""
+    """Test of the second of two cameras: the evidence that it is misplaced or late."""
 
     misplaced: float
     """Log-likelihood gain if the camera was turned or moved."""
@@ -151,7 +151,7 @@ class SecondCamera:
 
 @dataclass(frozen=True, repr=False)
 class MotionSegment(Brief):
-    """Hold a part of the clip that was solved separately, because of long gaps without detections around it.
+    """A part of the clip that was solved separately, because of long gaps without detections around it.
 
     Segments are in order and do not overlap.
     """
@@ -175,7 +175,7 @@ class MotionSegment(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SolvedShape(Brief):
-    """Hold the lengths and the keypoint offsets that a fit of several cameras estimated."""
+    """Lengths and the keypoint offsets that a fit of several cameras estimated."""
 
     names: tuple[str, ...]
     """Segments and markers whose distance from their origin was estimated (L); right sides equal the left ones."""
@@ -195,7 +195,7 @@ class SolvedShape(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Solution(Brief):
-    """Hold an animal's motion over T frames, as every method returns it.
+    """An animal's motion over T frames, as every method returns it.
 
     The animal has J markers, D unknowns per frame and F feet; there are V views. Positions are in the world frame
     (`recon.geometry.frames`), metres; NaN in frames without a pose.
@@ -286,7 +286,7 @@ class Solution(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TrajectorySolution(Solution):
-    """Hold a solution of the trajectory method. Flags: "no data", "diverged", "data poor", "ambiguous depth"."""
+    """A solution of the trajectory method. Flags: "no data", "diverged", "data poor", "ambiguous depth"."""
 
     size_sigma: float
     """Posterior standard deviation of the size."""

@@ -43,7 +43,7 @@ ROUNDS, CLOSE_ENOUGH = 8, 0.05
 
 @dataclass(frozen=True, eq=False)
 class ShapeFit:
-    """Hold a fitted shape, with its covariance."""
+    """A fitted shape, with its covariance."""
 
     shape: Shape
     values: Array

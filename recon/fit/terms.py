@@ -79,7 +79,7 @@ PRIOR_TERMS = POSE, MOTION = "pose prior", "motion prior"
 
 @dataclass(frozen=True)
 class Span:
-    """Hold the frames first, first + 1, ... of a clip, with posed markers and the shared unknowns by name.
+    """Frames first, first + 1, ... of a clip, with posed markers and the shared unknowns by name.
 
     Unless `is_last` is true, the last frame is included only for stencils that reach it.
     """
@@ -101,7 +101,7 @@ class Span:
 
 @dataclass(frozen=True)
 class TermRows:
-    """Hold the cost, residual and derivatives of a term; without a Jacobian all but the cost are empty."""
+    """Cost, residual and derivatives of a term; without a Jacobian all but the cost are empty."""
 
     cost: Array
     residual: Array = field(default_factory=lambda: _ZERO[:0])
@@ -111,7 +111,7 @@ class TermRows:
 
 @dataclass(frozen=True)
 class PointRows:
-    """Hold the residuals of one camera's detections, before the markers' derivatives by the state are applied."""
+    """Residuals of one camera's detections, before the markers' derivatives by the state are applied."""
 
     cost: Array
     """(N,)."""
@@ -282,7 +282,7 @@ class PoseMixture:
 
 @dataclass(frozen=True)
 class _Scene:
-    """Hold the scene of a camera in N frames of a span, with the shared unknowns applied."""
+    """Scene of a camera in N frames of a span, with the shared unknowns applied."""
 
     frames: slice
     """Frames of the clip."""

@@ -156,7 +156,7 @@ def _segments(usable: Bools, fps: float) -> list[slice]:
 
 @dataclass(frozen=True, eq=False)
 class SegmentFit:
-    """Hold a solved segment of n frames."""
+    """A solved segment of n frames."""
 
     rows: slice
     """Rows of the clip that the segment covers."""

@@ -52,7 +52,7 @@ _LEAST_KNOTS = 6
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Triangulation(Brief):
-    """Hold T frames of J points triangulated from V cameras."""
+    """T frames of J points triangulated from V cameras."""
 
     points_m: Array
     """(T, J, 3): the points in the world, metres, NaN if unknown."""

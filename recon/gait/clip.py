@@ -66,7 +66,7 @@ flexion.
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ClipAnalysis(Brief):
-    """Hold the analysis of a motion of T frames; each part is computed on first use.
+    """Analysis of a motion of T frames; each part is computed on first use.
 
     The fine grid has N times, ten per frame. Every part except the gait's ground needs `MIN_POINTS` frames with a pose;
     `analyse` checks this.

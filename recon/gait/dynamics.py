@@ -80,7 +80,7 @@ MASS_LASTS_S = 10.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Dynamics(Brief):
-    """Hold the centre of mass, energies and forces of a clip of T frames.
+    """Centre of mass, energies and forces of a clip of T frames.
 
     The fine grid has N times, ten per frame.
     """

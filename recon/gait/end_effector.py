@@ -28,7 +28,7 @@ _SHORT_M = 0.1
 
 @dataclass(frozen=True, eq=False)
 class EndEffector:
-    """Hold the path of an end effector relative to the body at N times, ten for each frame, and its boundaries."""
+    """Path of an end effector relative to the body at N times, ten for each frame, and its boundaries."""
 
     foot: str
     time_s: Array

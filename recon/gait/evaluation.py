@@ -52,7 +52,7 @@ LEVELS = (0.5, 0.9)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class _Score(Brief):
-    """Hold one metric; NaN if nothing could be scored."""
+    """One metric; NaN if nothing could be scored."""
 
     mean: float
     """Mean of `per_frame` over the frames."""
@@ -64,7 +64,7 @@ class _Score(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Evaluation(Brief):
-    """Hold the comparison of a reconstruction with the truth, over T common frames and J common joints.
+    """Comparison of a reconstruction with the truth, over T common frames and J common joints.
 
     Frame ranges are half-open.
     """

@@ -36,7 +36,7 @@ _ROWS_AT_ONCE = 2000
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JointFlexion(Brief):
-    """Hold the flexion of one joint over the T frames; NaN without a pose."""
+    """Flexion of one joint over the T frames; NaN without a pose."""
 
     joint: str
     """Anatomical name, such as elbow."""
@@ -55,7 +55,7 @@ class JointFlexion(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StrideCurve(Brief):
-    """Hold the flexion of one joint at `PERCENT` of the stride, the mean over strides, rad."""
+    """Flexion of one joint at `PERCENT` of the stride, the mean over strides, rad."""
 
     joint: str
     side: Side | None

@@ -101,7 +101,7 @@ makes a walk, or below one half that makes a run.
 
 @dataclass(frozen=True)
 class Stance:
-    """Hold one stance: the time for which a foot is on the ground."""
+    """One stance: the time for which a foot is on the ground."""
 
     foot: str
     start_s: float
@@ -147,7 +147,7 @@ class Stance:
 
 @dataclass(frozen=True)
 class Plane:
-    """Hold a ground plane z = height_m + slope[0] (x - x0) + slope[1] (y - y0), centred on the slow feet."""
+    """A ground plane z = height_m + slope[0] (x - x0) + slope[1] (y - y0), centred on the slow feet."""
 
     middle_m: tuple[float, float]
     height_m: float
@@ -166,7 +166,7 @@ class Plane:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tracks(Brief):
-    """Hold the motion of the F feet and of the body at the N times of the fine grid, NaN if unknown."""
+    """Motion of the F feet and of the body at the N times of the fine grid, NaN if unknown."""
 
     feet: tuple[str, ...]
     time_s: Array
@@ -209,7 +209,7 @@ class Tracks(Brief):
 
 @dataclass(frozen=True)
 class Stride:
-    """Hold one stride: the time from one touch-down of a foot to the next.
+    """One stride: the time from one touch-down of a foot to the next.
 
     If the clip does not contain two touch-downs of the foot, the stride lasts from one lift-off to the next. A stride
     given by the user does not belong to a foot; its length and duty factor are NaN.
@@ -242,7 +242,7 @@ class Stride:
 
 @dataclass(frozen=True, repr=False)
 class _GaitName(Brief):
-    """Hold the name of a gait and the reasons for it."""
+    """Name of a gait and the reasons for it."""
 
     name: str
     """walk, trot, pace, bound, half-bound, rotary gallop, transverse gallop, or unknown."""
@@ -266,7 +266,7 @@ class _GaitName(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Gait(Brief):
-    """Hold the gait of a clip.
+    """Gait of a clip.
 
     Lengths and frequencies are means over complete strides, duty factors are medians. All are NaN without complete
     strides.

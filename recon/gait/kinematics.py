@@ -67,7 +67,7 @@ STRAIGHT_SIGMAS = 2.0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Errors(Brief):
-    """Hold the standard deviations of errors, and how long an error lasts."""
+    """Standard deviations of errors, and how long an error lasts."""
 
     sigma: Array
     """Standard deviations of the values, in their shape and unit; with signs if one error lasts throughout."""
@@ -81,7 +81,7 @@ class Errors(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Series(Brief):
-    """Hold values in d dimensions and their derivatives on a fine grid, NaN if unknown.
+    """Values in d dimensions and their derivatives on a fine grid, NaN if unknown.
 
     The grid has N = (T - 1) oversampling + 1 times.
     """
@@ -105,7 +105,7 @@ class Series(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JointKinematics(Brief):
-    """Hold the motion of a point in the world frame, NaN if unknown."""
+    """Motion of a point in the world frame, NaN if unknown."""
 
     series: Series
     """Position (m), velocity (m/s) and acceleration (m/s^2) vectors, (N, 3)."""
@@ -145,7 +145,7 @@ class JointKinematics(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class AngleKinematics(Brief):
-    """Hold an angle over time, NaN if unknown."""
+    """An angle over time, NaN if unknown."""
 
     series: Series
     """(N, 1), rad, rad/s, rad/s^2."""

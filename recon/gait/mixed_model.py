@@ -25,7 +25,7 @@ _LEAST, _SHOWN = 1e-4, 1e-2
 
 @dataclass(frozen=True)
 class Variances:
-    """Hold the standard deviations of an experiment's levels, in the unit of the quantity."""
+    """Standard deviations of an experiment's levels, in the unit of the quantity."""
 
     animal: float
     run: float
@@ -51,7 +51,7 @@ class Variances:
 
 @dataclass(frozen=True, eq=False)
 class MixedModel:
-    """Hold a fitted model of an experiment."""
+    """A fitted model of an experiment."""
 
     names: tuple[str, ...]
     """Columns of the design, (P,)."""
@@ -140,7 +140,7 @@ def fit_mixed_model(
 
 @dataclass(frozen=True, eq=False)
 class _Block:
-    """Hold the n strides of one animal, or of B groups of animals with equally many strides: (B, n, ...)."""
+    """N strides of one animal, or of B groups of animals with equally many strides: (B, n, ...)."""
 
     columns: Array
     """Design and values of each of A animals of the same runs and measurement, (n, A (P + 1))."""

@@ -53,7 +53,7 @@ paths' extent is measured.
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LinkField(Brief):
-    """Hold the tip of a link in its parent's frame at the T frames; NaN where unknown."""
+    """Tip of a link in its parent's frame at the T frames; NaN where unknown."""
 
     link: tuple[str, str]
     """Start and end joint of the link."""
@@ -81,7 +81,7 @@ class LinkField(Brief):
 
 @dataclass(frozen=True)
 class Closure:
-    """Hold degrees of closure in percent; NaN for a path that does not move."""
+    """Degrees of closure in percent; NaN for a path that does not move."""
 
     angle: float
     """Degree of closure of the angle alone."""
@@ -97,7 +97,7 @@ class Closure:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Portrait(Brief):
-    """Hold a path in phase space."""
+    """A path in phase space."""
 
     time_s: Array
     """The times of the N samples, shape (N,)."""

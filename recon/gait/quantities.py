@@ -45,7 +45,7 @@ this value are right for a dog's walks and runs (`benchmarks/gait.py --only asym
 
 @dataclass(frozen=True, eq=False)
 class AnalysedClip:
-    """Describe the parts of an analysis from which the quantities are computed."""
+    """Parts of an analysis from which the quantities are computed."""
 
     motion: Motion
     gait: Gait | None
@@ -59,7 +59,7 @@ class AnalysedClip:
 
 @dataclass(frozen=True)
 class GaitQuantity:
-    """Hold a quantity of a clip's gait with its uncertainty."""
+    """A quantity of a clip's gait with its uncertainty."""
 
     name: str
     """Name with its unit, such as stride_length_m."""

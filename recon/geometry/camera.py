@@ -37,7 +37,7 @@ TILT = "radians between -pi/2 and pi/2, or 0 if a pose says which way is up"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Camera(Brief):
-    """Hold one calibrated camera.
+    """One calibrated camera.
 
     Raises
     ------

@@ -58,7 +58,7 @@ YAW, PITCH, ROLL = 3, 4, 5
 
 @dataclass(frozen=True)
 class Segment:
-    """Describe a rigid part of a tree."""
+    """A rigid part of a tree."""
 
     name: str
     parent: str | None
@@ -76,7 +76,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class Marker:
-    """Describe a point fixed on a segment, at offset_m (x, y, z) from its origin in its frame."""
+    """A point fixed on a segment, at offset_m (x, y, z) from its origin in its frame."""
 
     name: str
     segment: str
@@ -85,7 +85,7 @@ class Marker:
 
 @dataclass(frozen=True)
 class TreePose:
-    """Hold the markers of a tree for N states; derivatives are empty unless requested."""
+    """Markers of a tree for N states; derivatives are empty unless requested."""
 
     points_m: Array
     """Markers in the world, shape (N, J, 3)."""
@@ -96,7 +96,7 @@ class TreePose:
 
 
 class _Plan:
-    """Hold everything that a tree's kinematics need in addition to the state.
+    """Everything that a tree's kinematics need in addition to the state.
 
     Dimensions: S segments, J markers, K rotations, M pairs of a marker and a rotation that moves it, and P pairs of a
     marker and an angle of the state.
@@ -207,7 +207,7 @@ _Placed = TypeVar("_Placed", Segment, Marker)
 
 @dataclass(frozen=True, repr=False)
 class Tree(Brief):
-    """Hold segments, the root first and parents before children, and J markers; D = 6 + number of angles."""
+    """Segments, the root first and parents before children, and J markers; D = 6 + number of angles."""
 
     segments: tuple[Segment, ...]
     markers: tuple[Marker, ...]

@@ -29,7 +29,7 @@ _ANGLES, _LARGEST_RADIUS = 2048, 1e8
 
 
 class Lens:
-    """Describe a lens model with its coefficients; the base class holds what all models share."""
+    """A lens model with its coefficients; the base class holds what all models share."""
 
     name: ClassVar[str]
     """Name in recon's own files and options."""

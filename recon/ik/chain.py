@@ -37,7 +37,7 @@ MAX_RATE_RAD_S = 50.0
 
 @dataclass(frozen=True, eq=False)
 class SerialChain:
-    """Hold a chain with n joints in dim dimensions, with its base at the origin.
+    """A chain with n joints in dim dimensions, with its base at the origin.
 
     Joint angles q are (n,) or, for many configurations at once, (..., n): in radians, or in metres for joints that
     slide.

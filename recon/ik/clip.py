@@ -144,7 +144,7 @@ SUMMARY = "ik.json"
 
 @dataclass(frozen=True, eq=False)
 class IkRun:
-    """Hold a chain, its methods and their runs."""
+    """A chain, its methods and their runs."""
 
     settings: IkSettings
     motion: Motion

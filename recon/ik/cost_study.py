@@ -30,7 +30,7 @@ TURNS = 10
 
 @dataclass(frozen=True)
 class CostOutcome:
-    """Hold the behaviour of the extended Jacobian with one cost on a closed path."""
+    """Behaviour of the extended Jacobian with one cost on a closed path."""
 
     outcome: str
     """Convergent, singular, chaotic or drifting."""

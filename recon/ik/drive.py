@@ -37,7 +37,7 @@ STILL_RAD = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Hold the motion of a chain to a target or along a path: K configurations and K - 1 steps."""
+    """Motion of a chain to a target or along a path: K configurations and K - 1 steps."""
 
     q: Array
     """Joint angles, shape (K, n), rad."""

@@ -52,7 +52,7 @@ LAST = 3
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """Hold a chain of the animal and its joint angles in the clip."""
+    """A chain of the animal and its joint angles in the clip."""
 
     foot: str
     chain: SerialChain

@@ -49,7 +49,7 @@ Free = Bools | slice
 
 
 class JointRates(NamedTuple):
-    """Hold the rates at which the joints are to move."""
+    """Rates at which the joints are to move."""
 
     dq: Array
     """Rates of the joints, rad/s, shape (n,)."""

@@ -49,7 +49,7 @@ PARAMETERS = {
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """Hold T frames of a chain, or of several chains of one kind, one after the other."""
+    """T frames of a chain, or of several chains of one kind, one after the other."""
 
     q: Array
     """Joint angles, shape (T, n), rad."""
@@ -79,7 +79,7 @@ class Frames:
 
 @dataclass(frozen=True, eq=False)
 class ParameterFit:
-    """Hold a method with its fitted parameter, and how well it explains the rates."""
+    """A method with its fitted parameter, and how well it explains the rates."""
 
     method: Method
     parameter: Array

@@ -36,7 +36,7 @@ AWAY, BACK, SPAN = 0.5, 0.25, 0.8
 
 @dataclass(frozen=True, eq=False)
 class StridePath:
-    """Hold a stride of F frames as a task, in a clip with frame 0 at 0 s.
+    """A stride of F frames as a task, in a clip with frame 0 at 0 s.
 
     The end of the stride may lie between two frames.
     """

@@ -40,7 +40,7 @@ AXIS: dict[str, tuple[int, int, int]] = {"yaw": (0, 1, 0), "pitch": (0, 0, -1), 
 
 @dataclass(frozen=True, eq=False)
 class BoneAngle:
-    """Hold one angle of a bone relative to its parent, (T,), about an axis turned by the bone's earlier angles."""
+    """One angle of a bone relative to its parent, (T,), about an axis turned by the bone's earlier angles."""
 
     name: str
     kind: str
@@ -53,7 +53,7 @@ class BoneAngle:
 
 @dataclass(frozen=True, eq=False)
 class Bone:
-    """Hold a segment; `parent` is None for the root, which follows a path."""
+    """A segment; `parent` is None for the root, which follows a path."""
 
     name: str
     parent: int | None
@@ -70,7 +70,7 @@ class Bone:
 
 @dataclass(frozen=True, eq=False)
 class Armature:
-    """Hold bones, parents first, and J joints fixed to them, in T consecutive frames."""
+    """Bones, parents first, and J joints fixed to them, in T consecutive frames."""
 
     name: str
     title: str
@@ -106,7 +106,7 @@ _CHANNEL = {"yaw": "Yrotation", "pitch": "Zrotation", "roll": "Xrotation"}
 
 @dataclass
 class _Joint:
-    """Hold a joint of a BVH file."""
+    """A joint of a BVH file."""
 
     name: str
     parent: int

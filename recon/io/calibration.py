@@ -36,7 +36,7 @@ KEYS_SHOWN = 160
 
 @dataclass(frozen=True)
 class CameraRecord:
-    """Hold one camera as its file describes it."""
+    """One camera as its file describes it."""
 
     name: Any
     location: str

@@ -64,7 +64,7 @@ MAX_SHOTS_BYTES = 1 << 28
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CameraTrack(FramePoses):
-    """Hold the poses of one camera in N frames of its video; the world is in metres and has z up."""
+    """Poses of one camera in N frames of its video; the world is in metres and has z up."""
 
     max_gap_s: ClassVar[float] = 0.1
     """Longest time between two poses over which poses are interpolated."""

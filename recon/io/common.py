@@ -24,7 +24,7 @@ from recon.base.errors import InputError, Problem, raise_problems
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Pose3D(Brief):
-    """Hold 3D positions of J joints in T frames; raise ValueError if the parts are inconsistent."""
+    """3D positions of J joints in T frames; ValueError if the parts are inconsistent."""
 
     names: tuple[str, ...]
     """Names of the J joints."""
@@ -64,7 +64,7 @@ class Pose3D(Brief):
 
 @dataclass(frozen=True, eq=False)
 class StoredPoints:
-    """Hold K points of one animal in T frames as stored in a file, in the file's unit and axes."""
+    """K points of one animal in T frames as stored in a file, in the file's unit and axes."""
 
     names: tuple[str, ...]
     values: np.ndarray

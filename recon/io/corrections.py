@@ -29,7 +29,7 @@ _Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class Correction:
-    """Hold one detection that was corrected by hand."""
+    """One detection that was corrected by hand."""
 
     frame: int
     """Frame number in the keypoint file."""

@@ -29,7 +29,7 @@ _OTHERS = ("_skeleton", "_3d")
 
 @dataclass(frozen=True)
 class Project:
-    """Hold the content of the configuration; names are empty if absent."""
+    """Content of the configuration; names are empty if absent."""
 
     config: Path
     scorer: str

@@ -27,7 +27,7 @@ Kind = Literal["2D", "3D", "bones", "cameras", "robot"]
 
 @dataclass(frozen=True)
 class Functions:
-    """Hold the functions of one format; None if its files are not read, or not written."""
+    """Functions of one format; None if its files are not read, or not written."""
 
     recognises: Callable[[Path], bool] | None = None
     read: Callable[..., Any] | None = None
@@ -45,7 +45,7 @@ def _present(function: _Loaded | None) -> _Loaded:
 
 @dataclass(frozen=True)
 class Format:
-    """Describe one file format: how it is recognised, read and written."""
+    """One file format: how it is recognised, read and written."""
 
     name: str
     """Name of the format for `--to`."""

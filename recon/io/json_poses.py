@@ -37,7 +37,7 @@ Table = dict[str, Any]
 
 
 class _Seen(NamedTuple):
-    """Hold one animal in one picture."""
+    """One animal in one picture."""
 
     location: str
     """Location in the file, for messages."""

@@ -33,7 +33,7 @@ _FORBIDDEN = r"/\:*?\"<>|"
 
 @dataclass(frozen=True, eq=False)
 class LabelledFrames:
-    """Hold N labelled frames of a video with K keypoints."""
+    """N labelled frames of a video with K keypoints."""
 
     video: str
     """Name of the video without suffix, which is also the name of the folder."""

@@ -50,7 +50,7 @@ SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".
 
 @dataclass(frozen=True)
 class VideoInfo:
-    """Hold size, rate and number of frames as stated in a video file."""
+    """Size, rate and number of frames as stated in a video file."""
 
     size_px: tuple[int, int]
     """Width and height of the picture."""

@@ -38,7 +38,7 @@ OUTSIDE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """Hold N labelled pictures of K keypoints."""
+    """N labelled pictures of K keypoints."""
 
     names: tuple[str, ...]
     xy_px: Array

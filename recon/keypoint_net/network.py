@@ -361,7 +361,7 @@ _Pixels = Annotated[float, Field(gt=0, lt=1e6)]
 
 @dataclass(frozen=True)
 class Spec:
-    """Describe a network, as stored with its weights."""
+    """A network, as stored with its weights."""
 
     names: Annotated[tuple[str, ...], Field(min_length=1, max_length=1000)]
     """Names of the keypoints."""
@@ -391,7 +391,7 @@ class Spec:
 
 @dataclass(frozen=True, eq=False)
 class TrainedNetwork:
-    """Hold a network with its weights, ready to find points."""
+    """A network with its weights, ready to find points."""
 
     spec: Spec
     network: torch.nn.Module

@@ -64,7 +64,7 @@ MOVED_LEVELS = 22.0
 
 @dataclass(frozen=True)
 class Augmentation:
-    """Hold the ranges of random changes to a picture.
+    """Ranges of random changes to a picture.
 
     Values are drawn uniformly, factors on a log scale. Shares are probabilities. `partner` is the
     index of each keypoint's mirror partner; None means that pictures are not mirrored.
@@ -87,7 +87,7 @@ class Augmentation:
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """Hold a picture to learn from, h by w pixels, with K keypoints."""
+    """A picture to learn from, h by w pixels, with K keypoints."""
 
     picture: Image
     """(h, w, 3): the picture."""

@@ -104,7 +104,7 @@ class TrainRunSettings(data.LabelSource, TrainSettings):
 
 @dataclass(frozen=True, eq=False)
 class TrainingRun:
-    """Hold the fixed inputs of a run, with pictures at the network's scale."""
+    """Fixed inputs of a run, with pictures at the network's scale."""
 
     settings: TrainSettings
     spec: net.Spec
@@ -117,7 +117,7 @@ class TrainingRun:
 
 @dataclass
 class State:
-    """Hold everything that changes from step to step."""
+    """State of the training, which changes from step to step."""
 
     network: torch.nn.Module
     average: torch.nn.Module

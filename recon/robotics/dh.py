@@ -44,7 +44,7 @@ _PARALLEL = 1e-9
 
 @dataclass(frozen=True)
 class DHRow:
-    """Hold one row of a Denavit-Hartenberg table."""
+    """One row of a Denavit-Hartenberg table."""
 
     __pydantic_config__ = FileTable.model_config
     a_m: Length = 0.0

@@ -70,7 +70,7 @@ WIDER_RAD = 0.4
 
 
 class Rule(NamedTuple):
-    """Describe a rule that every frame has to keep, and how its margin is printed."""
+    """A rule that every frame has to keep, and how its margin is printed."""
 
     title: str
     unit: str
@@ -135,7 +135,7 @@ def described(robot: Quadruped) -> MjSpec:
 
 
 class _Demand(NamedTuple):
-    """Hold the forces that N states of a robot require with their rates and accelerations.
+    """Forces that N states of a robot require with their rates and accelerations.
 
     The 6 + J columns are the base's position, its rotation about its own axes, and the joints.
     """
@@ -375,7 +375,7 @@ def carried(motion: RobotMotion, model: MjModel, hopeless: float = HOPELESS) -> 
 
 
 class _Carrying:
-    """Hold the least-squares problem of `carried` over K frames.
+    """Least-squares problem of `carried` over K frames.
 
     Rows are the unmet part of the base's required forces; torques, rates and angles as fractions of their limits; the
     coefficients of the foot forces (`pushes`); and the base's deviation. Columns are the base's path and the pushes.

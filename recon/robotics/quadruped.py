@@ -92,7 +92,7 @@ its own foot.
 
 @dataclass(frozen=True)
 class Leg:
-    """Describe a leg with a thigh and a shin.
+    """A leg with a thigh and a shin.
 
     Feet have shape (..., 3), in leg axes. Angles are swing, flap and knee, shape (..., 3), radians.
     """
@@ -201,7 +201,7 @@ def _wrapped(angle: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RobotLeg:
-    """Describe a leg of n joints, in order from the hip down; feet are points in body axes."""
+    """A leg of n joints, in order from the hip down; feet are points in body axes."""
 
     chain: SerialChain
     """Chain of the joints in body axes, with names and limits. Its end effector is the foot."""
@@ -260,7 +260,7 @@ class RobotLeg:
 
 @dataclass(frozen=True)
 class Masses:
-    """Hold the masses of a robot and the torques of its motors, those of a leg in the order of its joints."""
+    """Masses of a robot and the torques of its motors, those of a leg in the order of its joints."""
 
     __pydantic_config__ = FileTable.model_config
     body_kg: PositiveLength
@@ -272,7 +272,7 @@ class Masses:
 
 @dataclass(frozen=True, eq=False)
 class Quadruped:
-    """Describe a robot with four legs."""
+    """A robot with four legs."""
 
     name: str
     title: str

@@ -59,7 +59,7 @@ HARMONICS = 8
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Hold the motion that a robot follows, at N evenly spaced times."""
+    """Motion that a robot follows, at N evenly spaced times."""
 
     time_s: Array
     """(N,): times."""
@@ -81,7 +81,7 @@ class Reference:
 
 @dataclass(frozen=True)
 class StrideWindow:
-    """Hold the first and the last sample of a stride in a reference."""
+    """First and last samples of a stride in a reference."""
 
     first: int
     last: int
@@ -97,7 +97,7 @@ class StrideWindow:
 
 @dataclass(frozen=True, eq=False)
 class Animal:
-    """Hold an animal's motion and the reference made from it."""
+    """An animal's motion and the reference made from it."""
 
     reference: Reference
     analysis: ClipAnalysis
@@ -300,7 +300,7 @@ path is bent to stay above the ground.
 
 @dataclass(frozen=True, eq=False)
 class KeptMotion:
-    """Hold a robot's motion at N times as plain arrays.
+    """A robot's motion at N times as plain arrays.
 
     The 4 legs are in the order of `LEGS`, the joints in the order of the robot's `joints`.
     """
@@ -327,7 +327,7 @@ class KeptMotion:
 
 @dataclass(frozen=True, eq=False)
 class RobotMotion(KeptMotion):
-    """Hold the arrays of a robot's motion and the robot."""
+    """Arrays of a robot's motion and the robot."""
 
     robot: Quadruped = field(kw_only=True)
 
@@ -413,7 +413,7 @@ class RobotMotion(KeptMotion):
 
 @dataclass(frozen=True, eq=False)
 class Retargeting:
-    """Hold a robot's motion that follows an animal's motion."""
+    """A robot's motion that follows an animal's motion."""
 
     animal: Animal
     window: StrideWindow

@@ -51,7 +51,7 @@ HEADING_S = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """Hold the data for drawing T frames of J joints on a video."""
+    """Data for drawing T frames of J joints on a video."""
 
     frames: Integers
     """(T,): frame numbers."""
@@ -232,7 +232,7 @@ def draw_tiles(overlay: Overlay, rows: Sequence[int] | Index, pictures: Sequence
 
 @dataclass(frozen=True, eq=False)
 class _Cut:
-    """Hold a part of the picture: its corner (2,) in pixels, and its enlargement."""
+    """A part of the picture: its corner (2,) in pixels, and its enlargement."""
 
     corner_px: Array
     scale: float

@@ -244,7 +244,7 @@ def _disc(canvas: Image, centre: Array, radius: float, colour: Array) -> None:
 
 @dataclass(frozen=True)
 class PanningFilm:
-    """Hold a clip of a camera that turns to follow the animal."""
+    """A clip of a camera that turns to follow the animal."""
 
     clip: SyntheticClip
     """Camera without a pose, its keypoints, and the truth in the world of the camera's track.

@@ -75,7 +75,7 @@ _SERIES: dict[str, tuple[float, ...]] = {
 
 @dataclass(frozen=True, eq=False)
 class SyntheticClip:
-    """Hold a simulated clip and its truth: T frames, K keypoints (15 for `cheetah-8u`, 24 for `cheetah-24`)."""
+    """A simulated clip and its truth: T frames, K keypoints (15 for `cheetah-8u`, 24 for `cheetah-24`)."""
 
     keypoints: Keypoints
     """Exact detections, missing if outside the picture."""
@@ -172,7 +172,7 @@ def gallop(
 
 @dataclass(frozen=True, eq=False)
 class _Waves:
-    """Hold slow waves about small means, each array (W,)."""
+    """Slow waves about small means, each array (W,)."""
 
     mean: Array
     amplitude: Array

@@ -31,7 +31,7 @@ CENTRE_M, PAW_M, LIFT_M = 0.46, 0.02, 0.1
 
 @dataclass(frozen=True)
 class SteadyGait:
-    """Describe a steady gait on level ground."""
+    """A steady gait on level ground."""
 
     speed_m_s: float
     stride_s: float
@@ -162,7 +162,7 @@ def with_exact_states(motion: Motion, states: Array, fps: float) -> Motion:
 
 @dataclass(frozen=True)
 class ForceErrors:
-    """Hold the errors of an analysis of a steady gait."""
+    """Errors of an analysis of a steady gait."""
 
     centre_m: float
     """Largest error of the centre of mass in a frame, metres."""

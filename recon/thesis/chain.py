@@ -30,7 +30,7 @@ from recon.geometry.kinematics import PITCH, ROLL, ROOT, YAW
 
 @dataclass(frozen=True)
 class ChainPose:
-    """Hold N states of D unknowns and the positions of their J joints in the camera frame.
+    """N states of D unknowns and the positions of their J joints in the camera frame.
 
     The Jacobians are None unless they were requested.
     """

@@ -104,7 +104,7 @@ def read_solver(motion: Motion, folder: Path, frame: int | None = None) -> Solve
 
 @dataclass(frozen=True, eq=False)
 class SolverRecord:
-    """Hold the data of `recon solver` for T frames with D unknowns.
+    """Data of `recon solver` for T frames with D unknowns.
 
     Arrays are NaN in frames without a pose.
     """

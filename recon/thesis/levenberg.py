@@ -20,7 +20,7 @@ _LARGEST = 1e12
 
 
 class Minimum(NamedTuple):
-    """Hold the end of a search, with the names of scipy's result."""
+    """Result of a search, with the names of scipy's result."""
 
     x: Array
     cost: float

@@ -38,7 +38,7 @@ _FIRST_POSITION_M, _FIRST_SPEED_M_S = 100.0, 30.0
 
 @dataclass(frozen=True, eq=False)
 class Path:
-    """Hold the path of the reference joint in the camera frame over T frames, for the nominal base length."""
+    """Path of the reference joint in the camera frame over T frames, for the nominal base length."""
 
     position_m: Array
     """Positions, shape (T, 3)."""

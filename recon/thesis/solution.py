@@ -1,4 +1,4 @@
-"""Hold the result of the frame method: states and reports of the frames, and the solution in the world."""
+"""Result of the frame method: states and reports of the frames, and the solution in the world."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class _FrameReport:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FrameSolution(Solution):
-    """Hold a solution of the frame method, with D unknowns of the chain.
+    """A solution of the frame method, with D unknowns of the chain.
 
     Covariances are given the frame before.
     """

@@ -131,7 +131,7 @@ def _total(first: _FrameReport, second: _FrameReport) -> _FrameReport:
 
 @dataclass(frozen=True, eq=False)
 class FrameProblem:
-    """Hold the least-squares problem of one frame: residuals as functions of its unknowns x (D,)."""
+    """Least-squares problem of one frame: residuals as functions of its unknowns x (D,)."""
 
     chain: UnknownsChain
     terms: tuple[Objective, ...]
@@ -185,7 +185,7 @@ class FrameProblem:
 
 @dataclass(frozen=True, eq=False)
 class FrameSearch:
-    """Hold the search of one frame from a start to its minimum: K accepted points, with those of a wide loss."""
+    """Search of one frame from its start to its minimum: the K accepted points, including those with a wide loss."""
 
     problem: FrameProblem
     cost: float

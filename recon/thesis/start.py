@@ -31,7 +31,7 @@ _MIN_STRETCH_S = 0.15
 
 @dataclass(frozen=True)
 class Travel:
-    """Hold the direction of travel and the speed in every frame."""
+    """Direction of travel and speed of every frame."""
 
     heading: Array
     """Level unit vectors in the camera frame in which the animal faces, shape (T, 3)."""

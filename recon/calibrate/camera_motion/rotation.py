@@ -45,7 +45,7 @@ HULL_MARGIN = 0.15
 
 @dataclass(frozen=True)
 class GreyPicture:
-    """Hold a grey picture, reduced by a factor `scale`."""
+    """A grey picture, reduced by a factor `scale`."""
 
     grey: Image
     scale: int
@@ -209,7 +209,7 @@ ROUNDS = 6
 
 @dataclass(frozen=True, eq=False)
 class Orientation:
-    """Hold the orientation and zoom of a camera.
+    """Orientation and zoom of a camera.
 
     rotation (3, 3): from the world to the camera. zoom: focal length relative to the camera file's.
     """
@@ -220,7 +220,7 @@ class Orientation:
 
 @dataclass(frozen=True, eq=False)
 class AgreedOrientation:
-    """Hold an orientation and its support.
+    """An orientation, and the evidence for it.
 
     weights: (N,), 0 for points that do not agree. residual_px: (N, 2), seen minus expected. jacobian: (N, 2, 4), of the
     expected pixels by a small rotation (rad) in the camera frame and by log zoom. spread: covered area times spread.

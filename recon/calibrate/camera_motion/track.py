@@ -62,7 +62,7 @@ PAIR_FLOOR_PX = 0.15
 
 @dataclass(eq=False)
 class _Keyframe:
-    """Hold a frame with which other frames are compared.
+    """A frame with which other frames are compared.
 
     number: index among the frames that have an orientation. frame: None if the picture was removed from memory.
     points_px, rays: (N, 2) and (N, 3), in the camera frame. background: (N,) from 0 to 1, how consistently each point
@@ -88,7 +88,7 @@ class _Keyframe:
 
 @dataclass(frozen=True, eq=False)
 class TurningMotion:
-    """Hold the orientations of a camera in N of the F frames of a video.
+    """Orientations of a camera in N of the F frames of a video.
 
     frames: (N,) frame numbers from 0. inliers, residual_px, sigma_rad, sigma_zoom: (N,). focal: log factor on the
     camera file's focal length, measured from the rotations, and its standard deviation; if the factor is clearly not 0,
@@ -370,7 +370,7 @@ class Tracker:
 
 
 class _Seen(NamedTuple):
-    """Hold the points of some keyframes in one frame.
+    """Points of some keyframes in one frame.
 
     of_key, place: (N,), keyframe of each point and the point's index in it. rays: (N, 3), world. pixels: (N, 2).
     background: (N,).
@@ -473,7 +473,7 @@ def _adjust(
 
 
 class _TurnedPair(NamedTuple):
-    """Hold points (N, 2), (N, 2) followed from one picture to another, and the rotation (3, 3) between the pictures.
+    """Points (N, 2), (N, 2) followed from one picture to another, and the rotation (3, 3) between the pictures.
 
     key: number of the earlier picture.
     """
@@ -562,7 +562,7 @@ VIEW, PATH, ANIMAL = (0, 220, 255), (255, 200, 0), (80, 80, 255)
 
 @dataclass(frozen=True)
 class _Canvas:
-    """Hold longitude and latitude (rad) of the upper left pixel, rad per pixel, and an even size (width, height)."""
+    """Longitude and latitude (rad) of the upper left pixel, rad per pixel, and an even size (width, height)."""
 
     west: float
     north: float

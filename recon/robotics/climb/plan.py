@@ -97,7 +97,7 @@ _PositiveLegs = Annotated[tuple[Gain, Gain, Gain, Gain], BeforeValidator(_all_le
 
 
 class _Well(FileTable):
-    """Describe a potential well of a coordinate q, with numbers for each leg and a wall at either end.
+    """A potential well of a coordinate q, with numbers for each leg and a wall at either end.
 
     Raises ValueError if the bounds are out of order.
     """
@@ -128,7 +128,7 @@ class _Well(FileTable):
 
 
 class _Balance(FileTable):
-    """Describe the field that pulls the torso over its feet."""
+    """Field that pulls the torso over its feet."""
 
     gain: Gain
     """Force at a large distance from the centroid."""
@@ -137,7 +137,7 @@ class _Balance(FileTable):
 
 
 class Fields(FileTable):
-    """Hold the potential wells of the legs and the field that balances the torso."""
+    """Potential wells of the legs and the field that balances the torso."""
 
     radial: _Well
     swing: _Well
@@ -146,7 +146,7 @@ class Fields(FileTable):
 
 
 class Step(FileTable):
-    """Describe a step across the path: the ground is at height 0 up to x = edge_m, and at height_m beyond."""
+    """A step across the path: the ground is at height 0 up to x = edge_m, and at height_m beyond."""
 
     edge_m: Length
     height_m: Length
@@ -164,7 +164,7 @@ class Step(FileTable):
 
 
 class _Footfall(FileTable):
-    """Describe one footfall."""
+    """One footfall."""
 
     leg: Annotated[int, Field(strict=True, ge=1, le=4), AfterValidator(lambda number: IN_FILES[number - 1])]
     """Leg that moves, as an index into `LEGS`."""
@@ -191,7 +191,7 @@ class _Primitive(FileTable):
 
 
 class _Swing(FileTable):
-    """Describe a foot's swing: the clearance of its path above the higher end, and a speed for each phase."""
+    """A foot's swing: the clearance of its path above the higher end, and a speed for each phase."""
 
     clearance_m: PositiveLength
     rise_m_s: PositiveLength
@@ -207,7 +207,7 @@ class _Pace(FileTable):
 
 
 class Recipe(FileTable):
-    """Describe a climb: robot, stance, step, footfalls and fields."""
+    """A climb: robot, stance, step, footfalls and fields."""
 
     robot: str
     """Name of the robot."""
@@ -276,7 +276,7 @@ RULES = {
 
 @dataclass(frozen=True, eq=False)
 class Climb:
-    """Hold a planned climb of T frames. World: x forward, y left, z up."""
+    """A planned climb of T frames. World: x forward, y left, z up."""
 
     recipe: Recipe
     motion: RobotMotion

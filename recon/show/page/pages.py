@@ -100,7 +100,7 @@ LENGTHS, POSES, STRETCHES = 4.0, 7, 3
 
 @dataclass(frozen=True)
 class Neighbours:
-    """Hold links from a clip's page to the pages of its batch, relative to the clip's folder."""
+    """Links from a clip's page to the pages of its batch, relative to the clip's folder."""
 
     clip: str
     """Name of the clip."""

@@ -35,7 +35,7 @@ MIME = "image/webp"
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """Hold the part of each frame that is kept: corners (T, 2), and one size (2,), in pixels of the video."""
+    """Part of each frame that is kept: corners (T, 2), and one size (2,), in pixels of the video."""
 
     corners_px: Integers
     size_px: tuple[int, int]
@@ -45,7 +45,7 @@ class Cut:
 
 @dataclass(eq=False)
 class PictureStrip:
-    """Hold the pictures of some frames for a page."""
+    """Pictures of some frames for a page."""
 
     cut: Cut
     rows: list[int] = field(default_factory=list)

@@ -14,7 +14,7 @@ Line = tuple[str, str]
 
 @dataclass(frozen=True)
 class Section:
-    """Describe one field of report.json, and the lines of the summary that state it."""
+    """One field of report.json, and the lines of the summary that state it."""
 
     name: str
     """Name of the field."""

@@ -56,7 +56,7 @@ GRID_MARGIN_M, MAX_GRID_LINES = 1.5, 200
 
 @dataclass(frozen=True)
 class TimePlot:
-    """Hold a plot: values (T, lines), and a name and a colour for each line.
+    """A plot: values (T, lines), and a name and a colour for each line.
 
     tab: name of the tab that holds the plot, together with other plots of that name.
     """
@@ -129,7 +129,7 @@ class Log:
 
 @dataclass(frozen=True)
 class Scene:
-    """Hold the geometry that views and entities share, in the motion's frame of reference.
+    """Geometry that views and entities share, in the motion's frame of reference.
 
     axes (3, 3): two level unit vectors and the upward one, in rows. low_m, high_m (3,): bounds of the animal over the
     clip along the axes. size_m: diagonal of the animal. camera_m (3,): centre of projection of the first camera; its
