@@ -52,19 +52,24 @@ def finding(code: str, frames: tuple[int, int] | None = None, camera: str | None
     return Finding(code, CODES[code][0], frames, camera, numbers)
 
 
-def by_effect(item: Finding, trunk_m: float, is_gross: bool = False) -> Finding:
+def by_effect(item: Finding, trunk_m: float, is_gross: bool = False, position_sigma_m: float = 0.0) -> Finding:
     """Return a finding whose severity follows from its effect, if it has the numbers of `EFFECTS`.
 
     The severity does not change if an effect is unknown (NaN), or as large as an error that spoils most uses. Below
     that the finding is at most a warning. It is a note if the effect is no larger than the fit's own error, unless it
-    is gross.
+    is gross. An effect on positions below the standard deviation `position_sigma_m`, which the fit states for them, is
+    no larger than the fit's own error either.
     """
     effects_m = [item.numbers.get(name) for name in EFFECTS]
     known_m = [value for value in effects_m if isinstance(value, float) and math.isfinite(value)]
-    limit_m = LIMIT_OF_TRUNK * trunk_m
-    if len(known_m) < len(EFFECTS) or max(known_m) >= limit_m or item.severity == "note":
+    if len(known_m) < len(EFFECTS) or item.severity == "note":
         return item
-    is_small = max(known_m) < EFFECT_OF_NOTE * limit_m and not is_gross
+    pose_m, position_m = known_m
+    largest_m = pose_m if position_m < position_sigma_m else max(pose_m, position_m)
+    limit_m = LIMIT_OF_TRUNK * trunk_m
+    if largest_m >= limit_m:
+        return item
+    is_small = largest_m < EFFECT_OF_NOTE * limit_m and not is_gross
     return replace(item, severity="note" if is_small else "warning")
 
 

@@ -18,7 +18,7 @@ from recon.animal.body import opposites
 from recon.animal.prior import NONE, MotionPrior, mean_speed_m_s
 from recon.base.arrays import Array, Bools
 from recon.check.clocks import drift_findings
-from recon.check.codes import FLAG_OF, finding
+from recon.check.codes import FLAG_OF, by_effect, finding
 from recon.check.likelihood import (
     CLEAR,
     baseline_of,
@@ -103,8 +103,11 @@ def input_findings(
                 ]
                 findings += found_swaps
                 if len(motion.sources) == 1 and not (found_swaps or moves):
-                    moves += lens_findings(baseline, solution.noise_px[number])
-                    if not moves and (stretched := stretch_finding(ground_clip, solution)):
+                    lens = lens_findings(baseline, solution.noise_px[number])
+                    sigma_m = _position_sigma_m(motion)
+                    moves += (by_effect(item, motion.trunk_m, position_sigma_m=sigma_m) for item in lens)
+                    is_right = all(item.severity == "note" for item in moves)
+                    if is_right and (stretched := stretch_finding(ground_clip, solution)):
                         moves.append(stretched)
         findings += pictures
         if len(motion.sources) > 1 and not (pictures or is_certain):
@@ -119,6 +122,11 @@ def input_findings(
     if not pictures and not any(item.severity == "error" for item in rates):
         findings += moves
     return tuple(findings)
+
+
+def _position_sigma_m(motion: Motion) -> float:
+    """Return the mean standard deviation of the animal's middle along the line of sight, metres."""
+    return float(np.nanmean(motion.place_sigma_m[motion.solved]))
 
 
 def _of_rate(

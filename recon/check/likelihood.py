@@ -385,7 +385,7 @@ def lens_findings(baseline: Baseline, noise_px: Array) -> Iterator[Finding]:
     lasting = (thirds[0].mean(axis=0) > LASTING) & (thirds[-1].mean(axis=0) > LASTING)
     if lasting[clip.feet].all():
         lasting_view = replace(view, xy_px=np.where(lasting[:, None], view.xy_px, np.nan))
-        yield from _zooms(lasting_view, as_given.states, minimum)
+        yield from _zooms(clip, lasting_view, as_given.states, minimum)
 
 
 def _without_lens(clip: ClipProblem, flat: Camera) -> float:
@@ -398,7 +398,7 @@ def _without_lens(clip: ClipProblem, flat: Camera) -> float:
     return whole_fit_gain(straight, bent)
 
 
-def _zooms(view: View, states: Array, minimum: _Minimum) -> Iterator[Finding]:
+def _zooms(clip: ClipProblem, view: View, states: Array, minimum: _Minimum) -> Iterator[Finding]:
     centre, time = view.camera.matrix[:2, 2], np.linspace(-0.5, 0.5, len(states))[:, None, None]
 
     def at(zoom: float, states: Array) -> Estimate:
@@ -411,8 +411,12 @@ def _zooms(view: View, states: Array, minimum: _Minimum) -> Iterator[Finding]:
         nearer + farther,
     )  # slope and curvature of the parabola through the three costs, in zooms
     best = float(np.clip(-slope / bend if bend < 0 else np.sign(slope), -LARGEST, LARGEST))
-    if abs(best) >= 1.0 and exceeds_margin(ratio := as_given.cost - at(ZOOM * best, as_given.states).cost):
-        yield finding("picture_zooms", way="in" if best > 0 else "out", log_likelihood_ratio=ratio)
+    if abs(best) < 1.0:
+        return
+    zoomed = at(ZOOM * best, as_given.states)
+    if exceeds_margin(ratio := as_given.cost - zoomed.cost):
+        effect_m = _effect_m(clip, as_given.states, zoomed.states)
+        yield finding("picture_zooms", way="in" if best > 0 else "out", log_likelihood_ratio=ratio, **effect_m)
 
 
 # -- the frame rate ----------------------------------------------------------------------------------------------------

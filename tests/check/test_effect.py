@@ -37,6 +37,14 @@ def test_an_effect_below_the_limit_is_no_error(pose_m, position_m, severity):
     assert by_effect(late(pose_m, position_m), TRUNK_M).severity == severity
 
 
+@pytest.mark.parametrize(
+    ("pose_m", "position_m", "severity"),
+    [(0.024, 0.18, "note"), (0.054, 0.29, "warning"), (0.024, 0.41, "error"), (0.15, 0.18, "error")],
+)
+def test_an_effect_on_positions_that_are_less_certain_is_no_error(pose_m, position_m, severity):
+    assert by_effect(late(pose_m, position_m), TRUNK_M, position_sigma_m=0.4).severity == severity
+
+
 def test_a_finding_without_an_effect_keeps_its_severity_and_a_note_stays_one():
     assert by_effect(finding("camera_late", camera="cam1", **AGAINST), TRUNK_M).severity == "error"
     assert by_effect(replace(late(1.0, 1.0), severity="note"), TRUNK_M).severity == "note"

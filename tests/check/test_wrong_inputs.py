@@ -170,6 +170,7 @@ def test_a_picture_that_zooms_is_named(times, ways):
     setting = ClipProblem.from_views(solution.views, BODY, PRIOR, FPS, TrajectoryOptions())
     found = [*lens_findings(baseline_of(setting, 0, solution.states, solution.size), solution.noise_px[0])]
     assert [one.numbers["way"] for one in found] == ways
+    assert all(0.0 < one.numbers["pose_effect_m"] < one.numbers["position_effect_m"] for one in found)
 
 
 @pytest.mark.parametrize(("kept", "codes"), [(False, ["keypoints_undistorted"]), (True, [])])
