@@ -23,9 +23,10 @@ if TYPE_CHECKING:
     import xarray as xr
 
 CORNER_PX, CONSTANT_SHARE, CONSTANT_KEYPOINTS = 1.0, 0.005, 3
-"""Limits above which one exact point is taken for a missing value.
+"""Limits by which an exact position counts as a constant that stands for missing points.
 
-They are its distance from the corner, its fraction of all points, and the number of its keypoints.
+These are the largest distance from the picture's corner, the smallest share of all points, and the smallest number of
+keypoints that have this position.
 """
 
 
@@ -165,7 +166,7 @@ class LeftOut(Brief):
         return int((self.reason == self.reasons.index(reason)).sum()) if reason in self.reasons else 0
 
     def and_points(self, keypoints: Keypoints, points: np.ndarray, reason: str, later_frames: int = 0) -> LeftOut:
-        """Return these detections and further points (T, K).
+        """Return these detections and further ones, given by the mask `points` (T, K).
 
         `later_frames` is the clip's frame number minus that of the file.
         """
@@ -430,7 +431,7 @@ class View(Brief):
     intrinsics_px: Array | None = None
     """fx, fy, cx, cy of each frame, shape (T, 4), for a camera that zooms."""
     offset_frames: float = 0.0
-    """Delay of the pictures relative to the clip's frames; a given offset is 0 up to 1."""
+    """Delay of the pictures in frames of the clip; at least 0 and below 1 unless it was estimated."""
     rotation_sigma_rad: Array | None = None
     """Standard deviation of each pose's rotation about any axis, shape (T,), if the camera's track states it."""
 
@@ -477,7 +478,7 @@ class View(Brief):
 
     @property
     def turn_px(self) -> Array | float:
-        """Shift of the picture's middle due to the uncertainty of each pose's rotation: (T,), or 0."""
+        """Standard deviation of the picture's middle, px, due to that of each pose's rotation: (T,), or 0."""
         return 0.0 if self.rotation_sigma_rad is None else self.focal_px * self.rotation_sigma_rad
 
     @property
@@ -486,7 +487,7 @@ class View(Brief):
         return self.camera.sees(self.xy_px, self._unzoomed_px)
 
     def corrected(self, correction: Array) -> View:
-        """Return the view with an extrinsic correction (6,): X_camera = R(angles) X + metres."""
+        """Return the view with an extrinsic correction (6,), three angles and a shift: X_new = R(angles) X + shift."""
         if not correction.any():
             return self
         T_correction = rigid(euler_rotation(correction[:3]), correction[3:])
@@ -539,7 +540,7 @@ class View(Brief):
 
     @cached_property
     def _zoom(self) -> Array:
-        """Affine map (T, 2, 3) from pixels of the camera's own matrix to the frame's; the lens acts before both."""
+        """Affine map (T, 2, 3) from pixels of the camera's own matrix to those of each frame; the lens acts first."""
         assert self.intrinsics_px is not None
         matrices = np.tile(np.eye(3), (len(self.intrinsics_px), 1, 1))
         matrices[:, 0, 0], matrices[:, 1, 1], matrices[:, 0, 2], matrices[:, 1, 2] = self.intrinsics_px.T
@@ -681,7 +682,7 @@ def align_cameras(sources: Sequence[Source], later_frames: Sequence[float]) -> t
 def _near_detections(sources: Sequence[Source], starts: Sequence[int], frames: Integers, bridged: float) -> Bools:
     """Return a mask of consecutive frames near a detection, (T,), which includes the first and last frames.
 
-    Enough of a long gap is kept for it not to be bridged.
+    A long gap stays long enough not to be bridged.
     """
     seen = np.zeros(len(frames), dtype=bool)
     for source, start in zip(sources, starts, strict=True):

@@ -260,7 +260,7 @@ def _gait_summary(analysis: ClipAnalysis, gait: Gait) -> dict[str, Any]:
 
 
 def quantity_fields(quantity: GaitQuantity) -> dict[str, Any]:
-    """Return a quantity as JSON has it: value, standard deviation, 90 % interval, number of strides, and source."""
+    """Return a quantity in JSON types: value, standard deviation, 90 % interval, number of strides, and source."""
     fields = picked(quantity, "value", "sigma") | {"interval": quantity.interval}
     fields |= {"between_strides": quantity.between_sigma, "n": quantity.count, "source": quantity.source}
     return fields | ({"why_unknown": quantity.why_unknown} if quantity.why_unknown else {})

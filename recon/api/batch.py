@@ -329,7 +329,7 @@ class Summary:
         self._written_s = -WRITE_EVERY_S
 
     def end(self, clip: str, outcome: Mapping[str, Any]) -> None:
-        """Record the outcome of a clip, which gives some of the columns."""
+        """Add the outcome of a clip to its row."""
         self.rows[clip] |= {column: outcome[column] for column in COLUMNS if column in outcome}
 
     def write_now_and_then(self) -> None:
@@ -339,12 +339,12 @@ class Summary:
                 self.write()
 
     def counts(self) -> dict[str, int]:
-        """Return the number of clips with each status, in the order of `STATUSES`, without statuses of no clip."""
+        """Return the number of clips with each status that occurs, in the order of `STATUSES`."""
         count = Counter(row["status"] for row in self.rows.values())
         return {status: count[status] for status in STATUSES if count[status]}
 
     def verdicts(self) -> dict[str, int]:
-        """Return the number of clips with each verdict, in the order of `LEVELS`, without verdicts of no clip."""
+        """Return the number of fitted clips with each verdict that occurs, in the order of `LEVELS`."""
         count = Counter(row["verdict"] for row in self.rows.values() if row["status"].startswith("done"))
         return {level: count[level] for level in LEVELS if count[level]}
 

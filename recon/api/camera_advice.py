@@ -134,7 +134,7 @@ def run_camera_advice(settings: CameraAdviceSettings, progress: Progress = silen
 
 
 def _places(number: int, advice: Advice) -> pd.DataFrame:
-    """Return one row per camera position; it has no sigma if the animal is outside the picture."""
+    """Return one row per camera position, without a sigma where the animal is outside the picture."""
     elevation, azimuth = (at.ravel() for at in np.meshgrid(ELEVATIONS_RAD, AZIMUTHS_RAD, indexing="ij"))
     places = {"azimuth_rad": azimuth, "elevation_rad": elevation, "height_m": advice.distance_m * np.sin(elevation)}
     sigma = np.where(np.isfinite(advice.sigma), advice.sigma, np.nan).ravel()

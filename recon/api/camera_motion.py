@@ -191,7 +191,7 @@ def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
 def _up(
     s: CameraMotionSettings, motion: TurningMotion, lens: Camera, marks: Sequence[LevelMark]
 ) -> tuple[Array | None, str]:
-    """Return up (3,) in the first frame's camera, or None if the mean frame counts as level, and the origin of up."""
+    """Return up (3,) in the first frame's camera, or None if the mean frame counts as level; and its source as text."""
     if s.tilt_deg is not None:
         level = f"the first frame looks {s.tilt_deg:g} degrees down, as given, and its roll is taken as 0"
         return tilted(np.radians(s.tilt_deg)), level
@@ -256,7 +256,7 @@ def _report(s: CameraMotionSettings, motion: TurningMotion, lens: Camera, level:
 
 
 def _focal_px(focal: tuple[float, float], lens: Camera) -> dict[str, float]:
-    """Return the focal length of the camera file, and that which the background's turns suggest."""
+    """Return the focal length in the camera file, and the estimate from the background with its standard deviation."""
     file_px = float(lens.matrix[0, 0])
     background_px = file_px * float(np.exp(focal[0]))
     return {"file": file_px, "found": background_px, "sigma": background_px * focal[1]}

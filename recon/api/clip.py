@@ -184,7 +184,7 @@ def _solve_again_with_fixed_cameras(fit: _Fit, solve: Solve, lengths_known: bool
 
 
 def _refine_pair(fit: _Fit, inputs: ClipInputs, settings: FitSettings, solve: Solve) -> _Fit:
-    """Refine the poses of two cameras if one of them is likelier turned or moved than as calibrated.
+    """Refine the poses of two cameras if one of them has probably been turned or moved since its calibration.
 
     The animal's lengths have to be known roughly, because only lengths can contradict the poses of a pair whose rays
     meet.

@@ -264,7 +264,7 @@ def cleaned_source(
 def _require_keypoints_of(body: Body, keypoints: Keypoints) -> None:
     """Raise InputError for a file with too few of the body's keypoints.
 
-    A few common keypoints such as nose are no match.
+    A few keypoints that many animals share, such as nose, are not enough.
     """
     wanted = tuple(dict.fromkeys(name for pair in body.keypoints for name in pair))
     known = [name for name in keypoints.names if name in wanted]

@@ -47,7 +47,7 @@ FIT = "fit"
 """Manifest kind of the files of a fit."""
 CONFIG = "config.toml"
 CORRECTIONS = "corrections.csv"
-"""The corrections by hand in a folder of results, if there are any."""
+"""File of corrections by hand in a results folder."""
 SCHEMA = {"name": "recon.record", "version": 1}
 AS_THEY_WERE = "the prior and settings with which the clip was fitted: fit the clip again"
 REFINED_CAMERAS = "cameras.toml"
@@ -255,7 +255,7 @@ _BEGIN = '{"'
 
 
 class Record:
-    """Record what each part of the work was made from, and how it ended.
+    """Record of what each part of the work was made from, and of how it ended.
 
     The file has one JSON object per line. The last line of a part counts, and only one process writes the file. A part
     has a row before it begins and another row, with the files that it wrote, after it has ended, so that a killed run

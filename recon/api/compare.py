@@ -81,8 +81,9 @@ class CompareSettings(Settings):
     """Column of the table or the design to group the clips by, such as sex (with --design: group)."""
     design: Annotated[Path | None, Option(panel=_EXPERIMENT)] = None
     """CSV table with the columns clip, animal, and as needed run, camera, group and covariates; or a batch's manifest
-    with the columns animal, run and group. Results of the cameras of a run become one, and a mixed model tells animals,
-    runs, strides and measurement apart."""
+    with the columns animal, run and group. Results of the cameras of a run become one, and a mixed model separates the
+    variation between animals, runs, strides and measurements.
+    """
     names: Annotated[str | None, Option(panel=_EXPERIMENT, metavar="PATTERN")] = None
     """Form of the folders' names in place of a design, as in {group}-{animal}-{run}-{camera}."""
     covariate: Annotated[OneOrMore[str], Option(panel=_EXPERIMENT, metavar="NAME")] = ()
@@ -130,7 +131,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class _Results:
-    """Results of a comparison by name, those that count among them, and why others do not."""
+    """Results of a comparison by name, with those that are used and the reasons why others are left out."""
 
     folders: Mapping[str, Path]
     motions: Mapping[str, Motion]
@@ -243,7 +244,7 @@ def _load(settings: CompareSettings, folders: Mapping[str, Path]) -> _Results:
 
 
 def _same_runs(results: _Results, design: pd.DataFrame | None) -> Iterator[str]:
-    """Yield a note on pairs of results that are probably of one run, and yet count twice."""
+    """Yield a note on pairs of results that probably show the same run, but are counted separately."""
     files = {name: _files_by_camera(motion, results.folders[name]) for name, motion in results.motions.items()}
     fields = {} if design is None else design.to_dict("index")
     runs = {name: (row["animal"], row["run"]) for name, row in fields.items()}
@@ -405,8 +406,8 @@ def _stride_rows(analysis: ClipAnalysis) -> Iterator[dict]:
 def _clip_row(analysis: ClipAnalysis, strides: Sequence[dict]) -> dict:
     """Return the quantities of a clip with the standard deviations that `recon analyse` gives.
 
-    `_sigma` has all errors, `_own_sigma` those that the clip does not share with others of the same animal's size, and
-    `_measurement_sigma` of these the ones that the scatter of the strides does not contain.
+    `_sigma` contains all errors. `_own_sigma` leaves out the error of the animal's size, which other clips share.
+    `_measurement_sigma` also leaves out the scatter of the strides.
     """
     quantities, row = analysis.quantities, dict[str, object]({"strides": len(strides)})
     row["size_sigma"] = shared_sigma(analysis.motion)
@@ -457,7 +458,7 @@ def _group_rows(clips: pd.DataFrame) -> pd.DataFrame:
             means, own_sigmas = (group_clips[f"{name}{field}"].to_numpy(float) for field in ("", "_own_sigma"))
             excess = (
                 means**2 * np.maximum(size**2 - common**2, 0.0) * with_size
-            )  # of clips that know the size less well
+            )  # additional variance of clips whose size is less certain
             values = _mean_of(means, np.sqrt(own_sigmas**2 + excess), shared)
             row |= zip((name, f"{name}_sigma", f"{name}_spread"), values, strict=True)
         rows.append(row)

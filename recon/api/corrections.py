@@ -106,7 +106,7 @@ class CorrectionSession:
             return self._change.wait_for(lambda: self.version > version, wait_s)
 
     def lines_px(self, camera: int, row: int, joint: int) -> dict[str, object]:
-        """Return the lines on which other cameras see a keypoint, by camera; none if a number does not exist."""
+        """Return the epipolar lines of a keypoint by the other camera's name; nothing if an index is out of range."""
         motion = self.motion
         counts = len(motion.sources), len(motion.frames), len(motion.names)
         if len(motion.sources) < 2 or not all(

@@ -1,4 +1,4 @@
-"""Show where in a camera's picture a keypoint can be that other cameras see."""
+"""Compute epipolar lines: where in one camera's picture a keypoint lies that other cameras see."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NEAREST, FARTHEST, COUNT = 0.1, 10.0, 97
 def epipolar_lines_px(
     motion: Motion, camera: int, row: int, joint: int, marks_px: Mapping[int, tuple[float, float] | None]
 ) -> dict[str, Array]:
-    """Return, for each other camera, the line in a camera's picture on which its keypoint lies.
+    """Return, for each other camera, the epipolar line of its detection in one camera's picture.
 
     The line is the picture of the ray through the other camera's detection, curved by the distortion of the lens.
 

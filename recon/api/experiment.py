@@ -1,9 +1,9 @@
-"""Know the cameras, runs, animals and groups of an experiment, and model what varies between them.
+"""Group the clips of an experiment by camera, run, animal and group, and model the variation between them.
 
 The results of all cameras of a run become one clip. A quantity's mean weighs each camera by 1 / s^2, where s is its
 standard deviation. Errors that the cameras share, such as that of the animal's size, are not averaged away; if the
-cameras disagree by more than they state, their errors are scaled up (Birge 1932). Strides are those of the camera that
-knows the quantity best, shifted to the mean: several cameras see the same strides, and count once.
+cameras disagree by more than their stated errors, their errors are scaled up (Birge 1932). Strides are those of the
+camera that measures the quantity best, shifted to the mean: several cameras see the same strides, and count once.
 
 Each quantity then has a mixed model (`recon.gait.mixed_model`) with groups and covariates as fixed effects. The
 measurement's standard deviation of a run is the one that the fits state, without the scatter of the strides.
@@ -161,7 +161,7 @@ def _design(
 
 
 def runs_of_clips(clips: pd.DataFrame, quantities: Mapping[str, bool]) -> pd.DataFrame:
-    """Return one row for each run, in which the results of its cameras are one.
+    """Return one row for each run, which joins the results of its cameras.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def runs_of_clips(clips: pd.DataFrame, quantities: Mapping[str, bool]) -> pd.Dat
     -------
     DataFrame
         The same columns. `clip` is the name of the run, `clips` the number of its results, `first_clip` the result that
-        knows the speed best; `NAME_strides_of` names the clip whose strides stand for the run.
+        measures the speed best; `NAME_strides_of` names the clip whose strides stand for the run.
     """
     used, rows = {*clips["clip"]}, []
     for (animal, run), of_run in clips.groupby(["animal", "run"], sort=False):
@@ -199,7 +199,7 @@ def runs_of_clips(clips: pd.DataFrame, quantities: Mapping[str, bool]) -> pd.Dat
 
 
 def _joined(name: str, clips: pd.DataFrame, with_size: bool) -> dict[str, object]:
-    """Return a quantity of a run as its cameras know it together."""
+    """Return a quantity of a run, joined over its cameras."""
     known = clips[np.isfinite(clips[name]) & np.isfinite(clips[f"{name}_measurement_sigma"])]
     if known.empty:
         unknown: dict[str, object] = {f"{name}_source": "", f"{name}_strides_of": ""}
@@ -217,7 +217,7 @@ def _joined(name: str, clips: pd.DataFrame, with_size: bool) -> dict[str, object
 
 
 def joined_value(values: Array, sigmas: Array, common: Array) -> tuple[float, float, float]:
-    """Return a mean of C cameras, its standard deviation, and the relative one of the error that they share.
+    """Return the mean of C cameras, its standard deviation, and the relative standard deviation of the shared error.
 
     Parameters
     ----------
@@ -362,7 +362,7 @@ def _fit(
     covariates: list[str],
     with_size: bool,
 ) -> QuantityModel | None:
-    """Return the model of a quantity; None if the design has no full rank."""
+    """Return the model of a quantity; None if the design matrix does not have full rank."""
     size = runs["size_sigma"].to_numpy(float) * with_size
     shared = float(size.min())
     unshared = (size**2 - shared**2) * runs[name].to_numpy(float) ** 2

@@ -30,7 +30,7 @@ _USUAL: Mapping[str, tuple[int, ...]] = {"runs": (1, 2), "strides": (3, 10), "ca
 
 @dataclass(frozen=True)
 class Plan:
-    """Request of a plan."""
+    """An effect to detect, and the numbers of animals, runs, strides and cameras that are known or to be tried."""
 
     effect: float
     """Difference between two groups, in the unit of the quantity or relative to the mean."""
@@ -49,14 +49,14 @@ class Plan:
 
 @dataclass(frozen=True)
 class PlanTable:
-    """Answer to a plan."""
+    """Numbers of animals that an effect needs, for each number of runs, strides and cameras."""
 
     plan: Plan
     effect: float
     """Difference in the unit of the quantity."""
     variances: Variances
     animals_known: int | None
-    """Animals that the variances come from; None if they were given."""
+    """Number of animals that the variances come from; None if the variances were given."""
     rows: pd.DataFrame
     """Runs, strides, cameras, animals in each group (0: more than 1000), clips, power and smallest effect."""
 

@@ -71,7 +71,7 @@ def draw_for_print(analysis: ClipAnalysis, names: Sequence[str], width_mm: float
     analysis : ClipAnalysis
         The result of `recon.analyse`.
     names : sequence of str
-        Names of the figures, from `figure_names`.
+        Names of the figures, as `recon figure` lists them.
     width_mm : float
         Width on paper in mm, such as 89 for a column and 183 for a page.
     results : str

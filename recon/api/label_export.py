@@ -1,4 +1,4 @@
-"""Return corrections to the detector: as labels for training, and as a corrected table of detections."""
+"""Export corrections for the detector: as labels for training, and as a corrected table of detections."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ def _groups(group: Index) -> list[Index]:
 
 
 def _spread(numbers: Sequence[int], count: int) -> list[int]:
-    """Return `count` of the numbers, evenly spread; similar pictures leave groups empty."""
+    """Return up to `count` of the numbers, evenly spaced."""
     if count <= 0:
         return []
     return [numbers[i] for i in np.unique(np.linspace(0, len(numbers) - 1, count).round().astype(int))]

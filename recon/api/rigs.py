@@ -149,7 +149,7 @@ def turned_up(cameras: _Cameras, up: str) -> _Cameras:
 def turned_up_by_feet(
     sources: Sequence[Source], sources_apart: Sequence[Source], body: Body, fps: float, sigma_px: float
 ) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
-    """Turn cameras so that z is up and the ground is at 0, as standing feet show it.
+    """Turn cameras so that z is up and the ground is at z = 0, as estimated from standing feet.
 
     `sources` are on the frames of the clip, `sources_apart` on each camera's own frames. Returns the sources on their
     own frames, and a note; both are unchanged if the feet do not show the ground.

@@ -54,9 +54,9 @@ of a measured animal. A draft has its markers where the detector sees them, whic
 """
 HEAD = ("keypoint_sigma_m", "marker_sigma_m", "size_sigma")
 SWING_RAD, SWING_HZ, WIDER = (0.3, 1.2), (0.5, 8.0), 1.5
-"""Limits of a segment's swing and of its frequency; factor on the swing that was seen, as other clips have others."""
+"""Limits of a segment's swing and of its frequency, and a factor on the observed swing to allow for other clips."""
 LOW, FLAT = 0.3, 0.12
-"""Part of the animal's height below which no trunk lies, and part of its length within which feet reach the ground."""
+"""Fraction of the animal's height below which no trunk lies, and of its length within which feet reach the ground."""
 
 
 _ROUGHLY = {"croup": "tail_base", "rump": "tail_base"}
@@ -64,10 +64,10 @@ _ROUGHLY = {"croup": "tail_base", "rump": "tail_base"}
 
 _FRONT_WORDS = re.compile("nose|snout|muzzle|beak|head|(?<!r)ear|eye|neck|withers|shoulder", re.IGNORECASE)
 _REAR_WORDS = re.compile("tail|rump|croup|hip|pelvis", re.IGNORECASE)
-"""Keypoints that tell the front of an animal that does not go anywhere."""
+"""Names of keypoints at the front and at the rear, which show the front of an animal that does not move along."""
 _FEET_WORDS = re.compile("paw|foot|feet|hand|hoof|toe", re.IGNORECASE)
 _NO_FEET = re.compile("tail|nose|snout|muzzle|beak|head", re.IGNORECASE)
-"""Keypoints at feet, and those that reach the ground although they are none."""
+"""Names of keypoints at feet, and of keypoints that reach the ground although they are not feet."""
 _FORE_WORDS, _HIND_WORDS = (
     re.compile("front|fore|thoracic", re.IGNORECASE),
     re.compile("back|hind|rear|pelvic", re.IGNORECASE),
@@ -85,10 +85,12 @@ class SkeletonDraftSettings(Settings):
     keypoints: Annotated[OneOrMore[Path], Option(argument="KEYPOINTS")]
     """Keypoint file, or DeepLabCut project; with --camera, one file per camera."""
     out: Path
-    """Skeleton file to write, as in my-animal.toml."""
+    """Skeleton file to write, such as my-animal.toml."""
     individual: Annotated[str | None, Option(INDIVIDUAL)] = None
     camera: OneOrMore[File] | None = None
-    """Calibration of several cameras: distances that stay the same make the draft. (default: names do)"""
+    """Calibration of several cameras; the draft is then made from distances that stay constant. (default: from
+    names)
+    """
     fps: Positive | None = None
     """With --camera: frame rate in Hz. (default: as stated in the file)"""
     up: str | None = None
@@ -384,7 +386,7 @@ def _root_body(bodies: Sequence[list[int]], points_m: Array, labels: Sequence[st
 def _named_ends(labels: Sequence[str], root: Sequence[int], distances: _Distances) -> tuple[int, int] | None:
     """Return the points at the trunk's rear and front by their names, or None if the names do not tell.
 
-    The nearest to the root are taken, and rather those of no side.
+    Points nearest to the root are chosen, preferably points that are on neither side.
     """
     ends = []
     for words in (_REAR_WORDS, _FRONT_WORDS):
@@ -401,7 +403,7 @@ def _feet(
 ) -> dict[str, str]:
     """Return the lowest points at the four corners of the trunk, by their position, or nothing if one is missing.
 
-    Names of feet, sides, and of fore and hind come first.
+    Words for feet, for a side, and for fore or hind in the names take precedence over the position.
     """
     low_m = np.nanquantile(points_m[..., 2], 0.05, axis=0)
     x, y, _ = np.nanmedian(turned_m, axis=0).T
@@ -426,7 +428,7 @@ def _feet(
 def _directions_ahead(
     labels: Sequence[str], points_m: Array, centre_m: Array, length_m: float, body_count: int, source: Path
 ) -> Array:
-    """Return level vectors (T, 2) that point ahead: along the path, or, of an animal that stays, from tail to head.
+    """Return level vectors (T, 2) that point ahead: along the path, or from tail to head if the animal stays in place.
 
     Raises InputError if neither the path nor the names tell the front, or if the animal has only one body.
     """

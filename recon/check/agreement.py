@@ -582,7 +582,7 @@ WORSE, BETTER, LOST, FAR = 1.1, 1.02, 5.0, 4.0
 
 - `WORSE`: factor of a camera's median reprojection error up to which it counts as unchanged, since some cameras may
   lose a little of what one camera gains
-- `BETTER`: factor of no change at all
+- `BETTER`: factor above which a camera's median reprojection error has improved
 - `LOST`: factor relative to the rig's middle camera above which a camera is an outlier all the time
 - `FAR`: factor on the expected rotation above which a camera is not at the pose in the file
 """

@@ -14,7 +14,9 @@ from recon.fit.clip_problem import ClipProblem
 from recon.fit.result import Finding, TrajectorySolution
 
 DRIFT_SIGMAS = 3.5
-"""Standard deviations from which a drift is reported: 1.2 at most in real pairs, 6 for a frame in a second."""
+"""Drift, in standard deviations, from which it is reported: 1.2 at most in real pairs, 6 for a lost frame per
+second.
+"""
 
 
 def drift_findings(
@@ -49,7 +51,8 @@ def drift_findings(
         return
     drift_frames, middle_m = steps[camera].value, solution.joints_m[segment.rows].mean(axis=1)
     step_m = float(np.linalg.norm(np.diff(middle_m, axis=0), axis=1).mean())
-    effect_m = 0.5 * abs(drift_frames) * step_m  # a camera that is in step at one end is late by half of it on average
+    # a camera that is in step at one end is off by half of the drift on average
+    effect_m = 0.5 * abs(drift_frames) * step_m
     rear, front = (solution.markers_m[segment.rows, clip.body.markers.index(name)] for name in clip.body.forward)
     trunk_m = float(np.linalg.norm(front - rear, axis=-1).mean())
     if effect_m < EFFECT_OF_NOTE * LIMIT_OF_TRUNK * trunk_m:

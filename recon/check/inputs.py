@@ -321,7 +321,7 @@ They are the share of frames in which its speed is below the limits in m/s and i
 of its joints' angular speeds, and its distance from its mean position in trunk lengths.
 """
 BACKWARDS_M_S, BACKWARDS = 1.0, 0.9
-"""Speed above which no animal runs backwards, and the fraction of a clip."""
+"""Speed above which no animal runs backwards, and the fraction of the frames above which the clip is reversed."""
 SLOWEST = 0.1
 """Fraction of the feet, over all frames, that move at the speed of standing feet or more slowly."""
 SLIDE_SHARE, SLIDE_LEGS_S = 0.25, 0.5

@@ -214,7 +214,7 @@ def baseline_of(clip: ClipProblem, number: int, states: Array, size: float) -> B
 
 
 def best_seen(view: View, fps: float) -> slice:
-    """Return the part of `TESTED_S`, or less, with the most detections."""
+    """Return the rows of the `TESTED_S` seconds with the most detections, without empty rows at both ends."""
     counts = view.present.sum(axis=1)
     part = densest_window(counts, round(TESTED_S * fps))
     seen = part.start + np.flatnonzero(counts[part])

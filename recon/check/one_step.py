@@ -22,12 +22,12 @@ from recon.fit.terms import SIZE, PointRows, Reprojection, Span
 
 _EXTRA = "one more unknown"
 _FREE = 10.0
-"""Standard deviation of an unknown of which nothing is expected."""
+"""Prior standard deviation of the added unknown, so large that the unknown is practically free."""
 
 
 @dataclass(frozen=True)
 class Detections:
-    """Detections of N frames of a camera, as a derivative needs them."""
+    """Detections of one camera in N frames, with the values that a derivative needs."""
 
     frames: Array
     """(N,): frames of the clip."""

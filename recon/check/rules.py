@@ -299,7 +299,7 @@ def subject_unlike_species(motion: Motion) -> Iterator[Finding]:
 
 
 def _span(body: Body) -> float:
-    """Return the root mean square of the markers' distances from their mean, all angles being 0."""
+    """Return the root mean square of the markers' distances from their mean, with all angles at 0."""
     points = body.tree.pose(np.zeros((1, body.n_state))).points_m[0]
     return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
 

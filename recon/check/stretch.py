@@ -1,7 +1,7 @@
-"""Test whether the picture's pixels are square: a video stretched along x makes an animal of other proportions.
+"""Test whether the picture's pixels are square: a video stretched along x changes the animal's proportions.
 
 The stretch is a factor exp(s) on the camera's focal length along x. An animal's upright and level lengths are known
-well enough to tell the usual stretches.
+well enough to detect the usual stretches.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.terms import focal_scale
 
 USUAL, SPREAD, SIGMA_SHARE = 0.05, 0.04, 0.5
-"""Mean estimate of right pictures, the least standard deviation of the estimates, and the share of the posterior's
-standard deviation that right pictures show, because errors that last count carefully in it.
+"""Mean and least standard deviation of the estimates in unstretched pictures, and the share of the posterior's standard
+deviation that these estimates show, because the posterior is cautious about lasting errors.
 """
 LIMITS = -1.6, 3.3
 """Deviations, in standard deviations, beyond which a picture is compressed or stretched along x.
 
-They are -1.1 to 2.5 in 32 right views, and inside the limits whichever run is left out; -5.4 to 0.3 (median -2.8) where
-x is scaled by 0.75, and 3.0 to 5.1 by 1.33.
+The deviations are -1.1 to 2.5 in 32 correct views, and within the limits whichever run is left out. They are -5.4 to
+0.3 (median -2.8) if x is scaled by 0.75, and 3.0 to 5.1 if x is scaled by 1.33.
 """
 SEEN = 0.25
 """Least share of the frames in which each foot is detected: without legs an animal's height is not known."""
@@ -37,7 +37,7 @@ def stretch_of(clip: ClipProblem, solution: TrajectorySolution) -> Step | None:
 
 
 def deviation(stretch: Step) -> float:
-    """Return how far a stretch is from that of a right picture, in standard deviations."""
+    """Return the deviation of a stretch from that of an unstretched picture, in standard deviations."""
     return (stretch.value - USUAL) / math.hypot(SPREAD, SIGMA_SHARE * stretch.sigma)
 
 

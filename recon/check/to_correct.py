@@ -61,7 +61,7 @@ def to_correct(motion: Motion, limit: int = MOST_LISTED) -> list[ToCorrect]:
     ----------
     motion
         A motion of T frames with J joints, filmed by V cameras.
-    most
+    limit
         Largest number of detections.
     """
     found_px, likelihood, reason_code = (np.array(arrays) for arrays in zip(*map(_found, motion.sources), strict=True))

@@ -51,9 +51,9 @@ WHY = {
 }
 """Reasons, by the factor that raises the expected error most."""
 NOTHING_AGAINST = "No check of the clip found a fault."
-"""Reason of the verdict "use", which a list of clips leaves out."""
+"""Reason for the verdict "use", which a list of clips leaves out."""
 NOT_ALL_CHECKED = "No check that ran found a fault; frame rate, swaps, lens and zoom were not checked."
-"""Reason of the verdict "use" without a learned prior, which those checks need."""
+"""Reason for the verdict "use" without a learned prior, which those checks need."""
 _MEAN_OF_NORM = 0.92
 """Mean length of a vector of three equal normal components, in roots of their summed variance."""
 _LEAST_M2 = 1e-8
@@ -255,7 +255,7 @@ def level_of(pose_of_trunk: ExpectedError, error: bool, warning: bool) -> Level:
 
 
 class _UnusableClip(Problem):
-    """A clip that is refused for its verdict, in a sentence of its own."""
+    """Problem of a clip whose verdict forbids its use, with a sentence of its own."""
 
     def __str__(self) -> str:
         return printable(f"{self.file}: the verdict is {self.found}. Use --anyway to go on")

@@ -179,7 +179,8 @@ def progress_bar(console: Console) -> Iterator[ProgressFunction]:
         task = bar.add_task("reading", total=1.0, left="")
 
         def show(stage: str, share: float) -> None:
-            share = max(share, bar.tasks[0].completed)  # a clip whose cameras are out of step is solved several times
+            # a clip may be solved several times, and the bar must not go back
+            share = max(share, bar.tasks[0].completed)
             bar.update(task, description=stage, completed=share, left=remaining.text(share))
 
         yield show
@@ -188,7 +189,7 @@ def progress_bar(console: Console) -> Iterator[ProgressFunction]:
 class RemainingTime:
     """Estimate the remaining time from the time since the start and the finished share of the work.
 
-    rich uses the pace of the last seconds, which is misleading if the work is done in large pieces.
+    rich's own estimate uses the speed of the last few seconds, which misleads if the work is done in large pieces.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:

@@ -313,7 +313,7 @@ GROUPS = {
 
 
 class _Group(TyperGroup):
-    """Group commands by name, importing only the called one; `functions` maps names to import functions."""
+    """A group of commands, each imported only when it is called; `functions` maps names to import functions."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -324,7 +324,7 @@ class _Group(TyperGroup):
         return make_command(name, self.functions[name]())
 
     def resolve_command(self, ctx: Context, args: list[str]) -> tuple[str | None, Command | None, list[str]]:
-        """Return the command that the arguments name in one or two words, and the remaining arguments."""
+        """Return the called command's name, the command, and the remaining arguments; a name has one or two words."""
         two_words = " ".join(args[:2])
         name, command, rest = super().resolve_command(
             ctx, [two_words, *args[2:]] if two_words in self.commands else args
@@ -334,7 +334,7 @@ class _Group(TyperGroup):
 
 
 class _Commands(_Group):
-    """Group all commands of `COMMANDS`; at Ctrl-C each ends with one line and exit code 130."""
+    """The group of all commands of `COMMANDS`; Ctrl-C ends each with one line and exit code 130."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
@@ -423,7 +423,7 @@ _NO_MEMORY = re.compile(
     r"(?i)(cannot|can't|could not) allocate|insufficient memory|out of memory|bad_alloc|failed to map segment"
     r"|can't start new thread|failed to spawn|error return without exception"
 )
-"""Messages of libraries when memory runs out, raised in many exception types, also while they are being imported."""
+"""Messages of libraries that ran out of memory; their exceptions have many types, and some come during an import."""
 
 
 def main() -> None:

@@ -110,12 +110,14 @@ def _model_lines(experiment: Experiment) -> Iterator[str | Table]:
 
 
 FEW_ANIMALS = 15
-"""Number of animals below which a variance between them is hardly known: to ± 20 % with 15."""
+"""Number of animals below which the variation between them is poorly known: 15 give its standard deviation to ±
+20 %.
+"""
 _COUNTS = "animals", "runs", "strides"
 
 
 def _value(row: dict) -> tuple[str, str]:
-    """Return a value and the ends of its interval."""
+    """Return a value and the ends of its interval, as text."""
     text, _, ends = interval(row["value"], row["low"], row["high"]).partition(" (")
     return text, ends.rstrip(")")
 

@@ -37,7 +37,7 @@ MODULES = {"opencv-python-headless": "cv2", "rerun-sdk": "rerun", "pytables": "t
 """Modules by distribution, for distributions that another one can replace: opencv-python, or a custom build."""
 STYLES = {"ok": "green", "absent": "", "note": "yellow", "broken": "bold red"}
 SELF_TEST_MPJPE_MM = 100
-"""Largest error of the sample, twice the usual one; above it the solver does not work on this machine."""
+"""Largest accepted error of the sample, mm, twice the usual error; a larger error means that the solver is broken."""
 SELF_TEST_S = 300.0
 _MODULE = "import sys; from recon.cli.app import main; sys.exit(main())"
 

@@ -35,13 +35,13 @@ class LabelSettings(Settings):
     """Settings of `recon label`."""
 
     video: Annotated[Path, Option(argument="VIDEO")]
-    """The video, as in run.mp4."""
+    """The video, such as run.mp4."""
     out: Path
     """Folder for the labels; that of a DeepLabCut project has its scorer and bodyparts."""
     skeleton: NameOrFile | None = None
-    """The skeleton whose markers are labelled, as in cheetah-24. (default: cheetah-24, or the project's bodyparts)"""
+    """The skeleton whose markers are labelled, such as cheetah-24. (default: cheetah-24, or the project's bodyparts)"""
     names: str | None = None
-    """Names of the keypoints in place of a skeleton's, as in nose,tail,paw."""
+    """Names of the keypoints in place of a skeleton's, such as nose,tail,paw."""
     frames: Count = 40
     """Number of frames, chosen so that they differ."""
     result: Path | None = None
@@ -66,7 +66,7 @@ def label(settings: LabelSettings, console: Console) -> Answer:
     """Label frames of a video in a browser, for recon train and DeepLabCut.
 
     The frames are chosen so that they differ, or with --result so that a fit gains most. The page is served on this
-    machine only and ends with Ctrl-C; labels are saved with every click, and the same command goes on with them.
+    machine only, until you press Ctrl-C. Labels are saved with every click; run the same command again to continue.
 
     Example: recon label run.mp4 --skeleton cheetah-24 --out project
     """

@@ -51,7 +51,7 @@ STILLS = 9
 VIDEO_PLAYBACK = "playback.rrd"
 """Recording with the video, which `recon run` writes and `recon view` then opens."""
 BESIDE = ("overlay.mp4", "analysis/analysis.json", VIDEO_PLAYBACK)
-"""Files that a page links to, in addition to those of the fit, if they exist when it is made."""
+"""Files that a page links to, in addition to those of the fit, if they exist when the page is made."""
 
 
 class ResultSettings(Settings):
@@ -71,8 +71,8 @@ class ResultSettings(Settings):
 def result_and_video(settings: ResultSettings, *checks: Callable[[], object]) -> tuple[Motion, int]:
     """Return a result, and the index of the chosen camera.
 
-    The video, if there is one, has to come from that camera. `checks` are checks of other options. Raises InputError if
-    the result or the video cannot be used.
+    The video, if there is one, has to come from that camera. `checks` are further checks, whose problems are reported
+    together with these. Raises InputError if the result or the video cannot be used.
     """
     video = settings.video
 
@@ -93,7 +93,7 @@ def result_and_video(settings: ResultSettings, *checks: Callable[[], object]) ->
 
 
 def first_in_clip(motion: Motion, number: int, settings: ResultSettings) -> int:
-    """Return the frame number of the clip that the video's first frame has.
+    """Return the clip's frame number of the video's first frame.
 
     A camera that began later or earlier than the first has different frame numbers in its keypoint file.
     """
@@ -101,7 +101,7 @@ def first_in_clip(motion: Motion, number: int, settings: ResultSettings) -> int:
 
 
 def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int:
-    """Return the index of a camera by its name, by its name in the video's name, or else the first.
+    """Return the index of the named camera; without a name, of the camera in the video's file name, or of the first.
 
     Raises InputError for an unknown name.
     """
@@ -199,7 +199,7 @@ def overlay_of(motion: Motion, speed: float = 1.0, zoom: int = 1, number: int = 
 
 
 def _flags(motion: Motion, number: int) -> Iterator[list[str]]:
-    """Yield the flags of each frame in a camera's picture, without flags on detections of other cameras."""
+    """Yield the flags of each frame for a camera's picture, without flags about detections of other cameras."""
     flag_ranges = [
         (FLAG_OF[finding.code], *(finding.frames or (motion.frames[0], motion.frames[-1] + 1)))
         for finding in motion.findings
@@ -385,7 +385,7 @@ class ViewSettings(ResultSettings):
     out: Path | None = None
     """Write the playback to a recording, such as clip.rrd, and open no viewer."""
     web: bool = False
-    """Serve the viewer to a browser on this machine, for one without a display; Ctrl-C ends it."""
+    """Serve the viewer to a browser, for a machine without a display; Ctrl-C ends it."""
     overwrite: bool = False
     """Replace an existing recording."""
 
@@ -441,7 +441,7 @@ def write_recording(settings: ViewSettings, progress: Progress = silent) -> Answ
 
 
 def _write(settings: ViewSettings, path: Path) -> str | None:
-    """Write a recording, and return a note on the video."""
+    """Write a recording, and return a note on the video, or None."""
     from recon.show import view as viewer  # here, as rerun is slow to import
 
     motion, number = result_and_video(settings)

@@ -145,7 +145,7 @@ class _Stage(NamedTuple):
     work: Callable[[Progress], Answer]
     """Does the work, and returns the written files and notes on the video."""
     identity: Callable[[], dict[str, Any]]
-    """Returns what the stage is made from, once the earlier stages are done."""
+    """Returns the inputs of the stage, once the earlier stages are done."""
     output: Output
     """Files that the stage may replace."""
     names: tuple[str, ...]
@@ -391,7 +391,7 @@ def _stages(job: _Job) -> dict[str, _Stage]:
 
 
 def _record(settings: ViewSettings, progress: Progress) -> Answer:
-    """Write the recording with the video; without one for a long clip."""
+    """Write the recording, with the video unless the clip is long."""
     frames = len(Motion.load(settings.folder).frames)
     if frames <= RECORDED_FRAMES:
         return write_recording(settings, progress)

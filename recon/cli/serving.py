@@ -27,7 +27,7 @@ def serve_until_ctrl_c(console: Console, server: LocalServer, note: str, browser
 
 
 def saving(save: Callable[[object], int], path: Path) -> Handler:
-    """Return a handler that saves the data of a page into a path, and answers with their number or the problem."""
+    """Return a handler that saves a page's data to a path, and answers with the number of saved items or a problem."""
 
     def reply(_rest: str, data: object) -> Reply:
         try:

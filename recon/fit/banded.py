@@ -252,7 +252,7 @@ class _Factor:
 
     @cached_property
     def _rows_below(self) -> Integers:
-        """Return by how many rows the entries of `below` are below the diagonal, (width, width)."""
+        """Return the distances of the entries of `below` from the diagonal, in rows, (width, width)."""
         return self.width + np.subtract.outer(np.arange(self.width), np.arange(self.width))
 
     def marginal_blocks(self) -> Array:

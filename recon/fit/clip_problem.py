@@ -62,7 +62,7 @@ class TrajectoryOptions:
 
 
 def focal_sigma_of(settings: Mapping[str, Any], cameras: int) -> float | None:
-    """Return the relative standard deviation of the focal lengths from how the cameras were given; None if exact.
+    """Return the relative standard deviation of focal lengths that follows from the settings; None if they are exact.
 
     settings are those of a fit, by name. Several cameras, which estimate focal lengths, and moving cameras have a
     standard deviation only if it is given.

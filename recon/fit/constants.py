@@ -32,7 +32,7 @@ It was chosen on the benchmark's real runs, so that 90 % regions contain about 9
 CALIBRATED_FOCAL, STATED_FOCAL = 0.02, 0.1
 """Relative standard deviations of a single camera's focal length, from a calibration file and from a field of view.
 
-The second is about how far data sheets of cameras are off for a video, which uses only a part of the sensor.
+The second is the usual error of a camera's data sheet for a video, which uses only a part of the sensor.
 """
 
 TIME_OFFSET_FRAMES = 12**-0.5

@@ -265,7 +265,7 @@ class LeastSquares:
                 return
 
     def _cameras_in_step(self, span: Span) -> list[Reprojection]:
-        """Return the cameras that read one frame: their detections are summed before the state's derivatives."""
+        """Return the cameras without a time offset; their detections are summed before the state's derivatives."""
         cameras = [term for term in self.terms if isinstance(term, Reprojection) and len(term.stencil) == 1]
         return cameras if len(cameras) > 1 and len(span.pose.points_m[span.own_rows]) else []
 
@@ -371,7 +371,7 @@ def _add_detections(
 def _add_own_unknowns(
     corner: Array, gradient: Array, columns: Mapping[str, slice], every_camera: Sequence[PointRows]
 ) -> tuple[Integers, Array]:
-    """Add what the cameras' detections say about their own unknowns, in place: K'K to corner, K'r to gradient.
+    """Add the curvature of the cameras' own unknowns in place: K'K to corner, K'r to gradient.
 
     Returns the columns (P,) of the unknowns without keypoint bias, and B'K (N, J, 3, P).
     """

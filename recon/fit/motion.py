@@ -569,7 +569,7 @@ class Motion:
 
     @property
     def alternative_m(self) -> Array:
-        """Return the mean distance of the joints in the second best solution, (T,), both centred; NaN without one."""
+        """Return the mean distance between the joints of the two best solutions, (T,), both centred, or NaN."""
         return self.solution.alternative_m
 
     @property
@@ -594,7 +594,8 @@ class Motion:
     @cached_property
     def place_sigma_m(self) -> Array:
         """Return the standard deviation of the mean of all joints along the first camera's line of sight, (T,)."""
-        # Joints are the mean plus offsets that sum to zero, so mean covariances differ by that of the mean.
+        # Each joint is the mean plus an offset, and offsets sum to zero: the averages differ by the covariance of the
+        # mean.
         mean_covariance = (self.solution.covariance_m2 - self.solution.relative_covariance_m2).mean(axis=1)
         ray = self.solution.joints_m.mean(axis=1) - self.solution.views[0].centre_m
         ray /= np.linalg.norm(ray, axis=1, keepdims=True)

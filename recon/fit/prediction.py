@@ -2,8 +2,8 @@
 
 **Deviations.** Skin, labels and a skeleton's rigid segments let keypoints deviate from the body's markers for a while.
 The deviation d (3,) of each keypoint follows d(t) = a d(t - 1) + noise with a constant variance, and is estimated from
-the detections of all views by a Kalman filter and smoother. The views choose how large and how lasting deviations are:
-each view is left out in turn, and is predicted by the others.
+the detections of all views by a Kalman filter and smoother. The size and the duration of deviations are chosen by
+cross-validation: each view is left out in turn, and predicted from the others.
 
 **Covariance.** The errors of these predictions give a factor on all covariances, with which 90 % regions hold 90 % of
 the detections. The factor contains the tails of the detector's errors and the bias of each camera. The clock of the
@@ -27,11 +27,11 @@ from recon.fit.result import Solution, TrajectorySolution
 LEVEL = 0.9
 """Probability of the regions that are calibrated on the detections of the solution's own views."""
 DEVIATIONS = 0.25, 0.5, 1.0, 2.0, 4.0
-"""Standard deviations of deviations among which the views choose, relative to the detections' noise."""
+"""Candidates for the standard deviation of deviations, relative to the detections' noise."""
 LASTING_S = 0.05, 0.25, 2.0, 20.0
-"""Durations of deviations among which the views choose, for each keypoint."""
+"""Candidates for the duration of deviations, in seconds, for each keypoint."""
 OTHERS = 1.0
-"""Weight of the mean of all keypoints in that choice, relative to the keypoint itself."""
+"""Weight of the mean over all keypoints, relative to the keypoint itself, in the choice among the candidates."""
 
 
 def predicted_keypoints(solution: Solution, view: View, fps: float | None = None) -> tuple[Array, Array]:
@@ -172,7 +172,7 @@ def _deviations(solution: Solution, residuals: list[_Residuals], fps: float) -> 
     """Return the deviations (T, J, 3), their covariances (T, J, 3, 3), and the factor on predicted covariances."""
     information = np.array([residual.information for residual in residuals])
     pull = np.array([residual.pull for residual in residuals])
-    with warnings.catch_warnings(action="ignore"):  # of keypoints without a pose
+    with warnings.catch_warnings(action="ignore"):  # averages over keypoints without a pose
         noise_m = np.nan_to_num(np.nanmedian(_noise_m(solution), axis=0), nan=1e-3)
     total, total_pull = information.sum(axis=0), pull.sum(axis=0)
     choices = [(0.0, LASTING_S[0]), *product(DEVIATIONS, LASTING_S)]
@@ -208,7 +208,7 @@ def smoothed_deviations(information: Array, pull: Array, sigma_m: Array, carried
     sigma_m
         (J,): expected standard deviation along each axis.
     carried
-        (J,), or of all keypoints: share of a deviation that lasts to the next frame.
+        (J,), or a number for all keypoints: share of a deviation that lasts to the next frame.
     """
     T, J = pull.shape[:2]
     variance = np.maximum(sigma_m, 1e-9)[:, None, None] ** 2 * np.eye(3)

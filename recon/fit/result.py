@@ -145,7 +145,7 @@ class SecondCamera:
 
     @property
     def is_misplaced(self) -> bool:
-        """Return whether the camera is likelier turned or moved than calibrated, and not clearly likelier late."""
+        """Return whether the camera has probably been turned or moved, and is not clearly more likely to be late."""
         return self.misplaced > max(0.0, self.late - 1.0)
 
 
@@ -175,7 +175,7 @@ class MotionSegment(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SolvedShape(Brief):
-    """Lengths and the keypoint offsets that a fit of several cameras estimated."""
+    """Lengths and keypoint offsets that a fit of several cameras estimated."""
 
     names: tuple[str, ...]
     """Segments and markers whose distance from their origin was estimated (L); right sides equal the left ones."""
@@ -232,7 +232,7 @@ class Solution(Brief):
     flags: tuple[tuple[str, ...], ...]
     """(T,): flags of each frame; in a frame without a pose, a flag gives the reason."""
     alternative_m: Array
-    """(T,): mean distance of the joints in the second best solution, both centred, NaN if there is none."""
+    """(T,): mean distance between the joints of the two best solutions, both centred; NaN without a second one."""
     contact: Array
     """Contact of the feet with the ground, shape (T, F), 0 to 1; 0 if the method does not estimate contacts."""
     segments: tuple[MotionSegment, ...]

@@ -186,7 +186,7 @@ _NOISE_FACTORS = (8.0, 4.0, 2.0, 1.0)
 _SAME_M = 0.05
 """Mean distance of the markers below which two starts are on the way to the same minimum."""
 ALTERNATIVE_COST = 20.0
-"""A second solution is reported if its cost is not higher than that of the best by more than this."""
+"""Largest extra cost at which a second solution is reported."""
 _MIN_RAYS = 2
 """Smallest number of rays of a frame with which a shape can be positioned."""
 
@@ -208,7 +208,7 @@ def approach(clip: ClipProblem) -> list[Estimate]:
     starts = [minimum(states[kept_frames], _NOISE_FACTORS[0], 1e-2, 12) for states in _starts(clip)]
     starts.sort(key=lambda start: start.cost)
     tolerance, narrower = 3e-3 if fast else 1e-3, _NOISE_FACTORS[1:]
-    minima = [starts[0]]  # of the best start, one for each noise
+    minima = [starts[0]]  # minima of the best start, one for each noise level
     for widen in narrower:
         minima.append(minimum(minima[-1].states, widen, tolerance, 15))
     finished = [minima[-1]]

@@ -129,7 +129,7 @@ class PointRows:
 
 
 class Term(Protocol):
-    """Define a term of the problem, as the module's docstring describes."""
+    """A term of the problem, as the module's docstring describes."""
 
     @property
     def name(self) -> str:
@@ -148,7 +148,7 @@ class Term(Protocol):
 
 @dataclass(frozen=True)
 class Linear:
-    """Define a Gaussian term with a constant Jacobian: r = sum of slots[s] x(frame + stencil[s]) - target.
+    """A Gaussian term with a constant Jacobian: r = sum of slots[s] x(frame + stencil[s]) - target.
 
     The term applies to every frame whose stencil is within the clip. `slots` (S, M, D) and `target` (M,) are divided by
     standard deviations.
@@ -219,7 +219,7 @@ def climb_term(n_state: int, fps: float, sigma_m_s: float) -> Linear:
 
 @dataclass(frozen=True)
 class PoseMixture:
-    """Define a mixture of Gaussians of poses, -log sum_k w_k N(z; mean_k, cov_k), flattened by a temperature >= 1.
+    """A mixture of Gaussians of poses, -log sum_k w_k N(z; mean_k, cov_k), flattened by a temperature >= 1.
 
     The rows are those of the Gaussian with the components' mean precision that has the mixture's gradient.
     """
@@ -302,7 +302,7 @@ class _Scene:
 
 @dataclass(frozen=True)
 class Reprojection:
-    """Define the projected minus detected position of each marker, with one robust loss per point.
+    """Projected minus detected position of each marker, with one robust loss per point.
 
     The loss is c^2/2 log(1 + |e|^2 / (c sigma)^2) (Cauchy), times the view's confidence. sigma_px (T, J) is frozen: if
     it followed the depth, it would influence the distance.
@@ -437,7 +437,7 @@ class Reprojection:
 
 @dataclass(frozen=True, eq=False)
 class KnownAngles:
-    """Constrain heading and angles to given states (T, D) in frames that have them, while the position is free."""
+    """Term that keeps heading and angles at given states (T, D) in frames that have them; the position is free."""
 
     states: Array
     sigma_rad: float = 1e-4
@@ -459,7 +459,7 @@ class KnownAngles:
 
 @dataclass(frozen=True)
 class Heading:
-    """Keep the animal moving in the direction that it faces, or at an angle `SIDESLIP` to that direction.
+    """Term that keeps the animal moving in the direction that it faces, or at an angle `SIDESLIP` to that direction.
 
     The residual of each pair of frames is (v x u) / sigma, m/s, with the root's velocity v and the direction u from the
     marker `rear` to `front`.
@@ -555,7 +555,7 @@ class StanceVelocity:
 
 @dataclass(frozen=True)
 class OnGround:
-    """Keep feet in stance on a plane: r = (z - height - slope . (x - middle)) sqrt(contact) / sigma.
+    """Term that keeps feet in stance on a plane: r = (z - height - slope . (x - middle)) sqrt(contact) / sigma.
 
     Feet are at x and z times the size relative to `at`. The arrays are feet (F,); contact (T - 1, F), frozen; plane
     (3,): height, slope x, slope y; and middle (2,).

@@ -83,7 +83,7 @@ Median errors of the frames of 32 real views: 137 mm below 15 degrees, 75 mm to 
 TESTED_S = 5.0
 """Seconds of a clip used to test the second camera."""
 ALTERNATIVE_M = 0.1
-"""A second solution gets a flag if its joints are further away than this: see also `ALTERNATIVE_COST`."""
+"""Mean distance of a second solution's joints above which the solution gets a flag: see also `ALTERNATIVE_COST`."""
 
 
 def solve_trajectory(
@@ -542,7 +542,7 @@ def _solved_shape(
 ) -> SolvedShape | None:
     """Return the lengths and offsets of the solved body, or None if they were not estimated.
 
-    The segments' estimates count by their frames, as their errors are independent.
+    The segments' estimates are weighted by their numbers of frames; their errors are independent.
     """
     if clip.shape is None or len(clip.views) == 1 or not segments:
         return None

@@ -1,4 +1,4 @@
-"""Describe an animal as bones that turn against each other, and write BVH, OpenSim and glTF 2.0.
+"""Describe an animal as bones that turn relative to each other, and write BVH, OpenSim and glTF 2.0.
 
 These formats are for programs that work with bones, not points. Axes are x forwards, y up, z right, metres. With all
 angles 0 every bone's axes are those of the world. Angles keep their names and signs: yaw turns about y, pitch about -z
@@ -358,7 +358,7 @@ _COMPONENTS = {"float32": 5126, "uint32": 5125, "uint16": 5123}
 
 
 class _Buffer:
-    """Collect the numbers of a file as accessors into one block of bytes."""
+    """Numbers of a file, collected as accessors into one block of bytes."""
 
     def __init__(self) -> None:
         self.content = bytearray()
@@ -385,7 +385,7 @@ def write_gltf(rig: Armature, path: Path) -> None:
     for i, parent in enumerate(parents):
         at_rest[i] = offsets_m[i] + (0.0 if parent is None else at_rest[parent])
     unbind = np.tile(np.eye(4), (len(parents), 1, 1))
-    unbind[:, 3, :3] = -at_rest  # by columns
+    unbind[:, 3, :3] = -at_rest  # glTF stores matrices by columns
     turns = [_unbroken(Rotation.from_matrix(turned(bone.turns, len(rig.root_m))).as_quat()) for bone in rig.bones]
     names = [*(bone.name for bone in rig.bones), *rig.joints]
     translations = np.concatenate([rig.root_m[:1], offsets_m[1:]]).tolist()

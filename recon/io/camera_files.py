@@ -94,7 +94,7 @@ def record_of(name: object, location: str, table: Mapping[str, Any], **changes: 
 
 
 def stated_lens(table: Mapping[str, Any]) -> tuple[str, str | None]:
-    """Return the key under which a table states its lens, and recon's name of the lens, or else the file's.
+    """Return the key under which a table states its lens, and the lens's name: recon's if known, otherwise the file's.
 
     The result is None if the table states no lens. Contradictory statements are returned as one text, which is not a
     lens.
@@ -307,7 +307,8 @@ def require_lens(path: Path, document: Mapping[str, Any], record: CameraRecord) 
 def _of_region(path: Path, document: Mapping[str, Any], record: CameraRecord) -> CameraRecord:
     """Return the camera for ROS' region of interest and binning, whose matrix belongs to the whole picture.
 
-    As in ROS' image_geometry, the region's corner is subtracted from the principal point, and binning divides.
+    As in ROS' image_geometry, the region's corner is subtracted from the principal point, and the result is divided by
+    the binning.
     """
     region = document.get("roi")
     region = region if isinstance(region, Mapping) else {}

@@ -175,6 +175,10 @@ def one_animal(
 
     Parameters
     ----------
+    path : path
+        The file, for messages.
+    individual : str or None
+        Name of the animal, needed if there are several.
     stored : StoredPoints
         Values (T, N, K, 2 or 3) and likelihoods (T, N, K) of N animals, or without N for a file of one animal.
     animals : sequence of str
@@ -433,6 +437,8 @@ def number_rows(
 
     Parameters
     ----------
+    path : path
+        The file, for messages.
     rows : iterable of (line number, cells)
     columns : sequence of str
         Names of the columns of numbers.

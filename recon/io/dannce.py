@@ -50,7 +50,7 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
         values, frames = label["data_3d"], label["data_frame"]
         values = values.reshape(len(values), -1, 3)
     elif "pred" in variables:
-        values, frames = variables["pred"].swapaxes(-2, -1), variables["sampleID"]  # perhaps by animal
+        values, frames = variables["pred"].swapaxes(-2, -1), variables["sampleID"]  # there may be an axis of animals
     else:
         expected = "labelData with data_3d (frames, 3 for each point), or pred (frames, 3, points)"
         raise InputError(Problem(path, "data_3d", "nothing", expected))
@@ -113,7 +113,7 @@ def _variables(path: Path) -> dict[str, Any]:
 
 
 class _File:
-    """Read one file with limits on its memory and number of items.
+    """A file, read with limits on its memory and number of items.
 
     The methods raise whatever error a damaged file causes.
     """

@@ -141,6 +141,10 @@ def points_of_table(
 
     Parameters
     ----------
+    path : path
+        The file, for messages.
+    individual : str or None
+        Name of the animal, needed if there are several.
     levels : sequence of str
         Names of the levels.
     labels : sequence of tuple of str

@@ -372,6 +372,8 @@ def read_points(
 
     Parameters
     ----------
+    path : path
+        The file.
     individual : str, optional
         Name of the animal, needed if there are several.
     kind : Kind, optional

@@ -27,10 +27,9 @@ FREE_BYTES = 1 << 26
 A larger one may take its size in the file or, up to `MAX_UNPACKED`, `MAX_RATIO` times that.
 """
 MAX_RATIO = 1100
-"""gzip can compress by at most 1032."""
+"""Largest ratio of a dataset's size to its size in the file; gzip reaches 1032."""
 USUAL_RATIO = 100
 """Ratio up to which a table may be four times larger, because tracks of many animals are mostly empty."""
-"""The most that gzip can compress is 1032 times."""
 FILTERS = (1, 2, 3, 32000)
 """gzip, shuffle, Fletcher's checksum, LZF: the filters of every h5py, with robust decoders."""
 MAX_ATTRIBUTE_BYTES = 1 << 24

@@ -4,8 +4,8 @@
   a file holds. Tables are read without them here, in pandas' fixed and table layouts. Cells are numbers or texts.
   Column labels, which are pickled in the table layout, are lists and tuples of texts; anything else is refused.
 - SLEAP's analysis: `tracks`, `point_scores`, `track_occupancy`, `node_names`, `track_names`. The attribute `dims` of
-  each dataset has the order of its axes; files without it have SLEAP's first order. The frame axis counts from frame 0
-  of the video. Frames in which a track is not occupied are left out.
+  each dataset has the order of its axes; files without it have the order of SLEAP's first version. The frame axis
+  counts from frame 0 of the video. Frames in which a track is not occupied are left out.
 - sleap-anipose's points3d.h5: `tracks` (frame, track, node, xyz), and perhaps `frames`, the first and the end. Files of
   other programs also have names, and the rate as `recording_frame_rate`.
 - movement's netCDF 4: `position (time, space, keypoint, individual)` and `confidence`. Dimensions are called
@@ -14,7 +14,7 @@
   since frame 0 if the frame rate is known, otherwise in frames.
 - NWB: one `PoseEstimationSeries` for each point, in one container for each animal. Groups are identified by the types
   that they state, so that all versions of the extension can be read. Our files state 1970-01-01 as the start of their
-  session, which NWB requires and nobody knows here.
+  session, because NWB requires a start and the real one is unknown.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def _axis(group: h5py.Group, name: str) -> tuple[list[str | None], list[Label]]:
     levels, level_labels = [], []
     for i in range(int(attribute(group, f"{name}_nlevels"))):
         level = member(group, f"{name}_level{i}")
-        level_names = np.array([*_labels(group, level), "nan"], object)  # the code -1
+        level_names = np.array([*_labels(group, level), "nan"], object)  # the last entry is for the code -1
         codes = numbers(member(group, f"{name}_label{i}")).ravel()
         if codes.min(initial=0) < -1:
             raise ValueError(f"{name}_label{i} has codes without a label")

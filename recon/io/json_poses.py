@@ -8,7 +8,7 @@
 - OpenPose: a file for each frame. Any one of them stands for all files in its folder with the same name but for the
   number: run_000000000012_keypoints.json, or run_000012.json from RTMPose's tools, which write the same; the number is
   the frame's. Points have no names: their number says which list it is. Persons are numbered from 1 within each frame,
-  which nothing ties to the previous frame: files with several persons have to be tracked first.
+  independently of the previous frame: files with several persons have to be tracked first.
 - AlphaPose: a list with `image_id`, `keypoints` and perhaps the track `idx` of each detection, as COCO's results. The
   points have no names, as OpenPose's.
 - FMPose3D: `run_DLC_fmpose3d_animals_3d.json` of DeepLabCut, with `model`, `bodyparts`, `poses_3d`. A pose comes from

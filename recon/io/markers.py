@@ -103,7 +103,7 @@ Parameters = dict[str, dict[str, Any]]
 
 
 def recognises_c3d(path: Path) -> bool:
-    """Return whether it is a C3D file, by the key of the header and the kind of processor."""
+    """Return whether a file is a C3D file, by the key of the header and the kind of processor."""
     with path.open("rb") as file:
         head = file.read(2)
         if len(head) < 2 or head[1] != KEY or not head[0]:

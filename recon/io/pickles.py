@@ -54,7 +54,7 @@ def plain_pickle_with_scalars(content: bytes) -> Plain:
 
 
 class _ScalarUnpickler(pickle.Unpickler):
-    """Read a pickle that imports nothing but the functions that make NumPy's numbers."""
+    """Unpickler that imports nothing but the functions that make NumPy's numbers."""
 
     def find_class(self, module: str, name: str) -> object:
         if (module, name) not in _SCALARS:

@@ -28,6 +28,8 @@ def read_pose3d(
 
     Parameters
     ----------
+    path : path
+        The file.
     individual : str, optional
         Name of the animal, needed if there are several.
     unit, up : str, optional

@@ -125,8 +125,12 @@ def missing_note(path: str | Path, times_s: Array, first_frame: int = 0, previou
 
     Parameters
     ----------
+    path : path
+        The video.
     times_s : (T,)
         Time stamps of the frames that can be decoded, from `first_frame`.
+    first_frame : int
+        Number of the first of these frames.
     previous_frames : int or None
         Number of frames before them; None if more follow.
     """
@@ -266,7 +270,8 @@ def _webm_length(path: Path) -> int:
     with path.open("rb") as file:
         head = file.read(80)
     position = 0
-    for _ in range(2):  # each part has an identity of four bytes, the length's length as leading zeros, and the length
+    # each part begins with an identity of four bytes and its length, whose leading zeros give its number of bytes
+    for _ in range(2):
         size_bytes = 9 - head[position + 4].bit_length() if len(head) > position + 12 else 1
         size = int.from_bytes(head[position + 4 : position + 4 + size_bytes], "big") & ((1 << 7 * size_bytes) - 1)
         position += 4 + size_bytes + size

@@ -45,7 +45,7 @@ def draw_board(
     Parameters
     ----------
     board
-        The board, as returned by `recon.calibrate.parse_board`.
+        The board, as returned by `recon.calibrate.boards.parse_board`.
     camera
         A camera of any lens model.
     rotation, translation_m

@@ -75,6 +75,8 @@ def composites(
         Times, shape (T,).
     ground : sequence, optional
         Planes of the ground, each with its rows of the clip.
+    title : str
+        Title of the figure; empty for none.
     sides : mapping
         Sides of the limbs: left limbs are dashed, limbs without a side are thick.
     """
