@@ -7,7 +7,7 @@ import sys
 from recon.base.interrupts import Interrupts
 
 LEAST_MB = 640
-"""With less memory than this OpenBLAS waits for ever, and rerun cannot be loaded."""
+"""Memory limit, in MB, below which OpenBLAS waits for ever, and rerun cannot be loaded."""
 
 
 def main() -> None:
@@ -70,7 +70,7 @@ def _flush() -> None:
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if isinstance(error, BrokenPipeError):
-            sys.exit(1)  # whoever read it had enough
+            sys.exit(1)  # the reader has closed the pipe
         print(f"error: standard output: {error.strerror}", file=sys.stderr)
         sys.exit(2)
 

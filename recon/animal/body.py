@@ -24,7 +24,7 @@ from recon.base.errors import Problem
 from recon.geometry.kinematics import Tree
 
 ROUGH_SIZE_SIGMA = 0.25
-"""Relative standard deviation of the size from which a skeleton is of no particular species.
+"""Relative standard deviation of the size above which a skeleton belongs to no particular species.
 
 Skeletons of species have up to 0.15.
 """

@@ -25,7 +25,7 @@ LONGEST, LONGEST_PART, SMALL = 250, 75, 12
 
 
 class Brief:
-    """Give a dataclass with large parts (`repr=False`) a representation of one line."""
+    """Base class that gives a dataclass with large parts (`repr=False`) a representation of one line."""
 
     def __repr__(self) -> str:
         names = [field.name for field in fields(self)]  # pyright: ignore[reportArgumentType]

@@ -58,7 +58,7 @@ def printable(text: str) -> str:
 
 
 class InputError(ValueError):
-    """Report that an input cannot be used, with every problem found, not only the first."""
+    """An input that cannot be used, with every problem found, not only the first."""
 
     def __init__(self, problems: Problem | Iterable[Problem]) -> None:
         self.problems: tuple[Problem, ...] = (problems,) if isinstance(problems, Problem) else tuple(problems)

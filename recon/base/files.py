@@ -171,7 +171,7 @@ def require_no_folders(folder: Path, names: Iterable[str]) -> None:
 
 
 class FileState(NamedTuple):
-    """Identify the version of a file at the time when it was examined."""
+    """Version of a file at the time when it was examined."""
 
     size: int
     modified_ns: int
@@ -269,7 +269,7 @@ def is_plain_name(name: str) -> bool:
 
 @dataclass(frozen=True)
 class Manifest:
-    """List the files that one run wrote into a folder."""
+    """List of the files that one run wrote into a folder."""
 
     folder: Path
     files: Mapping[str, tuple[int, str]]

@@ -28,7 +28,7 @@ STOPPING = (signal.SIGINT, signal.SIGTERM)
 
 
 class Interrupts:
-    """Handle the signals of `STOPPING` in a process that runs one command.
+    """Handler of the signals of `STOPPING` in a process that runs one command.
 
     While the command runs, the first Ctrl-C is a KeyboardInterrupt, so that the command can clean up. During an import
     the KeyboardInterrupt comes when the import has ended, because libraries turn exceptions during imports into others,

@@ -46,7 +46,7 @@ def json_reply(value: object, status: HTTPStatus = HTTPStatus.OK) -> Reply:
 
 
 class LocalServer(ThreadingHTTPServer):
-    """Answer requests by the first part of their path.
+    """Server that answers requests by the first part of their path.
 
     Parameters
     ----------
@@ -138,4 +138,4 @@ class _RequestHandler(BaseHTTPRequestHandler):
 
 
 class _RefusedError(Exception):
-    """Refuse a request with a status and a reason."""
+    """A refused request, with a status and a reason."""

@@ -129,7 +129,7 @@ def _is_as_written(path: Path, entries: Iterable[WrittenFile]) -> bool:
 
 @dataclass(frozen=True)
 class ReadResults:
-    """Identify the results in a folder at the time when a command began to read them."""
+    """Version of the results in a folder at the time when a command began to read them."""
 
     folder: Path
     manifest: str | None

@@ -58,7 +58,7 @@ LOG_BYTES = 20_000
 
 @dataclass(frozen=True)
 class Event:
-    """Report the progress or the end of a task; on a cluster, the only progress reported is the beginning."""
+    """Progress or end of a task; on a cluster, the only progress reported is the beginning."""
 
     kind: Literal["progress", "ended"]
     name: str
@@ -166,7 +166,7 @@ def carry_out(work: Work[_Task], tasks: Tasks[_Task], tell: Tell, jobs: int | No
 
 
 class _Process:
-    """Run a process that does one task at a time, up to `TASKS_PER_PROCESS`, until its channel is closed or it dies."""
+    """A process that does one task at a time, up to `TASKS_PER_PROCESS`, until its channel is closed or it dies."""
 
     def __init__(self, log: Path) -> None:
         context = multiprocessing.get_context("spawn")  # other start methods do not work with threads
@@ -276,7 +276,7 @@ _STOPPED: set[str] = set()
 
 
 class _StoppedError(Exception):
-    """Stop a task because its batch has ended."""
+    """A task that was stopped because its batch has ended."""
 
 
 def carry_out_on_cluster(address: str, work: Work[_Task], tasks: Tasks[_Task], tell: Tell, retries: int = 0) -> None:

@@ -81,7 +81,7 @@ OneOrMore = Annotated[tuple[_Value, ...], BeforeValidator(_as_tuple), Field(min_
 
 @dataclass(frozen=True)
 class Option:
-    """A setting beyond its type and its default."""
+    """Properties of a setting beyond its type and its default."""
 
     help: str = ""
     """Help on the command line; if empty, the text below the field. If the default is None, brackets say what happens

@@ -41,7 +41,7 @@ SAME = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Advice:
-    """Describe how well a camera measures a target from each of `AZIMUTHS_RAD` and `ELEVATIONS_RAD`."""
+    """Precision with which a camera measures a target from each of `AZIMUTHS_RAD` and `ELEVATIONS_RAD`."""
 
     target: str
     """Angle or joint to measure."""

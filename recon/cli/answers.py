@@ -187,7 +187,7 @@ def progress_bar(console: Console) -> Iterator[ProgressFunction]:
 
 
 class RemainingTime:
-    """Estimate the remaining time from the time since the start and the finished share of the work.
+    """Estimate of the remaining time, from the time since the start and the finished share of the work.
 
     rich's own estimate uses the speed of the last few seconds, which misleads if the work is done in large pieces.
     """

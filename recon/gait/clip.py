@@ -46,8 +46,8 @@ POSITION_LASTS, POSE_LASTS = 2.0, 0.6
 slower.
 """
 RUNNING_S = 0.1
-"""`lasts_s` of a running animal, with which all stances are found. With its own `lasts_s`, the stances of a walking dog
-would be 5 to 20 % too short.
+"""`lasts_s` of a running animal, with which all stances are found. The stances of a walking dog would be 5 to 20 % too
+short with the dog's own `lasts_s`.
 """
 SPEED_KNOWN = 0.2
 """Largest relative standard deviation of a peak speed at which speeds count as known."""

@@ -140,7 +140,7 @@ def evaluate_files(
     up: str | None = None,
     rename: str | None = None,
 ) -> Evaluation:
-    """Evaluate a file of 3D positions against another.
+    """Evaluate a file of 3D positions against a reference.
 
     Parameters
     ----------

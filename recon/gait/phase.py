@@ -16,7 +16,7 @@ start and the end of the path, and d_max is its diameter, the largest distance b
 for a path that ends at its start, and 0 for a path that ends as far from its start as its diameter. The publication
 does not define d_max.
 
-If angles have standard deviations, so have closures: the standard deviation of the closures of `DRAWN` paths drawn from
+If angles have standard deviations, closures have them too: they are those of the closures of `DRAWN` paths drawn from
 the angles' errors. An error of the angle is sigma(t) z(t), with z smooth noise of unit variance, and the error of the
 rate follows z'. The rate's standard deviation is also known, and the ratio of the two gives the time over which z
 changes. The errors of start, end and turning points therefore have the right joint distribution.

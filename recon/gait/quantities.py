@@ -174,7 +174,7 @@ def _unknown(name: str, source: Origin, reason: str) -> GaitQuantity:
 
 
 def _scatter(values: Array) -> tuple[float, float]:
-    """Return the standard deviation between values (N,), NaN for a single value, and that of their mean, then 0."""
+    """Return the standard deviation of values (N,) and that of their mean: NaN and 0 for a single value."""
     if len(values) < 2:
         return np.nan, 0.0
     between = float(np.std(values, ddof=1))

@@ -63,7 +63,7 @@ class JointRates(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Method(ABC):
-    """Compute joint rates by one method, with a factor on all rates."""
+    """A method that computes joint rates, with a factor on all rates."""
 
     alpha: float | None = field(default=1.0, kw_only=True)
     """Factor on the rates; None for <dx, J dq> / |J dq|^2 at every step, for which J dq is nearest to dx."""
@@ -96,7 +96,7 @@ class Method(ABC):
 
 @dataclass(frozen=True, eq=False)
 class LeastNorm(Method):
-    """Use the smallest rates, dq = W^-1 J' (J W^-1 J' + lambda^2 I)^-1 dx.
+    """The smallest rates, dq = W^-1 J' (J W^-1 J' + lambda^2 I)^-1 dx.
 
     They minimise dq' W dq + |J dq - dx|^2 / lambda^2. Without weights and damping they are J+ dx.
     """
@@ -130,7 +130,7 @@ def damped_least_squares(damping_m: float = 0.05) -> LeastNorm:
 
 @dataclass(frozen=True, eq=False)
 class JacobianTranspose(Method):
-    """Use the rates alpha J' dx, by default with the best alpha of every step."""
+    """The rates alpha J' dx, by default with the best alpha of every step."""
 
     alpha: float | None = None
 
@@ -140,7 +140,7 @@ class JacobianTranspose(Method):
 
 @dataclass(frozen=True, eq=False)
 class GradientProjection(Method):
-    """Use the rates J+ dx + k (I - J+ J) g."""
+    """The rates J+ dx + k (I - J+ J) g."""
 
     gradient: Cost | Callable[[Array], Array]
     """g (n,) as a function of q, or a cost with g as its gradient."""
@@ -156,7 +156,7 @@ class GradientProjection(Method):
 
 @dataclass(frozen=True, eq=False)
 class SelectivelyDamped(Method):
-    """Damp each singular direction i, v_i (u_i . dx) / s_i, separately (Buss and Kim 2005, one end effector).
+    """Separate damping of each singular direction i, v_i (u_i . dx) / s_i (Buss and Kim 2005, one end effector).
 
     Within one interval, no joint turns by more than the following angle because of one direction:
 
@@ -183,7 +183,7 @@ class SelectivelyDamped(Method):
 
 @dataclass(frozen=True, eq=False)
 class ExtendedJacobian(Method):
-    """Keep G = N' grad g = 0 by solving [J; dG/dq] dq = [dx; -gain G].
+    """A method that keeps G = N' grad g = 0 by solving [J; dG/dq] dq = [dx; -gain G].
 
     N is an orthonormal basis of the null space of J. If `full` is true, dG/dq = N' (Hess g - sum_i mu_i Hess f_i) with
     J' mu = grad g and the forward kinematics f; otherwise N is taken to be constant, and dG/dq = N' Hess g. A

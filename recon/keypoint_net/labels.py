@@ -70,14 +70,14 @@ class Labels:
 
 
 class LabelSource(Settings):
-    """Choose labelled pictures, and how they are split for training, validation and test."""
+    """Labelled pictures, and how they are split for training, validation and test."""
 
     data: Annotated[Path, Option(argument="DATA")]
     """DeepLabCut project (its folder or config.yaml), or a video (with --labels)."""
     labels: Path | None = None
-    """Label file of the video, as in CollectedData_me.csv."""
+    """Label file of the video, such as CollectedData_me.csv."""
     first_frame: Integer = 0
-    """Frame number that the labels use for the video's first frame, as in 50 if 0050.png is the first frame."""
+    """Frame number that the labels use for the video's first frame, such as 50 if 0050.png is the first frame."""
     individual: str | None = None
     """Name of the animal, if the labels have several."""
     rename: Annotated[str | None, RENAME] = None
@@ -394,9 +394,9 @@ class Evaluate2DSettings(Settings):
     """Settings of `recon evaluate-2d`."""
 
     predicted: Annotated[Path, Option(argument="PREDICTED")]
-    """Predicted keypoints in any known format, as in run.csv."""
+    """Predicted keypoints in any known format, such as run.csv."""
     labels: Annotated[Path, Option(argument="LABELS")]
-    """Labels in DeepLabCut's layout, as in CollectedData_me.csv."""
+    """Labels in DeepLabCut's layout, such as CollectedData_me.csv."""
     first_frame: Integer = 0
     """Frame number that the labels use for frame 0 of the predictions."""
     frames: FrameRange | None = None

@@ -556,9 +556,9 @@ class PredictSettings(Settings):
     """Settings of `recon predict`."""
 
     video: Annotated[Path, Option(argument="VIDEO")]
-    """Video file, as in run.mp4."""
+    """Video file, such as run.mp4."""
     model: Annotated[Path, Option(metavar="DIR")]
-    """Folder of a trained network, as in models/run."""
+    """Folder of a trained network, such as models/run."""
     out: Path
     """Keypoint file to write, .csv or .h5, in DeepLabCut's layout."""
     overlay: Path | None = None

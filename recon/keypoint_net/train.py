@@ -67,7 +67,7 @@ TRAINING = "Training"
 
 
 class TrainSettings(Settings):
-    """Choose how a network is trained."""
+    """Settings of the training of a network."""
 
     minutes: Annotated[
         Number, Field(ge=0.05), Option("Time to train, minutes.", "0.05 minutes or more", panel=TRAINING)
@@ -93,7 +93,7 @@ class TrainRunSettings(data.LabelSource, TrainSettings):
     """Settings of `recon train`."""
 
     out: Annotated[Path, Option(metavar="DIR")]
-    """Folder for the network and its report, as in models/horse."""
+    """Folder for the network and its report, such as models/horse."""
     device: Annotated[str, net.DEVICE] = "auto"
     threads: Annotated[Count | None, net.THREADS] = None
     resume: bool = False

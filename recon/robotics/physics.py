@@ -60,8 +60,8 @@ weight.
 TURNS, HOPELESS = 12, 50.0
 """Maximum number of steps, and excess over the limits after three steps above which further steps do not help."""
 UNIT, TORQUE, WITHIN, NEAR = 0.02, 0.05, 0.02, 3.0
-"""Residuals of weight 1: unmet part of the weight; excess of torques; excess of rates and angles, all as fractions of
-their limits. NEAR is the weight of the base's deviation (fraction of the standing height, and rad).
+"""Amounts that give a residual of 1: unmet part of the weight; excess of torques; excess of rates and angles, all as
+fractions of their limits. NEAR is the weight of the base's deviation (fraction of the standing height, and rad).
 """
 AIM = {"base": 0.0, "torques": 0.85, "rates": 0.95, "angles": 0.97}
 """Fractions of the limits that the optimisation aims at."""

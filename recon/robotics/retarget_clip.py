@@ -63,7 +63,7 @@ class RetargetSettings(Settings):
     """Settings of `recon retarget`."""
 
     folder: Annotated[Path, Option(argument="DIR")]
-    """Results folder of a fit, as in results/clip."""
+    """Results folder of a fit, such as results/clip."""
     robot: str
     """a1, go2, aibo, or a file .toml, .urdf or .xml (MJCF)."""
     out: Path
@@ -414,7 +414,7 @@ round-off.
 
 
 class RobotSamples:
-    """Sample a motion at the rate nearest to `rate_hz` that gives a whole number of frames.
+    """Samples of a motion, at the rate nearest to `rate_hz` that gives a whole number of frames.
 
     Arrays hold K evenly spaced frames, the robot's joints in the robot's order, and B bodies, the base first. Raises
     InputError about the option if fewer than two frames fit.

@@ -34,7 +34,7 @@ def file_name(path: str | None) -> str | None:
 
 
 def picked(source: object, *names: str) -> dict[str, Any]:
-    """Return a function that reads attributes of an object by name."""
+    """Return attributes of an object by name."""
     return {name: getattr(source, name) for name in names}
 
 

@@ -29,7 +29,7 @@ WORKBOOK, LONG, DICTIONARY = "analysis.xlsx", "analysis_long.csv", "analysis_dic
 """Files of `recon.show.workbook`."""
 QUALITY_COLUMNS = ("frame", "flags", "alternative_m", "detections", "mean_weight", "place_sigma_m", "relative_rms_m")
 DECIMALS = 7
-"""Decimals of the numbers in tables of a fit. Processors differ in a number's last digits, and round to the same."""
+"""Decimals of the numbers in tables of a fit; rounding removes the last digits, which differ between processors."""
 
 
 def _rounded(values: np.ndarray) -> np.ndarray:

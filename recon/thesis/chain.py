@@ -49,7 +49,7 @@ class ChainPose:
 
 @dataclass(frozen=True)
 class UnknownsChain(Chain):
-    """Add the unknowns of a frame and their kinematics to a chain."""
+    """A chain with the unknowns of a frame, and their kinematics."""
 
     # -- layout of the state -----------------------------------------------------------------------------------------
 

@@ -33,7 +33,7 @@ PLAIN_C = 1e6
 
 @dataclass(frozen=True)
 class FrameOptions:
-    """Set the weights of the frame method's objectives and the limits of its search."""
+    """Weights of the frame method's objectives, and limits of its search."""
 
     form: Form = "deadband"
     """The form of f2 to f5."""
@@ -107,7 +107,7 @@ def _diagonal(values: Array, columns: slice, n_state: int) -> Array:
 
 @dataclass(frozen=True)
 class JointReprojection(Objective):
-    """Penalise the distance of projected from detected positions (f1), robustly.
+    """Distance of projected from detected positions (f1), as a robust penalty.
 
     With u = sqrt(confidence) (projected - detected) / sigma_px, the two rows of a joint are u / sqrt(1 + |u|^2 / c^2)
     (Geman-McClure as a squared residual). They saturate at c, which bounds the pull of a wrong point. Missing points
@@ -145,7 +145,7 @@ class JointReprojection(Objective):
 
 @dataclass(frozen=True)
 class _Limit(Objective):
-    """Limit the size of some unknowns (A,), with residuals (size - limit) / softness.
+    """Limit on the size of some unknowns (A,), with residuals (size - limit) / softness.
 
     With "deadband", only positive residuals count.
     """
@@ -165,7 +165,7 @@ class _Limit(Objective):
 
 @dataclass(frozen=True)
 class AngleRange(_Limit):
-    """Penalise angles outside their range (f2 for theta, f3 for phi): (|angle - mean| - tolerance) / softness."""
+    """Penalty on angles outside their range (f2 for theta, f3 for phi): (|angle - mean| - tolerance) / softness."""
 
     ranges: AngleRanges
 
@@ -177,7 +177,7 @@ class AngleRange(_Limit):
 
 @dataclass(frozen=True)
 class RateLimit(_Limit):
-    """Limit the speed of a link's tip (f4 for theta, f5 for phi) to its length times max_rate.
+    """Limit on the speed of a link's tip (f4 for theta, f5 for phi): its length times max_rate.
 
     If a relative angle changes by a within the interval dt, the tip moves along a chord of 2 r |sin(a / 2)|. "deadband"
     is that chord over dt, penalised only beyond the limit; a link that turns over is noticed. "printed" is the rate of
@@ -203,7 +203,7 @@ class RateLimit(_Limit):
 
 @dataclass(frozen=True)
 class GaussianPrior(Objective):
-    """Add a Gaussian prior on some unknowns (A,): (unknown - mean) / sigma.
+    """Gaussian prior on some unknowns (A,): (unknown - mean) / sigma.
 
     The prior on the base length fixes the metric scale.
     """
@@ -220,10 +220,10 @@ class GaussianPrior(Objective):
 
 @dataclass(frozen=True)
 class DirectionPrior(Objective):
-    """Add a prior on the direction of one of the root's axes: components (axis - expected) / sigma.
+    """Prior on the direction of one of the root's axes: components (axis - expected) / sigma.
 
-    The components refer to the vertical instead of the angles of R. R's axes are those of the camera, and mean roll
-    only if the animal is seen from the side.
+    The components refer to the vertical instead of the angles of R. The angles of R turn about the camera's axes, and
+    stand for roll only if the animal is seen from the side.
     """
 
     name: str

@@ -50,7 +50,7 @@ class Path:
 
 @dataclass(frozen=True, eq=False)
 class PathTie(Objective):
-    """Tie the reference joint to the path: (R p0 * nominal base length / base length - path) / sigma.
+    """Tie of the reference joint to the path: (R p0 * nominal base length / base length - path) / sigma.
 
     The factor leaves the scale open, as the pixels do: the whole scene can grow.
     """

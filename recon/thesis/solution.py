@@ -47,7 +47,7 @@ _DIFFERENCE_RAD = 1e-6
 
 @dataclass(frozen=True)
 class _FrameReport:
-    """Report the optimisation of one frame; residuals have no unit."""
+    """Report on the optimisation of one frame; residuals have no unit."""
 
     status: Status
     starts: int

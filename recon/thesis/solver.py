@@ -251,7 +251,7 @@ class FrameSearch:
 
 
 class FrameSolver:
-    """Solve a clip frame by frame.
+    """Solver of a clip, frame by frame.
 
     Parameters
     ----------

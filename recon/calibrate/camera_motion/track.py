@@ -112,7 +112,7 @@ class TurningMotion:
 
 @dataclass(eq=False)
 class Tracker:
-    """Track a turning camera frame by frame.
+    """Tracker of a turning camera, frame by frame.
 
     masked: function from a frame's number to the animal's pixels (K, 2), or None. The other fields are the state:
     frames with their orientations, supports (number of agreeing points, and their root mean square error in px) and

@@ -179,7 +179,7 @@ class _Footfall(FileTable):
 
 
 class _Primitive(FileTable):
-    """Group footfalls that share their fields."""
+    """A group of footfalls that share their fields."""
 
     name: str
     rise_rad: PositiveLength
@@ -200,7 +200,7 @@ class _Swing(FileTable):
 
 
 class _Pace(FileTable):
-    """Limit the torso's shift and turn per frame."""
+    """Limits of the torso's shift and turn per frame."""
 
     max_step_m: PositiveLength
     max_turn_rad: PositiveLength

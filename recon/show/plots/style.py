@@ -1,8 +1,8 @@
 """Set the style of figures and write them.
 
-The width is that of a page (180 mm) or a column (85 mm), and text has 8 points. Colours are those of Okabe and Ito
-without yellow, which is pale on paper; lines that have to be distinguished also differ in dashes. Time is shown by
-viridis without its palest tenth.
+The width is that of a page (180 mm) or a column (85 mm), and text has a size of 8 points. Colours are those of Okabe
+and Ito without yellow, which is pale on paper; lines that have to be distinguished also differ in dashes. Time is shown
+by viridis without its palest tenth.
 
 A figure is laid out once, when it is drawn. All files are byte-identical for the same data and the same version of
 matplotlib. The user's own settings of matplotlib have no effect and are left unchanged.
@@ -55,7 +55,7 @@ _SHEET = Path(__file__).with_name("recon.mplstyle")
 
 @dataclass(frozen=True)
 class Print:
-    """Describe how figures are drawn for a paper: width, small letters, no titles."""
+    """Settings of figures for a paper: width, small letters, no titles."""
 
     width_mm: float
     panel: Any = None

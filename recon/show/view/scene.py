@@ -71,7 +71,7 @@ class TimePlot:
 
 @dataclass(frozen=True)
 class Log:
-    """Write the entities of T frames."""
+    """Writer of the entities of a recording with T frames."""
 
     stream: rr.RecordingStream
     frames: Integers

@@ -1,4 +1,4 @@
-"""Show a recording in rerun's web viewer, on machines without a display or in a browser on another machine by a tunnel.
+"""Show a recording in rerun's web viewer, on machines without a display, or through a tunnel.
 
 The package of rerun contains its web viewer. Its own server would let the viewer ask rerun's servers for fonts,
 examples and new versions. Therefore the page is passed on by `LocalServer`, whose policy allows connections to this
