@@ -497,7 +497,7 @@ def recording(path: Path, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]
     try:
         if not hasattr(os, "mkfifo"):  # Windows
             memory = stream.memory_recording()
-            stream.send_blueprint(layout, make_active=False, make_default=True)
+            stream.send_blueprint(layout, make_active=True, make_default=True)
             yield stream
             write_bytes(path, memory.drain_as_bytes())
             return
@@ -509,7 +509,7 @@ def recording(path: Path, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]
             stream.save(pipe)
             written = pool.submit(_copy, source, path)
             try:
-                stream.send_blueprint(layout, make_active=False, make_default=True)
+                stream.send_blueprint(layout, make_active=True, make_default=True)
                 yield stream
             except BaseException:
                 stream.disconnect()  # ends the pipe, and with it the copy

@@ -1,8 +1,9 @@
 """Show a recording in rerun's web viewer, on machines without a display, or through a tunnel.
 
 The package of rerun contains its web viewer. Its own server would let the viewer ask rerun's servers for fonts,
-examples and new versions. Therefore the page is passed on by `LocalServer`, whose policy allows connections to this
-machine only.
+examples and new versions, and would give the recording to every user of this machine. Therefore rerun's server runs
+without a recording, and only until `LocalServer` has the viewer's files. `LocalServer` passes them on, and the
+recording with them, under an address that nobody can guess. Its policy allows connections to itself only.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import subprocess
 import sys
 import threading
 import time
+import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -21,7 +23,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from recon.base.errors import InputError, Problem
-from recon.base.local_server import WASM, LocalServer, Reply
+from recon.base.local_server import WASM, Handler, LocalServer, Reply
 
 LOOPBACK = "127.0.0.1"
 FILES = {
@@ -29,15 +31,20 @@ FILES = {
     "re_viewer.js": "text/javascript",
     "re_viewer_bg.wasm": WASM,
     "favicon.ico": "image/x-icon",
-    "favicon.svg": "image/svg+xml",
 }
 """Files of the web viewer, and their types."""
+OPTIONAL = "favicon.ico"
+"""File that a version of the viewer need not have."""
 _POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval' blob:; style-src 'unsafe-inline'; "
     "img-src 'self' data: blob:; worker-src 'self' blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
-    "connect-src 'self' data: blob: http://{data}"
+    "connect-src 'self' data: blob:"
 )
 _LINK = re.compile(rb"<link[^>]*https?://[^>]*>")
+RECORDING = "recording.rrd"
+"""Name of the recording in the page's address. The viewer knows the format by its ending."""
+LOOK = "theme=dark&persist=0"
+"""Options of the viewer: dark, as the views are, and nothing is kept in the browser."""
 START_S, TICK_S = 30.0, 0.05
 """Longest time for rerun to start, and time between two checks."""
 
@@ -48,23 +55,37 @@ def served(path: Path) -> Iterator[str]:
 
     Raises InputError if rerun's server cannot run.
     """
+    pages: dict[str, Handler] = {name: partial(_kept, reply) for name, reply in _viewer_files().items()}
+    server = LocalServer(pages | {RECORDING: partial(_recording, path)}, policy=_POLICY)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        yield f"{server.address}?url={quote(server.address + RECORDING, safe='')}&{LOOK}"
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+def _kept(reply: Reply, _rest: str, _data: object) -> Reply:
+    return reply
+
+
+def _recording(path: Path, _rest: str, _data: object) -> Reply:
+    return Reply(path.read_bytes(), "application/octet-stream")
+
+
+def _viewer_files() -> dict[str, Reply]:
+    """Return the files of the web viewer by name, from rerun's own server, which ends before this returns."""
     data_port, viewer_port = _free_ports(2)
     command = [str(_program()), "--serve-web", "--bind", LOOPBACK, "--port", str(data_port)]
-    command += ["--web-viewer-port", str(viewer_port), str(path)]
+    command += ["--web-viewer-port", str(viewer_port)]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        _wait_for(process, (data_port, viewer_port))
-        data = f"{LOOPBACK}:{data_port}"
-        pages = {
-            name: partial(_passed_on, f"http://{LOOPBACK}:{viewer_port}/{name}", kind) for name, kind in FILES.items()
-        }
-        server = LocalServer(pages, policy=_POLICY.format(data=data))
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        try:
-            yield f"{server.address}?url={quote(f'rerun+http://{data}/proxy', safe='')}"
-        finally:
-            server.shutdown()
-            server.server_close()
+        _wait_for(process, (viewer_port,))
+        files = dict[str, Reply]()
+        for name, kind in FILES.items():
+            with suppress(*[urllib.error.HTTPError] * (name == OPTIONAL)):
+                files[name] = _file(f"http://{LOOPBACK}:{viewer_port}/{name}", kind)
+        return files
     finally:
         process.terminate()
         process.wait()
@@ -79,7 +100,7 @@ def _program() -> Path:
     return bundled if bundled.exists() else folder / ("rerun.exe" if sys.platform == "win32" else "rerun")
 
 
-def _passed_on(address: str, kind: str, _rest: str, _data: object) -> Reply:
+def _file(address: str, kind: str) -> Reply:
     """Return a file of rerun's server without links to other servers: a policy does not stop a preconnect."""
     content = _content(address)
     return Reply(_LINK.sub(b"", content) if kind == "text/html" else content, kind)
