@@ -9,6 +9,7 @@ animal had, and the expected angles range as far as those of the animal.
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -48,9 +49,15 @@ RIGID, TOO_MUCH, NOISE = 0.01, 0.02, 2.0
 """RIGID and TOO_MUCH, fractions of the animal's length: a distance whose standard deviation is below RIGID counts as
 constant. With noisy keypoints the limit is NOISE times the variation between steady neighbours, but at most TOO_MUCH.
 """
+TAIL, TAIL_SIGMAS = 0.05, 3.29
+"""Part of the frames at each end of a distance's range that may be errors, and the rest's range in standard deviations.
+
+A median deviation would call every distance constant in an animal that stands for half of the clip.
+"""
 KEYPOINT_SHARE, MARKER_SHARE, SIZE_SIGMA = 0.03, 0.025, 0.05
 """Values for the skeleton file: keypoint_sigma_m and marker_sigma_m as fractions of the animal's length, and size_sigma
-of a measured animal. A draft has its markers where the detector sees them, which is a little off the joints.
+of a measured animal. A draft has its markers where the detector sees them, which is a little off the joints, and its
+segments are rigid, which adds to marker_sigma_m how far their lengths changed.
 """
 HEAD = ("keypoint_sigma_m", "marker_sigma_m", "size_sigma")
 SWING_RAD, SWING_HZ, WIDER = (0.3, 1.2), (0.5, 8.0), 1.5
@@ -262,11 +269,13 @@ class _Distances:
     usual_m: Array
     """(K, K): median over the frames."""
     changes_m: Array
-    """(K, K): standard deviation over the frames, estimated from the median deviation."""
+    """(K, K): standard deviation over the frames, estimated from the range without the extreme `TAIL` at each end."""
     same_m: float
     """Variation below which a distance counts as constant."""
     length_m: float
-    """Largest usual distance, taken as the animal's length."""
+    """Largest usual distance."""
+    longest_m: float
+    """Largest distance, of the animal at its longest: its length."""
 
 
 def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, source: Path) -> tuple[list[str], str]:
@@ -311,8 +320,9 @@ def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, sourc
         f"{1000 * distances.same_m:.1f} mm stay the same. "
         "Look at it with recon skeleton check, and give its segments names.",
     ]
-    sigmas_m = [round(share * distances.length_m, 5) for share in (KEYPOINT_SHARE, MARKER_SHARE)]
-    head = [labels[rear], labels[front]], *sigmas_m, SIZE_SIGMA
+    keypoint_sigma_m, bias_m = (share * distances.longest_m for share in (KEYPOINT_SHARE, MARKER_SHARE))
+    marker_sigma_m = math.hypot(bias_m, _bending_m(parts, distances))
+    head = [labels[rear], labels[front]], round(keypoint_sigma_m, 5), round(marker_sigma_m, 5), SIZE_SIGMA
     text = head_text(comments, title, "the geometry", **by_name(("forward", *HEAD), head))
     text += table_text("[feet]", _feet(points_m, turned_m, labels, (rear, front), distances.length_m))
     for part in parts:
@@ -348,7 +358,8 @@ def _distances(points_m: Array, source: Path) -> _Distances:
     by_point = [np.linalg.norm(points_m - point[:, None], axis=2) for point in points_m.swapaxes(0, 1)]
     distances_m = np.stack(by_point, axis=1)
     usual_m = np.nanmedian(distances_m, axis=0)
-    changes_m = 1.4826 * np.nanmedian(np.abs(distances_m - usual_m), axis=0)
+    shortest_m, longest_m = np.nanquantile(distances_m, (TAIL, 1.0 - TAIL), axis=0)
+    changes_m = (longest_m - shortest_m) / TAIL_SIGMAS
     length_m = float(usual_m.max())
     steadiest_m = np.where(np.eye(len(usual_m), dtype=bool), np.inf, changes_m).min(axis=1)
     # Nearly every point shares a rigid body with another one, so the median variation is the keypoints' noise.
@@ -360,7 +371,7 @@ def _distances(points_m: Array, source: Path) -> _Distances:
             f"by {percent(TOO_MUCH / NOISE)} or less of its length; more or nearer cameras tell what bends from noise"
         )
         raise InputError(Problem(source, "keypoints", actual, expected))
-    return _Distances(usual_m, changes_m, same_m, length_m)
+    return _Distances(usual_m, changes_m, same_m, length_m, float(longest_m.max()))
 
 
 def _rigid_bodies(distances: _Distances) -> list[list[int]]:
@@ -510,6 +521,13 @@ def _tree(bodies: Sequence[list[int]], root: int, labels: Sequence[str], distanc
             parts.append(part_of_body[k])
             queue.append(k)
     return parts
+
+
+def _bending_m(parts: Sequence[_Part], distances: _Distances) -> float:
+    """Return the standard deviation of the distances that the skeleton keeps constant, the mean over its links."""
+    links = [(part.origin, point) for part in parts for point in part.points if point != part.origin]
+    links += [(part.parent.origin, part.origin) for part in parts if part.parent and part.parent.origin != part.origin]
+    return float(np.sqrt(np.mean(distances.changes_m[tuple(np.transpose(links))] ** 2)))
 
 
 def _segment(
