@@ -162,7 +162,8 @@ def overlay(settings: OverlaySettings, progress: Progress = silent) -> Answer:
             progress("drawing", len(stamps_s) / count)
     frames_before = first - start if len(stamps_s) == count else None
     of_times = missing_note(video, np.array(stamps_s), first, frames_before)
-    notes = [note for note in (first_frame_note(motion, settings), rate_note(video, motion.fps), of_times) if note]
+    possible_notes = [first_frame_note(motion, settings), rate_note(video, motion.fps), bars_note(video), of_times]
+    notes = [*filter(None, possible_notes)]
     sentence = f"{count} frames at {speed:.3g} times their speed ({fps:.4g} a second) are in {out}."
     data = {"out": out, "frames": count, "fps": fps, "speed": speed, "notes": notes}
     return Answer(data, [*verdict_texts(motion.verdict), sentence], files=[out], notes=notes)
@@ -244,6 +245,20 @@ def rate_note(video: Path, fps: float | None) -> str | None:
     )
 
 
+def bars_note(video: Path | None) -> str | None:
+    """Return a note if a video has black bars, which a camera that was calibrated without them does not have."""
+    if video is None:
+        return None
+    sides = zip(probe(video).bars_px, ("at left and right", "at top and bottom"), strict=True)
+    bars = [f"{width_px} px {where}" for width_px, where in sides if width_px]
+    if not bars:
+        return None
+    return (
+        f"{video.name} has black bars of {' and '.join(bars)}: if its camera was calibrated on videos without bars, "
+        "the focal length is wrong, and so are distances. Calibrate the camera on a video with the same bars"
+    )
+
+
 # -- page -------------------------------------------------------------------------------------------------------------
 
 
@@ -293,7 +308,8 @@ def _page_of_clip(settings: PageSettings, progress: Progress, whole_batch: bool 
     output.write(PAGE, html)
     of_changed = f"missing, or changed since the fit, so the page has no link to it: {', '.join(changed)}"
     of_stale = f"possibly of other results, so the page has no link to it: {', '.join(stale)}"
-    possible_notes = [first_frame_note(motion, settings), of_changed if changed else None, of_stale if stale else None]
+    of_video = [first_frame_note(motion, settings), bars_note(video)]
+    possible_notes = [*of_video, of_changed if changed else None, of_stale if stale else None]
     notes = [*filter(None, possible_notes)]
     data = {"page": page, "failed": {}, "notes": notes}
     return Answer(data, [f"Open {page} in a browser."], files=[page], notes=notes)

@@ -53,6 +53,7 @@ from recon.cli.look import (
     OverlaySettings,
     PageSettings,
     ViewSettings,
+    bars_note,
     overlay,
     rate_note,
     report,
@@ -181,7 +182,8 @@ def run(settings: _RunSettings, options: _FitOptions, console: Console) -> Answe
     with progress_bar(console) as progress:
         job = job_of(settings, options)
         outcomes, report_of_fit = run_video(job, progress, lambda stage: say(console, _outcome_line(stage)))
-    notes = [rate_note(settings.video, job.fit.fps), *(note for stage in outcomes for note in stage.notes)]
+    of_video = [rate_note(settings.video, job.fit.fps), bars_note(settings.video)]
+    notes = [*of_video, *(note for stage in outcomes for note in stage.notes)]
     for note in filter(None, dict.fromkeys(notes)):
         say(console, f"note: {note}")
     stages = [{"stage": s.stage, "status": s.status, "seconds": round(s.seconds, 3)} for s in outcomes]

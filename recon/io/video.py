@@ -45,6 +45,11 @@ Phones film more slowly in the dark.
 """
 MOST_GAPS = 5
 
+BLACK, LIT = 24, 80
+"""Largest brightness in a black bar, as compressed black is not quite 0; least mean brightness of a picture's lines."""
+BAR_SHARE, BAR_PX = 0.02, 2
+"""Share of the picture that a bar covers at least, and pixels by which two bars may differ."""
+
 SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".mts")
 
 
@@ -58,6 +63,8 @@ class VideoInfo:
     """Frame rate; None if the file does not state it."""
     stated_frames: int | None
     """Number of frames; None if the file does not state it. The number that can be decoded may differ."""
+    bars_px: tuple[int, int] = (0, 0)
+    """Width of the black bars at left and right, and height of those at top and bottom, in the first frame."""
 
 
 def probe(path: str | Path) -> VideoInfo:
@@ -71,7 +78,20 @@ def probe(path: str | Path) -> VideoInfo:
     if not decoded:
         raise InputError(Problem(path, "video", "no frame that can be decoded", "a video"))
     known = np.isfinite(fps) and 0 < fps < 1e5
-    return VideoInfo((image.shape[1], image.shape[0]), float(fps) if known else None, int(count) if count > 0 else None)
+    picture = np.asarray(image, dtype=np.uint8)
+    size_px, bars_px = (picture.shape[1], picture.shape[0]), (black_bars(picture, 1), black_bars(picture, 0))
+    return VideoInfo(size_px, float(fps) if known else None, int(count) if count > 0 else None, bars_px)
+
+
+def black_bars(picture: Image, axis: int) -> int:
+    """Return the width of equal black bars at both ends of an axis of a picture (H, W, 3), or 0 without them."""
+    brightness = picture.max(axis=(1 - axis, 2))
+    lit = np.flatnonzero(brightness > BLACK)
+    if not len(lit) or brightness[lit[0] : lit[-1] + 1].mean() < LIT:
+        return 0
+    ends = int(lit[0]), len(brightness) - 1 - int(lit[-1])
+    is_even = abs(ends[0] - ends[1]) <= BAR_PX
+    return min(ends) if is_even and min(ends) > max(BAR_SHARE * len(brightness), BAR_PX) else 0
 
 
 def size_problems(video: Path, info: VideoInfo, camera: Camera) -> Iterator[Problem]:

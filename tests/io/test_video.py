@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 from command_line import refusal
 
-from recon.io.video import missing_frames, missing_note, probe, read_frames, read_picture, timed_frames, video_writer
+from recon.io.video import (
+    black_bars,
+    missing_frames,
+    missing_note,
+    probe,
+    read_frames,
+    read_picture,
+    timed_frames,
+    video_writer,
+)
 from recon.testing.files import write_damaged_video
 
 
@@ -159,3 +168,19 @@ def test_frames_may_be_missing_where_time_stamps_do_not_tell(tmp_path):
 def test_time_stamps(counted, times_s, missing):
     assert missing_frames(times_s) == missing
     assert ("uneven in time" in (missing_note(counted, times_s) or "")) == (missing is None)
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "level", "bars"),
+    [
+        (slice(6, -6), slice(None), 150, (0, 6)),
+        (slice(None), slice(8, -8), 150, (8, 0)),
+        (slice(None), slice(None), 150, (0, 0)),
+        (slice(6, -6), slice(None), 30, (0, 0)),
+        (slice(0, -12), slice(None), 150, (0, 0)),
+    ],
+)
+def test_black_bars_are_even_and_beside_a_picture_that_is_lit(rows, columns, level, bars):
+    picture = np.full((48, 64, 3), 10, dtype=np.uint8)
+    picture[rows, columns] = level
+    assert (black_bars(picture, 1), black_bars(picture, 0)) == bars

@@ -21,6 +21,7 @@ from recon.cli.app import app
 from recon.cli.look import (
     OverlaySettings,
     PageSettings,
+    bars_note,
     camera_number,
     first_frame_note,
     overlay_of,
@@ -377,6 +378,17 @@ def test_a_small_animal_is_shown_enlarged_where_it_is_not(overlay):
     assert close_ups(small, (960, 540)) == [True, False, False]
     assert close_ups(small, (1700, 950)) == [False, True, False]
     assert close_ups(large, (960, 540)) == [False, False, False]
+
+
+def test_black_bars_are_named_where_a_video_has_them(tmp_path):
+    path, picture = tmp_path / "bars.mp4", np.full((48, 64, 3), 150, dtype=np.uint8)
+    with video_writer(path, (64, 48), 25.0) as write:
+        write(picture)
+    assert bars_note(path) is bars_note(None) is None
+    picture[:8] = picture[-8:] = 0
+    with video_writer(path, (64, 48), 25.0) as write:
+        write(picture)
+    assert says(bars_note(path), "bars.mp4 has black bars of 8 px at top and bottom")
 
 
 def test_a_video_of_another_rate_or_that_goes_on_is_named(small_trajectory):
