@@ -22,7 +22,8 @@ from recon.api.analyse import AnalyseSettings
 from recon.api.clip_results import run_clip
 from recon.cli.analyse import analyse_command
 from recon.cli.app import app
-from recon.cli.look import OverlaySettings, overlay
+from recon.cli.look_options import OverlaySettings
+from recon.cli.show import overlay
 from recon.io.video import read_frames, video_writer
 
 HERE = Path(__file__).resolve().parent

@@ -12,7 +12,8 @@ from pathlib import Path
 
 from recon import FitSettings, samples_folder
 from recon.api.clip_results import run_clip
-from recon.cli.look import PageSettings, report
+from recon.cli.look_options import PageSettings
+from recon.cli.show import report
 
 
 def main(folder: Path) -> None:

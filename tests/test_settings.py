@@ -18,7 +18,7 @@ from recon.animal.skeleton_file import load_skeleton
 from recon.api.clip_inputs import read_model_and_cameras
 from recon.api.settings import SETTINGS
 from recon.cli.app import app, commands
-from recon.cli.look import OverlaySettings, PageSettings
+from recon.cli.look_options import OverlaySettings, PageSettings
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.io.calibration import read_camera, read_cameras
 from recon.thesis.objectives import FrameOptions

@@ -26,6 +26,8 @@ FIT_40 = (*FIT, "--frames", "0:40", "--out", "out", "--overwrite", "--quiet")
 COMMANDS = (
     ("recon --help", ("--help",), SMALL, ""),
     ("recon --version", ("--version",), SMALL, "6"),
+    ("recon fit --help", ("fit", "--help"), SMALL, ""),
+    ("recon view --help", ("view", "--help"), SMALL, ""),
     ("recon fit, 40 frames", FIT_40, LARGE, "2"),
 )
 """Name, arguments, needed imports, and largest allowed ratio of times."""

@@ -62,13 +62,13 @@ def _settings() -> CommandFunction:
 
 
 def _view() -> CommandFunction:
-    from recon.cli.look import view
+    from recon.cli.show import view
 
     return view
 
 
 def _report() -> CommandFunction:
-    from recon.cli.look import report
+    from recon.cli.show import report
 
     return report
 
@@ -116,7 +116,7 @@ def _fix() -> CommandFunction:
 
 
 def _overlay() -> CommandFunction:
-    from recon.cli.look import overlay
+    from recon.cli.show import overlay
 
     return overlay
 

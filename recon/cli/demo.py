@@ -12,7 +12,8 @@ from recon.base.outputs import Output
 from recon.base.progress import Progress
 from recon.base.settings import Settings
 from recon.cli.answers import Answer, answer_of_fit
-from recon.cli.look import PageSettings, report
+from recon.cli.look_options import PageSettings
+from recon.cli.show import report
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.gait.evaluation import evaluate_files

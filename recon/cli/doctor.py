@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -139,7 +140,9 @@ def _installed(name: str, specifier: SpecifierSet) -> tuple[str, str]:
     try:
         installed_version = metadata.version(name)
     except metadata.PackageNotFoundError:
-        distributions = metadata.packages_distributions().get(MODULES.get(name, name.replace("-", "_")))
+        module = MODULES.get(name, name.replace("-", "_"))
+        # whether there is a module is known at once, whose it is only from the files of all distributions
+        distributions = metadata.packages_distributions().get(module) if find_spec(module) else None
         if not distributions:
             return "not installed", ""
         installed_version = metadata.version(distributions[0])

@@ -23,7 +23,8 @@ from recon.base.numbers import counted
 from recon.base.outputs import Output, ReadResults, output_file, require_suffix
 from recon.base.settings import Option
 from recon.cli.answers import Answer
-from recon.cli.look import ResultSettings, first_in_clip, result_and_video
+from recon.cli.look import first_in_clip, result_and_video
+from recon.cli.look_options import ResultSettings
 from recon.cli.serving import saving, serve_until_ctrl_c
 from recon.fit.motion import Motion
 from recon.io.deeplabcut import write_csv

@@ -1,4 +1,4 @@
-"""Show a result: `recon overlay` draws it on its video, `recon report` makes a page, `recon view` opens the viewer."""
+"""Show a result: draw it on its video, make its page, and open its playback."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
 
 import cv2
 import numpy as np
-from pydantic import Field
 from rich.console import Console
 
 from recon.api.analyse import FOLDER, PLAYBACK
@@ -20,7 +18,6 @@ from recon.api.analyse import SUMMARY as ANALYSIS
 from recon.api.batch import read_rows, write_summary_page
 from recon.api.batch_inputs import SUMMARY
 from recon.api.clip_cameras import cameras_in
-from recon.api.settings import ANYWAY, FIRST_FRAME
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import MANIFEST, read_manifest, staged_file
@@ -28,10 +25,11 @@ from recon.base.locks import sole_writer
 from recon.base.outputs import Output, ReadResults, is_current, output_file
 from recon.base.parallel import Event, carry_out
 from recon.base.progress import Progress, silent
-from recon.base.settings import Integer, Number, Option, Settings, input_paths
+from recon.base.settings import input_paths
 from recon.check.codes import FLAG_OF
 from recon.check.verdict import usable
 from recon.cli.answers import Answer, say, verdict_texts, wait_for_ctrl_c
+from recon.cli.look_options import OverlaySettings, PageSettings, ResultSettings, ViewSettings
 from recon.fit.motion import Motion
 from recon.gait.clip import analyse
 from recon.io.video import Image, missing_note, probe, require_codec, size_problems, video_writer
@@ -52,20 +50,6 @@ VIDEO_PLAYBACK = "playback.rrd"
 """Recording with the video, which `recon run` writes and `recon view` then opens."""
 BESIDE = ("overlay.mp4", "analysis/analysis.json", VIDEO_PLAYBACK)
 """Files that a page links to, in addition to those of the fit, if they exist when the page is made."""
-
-
-class ResultSettings(Settings):
-    """Settings that name a results folder and the video of one camera."""
-
-    folder: Annotated[Path, Option(argument="DIR")]
-    """Results folder, such as results/clip."""
-    video: Path | None = None
-    """Video of the keypoints, such as clip.mp4."""
-    camera_name: str | None = None
-    """Name of the video's camera, such as cam2, if there are several. (default: the camera in the video's name, or the
-    first)
-    """
-    first_frame: Annotated[Integer, FIRST_FRAME] = 0
 
 
 def result_and_video(settings: ResultSettings, *checks: Callable[[], object]) -> tuple[Motion, int]:
@@ -120,25 +104,8 @@ def camera_number(motion: Motion, camera: str | None, video: Path | None) -> int
 # -- overlay on the video ---------------------------------------------------------------------------------------------
 
 
-class OverlaySettings(ResultSettings):
-    """Settings of `recon overlay`."""
-
-    video: Path = Field()
-    """Video of the keypoints, such as clip.mp4."""
-    out: Path
-    """The new video, .mp4 (MPEG-4), .webm (VP8, for browsers) or .avi (Motion JPEG), such as overlay.mp4."""
-    anyway: Annotated[bool, ANYWAY] = False
-    speed: Annotated[Number, Field(gt=0, le=10)] | None = None
-    """Speed of the playback; 1 is real time. (default: 30 frames are shown per second)"""
-    overwrite: bool = False
-    """Replace existing files."""
-
-
-def overlay(settings: OverlaySettings, progress: Progress = silent) -> Answer:
-    """Draw a reconstruction on its video: detections, skeleton, uncertain frames, and the pose from three sides.
-
-    Example: recon overlay results/clip --video clip.mp4 --out overlay.mp4
-    """
+def draw_overlay(settings: OverlaySettings, progress: Progress = silent) -> Answer:
+    """Write the video of a result with its overlay."""
     video, out = settings.video, settings.out
     made_from = ReadResults.read(settings.folder)
     output = output_file(out, "overlay", settings.overwrite, input_paths(settings), made_from)
@@ -262,22 +229,8 @@ def bars_note(video: Path | None) -> str | None:
 # -- page -------------------------------------------------------------------------------------------------------------
 
 
-class PageSettings(ResultSettings):
-    """Settings of `recon report`."""
-
-    folder: Annotated[Path, Option(argument="DIR")]
-    """Results folder, such as results/clip, or a batch's folder."""
-
-
-def report(settings: PageSettings, progress: Progress = silent) -> Answer:
-    """Make a page of a result to view and to share: report.html in its folder, which opens in any browser.
-
-    For a batch's folder, make the pages of all clips, and summary.html with links to them. Earlier pages are replaced.
-
-    Example: recon report results/clip --video clip.mp4
-
-    Exit code 1: a page of a batch could not be made; the others are there.
-    """
+def make_page(settings: PageSettings, progress: Progress = silent) -> Answer:
+    """Make the page of a result, or the pages of a batch and its summary page."""
     folder, video = settings.folder, settings.video
     if (folder / SUMMARY).is_file() and not (folder / REPORT).is_file():
         return _pages_of_batch(folder, video, progress)
@@ -393,32 +346,8 @@ def _page_of(folder: Path, progress: Progress) -> dict[str, str]:
 # -- viewer -----------------------------------------------------------------------------------------------------------
 
 
-class ViewSettings(ResultSettings):
-    """Settings of `recon view`."""
-
-    video: Path | None = None
-    """Show the frames of this video in the playback, such as clip.mp4."""
-    out: Path | None = None
-    """Write the playback to a recording, such as clip.rrd, and open no viewer."""
-    web: bool = False
-    """Serve the viewer to a browser, for a machine without a display; Ctrl-C ends it."""
-    overwrite: bool = False
-    """Replace an existing recording."""
-
-    def problems(self) -> Iterator[Problem]:
-        """Yield problems of options that need a video."""
-        for name in ("first_frame", "camera_name"):
-            if getattr(self, name) and self.video is None:
-                yield Problem("settings", name, "no --video", "both or neither")
-        if self.web and self.out is not None:
-            yield Problem("--web", "viewer", f"--out {self.out} together with it", "only one of the two")
-
-
-def view(settings: ViewSettings, console: Console) -> Answer:
-    """Open the playback of a reconstruction in the rerun viewer, with the plots of its analysis.
-
-    Example: recon view results/clip --video clip.mp4
-    """
+def show_playback(settings: ViewSettings, console: Console) -> Answer:
+    """Open the playback of a result in the viewer, serve it to a browser, or write it to a recording."""
     folder, out = settings.folder, settings.out
     playback = folder / PLAYBACK
     if not playback.is_file():

@@ -48,17 +48,9 @@ from recon.cli.answers import Answer, answer_of_fit, progress_bar, say
 from recon.cli.batch import shown_batch
 from recon.cli.cameras import camera_motion_answer
 from recon.cli.commands import OptionsOf
-from recon.cli.look import (
-    VIDEO_PLAYBACK,
-    OverlaySettings,
-    PageSettings,
-    ViewSettings,
-    bars_note,
-    overlay,
-    rate_note,
-    report,
-    write_recording,
-)
+from recon.cli.look import VIDEO_PLAYBACK, bars_note, rate_note, write_recording
+from recon.cli.look_options import OverlaySettings, PageSettings, ViewSettings
+from recon.cli.show import overlay, report
 from recon.fit.motion import Motion
 from recon.gait.kinematics import MIN_POINTS
 from recon.io.formats import recognised

@@ -17,7 +17,8 @@ from recon.api import analyse as analysis
 from recon.api.clip_results import run_clip
 from recon.api.skeleton_draft import draft_skeleton
 from recon.cli.convert import ConvertSettings, convert
-from recon.cli.look import PageSettings, report
+from recon.cli.look_options import PageSettings
+from recon.cli.show import report
 from recon.clip import camera_poses
 from recon.io.camera_files import write_camera, write_cameras
 from recon.io.deeplabcut import write_csv

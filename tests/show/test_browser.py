@@ -27,7 +27,8 @@ from recon.base.progress import silent
 from recon.check.codes import finding
 from recon.cli.fix import _server as editor_server
 from recon.cli.label import label_server
-from recon.cli.look import PageSettings, _page_of_clip
+from recon.cli.look import _page_of_clip
+from recon.cli.look_options import PageSettings
 from recon.fit.motion import Motion
 from recon.fit.result import Verdict
 from recon.io.corrections import read_corrections

@@ -19,8 +19,6 @@ from recon import FitSettings, InputError, write_clip
 from recon.base.outputs import RECORD
 from recon.cli.app import app
 from recon.cli.look import (
-    OverlaySettings,
-    PageSettings,
     bars_note,
     camera_number,
     first_frame_note,
@@ -29,7 +27,8 @@ from recon.cli.look import (
     rate_note,
     result_and_video,
 )
-from recon.cli.look import overlay as draw
+from recon.cli.look_options import OverlaySettings, PageSettings
+from recon.cli.show import overlay as draw
 from recon.fit.motion import Motion
 from recon.fit.result import Finding
 from recon.io.video import _ends_as_it_says, missing_note, probe, read_frames, timed_frames, video_writer

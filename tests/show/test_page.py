@@ -23,7 +23,9 @@ from recon.api.batch import COLUMNS, write_summary_page
 from recon.base.files import read_manifest, write_manifest
 from recon.check.codes import finding, sentence
 from recon.check.rules import findings_of
-from recon.cli.look import PageSettings, neighbours, report
+from recon.cli.look import neighbours
+from recon.cli.look_options import PageSettings
+from recon.cli.show import report
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.io.video import video_writer
