@@ -22,6 +22,7 @@ LIMITS: Mapping[str, float] = {
     "points_identical": 1.0,
     "point_frozen": 2.5,
     "points_interpolated": 2.5,
+    "points_jump": 1.0,
     "frames_dropped": 1.0,
     "keypoints_normalised": 0.5,
     "keypoints_y_up": 0.5,
@@ -51,7 +52,8 @@ CONSEQUENCES: Mapping[str, tuple[str, ...]] = {
     "up_unlikely": ("gravity_unlikely", "feet_slide", "sides_exchanged", "joint_beyond_range"),
     "sides_exchanged": ("joint_beyond_range",),
     "points_interpolated": ("lengths_change",),
-    "sides_swap": ("lengths_change", "joint_beyond_range"),
+    "points_jump": ("lengths_change", "joint_beyond_range"),
+    "sides_swap": ("lengths_change", "joint_beyond_range", "points_jump"),
     "points_identical": ("lengths_change", "joint_beyond_range"),
     "point_frozen": ("lengths_change", "joint_beyond_range"),
 }

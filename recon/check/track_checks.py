@@ -1,4 +1,4 @@
-"""Check tracks of points in 2D or 3D: copied, frozen and interpolated points, swapped sides, missing frames.
+"""Check tracks of points in 2D or 3D: copied, frozen and interpolated points, jumps, swapped sides, missing frames.
 
 The checks use only the coordinates and the names of the points. Detections that are the same to the last digit were
 copied. The vector from a right point to its left counterpart turns slowly; at a swap of the sides it is suddenly
@@ -36,6 +36,10 @@ MOVING, STANCE = 0.01, 1.0
 """Distances relative to the animal's size: if the other points move this far, a point, and a foot, cannot stay
 still.
 """
+JUMP, JUMP_SPREADS = 0.2, 10.0
+"""Smallest jump of a point: relative to the animal's size, and as a number of its usual deviations."""
+JUMP_FRAMES = 2
+"""Longest jump, in frames."""
 GAP_FRAMES = 3
 """Largest gap, in frames, over which sides are followed."""
 CAP = 6.0
@@ -56,6 +60,7 @@ def measure_tracks(points: AuditedPoints) -> Iterator[Measure]:
     yield from _frozen_frames(points)
     yield from _frozen_points(points)
     yield from _interpolated(points)
+    yield from _jumps(points)
     yield from _missing_frames(points)
     yield from _swapped_sides(points)
     if not points.in_space:
@@ -152,6 +157,72 @@ def _interpolated(points: AuditedPoints) -> Iterator[Measure]:
     if k >= 0:
         numbers = {"points": points.named((k,)), "count": length, "count_total": total}
         yield Measure("points_interpolated", float(length), (first, stop), numbers)
+
+
+def _jumps(points: AuditedPoints) -> Iterator[Measure]:
+    """Yield the largest jump of a point away from its track and back, relative to the limit."""
+    gains = jumps_of(points)
+    if not np.isfinite(gains).any():
+        return
+    row, k = np.unravel_index(int(np.nanargmax(gains)), gains.shape)
+    is_jump = np.nan_to_num(gains) > 1
+    first, stop = next(
+        (run for run in frame_ranges(np.flatnonzero(is_jump[:, k])) if run[0] <= row < run[1]), (row, row + 1)
+    )
+    numbers = {"points": points.named((int(k),)), "count": int(is_jump.sum()), "points_total": int(points.known.sum())}
+    yield Measure("points_jump", float(gains[row, k]), (int(first), int(stop)), numbers)
+
+
+def jumps_of(points: AuditedPoints) -> Array:
+    """Return the distance of each point from the line between the known positions around a jump of a few frames.
+
+    Parameters
+    ----------
+    points : AuditedPoints
+        K points in T frames.
+
+    Returns
+    -------
+    array (T, K)
+        Distance, relative to the path of the animal, divided by the limit. The limit is the larger of `JUMP` of the
+        animal's size and `JUMP_SPREADS` of the point's median distance. NaN where the point is unknown, where there is
+        a gap around it, and where it does not come back.
+    """
+    jumps = np.full(points.known.shape, np.nan)
+    relative = points.positions - _path(points.positions)[:, None]
+    usual_step = float(np.median(np.diff(points.frames)))
+    for k in range(len(points.names)):
+        rows = np.flatnonzero(points.known[:, k])
+        if len(rows) < FEWEST:
+            continue
+        track, frames = relative[rows, k], points.frames[rows]
+        limit = np.nan
+        for length in range(1, JUMP_FRAMES + 1):
+            if len(rows) < length + 2:
+                break
+            left, right = track[: -length - 1], track[length + 1 :]
+            steps = np.arange(1, length + 1)[:, None, None] / (length + 1)
+            inner = np.stack([track[n : n + len(left)] for n in range(1, length + 1)])
+            distances = np.linalg.norm(inner - (left + steps * (right - left)), axis=2)
+            is_close = (frames[length + 1 :] - frames[: -length - 1]) <= (length + GAP_FRAMES) * usual_step
+            if length == 1:
+                usual = np.median(distances[0, is_close]) if is_close.any() else np.inf
+                limit = max(JUMP * points.extent, JUMP_SPREADS * float(usual), points.resolution)
+            nearest = distances.min(axis=0)
+            returns = is_close & (np.linalg.norm(right - left, axis=1) < nearest)
+            for n in range(1, length + 1):
+                inside = rows[n : n + len(left)][returns]
+                jumps[inside, k] = np.fmax(jumps[inside, k], nearest[returns] / limit)
+    return jumps
+
+
+def _path(positions: Array) -> Array:
+    """Return the path (T, C) of the animal, by the median step of its points (T, K, C)."""
+    path = np.zeros((len(positions), positions.shape[2]))
+    steps = np.diff(positions, axis=0)
+    is_known = np.isfinite(steps).all(axis=2).any(axis=1)
+    path[1:][is_known] = np.nanmedian(steps[is_known], axis=1)
+    return np.cumsum(path, axis=0)
 
 
 def _missing_frames(points: AuditedPoints) -> Iterator[Measure]:

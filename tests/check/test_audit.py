@@ -12,11 +12,14 @@ import pandas as pd
 import pytest
 from command_line import refused, run
 
+from recon import read_pose3d
 from recon.animal.body import opposites
 from recon.api.audit import Audit, audit_file
 from recon.check.audit import LIMITS, audit, measures_of
 from recon.check.audited import AuditedPoints, resolution_of, roles_of
 from recon.check.codes import sentence
+from recon.check.track_checks import jumps_of
+from recon.io.calibration import read_camera
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
 ROWS = slice(20, 30)
@@ -29,8 +32,17 @@ def poses() -> AuditedPoints:
 
 
 @pytest.fixture(scope="module")
-def keypoints() -> AuditedPoints:
+def sample() -> AuditedPoints:
+    """The keypoints of the bundled gallop, some of which are far off."""
     return audit_file(SAMPLES / "whole.csv", fps=60).points
+
+
+@pytest.fixture(scope="module")
+def keypoints(sample: AuditedPoints) -> AuditedPoints:
+    """The projections of the 3D poses, where the bundled gallop has keypoints."""
+    lens, truth = read_camera(SAMPLES / "camera.toml"), read_pose3d(SAMPLES / "whole_truth.csv")
+    expected_px, _ = lens.project(lens.world_to_camera(truth.xyz_m[:, [truth.names.index(n) for n in sample.names]]))
+    return replace(sample, positions=np.where(sample.known[..., None], expected_px, np.nan))
 
 
 def codes(points: AuditedPoints, **changes) -> dict[str, tuple[int, int] | None]:
@@ -46,6 +58,17 @@ def test_points_that_are_right_have_no_finding(poses: AuditedPoints, keypoints: 
     assert poses.roles.skeleton == keypoints.roles.skeleton == "cheetah-24"
     assert codes(poses) == codes(keypoints) == {}
     assert {measure.code for measure in measures_of(poses)} >= {"lengths_change", "unit_unlikely", "up_unlikely"}
+
+
+def test_detections_far_off_in_single_frames_are_named(sample: AuditedPoints):
+    (finding,) = audit(sample)
+    assert finding.code == "points_jump"
+    assert finding.numbers["count"] == (np.nan_to_num(jumps_of(sample)) > 1).sum() >= 2
+
+
+def test_a_moving_animal_does_not_jump(poses: AuditedPoints):
+    fast = poses.positions + np.arange(len(poses.frames))[:, None, None] * [0.5, 0, 0]
+    assert np.nanmax(jumps_of(replace(poses, positions=fast))) < 0.5
 
 
 def in_rows(change: Callable[[np.ndarray, AuditedPoints], np.ndarray]):
@@ -83,11 +106,18 @@ def straight(points: AuditedPoints) -> np.ndarray:
     return values
 
 
+def jumping(points: AuditedPoints) -> np.ndarray:
+    values = points.positions.copy()
+    values[24:26, points.names.index("spine")] += 0.3 * points.extent
+    return values
+
+
 BOTH = {
     "points_identical": (in_rows(copied), (20, 30)),
     "detections_frozen": (frozen, (19, 30)),
     "point_frozen": (stuck, (19, 30)),
     "points_interpolated": (straight, (21, 29)),
+    "points_jump": (jumping, (24, 26)),
     "sides_swap": (in_rows(swap), (20, 30)),
 }
 

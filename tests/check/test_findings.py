@@ -30,6 +30,7 @@ SENTENCES = {
     "points_identical": ("nose, l_eye have the same coordinates", {"points": ("nose", "l_eye"), "count": 12}),
     "point_frozen": ("spine keeps its coordinates to the last digit in frame 10", {"points": ("spine",)}),
     "points_interpolated": ("spine moves on a straight line at an even speed in frame 10", {"points": ("spine",)}),
+    "points_jump": ("3 of 900 positions jump away", {"points": ("spine",), "count": 3, "points_total": 900}),
     "sides_swap": ("Left and right of the hind legs look swapped in frame 10", {"part": "the hind legs"}),
     "sides_exchanged": ("In 95 % of the comparisons the left points", {"share": 0.95}),
     "unit_unlikely": ("would be 1.2e+03 m long: the numbers look like mm", {"extent_m": 1200.0, "unit": "mm"}),
