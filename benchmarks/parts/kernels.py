@@ -35,9 +35,10 @@ REPEATS = 7
 STAGES = {
     "solve_trajectory": "whole fit",
     "approach": "starts",
+    "_solve_flattened": "flattened mixtures of poses",
     "_solve_round": "rounds",
     "prior_misfit_of": "misfit of the prior",
-    "with_noise_about_bias": "noise about the keypoint bias",
+    "_with_noise_about_bias": "noise about the keypoint bias",
     "posterior": "posterior",
     "normal": "normal equations (within all)",
     "cost": "cost (within all)",

@@ -38,7 +38,7 @@ from typing import Literal
 import numpy as np
 from scipy.linalg import cholesky_banded
 from scipy.linalg.blas import dtrsm
-from scipy.linalg.lapack import dtbtrs
+from scipy.linalg.lapack import dtbtrs, dtrtri
 
 from recon.base.arrays import Array, Integers
 
@@ -66,6 +66,11 @@ class Normal:
     """(P, P): the curvature of the shared unknowns."""
     shared_gradient: Array
     """(P,): the gradient with respect to the shared unknowns."""
+
+    def without_shared(self) -> Normal:
+        """Return the normal equations of the frames alone, with the shared unknowns fixed."""
+        nothing = np.zeros(0)
+        return Normal(self.blocks, self.gradient, self.border[..., :0], np.zeros((0, 0)), nothing)
 
 
 @dataclass(frozen=True)
@@ -101,19 +106,22 @@ class Window:
         return np.concatenate([corner, gradient[:, None]], axis=1)
 
 
-def step(pieces: Iterable[Normal], damping: float) -> tuple[Array, Array]:
-    """Return the damped step towards the minimum, (T, D) and (P,).
+def step(pieces: Iterable[Normal], damping: float) -> tuple[Array, Array, float]:
+    """Return the damped step towards the minimum, (T, D) and (P,), and the slope of the cost along it.
 
     Raises
     ------
     numpy.linalg.LinAlgError
         If a damped matrix is not positive definite, see `factored`.
     """
-    windows, kept = list[tuple[Window | Array, Array]](), 0
+    windows, gradients, kept = list[tuple[Window | Array, Array]](), list[Array](), 0
+    shared_gradient: Array | float = 0.0
     for window in eliminated(pieces, damping):
         kept += window.factor.band.size + window.whitened.size
         is_kept = window.whitened.shape[-1] >= _IN_BLOCKS and kept < _KEPT
         windows.append((window if is_kept else window.solved(), window.reduced()))
+        gradients.append(window.piece.gradient)
+        shared_gradient = shared_gradient + window.piece.shared_gradient
     reduced = np.sum([part for _, part in windows], axis=0)
     corner, gradient = reduced[:, :-1], reduced[:, -1]
     shared = -np.asarray(np.linalg.solve(corner + damping * np.eye(len(corner)), gradient), dtype=float)
@@ -124,7 +132,9 @@ def step(pieces: Iterable[Normal], damping: float) -> tuple[Array, Array]:
         white = part.whitened[..., 0] + part.whitened[..., 1:] @ shared
         return -part.unwhiten(white)  # one right-hand side replaces all
 
-    return np.concatenate([frames_step(part) for part, _ in windows]), shared
+    steps = [frames_step(part) for part, _ in windows]
+    slope = sum(float(np.vdot(*pair)) for pair in zip(gradients, steps, strict=True))
+    return np.concatenate(steps), shared, slope + float(np.vdot(shared_gradient, shared))
 
 
 def eliminated(pieces: Iterable[Normal], damping: float | Array = 0.0, bounded: bool = False) -> Iterator[Window]:
@@ -267,13 +277,10 @@ class _Factor:
         rows = np.zeros((T, D, P))  # rows[t] is L_tt', L_t+1,t', ... at first, and Z[t, t], Z[t, later] in the end
         for j in range(D):
             rows[:, j, j:] = columns[:, j, : P - j]
-        # L_tt' is an upper triangle: the LU decomposition inside has nothing to do, and does not pivot
-        roots = np.linalg.inv(rows[:, :, :D])
-
         window = np.zeros((P, P))  # Z of the frames t, later; a frame after the last one is zero
         later = window[: P - D, : P - D]
         for t in range(T - 1, -1, -1):
-            root = roots[t]
+            root = dtrtri(rows[t, :, :D].T, lower=1)[0].T  # L_tt' is an upper triangle
             gain = -root @ rows[t, :, D:]
             across = gain @ later
             block = root @ root.T + across @ gain.T

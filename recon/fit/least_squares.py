@@ -44,6 +44,12 @@ _PIECE_S = 5.5
 Solving in pieces changes the states by 1e-6 at most.
 """
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e6
+_REMAINING, _BEYOND = 0.5, 0.1
+"""Fractions of the decrease at which a search ends: the search also ends if the next decrease is expected to be smaller
+than the first; and a step is extended for a decrease of more than the second.
+"""
+_LONGEST = 4.0
+"""Factor by which a step is extended at most."""
 _STEP_SHARES = (1.0, 0.5, 0.2)
 """Fractions of a step that are tried before the damping is increased."""
 
@@ -132,9 +138,11 @@ class LeastSquares:
     def squares(self, states: Array, shared: Mapping[str, Array] | None = None) -> float:
         """Return the sum of all squared residuals."""
         total = sum(float(np.sum(term.residual(states) ** 2)) for term in self.linear)
-        for span in self.spans(states, self.expected() if shared is None else shared, jacobian=True):
+        jacobian = any(isinstance(term, MARKER_TERMS) and not isinstance(term, Reprojection) for term in self.terms)
+        for span in self.spans(states, self.expected() if shared is None else shared, jacobian):
             for term in self.terms:
-                total += float(np.sum(term.evaluate(span, jacobian=True).residual ** 2))
+                rows = term.point_rows(span) if isinstance(term, Reprojection) else term.evaluate(span, jacobian=True)
+                total += float(np.sum(rows.residual**2))
         return total
 
     def cost(self, states: Array, shared: Mapping[str, Array] | None = None) -> float:
@@ -185,7 +193,9 @@ class LeastSquares:
                 at = term.frames(T)
                 for offset, slot in zip(term.stencil, term.slots, strict=True):
                     first, last = np.searchsorted(at + offset, [start, stop])
-                    gradient[at[first:last] + offset - start] += residual[first:last] @ slot
+                    if first < last:
+                        row = at[first] + offset - start
+                        gradient[row : row + last - first] += residual[first:last] @ slot
             while span is not None and span.first < stop:
                 by_shape, first = self._by_shape(span), span.first - start
                 with_shape = None if by_shape is None else _moved_by_shape(span, by_shape)
@@ -213,43 +223,60 @@ class LeastSquares:
     ) -> Estimate:
         """Return the minimum from a start.
 
-        The search stops when a step lowers the cost by less than tolerance times max(cost, 1).
+        The search stops when a step lowers the cost by less than tolerance times max(|cost|, 1), or when the cost fell
+        so nearly by half of the slope along a whole step that the next step cannot lower it by half as much.
         """
         shared = self.expected() if shared is None else shared
         current, damping = Estimate(states, self.cost(states, shared), 0, False, shared), _FIRST_DAMPING
         for iteration in range(1, max_iterations + 1):
-            lower, damping = self._damped_step(current, damping)
-            done = lower is None or current.cost - lower.cost < tolerance * max(current.cost, 1.0)
+            enough = tolerance * max(abs(current.cost), 1.0)
+            lower, damping, remaining = self._damped_step(current, damping, enough)
+            done = lower is None or current.cost - lower.cost < enough or remaining < _REMAINING * enough
             current = replace(lower or current, iterations=iteration, converged=done)
             if done:  # no direction lowers the cost: a minimum to rounding
                 break
         return current
 
-    def _damped_step(self, current: Estimate, damping: float) -> tuple[Estimate | None, float]:
-        """Return a point of lower cost along a damped step, or None if there is none, and the next damping."""
+    def _damped_step(self, current: Estimate, damping: float, enough: float) -> tuple[Estimate | None, float, float]:
+        """Return a point of lower cost along a damped step, or None if there is none.
+
+        After it: the next damping, and the decrease of the cost that is expected after this step, infinite if unknown.
+        Decreases below `enough` are not searched for.
+        """
         normals = self.normals(current.states, current.shared)
         while damping <= _MOST_DAMPING:
             try:
-                states_step, shared_step = step(normals(), damping)
+                states_step, shared_step, slope = step(normals(), damping)
                 for share in _STEP_SHARES:
-                    trial = current.states + share * states_step
-                    shared = {
-                        name: current.shared[name] + share * shared_step[columns]
-                        for name, columns in self.columns.items()
-                    }
-                    cost = self.cost(trial, shared)
-                    if cost < current.cost:
+                    trial = self._moved(current, states_step, shared_step, share)
+                    if trial.cost < current.cost:
                         next_damping = max(damping * (0.2 if share == 1.0 else 0.6), _LEAST_DAMPING)
-                        return replace(current, states=trial, cost=cost, shared=shared), next_damping
+                        if share < 1.0:
+                            return trial, next_damping, np.inf
+                        # the loss bends less than its model: the cost fell by more than half of the slope
+                        beyond = current.cost - trial.cost + 0.5 * slope
+                        if _BEYOND * enough < beyond < 0.5 * max(abs(current.cost), 1.0):
+                            length = _best_length(current.cost - trial.cost, slope)
+                            further = self._moved(current, states_step, shared_step, length)
+                            trial = further if further.cost < trial.cost else trial
+                        return trial, next_damping, abs(beyond)
             except np.linalg.LinAlgError:  # not positive definite to rounding: more damping
                 pass
             damping = max(20.0 * damping, _FIRST_DAMPING)
-        return None, damping
+        return None, damping, np.inf
+
+    def _moved(self, current: Estimate, states_step: Array, shared_step: Array, share: float) -> Estimate:
+        """Return the point at a share of a step, with its cost."""
+        states = current.states + share * states_step
+        shared = {name: current.shared[name] + share * shared_step[columns] for name, columns in self.columns.items()}
+        return replace(current, states=states, cost=self.cost(states, shared), shared=shared)
 
     def spans(self, states: Array, shared: Mapping[str, Array], jacobian: bool) -> Iterator[Span]:
         """Yield the clip in spans that overlap by one frame."""
         tree = self.tree if self.shape is None else self.shape.applied(shared).detected
         pose = tree.pose_with_jacobian if jacobian else tree.pose
+        if not any(isinstance(term, MARKER_TERMS) for term in self.terms):
+            pose = _no_markers
         names = [segment.name for segment in tree.segments]
         segment_of_marker = [names.index(marker.segment) for marker in tree.markers]
         for first in range(0, len(states), _FRAMES_AT_ONCE):
@@ -300,6 +327,16 @@ class LeastSquares:
                 for b, row in enumerate(term.stencil[a:], start=a):
                     blocks[term.frames(T) + column, row - column] += term.slots[b].T @ term.slots[a]
         return blocks
+
+
+def _no_markers(states: Array) -> TreePose:
+    return TreePose(np.zeros((len(states), 0, 3)), np.zeros((len(states), 0, 3, states.shape[1])))
+
+
+def _best_length(decrease: float, slope: float) -> float:
+    """Return the length of least cost along a step, by the parabola through its end; at most `_LONGEST`."""
+    bend = -decrease - slope  # the cost at length x is slope x + bend x^2
+    return min(-0.5 * slope / bend, _LONGEST) if bend > 0 else _LONGEST
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ variable of Fisher's F with k and nu degrees of freedom.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.special import fdtri
@@ -47,7 +47,7 @@ from recon.animal.body import Body
 from recon.animal.prior import ANGLES
 from recon.base.arrays import Array
 from recon.fit import constants
-from recon.fit.banded import Window, eliminated
+from recon.fit.banded import Normal, Window, eliminated
 from recon.fit.body_shape import Shape
 from recon.fit.least_squares import Estimate, LeastSquares
 from recon.fit.terms import COMMON_KEYPOINT_BIAS, LENGTHS, PRIOR_TERMS, SIZE, Reprojection, size_of
@@ -111,6 +111,8 @@ class _Curvature:
     than the size, and the precision (1 + P, 1 + P) of all shared unknowns.
     """
 
+    normals: Callable[[], Iterable[Normal]]
+    """The normal equations, in pieces."""
     eliminated: Callable[[], Iterable[Window]]
     root: Array
     others_by_size: Array
@@ -143,13 +145,24 @@ class _Curvature:
             yield window, by_others, by_size
 
 
-def curvature(problem: LeastSquares, estimate: Estimate, variance_factor: float) -> _Curvature:
-    """Return the curvature with nuisance unknowns free and the common bias as wide as the detections show."""
-    problem = replace(problem, shared=[*problem.shared, *problem.nuisance], nuisance=())
-    normals = problem.normals(estimate.states, problem.expected() | dict(estimate.shared))
+def curvature(
+    problem: LeastSquares, estimate: Estimate, variance_factor: float, normal: Normal | None = None
+) -> _Curvature:
+    """Return the curvature with nuisance unknowns free and the common bias as wide as the detections show.
+
+    `normal` holds the problem's normal equations with the nuisance unknowns, if they are known.
+    """
+    problem = _with_free_nuisance(problem)
+    shared = problem.expected() | dict(estimate.shared)
+    normals = problem.normals(estimate.states, shared) if normal is None else lambda: [normal]
+    is_short = len(estimate.states) <= 2 * problem.piece
+    # an undetermined unknown gets a large variance, not an error
+    kept = [*eliminated(normals(), bounded=True)] if is_short else []
 
     def windows() -> Iterable[Window]:
-        return eliminated(normals(), bounded=True)  # an undetermined unknown gets a large variance, not an error
+        return kept or eliminated(
+            normals(), bounded=True
+        )  # an undetermined unknown gets a large variance, not an error
 
     reduced = np.sum([window.reduced() for window in windows()], axis=0)
     S, n_size, beyond_m2 = reduced[:, :-1].copy(), int(SIZE in problem.columns), 0.0
@@ -171,6 +184,7 @@ def curvature(problem: LeastSquares, estimate: Estimate, variance_factor: float)
     covariance_root = np.asarray(np.linalg.cholesky(others_covariance), dtype=float)
     columns = problem.columns.get(LENGTHS)
     return _Curvature(
+        normals,
         windows,
         covariance_root,
         others_by_size,
@@ -181,6 +195,10 @@ def curvature(problem: LeastSquares, estimate: Estimate, variance_factor: float)
         reduced[:, -1],
         None if columns is None else slice(columns.start - n_size, columns.stop - n_size),
     )
+
+
+def _with_free_nuisance(problem: LeastSquares) -> LeastSquares:
+    return replace(problem, shared=[*problem.shared, *problem.nuisance], nuisance=())
 
 
 def _bias_scale(S: Array, g: Array, columns: slice, variance: Array, variance_factor: float) -> float:
@@ -206,29 +224,84 @@ def with_noise_about_bias(problem: LeastSquares, estimate: Estimate, variance_fa
     the bias would count twice. The variance of the noise is the likeliest one: the squared residuals that remain after
     the best bias, divided by the number of detections less those that determine the bias.
     """
+    return _with_noise_about_bias(problem, estimate, variance_factor)[0]
+
+
+def _with_noise_about_bias(
+    problem: LeastSquares, estimate: Estimate, variance_factor: float
+) -> tuple[LeastSquares, Normal | None]:
+    """Return `with_noise_about_bias`, and for a short clip the normal equations with the nuisance unknowns."""
     if COMMON_KEYPOINT_BIAS not in [unknown.name for unknown in (*problem.shared, *problem.nuisance)]:
-        return problem
+        return problem, None
+    equations = _EquationsByNoise.of_problem(problem, estimate)
+    all_squares = problem.subset(("reprojection",)).squares(estimate.states, estimate.shared)
+    reprojections = [term for term in problem.terms if isinstance(term, Reprojection)]
+    detections = 2 * sum(int(term.view.present.sum()) for term in reprojections)
+    factor, scaled = 1.0, problem
     for _ in range(_NOISE_ROUNDS):
-        problem_curvature, detections = curvature(problem, estimate, variance_factor), problem.subset(("reprojection",))
+        problem_curvature = curvature(scaled, estimate, variance_factor, equations.normal(factor))
         covariance = np.linalg.inv(problem_curvature.shared_precision)
         bias, expected = covariance @ problem_curvature.pull, problem_curvature.expected_precision
-        squares = detections.squares(estimate.states, estimate.shared) - float(
-            problem_curvature.pull @ bias + expected @ bias**2
-        )
+        squares = all_squares / factor - float(problem_curvature.pull @ bias + expected @ bias**2)
         bias_detections = variance_factor * (len(bias) - float(expected @ np.diagonal(covariance)))
-        reprojections = [term for term in problem.terms if isinstance(term, Reprojection)]
-        noise_detections = max(2 * sum(int(term.view.present.sum()) for term in reprojections) - bias_detections, 1.0)
-        factor = float(np.clip(constants.NOISE_ABOUT_BIAS * squares / noise_detections, *_NOISE_FACTOR))
-        reprojections = [
-            replace(term, view=replace(term.view, confidence=term.view.confidence / factor)) for term in reprojections
-        ]
-        problem = replace(
-            problem, terms=[*reprojections, *(term for term in problem.terms if not isinstance(term, Reprojection))]
-        )
-    return problem
+        noise_detections = max(detections - bias_detections, 1.0)
+        factor *= float(np.clip(constants.NOISE_ABOUT_BIAS * squares / noise_detections, *_NOISE_FACTOR))
+        scaled = _with_noise_factor(problem, factor)
+    return scaled, equations.normal(factor)
 
 
-def posterior(problem: LeastSquares, body: Body, estimate: Estimate, variance_factor: float) -> Posterior:
+def _with_noise_factor(problem: LeastSquares, factor: float) -> LeastSquares:
+    """Return the problem with the variance of all detections times a factor."""
+    reprojections = [
+        replace(term, view=replace(term.view, confidence=term.view.confidence / factor))
+        for term in problem.terms
+        if isinstance(term, Reprojection)
+    ]
+    other_terms = [term for term in problem.terms if not isinstance(term, Reprojection)]
+    return replace(problem, terms=[*reprojections, *other_terms])
+
+
+@dataclass(frozen=True)
+class _EquationsByNoise:
+    """Hold the normal equations of a short clip, from which those with other noise of the detections follow."""
+
+    whole: Normal | None
+    """The normal equations; None for a long clip, whose normal equations are too large."""
+    undetected: Normal | None
+    """Those of all terms but the detections."""
+
+    @classmethod
+    def of_problem(cls, problem: LeastSquares, estimate: Estimate) -> _EquationsByNoise:
+        """Return the normal equations at a solution, with the nuisance unknowns."""
+        if len(estimate.states) > problem.piece:
+            return cls(None, None)
+        problem = _with_free_nuisance(problem)
+        shared = problem.expected() | dict(estimate.shared)
+        undetected = replace(problem, terms=[term for term in problem.terms if not isinstance(term, Reprojection)])
+        return cls(problem.normal(estimate.states, shared), undetected.normal(estimate.states, shared))
+
+    def normal(self, factor: float) -> Normal | None:
+        """Return the normal equations with the variance of all detections times a factor."""
+        whole, undetected = self.whole, self.undetected
+        if whole is None or undetected is None:
+            return None
+
+        def scaled(name: str) -> Array:
+            rest = getattr(undetected, name)
+            return (getattr(whole, name) - rest) / factor + rest
+
+        return Normal(*(scaled(field.name) for field in fields(Normal)))
+
+
+def posterior_about_bias(problem: LeastSquares, body: Body, estimate: Estimate, variance_factor: float) -> Posterior:
+    """Return the posterior at a minimum, for the noise of detections about their keypoint bias."""
+    problem, normal = _with_noise_about_bias(problem, estimate, variance_factor)
+    return posterior(problem, body, estimate, variance_factor, normal)
+
+
+def posterior(
+    problem: LeastSquares, body: Body, estimate: Estimate, variance_factor: float, normal: Normal | None = None
+) -> Posterior:
     """Return the posterior at a minimum.
 
     Parameters
@@ -241,10 +314,12 @@ def posterior(problem: LeastSquares, body: Body, estimate: Estimate, variance_fa
         The minimum.
     variance_factor
         Factor on all variances: the correlation length of errors, in frames, which the cost does not know.
+    normal
+        The normal equations with the nuisance unknowns, if they are known.
     """
     states, size = estimate.states, size_of(estimate.shared)
     (T, D), J = states.shape, len(body.markers)
-    solution = curvature(problem, estimate, variance_factor)
+    solution = curvature(problem, estimate, variance_factor, normal)
     absolute, relative, by_size = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3)), np.empty((T, J, 3))
     state_by_size, angle_variance = np.empty((T, D)), np.empty((2, T, D - YAW))
     for window, by_others, window_by_size in solution.windows():  # one at a time, because a window is large
@@ -262,7 +337,7 @@ def posterior(problem: LeastSquares, body: Body, estimate: Estimate, variance_fa
         covariance += np.multiply.outer(solution.beyond_m2, np.eye(3))
         covariance *= variance_factor
         covariance += body.marker_sigma_m**2 * np.eye(3)
-    data_share, angle_variance[1] = _without_pixels(problem, body, estimate)
+    data_share, angle_variance[1] = _without_pixels(problem, body, estimate, solution.normals)
     return Posterior(
         covariance_m2=absolute,
         relative_covariance_m2=relative,
@@ -315,22 +390,26 @@ def _add_shape(
         by_size[rows] += size * by_length @ solution.others_by_size[solution.lengths]
 
 
-def _without_pixels(problem: LeastSquares, body: Body, estimate: Estimate) -> tuple[Array, Array]:
+def _without_pixels(
+    problem: LeastSquares, body: Body, estimate: Estimate, normals: Callable[[], Iterable[Normal]]
+) -> tuple[Array, Array]:
     """Return the joints' information fraction (J,), and the angles' variance without pixels (T, D - 3).
 
-    Priors do not determine a frame's position and heading. For the information fraction, which compares joints within
-    the body with and without pixels, position and heading are fixed; for the angles they are nearly free.
+    `normals` gives the normal equations with the pixels; in a short clip, they are kept and used. Priors do not
+    determine a frame's position and heading. For the information fraction, which compares joints within the body with
+    and without pixels, position and heading are fixed; for the angles they are nearly free.
     """
     states, (T, D) = estimate.states, estimate.states.shape
     frames = replace(problem, shared=(), nuisance=())
     prior_frames = replace(frames, terms=[term for term in problem.terms if term.name != "reprojection"])
-    with_pixels, without_pixels = frames.normals(states, estimate.shared), prior_frames.normals(states)
+    without_pixels = prior_frames.normals(states)
+    with_pixels = normals if 2 * problem.piece >= T else frames.normals(states, estimate.shared)
     is_position = np.isin(np.arange(D), [*range(D)[ROOT], YAW])
     variances = np.empty((2, T, len(body.markers)))
-    for variance, normals in zip(variances, (with_pixels, without_pixels), strict=True):
-        for window in eliminated(normals(), np.where(is_position, _FIXED, 0.0), bounded=True):
-            _, relative, _ = _joint_covariances(body, states[window.rows], window.marginal_blocks()[:, 0])
-            variance[window.rows] = np.trace(relative, axis1=2, axis2=3)
+    for variance, normals_of_frames in zip(variances, (with_pixels, without_pixels), strict=True):
+        pieces = (piece.without_shared() for piece in normals_of_frames())
+        for window in eliminated(pieces, np.where(is_position, _FIXED, 0.0), bounded=True):
+            variance[window.rows] = _relative_variances(body, states[window.rows], window.marginal_blocks()[:, 0])
     angle_variance = np.empty((T, D - YAW))
     for window in eliminated(without_pixels(), np.where(is_position, _NEARLY_FREE, 0.0), bounded=True):
         angle_variance[window.rows] = np.diagonal(window.marginal_blocks()[:, 0], axis1=1, axis2=2)[:, YAW:]
@@ -393,12 +472,31 @@ def _joint_covariances(
     for first in range(0, T, _FRAMES_AT_ONCE):
         rows = slice(first, first + _FRAMES_AT_ONCE)
         pose = body.tree.pose_with_jacobian(states[rows])
-        centred = pose.jacobian - pose.jacobian.mean(axis=1, keepdims=True)
-        for covariance, jacobian in ((absolute, pose.jacobian), (relative, centred)):
-            covariance[rows] = jacobian @ state_covariance[rows, None] @ jacobian.swapaxes(2, 3)
+        by_states = pose.jacobian
+        moved = _times(by_states, state_covariance[rows])
+        absolute[rows] = moved @ by_states.swapaxes(2, 3)
+        centred, moved = (values - values.mean(axis=1, keepdims=True) for values in (by_states, moved))
+        relative[rows] = moved @ centred.swapaxes(2, 3)
         if state_by_size is not None:
-            by_size[rows] = pose.points_m + size * (pose.jacobian @ state_by_size[rows, None, :, None])[..., 0]
+            by_size[rows] = pose.points_m + size * (by_states @ state_by_size[rows, None, :, None])[..., 0]
     return absolute, relative, by_size
+
+
+def _relative_variances(body: Body, states: Array, state_covariance: Array) -> Array:
+    """Return the traces (T, J) of the joints' covariances relative to their mean, from the states' (T, D, D)."""
+    variances = np.empty((len(states), len(body.markers)))
+    for first in range(0, len(states), _FRAMES_AT_ONCE):
+        rows = slice(first, first + _FRAMES_AT_ONCE)
+        by_states = body.tree.pose_with_jacobian(states[rows]).jacobian
+        by_states = by_states - by_states.mean(axis=1, keepdims=True)
+        variances[rows] = np.einsum("tjad,tjad->tj", _times(by_states, state_covariance[rows]), by_states)
+    return variances
+
+
+def _times(by_states: Array, state_covariance: Array) -> Array:
+    """Return derivatives (T, J, 3, D) times covariances (T, D, D)."""
+    T, J, _, D = by_states.shape
+    return (by_states.reshape(T, 3 * J, D) @ state_covariance).reshape(T, J, 3, D)
 
 
 @dataclass(frozen=True)
@@ -426,7 +524,8 @@ class PriorMisfit:
 def prior_misfit_of(problem: LeastSquares, estimate: Estimate) -> PriorMisfit:
     """Return the misfit of the prior at the minimum of a problem, under its present weight."""
     prior, by_prior = problem.subset(PRIOR_TERMS), 0.0
-    windows = eliminated(problem.normals(estimate.states, estimate.shared)(), bounded=True)
+    frames = replace(problem, shared=(), nuisance=())  # a frame's covariance is taken with the shared unknowns fixed
+    windows = eliminated(frames.normals(estimate.states, estimate.shared)(), bounded=True)
     for window, prior_normal in zip(windows, prior.normals(estimate.states)(), strict=True):
         overlap = window.marginal_blocks() * prior_normal.blocks
         by_prior += float(overlap[:, 0].sum() + 2 * overlap[:, 1:].sum())

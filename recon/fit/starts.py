@@ -187,6 +187,10 @@ _SAME_M = 0.05
 """Mean distance of the markers below which two starts are on the way to the same minimum."""
 ALTERNATIVE_COST = 20.0
 """Largest extra cost at which a second solution is reported."""
+_INTERMEDIATE_TOLERANCE = 0.2
+"""Relative decrease of the cost at which the search with one of the noises between the first and the last one ends."""
+_RAYS_OF_VIEW = 16
+"""Number of frames of a view, about, that choose the headings."""
 _MIN_RAYS = 2
 """Smallest number of rays of a frame with which a shape can be positioned."""
 
@@ -207,13 +211,14 @@ def approach(clip: ClipProblem) -> list[Estimate]:
 
     starts = [minimum(states[kept_frames], _NOISE_FACTORS[0], 1e-2, 12) for states in _starts(clip)]
     starts.sort(key=lambda start: start.cost)
-    tolerance, narrower = 3e-3 if fast else 1e-3, _NOISE_FACTORS[1:]
+    narrower = [(widen, _INTERMEDIATE_TOLERANCE) for widen in _NOISE_FACTORS[1:-1]]
+    narrower.append((_NOISE_FACTORS[-1], 3e-3 if fast else 1e-3))
     minima = [starts[0]]  # minima of the best start, one for each noise level
-    for widen in narrower:
+    for widen, tolerance in narrower:
         minima.append(minimum(minima[-1].states, widen, tolerance, 15))
     finished = [minima[-1]]
     for estimate in [] if fast else starts[1:2]:
-        for widen, best in zip(narrower, minima[1:], strict=True):
+        for (widen, tolerance), best in zip(narrower, minima[1:], strict=True):
             if estimate.cost > finished[0].cost + ALTERNATIVE_COST:
                 break  # less noise only makes it costlier
             estimate = minimum(estimate.states, widen, tolerance, 15)
@@ -235,10 +240,17 @@ def _distance_m(clip: ClipProblem, estimate: Estimate, reference: Estimate) -> f
 
 
 def interpolate_states(states: Array, at: Index, T: int) -> Array:
-    """Return states (T, D) interpolated linearly between those (n, D) at some frames (n,)."""
-    states = states.copy()
+    """Return states (T, D) interpolated linearly between those (n, D) at some frames (n,).
+
+    The root moves on at its last velocity after the last of these frames, and the angles stay.
+    """
+    states, frames = states.copy(), np.arange(T)
     states[:, YAW] = np.unwrap(states[:, YAW])
-    return np.stack([np.interp(np.arange(T), at, column) for column in states.T], axis=1)
+    result = np.stack([np.interp(frames, at, column) for column in states.T], axis=1)
+    if len(at) > 1:
+        velocity = (states[-1, ROOT] - states[-2, ROOT]) / (at[-1] - at[-2])
+        result[:, ROOT] += np.maximum(frames - at[-1], 0)[:, None] * velocity
+    return result
 
 
 def _starts(clip: ClipProblem) -> list[Array]:
@@ -282,7 +294,7 @@ def _rays(clip: ClipProblem) -> tuple[Array, Array, Array]:
     min_rays = MIN_JOINTS if max(count.max() for count in counts) >= MIN_JOINTS else _MIN_RAYS
     for view, count in zip(clip.views, counts, strict=True):
         usable = np.flatnonzero(count >= min_rays)
-        chosen = usable[:: max(1, min(3 * len(clip.views), len(usable) // 6))]
+        chosen = usable[:: max(1, min(3 * len(clip.views), len(usable) // 6), len(usable) // _RAYS_OF_VIEW)]
         rays.append(view.part(chosen).rays())
         centres.append(view.centre_m[chosen] - clip.origin_m)
         frames.append(chosen)

@@ -165,10 +165,12 @@ class Linear:
 
     def residual(self, states: Array) -> Array:
         """Return the residual (N, M) of a whole clip (T, D)."""
-        frames = self.frames(len(states))
-        r = np.tile(-self.target, (len(frames), 1))
+        first = -self.stencil[0]
+        stop = max(len(states) - self.stencil[-1], first)
+        r = np.empty((stop - first, len(self.target)))
+        r[:] = -self.target
         for offset, slot in zip(self.stencil, self.slots, strict=True):
-            r += states[frames + offset] @ slot.T
+            r += states[first + offset : stop + offset] @ slot.T
         return r
 
 

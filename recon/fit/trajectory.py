@@ -10,7 +10,7 @@ distance below the camera if they determine it. The steps to the minimum are:
 viewing rays (`recon.fit.starts`). The best headings, and the best one mirrored in depth, start the clip.
 2. Approach, at a lower frame rate. Each start has one Gaussian of poses and wide noise that narrows; the two best
 starts go to the end.
-3. The mixture of poses replaces the Gaussian, flattened at first.
+3. The mixture of poses replaces the Gaussian, flattened at first, still at the lower frame rate.
 4. Rounds that estimate the noise of every joint in every view from its residuals (maximum likelihood under the robust
 loss), contacts and the ground from the feet, and solve for the minimum again. The size is free where several views show
 it. If the motion is unlikely under the prior in the first round, the prior loses weight for the rest
@@ -42,9 +42,9 @@ from recon.fit.banded import eliminated
 from recon.fit.body_shape import FreeShape
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
 from recon.fit.least_squares import Estimate, LeastSquares, SharedUnknown
-from recon.fit.posterior import Posterior, PriorMisfit, posterior, prior_misfit_of, with_noise_about_bias, with_size
+from recon.fit.posterior import Posterior, PriorMisfit, posterior_about_bias, prior_misfit_of, with_size
 from recon.fit.result import SHAPES, Ground, MotionSegment, SecondCamera, SolvedShape, TrajectorySolution
-from recon.fit.starts import ALTERNATIVE_COST, approach, interpolate_states
+from recon.fit.starts import ALTERNATIVE_COST, APPROACH_HZ, approach, interpolate_states
 from recon.fit.terms import (
     COMMON_KEYPOINT_BIAS,
     LENGTHS,
@@ -65,10 +65,12 @@ WINDOW_S = 1.0
 """Length of the windows in which a clip is started."""
 STARTS_END, ROUNDS_END = 0.2, 0.8
 """Fractions of a solve's time after which the starts and the rounds are done; the posterior is the rest."""
-ROUND_EFFORT = 5.0
-"""Time of a round with estimated noise relative to one of the mixture of poses, in clips of 600 frames."""
-_TEMPERATURES = (8.0, 3.0, 1.0)
+FLATTENED_SHARE = 0.1
+"""Fraction of the time between the starts and the posterior that flattened mixtures of poses take."""
+_TEMPERATURES = (8.0, 3.0)
 """Temperatures that flatten the mixture of poses, one after the other."""
+_FLATTENED_TOLERANCE, _FLATTENED_ITERATIONS = 1e-3, 8
+"""Relative decrease of the cost at which the search with one temperature ends, and its most iterations."""
 _MORE_ROUNDS = 3
 """Further rounds if the prior has lost most of its weight, until noise and contacts have settled again."""
 POOR_SHARE, POORER_SHARE = 1 / 3, 0.8
@@ -292,7 +294,7 @@ def _without_shape(segment: SegmentFit) -> SegmentFit:
 
 def refined(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
     """Solve one more round from a solution, for a problem that may have changed slightly."""
-    return _solve_round(replace(clip.part(segment.rows), prior_weight=segment.prior_weight), segment, 1.0, whole=True)
+    return _solve_round(replace(clip.part(segment.rows), prior_weight=segment.prior_weight), segment)
 
 
 def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> SegmentFit:
@@ -304,62 +306,68 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
     windows = _windows(clip, progress)
     iterations = sum(start.iterations for _, starts in windows for start in starts)
 
-    temperatures = [
-        flattening
-        for flattening in _TEMPERATURES
-        if flattening > 1 and not options.fast and len(clip.prior.weights) > 1
-    ]
-    stages: list[tuple[float | None, bool]] = [(None, False)] if len(windows) > 1 else []
-    stages += [*((flattening, False) for flattening in temperatures), *[(1.0, True)] * rounds]
+    temperatures: list[float | None] = [None] if len(windows) > 1 else []
+    if not options.fast and len(clip.prior.weights) > 1:
+        temperatures += _TEMPERATURES
     first_states = [(frames, starts[0].states) for frames, starts in windows]
     start_frames = np.concatenate([np.arange(T)[frames] for frames, _ in first_states])
     estimate = Estimate(
         interpolate_states(np.concatenate([states for _, states in first_states]), start_frames, T), np.inf, 0, False
     )
-    segment = SegmentFit.unsolved(clip, rows, estimate)
-    for i, (temperature, whole) in enumerate(stages):
-        is_first, is_last = whole and (i == 0 or not stages[i - 1][1]), i == len(stages) - 1
-        keeps_shape = is_first and clip.detector_is_measured  # the solution is close to the expected shape
-        segment = _solve_round(replace(clip, shape=None) if keeps_shape else clip, segment, temperature, whole)
+    segment = _solve_flattened(clip, SegmentFit.unsolved(clip, rows, estimate), temperatures)
+    rounds_began = STARTS_END + (ROUNDS_END - STARTS_END) * FLATTENED_SHARE
+    progress("whole clip", rounds_began)
+    for i in range(rounds):
+        is_last = i == rounds - 1
+        keeps_shape = i == 0 and clip.detector_is_measured  # the solution is close to the expected shape
+        segment = _solve_round(replace(clip, shape=None) if keeps_shape else clip, segment)
         if LENGTHS in segment.estimate.shared:
             clip = clip.with_likely_shape_spread(segment.estimate.shared)
         unsettled = segment.prior_misfit is None or (segment.prior_weight < 1 and not is_last)
-        if whole and unsettled and clip.prior.name != NONE:
+        if unsettled and clip.prior.name != NONE:
             misfit = prior_misfit_of(segment.problem, segment.estimate)
             clip = replace(clip, prior_weight=clip.prior_weight * misfit.prior_weight)
             segment = replace(segment, prior_misfit=segment.prior_misfit or misfit, prior_weight=clip.prior_weight)
-        done = sum(ROUND_EFFORT if is_whole else 1.0 for _, is_whole in stages[: i + 1])
-        all_effort = sum(ROUND_EFFORT if is_whole else 1.0 for _, is_whole in stages)
-        progress("whole clip", STARTS_END + (ROUNDS_END - STARTS_END) * done / all_effort)
+        progress("whole clip", rounds_began + (ROUNDS_END - rounds_began) * (i + 1) / rounds)
     settled = segment.prior_misfit is None or not segment.prior_misfit.unlike
     for _ in range(int(rounds == 1 and segment.prior_weight < 1) if settled else _MORE_ROUNDS):
-        segment = _solve_round(clip, segment, 1.0, whole=True)
+        segment = _solve_round(clip, segment)
     return replace(segment, windows=windows, iterations=segment.iterations + iterations)
 
 
-def _solve_round(clip: ClipProblem, segment: SegmentFit, temperature: float | None, whole: bool) -> SegmentFit:
-    """Return the minimum from a solution.
+def _solve_flattened(clip: ClipProblem, segment: SegmentFit, temperatures: Sequence[float | None]) -> SegmentFit:
+    """Return a segment solved at a lower frame rate with flattened mixtures of poses; None means one Gaussian."""
+    if not temperatures:
+        return segment
+    step, T = max(1, round(clip.fps / APPROACH_HZ)), len(clip)
+    kept_frames, thin = np.arange(0, T, step), replace(clip.thinned(step), shape=None)
+    estimate, iterations = segment.estimate, 0
+    estimate = replace(estimate, states=estimate.states[kept_frames])
+    for temperature in temperatures:
+        points, size = thin.markers(estimate.states), size_of(estimate.shared)
+        problem = thin.problem(thin.noise_px(points, segment.noise, size), temperature, (), points, size)
+        shared = problem.expected() | dict(estimate.shared)
+        estimate = problem.minimise(estimate.states, _FLATTENED_TOLERANCE, _FLATTENED_ITERATIONS, shared)
+        iterations += estimate.iterations
+    offsets = {time_offset(i) for i in range(len(clip.views))}
+    shared = {name: step * values if name in offsets else values for name, values in estimate.shared.items()}
+    estimate = replace(estimate, states=interpolate_states(estimate.states, kept_frames, T), shared=shared)
+    return replace(segment, estimate=estimate, iterations=segment.iterations + iterations)
 
-    With `whole`, the noise, the contacts and the ground are first estimated from the solution.
-    """
-    options = clip.options
-    estimate, noise, contact, ground, contact_terms = (
-        segment.estimate,
-        segment.noise,
-        segment.contact,
-        segment.ground,
-        (),
-    )
-    points, size = with_solved_shape(clip, segment).markers(estimate.states), segment.size
-    if whole:
-        noise = _noise_factors(with_solved_cameras(clip, segment), points, size, noise)
-        if clip.finds_ground:
-            contact, ground, contact_terms = contacts(clip, points, size)
+
+def _solve_round(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
+    """Return the minimum from a solution, from which the noise, the contacts and the ground are estimated first."""
+    options, estimate, size = clip.options, segment.estimate, segment.size
+    contact, ground, contact_terms = segment.contact, segment.ground, ()
+    points = with_solved_shape(clip, segment).markers(estimate.states)
+    noise = _noise_factors(with_solved_cameras(clip, segment), points, size, segment.noise)
+    if clip.finds_ground:
+        contact, ground, contact_terms = contacts(clip, points, size)
     noise_px = clip.noise_px(points, noise, size)
-    problem = (clip if whole else replace(clip, shape=None)).problem(noise_px, temperature, contact_terms, points, size)
-    tolerance = 1e-3 if not whole else (10 if options.fast else 1) * constants.TOLERANCE
-    max_iterations = constants.MAX_ITERATIONS if whole else 8
-    estimate = problem.minimise(estimate.states, tolerance, max_iterations, problem.expected() | dict(estimate.shared))
+    problem = clip.problem(noise_px, 1.0, contact_terms, points, size)
+    tolerance = (10 if options.fast else 1) * constants.TOLERANCE
+    shared = problem.expected() | dict(estimate.shared)
+    estimate = problem.minimise(estimate.states, tolerance, constants.MAX_ITERATIONS, shared)
     segment = replace(segment, noise=noise, noise_px=noise_px, contact=contact, ground=ground)
     return replace(segment, estimate=estimate, problem=problem, iterations=segment.iterations + estimate.iterations)
 
@@ -464,13 +472,8 @@ def _solution(clip: ClipProblem, segments: Sequence[SegmentFit], expected: Body,
     correlation_frames, unshaped = clip.correlation_frames, clip
     clip = with_solved_shape(clip, segments[0]) if segments else clip
     posteriors = [
-        posterior(
-            with_noise_about_bias(
-                _with_expected_shape_spread(unshaped, segment.problem), segment.estimate, correlation_frames
-            ),
-            clip.body,
-            segment.estimate,
-            correlation_frames,
+        posterior_about_bias(
+            _with_expected_shape_spread(unshaped, segment.problem), clip.body, segment.estimate, correlation_frames
         )
         for segment in segments
     ]

@@ -243,10 +243,11 @@ def in_pieces(rng, dense, T, D, W, P, stops):
 def test_a_step_in_two_pieces_that_see_each_other_is_exact(rng, D, W, P):
     T = 12
     pieces, whole, right = in_pieces(rng, dense_system(rng, T, D, W), T, D, W, P, [6, T])
-    moved, shared = step(pieces, 0.01)
+    moved, shared, slope = step(pieces, 0.01)
     expected = np.linalg.solve(whole + 0.01 * np.eye(len(whole)), -right)
     assert_close(moved.ravel(), expected[: T * D])
     assert_close(np.append(shared, 0.0), np.append(expected[T * D :], 0.0))
+    assert slope == pytest.approx(right @ expected)
 
 
 def test_what_lies_before_a_piece_is_eliminated_exactly(rng):
@@ -269,5 +270,5 @@ def test_what_comes_after_the_frames_taken_along_hardly_matters(rng):
     T, D, W = 60, 2, 2
     dense = dense_system(rng, T, D, W)
     pieces, whole, right = in_pieces(rng, dense, T, D, W, 0, [20, 40, T])
-    moved, _ = step(pieces, 0.0)
+    moved, _, _ = step(pieces, 0.0)
     assert_close(moved.ravel(), np.linalg.solve(whole, -right), rtol=1e-3)
