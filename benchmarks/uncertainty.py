@@ -17,6 +17,7 @@ PARTS = {
     "simulated-dogs": Part("simulated_coverage.py", ["--skeleton", "dog-27"]),
     "recorded-dogs": Part("simulated_coverage.py", ["--recorded", "dog"], data="dog-mocap"),
     "drafted": Part("drafted_coverage.py", quick=["--clips", "1", "--cameras", "2"], data="rat-poses"),
+    "rat": Part("drafted_coverage.py", ["--only", "rat", "--skeleton", "rat"], data="rat-poses"),
     "recorded-cheetahs": Part("simulated_coverage.py", ["--recorded", "cheetah"], data="cheetah-runs"),
     "proportions": Part(
         "rigs.py", ["--seeds", "3"], quick=["--seeds", "1", "--animals", "mouse-top", "--cameras", "4"]

@@ -9,7 +9,7 @@ import numpy as np
 from recon.base.arrays import Array
 from recon.check.codes import EFFECTS, finding
 from recon.check.constants import EFFECT_OF_NOTE, LIMIT_OF_TRUNK
-from recon.check.one_step import Detections, one_steps
+from recon.check.one_step import Detections, Step, one_steps
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.result import Finding, TrajectorySolution
 
@@ -17,6 +17,20 @@ DRIFT_SIGMAS = 3.5
 """Drift, in standard deviations, from which it is reported: 1.2 at most in real pairs, 6 for a lost frame per
 second.
 """
+
+
+def drifts_of(clip: ClipProblem, solution: TrajectorySolution) -> dict[int, Step]:
+    """Return the drift of each camera's clock over the clip, in frames, by the camera's number."""
+    segment = solution.longest_segment
+    if segment is None:
+        return {}
+    frames = segment.rows.stop - segment.rows.start
+
+    def by_drift(detections: Detections) -> Array:
+        return detections.by_frame_px * ((detections.frames - 0.5 * (frames - 1)) / frames)[:, None, None]
+
+    first = 1 if len(clip.views) == 2 else 0  # of two cameras only the difference is known
+    return one_steps(clip, solution, dict.fromkeys(range(first, len(clip.views)), by_drift))
 
 
 def drift_findings(
@@ -39,12 +53,7 @@ def drift_findings(
     if segment is None:
         return
     frames = segment.rows.stop - segment.rows.start
-
-    def by_drift(detections: Detections) -> Array:
-        return detections.by_frame_px * ((detections.frames - 0.5 * (frames - 1)) / frames)[:, None, None]
-
-    first = 1 if len(names) == 2 else 0  # of two cameras only the difference is known
-    steps = one_steps(clip, solution, dict.fromkeys(range(first, len(names)), by_drift))
+    steps = drifts_of(clip, solution)
     sigmas = {camera: step.value / step.sigma for camera, step in steps.items()}
     camera = max(sigmas, key=lambda number: abs(sigmas[number]), default=None)
     if camera is None or abs(sigmas[camera]) < DRIFT_SIGMAS:

@@ -1,0 +1,96 @@
+"""Measure how far right and wrong clips are from the limits of two checks: the picture's stretch, the clocks' drift.
+
+    python benchmarks/parts/one_step_limits.py [FOLDER] [--views 8]
+
+Every n-th view of the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data, is fitted as it is, and with x scaled;
+every n-th pair as it is, and with a second camera that takes a picture a second less than its file says. Stretch:
+`recon.check.stretch.deviation`. Drift: the largest of `recon.check.clocks.drifts_of`, in its standard deviations.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import tempfile
+from contextlib import suppress
+from itertools import combinations
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+from arguments import parser_of, runs_of
+from markdown_table import print_table
+from wrong_inputs import Case, Clip, Given, cameras_of, fitted, scaled
+
+from recon import InputError
+from recon.check import inputs
+from recon.check.clocks import DRIFT_SIGMAS, drifts_of
+from recon.check.stretch import LIMITS, deviation, stretch_of
+from recon.fit.clip_problem import ClipProblem
+from recon.fit.result import TrajectorySolution
+
+
+def slow_clock(clip: Clip, given: Given) -> Given:
+    """Return the detections of a camera that takes a picture a second less than its file says."""
+    fps, T = clip.meta["fps"], len(given.xy_px)
+    at = np.arange(T) * fps / (fps - 1)
+    before = at[at <= T - 2].astype(int)
+    share = (at[: len(before)] - before)[:, None, None]
+    xy_px = (1 - share) * given.xy_px[before] + share * given.xy_px[before + 1]
+    return given.seen(xy_px, given.keypoints.frames[: len(before)])
+
+
+CASES = {
+    "untouched": Case(lambda clip, given: given),
+    "x scaled by 0.75": Case(scaled(0.75, 1.0)),
+    "x scaled by 1.33": Case(scaled(4 / 3, 1.0)),
+    "two cameras": Case(lambda clip, given: given, two=True),
+    "two, one a frame a second slow": Case(slow_clock, two=True),
+}
+
+
+def deviations(clip: Clip, case: Case) -> list[float]:
+    """Return the deviation that the check of a clip sees, in standard deviations; nothing if it does not run."""
+    seen: list[float] = []
+
+    def stretch(problem: ClipProblem, solution: TrajectorySolution) -> None:
+        step = stretch_of(problem, solution)
+        seen.extend([] if step is None else [deviation(step)])
+
+    def drift(problem: ClipProblem, solution: TrajectorySolution, *_: object) -> tuple[()]:
+        steps = drifts_of(problem, solution).values()
+        seen.extend([max(abs(step.value / step.sigma) for step in steps)] if steps else [])
+        return ()
+
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        patch.object(inputs, "stretch_finding", stretch),
+        patch.object(inputs, "drift_findings", drift),
+        suppress(InputError),  # a clip whose scaled picture is refused has no check
+    ):
+        fitted(clip, case, Path(folder))
+    return seen[-1:]
+
+
+def main() -> None:
+    parser = parser_of(__doc__, kind="cheetah-runs")
+    parser.add_argument("--views", type=int, default=8, help="every so many views and pairs")
+    arguments = parser.parse_args()
+    runs = runs_of(arguments.folder)
+    views = [Clip(run, (name,)) for run in runs for name in cameras_of(run)][:: arguments.views]
+    pairs = [Clip(run, pair) for run in runs for pair in combinations(cameras_of(run), 2)][:: arguments.views]
+    if not views:
+        parser.exit(message=f"no runs in {arguments.folder}: nothing measured\n")
+    rows = []
+    for name, case in CASES.items():
+        sigmas = [value for clip in (pairs if case.two else views) for value in deviations(clip, case)]
+        limits = f"0 to {DRIFT_SIGMAS}" if case.two else f"{LIMITS[0]} to {LIMITS[1]}"
+        ends = [f"{value:.1f}" for value in np.quantile(sigmas, [0.0, 0.5, 1.0])] if sigmas else ["", "", ""]
+        rows.append([name, len(sigmas), *ends, limits])
+    print_table(["case", "clips", "least deviation", "median", "largest", "not named"], rows)
+
+
+if __name__ == "__main__":
+    main()
