@@ -169,16 +169,39 @@ class SelectivelyDamped(Method):
     interval_s: float = INTERVAL_S
 
     def _solve(self, J: Array, dx: Array, q: Array, free: Free, curvature: Curvature | None) -> JointRates:
-        limit = self.gamma_max_rad / self.interval_s
-        dq = np.zeros(J.shape[1])
         if not J.size or not np.isfinite(J).all():
-            return JointRates(dq, True)
+            return JointRates(np.zeros(J.shape[1]), True)
+        directions = SingularDirections.of_motion(J, dx)
+        return JointRates(self.damped(directions), bool(directions.singular))
+
+    def damped(self, directions: SingularDirections) -> Array:
+        """Return the rates (..., n) of motions that were taken apart."""
+        limit = self.gamma_max_rad / self.interval_s
+        damped = _clamped(directions.rates, directions.shares * limit)
+        total = np.zeros(damped.shape[:-2] + damped.shape[-1:])
+        for m in range(damped.shape[-2]):
+            total += damped[..., m, :]
+        return _clamped(total, np.asarray(limit))
+
+
+class SingularDirections(NamedTuple):
+    """A motion taken apart into the singular directions of J, or the motions of several frames."""
+
+    rates: Array
+    """Undamped rates of each direction, v_i (u_i . dx) / s_i, shape (..., m, n); 0 for a direction without motion."""
+    shares: Array
+    """Share gamma_i / gamma_max that each direction may have, shape (..., m)."""
+    singular: Array
+    """Whether J is singular, shape (...)."""
+
+    @classmethod
+    def of_motion(cls, J: Array, dx: Array) -> SingularDirections:
+        """Take a motion dx (dim,) apart, given J (dim, n)."""
         u, s, vt = np.linalg.svd(J, full_matrices=False)
-        sways = np.abs(vt) @ np.linalg.norm(J, axis=0)
-        for value, part, sway, way in zip(s, dx @ u, sways, vt, strict=True):
-            if value > LOST * s[0]:
-                dq += _clamped(way * (part / value), min(1.0, value / sway) * limit)
-        return JointRates(_clamped(dq, limit), bool(s[-1] ** 2 <= SINGULAR * s[0] ** 2))
+        sways, moves = np.abs(vt) @ np.linalg.norm(J, axis=0), s > LOST * s[0]
+        parts = np.divide(dx @ u, s, out=np.zeros_like(s), where=moves)
+        shares = np.minimum(1.0, np.divide(s, sways, out=np.ones_like(s), where=moves))
+        return cls(vt * parts[:, None], shares, np.asarray(s[-1] ** 2 <= SINGULAR * s[0] ** 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,10 +316,11 @@ def _reduced_inverse(M: Array, N: Array) -> tuple[Array, bool]:
     return (turned * (values / (values * values + floor * floor))) @ turned.T, lost
 
 
-def _clamped(values: Array, limit: float) -> Array:
-    """Return the values scaled down so that the largest magnitude is at most `limit`."""
-    largest = float(np.abs(values).max())
-    return values * (limit / largest) if largest > limit else values
+def _clamped(values: Array, limit: Array) -> Array:
+    """Return values (..., n) scaled down so that the largest magnitude of each row is at most its limit (...)."""
+    largest = np.abs(values).max(axis=-1)
+    factor = np.divide(limit, largest, out=np.ones_like(largest), where=largest > limit)
+    return values * factor[..., None]
 
 
 def _within_limits(chain: SerialChain, free: Free, solved: JointRates) -> JointRates:

@@ -22,6 +22,7 @@ from recon.ik.methods import (
     LeastNorm,
     Method,
     SelectivelyDamped,
+    SingularDirections,
     best_scale,
     damped_least_squares,
     right_inverse,
@@ -114,7 +115,9 @@ def fits(costs: Sequence[Cost] = (), pull: float = 0.0) -> dict[str, Fit]:
         "gradient-projection": lambda frames: _linear(projection, len(costs) or frames.q.shape[1], frames),
         "weighted": lambda frames: _weights(frames, pull),
         "damped": lambda frames: _in_range(damped_least_squares, ("lambda", "m"), frames),
-        "selectively-damped": lambda frames: _in_range(SelectivelyDamped, ("gamma_max", "rad"), frames),
+        "selectively-damped": lambda frames: _in_range(
+            SelectivelyDamped, ("gamma_max", "rad"), frames, _selectively_damped(frames)
+        ),
     }
 
 
@@ -159,11 +162,20 @@ def _linear(method: Callable[[Array], Method], n: int, frames: Frames) -> Parame
     return _fitted(method(c), c, frames)
 
 
-def _in_range(method: Callable[[float], Method], called: tuple[str, str], frames: Frames) -> ParameterFit:
-    """Fit a parameter within `RANGE` to the rates of the frames: the best of a logarithmic grid, refined."""
+def _in_range(
+    method: Callable[[float], Method],
+    called: tuple[str, str],
+    frames: Frames,
+    rates_with: Callable[[float], Array] | None = None,
+) -> ParameterFit:
+    """Fit a parameter within `RANGE` to the rates of the frames: the best of a logarithmic grid, refined.
+
+    rates_with returns the rates (T, n) with a parameter; None for the formula of the method.
+    """
+    rates_at = rates_with or (lambda value: rates_of(method(value), frames))
 
     def cost(log_value: float) -> float:
-        return float(np.sum((rates_of(method(float(np.exp(log_value))), frames) - frames.dq) ** 2))
+        return float(np.sum((rates_at(float(np.exp(log_value))) - frames.dq) ** 2))
 
     grid = np.linspace(np.log(RANGE[0]), np.log(RANGE[1]), 61)
     i = int(np.argmin([cost(x) for x in grid]))
@@ -176,9 +188,16 @@ def _in_range(method: Callable[[float], Method], called: tuple[str, str], frames
         note = "lambda is 0: damping only reduces the rates of the least-norm method, which are too small already"
     elif i in (0, len(grid) - 1):
         note = f"{name} at the edge of {low:g} to {high:g} {unit}"
-    elif np.array_equal(rates_of(method(value), frames), rates_of(method(high), frames)):
+    elif np.array_equal(rates_at(value), rates_at(high)):
         note = f"nothing is damped with this {name}, nor with any other up to {high:g} {unit}"
     return _fitted(method(value), np.array([value]), frames, note)
+
+
+def _selectively_damped(frames: Frames) -> Callable[[float], Array]:
+    """Return a function of gamma_max that returns the rates (T, n): the singular directions do not depend on it."""
+    by_frame = [SingularDirections.of_motion(J, dx) for J, dx in zip(frames.jacobian, frames.dx, strict=True)]
+    directions = SingularDirections(*map(np.array, zip(*by_frame, strict=True)))
+    return lambda gamma_max_rad: SelectivelyDamped(gamma_max_rad).damped(directions)
 
 
 def _fitted(method: Method, parameter: Array, frames: Frames, note: str = "") -> ParameterFit:
