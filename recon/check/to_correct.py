@@ -1,9 +1,10 @@
 """List the detections that are worth correcting by hand, in order.
 
 The first detections are far from their expected positions or were left out: either they or the pose are wrong. Missing
-and uncertain detections follow, sorted by how much the expected error of the pose would fall if they were corrected
-(`recon.fit.correction_gain`). Errors last for about `ERROR_TIME_S`, so a correction also improves the neighbouring
-frames: each listed detection lowers the remaining gain of the same keypoint nearby.
+and uncertain detections follow. Both groups are sorted by how much the expected error of the pose would fall if they
+were corrected (`recon.fit.correction_gain`). In the second group a correction also improves the neighbouring frames,
+because errors last for about `ERROR_TIME_S`: each listed detection lowers the remaining gain of the same keypoint
+nearby.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ def to_correct(motion: Motion, limit: int = MOST_LISTED) -> list[ToCorrect]:
     agrees = distance_px <= AGREES_SIGMAS * sigma_px
     is_next = inside & ~is_first & ~agrees & (np.nan_to_num(gain_m2) > 0)
     tau = max(constants.ERROR_TIME_S * motion.fps, 1.0)
-    first = _by_distance(distance_px, is_first, limit)
+    first = _by_gain(gain_m2, distance_px, is_first, limit)
     cells = [*first, *_spread(gain_m2, is_next, tau, limit - len(first))]
     falls_m = _error_fall_m(motion, gain_m2)
     ellipses = _ellipses(motion, cells)
@@ -135,12 +136,14 @@ def _inside(picture: Picture) -> Bools:
     return (x >= 0) & (x < width) & (y >= 0) & (y < height)
 
 
-def _by_distance(distance_px: Array, chosen: Bools, limit: int) -> list[tuple[int, int, int]]:
-    """Return the chosen cells (V, T, J), the farthest first."""
-    order = np.argsort(np.where(chosen, -distance_px, np.inf), axis=None, kind="stable")[
-        : min(limit, int(chosen.sum()))
-    ]
-    return [_cell(index, chosen.shape) for index in order]
+def _by_gain(gain_m2: Array, distance_px: Array, chosen: Bools, limit: int) -> list[tuple[int, int, int]]:
+    """Return the chosen cells (V, T, J) by their gain, the largest first; those of equal or unknown gain by distance.
+
+    A distant detection that the robust loss ignores changes the pose less than a nearer one that pulls.
+    """
+    gain = np.where(chosen, np.nan_to_num(gain_m2), -np.inf)
+    order = np.lexsort((-np.where(chosen, distance_px, 0.0).ravel(), -gain.ravel()))
+    return [_cell(index, chosen.shape) for index in order[: min(limit, int(chosen.sum()))]]
 
 
 def _spread(gain_m2: Array, chosen: Bools, tau: float, limit: int) -> list[tuple[int, int, int]]:

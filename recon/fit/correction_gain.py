@@ -66,13 +66,13 @@ def correction_gain_m2(
     # One thread as in `solve_trajectory`, because the matrices are small. Points of a damaged file may be too large to
     # square.
     with threadpool_limits(1, user_api="blas"), np.errstate(over="ignore", invalid="ignore"):
-        for rows, segment_clip, problem, estimate in _problems_at(clip, solution):
+        for rows, segment_clip, problem, estimate in problems_at(clip, solution):
             segment_gain_m2 = _segment_gain(segment_clip, problem, estimate, solution, rows)
             gain_m2[:, rows] = np.where(np.isfinite(segment_gain_m2), segment_gain_m2, np.nan)
     return gain_m2 / max(int(solution.posed.sum()) * len(solution.body.markers), 1)
 
 
-def _problems_at(
+def problems_at(
     clip: ClipProblem, solution: TrajectorySolution
 ) -> Iterator[tuple[slice, ClipProblem, LeastSquares, Estimate]]:
     """Yield the rows, the problem and the minimum of each segment, set up again at the solution.

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from recon import Motion
-from recon.check.to_correct import _spread, to_correct
+from recon.check.to_correct import _by_gain, _spread, to_correct
 from recon.clip import leave_out
 from recon.show import tables
 
@@ -21,6 +21,15 @@ def test_what_is_far_from_its_expected_position_comes_first(small_trajectory: Mo
     assert first.distance_px == pytest.approx(300.0)
     assert first.found_px is not None
     assert first.expected_px[1] - first.found_px[1] == pytest.approx(300.0)
+
+
+def test_detections_that_are_far_come_by_what_they_would_gain():
+    gain_m2 = np.zeros((1, 3, 2))
+    distance_px = np.array([[[300.0, 5.0], [80.0, np.nan], [90.0, 70.0]]])
+    is_far = np.isfinite(distance_px) & (distance_px > 10)
+    gain_m2[0, 2, 1] = 4e-5
+    gain_m2[0, 1, 0] = np.nan
+    assert _by_gain(gain_m2, distance_px, is_far, limit=3) == [(0, 2, 1), (0, 0, 0), (0, 2, 0)]
 
 
 def test_missing_keypoints_come_by_what_they_would_gain(small_trajectory: Motion):
