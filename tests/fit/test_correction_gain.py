@@ -12,8 +12,8 @@ from recon.animal.prior import load_prior
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.correction_gain import (
     _covariance_and_derivative,
-    _problems_at,
     correction_gain_m2,
+    problems_at,
 )
 from recon.fit.result import TrajectorySolution
 
@@ -43,7 +43,7 @@ def test_the_derivative_of_the_covariance_is_that_of_the_whole_inverse(solved: M
     clip = ClipProblem.from_views(
         solution.views, solution.body, load_prior("running-cheetah", solved.body), solved.fps, TrajectoryOptions()
     )
-    ((_, _part, problem, estimate),) = _problems_at(clip, solution)
+    ((_, _part, problem, estimate),) = problems_at(clip, solution)
     T, D = estimate.states.shape
     rng = np.random.default_rng(0)
     root = rng.normal(size=(T, D, 3))
