@@ -18,6 +18,8 @@ PARTS = {
     "start": Part("startup.py", quick=["3"]),
     "analyse": Part("analyse.py", ["10000"], quick=["500"]),
     "pages": Part("pages.py", ["pages"], quick=["pages", "--clips", "10"]),
+    "browser": Part("pages.py", ["browser"], quick=["browser", "--frames", "200", "--clips", "10"]),
+    "costs": Part("pages.py", ["costs"], quick=["costs", "--runs", "1"]),
     "run": Part("pages.py", ["run"]),
     "refit": Part("refit.py", quick=["60"]),
 }

@@ -1,13 +1,20 @@
-"""Measure the processor time of pages and of `recon run` as whole commands.
+"""Measure pages in a browser, and the processor time of pages and of `recon run` as whole commands.
 
+    python benchmarks/parts/pages.py browser [--frames 4000] [--clips 100]
+    python benchmarks/parts/pages.py costs [--runs 3]
     python benchmarks/parts/pages.py pages
     python benchmarks/parts/pages.py summary [--clips 500]
     python benchmarks/parts/pages.py run --model DIR
 
-`pages`: the rendered film with the film behind the pictures, a sample of 60 frames, and twenty of these in a row,
-forwards and backwards. `summary`: the table of a batch of copies of one result. `run`: from the rendered film to the
-page with a network that `recon train` made on this film, compared with a command for each stage, and a second run. If a
-Chromium is on the path, it opens the pages, and the number of its console messages is printed.
+`browser`: a page with the rendered film (90 frames), one of a simulated clip of 4,000 frames, and one of a batch of 100
+clips. Chromium opens each page; then the slider moves to another frame at each refresh of the screen for three seconds,
+and the refreshes are counted. The second figure is the processor time of all processes of the browser, which draws
+without a graphics card; 33 ms of one processor are 30 frames a second. `costs`: seconds of the processor of `recon
+report` and `recon analyse` with their default options on 40 frames, relative to those of the fit in the same run, by
+medians of RUNS runs. `pages`: the rendered film with the film behind the pictures, a sample of 60 frames, and twenty of
+these in a row, forwards and backwards. `summary`: the table of a batch of copies of one result. `run`: from the
+rendered film to the page with a network that `recon train` made on this film, compared with a command for each stage,
+and a second run. If a Chromium is on the path, it opens the pages, and the number of its console messages is printed.
 """
 
 from __future__ import annotations
@@ -20,10 +27,12 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
+from statistics import median
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from arguments import parser_of
+from long_clips import written
 from markdown_table import print_header, print_row
 from startup import SAMPLES, seconds
 
@@ -32,6 +41,9 @@ from recon.api.clip_results import run_clip
 from recon.api.settings import FitSettings
 from recon.base.documents import read_json
 
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
 FILM = SAMPLES / "rendered.mp4"
 FILM_FIT = ("--camera", str(SAMPLES / "rendered_camera.toml"), "--set", "detector=none")
 CHROMIUM = next(
@@ -39,19 +51,114 @@ CHROMIUM = next(
 )
 
 
+SCRUBBED_S, SETTLED_MS = 3.0, 3000.0
+"""Time for which the slider is moved, and time before, in which the page draws what is below the screen."""
+SCRUB = """(seconds) => new Promise((done) => {
+  const slider = document.querySelector(".player input[type=range]"), most = Number(slider.max);
+  const began = performance.now();
+  let count = 0;
+  const move = (now) => {
+    if (now - began > 1000 * seconds) return done(1000 * count / (now - began));
+    count += 1;
+    slider.value = String(Math.round(((now - began) / (1000 * seconds)) * most * 3) % (most + 1));
+    slider.dispatchEvent(new Event("input"));
+    requestAnimationFrame(move);
+  };
+  requestAnimationFrame(move);
+})"""
+"""Moves the slider three times through the clip, to another frame at each refresh; returns the refreshes a second."""
+SHOWN = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(performance.now()))))"
+"""Returns the time since the page was asked for, when it is drawn."""
+
+
 def main() -> None:
     parser = parser_of(__doc__)
-    parser.add_argument("what", choices=("pages", "summary", "run"))
-    parser.add_argument("--clips", type=int, default=500)
+    parser.add_argument("what", choices=("browser", "costs", "pages", "summary", "run"))
+    parser.add_argument("--clips", type=int, default=100)
+    parser.add_argument("--frames", type=int, default=4000)
+    parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--model", type=Path)
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        {"pages": pages, "summary": summary, "run": run}[args.what](args, Path(folder))
+        parts = {"browser": browser, "costs": costs, "pages": pages, "summary": summary, "run": run}
+        parts[args.what](args, Path(folder))
 
 
 def recon(folder: Path, *arguments: object) -> tuple[float, float]:
     """Return the seconds of a command by the clock and by the processor."""
     return seconds([sys.executable, "-m", "recon", *map(str, arguments)], str(folder))
+
+
+def browser(args: argparse.Namespace, folder: Path) -> None:
+    """Measure how large pages are, how fast they open, and how often they are drawn while the slider moves."""
+    from playwright.sync_api import sync_playwright
+
+    if not CHROMIUM:
+        raise SystemExit("no Chromium on the path")
+    made = {f"{args.frames} frames": long_page(args.frames, folder), "90 frames with video": film_page(folder)}
+    made[f"batch of {args.clips} clips"] = batch_of_copies(args.clips, folder)
+    print_header(("page", "MB", "opens, s", "frames/s while the slider moves", "ms of the processor for a frame"))
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"], timeout=300_000.0)
+        for name, path in made.items():
+            page = chromium.new_page(viewport={"width": 1280, "height": 900})
+            page.set_default_timeout(300_000.0)
+            page.goto(path.absolute().as_uri())
+            opens_s = page.evaluate(SHOWN) / 1000
+            scrubbed = ("", "")
+            if page.query_selector(".player"):
+                page.wait_for_timeout(SETTLED_MS)
+                began_s = browser_seconds(chromium)
+                rate = page.evaluate(SCRUB, SCRUBBED_S)
+                used_ms = 1000 * (browser_seconds(chromium) - began_s) / (rate * SCRUBBED_S)
+                scrubbed = (f"{rate:.0f}", f"{used_ms:.0f}")
+            print_row((name, f"{path.stat().st_size / 1e6:.2f}", f"{opens_s:.2f}", *scrubbed))
+            page.close()
+        chromium.close()
+
+
+def browser_seconds(chromium: Browser) -> float:
+    """Return the processor time of all processes of the browser."""
+    session = chromium.new_browser_cdp_session()
+    used_s = sum(process["cpuTime"] for process in session.send("SystemInfo.getProcessInfo")["processInfo"])
+    session.detach()
+    return used_s
+
+
+def film_page(folder: Path) -> Path:
+    """Return the page of the rendered film, with the film."""
+    points = SAMPLES / "rendered_points.csv"
+    recon(folder, "fit", points, *FILM_FIT, "--fps", 120, "--out", "film", "--quiet")
+    recon(folder, "report", "film", "--video", FILM, "--quiet")
+    return folder / "film" / "report.html"
+
+
+def long_page(frames: int, folder: Path) -> Path:
+    """Return the page of a simulated run around one camera."""
+    arguments, _ = written(folder, f"{frames}x1")
+    recon(folder, "fit", *arguments, "--out", "long", "--quiet")
+    recon(folder, "report", "long", "--quiet")
+    return folder / "long" / "report.html"
+
+
+def costs(args: argparse.Namespace, folder: Path) -> None:
+    """Measure what a page and an analysis of 40 frames cost, relative to the fit of the same run."""
+    points = ("fit", SAMPLES / "rendered_points.csv", *FILM_FIT, "--fps", 120, "--frames", "0:40")
+    commands = {
+        "fit": (*points, "--out", "out", "--overwrite", "--quiet"),
+        "report": ("report", "out", "--quiet"),
+        "report --video": ("report", "out", "--video", FILM, "--quiet"),
+        "analyse": ("analyse", "out", "--overwrite", "--quiet"),
+    }
+    allowed = {"report": 2.0, "report --video": 4.0, "analyse": 2.0}
+    recon(folder, *commands["fit"])  # compiled modules and matplotlib's fonts are kept from now on
+    recon(folder, *commands["analyse"])
+    used = [{name: recon(folder, *command)[1] for name, command in commands.items()} for _ in range(args.runs)]
+    print_header(("40 frames", "s of the processor", "times the fit", "goal"))
+    for name in commands:
+        times = median(seconds_used[name] / seconds_used["fit"] for seconds_used in used)
+        middle_s = median(seconds_used[name] for seconds_used in used)
+        print_row((name, f"{middle_s:.1f}", f"{times:.1f}", allowed.get(name, "")))
 
 
 def pages(args: argparse.Namespace, folder: Path) -> None:
@@ -77,6 +184,16 @@ def pages(args: argparse.Namespace, folder: Path) -> None:
 
 def summary(args: argparse.Namespace, folder: Path) -> None:
     """Measure the page of a batch in which one clip in fifty failed and the numbers of doubtful frames are random."""
+    out = batch_of_copies(args.clips, folder).parent
+    began = time.process_time()
+    file = write_summary_page(out)
+    took = time.process_time() - began
+    print_header(("clips", "summary.html, kB", "s of the processor", "errors in Chromium"))
+    print_row((args.clips, f"{file.stat().st_size / 1000:.0f}", f"{took:.1f}", errors(file)))
+
+
+def batch_of_copies(clips: int, folder: Path) -> Path:
+    """Return the page of a batch of copies of one result."""
     one, out, rng = folder / "one", folder / "all", np.random.default_rng(0)
     settings = FitSettings(keypoints=(SAMPLES / "whole.csv",), camera=(SAMPLES / "camera.toml",), fps=60)
     report = run_clip(settings, one)
@@ -85,7 +202,7 @@ def summary(args: argparse.Namespace, folder: Path) -> None:
     with (out / "summary.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
-        for number in range(args.clips):
+        for number in range(clips):
             name, failed = f"clip{number:03}", number % 50 == 0
             status = {"status": "failed", "error": "clip.csv: a fault"} if failed else {"status": "done"}
             own = row | {"clip": name, "mean_reprojection_px": rng.uniform(2, 20)} | status
@@ -95,11 +212,7 @@ def summary(args: argparse.Namespace, folder: Path) -> None:
                 for needed in ("report.json", "reprojection.csv"):
                     shutil.copy(one / needed, out / name / needed)
                 (out / name / "report.html").touch()
-    began = time.process_time()
-    file = write_summary_page(out)
-    took = time.process_time() - began
-    print_header(("clips", "summary.html, kB", "s of the processor", "errors in Chromium"))
-    print_row((args.clips, f"{file.stat().st_size / 1000:.0f}", f"{took:.1f}", errors(file)))
+    return write_summary_page(out)
 
 
 def run(args: argparse.Namespace, folder: Path) -> None:

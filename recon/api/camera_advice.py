@@ -13,7 +13,7 @@ from pydantic import Field
 from recon.animal.prior import load_prior
 from recon.animal.skeleton_file import load_skeleton
 from recon.base.errors import Problem, raise_problems
-from recon.base.numbers import percent
+from recon.base.numbers import percent, quantity
 from recon.base.outputs import Output
 from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Settings, input_paths
@@ -58,7 +58,8 @@ def direction_text(azimuth_rad: float, elevation_rad: float) -> str:
     """Return a direction from the animal in words, such as "on its left side, raised (90°)"."""
     direction = DIRECTIONS[round(azimuth_rad / (np.pi / 4)) % 8]
     height = next((text for limit, text in HIGH_RAD if elevation_rad < limit), ABOVE)
-    return f"{direction}, {height} ({np.degrees(azimuth_rad):.0f}°)" if height != ABOVE else f"{ABOVE}, {direction}"
+    azimuth = quantity(np.degrees(azimuth_rad), 0, "°")
+    return f"{direction}, {height} ({azimuth})" if height != ABOVE else f"{ABOVE}, {direction}"
 
 
 class CameraAdviceSettings(Settings):

@@ -16,7 +16,7 @@ from recon.api.settings import FIRST_FRAME, FitSettings
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import write_bytes
-from recon.base.numbers import percent
+from recon.base.numbers import percent, quantity
 from recon.base.outputs import Output, require_suffix
 from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Option, Settings
@@ -138,8 +138,10 @@ def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:
     px = _focal_px(motion.focal, lens)
     wide = 2 * np.degrees(np.arctan(lens.image_size_px[0] / 2 / px["found"]))
     return (
-        f"the background turns as with a focal length of {px['found']:.0f} px (standard deviation {px['sigma']:.1f}; "
-        f"{wide:.1f} degrees across the picture, without distortion), and the camera file has {px['file']:.0f} px"
+        f"the background turns as with a focal length of {quantity(px['found'], 0, 'px')} (standard deviation "
+        f"{px['sigma']:.1f}; "
+        f"{wide:.1f} degrees across the picture, without distortion), and the camera file has "
+        f"{quantity(px['file'], 0, 'px')}"
     )
 
 

@@ -8,6 +8,7 @@ from recon.api.clip_cameras import other_cameras
 from recon.api.settings import FitSettings
 from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem
+from recon.base.numbers import quantity
 from recon.clip import Keypoints
 from recon.geometry.camera import Camera
 
@@ -24,7 +25,7 @@ def require_inside(camera: Camera, keypoints: Keypoints, settings: FitSettings) 
         return
     (x0, y0), (x1, y1) = np.percentile(points, [1, 99], axis=0)
     width, height = camera.image_size_px
-    actual = f"{width}x{height}, but keypoints at x {x0:.0f} to {x1:.0f}, y {y0:.0f} to {y1:.0f} px"
+    actual = f"{width}x{height}, but keypoints at x {x0:.0f} to {x1:.0f}, y {y0:.0f} to {quantity(y1, 0, 'px')}"
     expected = "the camera and the size of the video that the keypoints were found in"
     origin = settings.camera_text or "--image-size"
     raise InputError(Problem(origin, "image size", actual, expected + _possible_causes(camera, points, settings)))

@@ -32,7 +32,7 @@ from recon.api.skeleton_check import LARGEST_ANIMAL_M
 from recon.base.arrays import Array, mean_along
 from recon.base.documents import builtin_file
 from recon.base.errors import InputError, Problem, collect_problems
-from recon.base.numbers import length_text, percent
+from recon.base.numbers import length_text, percent, quantity
 from recon.base.outputs import output_file
 from recon.base.settings import File, OneOrMore, Option, Positive, Settings, input_paths
 from recon.check.agreement import triangulated_m
@@ -317,7 +317,7 @@ def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, sourc
     offsets_m = _expected_offsets_m(turned_m, distances)
     comments = [
         f"A draft from the geometry of the keypoints of {toml_text(source.name)}: distances that change by less than",
-        f"{1000 * distances.same_m:.1f} mm stay the same. "
+        f"{quantity(1000 * distances.same_m, 1, 'mm')} stay the same. "
         "Look at it with recon skeleton check, and give its segments names.",
     ]
     keypoint_sigma_m, bias_m = (share * distances.longest_m for share in (KEYPOINT_SHARE, MARKER_SHARE))
@@ -365,7 +365,7 @@ def _distances(points_m: Array, source: Path) -> _Distances:
     # Nearly every point shares a rigid body with another one, so the median variation is the keypoints' noise.
     same_m = max(NOISE * float(np.median(steadiest_m)), RIGID * length_m)
     if same_m > TOO_MUCH * length_m:
-        noise_mm = f"{1000 * same_m / NOISE:.1f} mm"
+        noise_mm = quantity(1000 * same_m / NOISE, 1, "mm")
         actual = f"distances between neighbours change by {noise_mm} in an animal of {length_m:.3g} m"
         expected = (
             f"by {percent(TOO_MUCH / NOISE)} or less of its length; more or nearer cameras tell what bends from noise"

@@ -51,6 +51,11 @@ def plus_minus(value: float, sigma: float | None, unit: str = "", sign: str = ""
     return f"{rounded(value, digits, sign)} ± {rounded(sigma, digits)}{_unit(unit)}"
 
 
+def quantity(value: float, digits: int, unit: str) -> str:
+    """Return a value whose uncertainty is not stated, with a number of decimals and its unit, such as "1.1 px"."""
+    return f"{rounded(value, digits)}{_unit(unit)}"
+
+
 def interval(
     value: float, low: float, high: float, unit: str = "", *, level: str = "", sign: str = "", least: float = -math.inf
 ) -> str:

@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from recon.api.analyse import FOLDER, PLAYBACK, AnalyseSettings, run_analysis
+from recon.base.numbers import quantity
 from recon.base.progress import Progress, silent
 from recon.cli.answers import Answer, table_of, verdict_texts
 from recon.gait.clip import ClipAnalysis
@@ -58,7 +59,7 @@ def _lines(analysis: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str |
         origin = "as given" if analysis.given is not None else f"of {stride.foot}"
         if stride.at == "end effector":
             origin += ", between two rearmost positions of the foot"
-        yield f"Phase portraits: the stride from {stride.start_s:.3f} to {stride.end_s:.3f} s, {origin}."
+        yield f"Phase portraits: the stride from {stride.start_s:.3f} to {quantity(stride.end_s, 3, 's')}, {origin}."
     if analysis.gait is not None and len(analysis.gait.stances) <= MOST_STANCES:
         spans: dict[str, list[str]] = {foot: [] for foot in motion.foot_names}
         for s in analysis.gait.stances:

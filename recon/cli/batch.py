@@ -18,7 +18,7 @@ from recon.api.batch import ClipPlan, OnEvent, Problems, Summary, input_problems
 from recon.api.batch_inputs import find_clips
 from recon.api.settings import OF_ANY_CLIP, FitSettings
 from recon.base.errors import raise_problems
-from recon.base.numbers import counted
+from recon.base.numbers import counted, quantity
 from recon.base.parallel import Event
 from recon.base.settings import Count, Integer, OneOrMore, Option, Settings
 from recon.check.verdict import NOTHING_AGAINST
@@ -152,7 +152,7 @@ def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary],
     parts = [Text(f"{n} {level}", STYLES[level]) for level, n in reversed(summary.verdicts().items())]
     parts += [Text(f"{n} {status}", style) for status, n in counts.items() if (style := _STYLES.get(status))]
     seconds = time.monotonic() - began
-    status_text = Text.assemble(Text(", ").join(parts), f" in {seconds:.0f} s. Summary: {summary.path}")
+    status_text = Text.assemble(Text(", ").join(parts), f" in {quantity(seconds, 0, 's')}. Summary: {summary.path}")
     out, lines = (
         summary.path.parent,
         [*_table(summary), status_text, f"Open {summary.path.with_name(SUMMARY_PAGE)} in a browser."],
@@ -224,7 +224,7 @@ def _row_text(row: Mapping[str, Any]) -> Text:
     text = Text.assemble((row["status"], _STYLES.get(row["status"], "")), f"  {row['clip']}")
     if row["error"]:
         return text.append(f": {row['error']}")
-    pose = "" if row["pose_mm"] is None else f", pose error {row['pose_mm']:.0f} mm"
+    pose = "" if row["pose_mm"] is None else f", pose error {quantity(row['pose_mm'], 0, 'mm')}"
     reason = "" if row["reason"] in (None, NOTHING_AGAINST) else f": {row['reason']}"
     text.append("  ").append(level, STYLES.get(level, ""))
-    return text.append(f"{pose}, {row['frames']} frames, {row['seconds']:.1f} s{reason}")
+    return text.append(f"{pose}, {row['frames']} frames, {quantity(row['seconds'], 1, 's')}{reason}")

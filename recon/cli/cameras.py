@@ -19,7 +19,7 @@ from recon.api.camera_advice import CameraAdviceSettings, run_camera_advice
 from recon.api.camera_motion import NOTES, CameraMotionSettings, motion_files, run_camera_motion
 from recon.api.extrinsics import DISAGREEMENT, clips_of, run_extrinsics
 from recon.api.settings import FitSettings
-from recon.base.numbers import counted, length_text
+from recon.base.numbers import counted, length_text, quantity
 from recon.base.outputs import Output, output_file
 from recon.base.progress import Progress, silent
 from recon.base.settings import Number, OneOrMore, Option, Settings, input_paths
@@ -53,7 +53,7 @@ def _calibration_lines(report: dict[str, Any]) -> Iterator[str | Text | Table]:
     rows = (
         (
             *(view["name"], str(view["corners"]), f"{view['rms_px']:.2f}", f"{view['max_px']:.2f}"),
-            *(f"{math.degrees(view['tilt_rad']):.0f}°", f"{view['distance_m']:.2f}"),
+            *(quantity(math.degrees(view["tilt_rad"]), 0, "°"), f"{view['distance_m']:.2f}"),
             "" if view["used"] else Text("left out", style="red"),
         )
         for view in pictures
@@ -70,7 +70,7 @@ def _calibration_lines(report: dict[str, Any]) -> Iterator[str | Text | Table]:
         digits, unit = (1, " px") if row["name"] in ("fx", "fy", "cx", "cy") else (4, "")
         sigma = math.inf if row["sigma"] is None else row["sigma"]
         yield f"{row['name']}  {row['value']:.{digits}f} ± {sigma:.{digits}f}{unit}"
-    yield f"reprojection error {report['rms_px']:.3f} px (root mean square)"
+    yield f"reprojection error {quantity(report['rms_px'], 3, 'px')} (root mean square)"
     for check in report["checks"]:
         if check["verdict"] == "warning" or (check["verdict"] == "refused" and written is not None):
             yield Text.assemble(("warning: ", "yellow"), check["text"])
@@ -130,7 +130,9 @@ def lines_of(cameras: Sequence[Camera], report: Mapping[str, Any]) -> Iterator[s
     first = cameras[0].centre_world
     for camera, camera_report in zip(cameras, report["cameras"], strict=True):
         turn, shift = (float(np.linalg.norm(camera_report[name])) for name in ("turn_sigma_rad", "shift_sigma_m"))
-        uncertainty = f", known to {math.degrees(turn):.1f}° and {length_text(shift)}" if turn or shift else ""
+        uncertainty = (
+            f", known to {quantity(math.degrees(turn), 1, '°')} and {length_text(shift)}" if turn or shift else ""
+        )
         height = length_text(camera.centre_world[2], camera_report["height_sigma_m"])
         distance = length_text(math.dist(camera.centre_world, first))
         yield f"{camera.name}: {height} high, {distance} from the first{uncertainty}"
@@ -167,7 +169,7 @@ def camera_motion_answer(settings: CameraMotionSettings, output: Output, progres
     lost_count, keyframes = len(report["frames_without_background"]), counted(len(report["keyframes"]), "keyframe")
     lines = [f"{report['frames'] - lost_count} of {report['frames']} frames placed, {keyframes}."]
     lines += [f"Too little background in {counted(lost_count, 'frame')}: no pose there."] if lost_count else []
-    residual, sigma = f"{report['residual_px']:.2f} px", f"{report['sigma_deg']:.3f}°"
+    residual, sigma = quantity(report["residual_px"], 2, "px"), quantity(report["sigma_deg"], 3, "°")
     lines.append(f"The background fits to {residual}; the camera's direction is known to ±{sigma}.")
     notes = report["notes"][len(NOTES) :]
     lines += [f"Note: {note}." for note in notes]

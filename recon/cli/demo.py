@@ -8,6 +8,7 @@ from pathlib import Path
 from recon.api.clip_results import run_clip
 from recon.api.samples import samples_folder
 from recon.api.settings import FitSettings
+from recon.base.numbers import quantity
 from recon.base.outputs import Output
 from recon.base.progress import Progress
 from recon.base.settings import Settings
@@ -43,7 +44,8 @@ def demo(settings: _DemoSettings, progress: Progress) -> Answer:
     mpjpe_mm = 1000 * evaluate_files(out / "pose3d.csv", samples / "whole_truth.csv").mpjpe_m.mean
     answer, analysis = answer_of_fit(fit_report, out, page, mpjpe_mm=mpjpe_mm), ClipAnalysis(Motion.load(out))
     error = (
-        f"Error against the sample's truth: {mpjpe_mm:.0f} mm (MPJPE); the expected error is calibrated on real clips"
+        f"Error against the sample's truth: {quantity(mpjpe_mm, 0, 'mm')} (MPJPE); the expected error is "
+        "calibrated on real clips"
     )
     sentences = analysis_sentences(analysis)
     return replace(answer, lines=[*answer.lines, error, *sentences])

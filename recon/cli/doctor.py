@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Literal
 from rich.table import Table
 from rich.text import Text
 
+from recon.base.numbers import quantity
 from recon.base.package import DISTRIBUTION, install_command, pip_command, quoted, version
 from recon.base.progress import Progress, silent
 from recon.cli.answers import Answer
@@ -182,7 +183,10 @@ def self_test() -> Iterator[_Check]:
         return
     shown = json.loads(output)
     frames, posed, error_mm = shown["summary"]["frames"], shown["summary"]["frames_with_pose"], shown["mpjpe_mm"]
-    state = f"{posed} of {frames} frames in {shown['seconds']:.1f} s, {error_mm:.0f} mm from the truth (MPJPE)"
+    state = (
+        f"{posed} of {frames} frames in {quantity(shown['seconds'], 1, 's')}, {quantity(error_mm, 0, 'mm')} "
+        "from the truth (MPJPE)"
+    )
     is_sound = error_mm <= SELF_TEST_MPJPE_MM and posed == frames
     hint = "" if is_sound else f"at most {SELF_TEST_MPJPE_MM} mm is expected: reinstall numpy and scipy, or report it"
     yield _Check(name, "ok" if is_sound else "broken", state, hint)
@@ -196,7 +200,7 @@ def _output_of(command: Sequence[str], timeout_s: float) -> tuple[int, str]:
     try:
         ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=timeout_s)
     except subprocess.TimeoutExpired:
-        return 1, f"did not end within {timeout_s:.0f} s"
+        return 1, f"did not end within {quantity(timeout_s, 0, 's')}"
     except OSError as error:
         return 1, f"{command[0]}: {error.strerror or error}"
     if ended.returncode <= 0:

@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from recon.api.settings import ANYWAY
-from recon.base.numbers import percent
+from recon.base.numbers import percent, quantity
 from recon.base.settings import Option, Settings
 from recon.cli.answers import Answer, table_of, verdict_texts
 from recon.gait.evaluation import LEVELS, Evaluation, evaluate_files
@@ -69,7 +69,7 @@ def _table_notes(result: Evaluation) -> Iterator[str]:
     yield "scaled  centred, and scaled to the size of the reference"
     yield "PA      centred, scaled and turned onto the reference"
     yield f"PCK     share of the joints within {thresholds} mm, centred"
-    offset_text = f"the mean of the joints is off by {1000 * result.position_m:.1f} mm"
+    offset_text = f"the mean of the joints is off by {quantity(1000 * result.position_m, 1, 'mm')}"
     yield f"Position: {offset_text}. The verdict's position error estimates this number, its pose error the MPJPE."
     for kind, shares in result.inside.items():
         stated, contained = (

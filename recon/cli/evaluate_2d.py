@@ -8,7 +8,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from recon.base.numbers import percent
+from recon.base.numbers import percent, quantity
 from recon.cli.answers import Answer, table_of
 from recon.keypoint_net.labels import PCK_PX, PCK_RELATIVE, Evaluate2DSettings, evaluate_2d_files
 from recon.show.plain import picked
@@ -48,7 +48,9 @@ def _evaluation_lines(result: dict[str, Any]) -> Iterator[str]:
     yield f"        {result['likelihood_min']:g}; swaps forgiven: a pair of left and right may be the wrong way round"
     yield "RMSE    and median over the points found"
     yield "px, %   share of all labelled points within this distance, or this share of the body length,"
-    yield f"        {result['body_length_px']:.1f} px (median diagonal of the box around an animal's labels)"
+    yield (
+        f"        {quantity(result['body_length_px'], 1, 'px')} (median diagonal of the box around an animal's labels)"
+    )
     yield f"Compared: {result['frames']} frames."
     table = result["reliability"]
     if table is not None:

@@ -10,7 +10,7 @@ from typing import Any
 
 from rich.table import Table
 
-from recon.base.numbers import percent
+from recon.base.numbers import percent, quantity
 from recon.cli.answers import Answer, table_of, verdict_texts
 from recon.ik.clip import IkSettings, run_ik
 from recon.ik.cost_study import GROWTH, TURNS
@@ -44,9 +44,11 @@ def _ik_lines(summary: dict[str, Any], out: Path) -> Iterator[str | Table]:
     }[stride["how"]]
     yield f"{summary['foot']}: {len(summary['joints'])} joints, {summary['dimensions']}D ({summary['base_frame']})"
     if summary["misfit_m"]:
-        yield f"the chain's end lies {1000 * summary['misfit_m']:.0f} mm from the foot's projection (median)"
-    gap = f"gap {1000 * stride['gap_m']:.0f} mm ({stride['gap_percent']:.1f} % of its extent), closed"
-    yield f"stride: {stride['start_s']:.3f} to {stride['end_s']:.3f} s, {origin}; {gap}"
+        yield (
+            f"the chain's end lies {quantity(1000 * summary['misfit_m'], 0, 'mm')} from the foot's projection (median)"
+        )
+    gap = f"gap {quantity(1000 * stride['gap_m'], 0, 'mm')} ({stride['gap_percent']:.1f} % of its extent), closed"
+    yield f"stride: {stride['start_s']:.3f} to {quantity(stride['end_s'], 3, 's')}, {origin}; {gap}"
     yield from (f"note: {note}" for note in stride["notes"])
     if stride["gap_percent"] > WIDE_GAP_PERCENT:
         yield "note: the gap is too wide for one stride: a touchdown was missed, or the clip is too short"
@@ -125,7 +127,8 @@ def _stride_lines(along: dict[str, Any], summary: dict[str, Any]) -> Iterator[st
     if any(row["limits_hit"] for row in along.values()):
         yield "To run a method without the limits of the joints: --no-limits."
     yield (
-        f"result: closes from {CLOSES_PERCENT} % for every joint; off-path from {1000 * OFF_PATH_M:.0f} mm; limited: "
+        f"result: closes from {CLOSES_PERCENT} % for every joint; off-path from "
+        f"{quantity(1000 * OFF_PATH_M, 0, 'mm')}; limited: "
         "does not close, and a joint rests on its limit. "
         "closure: the least of any joint's angle; off: the joints from the animal's"
     )

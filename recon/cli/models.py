@@ -15,7 +15,7 @@ from recon.api.prior_fit import PriorFitSettings, run_prior_fit
 from recon.api.skeleton_check import REACH_SIGMAS, check_skeleton
 from recon.api.skeleton_draft import SkeletonDraftSettings, run_skeleton_draft
 from recon.api.subject_fit import SubjectFitSettings, run_subject_fit
-from recon.base.numbers import counted, length_text, rounded
+from recon.base.numbers import counted, length_text, quantity, rounded
 from recon.base.outputs import Output
 from recon.base.settings import Option, Settings, input_paths
 from recon.cli.answers import Answer, table_of
@@ -100,7 +100,7 @@ def _skeleton_lines(check: dict[str, Any]) -> Iterator[str | Table]:
     if links := check.get("links"):
         rows = [(link["name"], link["from"], link["to"], f"{link['length_ratio']:.3f}") for link in links]
         yield table_of("link", "from", "to", numbers=("length / base length",), rows=rows)
-        yield f"Base length: {check['base_length_m']:.3f} m"
+        yield f"Base length: {quantity(check['base_length_m'], 3, 'm')}"
         names = check["unknown_names"]
         yield f"The {len(names)} unknowns of a frame (recon frame): {', '.join(names)}"
     yield f"Feet: {', '.join(f'{foot} ({label})' for label, foot in check['feet'].items()) or 'none'}"

@@ -10,7 +10,7 @@ from typing import Any
 
 from rich.console import Console
 
-from recon.base.numbers import percent
+from recon.base.numbers import percent, quantity
 from recon.base.progress import Progress
 from recon.cli.answers import Answer, say, stop
 from recon.keypoint_net.network import LIKELY, PredictSettings, run_prediction
@@ -36,20 +36,24 @@ def train_command(settings: TrainRunSettings, console: Console, progress: Progre
 
 
 def _training_lines(report: dict[str, Any], out: Path) -> Iterator[str]:
-    yield f"{report['steps']} steps in {report['seconds']:.0f} s on {report['device']}."
+    yield f"{report['steps']} steps in {quantity(report['seconds'], 0, 's')} on {report['device']}."
     best = report["best_validation"]
     if best:
-        yield f"Validation pictures, before training: median error {best['median_px']:.2f} px at best."
+        yield f"Validation pictures, before training: median error {quantity(best['median_px'], 2, 'px')} at best."
         if best["median_px"] > 2 * (right_px := report["tolerance_px"]):
-            yield f"That is too far off to be of use: a point counts as right within {right_px:.1f} px."
+            yield f"That is too far off to be of use: a point counts as right within {quantity(right_px, 1, 'px')}."
             yield "Train longer (--minutes), or label more."
     if "test" in report["errors"]:
         score = report["errors"]["test"]["all"]
-        yield f"Test pictures: median error {score['median_px']:.2f} px, {percent(score['pck_px']['5.0'])} within 5 px."
+        yield (
+            f"Test pictures: median error {quantity(score['median_px'], 2, 'px')}, "
+            f"{percent(score['pck_px']['5.0'])} within 5 px."
+        )
     if not report["labels_judged"]:
         yield (
-            f"The labels were not checked: the network is off by {report['learned_median_px']:.1f} px (median) in its "
-            f"training pictures, and the check needs {FITS * report['tolerance_px']:.1f} px or less."
+            "The labels were not checked: the network is off by "
+            f"{quantity(report['learned_median_px'], 1, 'px')} (median) in its "
+            f"training pictures, and the check needs {quantity(FITS * report['tolerance_px'], 1, 'px')} or less."
         )
     suspects = report["suspicious_labels"]
     if suspects:
@@ -69,7 +73,7 @@ def predict_command(settings: PredictSettings, progress: Progress) -> Answer:
     frames, seconds = len(keypoints.frames), time.monotonic() - start
     sure = float((keypoints.confidence >= LIKELY).mean())
     drawn = f", drawn on the video in {settings.overlay}" if settings.overlay else ""
-    speed = f"{frames} frames in {seconds:.1f} s ({frames / seconds:.0f} a second)"
+    speed = f"{frames} frames in {quantity(seconds, 1, 's')} ({frames / seconds:.0f} a second)"
     likely = f"{percent(sure)} of the points have a likelihood of {LIKELY:g} or more"
     sentence = f"{speed}; {likely}. They are in {settings.out}{drawn}."
     data = {**picked(settings, "out", "overlay"), "frames": frames, "seconds": seconds, "likely_share": sure}

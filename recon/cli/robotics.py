@@ -9,6 +9,7 @@ from typing import Any
 
 from rich.table import Table
 
+from recon.base.numbers import quantity
 from recon.cli.answers import EXIT_UNSOLVED, Answer, table_of, verdict_texts
 from recon.robotics import physics
 from recon.robotics.climb.plan import PLAYBACK, ClimbSettings, run_climb
@@ -33,7 +34,8 @@ def _retarget_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
         slip, margin = 1000 * max(part["slip_m"].values()), min(part["least_margin_rad"].values())
         rate = 100 * max(part["rate_share"].values())
         text = (
-            f"{name}: {part['duration_s']:.2f} s, {part['speed_m_s']:.2f} m/s; feet slip by {slip:.2f} mm at most in "
+            f"{name}: {quantity(part['duration_s'], 2, 's')}, {quantity(part['speed_m_s'], 2, 'm/s')}; feet "
+            f"slip by {quantity(slip, 2, 'mm')} at most in "
             f"stance; joints stay {margin:.2f} rad within their limits, at {rate:.0f} % of the fastest rate"
         )
         if name == "stride":
@@ -43,7 +45,10 @@ def _retarget_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
         samples = report["samples"]
         position_sigma, angle = (max(samples[name].values()) for name in ("base_sigma_m", "joint_sigma_rad"))
         text = f"{samples['count']} motions that it may have been, in {out / 'samples.npz'}: the base is known to"
-        yield f"{text} {position_sigma:.3f} m, joint angles to {angle:.2f} rad (one standard deviation, the worst)"
+        yield (
+            f"{text} {quantity(position_sigma, 3, 'm')}, joint angles to {angle:.2f} rad (one standard "
+            "deviation, the worst)"
+        )
         if "keep_every_rule" in samples:
             yield f"{samples['keep_every_rule']} of these motions keep every rule below in every frame"
     if "check" in report:
@@ -72,8 +77,9 @@ def _check_lines(check: dict[str, Any]) -> Iterator[str | Table]:
         changes = check["changed"]
         yield (
             f"changed: time {changes['slower']:.2f} times, stride {changes['scale']:.2f} times, standing height "
-            f"{changes['height']:.2f} times; the base moved by up to {1000 * changes['base_moved_m']:.0f} mm and "
-            f"{degrees(changes['base_turned_rad']):.0f}°"
+            f"{changes['height']:.2f} times; the base moved by up to "
+            f"{quantity(1000 * changes['base_moved_m'], 0, 'mm')} and "
+            f"{quantity(degrees(changes['base_turned_rad']), 0, '°')}"
         )
         if advice:
             yield "note: no change that was tried keeps every rule in every frame; this one violates them least"
@@ -95,8 +101,10 @@ def climb(settings: ClimbSettings) -> Answer:
 def _climb_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
     pitch, rate = degrees(report["largest_pitch_rad"]), 100 * report["rate_share"]
     yield (
-        f"{report['robot']} climbs {1000 * report['step_m']:.0f} mm in {report['duration_s']:.1f} s, "
-        f"{report['frames']} frames; pitch up to {pitch:.0f}°; joints at {rate:.0f} % of the fastest rate at most"
+        f"{report['robot']} climbs {quantity(1000 * report['step_m'], 0, 'mm')} in "
+        f"{quantity(report['duration_s'], 1, 's')}, "
+        f"{report['frames']} frames; pitch up to {quantity(pitch, 0, '°')}; joints at {rate:.0f} % of the "
+        "fastest rate at most"
     )
     least = report["least_margins"].values()
     rows = ((row["what"], f"{row['value']:.1f}", row["unit"], f"{row['at_s']:.2f}") for row in least)

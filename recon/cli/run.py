@@ -39,6 +39,7 @@ from recon.api.settings import FIRST_FRAME, OF_ANY_CLIP, FitSettings
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import MANIFEST, read_manifest
 from recon.base.locks import sole_writer
+from recon.base.numbers import quantity
 from recon.base.outputs import Output, adopt
 from recon.base.parallel import carry_out
 from recon.base.progress import Progress, silent
@@ -185,7 +186,7 @@ def run(settings: _RunSettings, options: _FitOptions, console: Console) -> Answe
 def _outcome_line(outcome: _StageOutcome) -> str:
     names = outcome.files[0] if len(outcome.files) == 1 else f"{len(outcome.files)} files"
     text = {
-        "done": f"{names}, {outcome.seconds:.1f} s",
+        "done": f"{names}, {quantity(outcome.seconds, 1, 's')}",
         "unchanged": f"{names}, as before",
         "left out": "left out: too few frames have a pose",
     }[outcome.status]

@@ -22,6 +22,7 @@ import numpy as np
 from recon.animal.body import Side
 from recon.base.arrays import Array, Bools, Index, Integers, finite, mean_along
 from recon.base.errors import InputError, Problem
+from recon.base.numbers import quantity
 from recon.io.video import Image, probe, timed_frames
 
 Colour = tuple[int, int, int]
@@ -317,7 +318,7 @@ def _draw_caption(
     """Draw frame number and time, and for a flagged frame its flags and a border around the picture."""
     speed_text = "" if overlay.speed == 1 else f"   {overlay.speed:.3g}x"
     x, y, scale = round(24 * unit), round(48 * unit), 1.1 * unit
-    draw_text(canvas, f"frame {frame}   {frame / overlay.fps:.3f} s{speed_text}", (x, y), scale, INK)
+    draw_text(canvas, f"frame {frame}   {quantity(frame / overlay.fps, 3, 's')}{speed_text}", (x, y), scale, INK)
     flags = list(overlay.flags[t]) if t is not None else ["not reconstructed"]
     if t is not None and not np.isfinite(overlay.reprojected_px[t]).any() and not flags:
         flags = ["no pose"]

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 
 from recon.base.arrays import median
-from recon.base.numbers import counted, decimals, interval, length_text, percent, percent_range
+from recon.base.numbers import counted, decimals, interval, length_text, percent, percent_range, quantity
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.gait.dynamics import G_M_S2
@@ -62,7 +62,7 @@ def _speed_sentence(
 ) -> str:
     if why_no_speed is not None:
         run_m_s = motion.solution.constant_velocity_m_s
-        speed = "" if run_m_s is None else f"{median(run_m_s[run_m_s > 0]):.1f} m/s"
+        speed = "" if run_m_s is None else quantity(median(run_m_s[run_m_s > 0]), 1, "m/s")
         run = speed and f" A straight run through all frames has {speed}."
         return f"The animal's path is too uncertain in depth for a speed: {why_no_speed}.{run}"
     peak_m_s, sigma_m_s, path_m = reference.peak_speed_m_s, reference.peak_speed_sigma_m_s, reference.distance_m
@@ -99,6 +99,6 @@ def _stride_sentences(gait: Gait, quantities: Mapping[str, GaitQuantity]) -> Ite
     lasts_s, swing_s = 1 / gait.stride_frequency_hz, 2 * math.pi * math.sqrt(gait.tracks.leg_m / 1.5 / G_M_S2)
     if lasts_s > swing_s:
         yield (
-            f"Strides last {lasts_s:.1f} s, longer than a leg of this length swings to and fro by itself "
-            f"({swing_s:.1f} s): the video may be in slow motion. Check --fps."
+            f"Strides last {quantity(lasts_s, 1, 's')}, longer than a leg of this length swings to and fro by itself "
+            f"({quantity(swing_s, 1, 's')}): the video may be in slow motion. Check --fps."
         )

@@ -21,6 +21,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from recon.base.arrays import Array, finite
 from recon.base.errors import InputError, printable
+from recon.base.numbers import quantity
 from recon.base.package import version
 from recon.check.codes import FLAGS
 from recon.check.verdict import NOTHING_AGAINST, verdict_lines
@@ -94,7 +95,7 @@ SECTION_CHARACTERS = 600_000
 SHOWN = 100
 """Number of rows shown in the table of doubtful frames."""
 SPEED_MM = 100.0
-LENGTHS, POSES, STRETCHES = 4.0, 7, 3
+LENGTHS, POSES, STRETCHES = 2.5, 5, 3
 """Number of body lengths that an animal runs in one figure, of poses in the figure, and largest number of figures."""
 
 
@@ -190,7 +191,7 @@ def _subtitle(motion: Motion) -> str:
     frames = motion.frames
     cameras_text = f" · {len(motion.cameras)} cameras" if len(motion.cameras) > 1 else ""
     first_s, last_s = motion.time_s[[0, -1]]
-    times = f"{first_s:.3f} to {last_s:.3f} s at {motion.fps:g} frames per second"
+    times = f"{first_s:.3f} to {quantity(last_s, 3, 's')} at {motion.fps:g} frames per second"
     return f"frames {frames[0]} to {frames[-1]}, {times}{cameras_text} · {motion.title}"
 
 

@@ -26,7 +26,7 @@ from recon.animal.body import Body, Side, other_side, side_of
 from recon.animal.chain import UVW_BODY
 from recon.animal.naming import both_sides
 from recon.base.arrays import Array, Bools, Index, median
-from recon.base.numbers import percent
+from recon.base.numbers import percent, quantity
 from recon.calibrate.boards import Calibration, coverage
 from recon.calibrate.camera_advice import AZIMUTHS_RAD, ELEVATIONS_RAD, Advice
 from recon.fit.motion import MEASURED_SHARE
@@ -46,10 +46,12 @@ STYLES: dict[Side | None, tuple[Any, float, str]] = {
 _SPARE = 1.1
 """Length of the axis along the run relative to the length of the poses."""
 NO_SIDES: Mapping[str, Side | None] = MappingProxyType({})
-_WIDE_MM, _HEIGHT_MM, _LEAST_FRONT_MM, _FRONT_MM, _LABELS_MM = 160.0, 120.0, 26.0, 45.0, 36.0
-"""Sizes in mm: largest width and height of the side and top view together; smallest and largest height of the front
-view, which is at most as high as the side view; and room for all labels.
+_WIDE_MM, _HEIGHT_MM, _LEAST_MM, _FRONT_MM, _LABELS_MM = 160.0, 120.0, 18.0, 45.0, 46.0
+"""Sizes in mm: largest width and height of the side and top view together; smallest height of the side view; largest
+height of the front view, which is never higher than the side view; and room for all labels and the bar of times.
 """
+_WIDE_FRONT = 0.3
+"""Share of the width for the front view."""
 
 
 def composites(
@@ -88,10 +90,11 @@ def composites(
     points = (joints_m[rows] - origin) @ R.T
     width_m, depth_m, z = np.nanmax(points, axis=(0, 1)) - np.nanmin(points, axis=(0, 1)) + 0.1
     scale = min(_WIDE_MM / width_m, _HEIGHT_MM / (depth_m + z))
-    side_mm = max(scale * z, 16.0)
-    heights = [side_mm, max(scale * depth_m, 12.0), float(np.clip(side_mm, _LEAST_FRONT_MM, _FRONT_MM))]
+    side_mm = max(scale * z, _LEAST_MM)
+    heights = [side_mm, max(scale * depth_m, 12.0), min(side_mm, _FRONT_MM)]
     with style.drawing(sum(heights) + _LABELS_MM, title=title) as figure:
-        cells = figure.subplot_mosaic([["side", "side"], ["top", "top"], ["front", "key"]], height_ratios=heights)
+        layout = {"height_ratios": heights, "width_ratios": [_WIDE_FRONT, 1 - _WIDE_FRONT]}
+        cells = figure.subplot_mosaic([["side", "side"], ["top", "top"], ["front", "key"]], **layout)
         panels = (cells["side"], 0, 2), (cells["top"], 0, 1), (cells["front"], 1, 2)
         cells["top"].sharex(cells["side"])
         cmap, norm = style.time_colours(time_s[rows])
@@ -102,10 +105,11 @@ def composites(
                     line_style = {"color": cmap(norm(instant_s)), "lw": line_width, "linestyle": dashes, "zorder": 2}
                     axes.plot(*pose[list(joints)][:, [horizontal, vertical]].T, **line_style)
             axes.set_aspect("equal", adjustable="datalim")
-            axes.locator_params(axis="y", nbins=4)
+            axes.locator_params(axis="y", nbins=2 if axes is cells["top"] else 4)
         # The scale follows the shared axis, which must be long enough for the height: otherwise poses would be cut.
-        ends = np.nanmin(points[..., 0]), np.nanmax(points[..., 0])
-        cells["side"].set_xlim(np.mean(ends) + _SPARE * np.array([-0.5, 0.5]) * _WIDE_MM / scale)
+        middle_m = (np.nanmin(points, axis=(0, 1)) + np.nanmax(points, axis=(0, 1))) / 2
+        half_m = _SPARE / 2 * _WIDE_MM / scale
+        cells["side"].set_xlim(middle_m[0] - half_m, middle_m[0] + half_m)
         for part, plane in ground or ():
             inside = np.isin(rows, np.arange(rows.max() + 1)[part])
             if inside.any():
@@ -123,8 +127,16 @@ def composites(
             axes.set_xlabel(label)
             axes.set_ylabel(f"{upwards} (m)")
         cells["key"].axis("off")
-        cells["key"].legend(handles=_handles({sides.get(limb) for limb in limbs}, ground is not None), loc="center")
-        bar = figure.colorbar(ScalarMappable(norm, cmap), ax=cells["key"], location="bottom", label="time (s)")
+        handles = _handles({sides.get(limb) for limb in limbs}, ground is not None)
+        cells["key"].legend(handles=handles, loc="center", ncols=2)
+        bar = figure.colorbar(
+            ScalarMappable(norm, cmap),
+            ax=[*cells.values()],
+            location="bottom",
+            label="time (s)",
+            fraction=0.04,
+            aspect=60,
+        )
         bar.ax.plot(time_s[rows], np.full(len(rows), 0.5), "k|", ms=5, transform=bar.ax.get_xaxis_transform())
     return figure
 
@@ -214,7 +226,7 @@ def body_fixed(
             axes.set_title(name, loc="left", fontsize=style.SMALL, color=style.GREY, pad=2)
             axes.set(xlim=box[i], ylim=box[j][:: -1 if j == 1 else 1], aspect="equal")  # V is down
             axes.set(xlabel=LABELS[i], ylabel=LABELS[j])
-        says = f"{_SAYS}; {time_s[rows[0]]:.2f} to {time_s[rows[-1]]:.2f} s"
+        says = f"{_SAYS}; {time_s[rows[0]]:.2f} to {quantity(time_s[rows[-1]], 2, 's')}"
         figure.supxlabel(says, fontsize=style.SMALL, color=style.GREY)
     return figure
 
@@ -280,7 +292,10 @@ def angle_ranges(body: Body, reach_sigmas: float, title: str = "") -> Figure:
                 moved_m = body.expected_points_m(i, end)
                 _draw_limbs(axes, body, moved_m[:, coordinates], colour, (moved_m != mean).any(axis=1))
             low, high = np.degrees(body.mean_rad[i] + np.array([-reach_rad, reach_rad]))
-            axes.set_title(f"{names[i].replace('_', ' ')}\n{low:.0f}° to {high:.0f}°", fontsize=style.SMALL)
+            axes.set_title(
+                f"{names[i].replace('_', ' ')}\n{quantity(low, 0, '°')} to {quantity(high, 0, '°')}",
+                fontsize=style.SMALL,
+            )
         for axes in panels:
             _frame(axes)
     return figure
@@ -440,7 +455,7 @@ def _grid(axes: Axes, advice: Advice) -> None:
 
 def in_words(sigma: float, unit: str) -> str:
     """Return a standard deviation in degrees, or in centimetres, with its unit."""
-    return f"{np.degrees(sigma):.1f}°" if unit == "rad" else f"{100 * sigma:.1f} cm"
+    return quantity(np.degrees(sigma), 1, "°") if unit == "rad" else f"{100 * sigma:.1f} cm"
 
 
 # -- a calibration ----------------------------------------------------------------------------------------------------

@@ -24,10 +24,10 @@ from matplotlib.quiver import Quiver
 from matplotlib.ticker import MaxNLocator
 
 from recon.base.arrays import Array, Bools
-from recon.base.numbers import length_text, percent, plus_minus
+from recon.base.numbers import length_text, percent, plus_minus, quantity
 from recon.fit.motion import MEASURED_SHARE
 from recon.gait.dynamics import Dynamics
-from recon.gait.gait import Gait, Stance
+from recon.gait.gait import Gait, Stance, interval_of
 from recon.gait.kinematics import JointKinematics, Series
 from recon.gait.phase import Closure, LinkField, Portrait, field_means
 from recon.show.plots import style
@@ -113,7 +113,7 @@ def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, colour
 def _caption(name: str, gait: Gait) -> str:
     text = f"{name}: {gait.name.name} ({gait.name.criterion})"
     if gait.strides:
-        text += f"; stride {length_text(gait.stride_length_m)}, {gait.stride_frequency_hz:.2f} Hz"
+        text += f"; stride {length_text(gait.stride_length_m)}, {quantity(gait.stride_frequency_hz, 2, 'Hz')}"
     return textwrap.fill(text, 125)
 
 
@@ -234,7 +234,7 @@ def _peak(motion: JointKinematics, acceleration: bool) -> str:
     if not np.isfinite(motion.peak_speed_m_s):
         return "no data"
     speed = plus_minus(motion.peak_speed_m_s, style.REACH * motion.peak_speed_sigma_m_s, "m/s", default=".2f")
-    text = f"peak {speed} at {motion.peak_speed_time_s:.3f} s"
+    text = f"peak {speed} at {quantity(motion.peak_speed_time_s, 3, 's')}"
     if acceleration:
         sigma = style.REACH * motion.peak_acceleration_sigma_m_s2
         text += f", {plus_minus(motion.peak_acceleration_m_s2, sigma, 'm/s²', default='.0f')}"
@@ -411,7 +411,8 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
     """Draw one row per link: arrows (dx, dy) over time, and the speed in the plane, at one scale; time_s (T,).
 
     Right is along the parent, up is normal to the parent. If there are more than `ARROWS`, arrows are left out evenly.
-    A link is grey if its mean speed is below its standard deviation.
+    A link is grey if its mean speed is below its standard deviation. A speed whose band would fill its panel is left
+    out.
     """
     every = max(1, -(-len(time_s) // ARROWS))
     fastest = max((np.nanmax(f.speed_m_s) for f in fields if np.isfinite(f.speed_m_s).any()), default=np.nan)
@@ -436,11 +437,16 @@ def vector_fields(fields: tuple[LinkField, ...], time_s: Array, title: str = "")
             quiver = _arrows(left, field, time_s, every, float(fastest), colour)
             if arrows is None:
                 _key(left, arrows := quiver, float(fastest), every, height)
-            right.plot(time_s, field.speed_m_s, color=colour, **style.dots(len(time_s), 1.8))
-            if np.isfinite(field.speed_sigma_m_s).any():
-                style.draw_band(right, time_s, field.speed_m_s, field.speed_sigma_m_s, colour)
-            right.set_ylim(0, 1.08 * fastest or 1.0)
-            right.locator_params(axis="y", nbins=3)
+            top_m_s = float(1.08 * fastest or 1.0)
+            _, low, high = interval_of(field.speed_m_s, field.speed_sigma_m_s)
+            if style.is_filled(low, high, 0.0, top_m_s):
+                style.blank(right, "not known: the 90 % band\nwould fill the panel")
+            else:
+                right.plot(time_s, field.speed_m_s, color=colour, **style.dots(len(time_s), 1.8))
+                if np.isfinite(field.speed_sigma_m_s).any():
+                    style.draw_band(right, time_s, field.speed_m_s, field.speed_sigma_m_s, colour)
+                right.set_ylim(0, top_m_s)
+                right.locator_params(axis="y", nbins=3)
             text = f"mean {plus_minus(speed, sigma, 'm/s', default='.2f')}"
             right.set_title(text, loc="right", pad=2, fontsize=style.SMALL, color=style.GREY if is_grey else "k")
         margin_s = 0.08 * float(np.ptp(time_s)) or 0.5

@@ -194,9 +194,22 @@ def add_legend(figure: Figure, handles: Sequence[Artist], labels: Sequence[str],
     figure.legend(handles, labels, loc="outside lower left", ncols=legend_shape(labels, width_mm)[0])
 
 
-def blank(axes: Axes) -> None:
-    """Write "no data" into the axes."""
-    axes.text(0.5, 0.5, "no data", transform=axes.transAxes, ha="center", va="center", color=GREY)
+FILLED = 0.8
+"""Share of a panel from which on a band says no more than that the value is not known."""
+
+
+def is_filled(low: Array, high: Array, bottom: float, top: float) -> bool:
+    """Return whether a band (N,) fills a panel from `bottom` to `top`."""
+    known = np.isfinite(low) & np.isfinite(high)
+    if not known.any() or not top > bottom:
+        return False
+    inside = np.clip(high[known], bottom, top) - np.clip(low[known], bottom, top)
+    return bool(inside.mean() >= FILLED * (top - bottom))
+
+
+def blank(axes: Axes, text: str = "no data") -> None:
+    """Write a text instead of a plot into the axes."""
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=GREY)
     axes.set_xticks([])
     axes.set_yticks([])
 

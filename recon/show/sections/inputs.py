@@ -9,7 +9,7 @@ from typing import Any
 
 from recon.animal.prior import NONE as NO_PRIOR
 from recon.animal.skeleton_file import NONE, OWN, of_scorer
-from recon.base.numbers import percent, plus_minus
+from recon.base.numbers import percent, plus_minus, quantity
 from recon.check.codes import sentence
 from recon.check.verdict import verdict_lines as lines_of_verdict
 from recon.clip import COUNTS
@@ -37,7 +37,7 @@ def _assumed_by_one_camera(motion: Motion) -> str:
     """Return a sentence on the assumptions that one camera cannot check: lens, camera motion, frame rate, size."""
     camera, focal_sigma = motion.camera, focal_sigma_of(motion.settings, 1)
     known_to = f" ± {percent(focal_sigma)}" if focal_sigma else ""
-    lens = f"a {camera.model} lens with a focal length of {camera.matrix[0, 0]:.0f} px{known_to}"
+    lens = f"a {camera.model} lens with a focal length of {quantity(camera.matrix[0, 0], 0, 'px')}{known_to}"
     moves = "moves as its track says" if motion.camera_moves else "stands still"
     animal = f"lengths as those of {motion.body.name}"
     if isinstance(motion.solution, TrajectorySolution):

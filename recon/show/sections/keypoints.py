@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from recon.animal.naming import suggestions
 from recon.base.arrays import Array, finite, mean, median
-from recon.base.numbers import percent
+from recon.base.numbers import percent, quantity
 from recon.check.codes import names_text
 from recon.clip import COUNTS
 from recon.fit.motion import Motion, Picture
@@ -87,13 +87,17 @@ def keypoint_lines(motion: Motion, data: list[dict[str, Any]]) -> Iterator[Line]
     used, missing, rejected = (sum(numbers[count] for numbers in points) for count in ("used", "missing", "rejected"))
     yield "detections", _detections_text(motion, fitted, used, missing, rejected)
     errors = totals["reprojection_px"]
-    px = "{mean:.1f} px mean, {median:.1f} px median; worst joint {worst_joint}, {worst_joint_mean:.1f} px"
-    yield "reprojection", "none: no pose" if errors["worst_joint"] is None else px.format(**errors)
+    yield "reprojection", "none: no pose" if errors["worst_joint"] is None else _errors_text(errors)
     with_outliers = sorted(((row["outliers"], row["name"]) for row in fitted if row["outliers"]), reverse=True)
     names = ", ".join(f"{name} {count}" for count, name in with_outliers[:3])
     listed_names = names + (", ..." if len(with_outliers) > 3 else "")
     joints = f": {listed_names}" if with_outliers else ""
     yield "outliers", f"{totals['outliers']} of the {used} detections used disagree with the pose{joints}"
+
+
+def _errors_text(errors: Mapping[str, Any]) -> str:
+    mean, middle, worst = (quantity(errors[name], 1, "px") for name in ("mean", "median", "worst_joint_mean"))
+    return f"{mean} mean, {middle} median; worst joint {errors['worst_joint']}, {worst}"
 
 
 def _detections_text(motion: Motion, fitted: list[dict[str, Any]], used: int, missing: int, rejected: int) -> str:

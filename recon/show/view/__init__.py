@@ -43,6 +43,7 @@ from recon.animal.naming import without_side
 from recon.base.arrays import Array, Bools
 from recon.base.errors import InputError, Problem
 from recon.base.file_names import encodable
+from recon.base.numbers import quantity
 from recon.check.verdict import frame_rms_m
 from recon.fit.motion import Motion, Picture
 from recon.gait.clip import ClipAnalysis
@@ -345,7 +346,7 @@ def other_plots(motion: Motion) -> Iterator[TimePlot]:
         lines = {"smoothed by its jitter": smooth, "straight run": run_m_s, "cubic spline": speed}
         lines = {name: np.where(motion.solved, values, np.nan) for name, values in lines.items()}
     elif np.isfinite(speed).any():
-        title = f"Speed, {np.nanmin(speed):.1f} to {np.nanmax(speed):.1f} m/s"
+        title = f"Speed, {np.nanmin(speed):.1f} to {quantity(np.nanmax(speed), 1, 'm/s')}"
     yield _plot("speed", title, lines, colours=(scenes.TRAIL, scenes.LIMB_COLOURS[0], scenes.EDGE))
 
     distance = np.concatenate([picture.distance_px for picture in motion.pictures], axis=1)

@@ -6,7 +6,7 @@ import { Clip } from "./data.js";
 import { KeypointMap } from "./map.js";
 import { PictureView } from "./picture.js";
 import { SceneView } from "./scene.js";
-import { CurveStrip, ErrorStrip, FlagStrip, FootStrip } from "./strips.js";
+import { CurveStrip, ErrorStrip, FlagStrip, FootStrip, isFilled } from "./strips.js";
 
 const player = document.querySelector(".player");
 
@@ -47,7 +47,12 @@ function addPanels(clip, cursor, panels, strips) {
   const section = document.querySelector(".angles");
   if (!section || !panels.length) return;
   section.hidden = false;
-  for (const panel of panels) {
+  const unknown = panels.filter(isFilled);
+  if (unknown.length) {
+    const names = unknown.map(({ title }) => title).join(", ");
+    section.querySelector(".unknown").textContent = `Not drawn, as their 90 % bands would fill the panels: ${names}.`;
+  }
+  for (const panel of panels.filter((each) => !unknown.includes(each))) {
     const { strip, canvas, output } = newStrip(panel.title, 96);
     section.querySelector(".small").append(strip);
     strips.push(new CurveStrip(canvas, clip, cursor, output, panel));
@@ -105,8 +110,9 @@ function start() {
     scene.draw();
     for (const strip of strips) {
       strip.stale = strip.stale || whole;
-      strip.draw(always);
+      strip.paint(always);
     }
+    for (const strip of strips) strip.write();
   };
   const plan = (whole) => {
     all = all || whole;

@@ -27,8 +27,8 @@ export class KeypointMap extends Strip {
   }
 
   get gutter() {
-    const longest = Math.max(...this.clip.keypoints.map((name) => name.length));
-    return Math.min(this.canvas.clientWidth * 0.34, 18 + 6.4 * longest);
+    if (!this.longest) this.longest = Math.max(...this.clip.keypoints.map((name) => name.length));
+    return Math.min(this.width * 0.34, 18 + 6.4 * this.longest);
   }
 
   setQuantity(name) {

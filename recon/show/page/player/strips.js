@@ -15,20 +15,25 @@ export class Strip {
     canvas.addEventListener("pointermove", (event) => { if (event.buttons && canvas.hasPointerCapture(event.pointerId)) scrub(event); });
   }
 
+  /** The width when it was last drawn: to ask the page for it takes long, and a curve has thousands of points. */
+  get width() {
+    return this.wide || this.canvas.clientWidth;
+  }
+
   get gutter() {
-    return this.canvas.clientWidth < 480 ? 40 : 56;
+    return this.width < 480 ? 40 : 56;
   }
 
   /** Return the place of a row, which may have a fraction, on the canvas. */
   x(row) {
     const { frames, count } = this.clip, whole = Math.min(count - 1, Math.max(0, Math.floor(row)));
     const frame = frames[whole] + (row - whole), span = Math.max(1, frames[count - 1] - frames[0]);
-    return this.gutter + ((frame - frames[0]) / span) * (this.canvas.clientWidth - this.gutter - 10);
+    return this.gutter + ((frame - frames[0]) / span) * (this.width - this.gutter - 10);
   }
 
   rowAt(x) {
     const { frames, count } = this.clip, span = Math.max(1, frames[count - 1] - frames[0]);
-    const share = (x - this.gutter) / (this.canvas.clientWidth - this.gutter - 10);
+    const share = (x - this.gutter) / (this.width - this.gutter - 10);
     return this.clip.rowOfFrame(frames[0] + share * span);
   }
 
@@ -42,11 +47,25 @@ export class Strip {
     this.draw();
   }
 
-  /** Draw it if it is on the screen; `always` for paper. */
+  /** Draw it if it is on the screen, and write its value; `always` for paper. */
   draw(always = false) {
+    this.paint(always);
+    this.write();
+  }
+
+  /** Write the value of the frame that was drawn: after all strips are drawn, as a new text makes the page measure itself. */
+  write() {
+    const text = this.output && this.drawn ? this.value(this.cursor.row) : "";
+    if (!this.output || !this.drawn || text === this.output.textContent) return;
+    this.output.textContent = text;
+  }
+
+  paint(always = false) {
     const { canvas, still } = this;
-    if (!canvas.clientWidth || !(this.visible || always)) return;
+    this.drawn = canvas.clientWidth > 0 && (this.visible || always);
+    if (!this.drawn) return;
     const { pen, wide, high } = penOf(canvas), paint = colours(canvas);
+    this.wide = wide;
     if (this.stale || still.width !== canvas.width || still.height !== canvas.height) {
       [still.width, still.height] = [canvas.width, canvas.height];
       const layer = still.getContext("2d");
@@ -61,7 +80,6 @@ export class Strip {
     const x = this.x(this.cursor.row);
     pen.fillStyle = paint.strong;
     pen.fillRect(x - 1, 0, 2, high);
-    if (this.output) this.output.textContent = this.value(this.cursor.row);
   }
 
   /** Frames that have a flag have a darker ground in every strip. */
@@ -79,6 +97,33 @@ export class Strip {
 }
 
 const SIDES = ["left", "right", "middle"];
+const FILLED = 0.8; // share of a panel from which on a band says no more than that the value is not known
+
+/** Return the unit after a number, as in all texts: no blank before a degree sign. */
+const unitOf = ({ unit }) => (unit === "°" ? unit : ` ${unit}`);
+
+/** Return the known values of a panel, their ends, and the range of its axis. */
+function rangeOf(panel) {
+  const all = [];
+  for (const { values } of panel.curves) for (const value of values) if (!Number.isNaN(value)) all.push(value);
+  const [low, high] = all.length ? all.reduce(([a, b], v) => [Math.min(a, v), Math.max(b, v)], [Infinity, -Infinity]) : [0, 1];
+  const room = Math.max(0.08 * (high - low), panel.unit === "°" ? 1 : 1e-3);
+  return { all, low, high, range: [panel.least === 0 ? 0 : low - room, high + room] };
+}
+
+/** Return whether the bands of all curves would fill the panel. */
+export function isFilled(panel) {
+  const [low, top] = rangeOf(panel).range;
+  return panel.curves.every(({ values, band }) => {
+    let [covered, count] = [0, 0];
+    for (let row = 0; band && row < values.length; row++) {
+      if (Number.isNaN(values[row]) || Number.isNaN(band[row])) continue;
+      covered += Math.min(top, values[row] + band[row]) - Math.max(low, values[row] - band[row]);
+      count += 1;
+    }
+    return count > 0 && covered >= FILLED * count * (top - low);
+  });
+}
 
 /** Numbers over time, one curve for each side, with 90 % bands. */
 export class CurveStrip extends Strip {
@@ -89,12 +134,9 @@ export class CurveStrip extends Strip {
 
   setPanel(panel) {
     this.panel = panel;
-    const all = [];
-    for (const { values } of panel.curves) for (const value of values) if (!Number.isNaN(value)) all.push(value);
-    const [low, high] = all.length ? all.reduce(([a, b], v) => [Math.min(a, v), Math.max(b, v)], [Infinity, -Infinity]) : [0, 1];
-    const room = Math.max(0.08 * (high - low), panel.unit === "°" ? 1 : 1e-3);
-    this.range = [panel.least === 0 ? 0 : low - room, high + room];
-    this.text = all.length ? `${panel.title}: ${this.format(low)} to ${this.format(high)} ${panel.unit}` : `${panel.title}: not known`;
+    const { all, low, high, range } = rangeOf(panel);
+    [this.range, this.filled] = [range, isFilled(panel)];
+    this.text = all.length ? `${panel.title}: ${this.format(low)} to ${this.format(high)}${unitOf(panel)}` : `${panel.title}: not known`;
     this.canvas.setAttribute("aria-label", `${this.text}. A click shows the frame.`);
     this.stale = true;
   }
@@ -117,6 +159,12 @@ export class CurveStrip extends Strip {
       pen.fillRect(this.gutter, Math.round(y), wide - this.gutter - 10, 1);
       pen.fillStyle = paint.soft;
       pen.fillText(String(+value.toFixed(6)), this.gutter - 6, y);
+    }
+    if (this.filled) {
+      pen.fillStyle = paint.soft;
+      pen.textAlign = "left";
+      pen.fillText("not known: the 90 % band would fill the panel", this.gutter + 6, 8);
+      return;
     }
     for (const curve of this.panel.curves) if (curve.band) this.drawBand(pen, curve, high, paint);
     for (const curve of this.panel.curves) {
@@ -175,7 +223,7 @@ export class CurveStrip extends Strip {
     const texts = SIDES.flatMap((side) => this.panel.curves.filter((curve) => curve.side === side))
       .filter((curve) => !Number.isNaN(curve.values[row]))
       .map(({ side, values, band }) => `${side === "middle" ? "" : `${side} `}${
-        withBand(values[row], band ? band[row] : NaN)} ${this.panel.unit}`);
+        withBand(values[row], band ? band[row] : NaN)}${unitOf(this.panel)}`);
     return texts.join(", ") || "not known";
   }
 }
