@@ -23,7 +23,7 @@ TIMES = re.compile(r"(^|[ ,])(s|ms|µs|seconds|wall|time)($|[ ,])")
 
 @dataclass(frozen=True)
 class Part:
-    """Describe a measurement: a script of `parts/` with its arguments."""
+    """A measurement: a script of `parts/` with its arguments."""
 
     script: str
     arguments: Sequence[str] = ()

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from markdown_table import print_table
+from markdown_table import percent, print_table
 from recordings import recordings
 
 from recon import read_pose3d
@@ -458,9 +458,9 @@ def main() -> None:
         with_findings = {name: codes for name, codes in named.items() if codes}
         is_wrong = {n for n, codes in with_findings.items() if not all(is_right(by_name[n], code) for code in codes)}
         n = sum(map(len, with_findings.values()))
-        share, of_checks = len(with_findings) / len(all_files), f"{n} of {tests} checks ({n / tests:.1%})"
-        print(f"By the {title}: {len(with_findings)} files have a finding ({share:.0%}), {of_checks};")
-        print(f"{len(is_wrong)} of these are not confirmed by the truth ({len(is_wrong) / len(all_files):.1%}).")
+        share, of_checks = len(with_findings) / len(all_files), f"{n} of {tests} checks ({percent(n / tests, 1)})"
+        print(f"By the {title}: {len(with_findings)} files have a finding ({percent(share)}), {of_checks};")
+        print(f"{len(is_wrong)} of these are not confirmed by the truth ({percent(len(is_wrong) / len(all_files), 1)}).")
         for name, codes in with_findings.items():
             print(f"  {name}: {', '.join(sorted(codes))}{'' if name in is_wrong else ' (confirmed)'}")
     if options.details:

@@ -25,7 +25,7 @@ import numpy as np
 import pandas as pd
 from arguments import runs_of
 from dog import Clip, read_clips, write_view
-from markdown_table import print_table
+from markdown_table import percent, print_table
 from recordings import recordings
 
 import recon.gait.dynamics as method
@@ -322,11 +322,8 @@ def main() -> None:
     views, held = cheetahs()
     if views:
         print(f"\nCheetahs, views of the cheetah-runs: {CARRIED}: {carry_the_body(*views)}")
-        print(
-            "in 90 % of a view, by all cameras: internal energy {:.0%}, angular momentum {:.0%} {:.0%} {:.0%}".format(
-                *held
-            )
-        )
+        energy, *momentum = map(percent, held)
+        print(f"in 90 % of a view, by all cameras: internal energy {energy}, angular momentum {' '.join(momentum)}")
     if not rows:
         print("no recordings: forces not measured")
     samples = samples_folder()

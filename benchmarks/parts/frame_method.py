@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from arguments import parser_of, runs_of, settings_of
-from markdown_table import print_table
+from markdown_table import percent, print_table
 
 from recon import FitSettings, Motion, Pose3D, evaluate, fit_clip, read_pose3d
 from recon.cli.analyse import ACCELERATION_KNOWN_M_S2
@@ -122,9 +122,9 @@ def acceleration_lines(table: pd.DataFrame) -> list[str]:
     holds = off <= radius(INTERVAL) * sigma
     return [
         f"Acceleration along the way: stated in {stated.sum()} of {len(table)} views (standard deviation of at most "
-        f"{ACCELERATION_KNOWN_M_S2:g} m/s2); its 90 % interval holds in {holds[stated].mean():.0%} of these and in "
-        f"{holds.mean():.0%} of all; off by {off[stated].median():.1f} m/s2 (median), stated standard deviation "
-        f"{sigma[stated].median():.1f}."
+        f"{ACCELERATION_KNOWN_M_S2:g} m/s2); its 90 % interval holds in {percent(holds[stated].mean())} of these "
+        f"and in {percent(holds.mean())} of all; off by {off[stated].median():.1f} m/s2 (median), stated standard "
+        f"deviation {sigma[stated].median():.1f}."
     ]
 
 

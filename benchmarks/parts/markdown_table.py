@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 
 
@@ -19,4 +20,11 @@ def print_header(header: Sequence[object]) -> None:
 
 
 def print_row(cells: Iterable[object]) -> None:
-    print("| " + " | ".join(map(str, cells)) + " |", flush=True)
+    """Print one row, with a blank between each number and its per cent sign."""
+    texts = [re.sub(r"(?<=\d)%", " %", str(cell)) for cell in cells]
+    print("| " + " | ".join(texts) + " |", flush=True)
+
+
+def percent(share: float, digits: int = 0) -> str:
+    """Return a share as in "12 %"."""
+    return f"{100 * share:.{digits}f} %"

@@ -23,7 +23,7 @@ import numpy as np
 from arguments import parser_of, runs_or_exit
 from cameras import PRIOR, Run, errors, run_of
 from changed_constants import options_with
-from markdown_table import print_header, print_row
+from markdown_table import percent, print_header, print_row
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 from trajectory import body_of, prior_of
@@ -224,8 +224,9 @@ def print_summary(rows: Sequence[dict]) -> None:
     print(
         f"{len(rows)} views: {lost} of {lost + points} points left out; MPJPE within 1 mm in "
         f"{within('pan less still', 1.0)}, worst {worst('pan less still'):.2f} mm; sigma of the pose within 3 % in "
-        f"{within('pose sigma', 0.03)}, worst {worst('pose sigma'):.1%}; of the place in "
-        f"{within('place sigma', 0.03)}, worst {worst('place sigma'):.1%}; mean of what changes inside: {inside}\n",
+        f"{within('pose sigma', 0.03)}, worst {percent(worst('pose sigma'), 1)}; of the place in "
+        f"{within('place sigma', 0.03)}, worst {percent(worst('place sigma'), 1)}; "
+        f"mean of what changes inside: {inside}\n",
         flush=True,
     )
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from arguments import parser_of, runs_of, settings_of
-from markdown_table import print_table
+from markdown_table import percent, print_table
 
 from recon import FitSettings, Pose3D, evaluate, fit_clip, read_pose3d
 from recon.fit.result import ExpectedError
@@ -68,8 +68,8 @@ def main() -> None:
     if not rows:
         parser.exit(message=f"no runs in {arguments.folder}: nothing measured\n")
     print_table(HEADER, [cells for cells, _, _ in rows])
-    pose, position = (np.mean([row[part] for row in rows]) for part in (1, 2))
-    print(f"Not beyond the upper end of the stated interval: {pose:.0%} of poses, {position:.0%} of positions.")
+    pose, position = (percent(float(np.mean([row[part] for row in rows]))) for part in (1, 2))
+    print(f"Not beyond the upper end of the stated interval: {pose} of poses, {position} of positions.")
 
 
 if __name__ == "__main__":

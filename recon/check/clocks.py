@@ -1,4 +1,4 @@
-"""Test whether the clocks of cameras drift apart: a camera that takes 59 pictures where its file says 60."""
+"""Test whether the clocks of cameras drift apart, as if a camera took 59 pictures a second and its file stated 60."""
 
 from __future__ import annotations
 

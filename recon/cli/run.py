@@ -422,7 +422,7 @@ def jobs_of(run_settings: _RunSettings, options: Mapping[str, Any]) -> list[_Job
 
 
 def keypoints_of(video: Path, folder: Path) -> Path:
-    """Return the keypoint file in a folder that is named after a video, or as DeepLabCut names its files.
+    """Return the keypoint file of a video in a folder: it has the video's name, or the name that DeepLabCut gives it.
 
     If the same keypoints exist in two formats, the last one is used. Raises InputError if no file or several files
     match.

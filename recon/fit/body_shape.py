@@ -17,7 +17,7 @@ from recon.fit.terms import COMMON_KEYPOINT_BIAS, LENGTHS
 from recon.geometry.kinematics import Tree
 
 LENGTH_SIGMA = 0.05
-"""Relative standard deviation of an animal's single lengths about its size times the skeleton's lengths."""
+"""Relative standard deviation of each length of an animal about the skeleton's length times the animal's size."""
 OFFSET_SIGMA_M = 0.01
 """Expected offset of a keypoint from its marker along each axis.
 

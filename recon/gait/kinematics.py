@@ -54,11 +54,14 @@ benchmarks/gait.py --only speeds`).
 """
 
 _WINDOW, _MARGIN = 200, 40
-"""Frames of an exact spline whose standard deviations are computed at once, and frames on either side that enter: a
-value's share in the spline falls by 2 - sqrt(3) from frame to frame, to 1e-23 over the margin."""
+"""Number of frames of an exact spline whose standard deviations are computed at once, and number of frames on either
+side that contribute. The influence of a value on the spline falls by the factor 2 - sqrt(3) from frame to frame, to
+1e-23 over the margin.
+"""
 _REACH, _LEAST_PRODUCT, _AT_ONCE = 20, 1e-11, 1000
-"""Frames on either side that enter for evenly spaced frames away from the ends (1e-11 over the reach); smallest product
-of two values' shares that enters, relative to the largest; and the number of frames computed at once.
+"""Limits for evenly spaced frames away from the ends: number of frames on either side that contribute (their influence
+falls to 1e-11 over this reach), smallest product of two influences that contributes, relative to the largest, and
+number of frames computed at once.
 """
 
 STRAIGHT_SIGMAS = 2.0

@@ -189,11 +189,11 @@ OPENSFM_LENSES = {
     "fisheye": ("fisheye", ("k1", "k2")),
     "fisheye_opencv": ("fisheye", ("k1", "k2", "k3", "k4")),
 }
-"""Recon's lens model by OpenSfM's name, and its coefficients; the others are 0."""
+"""Recon's lens model for each name of OpenSfM, and the coefficients that a file has; all others are 0."""
 COLMAP_LENSES = {
     name: (lens.name, parameters.split()) for lens in LENS_MODELS.values() for name, parameters in lens.colmap.items()
 }
-"""Recon's lens model by COLMAP's name, and its parameters in order."""
+"""Recon's lens model for each name of COLMAP, and its parameters in order."""
 
 
 def recognises_opensfm(path: Path) -> bool:

@@ -45,7 +45,7 @@ class LabelledFrames:
     xy_px: Array
     """(N, K, 2), NaN where a point is not labelled."""
     origins: tuple[tuple[str, ...], ...] = ()
-    """Basis of each label, such as "by hand", for each frame and keypoint; empty if all are by hand."""
+    """Origin of each label, such as "by hand", for each frame and keypoint; empty if all are by hand."""
     edges: tuple[tuple[int, int], ...] = ()
     """Pairs of keypoints joined by a bone, as indices."""
     size_px: tuple[int, int] = (0, 0)

@@ -25,8 +25,8 @@ JITTER_RMS = 0.2
 Times without any rate have 0.29.
 """
 ROUNDED_GAPS, ROUNDED_OFF = 3, 0.6
-"""Smallest number of gaps, and largest distance from even times in units, of times rounded to a unit near the
-period.
+"""Limits for times that are rounded to a unit near the period: minimum number of gaps of more than 1.5 units, and
+maximum distance from even times, in units.
 """
 PHASE_SHARED = 0.5
 """Length of the mean direction of the times' phases above which the times share a phase."""

@@ -432,7 +432,7 @@ def retarget(
     slower: float | None = None,
     window: StrideWindow | None = None,
 ) -> Retargeting:
-    """Return an animal's motion on a robot.
+    """Transfer an animal's motion to a robot.
 
     Parameters
     ----------

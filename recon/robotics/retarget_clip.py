@@ -408,7 +408,7 @@ AMP_LEGS = ("RF", "LF", "RH", "LH")
 AMP_JOINTS = 3
 """Number of joints of a leg in AMP's layout."""
 STEP_S = 1e-6
-"""Time between positions whose difference is a velocity. They lie on a tangent, so the velocity is exact to
+"""Time between two positions whose difference gives a velocity. They lie on a tangent, so the velocity is exact to
 round-off.
 """
 

@@ -90,7 +90,7 @@ class _FrameReport:
 class FrameSolution(Solution):
     """A solution of the frame method, with D unknowns of the chain.
 
-    Covariances are given the frame before.
+    Covariances assume that the frame before is known.
     """
 
     chain: AnyChain

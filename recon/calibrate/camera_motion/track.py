@@ -48,7 +48,7 @@ points with the background.
 CLEARLY = 3.0
 """Number of standard deviations beyond which a focal length differs clearly from that of the camera file."""
 MIN_STILL, MAX_TORN = 0.4, 1
-"""Minimum fraction of an old keyframe's background that has to stay in position, and number of exceptions."""
+"""Minimum fraction of an old keyframe's background that stays in position, and how many keyframes may have less."""
 ADJUST_STEPS = 4
 PICTURE_FLOOR_PX = 0.1
 """Error that all points of a picture have in common, in pixels, and that their scatter does not show."""

@@ -242,7 +242,7 @@ def _curves(analysis: ClipAnalysis) -> Iterator[dict[str, Any]]:
 
 
 def posture_panels(motion: Motion) -> dict[str, dict[Any, tuple[Array, Array, bool]]]:
-    """Return panels of the model's angles by title: for each side the values and sigmas in degrees, and if measured."""
+    """Return panels of the model's angles: values and sigmas in degrees by side, and whether pixels measure them."""
     shares, panels = motion.data_shares, dict[str, dict[Any, tuple[Array, Array, bool]]]()
     for name, angle, sigma in zip(motion.posture_names, motion.posture_rad.T, motion.posture_sigma_rad.T, strict=True):
         title = both_sides(name).replace("_rad", "").replace("_", " ")

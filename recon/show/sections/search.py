@@ -69,7 +69,7 @@ def alternative_data(motion: Motion) -> dict[str, Any] | None:
 
 
 def alternative_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
-    """Yield whether another pose fits the video equally well."""
+    """Yield a line that states whether another pose fits the video equally well."""
     if data is None:
         text = "no other pose fits nearly as well"
     elif not any(finding.code == "second_solution" for finding in motion.findings):
