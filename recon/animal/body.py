@@ -172,7 +172,7 @@ class Body(Brief):
     keypoint_spread_m: dict[str, float] = field(default_factory=dict)
     """Standard deviation of this offset between clips, along each axis, by marker."""
     marker_sigma_m: float = 0.0
-    """Standard deviation, along each axis, of the markers' distance from the animal's points that they stand for."""
+    """Standard deviation, along each axis, of the markers' distance from the animal's points that they represent."""
     keypoint_noise_m: dict[str, float] = field(default_factory=dict)
     """Standard deviation of this offset in a single frame, by marker; `keypoint_sigma_m` for other markers."""
     detector: str | None = None

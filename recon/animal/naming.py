@@ -47,7 +47,7 @@ ANATOMICAL = "anatomical"
 _NEAR = 0.8
 """Names are similar if they share this part of their letters."""
 _MOST_OF_FILE = 0.8
-"""Share of a file's keypoints above which a skeleton is probably theirs."""
+"""Share of a file's keypoints above which the skeleton that has them is probably the right one."""
 
 
 _Default = TypeVar("_Default")

@@ -71,7 +71,7 @@ _ROUGHLY = {"croup": "tail_base", "rump": "tail_base"}
 
 _FRONT_WORDS = re.compile("nose|snout|muzzle|beak|head|(?<!r)ear|eye|neck|withers|shoulder", re.IGNORECASE)
 _REAR_WORDS = re.compile("tail|rump|croup|hip|pelvis", re.IGNORECASE)
-"""Names of keypoints at the front and at the rear, which show the front of an animal that does not move along."""
+"""Names of keypoints at the front and at the rear, which show the front of an animal that stays in place."""
 _FEET_WORDS = re.compile("paw|foot|feet|hand|hoof|toe", re.IGNORECASE)
 _NO_FEET = re.compile("tail|nose|snout|muzzle|beak|head", re.IGNORECASE)
 """Names of keypoints at feet, and of keypoints that reach the ground although they are not feet."""

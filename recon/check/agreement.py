@@ -78,7 +78,7 @@ _POINT_ROUNDS = 3
 _OFFSET_ROUNDS = 3
 """Largest number of rounds over the cameras in the search for time offsets."""
 _MEDIAN_OF_LINE, _MEDIAN_OF_POINT = 0.4549, 1.3863
-"""Medians of a squared error in standard deviations in one dimension, and in two."""
+"""Medians of the squared length of a normal error, in units of its variance, in one dimension and in two."""
 _PARALLEL = 1e-4
 """Smallest ratio of the precision of a point along its rays to that across them."""
 

@@ -19,7 +19,7 @@ from recon.base.arrays import Array, Bools, Brief, Index, Integers
 NAMES_KNOWN = 0.6
 """Fraction of a file's points, or of a skeleton's markers, with matching names above which the skeleton is used."""
 LEAST_NAMES = 4
-"""Fewest matching names by which a skeleton is used: two or three fit several animals."""
+"""Smallest number of matching names with which a skeleton is used: two or three names match several animals."""
 _FOOT = re.compile(r"(?i)paw|hoof|toe|foot(?!base)|feet|hand(?!le)|claw|ankle|wrist")
 _STANDING = re.compile(rf"{_FOOT.pattern}|fetlock|pastern|digit|heel|hock|tarsus|carpus|knee")
 _LOWEST = re.compile(r"(?i)paw|hoof|toe|foot|feet|hand|claw")
@@ -108,7 +108,7 @@ class Measure:
     rows: tuple[int, int] | None = None
     """Rows of the frames: the first, and the one after the last; None means all."""
     numbers: Mapping[str, Any] = field(default_factory=dict)
-    """Evidence for the sentence of the finding."""
+    """Numbers that the sentence of the finding states."""
 
 
 def resolution_of(values: Array) -> float:

@@ -37,9 +37,9 @@ IN_AIR = 0.1
 FLIGHT_FRAMES = 5
 """Smallest number of frames of a flight from which its acceleration is measured."""
 SIGMAS = 2.0
-"""Deviation of the acceleration, in standard deviations, that is consistent with gravity."""
+"""Largest deviation of the acceleration, in standard deviations, that is consistent with gravity."""
 RATIO = 1.5
-"""Ratio of the acceleration to gravity, beyond the uncertainty, that is a contradiction."""
+"""Factor by which the acceleration may differ from gravity, apart from its uncertainty, without a finding."""
 OWN_MOTION = 0.02
 """Motion of the trunk relative to the centre of mass in a flight, relative to the length of the legs."""
 RANGE_DEG: Mapping[str, tuple[float, float]] = {

@@ -1,4 +1,4 @@
-"""The command `recon label`: label frames of a video in a browser, from nothing."""
+"""The command `recon label`: label frames of a video in a browser, without earlier keypoints."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ _IN_BLOCKS = 8
 one.
 """
 _KEPT = 1 << 24
-"""Most numbers in windows that are kept until the shared unknowns are known: 128 MB."""
+"""Limit on the amount of numbers in windows that are kept until the shared unknowns are known: 128 MB."""
 
 
 @dataclass(frozen=True)

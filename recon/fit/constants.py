@@ -38,7 +38,7 @@ The second is the usual error of a camera's data sheet for a video, which uses o
 TIME_OFFSET_FRAMES = 12**-0.5
 """Standard deviation of a camera's time offset in frames, for pictures taken at any time within a frame."""
 SOUGHT_OFFSET_FRAMES = 2.0
-"""Time offset, in frames, of a camera whose offset is estimated."""
+"""Standard deviation of the time offset, in frames, of a camera whose offset is estimated."""
 CAMERA_ROTATION_RAD, CAMERA_SHIFT_M, CAMERA_SHIFT_SHARE = 0.03490658503988659, 0.05, 0.02
 """Errors of a camera pose that is to be refined.
 

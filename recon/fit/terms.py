@@ -504,7 +504,7 @@ class Heading:
 
 @dataclass(frozen=True)
 class StanceVelocity:
-    """Keep feet (F,) that hardly move at rest: their velocities have the Geman-McClure loss, at most (c sigma)^2 / 2.
+    """Term that keeps nearly still feet (F,) at rest: velocities have the Geman-McClure loss, at most (c sigma)^2 / 2.
 
     The velocities are those in the world. At nominal size, feet followed by a moving camera would appear to stand if
     the animal were large enough.

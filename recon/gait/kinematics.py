@@ -321,8 +321,8 @@ def _spline_sigmas(t: Array, sample_s: Array, errors: Sequence[Errors], weight: 
 def _fill_amid(variance: Array, t: Array, errors: Sequence[Errors], per_frame: int) -> None:
     """Fill the variances (3, M, d) of an exact spline through evenly spaced values (n,), away from its ends.
 
-    `per_frame` samples a frame. The `_REACH` frames at either end are left out: elsewhere the samples of every frame
-    depend on the values around it in the same way.
+    There are `per_frame` samples per frame. The `_REACH` frames at either end are left out: elsewhere the samples of
+    every frame depend on the values around it in the same way.
     """
     from scipy.interpolate import CubicSpline
 

@@ -386,8 +386,8 @@ REASONS = {
     "others": "body lengths further from every other label than usual",
 }
 LEARNED = 5.0
-"""A label is also suspicious only beyond this multiple of its keypoint's median distance from the network's points,
-because a larger median means that the network has not learned the keypoint.
+"""Multiple of its keypoint's median distance from the network's points that the distance of a suspicious label has to
+exceed: a large median means that the network has not learned the keypoint.
 """
 FITS = 2.0
 """Largest median error, as a multiple of the tolerance, in the pictures that a network learned from. A network with

@@ -414,7 +414,7 @@ class _Carrying:
     def _spline(self, time_s: Array, order: int = 0) -> Array:
         """Return the matrix (K, n) from the spline's coefficients to the base, or its derivative, at times (K,).
 
-        order: of the derivative in time, 0 for none.
+        order: order of the derivative in time, 0 for none.
         """
         m, size = self.frames, self.lasts / self.frames
         at = np.clip((time_s - self.start) / size, 0, m)

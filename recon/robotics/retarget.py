@@ -282,8 +282,8 @@ LIFT = 0.15
 CLEARANCE = 0.7
 SPREADS = (0.0, 0.1, 0.2, 0.3, 0.4)
 LEGS_APART = 0.15
-"""Smallest distance between the lines of two legs, and the spreads above, as fractions of the standing height of the
-hips. Legs are about this thick.
+"""Smallest distance between the lines of two legs, as a fraction of the hips' standing height, like `SPREADS`. Legs are
+about this thick.
 """
 SCALES = 0.97 ** np.arange(76)
 """Scales to try, as fractions of the largest."""
