@@ -460,7 +460,9 @@ def main() -> None:
         n = sum(map(len, with_findings.values()))
         share, of_checks = len(with_findings) / len(all_files), f"{n} of {tests} checks ({percent(n / tests, 1)})"
         print(f"By the {title}: {len(with_findings)} files have a finding ({percent(share)}), {of_checks};")
-        print(f"{len(is_wrong)} of these are not confirmed by the truth ({percent(len(is_wrong) / len(all_files), 1)}).")
+        print(
+            f"{len(is_wrong)} of these are not confirmed by the truth ({percent(len(is_wrong) / len(all_files), 1)})."
+        )
         for name, codes in with_findings.items():
             print(f"  {name}: {', '.join(sorted(codes))}{'' if name in is_wrong else ' (confirmed)'}")
     if options.details:
