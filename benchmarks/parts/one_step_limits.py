@@ -1,10 +1,11 @@
-"""Measure how far right and wrong clips are from the limits of two checks: the picture's stretch, the clocks' drift.
+"""Measure how far right and wrong clips are from the limits of the checks of stretch, halves and clocks.
 
     python benchmarks/parts/one_step_limits.py [FOLDER] [--views 8]
 
-Every n-th view of the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data, is fitted as it is, and with x scaled;
-every n-th pair as it is, and with a second camera that takes a picture a second less than its file says. Stretch:
-`recon.check.stretch.deviation`. Drift: the largest of `recon.check.clocks.drifts_of`, in its standard deviations.
+Every n-th view of the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data, is fitted as it is, with x scaled, and
+with the hind half of a second animal; every n-th pair as it is, and with a second camera that takes a picture a second
+less than its file says. Stretch: `recon.check.stretch.deviation`. Halves and drift: `recon.check.halves.offset_of`, and
+the largest of `recon.check.clocks.drifts_of`, in their standard deviations.
 """
 
 from __future__ import annotations
@@ -22,11 +23,12 @@ from unittest.mock import patch
 import numpy as np
 from arguments import parser_of, runs_of
 from markdown_table import print_table
-from wrong_inputs import Case, Clip, Given, cameras_of, fitted, scaled
+from wrong_inputs import Case, Clip, Given, cameras_of, fitted, hind_of_second, scaled
 
 from recon import InputError
 from recon.check import inputs
 from recon.check.clocks import DRIFT_SIGMAS, drifts_of
+from recon.check.halves import LIMIT_SIGMAS, offset_of
 from recon.check.stretch import LIMITS, deviation, stretch_of
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.result import TrajectorySolution
@@ -42,22 +44,34 @@ def slow_clock(clip: Clip, given: Given) -> Given:
     return given.seen(xy_px, given.keypoints.frames[: len(before)])
 
 
-CASES = {
-    "untouched": Case(lambda clip, given: given),
-    "x scaled by 0.75": Case(scaled(0.75, 1.0)),
-    "x scaled by 1.33": Case(scaled(4 / 3, 1.0)),
-    "two cameras": Case(lambda clip, given: given, two=True),
-    "two, one a frame a second slow": Case(slow_clock, two=True),
+UNTOUCHED = Case(lambda clip, given: given)
+ROWS = (
+    ("stretch", "untouched", UNTOUCHED),
+    ("stretch", "x scaled by 0.75", Case(scaled(0.75, 1.0))),
+    ("stretch", "x scaled by 1.33", Case(scaled(4 / 3, 1.0))),
+    ("halves", "untouched", UNTOUCHED),
+    ("halves", "hind half of a second animal", Case(hind_of_second)),
+    ("drift", "two cameras", Case(lambda clip, given: given, two=True)),
+    ("drift", "two, one a frame a second slow", Case(slow_clock, two=True)),
+)
+LIMIT_TEXTS = {
+    "stretch": f"{LIMITS[0]} to {LIMITS[1]}",
+    "halves": f"-{LIMIT_SIGMAS} to {LIMIT_SIGMAS}",
+    "drift": f"0 to {DRIFT_SIGMAS}",
 }
 
 
-def deviations(clip: Clip, case: Case) -> list[float]:
-    """Return the deviation that the check of a clip sees, in standard deviations; nothing if it does not run."""
+def deviation_of(clip: Clip, case: Case, check: str) -> list[float]:
+    """Return the deviation that a check of a clip sees, in standard deviations; nothing if the check does not run."""
     seen: list[float] = []
 
     def stretch(problem: ClipProblem, solution: TrajectorySolution) -> None:
         step = stretch_of(problem, solution)
         seen.extend([] if step is None else [deviation(step)])
+
+    def halves(problem: ClipProblem, solution: TrajectorySolution) -> None:
+        step = offset_of(problem, solution)
+        seen.extend([step.value / step.sigma] if check == "halves" and step is not None else [])
 
     def drift(problem: ClipProblem, solution: TrajectorySolution, *_: object) -> tuple[()]:
         steps = drifts_of(problem, solution).values()
@@ -66,7 +80,8 @@ def deviations(clip: Clip, case: Case) -> list[float]:
 
     with (
         tempfile.TemporaryDirectory() as folder,
-        patch.object(inputs, "stretch_finding", stretch),
+        patch.object(inputs, "stretch_finding", stretch if check == "stretch" else lambda *_: None),
+        patch.object(inputs, "halves_finding", halves),
         patch.object(inputs, "drift_findings", drift),
         suppress(InputError),  # a clip whose scaled picture is refused has no check
     ):
@@ -84,12 +99,12 @@ def main() -> None:
     if not views:
         parser.exit(message=f"no runs in {arguments.folder}: nothing measured\n")
     rows = []
-    for name, case in CASES.items():
-        sigmas = [value for clip in (pairs if case.two else views) for value in deviations(clip, case)]
-        limits = f"0 to {DRIFT_SIGMAS}" if case.two else f"{LIMITS[0]} to {LIMITS[1]}"
+    for check, name, case in ROWS:
+        sigmas = [value for clip in (pairs if case.two else views) for value in deviation_of(clip, case, check)]
         ends = [f"{value:.1f}" for value in np.quantile(sigmas, [0.0, 0.5, 1.0])] if sigmas else ["", "", ""]
-        rows.append([name, len(sigmas), *ends, limits])
-    print_table(["case", "clips", "least deviation", "median", "largest", "not named"], rows)
+        rows.append([check, name, len(sigmas), *ends, LIMIT_TEXTS[check]])
+        print(" ".join(map(str, rows[-1])), flush=True)
+    print_table(["check", "case", "clips", "least deviation", "median", "largest", "not named"], rows)
 
 
 if __name__ == "__main__":

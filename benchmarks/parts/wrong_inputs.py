@@ -66,7 +66,7 @@ CAUSES = {
         "subject_unlike_species",
     ),
     *("cameras_apart_in_time", "cameras_exchanged", "cameras_disagree", "camera_turned", "camera_late", "camera_off"),
-    *("picture_zooms", "keypoints_undistorted"),
+    *("picture_zooms", "keypoints_undistorted", "halves_apart", "picture_stretched"),
 }
 """Codes that state the cause of a wrong input."""
 SWAPS = ("left_right_swap", "left_right_swap_possible")
@@ -498,7 +498,7 @@ CASES = {
     "labels 15 % too large": Case(labels_larger, ("size_unexpected", "ground_elsewhere")),
     "origin 0.3 m above the ground": Case(lambda c, g: g.moved(t=(0, 0, -0.3)), ("ground_elsewhere",)),
     "origin 0.3 m below the ground": Case(lambda c, g: g.moved(t=(0, 0, 0.3)), ("ground_elsewhere",)),
-    "hind half of a second animal": Case(hind_of_second),
+    "hind half of a second animal": Case(hind_of_second, ("halves_apart",)),
     "cubic through every 8th": Case(cubic, ("detections_curved",)),
     "paws on their shadow": Case(paws_on_shadow),
     "rolling shutter of 30 ms": Case(rolling(0.03)),

@@ -19,8 +19,10 @@ from recon.animal.prior import NONE, MotionPrior, mean_speed_m_s
 from recon.base.arrays import Array, Bools
 from recon.check.clocks import drift_findings
 from recon.check.codes import FLAG_OF, by_effect, finding
+from recon.check.halves import halves_finding
 from recon.check.likelihood import (
     CLEAR,
+    Baseline,
     baseline_of,
     frame_rate_finding,
     lens_findings,
@@ -103,12 +105,7 @@ def input_findings(
                 ]
                 findings += found_swaps
                 if len(motion.sources) == 1 and not (found_swaps or moves):
-                    lens = lens_findings(baseline, solution.noise_px[number])
-                    sigma_m = _position_sigma_m(motion)
-                    moves += (by_effect(item, motion.trunk_m, position_sigma_m=sigma_m) for item in lens)
-                    is_right = all(item.severity == "note" for item in moves)
-                    if is_right and (stretched := stretch_finding(ground_clip, solution)):
-                        moves.append(stretched)
+                    moves += _of_only_view(motion, ground_clip, baseline)
         findings += pictures
         if len(motion.sources) > 1 and not (pictures or is_certain):
             names = [source.camera.name for source in motion.sources]
@@ -124,9 +121,18 @@ def input_findings(
     return tuple(findings)
 
 
-def _position_sigma_m(motion: Motion) -> float:
-    """Return the mean standard deviation of the animal's middle along the line of sight, metres."""
-    return float(np.nanmean(motion.place_sigma_m[motion.solved]))
+def _of_only_view(motion: Motion, clip: ClipProblem, baseline: Baseline) -> list[Finding]:
+    """Return findings on a clip of one camera: two halves that do not belong together, or another lens or picture."""
+    solution = motion.solution
+    assert isinstance(solution, TrajectorySolution)
+    if (apart := halves_finding(clip, solution)) is not None:
+        return [apart]
+    sigma_m = float(np.nanmean(motion.place_sigma_m[motion.solved]))
+    lens = lens_findings(baseline, solution.noise_px[0])
+    findings = [by_effect(item, motion.trunk_m, position_sigma_m=sigma_m) for item in lens]
+    if all(item.severity == "note" for item in findings) and (stretched := stretch_finding(clip, solution)):
+        findings.append(stretched)
+    return findings
 
 
 def _of_rate(

@@ -63,6 +63,7 @@ SENTENCES = {
     "treadmill": ("--set belt-speed-m-s=1.4", {"slide_m_s": 1.4, "speed_m_s": 0.2}),
     "camera_moves": ("the slowest feet move at -7.0 m/s", {"slide_m_s": -7.0, "speed_m_s": 0.3}),
     "keypoints_undistorted": ("fits clearly better without the lens", {}),
+    "halves_apart": ("half of the animal seems 2.5 frames late", {"late_frames": 2.5, "sigmas": 3.1}),
     "picture_zooms": ("better if the picture zooms in: distance", {"way": "in"}),
     "path_jolts": ("as no animal does (judged by its heading)", {"of": "heading", "cost": 1.2}),
     "ground_elsewhere": ("stand at z = 0.47 ± 0.04 m", {"height_m": 0.47, "sigma_m": 0.04}),
