@@ -19,7 +19,7 @@ import numpy as np
 
 from recon.animal.anatomy import FLEXES_CAUDALLY, GIRDLE, joint_and_side
 from recon.animal.body import Body, Side
-from recon.base.arrays import Array, Brief
+from recon.base.arrays import Array, Brief, Index
 from recon.fit.motion import Motion
 from recon.gait.gait import Gait, Stride
 
@@ -120,18 +120,23 @@ def joint_flexions(motion: Motion) -> tuple[JointFlexion, ...]:
 def _variance(body: Body, states: Array, size: float, angle_sigma: Array) -> Array:
     """Return the variance (A, T) of the flexions from independent errors of the fit's angles (T, D - 3)."""
     variance = np.zeros((len(body.anatomy), len(states)))
-    every_few = states[:: -(-len(states) // 3)]
-    for column in range(3, states.shape[1]):
-        step = _STEP_RAD * (np.arange(states.shape[1]) == column)
-        if np.abs(_change(body, every_few, size, step)).max() > 1e-6:
-            variance += (_change(body, states, size, step) * angle_sigma[:, column - 3]) ** 2
+    every_few, columns = states[:: -(-len(states) // 3)], np.arange(3, states.shape[1])
+    matters = np.abs(_changes(body, every_few, size, columns)).max(axis=(1, 2), initial=0.0) > 1e-6
+    at_once = max(1, _ROWS_AT_ONCE // len(states))
+    for first in range(0, int(matters.sum()), at_once):
+        some = columns[matters][first : first + at_once]
+        for column, change in zip(some, _changes(body, states, size, some), strict=True):
+            variance += (change * angle_sigma[:, column - 3]) ** 2
     return variance
 
 
-def _change(body: Body, states: Array, size: float, step: Array) -> Array:
-    """Return the derivative (A, T) of the flexions along a step."""
-    change = flexion_rad(body, states + step, size) - flexion_rad(body, states - step, size)
-    return (np.mod(change + np.pi, 2 * np.pi) - np.pi) / (2 * _STEP_RAD)
+def _changes(body: Body, states: Array, size: float, columns: Index) -> Array:
+    """Return the derivatives (C, A, T) of the flexions along columns (C,) of the states, all evaluated at once."""
+    steps = _STEP_RAD * (np.arange(states.shape[1]) == columns[:, None])[:, None]
+    stepped = np.concatenate([states + steps, states - steps])
+    flexions = flexion_rad(body, stepped.reshape(-1, states.shape[1]), size).reshape(len(body.anatomy), -1, len(states))
+    ahead, behind = np.split(flexions.swapaxes(0, 1), 2)
+    return (np.mod(ahead - behind + np.pi, 2 * np.pi) - np.pi) / (2 * _STEP_RAD)
 
 
 # -- over the stride ---------------------------------------------------------------------------------------------------
