@@ -291,9 +291,15 @@ FIGURES = (
 )
 
 
-@pytest.mark.parametrize("name", [name for name in FIGURES if not re.search("right|left_hind", name)])
+DRAWN_LIKE_OTHERS = "right|left_hind|portraits_all|body_fixed_left|field_(head|tail|trunk)"
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * bool(re.search(DRAWN_LIKE_OTHERS, name))) for name in FIGURES],
+)
 def test_each_figure_is_drawn_with_all_its_text(name, whole, tmp_path):
-    """The left front leg stands for all four, which share their code."""
+    """The left front leg stands for all limbs, the spine for all parts that are held still: they share their code."""
     figure = figures_of(whole)[name]()
     assert cut_off(figure) == []
     assert figure.get_size_inches()[1] / style.MM < 275

@@ -421,7 +421,7 @@ def commands(clip: Path, frame: Path) -> dict[str, tuple[Arguments, str]]:
         "climb": (("climb", "--no-figures"), "report.json"),
         "ik": (("ik", clip, "--target", "stride-max", "--no-figures"), "ik.json"),
         "solver": (("solver", frame, "--no-figures"), "solver.json"),
-        "camera-advice": (("camera-advice", "--skeleton", "cheetah-24"), "camera_advice.json"),
+        "camera-advice": (("camera-advice", "--skeleton", "cheetah-24", "--cameras", 1), "camera_advice.json"),
         "compare": (("compare", clip), "groups.csv"),
         "skeleton check": (("skeleton", "check", "cheetah-24"), "skeleton.png"),
     }

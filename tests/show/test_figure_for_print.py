@@ -25,9 +25,13 @@ def whole(whole_results: Path) -> ClipAnalysis:
     return analyse(Motion.load(whole_results))
 
 
-@pytest.mark.parametrize("width_mm", [89.0, 183.0])
-def test_a_figure_for_a_paper_has_its_width_and_letters_of_seven_points(whole: ClipAnalysis, width_mm: float):
-    printed = draw_for_print(whole, ("side_view", "joint_flexion"), width_mm)
+@pytest.mark.parametrize(
+    ("names", "width_mm"), [(("side_view", "joint_flexion"), 89.0), (("footfalls", "speed"), 183.0)]
+)
+def test_a_figure_for_a_paper_has_its_width_and_letters_of_seven_points(
+    whole: ClipAnalysis, names: tuple[str, ...], width_mm: float
+):
+    printed = draw_for_print(whole, names, width_mm)
     assert printed.figure.get_figwidth() / style.MM == pytest.approx(width_mm)
     texts = [text for text in printed.figure.findobj(Text) if text.get_text().strip() and text.get_visible()]
     assert {text.get_fontsize() for text in texts} == {7.0}
