@@ -7,7 +7,7 @@ are the files of `recon/animal/priors`, .npz without pickles. `recon.animal.prio
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -79,6 +79,10 @@ class MotionPrior:
         wrong = misfits({name: getattr(self, name) for name in SHAPES}, len(self.angles))
         if wrong:
             raise ValueError("; ".join(f"{field}: {value}, expected {expected}" for field, value, expected in wrong))
+
+    def with_accelerations(self, scale: Array) -> MotionPrior:
+        """Return the prior with factors (A,) on the standard deviations of the accelerations."""
+        return replace(self, acceleration_covariance=self.acceleration_covariance * np.outer(scale, scale))
 
 
 def misfits(arrays: dict[str, Array], n_angles: int) -> list[tuple[str, str, str]]:

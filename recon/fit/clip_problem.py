@@ -9,14 +9,14 @@ from typing import Any, Literal
 import numpy as np
 
 from recon.animal.body import Body
-from recon.animal.prior import NONE, MotionPrior, prior_from_body
+from recon.animal.prior import ANGLES, NONE, MotionPrior, prior_from_body
 from recon.base.arrays import Array, Bools, Index
 from recon.clip import View
 from recon.fit import constants, terms
 from recon.fit.body_shape import FreeShape
 from recon.fit.least_squares import LeastSquares, SharedUnknown, piece_of
 from recon.fit.result import Ground
-from recon.geometry.kinematics import ROOT
+from recon.geometry.kinematics import ROOT, YAW
 
 UP = np.array([0.0, 0.0, 1.0])
 _NEAREST_M = 0.3
@@ -104,6 +104,8 @@ class ClipProblem:
 
     They make the expected spread as wide as that of the animal.
     """
+    acceleration_scale: Array | None = None
+    """Factors on the expected standard deviations of the states' accelerations, (D,); None for 1."""
 
     @classmethod
     def from_views(
@@ -382,9 +384,15 @@ class ClipProblem:
         pose_weight, motion_weight = (
             weight * self.prior_weight for weight in (constants.POSE_WEIGHT, constants.MOTION_WEIGHT)
         )
-        accelerations = np.array(constants.ACCELERATION_M_S2), constants.YAW_ACCELERATION_RAD_S2
-        linear = [terms.climb_term(D, self.fps, constants.CLIMB_M_S), terms.root_term(D, self.fps, *accelerations)]
-        linear.append(terms.dynamics_term(self.prior, D, self.fps, motion_weight))
+        scale = np.ones(D) if self.acceleration_scale is None else self.acceleration_scale
+        root_m_s2 = np.array(constants.ACCELERATION_M_S2) * scale[ROOT]
+        yaw_rad_s2 = constants.YAW_ACCELERATION_RAD_S2 * float(scale[YAW])
+        linear = [
+            terms.climb_term(D, self.fps, constants.CLIMB_M_S),
+            terms.root_term(D, self.fps, root_m_s2, yaw_rad_s2),
+        ]
+        prior = self.prior if self.acceleration_scale is None else self.prior.with_accelerations(scale[ANGLES])
+        linear.append(terms.dynamics_term(prior, D, self.fps, motion_weight))
         nonlinear: list[terms.Term] = [*reprojections]
         if temperature is None:
             linear.append(terms.pose_term(self.prior, D, self.fps, pose_weight))

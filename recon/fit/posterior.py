@@ -85,7 +85,11 @@ class Posterior:
     The first are those with the pixels, the second those without.
     """
     state_by_size: Array
-    """Derivatives of the states with respect to the size, shape (T, D)."""
+    """Derivatives of the states with respect to the size, shape (T, D), with the other shared unknowns at their minimum
+    for this size.
+    """
+    state_by_size_alone: Array
+    """Derivatives of the states with respect to the size, shape (T, D), with the other shared unknowns as solved."""
     joint_by_size_m: Array
     """Derivatives q of the joints with respect to the size (see the module), shape (T, J, 3)."""
     size_precision: float
@@ -321,7 +325,7 @@ def posterior(
     (T, D), J = states.shape, len(body.markers)
     solution = curvature(problem, estimate, variance_factor, normal)
     absolute, relative, by_size = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3)), np.empty((T, J, 3))
-    state_by_size, angle_variance = np.empty((T, D)), np.empty((2, T, D - YAW))
+    state_by_size, by_size_alone, angle_variance = np.empty((T, D)), np.empty((T, D)), np.empty((2, T, D - YAW))
     for window, by_others, window_by_size in solution.windows():  # one at a time, because a window is large
         rows, state_covariance = window.rows, window.marginal_blocks()[:, 0]
         if solution.lengths is None:
@@ -333,6 +337,7 @@ def posterior(
         absolute[rows], relative[rows], by_size[rows] = joints
         angle_variance[0, rows] = np.diagonal(state_covariance, axis1=1, axis2=2)[:, YAW:]
         state_by_size[rows] = window_by_size
+        by_size_alone[rows] = window_by_size + by_others @ solution.others_by_size
     for covariance in (absolute, relative):  # in place, because the covariances of a long clip are large
         covariance += np.multiply.outer(solution.beyond_m2, np.eye(3))
         covariance *= variance_factor
@@ -344,6 +349,7 @@ def posterior(
         data_share=data_share,
         angle_variance=variance_factor * angle_variance,
         state_by_size=state_by_size,
+        state_by_size_alone=by_size_alone,
         joint_by_size_m=by_size,
         size_precision=solution.size_known / variance_factor,
         shared_sigma=_shared_sigma(problem, solution, body.subject is not None, variance_factor),

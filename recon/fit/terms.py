@@ -74,6 +74,7 @@ REFERENCE_HZ = 90.0
 OUT_OF_SIGHT = 50.0
 """Squared residual, in units of the loss's c^2, of a detected joint that the camera cannot project."""
 PRIOR_TERMS = POSE, MOTION = "pose prior", "motion prior"
+ACCELERATION_TERMS = MOTION, ROOT_ACCELERATION = MOTION, "root acceleration"
 """Names of the terms that a prior makes."""
 
 
@@ -209,7 +210,7 @@ def root_term(n_state: int, fps: float, acceleration_m_s2: Array, yaw_accelerati
     rows[:3, ROOT] = np.diag(1.0 / np.asarray(acceleration_m_s2))
     rows[3, YAW] = 1.0 / yaw_acceleration_rad_s2
     rows *= fps**2 * _rate(fps, 1.0)
-    return Linear("root acceleration", (-1, 0, 1), np.array([rows, -2 * rows, rows]), np.zeros(4))
+    return Linear(ROOT_ACCELERATION, (-1, 0, 1), np.array([rows, -2 * rows, rows]), np.zeros(4))
 
 
 def climb_term(n_state: int, fps: float, sigma_m_s: float) -> Linear:

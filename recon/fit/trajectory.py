@@ -44,6 +44,7 @@ from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
 from recon.fit.least_squares import Estimate, LeastSquares, SharedUnknown
 from recon.fit.posterior import Posterior, PriorMisfit, posterior_about_bias, prior_misfit_of, with_size
 from recon.fit.result import SHAPES, Ground, MotionSegment, SecondCamera, SolvedShape, TrajectorySolution
+from recon.fit.smoothness import likely_scale
 from recon.fit.starts import ALTERNATIVE_COST, APPROACH_HZ, approach, interpolate_states
 from recon.fit.terms import (
     COMMON_KEYPOINT_BIAS,
@@ -323,6 +324,8 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
         segment = _solve_round(replace(clip, shape=None) if keeps_shape else clip, segment)
         if LENGTHS in segment.estimate.shared:
             clip = clip.with_likely_shape_spread(segment.estimate.shared)
+        if not is_last:
+            clip = _with_likely_accelerations(clip, segment)
         unsettled = segment.prior_misfit is None or (segment.prior_weight < 1 and not is_last)
         if unsettled and clip.prior.name != NONE:
             misfit = prior_misfit_of(segment.problem, segment.estimate)
@@ -370,6 +373,15 @@ def _solve_round(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
     estimate = problem.minimise(estimate.states, tolerance, constants.MAX_ITERATIONS, shared)
     segment = replace(segment, noise=noise, noise_px=noise_px, contact=contact, ground=ground)
     return replace(segment, estimate=estimate, problem=problem, iterations=segment.iterations + estimate.iterations)
+
+
+def _with_likely_accelerations(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
+    """Return the problem with accelerations that the detections make likeliest, if no motions were recorded."""
+    if len(clip.views) == 1 or clip.prior.name != NONE or clip.known_states is not None:
+        return clip
+    scale = clip.acceleration_scale if clip.acceleration_scale is not None else np.ones(clip.body.n_state)
+    scale = likely_scale(segment.problem, segment.estimate.states, segment.estimate.shared, scale)
+    return replace(clip, acceleration_scale=scale)
 
 
 def _shared_fields(
@@ -600,7 +612,9 @@ def _segment_arrays(
     clip: ClipProblem, segment: SegmentFit, segment_posterior: Posterior, size: float, size_sigma: float
 ) -> Iterator[tuple[str, Array]]:
     """Yield the arrays of one segment one at a time, because those of a long clip are large."""
-    states = segment.estimate.states + segment_posterior.state_by_size * (size - segment.size)
+    # several cameras: the other shared unknowns stay as solved, so that the rays still meet
+    state_by_size = segment_posterior.state_by_size if len(clip.views) == 1 else segment_posterior.state_by_size_alone
+    states = segment.estimate.states + state_by_size * (size - segment.size)
     points = clip.body.tree.pose(states).points_m
     by_size, markers = segment_posterior.joint_by_size_m, clip.in_world(clip.markers(states), size)
     centred = by_size - by_size.mean(axis=1, keepdims=True)
