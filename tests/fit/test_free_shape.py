@@ -83,6 +83,16 @@ def test_lengths_are_stated_with_intervals_that_hold():
     assert solved(3, True).shape is None
 
 
+def test_rays_still_meet_after_the_size_has_been_combined_with_the_expected_one():
+    """The lengths and the second camera stay as they were solved, so the animal must not move along its distance."""
+    body = load_skeleton("mouse-top")
+    views, _ = random_clip(body, 0.1, 2, 0)
+    solution = solve_trajectory(views, body, prior_from_body(body), FPS, TrajectoryOptions(fast=True))
+    for view in solution.views:
+        off_px = view.project(view.shift_to_exposure(solution.markers_m))[0] - view.xy_px
+        np.testing.assert_allclose(np.nanmean(off_px, axis=(0, 1)), 0.0, atol=0.1)
+
+
 def test_one_camera_keeps_the_lengths_and_is_less_sure_of_poses():
     free, known = (
         solve_trajectory(
