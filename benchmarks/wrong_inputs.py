@@ -16,6 +16,7 @@ PARTS = {
     "limits": Part("one_step_limits.py", ["--views", "6"], data="cheetah-runs"),
     "audit": Part("audit.py", data="cheetah-runs"),
     "planted-faults": Part("planted_faults.py", quick=["--seeds", "1"]),
+    "editor-trial": Part("editor_trial.py"),
     "ranking": Part("correction_order.py", quick=["--quick"], data="cheetah-runs"),
     "swaps": Part("left_right_swaps.py", data="cheetah-runs"),
     "swap-folds": Part("left_right_swaps.py", ["--folds"], data="cheetah-runs"),

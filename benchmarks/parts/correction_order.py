@@ -43,6 +43,7 @@ from recon.clip import views_of
 from recon.fit.banded import eliminated
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.correction_gain import problems_at
+from recon.fit.result import TrajectorySolution
 from recon.io.corrections import Correction, write_corrections
 
 COUNTS = (10, 20, 40)
@@ -131,6 +132,7 @@ class Linearised:
     def __init__(self, clip: Clip) -> None:
         solution, inputs = clip.motion.solution, prepare(clip.settings)
         options = clip.settings.trajectory_options()
+        assert isinstance(solution, TrajectorySolution)
         problem_clip = ClipProblem.from_views(solution.views, solution.body, inputs.prior, inputs.fps, options)
         ((rows, part, problem, estimate),) = problems_at(problem_clip, solution)
         assert rows == slice(0, len(clip.motion.frames))
@@ -166,7 +168,7 @@ class Linearised:
     def covariances(self) -> tuple[Array, Array]:
         """Return A Z A' (N, 2, 2), and the covariance of all known joints with each projection, (N, 2, frames J 3)."""
         (T, J), N, D = self.joints.shape[:2], len(self.cells), self.projection.shape[-1]
-        joints_by_px = np.empty((N, 2, int(self.is_known.sum()) * J * 3), dtype=np.float32)
+        joints_by_px = np.empty((N, 2, int(self.is_known.sum()) * J * 3))
         covariance_px2 = np.empty((N, 2, 2))
         for t in range(T):
             chosen = np.flatnonzero(self.cells[:, 1] == t)

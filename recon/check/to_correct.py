@@ -2,9 +2,9 @@
 
 The first detections are far from their expected positions or were left out: either they or the pose are wrong. Missing
 and uncertain detections follow. Both groups are sorted by how much the expected error of the pose would fall if they
-were corrected (`recon.fit.correction_gain`). In the second group a correction also improves the neighbouring frames,
-because errors last for about `ERROR_TIME_S`: each listed detection lowers the remaining gain of the same keypoint
-nearby.
+were corrected (`recon.fit.correction_gain`), the first group after those that are almost certainly wrong
+(`GROSS_SIGMAS`). In the second group a correction also improves the neighbouring frames, because errors last for about
+`ERROR_TIME_S`: each listed detection lowers the remaining gain of the same keypoint nearby.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ from recon.fit.motion import Motion, Picture
 
 AGREES_SIGMAS = 2.0
 """Distance from the expected position, in standard deviations, within which a used detection needs no check."""
+GROSS_SIGMAS = 5.0
+"""Distance from the expected position, in standard deviations, beyond which a detection is almost certainly wrong."""
 MOST_LISTED = 500
 """Largest number of rows: more than anybody corrects by hand."""
 Reason = Literal["far", "left out", "low likelihood", "missing", "uncertain"]
@@ -80,7 +82,7 @@ def to_correct(motion: Motion, limit: int = MOST_LISTED) -> list[ToCorrect]:
     agrees = distance_px <= AGREES_SIGMAS * sigma_px
     is_next = inside & ~is_first & ~agrees & (np.nan_to_num(gain_m2) > 0)
     tau = max(constants.ERROR_TIME_S * motion.fps, 1.0)
-    first = _by_gain(gain_m2, distance_px, is_first, limit)
+    first = _by_gain(gain_m2, distance_px, distance_px > GROSS_SIGMAS * sigma_px, is_first, limit)
     cells = [*first, *_spread(gain_m2, is_next, tau, limit - len(first))]
     falls_m = _error_fall_m(motion, gain_m2)
     ellipses = _ellipses(motion, cells)
@@ -136,13 +138,16 @@ def _inside(picture: Picture) -> Bools:
     return (x >= 0) & (x < width) & (y >= 0) & (y < height)
 
 
-def _by_gain(gain_m2: Array, distance_px: Array, chosen: Bools, limit: int) -> list[tuple[int, int, int]]:
-    """Return the chosen cells (V, T, J) by their gain, the largest first; those of equal or unknown gain by distance.
+def _by_gain(
+    gain_m2: Array, distance_px: Array, is_gross: Bools, chosen: Bools, limit: int
+) -> list[tuple[int, int, int]]:
+    """Return the chosen cells (V, T, J): first those that are gross errors, each part by gain, the largest first.
 
-    A distant detection that the robust loss ignores changes the pose less than a nearer one that pulls.
+    Cells of equal or unknown gain are in order of distance. Distance alone is a poor order, because the robust loss
+    ignores what is very far, so that its correction changes the pose little.
     """
-    gain = np.where(chosen, np.nan_to_num(gain_m2), -np.inf)
-    order = np.lexsort((-np.where(chosen, distance_px, 0.0).ravel(), -gain.ravel()))
+    keys = np.where(chosen, -distance_px, 0.0), -np.nan_to_num(gain_m2), ~is_gross, ~chosen
+    order = np.lexsort([key.ravel() for key in keys])
     return [_cell(index, chosen.shape) for index in order[: min(limit, int(chosen.sum()))]]
 
 

@@ -29,7 +29,10 @@ def test_detections_that_are_far_come_by_what_they_would_gain():
     is_far = np.isfinite(distance_px) & (distance_px > 10)
     gain_m2[0, 2, 1] = 4e-5
     gain_m2[0, 1, 0] = np.nan
-    assert _by_gain(gain_m2, distance_px, is_far, limit=3) == [(0, 2, 1), (0, 0, 0), (0, 2, 0)]
+    assert _by_gain(gain_m2, distance_px, distance_px > 0, is_far, limit=3) == [(0, 2, 1), (0, 0, 0), (0, 2, 0)]
+    assert _by_gain(gain_m2, distance_px, distance_px > 75, is_far, limit=9) == [
+        *((0, 0, 0), (0, 2, 0), (0, 1, 0), (0, 2, 1)),
+    ]
 
 
 def test_missing_keypoints_come_by_what_they_would_gain(small_trajectory: Motion):
