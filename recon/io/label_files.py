@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -128,6 +129,8 @@ def _h5(
     table = pd.DataFrame(values, index(rows, [None] * len(rows[0])), index(columns, levels))
     in_memory: dict[str, Any] = {"driver": "H5FD_CORE", "driver_core_backing_store": 0}
     with cast(Any, pd.HDFStore("labels.h5", mode="w", **in_memory)) as store:
+        for name in ("create_array", "create_vlarray"):  # pandas does not pass it on to all that it makes
+            setattr(store._handle, name, partial(getattr(store._handle, name), track_times=False))
         store.put(PANDAS_KEY, table, format="fixed", track_times=False)
         return store._handle.get_file_image()
 

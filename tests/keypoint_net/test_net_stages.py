@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from recon.keypoint_net.train import CHECKPOINT_FILE, TrainSettings, run_trainin
 SIZE, FRAMES = (160, 96), 12
 NAMES = ("nose", "l_paw", "r_paw")
 SETTINGS = TrainSettings(steps=8, batch=2, seed=3, mirror=True)
+BRIEF = replace(SETTINGS, steps=2)
 
 
 @pytest.fixture
@@ -71,9 +73,11 @@ def clip(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def train_in(out: Path, clip: Path, threads: int | None = 1, **options: object) -> dict:
+def train_in(
+    out: Path, clip: Path, threads: int | None = 1, settings: TrainSettings = SETTINGS, **options: object
+) -> dict:
     source = LabelSource(data=clip / "clip.avi", labels=clip / "labels.csv")
-    return run_training(source, SETTINGS, out, device="cpu", threads=threads, **options)  # pyright: ignore
+    return run_training(source, settings, out, device="cpu", threads=threads, **options)  # pyright: ignore
 
 
 def test_what_is_small_has_one_stage_and_what_is_large_two():
@@ -117,18 +121,18 @@ def test_two_stages_from_labels_to_points(clip, tmp_path):
 @pytest.mark.usefixtures("no_report")
 def test_a_run_that_began_with_one_stage_does_not_go_on_with_two(clip, tmp_path, monkeypatch):
     monkeypatch.setattr(pictures, "NETWORK_LENGTH_PX", 30.0)
-    train_in(tmp_path, clip)
+    train_in(tmp_path, clip, settings=BRIEF)
     assert (tmp_path / CHECKPOINT_FILE).is_file()
     monkeypatch.setattr(pictures, "NETWORK_LENGTH_PX", 15.0)
     with refusal((tmp_path / CHECKPOINT_FILE, "network", "another version", "--overwrite")):
-        train_in(tmp_path, clip, resume=True)
+        train_in(tmp_path, clip, resume=True, settings=BRIEF)
     assert load_model(tmp_path, torch.device("cpu")).spec.first == 1
 
 
 @pytest.mark.usefixtures("no_report")
 def test_a_network_of_before_is_read(clip, tmp_path, monkeypatch):
     monkeypatch.setattr(pictures, "NETWORK_LENGTH_PX", 30.0)
-    train_in(tmp_path, clip)
+    train_in(tmp_path, clip, settings=BRIEF)
     content = load_torch(tmp_path / MODEL_FILE)
     del content["spec"]["first"], content["spec"]["calibration"]
     of_old = {"slope": 0.5, "offset": 0.1, "points": 9}
@@ -197,7 +201,7 @@ def test_all_threads_are_taken_unless_given_and_kept_on_resume(clip, tmp_path, m
     monkeypatch.setattr(torch, "set_num_threads", taken.append)  # several make tests that run beside each other slow
     monkeypatch.setattr(torch, "get_num_threads", lambda: taken[-1])
     monkeypatch.setattr(network, "available_cores", lambda: 2)
-    assert train_in(tmp_path, clip, threads=None)["threads"] == 2
+    assert train_in(tmp_path, clip, threads=None, settings=BRIEF)["threads"] == 2
     monkeypatch.setattr(network, "available_cores", lambda: 1)
-    assert train_in(tmp_path, clip, threads=None, resume=True)["threads"] == 2
-    assert train_in(tmp_path, clip, threads=1, overwrite=True)["threads"] == 1
+    assert train_in(tmp_path, clip, threads=None, settings=BRIEF, resume=True)["threads"] == 2
+    assert train_in(tmp_path, clip, threads=1, settings=BRIEF, overwrite=True)["threads"] == 1
