@@ -517,7 +517,8 @@ class View(Brief):
     def to_camera(self, points_m: Array) -> Array:
         """Return points (T, J, 3) of the world frame in the camera frame."""
         if self.is_still:
-            return points_m @ self.T_camera_world[:3, :3].T + self.T_camera_world[:3, 3]
+            rotated = points_m.reshape(-1, 3) @ self.T_camera_world[:3, :3].T  # one product instead of T
+            return rotated.reshape(points_m.shape) + self.T_camera_world[:3, 3]
         R, t = self.T_camera_world[:, :3, :3], self.T_camera_world[:, :3, 3]
         return points_m @ R.swapaxes(1, 2) + t[:, None]
 
@@ -531,7 +532,11 @@ class View(Brief):
         pixels, by_point, valid = self.camera.project_with_jacobian(self.to_camera(points_m))
         if self.intrinsics_px is not None:
             by_point = self._zoom[:, None, :, :2] @ by_point
-        return self._zoomed(pixels), by_point @ self.rotation, valid
+        if self.is_still:
+            by_world = (by_point.reshape(-1, 3) @ self.rotation).reshape(by_point.shape)
+        else:
+            by_world = by_point @ self.rotation
+        return self._zoomed(pixels), by_world, valid
 
     def rays(self) -> Array:
         """Return unit vectors (T, J, 3) in the world frame towards the keypoints, NaN where missing."""

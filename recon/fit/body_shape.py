@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -80,31 +81,65 @@ class Shape:
                 offsets[name] = (given_offset[0] + x, given_offset[1] + y, given_offset[2] + z)
         return replace(body, tree=tree, keypoint_offset_m=offsets)
 
-    def jacobian(self, body: Body, states: Array) -> Array:
-        """Return the derivatives (N, J, 3, K) of the detected markers of a body by the shape, at nominal size."""
-        tree, n = body.tree, len(self.lengths)
-        R = tree.orientations(states)
-        frame = {segment.name: R[:, i] for i, segment in enumerate(tree.segments)}
-        segments = {segment.name: segment for segment in tree.segments}
+    def jacobian(self, body: Body, states: Array, rotations: Array | None = None) -> Array:
+        """Return the derivatives (N, J, 3, K) of the detected markers of a body by the shape, at nominal size.
+
+        rotations (N, S, 3, 3) are those of the segments, if they are known.
+        """
+        tree, n, markers, offsets = body.tree, len(self.lengths), self._markers_of_lengths, self._markers_of_offsets
+        R = tree.orientations(states) if rotations is None else rotations
+        items = {item.name: item for item in (*tree.segments, *tree.markers)}
         by_shape = np.zeros((len(states), len(tree.markers), 3, len(self)))
-        for j, marker in enumerate(tree.markers):
-            name, offset_m, segment_name = marker.name, marker.offset_m, marker.segment
-            while segment_name is not None:
-                if (leader := self.leader(name)) in self.lengths:
-                    by_shape[:, j, :, self.lengths.index(leader)] += frame[segment_name] @ np.array(offset_m)
-                segment = segments[segment_name]
-                name, offset_m, segment_name = segment.name, segment.offset_m, segment.parent
-            if (leader := self.leader(marker.name)) in self.offsets:
-                first = n + 3 * self.offsets.index(leader)
-                by_shape[:, j, :, first : first + 3] = frame[marker.segment] * self._mirror(marker.name)
+        for (name, segment, column), moved in markers.items():
+            by_length = R[:, segment] @ np.array(items[name].offset_m)
+            for j in moved:
+                by_shape[:, j, :, column] += by_length
+        for j, segment, column, mirror in offsets:
+            by_shape[:, j, :, n + column : n + column + 3] = R[:, segment] * mirror
         return by_shape
+
+    @cached_property
+    def _markers_of_lengths(self) -> dict[tuple[str, int, int], list[int]]:
+        """Return the markers that move with the offset of each segment or marker.
+
+        The keys are its name, the index of the segment that carries it, and the column of its length.
+        """
+        tree, columns = self.body.tree, {name: i for i, name in enumerate(self.lengths)}
+        indices = {segment.name: i for i, segment in enumerate(tree.segments)}
+        markers: dict[tuple[str, int, int], list[int]] = {}
+        for j, marker in enumerate(tree.markers):
+            name, carrier = marker.name, marker.segment
+            while carrier is not None:
+                if (leader := self.leader(name)) in columns:
+                    markers.setdefault((name, indices[carrier], columns[leader]), []).append(j)
+                name, carrier = carrier, tree.segments[indices[carrier]].parent
+        return markers
+
+    @cached_property
+    def _markers_of_offsets(self) -> list[tuple[int, int, int, Array]]:
+        """Return each marker with an unknown offset: its index, segment, first column, and the signs of the axes."""
+        tree, indices = self.body.tree, {segment.name: i for i, segment in enumerate(self.body.tree.segments)}
+        return [
+            (j, indices[marker.segment], 3 * self.offsets.index(self.leader(marker.name)), self._mirror(marker.name))
+            for j, marker in enumerate(tree.markers)
+            if self.leader(marker.name) in self.offsets
+        ]
 
     def leader(self, name: str) -> str:
         """Return the name whose unknowns are used for a name: its counterpart on the left, or the name itself."""
-        return other_side(name) if follows(name, self.body) else name
+        return other_side(name) if self._follows(name) else name
+
+    def _follows(self, name: str) -> bool:
+        if name not in self._known_followers:
+            self._known_followers[name] = follows(name, self.body)
+        return self._known_followers[name]
+
+    @cached_property
+    def _known_followers(self) -> dict[str, bool]:
+        return {}
 
     def _mirror(self, name: str) -> Array:
-        return np.array([1.0, -1.0, 1.0]) if follows(name, self.body) else np.ones(3)
+        return np.array([1.0, -1.0, 1.0]) if self._follows(name) else np.ones(3)
 
 
 def follows(name: str, body: Body) -> bool:
@@ -139,8 +174,11 @@ class FreeShape:
         offsets_m = np.asarray(shared.get(COMMON_KEYPOINT_BIAS, np.zeros(3 * len(self.body.markers)))).reshape(-1, 3)
         key = lengths.tobytes() + offsets_m.tobytes()
         if key not in self._shaped:
+            body, previous = self._with(lengths, offsets_m), next(iter(self._shaped.values()), self.body)
+            if body is not self.body:
+                body.detected.use_plan_of(previous.detected)
             self._shaped.clear()
-            self._shaped[key] = self._with(lengths, offsets_m)
+            self._shaped[key] = body
         return self._shaped[key]
 
     def _with(self, lengths: Array, offsets_m: Array) -> Body:
@@ -155,17 +193,22 @@ class FreeShape:
     def jacobian(self, shared: Mapping[str, Array], states: Array) -> Array:
         """Return the derivatives (N, J, 3, L + 3J) of the markers that the detector sees, for states (N, D)."""
         body = self.applied(shared)
-        return np.concatenate([self.by_length(shared, states), by_offset(body.tree, states)], axis=3)
+        rotations = body.detected.orientations(states)  # those of `body.tree`
+        by_length = self.lengths.jacobian(body, states, rotations)
+        return np.concatenate([by_length, by_offset(body.tree, rotations)], axis=3)
 
     def by_length(self, shared: Mapping[str, Array], states: Array) -> Array:
         """Return the derivatives (N, J, 3, L) of the markers by the lengths, for states (N, D)."""
         return self.lengths.jacobian(self.applied(shared), states)
 
 
-def by_offset(tree: Tree, states: Array) -> Array:
-    """Return the derivatives (N, J, 3, 3J) of the markers of a tree by their keypoints' offsets, for states (N, D)."""
-    names, J = [segment.name for segment in tree.segments], len(tree.markers)
-    rotations = tree.orientations(states)[:, [names.index(marker.segment) for marker in tree.markers]]
-    derivatives, indices = np.zeros((len(states), J, 3, J, 3)), np.arange(J)
-    derivatives[:, indices, :, indices] = rotations.swapaxes(0, 1)
-    return derivatives.reshape(len(states), J, 3, 3 * J)
+def by_offset(tree: Tree, rotations: Array) -> Array:
+    """Return the derivatives (N, J, 3, 3J) of the markers of a tree by their keypoints' offsets.
+
+    rotations (N, S, 3, 3) are those of the segments.
+    """
+    names, (N, J) = [segment.name for segment in tree.segments], (len(rotations), len(tree.markers))
+    of_markers = rotations[:, [names.index(marker.segment) for marker in tree.markers]]
+    derivatives, indices = np.zeros((N, J, 3, J, 3)), np.arange(J)
+    derivatives[:, indices, :, indices] = of_markers.swapaxes(0, 1)
+    return derivatives.reshape(N, J, 3, 3 * J)

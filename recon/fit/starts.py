@@ -42,15 +42,15 @@ def position_on_rays(joints_m: Array, rays: Array) -> Array:
         Metres.
     """
     seen = np.isfinite(rays[..., 0])
-    middle = np.nanmedian(rays, axis=-2)
+    middle = _median_of_known(rays.swapaxes(-1, -2))
     middle /= np.linalg.norm(middle, axis=-1, keepdims=True)
     i, j = np.triu_indices(rays.shape[-2], 1)
     between_joints = joints_m[..., i, :] - joints_m[..., j, :]
     along = (between_joints @ middle[..., None])[..., 0]
     apart_m = np.sqrt(np.maximum(np.sum(between_joints**2, axis=-1) - along**2, 0.0))
     apart_rad = np.linalg.norm(rays[..., i, :] - rays[..., j, :], axis=-1)
-    depth = np.nanmedian(apart_m / np.maximum(apart_rad, 1e-6), axis=-1)
-    t = np.nanmedian(rays * depth[..., None, None] - joints_m, axis=-2)
+    depth = _median_of_known(apart_m / np.maximum(apart_rad, 1e-6))
+    t = _median_of_known((rays * depth[..., None, None] - joints_m).swapaxes(-1, -2))
 
     for _ in range(6):
         deviations = _off_rays(joints_m + t[..., None, :], rays)
@@ -60,6 +60,13 @@ def position_on_rays(joints_m: Array, rays: Array) -> Array:
         length = np.linalg.norm(step, axis=-1)
         t = t + step * np.minimum(1.0, 0.3 * depth / np.maximum(length, 1e-9))[..., None]
     return t
+
+
+def _median_of_known(values: Array) -> Array:
+    """Return the medians (...) of values (..., N) that are not NaN; numpy's own function is many times slower."""
+    ordered, counts = np.sort(values, axis=-1), np.isfinite(values).sum(axis=-1)[..., None]  # NaN come last
+    middle = [np.take_along_axis(ordered, index, axis=-1) for index in ((counts - 1) // 2, counts // 2)]
+    return (0.5 * (middle[0] + middle[1]))[..., 0]
 
 
 def _dot(a: Array, b: Array) -> Array:
@@ -189,8 +196,8 @@ ALTERNATIVE_COST = 20.0
 """Largest extra cost at which a second solution is reported."""
 _INTERMEDIATE_TOLERANCE = 0.2
 """Relative decrease of the cost at which the search with one of the noises between the first and the last one ends."""
-_RAYS_OF_VIEW = 16
-"""Number of frames of a view, about, that choose the headings."""
+_RAYS = 16
+"""Number of frames of all views together, about, that choose the headings."""
 _MIN_RAYS = 2
 """Smallest number of rays of a frame with which a shape can be positioned."""
 
@@ -294,7 +301,8 @@ def _rays(clip: ClipProblem) -> tuple[Array, Array, Array]:
     min_rays = MIN_JOINTS if max(count.max() for count in counts) >= MIN_JOINTS else _MIN_RAYS
     for view, count in zip(clip.views, counts, strict=True):
         usable = np.flatnonzero(count >= min_rays)
-        chosen = usable[:: max(1, min(3 * len(clip.views), len(usable) // 6), len(usable) // _RAYS_OF_VIEW)]
+        step = max(1, min(3 * len(clip.views), len(usable) // 6), len(usable) // max(_RAYS // len(clip.views), 4))
+        chosen = usable[::step]
         rays.append(view.part(chosen).rays())
         centres.append(view.centre_m[chosen] - clip.origin_m)
         frames.append(chosen)

@@ -334,7 +334,10 @@ class Reprojection:
             return TermRows(self._errors(self._scene(span), span, jacobian=False)[0])
         points, parts = self.point_rows(span), self._parts(span)
         (N, J), D = points.residual.shape[:2], span.pose.jacobian.shape[-1]
-        slots = [(points.by_point * share @ span.pose.jacobian[part]).reshape(N, 2 * J, 1, D) for part, share in parts]
+        slots = []
+        for part, share in parts:
+            by_point = points.by_point if share == 1.0 else points.by_point * share
+            slots.append((by_point @ span.pose.jacobian[part]).reshape(N, 2 * J, 1, D))
         rows = slots[0] if len(slots) == 1 else np.concatenate(slots, axis=2)
         by_shared = points.by_shared
         if points.by_bias is not None:

@@ -174,7 +174,8 @@ class Camera(Brief):
                 if s:
                     by_point[:, 0, 0] += s / z * d_ab
                     by_point[:, 0, 1] += s / z * d_bb
-                by_point[:, :, 2] = -(by_point[:, :, :2] @ np.stack((a, b), axis=-1)[:, :, None])[:, :, 0]
+                for row in (0, 1):
+                    by_point[:, row, 2] = -(by_point[:, row, 0] * a + by_point[:, row, 1] * b)
                 by_point[~valid] = 0.0
         pixels[~valid] = np.nan
         shape = points.shape[:-1]

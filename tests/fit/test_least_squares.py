@@ -322,3 +322,11 @@ def test_a_slow_shift_in_depth_is_found():
     weak = Linear("weak", (0,), np.eye(D)[None] * 0.1, np.full(D, 0.1))
     found = LeastSquares(tree, [smooth, weak], []).minimise(np.zeros((frames, D)), 1e-9, 6)
     np.testing.assert_allclose(found.states, 1.0, atol=2e-2)
+
+
+def test_a_step_is_extended_to_the_least_cost_on_its_parabola():
+    from recon.fit.least_squares import _best_length
+
+    cost = np.polynomial.Polynomial([3.0, -2.0, 0.5])  # least at 2
+    assert _best_length(float(cost(0.0) - cost(1.0)), -2.0) == pytest.approx(2.0)
+    assert _best_length(2.5, -2.0) == 4.0  # the cost bends downwards

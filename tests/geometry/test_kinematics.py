@@ -165,3 +165,15 @@ def test_a_slide_shifts_what_hangs_on_it_along_its_axis():
     )
     shifts = (MACHINE.origins(moved) - MACHINE.origins(state))[0]
     np.testing.assert_allclose(shifts, [0 * axis, 0 * axis, 0.25 * axis, 0.25 * axis], atol=1e-14)
+
+
+def test_a_tree_may_use_the_plan_of_a_tree_with_other_lengths_where_the_same_offsets_are_zero(some_tree: Tree):
+    longer, shrunk = some_tree.scaled(1.3), some_tree.scaled(0.0)
+    state, _ = states_and_sizes(some_tree, 3)
+    expected = some_tree.scaled(1.3).pose_with_jacobian(state)
+    longer.use_plan_of(some_tree)
+    shrunk.use_plan_of(some_tree)
+    assert "plan" in longer.__dict__
+    assert "plan" not in shrunk.__dict__
+    np.testing.assert_array_equal(longer.pose_with_jacobian(state).jacobian, expected.jacobian)
+    np.testing.assert_array_equal(longer.pose(state).points_m, expected.points_m)
