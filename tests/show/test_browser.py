@@ -167,10 +167,33 @@ def pages(small_trajectory, two_cameras, whole_results, tmp_path_factory) -> dic
                 patch.setattr("recon.show.plots.style.svg_of", lambda figure: "<svg></svg>")
             chosen = PageSettings(folder=folder / name, video=video if name == "film" else None)
             _page_of_clip(chosen, silent, whole_batch=True)
-    return {name: folder / name / "report.html" for name in verdicts} | {"batch": write_summary_page(folder)}
+    made = {name: folder / name / "report.html" for name in verdicts} | {"batch": write_summary_page(folder)}
+    return made | {"compare": comparison(folder, made)}
 
 
-@pytest.mark.parametrize("name", ["film", "several", "refused", "whole", "batch"])
+def comparison(folder: Path, pages: dict[str, Path]) -> Path:
+    """Write the page of a comparison of two groups, and return its path."""
+    clips = pd.DataFrame(
+        {
+            "group": ["walk", "walk", "a gallop with a long name"],
+            "clip": ["film", "none", "whole"],
+            "animal": ["Ada", "Bo", "Ada"],
+            "verdict": ["check", "use", "use"],
+            "strides": [1, 2, 3],
+            "speed_m_s": [1.0, 2.0, 9.0],
+            "speed_m_s_sigma": [0.5, 0.1, 0.3],
+        }
+    )
+    means = {"group": [*clips["group"].unique()], "clips": [2, 1], "strides": [3, 3], "speed_m_s": [1.5, 9.0]}
+    groups = pd.DataFrame(means | {"speed_m_s_sigma": [0.4, 0.3]})
+    links = {name: seen_from(folder, pages[name]) for name in ("film", "whole")}
+    path = folder / "compare.html"
+    content = compare_page("gaits", clips, groups, {"speed_m_s": "speed (m/s)"}, links, {"film": 7.0}, ["No."], "gait")
+    path.write_text(content, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("name", ["film", "several", "refused", "whole", "batch", "compare"])
 def test_nothing_is_off_the_screen_or_too_pale_or_without_a_name(pages, opened, name):
     page = opened(pages[name])
     assert page.evaluate(UNNAMED) == []
@@ -181,7 +204,12 @@ def test_nothing_is_off_the_screen_or_too_pale_or_without_a_name(pages, opened, 
         assert page.evaluate("document.documentElement.scrollWidth") <= width, view
         assert page.evaluate(CUT) == [], view
         assert {colour: ratio for colour, ratio in page.evaluate(CONTRAST).items() if ratio < 3} == {}, view
-        assert name == "batch" or min(page.evaluate(DRAWN)) > 20, view
+        assert name in ("batch", "compare") or min(page.evaluate(DRAWN)) > 20, view
+    page.emulate_media(media="print", color_scheme="dark")
+    page.set_viewport_size({"width": 690, "height": 1000})  # A4 within its margins
+    page.evaluate(DRAWN_AGAIN)
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    assert page.evaluate(CUT.replace(".scroll, .wide, ", "")) == []  # paper does not scroll
 
 
 def test_every_view_shows_the_frame_of_the_cursor(pages, opened):
@@ -311,24 +339,8 @@ def test_a_batch_is_sorted_and_filtered_and_leads_to_its_clips_and_back(pages, o
     assert page.locator("h1").text_content() == pages["batch"].parent.name
 
 
-def test_a_comparison_marks_a_clip_everywhere_and_leads_to_its_page(pages, opened, tmp_path):
-    clips = pd.DataFrame(
-        {
-            "group": ["walk", "walk", "a gallop with a long name"],
-            "clip": ["film", "none", "whole"],
-            "animal": ["Ada", "Bo", "Ada"],
-            "verdict": ["check", "use", "use"],
-            "strides": [1, 2, 3],
-            "speed_m_s": [1.0, 2.0, 9.0],
-            "speed_m_s_sigma": [0.5, 0.1, 0.3],
-        }
-    )
-    means = {"group": [*clips["group"].unique()], "clips": [2, 1], "strides": [3, 3], "speed_m_s": [1.5, 9.0]}
-    groups = pd.DataFrame(means | {"speed_m_s_sigma": [0.4, 0.3]})
-    links = {name: seen_from(tmp_path, pages[name]) for name in ("film", "whole")}
-    path = tmp_path / "compare.html"
-    content = compare_page("gaits", clips, groups, {"speed_m_s": "speed (m/s)"}, links, {"film": 7.0}, ["No."], "gait")
-    path.write_text(content, encoding="utf-8")
+def test_a_comparison_marks_a_clip_everywhere_and_leads_to_its_page(pages, opened):
+    path = pages["compare"]
     page = opened(path, "phone")
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     assert page.evaluate(CUT) == []

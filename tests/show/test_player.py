@@ -67,6 +67,23 @@ def test_the_cameras_detections_errors_and_places_are_in_the_page(two_cameras):
     np.testing.assert_allclose(data["scene"]["cameras"][1]["poses"][9:], [10, -8, 2.5], atol=1e-6)
 
 
+def test_a_keypoint_says_what_is_wrong_with_it_and_what_the_fit_made_of_it(small_trajectory):
+    picture = small_trajectory.pictures[0]
+    stuck_px, nose = np.array(picture.source.keypoints.xy_px), small_trajectory.names.index("nose")
+    stuck_px[[0, 1, 2, 5, 6, 7], nose] = (4.0, 1000.0)
+    weight = np.array(small_trajectory.solution.weight)
+    weight[0, :, nose] = 0.01
+    view = replace(small_trajectory.solution.views[0], xy_px=stuck_px)
+    solution = replace(small_trajectory.solution, views=(view,), weight=weight)
+    motion = with_first(
+        replace(small_trajectory, solution=solution),
+        keypoints=replace(picture.source.keypoints, xy_px=stuck_px),
+    )
+    notes = player_data.player_data(motion, None)["cameras"][0]["notes"]
+    assert notes[nose] == "stuck at (4, 1000) in 6 frames: left out"
+    assert notes[motion.names.index("tail_base")] == ""
+
+
 def test_cameras_that_would_make_a_page_too_large_are_left_out(two_cameras, monkeypatch):
     monkeypatch.setattr(player_data, "CAMERA_BYTES", 3000)
     first, second = player_data.player_data(two_cameras, None, 1)["cameras"]

@@ -34,7 +34,7 @@ from recon.show.console import TO_DO
 from recon.show.page.own_page import GENERATED, PAGE
 from recon.show.page.pictures import PictureStrip
 from recon.show.page.player_data import flag_runs, player_data
-from recon.show.page.quality import quality_tables
+from recon.show.page.quality import quality_tables, worst_keypoint
 from recon.show.page.scripts import script, style
 from recon.show.report import build_report
 from recon.show.sentences import analysis_sentences
@@ -143,6 +143,7 @@ def clip_page(
     has_pose = np.isfinite(motion.upright.xyz_m).all(axis=(1, 2))
     analysis = ClipAnalysis(motion) if has_pose.sum() >= MIN_POINTS else None
     player = player_data(motion, analysis, number, pictures) if has_pose.any() else None
+    quality = quality_tables(motion)
     doubtful, reason = list(doubtful_frames(motion)), "" if motion.verdict is None else motion.verdict.reason
     findings = list(enumerate(report["findings"]))
     further = [(number, item) for number, item in findings if item["text"] not in reason]
@@ -165,7 +166,8 @@ def clip_page(
         has_angles=player is not None and any(panel["group"] != "speed" for panel in player["curves"]),
         player_style=style("player"),
         player_script=script("main"),
-        quality=quality_tables(motion),
+        quality=quality,
+        worst=None if player is None else worst_keypoint(quality[number]),
         sections=[] if analysis is None else list(_sections(analysis)),
         doubtful=doubtful[:SHOWN],
         more_doubtful=max(0, len(doubtful) - SHOWN),

@@ -21,6 +21,7 @@ from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis
 from recon.gait.gait import INTERVAL, interval_of
 from recon.show.page.pictures import PictureStrip
+from recon.show.page.quality import keypoint_notes
 
 LARGEST, NOTHING = 32_000, -32_768
 """Largest packed number, and the number that stands for NaN."""
@@ -200,7 +201,8 @@ def _cameras(motion: Motion, number: int) -> Iterator[dict[str, Any]]:
             whole.append(v)
     for v, picture in enumerate(motion.pictures):
         head = {"name": picture.name, "size_px": [int(x) for x in picture.camera.image_size_px]}
-        yield head | (_detections(picture) if v in whole else {"detected_px": None})
+        notes = {"notes": keypoint_notes(motion, picture)}
+        yield head | (_detections(picture) | notes if v in whole else {"detected_px": None})
 
 
 def _detections(picture: Picture) -> dict[str, Any]:

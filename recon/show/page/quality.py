@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from recon.base.arrays import Array, median
+from recon.base.numbers import counted, quantity
 from recon.fit.motion import Motion, Picture
 
 STUCK_PX, STUCK_LEAST = 3.0, 5
@@ -27,6 +28,20 @@ def quality_tables(motion: Motion) -> list[dict[str, Any]]:
         {"camera": picture.name, "number": v, "rows": sorted(_rows(motion, picture), key=lambda row: row["rank"])}
         for v, picture in enumerate(motion.pictures)
     ]
+
+
+def worst_keypoint(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return number, camera, name and a text of the first keypoint of a table."""
+    row = table["rows"][0]
+    texts = [] if row["median_px"] is None else [f"{quantity(row['median_px'], 1, 'px')} from the pose (median)"]
+    texts += [counted(row["outliers"], "outlier")] if row["outliers"] else []
+    texts += [f"swapped in {counted(row['swapped'], 'frame')}"] if row["swapped"] else []
+    return {
+        "keypoint": row["keypoint"],
+        "camera": table["number"],
+        "name": row["name"],
+        "text": ", ".join(texts) or "without a detection that was used",
+    }
 
 
 def _rows(motion: Motion, picture: Picture) -> Iterator[dict[str, Any]]:
@@ -51,6 +66,29 @@ def _rows(motion: Motion, picture: Picture) -> Iterator[dict[str, Any]]:
             "look": share > NEEDS_LOOK or stuck is not None,
             "rank": (-round(share, 2), -np.nan_to_num(error_px)),
         }
+
+
+LITTLE_WEIGHT = 0.1
+"""Weight in the fit, 1 for a good detection, below which a detection counts as left out."""
+
+
+def keypoint_notes(motion: Motion, picture: Picture) -> list[str]:
+    """Return for each keypoint what is wrong with its detections and what the fit made of it; empty if nothing is."""
+    swapped = swapped_frames(motion, picture).sum(axis=0)
+    notes = []
+    for j in range(len(motion.names)):
+        stuck, wrong = stuck_at(picture, j), picture.outliers[:, j]
+        weight = median(picture.weight[wrong, j])
+        fate = "left out" if weight < LITTLE_WEIGHT else "with little weight in the fit"
+        texts = []
+        if stuck is not None:
+            texts.append(f"stuck at ({stuck['x']}, {stuck['y']}) in {stuck['frames']} frames: {fate}")
+        elif wrong.any():
+            texts.append(f"outlier in {counted(int(wrong.sum()), 'frame')}: {fate}")
+        if swapped[j]:
+            texts.append(f"left and right swapped in {counted(int(swapped[j]), 'frame')}")
+        notes.append("; ".join(texts))
+    return notes
 
 
 def swapped_frames(motion: Motion, picture: Picture) -> Array:

@@ -27,6 +27,7 @@ class CameraPicture {
     this.size = raw.size_px;
     this.joints = joints;
     this.known = raw.detected_px !== null;
+    this.notes = raw.notes || []; // for each keypoint what is wrong with its detections, and what the fit made of it
     if (!this.known) return;
     this.detected = unpacked(raw.detected_px);
     this.reprojected = unpacked(raw.reprojected_px);

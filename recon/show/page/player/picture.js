@@ -285,5 +285,6 @@ export class PictureView {
     pen.stroke();
     const how = Number.isNaN(error) ? (found ? "no pose" : "not detected") : `${error.toFixed(error < 10 ? 1 : 0)} px off`;
     label(pen, `${clip.keypoints[j]}: ${how}`, x + 14, Math.max(12, y - 12), wide);
+    if (camera.notes[j]) label(pen, camera.notes[j], x + 14, Math.max(32, y + 8), wide);
   }
 }
