@@ -156,7 +156,7 @@ def load_prior(name_or_path: str | Path | None, body: Body) -> MotionPrior:
     """
     if name_or_path is None:
         for name in builtin_priors():
-            with suppress(InputError):  # the prior is one of another animal
+            with suppress(InputError):  # the prior belongs to another animal
                 return load_prior(name, body)
     if name_or_path is None or str(name_or_path) == NONE:
         return prior_from_body(body)

@@ -139,7 +139,7 @@ def plan_experiment(plan: Plan, variances: pd.DataFrame | None = None) -> PlanTa
     Parameters
     ----------
     plan : Plan
-        The question.
+        The effect to detect, and the numbers that are known or to be tried.
     variances : DataFrame, optional
         Variances of a comparison, one row for each quantity; those that the plan gives replace them.
 

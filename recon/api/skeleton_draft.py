@@ -50,7 +50,7 @@ RIGID, TOO_MUCH, NOISE = 0.01, 0.02, 2.0
 constant. With noisy keypoints the limit is NOISE times the variation between steady neighbours, but at most TOO_MUCH.
 """
 TAIL, TAIL_SIGMAS = 0.05, 3.29
-"""Part of the frames at each end of a distance's range that may be errors, and the rest's range in standard deviations.
+"""Fraction of frames at either end of a distance's range that may be errors, and range of the rest in sigmas.
 
 A median deviation would call every distance constant in an animal that stands for half of the clip.
 """
@@ -275,7 +275,7 @@ class _Distances:
     length_m: float
     """Largest usual distance."""
     longest_m: float
-    """Largest distance, of the animal at its longest: its length."""
+    """Largest distance while the animal is at its longest, taken as its length."""
 
 
 def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, source: Path) -> tuple[list[str], str]:

@@ -289,7 +289,7 @@ class Output:
             kind = manifest.kind or self.kind
             known = {name: WrittenFile(kind, *entry) for name, entry in manifest.files.items()}
             text = manifest.text.encode()
-            if (self.folder / MANIFEST).read_bytes() == text:  # as it was written
+            if (self.folder / MANIFEST).read_bytes() == text:  # unchanged since it was written
                 known[MANIFEST] = WrittenFile(kind, len(text), sha256_of(self.folder / MANIFEST))
             for name, entry in known.items():
                 written[name] = (*written.get(name, ()), entry)

@@ -127,11 +127,11 @@ class _FrameEvidence:
     """Quantities of `Evidence` for each of the n frames with a pose and each of the V cameras."""
 
     trunk_m: Array
-    """(n,)."""
+    """(n,): length of the trunk."""
     posterior_m: Array
-    """(n,)."""
+    """(n,): see `Evidence.posterior_m`."""
     position_sigma_m: Array
-    """(n,)."""
+    """(n,): see `Evidence.position_sigma_m`."""
     distances_m: Array
     """(V, n): distances from the cameras."""
     end_on: Array

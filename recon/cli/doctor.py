@@ -142,7 +142,7 @@ def _installed(name: str, specifier: SpecifierSet) -> tuple[str, str]:
         installed_version = metadata.version(name)
     except metadata.PackageNotFoundError:
         module = MODULES.get(name, name.replace("-", "_"))
-        # whether there is a module is known at once, whose it is only from the files of all distributions
+        # whether a module exists is known at once; its distribution only from the files of all distributions
         distributions = metadata.packages_distributions().get(module) if find_spec(module) else None
         if not distributions:
             return "not installed", ""

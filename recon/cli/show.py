@@ -1,4 +1,4 @@
-"""The commands `recon overlay`, `recon report` and `recon view`, which import their work when they begin it."""
+"""The commands `recon overlay`, `recon report` and `recon view`, which import what they need when they are called."""
 
 from __future__ import annotations
 

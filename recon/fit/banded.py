@@ -49,7 +49,7 @@ _IN_BLOCKS = 8
 one.
 """
 _KEPT = 1 << 24
-"""Limit on the amount of numbers in windows that are kept until the shared unknowns are known: 128 MB."""
+"""Largest number of values in the windows that are kept until the shared unknowns are known: 128 MB."""
 
 
 @dataclass(frozen=True)

@@ -45,11 +45,11 @@ Solving in pieces changes the states by 1e-6 at most.
 """
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e6
 _REMAINING, _BEYOND = 0.5, 0.1
-"""Fractions of the decrease at which a search ends: the search also ends if the next decrease is expected to be smaller
-than the first; and a step is extended for a decrease of more than the second.
+"""Fractions of the decrease of the cost at which a search ends. The search also ends if the next decrease is expected
+to be below the first; a step is extended if that promises a decrease above the second.
 """
 _LONGEST = 4.0
-"""Factor by which a step is extended at most."""
+"""Largest factor by which a step is extended."""
 _STEP_SHARES = (1.0, 0.5, 0.2)
 """Fractions of a step that are tried before the damping is increased."""
 
@@ -223,8 +223,9 @@ class LeastSquares:
     ) -> Estimate:
         """Return the minimum from a start.
 
-        The search stops when a step lowers the cost by less than tolerance times max(|cost|, 1), or when the cost fell
-        so nearly by half of the slope along a whole step that the next step cannot lower it by half as much.
+        The search stops when a step lowers the cost by less than tolerance times max(|cost|, 1). It also stops when a
+        whole step lowered the cost almost exactly as predicted (by half of the slope along it), so that the next step
+        cannot lower the cost by half of that limit.
         """
         shared = self.expected() if shared is None else shared
         current, damping = Estimate(states, self.cost(states, shared), 0, False, shared), _FIRST_DAMPING
@@ -253,7 +254,7 @@ class LeastSquares:
                         next_damping = max(damping * (0.2 if share == 1.0 else 0.6), _LEAST_DAMPING)
                         if share < 1.0:
                             return trial, next_damping, np.inf
-                        # the loss bends less than its model: the cost fell by more than half of the slope
+                        # the loss curves less than its model: the cost fell by more than half of the slope
                         beyond = current.cost - trial.cost + 0.5 * slope
                         if _BEYOND * enough < beyond < 0.5 * max(abs(current.cost), 1.0):
                             length = _best_length(current.cost - trial.cost, slope)
@@ -334,7 +335,7 @@ def _no_markers(states: Array) -> TreePose:
 
 
 def _best_length(decrease: float, slope: float) -> float:
-    """Return the length of least cost along a step, by the parabola through its end; at most `_LONGEST`."""
+    """Return the factor on a step at which the parabola through its end has its minimum, at most `_LONGEST`."""
     bend = -decrease - slope  # the cost at length x is slope x + bend x^2
     return min(-0.5 * slope / bend, _LONGEST) if bend > 0 else _LONGEST
 

@@ -267,12 +267,12 @@ def _with_noise_factor(problem: LeastSquares, factor: float) -> LeastSquares:
 
 @dataclass(frozen=True)
 class _EquationsByNoise:
-    """Hold the normal equations of a short clip, from which those with other noise of the detections follow."""
+    """Normal equations of a short clip, from which those with other noise of the detections follow."""
 
     whole: Normal | None
     """The normal equations; None for a long clip, whose normal equations are too large."""
     undetected: Normal | None
-    """Those of all terms but the detections."""
+    """Normal equations of all terms except the detections."""
 
     @classmethod
     def of_problem(cls, problem: LeastSquares, estimate: Estimate) -> _EquationsByNoise:

@@ -197,7 +197,7 @@ ALTERNATIVE_COST = 20.0
 _INTERMEDIATE_TOLERANCE = 0.2
 """Relative decrease of the cost at which the search with one of the noises between the first and the last one ends."""
 _RAYS = 16
-"""Number of frames of all views together, about, that choose the headings."""
+"""Approximate number of frames, of all views together, from which the headings are chosen."""
 _MIN_RAYS = 2
 """Smallest number of rays of a frame with which a shape can be positioned."""
 

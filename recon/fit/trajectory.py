@@ -71,7 +71,7 @@ FLATTENED_SHARE = 0.1
 _TEMPERATURES = (8.0, 3.0)
 """Temperatures that flatten the mixture of poses, one after the other."""
 _FLATTENED_TOLERANCE, _FLATTENED_ITERATIONS = 1e-3, 8
-"""Relative decrease of the cost at which the search with one temperature ends, and its most iterations."""
+"""Relative decrease of the cost at which the search with one temperature ends, and its largest number of iterations."""
 _MORE_ROUNDS = 3
 """Further rounds if the prior has lost most of its weight, until noise and contacts have settled again."""
 POOR_SHARE, POORER_SHARE = 1 / 3, 0.8

@@ -107,8 +107,8 @@ def fit_mixed_model(
     Returns
     -------
     MixedModel
-        The fitted model. A variance that the data do not show is 0. With one run an animal, the variance between runs
-        is part of that between animals; with one stride a run, that between strides is part of that between runs.
+        The fitted model. A variance that the data do not show is 0. With one run per animal, the variance between runs
+        is part of that between animals; with one stride per run, that between strides is part of that between runs.
     """
     unit = float(np.std(values)) or 1.0
     scaled, scaled_sigma = values / unit, measurement_sigma / unit

@@ -131,7 +131,7 @@ class _Plan:
         """By level, the frames that depend on earlier levels only, and the frames that they turn from."""
 
         self.carriers = carriers
-        """(S - 1 + J,): the segment that each origin but the root's, and each marker, is fixed on."""
+        """(S - 1 + J,): the segment to which each origin (except the root's) and each marker is fixed."""
         self.points = self._points_of(tree)
         """(S + J, 3 (S + 1)): each point as vectors in all frames."""
         points = self.points.reshape(S + J, 3, S + 1)

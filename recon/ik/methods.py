@@ -175,7 +175,7 @@ class SelectivelyDamped(Method):
         return JointRates(self.damped(directions), bool(directions.singular))
 
     def damped(self, directions: SingularDirections) -> Array:
-        """Return the rates (..., n) of motions that were taken apart."""
+        """Return the rates (..., n) for motions that were split into singular directions."""
         limit = self.gamma_max_rad / self.interval_s
         damped = _clamped(directions.rates, directions.shares * limit)
         total = np.zeros(damped.shape[:-2] + damped.shape[-1:])
@@ -185,7 +185,7 @@ class SelectivelyDamped(Method):
 
 
 class SingularDirections(NamedTuple):
-    """A motion taken apart into the singular directions of J, or the motions of several frames."""
+    """A motion, or the motions of several frames, split into the singular directions of J."""
 
     rates: Array
     """Undamped rates of each direction, v_i (u_i . dx) / s_i, shape (..., m, n); 0 for a direction without motion."""
@@ -196,7 +196,7 @@ class SingularDirections(NamedTuple):
 
     @classmethod
     def of_motion(cls, J: Array, dx: Array) -> SingularDirections:
-        """Take a motion dx (dim,) apart, given J (dim, n)."""
+        """Split a motion dx (dim,) into the singular directions of J (dim, n)."""
         u, s, vt = np.linalg.svd(J, full_matrices=False)
         sways, moves = np.abs(vt) @ np.linalg.norm(J, axis=0), s > LOST * s[0]
         parts = np.divide(dx @ u, s, out=np.zeros_like(s), where=moves)

@@ -48,7 +48,7 @@ MOST_GAPS = 5
 BLACK, LIT = 24, 80
 """Largest brightness in a black bar, as compressed black is not quite 0; least mean brightness of a picture's lines."""
 BAR_SHARE, BAR_PX = 0.02, 2
-"""Share of the picture that a bar covers at least, and pixels by which two bars may differ."""
+"""Smallest share of the picture that a bar covers, and largest difference between two bars in pixels."""
 
 SUFFIXES = (".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg", ".wmv", ".mts")
 

@@ -195,7 +195,7 @@ def add_legend(figure: Figure, handles: Sequence[Artist], labels: Sequence[str],
 
 
 FILLED = 0.8
-"""Share of a panel from which on a band says no more than that the value is not known."""
+"""Share of a panel above which a band says only that the value is unknown."""
 
 
 def is_filled(low: Array, high: Array, bottom: float, top: float) -> bool:

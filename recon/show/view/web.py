@@ -34,7 +34,7 @@ FILES = {
 }
 """Files of the web viewer, and their types."""
 OPTIONAL = "favicon.ico"
-"""File that a version of the viewer need not have."""
+"""File that some versions of the viewer lack."""
 _POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval' blob:; style-src 'unsafe-inline'; "
     "img-src 'self' data: blob:; worker-src 'self' blob:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
@@ -42,9 +42,9 @@ _POLICY = (
 )
 _LINK = re.compile(rb"<link[^>]*https?://[^>]*>")
 RECORDING = "recording.rrd"
-"""Name of the recording in the page's address. The viewer knows the format by its ending."""
+"""Name of the recording in the page's address. The viewer recognises the format by its ending."""
 LOOK = "theme=dark&persist=0"
-"""Options of the viewer: dark, as the views are, and nothing is kept in the browser."""
+"""Options of the viewer: dark, like the views, and nothing is stored in the browser."""
 START_S, TICK_S = 30.0, 0.05
 """Longest time for rerun to start, and time between two checks."""
 

@@ -97,7 +97,7 @@ export class Strip {
 }
 
 const SIDES = ["left", "right", "middle"];
-const FILLED = 0.8; // share of a panel from which on a band says no more than that the value is not known
+const FILLED = 0.8; // share of a panel above which a band says only that the value is unknown
 
 /** Return the unit after a number, as in all texts: no blank before a degree sign. */
 const unitOf = ({ unit }) => (unit === "°" ? unit : ` ${unit}`);
