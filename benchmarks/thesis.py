@@ -13,6 +13,7 @@ PARTS = {
     "views": Part("cheetah_runs.py", data="cheetah-runs"),
     "frame": Part("frame_method.py", quick=["--quick"], data="cheetah-runs"),
     "path-numbers": Part("path_numbers.py", data="cheetah-runs"),
+    "path-ties": Part("path_ties.py", data="cheetah-runs"),
     "objectives": Part("frame_objectives.py", data="cheetah-runs"),
     "gallop": Part("sample_gallop.py", quick=[]),
     "ik-steps": Part("ik.py", ["--only", "steps"]),

@@ -82,6 +82,7 @@ def test_every_solver_option_is_a_setting():
         "angle_prior": "none",
         "camera_rotation": "fixed",
         "path": "free",
+        "path_sigma_m": 0.1,
         "start_angles": "th6=55",
         "initial_damping": 0.01,
         "damping_factor": 5.0,

@@ -1,19 +1,17 @@
 """Measure the frame method on every view of real runs: peak speeds, poses, 90 % intervals, verdicts and effort.
 
-    python benchmarks/parts/frame_method.py [FOLDER] [--only RUN ...] [--quick] [--set path=free ...] [--tie 0.1 1]
+    python benchmarks/parts/frame_method.py [FOLDER] [--only RUN ...] [--quick] [--set path=free ...]
 
 Each run of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA, has camN.csv, scene.json, truth.csv and
 meta.json. Every view is fitted like `recon frame`. The true peak speed is the largest speed of the reference joint in
 the frames, from the spline through the reconstruction of all cameras. A speed counts as stated if
-`ClipAnalysis.why_no_speed` is None. --quick: only the camera named in meta.json. --tie: standard deviations of the
-reference joint about its path, along the line of sight and across it, in place of `TIE_SIGMA_M`. The last lines are the
-summary, also with each run left out, since the numbers of the method were chosen on all runs.
+`ClipAnalysis.why_no_speed` is None. --quick: only the camera named in meta.json. The last lines are the summary, also
+with each run left out, since the numbers of the method were chosen on all runs.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -28,28 +26,12 @@ from recon.fit.posterior import radius
 from recon.gait.clip import ClipAnalysis
 from recon.gait.gait import INTERVAL
 from recon.gait.kinematics import frame_jitter_m, frame_times, net_acceleration, series_kinematics
-from recon.thesis.objectives import ResidualAndJacobian
-from recon.thesis.path import PathTie
 from recon.thesis.solution import frame_solution
 
 WITHIN = 0.3
 """Relative error of a stated peak speed within which the speed is near the truth."""
 POOR_MM = 160.0
 """Error above which no pose may have the verdict "use"."""
-
-
-def tie_of(along_m: float, across_m: float) -> Callable[..., ResidualAndJacobian]:
-    """Return the path tie with other standard deviations along the line of sight and across it."""
-    evaluate = PathTie.evaluate
-
-    def weighed(self: PathTie, *args: Any) -> ResidualAndJacobian:
-        residual, jacobian = evaluate(self, *args)
-        ray = self.position_m[args[2]] / np.linalg.norm(self.position_m[args[2]])
-        along = np.outer(ray, ray)
-        weight = self.sigma_m * (along / along_m + (np.eye(3) - along) / across_m)
-        return (weight @ residual, weight @ jacobian) if np.isfinite(ray[0]) else (residual, jacobian)
-
-    return weighed
 
 
 def view_row(run: Path, camera: int, meta: dict[str, Any], options: dict[str, Any]) -> dict[str, Any]:
@@ -65,7 +47,7 @@ def view_row(run: Path, camera: int, meta: dict[str, Any], options: dict[str, An
     )
     motion, truth = fit_clip(settings), read_pose3d(run / "truth.csv")
     analysis, solution = ClipAnalysis(motion), frame_solution(motion)
-    path = analysis.reference_motion
+    reference = analysis.reference_motion
     error_mm = 1000 * evaluate(Pose3D(motion.names, motion.joints_m, motion.frames), truth).mpjpe_m.mean
     verdict, distance_px = motion.verdict, motion.pictures[0].distance_px
     assert verdict is not None
@@ -76,8 +58,8 @@ def view_row(run: Path, camera: int, meta: dict[str, Any], options: dict[str, An
         "named": camera == meta.get("monocular_camera"),
         "verdict": verdict.level,
         "true_peak_m_s": true_peak_m_s(motion, truth),
-        "peak_m_s": path.peak_speed_m_s,
-        "sigma_m_s": path.peak_speed_sigma_m_s,
+        "peak_m_s": reference.peak_speed_m_s,
+        "sigma_m_s": reference.peak_speed_sigma_m_s,
         "speed_stated": analysis.why_no_speed is None,
         "true_acceleration_m_s2": true_acceleration_m_s2(motion, truth),
         "acceleration_m_s2": analysis.net_acceleration_m_s2[0],
@@ -114,6 +96,16 @@ def true_acceleration_m_s2(motion: Motion, truth: Pose3D) -> float:
     return net_acceleration(time_s, truth.xyz_m[rows, joint])[0]
 
 
+def expectation_line(table: pd.DataFrame) -> str:
+    """Return a sentence on the pose errors relative to those that the verdict expects."""
+    ratio = table["mpjpe_mm"] / np.sqrt(table["low_mm"] * table["high_mm"])
+    by_run = [ratio[table["run"] != run].median() for run in table["run"].unique()]
+    return (
+        f"Pose error relative to the expected one: median {ratio.median():.2f} ({min(by_run):.2f} to {max(by_run):.2f} "
+        "with one run left out)."
+    )
+
+
 def acceleration_lines(table: pd.DataFrame) -> list[str]:
     """Return sentences on the intervals of the acceleration along the path."""
     off = (table["acceleration_m_s2"] - table["true_acceleration_m_s2"]).abs()
@@ -128,19 +120,24 @@ def acceleration_lines(table: pd.DataFrame) -> list[str]:
     ]
 
 
+def pose_holds(table: pd.DataFrame) -> float:
+    """Return the fraction of views whose pose error is within the verdict's 90 % interval."""
+    holds = (table["mpjpe_mm"] >= table["low_mm"]) & (table["mpjpe_mm"] <= table["high_mm"])
+    return float(holds[table["low_mm"].notna()].mean())
+
+
 def summary(table: pd.DataFrame) -> list[str]:
     """Return the cells that show whether the goals are met."""
     stated = table[table["speed_stated"]]
     ratio = stated["peak_m_s"] / stated["true_peak_m_s"]
     off = (stated["peak_m_s"] - stated["true_peak_m_s"]).abs()
-    pose_holds = (table["mpjpe_mm"] >= table["low_mm"]) & (table["mpjpe_mm"] <= table["high_mm"])
     usable, named = table[table["verdict"] == "use"], table[table["named"]]
     is_wrong = usable["speed_stated"] & ((usable["peak_m_s"] / usable["true_peak_m_s"] - 1).abs() > WITHIN)
     return [
         f"{len(stated)} of {len(table)}",
         f"{np.mean((ratio - 1).abs() <= WITHIN):.0%}",
         f"{np.mean(off <= radius(INTERVAL) * stated['sigma_m_s']):.0%}",
-        f"{pose_holds[table['low_mm'].notna()].mean():.0%}",
+        f"{pose_holds(table):.0%}",
         f"{int((usable['mpjpe_mm'] > POOR_MM).sum())} / {int(is_wrong.sum())} of {len(usable)}",
         f"{named['mpjpe_mm'].mean():.0f}, {table['mpjpe_mm'].mean():.0f}",
         f"{table['error_px'].median():.1f}",
@@ -152,10 +149,7 @@ def summary(table: pd.DataFrame) -> list[str]:
 def main() -> None:
     parser = parser_of(__doc__, "--quick", "--set", "--csv", kind="cheetah-runs")
     parser.add_argument("--only", nargs="+", default=[], metavar="RUN", help="runs whose names begin so")
-    parser.add_argument("--tie", nargs=2, type=float, metavar=("ALONG_M", "ACROSS_M"))
     arguments = parser.parse_args()
-    if arguments.tie:
-        PathTie.evaluate = tie_of(*arguments.tie)  # type: ignore[method-assign]
     options = settings_of(arguments)
     rows = []
     for run in runs_of(arguments.folder):
@@ -191,7 +185,7 @@ def main() -> None:
         lines.append([f"without {run[:26]}", *summary(table[table["run"] != run])])
     print_table(names.split(", "), lines)
     print()
-    print("\n".join(acceleration_lines(table)))
+    print("\n".join([expectation_line(table), "", *acceleration_lines(table)]))
 
 
 if __name__ == "__main__":

@@ -58,7 +58,7 @@ class SolvedView:
         speed = np.linalg.norm(smooth.velocity_m_s, axis=1)
         t = int(np.argmax(speed))
         along = smooth.velocity_m_s[t] / speed[t]
-        variance = along @ smooth.covariance[t, 3:, 3:] @ along
+        variance = along @ smooth.covariance[t, 3:6, 3:6] @ along
         return float(speed[t]), float(np.hypot(np.sqrt(variance), SIZE_SIGMA * speed[t]))
 
 

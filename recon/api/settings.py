@@ -196,6 +196,10 @@ class FitSettings(Settings):
     """Rotation of the body: free, or fixed to that of the first frame."""
     path: Annotated[Literal["smooth", "free"], _FRAME] = "smooth"
     """Path of the reference joint: smooth as an animal moves, or free in every frame."""
+    path_sigma_m: Annotated[Positive, _FRAME] = 0.5
+    """Standard deviation of the reference joint about a smooth path, in metres. A smaller one makes the poses' depths
+    smoother.
+    """
     start_angles: Annotated[str | None, _FRAME] = None
     """Start angles of the first frame, measured by hand, in degrees, such as th6=55,th7=97,xi=-3. (default: the mean
     pose along the direction of travel)

@@ -194,6 +194,24 @@ class SolvedShape(Brief):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
+class ReferencePath(Brief):
+    """Hold the path of the reference joint in the world, estimated from all T frames of a clip."""
+
+    position_m: Array
+    """Positions, shape (T, 3)."""
+    velocity_m_s: Array
+    """Velocities, shape (T, 3)."""
+    acceleration_m_s2: Array
+    """Accelerations, shape (T, 3)."""
+    covariance: Array
+    """Covariances of position, velocity and acceleration, shape (T, 9, 9), without the uncertainty of the size."""
+    centre_m: Array
+    """Position of the camera, shape (T, 3) or (3,): the size changes the distance from it."""
+    size_sigma: float
+    """Relative standard deviation of the size."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Solution(Brief):
     """An animal's motion over T frames, as every method returns it.
 
@@ -256,6 +274,11 @@ class Solution(Brief):
     @property
     def position_lasts_s(self) -> float | None:
         """Duration of an error of the animal's position, if the method estimates the path separately."""
+        return None
+
+    @property
+    def reference_path(self) -> ReferencePath | None:
+        """Return the path of the reference joint, if the method estimates the path separately."""
         return None
 
     @property

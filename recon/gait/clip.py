@@ -89,12 +89,25 @@ class ClipAnalysis(Brief):
 
         If the fit has no errors over time, they are estimated from the jitter.
         """
-        return _errors(self.motion, lasts_s(self.motion.upright.xyz_m, self.motion.fps))
+        xyz_m = self.tracked.xyz_m
+        return _errors(self.motion, xyz_m, lasts_s(xyz_m, self.motion.fps))
+
+    @cached_property
+    def tracked(self) -> Pose3D:
+        """Return the upright pose; moved onto the path of the reference joint if the solution has such a path.
+
+        The poses of a method that solves every frame on its own jitter along the line of sight, the path does not.
+        """
+        pose, path = self.motion.upright, self.motion.solution.reference_path
+        if path is None:
+            return pose
+        off_m = path.position_m - pose.xyz_m[:, pose.names.index(self.reference)]
+        return replace(pose, xyz_m=pose.xyz_m + off_m[:, None])
 
     @cached_property
     def pose(self) -> Pose3D:
         """Return the upright pose for angles, gait and fields; smoothed if the motion jitters."""
-        pose = self.motion.upright
+        pose = self.tracked
         if not self.motion.jitters:
             return pose
         errors, options = kinematics.jitter_errors(pose.xyz_m), {"smooth": True, "propagate": False, "oversampling": 1}
@@ -120,9 +133,11 @@ class ClipAnalysis(Brief):
 
         With `with_size`, the standard deviations include the uncertainty of the animal's size.
         """
-        motion = self.motion
+        motion, path = self.motion, self.motion.solution.reference_path
+        if path is not None and name == self.reference:
+            return kinematics.path_kinematics(motion.time_s, path, motion.solved, with_size)
         errors = [error for error in self.errors if with_size or error.correlation_s < np.inf]
-        return kinematics.joint_kinematics(motion.upright, name, motion.fps, errors, smooth=motion.jitters)
+        return kinematics.joint_kinematics(self.tracked, name, motion.fps, errors, smooth=motion.jitters)
 
     @cached_property
     def angles(self) -> dict[str, AngleKinematics]:
@@ -164,7 +179,7 @@ class ClipAnalysis(Brief):
             return None
         body = BODY if set(BODY) <= {*self.pose.names} else motion.forward_names
         segments, seen_pose = [segment.rows for segment in motion.segments], _seen(motion, self.pose)
-        errors = _errors(motion, RUNNING_S)
+        errors = _errors(motion, self.tracked.xyz_m, RUNNING_S)
         tracks = pose_tracks(seen_pose, motion.fps, errors, motion.foot_names, body, segments, restless=motion.jitters)
         return gait(tracks)
 
@@ -254,7 +269,7 @@ class ClipAnalysis(Brief):
     @property
     def net_acceleration_m_s2(self) -> tuple[float, float]:
         """Return `net_acceleration` of the reference joint."""
-        points_m, index = self.motion.upright.xyz_m, self.motion.names.index(self.reference)
+        points_m, index = self.tracked.xyz_m, self.motion.names.index(self.reference)
         errors = [error[:, index] for error in self.errors]
         return kinematics.net_acceleration(self.motion.time_s, points_m[:, index], errors)
 
@@ -395,32 +410,32 @@ def limb_chains(motion: Motion) -> dict[str, tuple[str, ...]]:
     return chains
 
 
-def _errors(motion: Motion, last_s: float) -> Sequence[Errors]:
-    lasting_s = motion.solution.position_lasts_s
-    if motion.jitters and lasting_s is None:
-        return kinematics.lasting_errors(motion.upright.xyz_m, motion.fps)
+def _errors(motion: Motion, xyz_m: Array, last_s: float) -> Sequence[Errors]:
+    """Return the errors of the joints (T, J, 3) of a motion."""
+    solution, floor = motion.solution, 1e-4
+    if motion.jitters:
+        independent_and_lasting, path = kinematics.lasting_errors(xyz_m, motion.fps), solution.reference_path
+        lasting_s = solution.position_lasts_s
+        if path is None or lasting_s is None:
+            return independent_and_lasting
+        path_sigma = np.sqrt(np.diagonal(path.covariance[:, :3, :3], axis1=1, axis2=2))[:, None]
+        rest = np.broadcast_to(np.maximum(path_sigma, floor), xyz_m.shape)
+        return *independent_and_lasting, Errors(_by_size(motion), np.inf), Errors(rest, lasting_s)
     # The common errors of all joints: the relative errors of a single joint can exceed its absolute errors.
-    floor = 1e-4
     position = np.sqrt(np.maximum(motion.upright_sigma_m**2 - motion.upright_relative_sigma_m**2, floor**2))
     of_pose = Errors(np.maximum(motion.upright_relative_sigma_m, floor), POSE_LASTS * last_s)
-    solution = motion.solution
-    if motion.jitters and lasting_s is not None:
-        return *kinematics.lasting_errors(motion.upright.xyz_m, motion.fps), *_position_errors(
-            motion, position, lasting_s
-        )
     if not isinstance(solution, TrajectorySolution) or len(solution.views) != 1:
         return Errors(position, POSITION_LASTS * last_s), of_pose
-    return *_position_errors(motion, position, POSITION_LASTS * last_s), of_pose
+    by_size = _by_size(motion)
+    rest = np.sqrt(np.maximum(position**2 - by_size**2, floor**2))
+    return Errors(by_size, np.inf), Errors(rest, POSITION_LASTS * last_s), of_pose
 
 
-def _position_errors(motion: Motion, position_sigma: Array, position_lasts_s: float) -> tuple[Errors, Errors]:
-    """Return the errors of the size and the remaining errors of the position (T, J, 3) for a single camera."""
-    solution, floor = motion.solution, 1e-4
+def _by_size(motion: Motion) -> Array:
+    """Return the errors of the joints (T, J, 3) from the animal's size, which scales the distance from the camera."""
+    solution = motion.solution
     size_sigma = getattr(solution, "size_sigma", None) or 0.0
-    from_camera_m = solution.joints_m - solution.views[0].centre_m[:, None]
-    by_size = size_sigma / solution.size * from_camera_m
-    rest = np.sqrt(np.maximum(position_sigma**2 - by_size**2, floor**2))
-    return Errors(by_size, np.inf), Errors(rest, position_lasts_s)
+    return np.asarray(size_sigma / solution.size * (solution.joints_m - solution.views[0].centre_m[:, None]))
 
 
 def lasts_s(xyz_m: Array, fps: float) -> float:

@@ -30,8 +30,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.linalg import solveh_banded
 
-from recon.base.arrays import Array, Brief, Index
+from recon.base.arrays import Array, Bools, Brief, Index
 from recon.base.errors import InputError, Problem
+from recon.fit.result import ReferencePath
 from recon.io.common import Pose3D
 
 Curve = Callable[[Array, int], Array]
@@ -409,8 +410,70 @@ def point_kinematics(time_s: Array, xyz_m: Array, errors: Sequence[Errors] = (),
         As in `series_kinematics`.
     """
     series = series_kinematics(time_s, xyz_m, errors, **options)
-    speed, speed_sigma = _norm(series.rate, series.rate_sigma)
-    acceleration, acceleration_sigma = _norm(series.acceleration, series.acceleration_sigma)
+    return _kinematics_of(
+        series, _norm(series.rate, series.rate_sigma), _norm(series.acceleration, series.acceleration_sigma)
+    )
+
+
+def path_kinematics(
+    time_s: Array, path: ReferencePath, is_known: Bools, with_size: bool = True, oversampling: int = OVERSAMPLING
+) -> JointKinematics:
+    """Return speed, acceleration and distance of the reference joint from a path with velocities of its own.
+
+    Between the frames, the path is the polynomial of the fifth degree with the positions, velocities and accelerations
+    of the frames.
+
+    Parameters
+    ----------
+    time_s : ndarray
+        Increasing times, shape (T,).
+    path : ReferencePath
+        The path at these times.
+    is_known : ndarray
+        Frames with a pose, shape (T,). The result is NaN before, after and in long gaps.
+    with_size : bool
+        Include the uncertainty of the animal's size.
+    oversampling : int
+        Samples for each frame.
+    """
+    from scipy.interpolate import BPoly  # slow to import
+
+    T = len(time_s)
+    fine_s = np.interp(np.arange((T - 1) * oversampling + 1) / oversampling, np.arange(T), time_s)
+    state = np.stack([path.position_m, path.velocity_m_s, path.acceleration_m_s2], axis=1)
+    curve = BPoly.from_derivatives(time_s, state)
+    curves = np.stack([curve(fine_s), curve(fine_s, 1), curve(fine_s, 2)])
+    by_size = state - np.stack([np.broadcast_to(path.centre_m, (T, 3)), *np.zeros((2, T, 3))], axis=1)
+    by_size = path.size_sigma * with_size * by_size
+    blocks = path.covariance.reshape(T, 3, 3, 3, 3)[:, [0, 1, 2], :, [0, 1, 2]]
+    covariance = blocks + np.einsum("tka,tkb->ktab", by_size, by_size)
+    fine = _between(time_s, covariance.swapaxes(0, 1), fine_s).swapaxes(0, 1)
+    known = np.zeros(len(fine_s), bool)
+    for rows in _stretches(time_s, np.where(is_known, 0.0, np.nan)[:, None], MAX_GAP_S, MIN_SMOOTHING_POINTS):
+        known[rows[0] * oversampling : rows[-1] * oversampling + 1] = True
+    curves[:, ~known], fine[:, ~known] = np.nan, np.nan
+    sigmas = np.sqrt(np.diagonal(fine, axis1=2, axis2=3))
+    series = Series(fine_s, *curves, *sigmas, oversampling=oversampling)
+    return _kinematics_of(series, *(_norm_of(vector, C) for vector, C in zip(curves[1:], fine[1:], strict=True)))
+
+
+def _between(time_s: Array, values: Array, fine_s: Array) -> Array:
+    """Return values (T, ...) interpolated linearly at finer times (N,)."""
+    flat = values.reshape(len(time_s), -1)
+    columns = [np.interp(fine_s, time_s, column) for column in flat.T]
+    return np.stack(columns, axis=1).reshape(len(fine_s), *values.shape[1:])
+
+
+def _norm_of(vector: Array, covariance: Array) -> tuple[Array, Array]:
+    """Return the norms (N,) of vectors (N, d) with covariances (N, d, d), and their standard deviations."""
+    norm = np.linalg.norm(vector, axis=1)
+    unit = vector / np.maximum(norm, 1e-12)[:, None]
+    return norm, np.sqrt(np.einsum("na,nab,nb->n", unit, covariance, unit))
+
+
+def _kinematics_of(series: Series, speeds: tuple[Array, Array], accelerations: tuple[Array, Array]) -> JointKinematics:
+    """Return a point's motion from its series, and from its speed and acceleration with their standard deviations."""
+    (speed, speed_sigma), (acceleration, acceleration_sigma) = speeds, accelerations
     steps_m = np.linalg.norm(np.diff(series.value, axis=0), axis=1)
     is_known = np.isfinite(steps_m)
     distance, covered = float(steps_m[is_known].sum()), float(np.diff(series.time_s)[is_known].sum())

@@ -113,9 +113,8 @@ def shared_sigma(motion: Motion) -> float:
 def _size_sigma(motion: Motion) -> float:
     """Return the relative standard deviation of the size, which scales all lengths; 0 with several cameras."""
     solution = motion.solution
-    if not isinstance(solution, TrajectorySolution) or len(solution.views) > 1:
-        return 0.0
-    return solution.size_sigma / solution.size
+    size_sigma: float | None = getattr(solution, "size_sigma", None)
+    return 0.0 if size_sigma is None or len(solution.views) > 1 else size_sigma / solution.size
 
 
 def _focal_sigma(motion: Motion) -> float:

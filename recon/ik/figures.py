@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from recon.base.arrays import Array
 from recon.ik.chain import SerialChain
 from recon.ik.drive import Run
+from recon.ik.limb import VECTORS, vector_names
 from recon.show.plots import style
 
 VIEWS = {
@@ -20,8 +21,6 @@ VIEWS = {
 }
 """Views of the base frames of `recon.ik.chain`: name, the two coordinates, and the labels of their axes."""
 _ROOM = 0.06
-_VECTORS = ("constant-vector", "gradient-projection")
-"""Methods whose vector g is drawn."""
 _SINGLE = {
     "damped_lambda_m": "lambda (m)",
     "selectively-damped_gamma_max_rad": "gamma_max (rad)",
@@ -114,7 +113,7 @@ def parameter_series(series: pd.DataFrame, joints: Sequence[str]) -> Figure:
     panels = {
         "damping": (("damped_lambda_m", "selectively-damped_gamma_max_rad"), True),
         "weights w,\nmean 1": (tuple(f"weighted_{joint}" for joint in joints), True),
-        "vector g\n(rad/s)": (tuple(f"{kind}_{joint}" for kind in _VECTORS for joint in joints), False),
+        "vector g\n(rad/s)": (tuple(f"{kind}_{name}" for kind in VECTORS for name in vector_names(joints)), False),
         "k (1/s)": (("gradient-projection_k_1_s",), False),
         "alpha (1/m²)": (("transpose_alpha_1_m2",), False),
         "alpha, factor\non all rates": (tuple(alphas), False),
@@ -144,7 +143,9 @@ def _parameter_label(column: str) -> str:
     if column in _SINGLE:
         return _SINGLE[column]
     label = column.removesuffix("_best_alpha")
-    for prefix in ("weighted_", *(f"{kind}_" for kind in _VECTORS)):
+    for prefix in ("weighted_", *(f"{kind}_" for kind in VECTORS)):
+        if label.startswith(f"{prefix}g"):  # "g1_theta_9"
+            return label.removeprefix(prefix).replace("_", ", ", 1)
         label = label.removeprefix(prefix)
     return label
 

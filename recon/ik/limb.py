@@ -45,6 +45,8 @@ Closures do not depend on the factor.
 """
 CONSTANT_VECTOR = "constant-vector"
 """Name, in tables of parameters, of gradient projection along a constant vector g."""
+VECTORS = (CONSTANT_VECTOR, "gradient-projection")
+"""Methods with a vector g."""
 EXTENDED_COSTS = ("extended-differences", "extended-energy", "extended-harmonic")
 LAST = 3
 """Number of frames before each frame of the stride to which parameters are refitted (online)."""
@@ -191,14 +193,19 @@ def fit_parameters(limb: Limb, cost: Cost | None = None) -> dict[str, ParameterF
     return {name: fit(frames) for name, fit in fits(() if cost is None else (cost,)).items()}
 
 
+def vector_names(joints: Sequence[str]) -> list[str]:
+    """Return names of the components of the vector g for a chain's joints, such as "g1_theta_9"."""
+    return [f"g{k}_{joint}" for k, joint in enumerate(joints, 1)]
+
+
 def fit_parameter_series(
     limb: Limb, stride: StridePath, cost: Cost | None = None, last: int = 0
 ) -> tuple[pd.DataFrame, dict[str, list[Method]]]:
     """Fit the parameters to each frame of a stride, or to the `last` frames before it.
 
     Returns the methods and a table with a row for each frame. Its columns are time_s in the clip and, for every method,
-    its parameter (`PARAMETERS`; one column for each joint if it has as many), <method>_best_alpha, and
-    <method>_explained, the explained share of the frame's own rates.
+    its parameter (`PARAMETERS`; one column for each joint if it has as many, with `vector_names` for g),
+    <method>_best_alpha, and <method>_explained, the explained share of the frame's own rates.
 
     cost is that of gradient projection. For single frames its default is the joint differences, with k fitted. The
     table then also has the smallest constant g (`CONSTANT_VECTOR`) and the factor alpha of the extended Jacobian, which
@@ -216,7 +223,9 @@ def fit_parameter_series(
         fitted = [fit(frames[window]) for window in rows]
         methods[name] = [result.method for result in fitted]
         values = np.array([result.parameter for result in fitted])
-        called = limb.chain.names if values.shape[1] == limb.chain.n else PARAMETERS.get(name, ())
+        called: Sequence[str] = PARAMETERS.get(name, ())
+        if values.shape[1] == limb.chain.n:
+            called = vector_names(limb.chain.names) if name in VECTORS else limb.chain.names
         columns |= {f"{name}_{part}": of_part for part, of_part in zip(called, values.T, strict=True)}
         columns[f"{name}_best_alpha"] = np.array([result.alpha for result in fitted])
         by_frame = zip(methods[name], (frames[t : t + 1] for t in range(first, stop)), strict=True)

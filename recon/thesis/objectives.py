@@ -57,6 +57,12 @@ class FrameOptions:
     """Number of standard deviations at which a residual counts half."""
     path: Literal["smooth", "free"] = "smooth"
     """Path of the reference joint: as smooth as an animal moves (`recon.thesis.path`), or free in every frame."""
+    path_sigma_m: float = 0.5
+    """Standard deviation of the reference joint about a smooth path, metres.
+
+    A smaller one makes the poses smoother and costs pixels; the speeds are those of the path whatever it is (`python
+    benchmarks/thesis.py --only path-ties`).
+    """
     start_angles: str | None = None
     """Angles at the start of the first frame, measured by hand (`recon.thesis.start.parse_start_angles`)."""
     initial_damping: float | None = None

@@ -30,8 +30,6 @@ ERRORS_LAST_S = 0.06
 """Time over which the errors of neighbouring frames count as one (integral of their correlation)."""
 LEAST_SIGMA_M = 0.02
 """Smallest standard deviation of a frame's position, because the reference joint is no fixed point of the animal."""
-TIE_SIGMA_M = 0.01
-"""Standard deviation of the reference joint about the path when the frames are solved again."""
 _FIRST_POSITION_M, _FIRST_SPEED_M_S = 100.0, 30.0
 """Standard deviations of position and velocity before the first frame."""
 
@@ -45,7 +43,12 @@ class Path:
     velocity_m_s: Array
     """Velocities, shape (T, 3)."""
     covariance: Array
-    """Covariances of position and velocity, shape (T, 6, 6), without the uncertainty of the base length."""
+    """Covariances of position, velocity and acceleration, shape (T, 9, 9), without the base length's uncertainty.
+
+    In files of earlier versions the acceleration is missing, and the shape is (T, 6, 6).
+    """
+    acceleration_m_s2: Array | None = None
+    """Accelerations, shape (T, 3); None in files of earlier versions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +62,7 @@ class PathTie(Objective):
     """The path, shape (T, 3); NaN for rows of zeros."""
     nominal_base_length_m: float
     base_index: int
-    sigma_m: float = TIE_SIGMA_M
+    sigma_m: float
     name: str = "path tie"
 
     def evaluate(self, pose: ChainPose, previous: ChainPose | None, frame: int, dt_s: float) -> ResidualAndJacobian:
@@ -126,7 +129,7 @@ def _smoothed(points_m: Array, noise: Array, is_known: Array, dt_s: float) -> Pa
         back = np.linalg.solve(covariances[0, t + 1], F @ covariances[1, t]).T
         smooth_x[t] += back @ (smooth_x[t + 1] - means[0, t + 1])
         smooth_P[t] += back @ (smooth_P[t + 1] - covariances[0, t + 1]) @ back.T
-    return Path(smooth_x[:, :3], smooth_x[:, 3:6], smooth_P[:, :6, :6])
+    return Path(smooth_x[:, :3], smooth_x[:, 3:6], smooth_P, smooth_x[:, 6:])
 
 
 def _motion_model(dt_s: float) -> tuple[Array, Array]:

@@ -84,7 +84,7 @@ def solve_frames(
         T, first_states, first_reports = len(reports), solver.states, reports
         solver = FrameSolver(view, chain, fps, options, path=path, starts=first_states)
         covariance, reports = _solve_all(solver, lambda count: progress((T + count) // passes), first_reports)
-        fields = {"path": path, "start_states": first_states}
+        fields = {"path": path, "start_states": first_states, "path_sigma_m": options.path_sigma_m}
     names = tuple(term.name for term in solver.objectives)
     fields |= {"reports": tuple(reports), "travel": solver.travel, "objectives": names, "fps": fps}
     return in_world(view, chain, solver.states, covariance, **fields)
@@ -295,7 +295,7 @@ class FrameSolver:
         )
         self.path, self.starts = path, starts
         if path is not None:
-            self.objectives += (PathTie(path.position_m, nominal, self.chain.base_index),)
+            self.objectives += (PathTie(path.position_m, nominal, self.chain.base_index, self.options.path_sigma_m),)
 
     def solved_before(self, frame: int) -> list[int]:
         """Return the last two solved frames before this one, newest last."""

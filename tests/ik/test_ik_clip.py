@@ -430,7 +430,7 @@ def test_one_frame_has_its_own_parameters_and_the_extended_jacobian_an_alpha(fra
     limb = limb_of(results, dim=2)
     series, _ = fit_parameter_series(limb, stride_of(results, limb))
     joints = limb.chain.names
-    vector = series[[f"constant-vector_{joint}" for joint in joints]].to_numpy()
+    vector = series[[f"constant-vector_g{k}_{joint}" for k, joint in enumerate(joints, 1)]].to_numpy()
     assert np.isfinite(vector).all()
     assert np.ptp(vector) > 1
     assert series["extended-energy_explained"].max() <= 1
@@ -442,3 +442,5 @@ def test_one_frame_has_its_own_parameters_and_the_extended_jacobian_an_alpha(fra
         "vector g",
         "k (1/s)",
     ]
+    legend = [text.get_text() for text in figure.axes[2].get_legend().get_texts()]
+    assert legend == ["g1, theta_9", "g2, theta_1", "g3, theta_2", "g4, theta_3", "g5, theta_4"]

@@ -52,7 +52,7 @@ def test_size_and_distance_are_left_open():
     larger[:, base] *= 1.2
     paths = [path_of(CHAIN, s, covariances(0.3), 90.0).position_m for s in (states, larger)]
     np.testing.assert_allclose(*paths, atol=2e-3)
-    tie = PathTie(paths[0], CHAIN.nominal_base_length_m, base)
+    tie = PathTie(paths[0], CHAIN.nominal_base_length_m, base, 0.01)
     poses = [CHAIN.pose_with_jacobian(state[5][None]) for state in (states, larger)]
     np.testing.assert_allclose(*(tie.evaluate(pose, None, 5, 0.1)[0] for pose in poses), atol=1e-9)
 

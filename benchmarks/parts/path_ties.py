@@ -1,0 +1,88 @@
+"""Choose how tightly the frame method's poses are tied to the path, on all runs but one, and test it on that run.
+
+    python benchmarks/parts/path_ties.py [FOLDER] [--ties M ...]
+
+Every view of every run is solved frame by frame once, and then again with each tie, the standard deviation of the
+reference joint about its path (`--set path-sigma-m`). The path, and with it the speed, is the same for all ties. Each
+run is left out in turn. The choice on the other runs is the tightest tie whose median error in pixels exceeds that of
+frames without a tie by `MORE_PX` at most.
+"""
+
+from __future__ import annotations
+
+import json
+from unittest import mock
+
+import pandas as pd
+from arguments import parser_of, runs_or_exit
+from frame_method import pose_holds, view_row
+from markdown_table import print_table
+
+from recon.thesis import solver
+from recon.thesis.solver import FrameSolver
+
+FREE_M = 1000.0
+"""A tie that does not hold."""
+TIES_M = (0.01, 0.1, 0.3, 0.5, 1.0, FREE_M)
+MORE_PX = 0.2
+
+
+class FirstSolutions:
+    """Keep the first solution of a view, from which every tie begins."""
+
+    def __init__(self) -> None:
+        self.solve_all, self.kept = solver._solve_all, None
+
+    def __call__(self, frames: FrameSolver, progress, first=None):
+        if first is not None:
+            return self.solve_all(frames, progress, first)
+        if self.kept is None:
+            self.kept = (*self.solve_all(frames, progress), frames.states.copy())
+        covariance, reports, states = self.kept
+        frames.states[:] = states
+        return covariance, reports
+
+
+def summary(table: pd.DataFrame) -> list[str]:
+    """Return the cells of one tie."""
+    return [
+        f"{table['error_px'].median():.2f}, {table['error_px'].mean():.2f}",
+        f"{table[table['named']]['mpjpe_mm'].mean():.0f}, {table['mpjpe_mm'].mean():.1f}",
+        f"{table['jitter_m'].median():.3f}",
+        f"{pose_holds(table):.0%}",
+        f"{int((table['verdict'] == 'use').sum())}",
+    ]
+
+
+def words(tie_m: float) -> str:
+    """Return a tie in metres."""
+    return "none" if tie_m >= FREE_M else f"{tie_m:g}"
+
+
+def main() -> None:
+    parser = parser_of(__doc__, kind="cheetah-runs")
+    parser.add_argument("--ties", nargs="+", type=float, default=TIES_M, metavar="M")
+    arguments = parser.parse_args()
+    rows: dict[float, list[dict[str, object]]] = {tie_m: [] for tie_m in dict.fromkeys((*arguments.ties, FREE_M))}
+    for run in runs_or_exit(parser, arguments.folder):
+        meta = json.loads((run / "meta.json").read_text())
+        for camera in meta["cameras"]:
+            with mock.patch.object(solver, "_solve_all", FirstSolutions()):
+                for tie_m, views in rows.items():
+                    views.append(view_row(run, camera, meta, {"path_sigma_m": tie_m}))
+    tables = {tie: pd.DataFrame(views) for tie, views in rows.items()}
+    columns = ["px (median, mean)", "MPJPE mm (named, all)", "depth jitter m", "pose 90 % hold", "use"]
+    print_table(["tie, m", *columns], [[words(tie), *summary(table)] for tie, table in tables.items()])
+    print()
+    free, lines = tables[FREE_M], []
+    for run in dict.fromkeys(free["run"]):
+        out = free["run"] == run
+        most_px = free[~out]["error_px"].median() + MORE_PX
+        tie = min(tie for tie, table in tables.items() if table[~out]["error_px"].median() <= most_px)
+        chosen = tables[tie][out]
+        lines.append([run[:26], words(tie), *summary(chosen)[:3], *summary(free[out])[:2]])
+    print_table(["run left out", "chosen on the others", *columns[:3], "no tie: px", "MPJPE mm"], lines)
+
+
+if __name__ == "__main__":
+    main()
