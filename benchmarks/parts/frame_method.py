@@ -1,11 +1,13 @@
 """Measure the frame method on every view of real runs: peak speeds, poses, 90 % intervals, verdicts and effort.
 
     python benchmarks/parts/frame_method.py [FOLDER] [--only RUN ...] [--quick] [--set path=free ...]
+        [--csv ROWS | --rows ROWS ...]
 
 Each run of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA, has camN.csv, scene.json, truth.csv and
 meta.json. Every view is fitted like `recon frame`. The true peak speed is the largest speed of the reference joint in
 the frames, from the spline through the reconstruction of all cameras. A speed counts as stated if
-`ClipAnalysis.why_no_speed` is None. --quick: only the camera named in meta.json. The last lines are the summary, also
+`ClipAnalysis.why_no_speed` is None. --quick: only the camera named in meta.json. --rows: show rows that --csv wrote,
+for example of runs that were measured at the same time. The last lines are the summary, also
 with each run left out, since the numbers of the method were chosen on all runs.
 """
 
@@ -149,18 +151,19 @@ def summary(table: pd.DataFrame) -> list[str]:
 def main() -> None:
     parser = parser_of(__doc__, "--quick", "--set", "--csv", kind="cheetah-runs")
     parser.add_argument("--only", nargs="+", default=[], metavar="RUN", help="runs whose names begin so")
+    parser.add_argument("--rows", nargs="+", default=[], metavar="CSV", help="rows of earlier runs with --csv")
     arguments = parser.parse_args()
     options = settings_of(arguments)
     rows = []
-    for run in runs_of(arguments.folder):
+    for run in () if arguments.rows else runs_of(arguments.folder):
         if arguments.only and not run.name.startswith(tuple(arguments.only)):
             continue
         meta = json.loads((run / "meta.json").read_text())
         cameras = [meta["monocular_camera"]] if arguments.quick else meta["cameras"]
         rows += [view_row(run, camera, meta, options) for camera in cameras]
-    if not rows:
+    if not rows and not arguments.rows:
         parser.exit(message=f"no runs in {arguments.folder}: nothing measured\n")
-    table = pd.DataFrame(rows)
+    table = pd.concat([pd.DataFrame(rows), *map(pd.read_csv, arguments.rows)], ignore_index=True)
     if arguments.csv:
         table.to_csv(arguments.csv, index=False)
     cells = [

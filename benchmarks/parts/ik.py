@@ -1,4 +1,4 @@
-"""Inverse kinematics: time per step, success rates, iterations and closures, and strides of real runs.
+"""Inverse kinematics: processor time of a step, success rates, iterations and closures, and strides of real runs.
 
     python benchmarks/parts/ik.py [FOLDER] [--only steps targets alphas circle costs strides fits held-out online]
 
@@ -57,7 +57,7 @@ Array = np.ndarray
 ALPHAS = (0.1, 0.3, 0.5, 0.8, 1.0, 1.3, 1.6, 1.9, 2.1, 2.3)
 ALPHA_TASKS = 10
 TASKS, SEED = 50, 0
-STEPS, WARM = 4000, 500
+STEPS, WARM = 1500, 200
 TURNS, POINTS, RADIUS_M = 10, 400, 0.1
 SLOWER = 10
 """Factor of slow motion for strides, so that rate limits do not delay the methods."""
@@ -120,29 +120,32 @@ def methods(chain: SerialChain) -> dict[str, Method]:
 # -- steps and targets -----------------------------------------------------------------------------------------------
 
 
-def step_us(chain: SerialChain, method: Method) -> float:
-    """Return the median time of `rates` at random configurations within the limits, microseconds."""
-    rng = np.random.default_rng(SEED)
+def step_times_s(chain: SerialChain) -> dict[str, float]:
+    """Return the processor time of a step at random configurations within the limits, by method, seconds.
+
+    The methods take turns, and the time is the lowest tenth: what else runs on the machine makes steps slower only.
+    """
+    rng, every = np.random.default_rng(SEED), methods(chain)
     q = rng.uniform(chain.lower_rad, chain.upper_rad, (STEPS, chain.n))
     dx = rng.normal(size=(STEPS, chain.dim))
-    times = np.empty(STEPS)
+    times = np.empty((STEPS, len(every)))
     for k in range(STEPS):
-        start = time.perf_counter()
-        method.rates(chain, q[k], dx[k])
-        times[k] = time.perf_counter() - start
-    return 1e6 * float(np.median(times[WARM:]))
-
-
-def time_of(chain: SerialChain, name: str) -> str:
-    method = methods(chain).get(name)
-    return f"{step_us(chain, method):.0f}" if method else ""
+        for i, method in enumerate(every.values()):
+            at = (k + 100 * i) % STEPS  # the chain keeps what it computed for the last configuration
+            start = time.thread_time()
+            method.rates(chain, q[at], dx[at])
+            times[k, i] = time.thread_time() - start
+    return dict(zip(every, np.quantile(times[WARM:], 0.1, axis=0).tolist(), strict=True))
 
 
 def print_steps() -> None:
-    print("Microseconds per step:\n")
-    every = chains(True)
-    names = methods(next(iter(every.values())))
-    rows = [[name, *(time_of(chain, name) for chain in every.values())] for name in names]
+    """Print ratios of processor times, which hardly depend on the machine."""
+    print("Processor time of a step, relative to least norm:\n")
+    every, columns = chains(True), []
+    for chain in every.values():
+        times = step_times_s(chain)
+        columns.append({name: f"{step / times['least norm']:.1f}" for name, step in times.items()})
+    rows = [[name, *(column.get(name, "") for column in columns)] for name in columns[0]]
     print_table(["method", *every], rows)
 
 

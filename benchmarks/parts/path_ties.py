@@ -23,7 +23,7 @@ from recon.thesis.solver import FrameSolver
 
 FREE_M = 1000.0
 """A tie that does not hold."""
-TIES_M = (0.01, 0.1, 0.3, 0.5, 1.0, FREE_M)
+TIES_M = (0.01, 0.1, 0.5, FREE_M)
 MORE_PX = 0.2
 
 
@@ -49,8 +49,7 @@ def summary(table: pd.DataFrame) -> list[str]:
         f"{table['error_px'].median():.2f}, {table['error_px'].mean():.2f}",
         f"{table[table['named']]['mpjpe_mm'].mean():.0f}, {table['mpjpe_mm'].mean():.1f}",
         f"{table['jitter_m'].median():.3f}",
-        f"{pose_holds(table):.0%}",
-        f"{int((table['verdict'] == 'use').sum())}",
+        f"{100 * pose_holds(table):.0f} %",
     ]
 
 
@@ -60,18 +59,33 @@ def words(tie_m: float) -> str:
 
 
 def main() -> None:
-    parser = parser_of(__doc__, kind="cheetah-runs")
+    parser = parser_of(__doc__, "--csv", kind="cheetah-runs")
+    parser.add_argument("--only", nargs="+", default=[], metavar="RUN", help="runs whose names begin so")
+    parser.add_argument("--rows", nargs="+", default=[], metavar="CSV", help="rows of earlier runs with --csv")
     parser.add_argument("--ties", nargs="+", type=float, default=TIES_M, metavar="M")
     arguments = parser.parse_args()
+    if arguments.rows:
+        show(pd.concat(map(pd.read_csv, arguments.rows), ignore_index=True))
+        return
     rows: dict[float, list[dict[str, object]]] = {tie_m: [] for tie_m in dict.fromkeys((*arguments.ties, FREE_M))}
     for run in runs_or_exit(parser, arguments.folder):
+        if arguments.only and not run.name.startswith(tuple(arguments.only)):
+            continue
         meta = json.loads((run / "meta.json").read_text())
         for camera in meta["cameras"]:
             with mock.patch.object(solver, "_solve_all", FirstSolutions()):
                 for tie_m, views in rows.items():
-                    views.append(view_row(run, camera, meta, {"path_sigma_m": tie_m}))
-    tables = {tie: pd.DataFrame(views) for tie, views in rows.items()}
-    columns = ["px (median, mean)", "MPJPE mm (named, all)", "depth jitter m", "pose 90 % hold", "use"]
+                    views.append({"tie_m": tie_m, **view_row(run, camera, meta, {"path_sigma_m": tie_m})})
+    table = pd.DataFrame([row for views in rows.values() for row in views])
+    if arguments.csv:
+        table.to_csv(arguments.csv, index=False)
+    show(table)
+
+
+def show(table: pd.DataFrame) -> None:
+    """Print the results by tie, and the choices with each run left out."""
+    tables = {float(tie_m): views.reset_index(drop=True) for tie_m, views in table.groupby("tie_m")}
+    columns = ["px (median, mean)", "MPJPE mm (named, all)", "depth jitter m", "pose 90 % hold"]
     print_table(["tie, m", *columns], [[words(tie), *summary(table)] for tie, table in tables.items()])
     print()
     free, lines = tables[FREE_M], []

@@ -112,7 +112,10 @@ class ClipAnalysis(Brief):
             return pose
         errors, options = kinematics.jitter_errors(pose.xyz_m), {"smooth": True, "propagate": False, "oversampling": 1}
         paths = [kinematics.joint_kinematics(pose, name, self.motion.fps, errors, **options) for name in pose.names]
-        return replace(pose, xyz_m=np.stack([path.series.value for path in paths], axis=1))
+        xyz_m = np.stack([path.series.value for path in paths], axis=1)
+        if self.motion.solution.reference_path is not None:
+            xyz_m[:, pose.names.index(self.reference)] = at_frames(self.reference_motion).series.value
+        return replace(pose, xyz_m=xyz_m)
 
     @cached_property
     def reference_motion(self) -> JointKinematics:

@@ -412,10 +412,9 @@ def test_speeds_that_are_not_known_are_in_no_table_and_grey(whole, one_sided):
     assert {row[-1] for row in rows} == {"yes"}
     assert np.isfinite([row[1] for row in rows]).all()
     motion = one_sided.motion
-    points_m = motion.solution.joints_m.copy()
-    # To and fro across its way, along which the camera looks.
-    points_m += np.random.default_rng(0).normal(0, 1.0, len(points_m))[:, None, None] * [0.0, 1.0, 0.0]
-    spoilt = replace(motion, solution=replace(motion.solution, joints_m=points_m))
+    path = motion.solution.path
+    uncertain = replace(path, covariance=100 * path.covariance)
+    spoilt = replace(motion, solution=replace(motion.solution, path=uncertain))
     found = analyse(spoilt)
     assert found.why_no_speed is not None
     columns, rows = joints(found)

@@ -7,7 +7,8 @@ import pytest
 
 from recon import FitSettings, fit_clip
 from recon.api.samples import samples_folder
-from recon.gait.clip import ClipAnalysis
+from recon.gait.clip import ClipAnalysis, over_belt
+from recon.gait.kinematics import path_kinematics
 from recon.thesis.chain import load_chain, mean_pose
 from recon.thesis.path import LEAST_SIGMA_M, PathTie, _motion_model, path_of
 
@@ -96,3 +97,40 @@ def test_a_false_peak_is_not_stated(fits):
     assert abs(path.peak_speed_m_s - 16.6) < 1.645 * path.peak_speed_sigma_m_s
     jitter = [np.abs(np.diff(m.root_m, 3, axis=0)).max() for m in fits.values()]
     assert jitter[0] < 0.5 * jitter[1]
+
+
+def test_the_reference_joint_moves_along_the_path(fits):
+    motion = fits["smooth"]
+    analysis, path = ClipAnalysis(motion), motion.solution.reference_path
+    series = analysis.reference_motion.series
+    np.testing.assert_allclose(series.value[::10], path.position_m, atol=1e-9)
+    np.testing.assert_allclose(series.rate[::10], path.velocity_m_s, atol=1e-9)
+    np.testing.assert_allclose(analysis.tracked.xyz_m[:, motion.names.index(motion.reference)], path.position_m)
+    limbs = [pose.xyz_m - pose.xyz_m[:, :1] for pose in (analysis.tracked, motion.upright)]
+    np.testing.assert_allclose(*limbs, atol=1e-9)
+    size_sigma = motion.solution.size_sigma / motion.solution.size
+    assert (analysis.reference_motion.speed_sigma_m_s > size_sigma * analysis.reference_motion.speed_m_s).all()
+    unsized = analysis.moved(motion.reference, with_size=False)
+    assert (unsized.speed_sigma_m_s < analysis.reference_motion.speed_sigma_m_s).all()
+
+
+def test_the_path_moves_with_a_treadmills_belt(fits):
+    still, moving = fits["smooth"], over_belt(fits["smooth"], 2.0)
+    on_belt, over_ground = moving.solution.reference_path, still.solution.reference_path
+    assert on_belt is not None
+    assert over_ground is not None
+    added, travelled = on_belt.velocity_m_s - over_ground.velocity_m_s, on_belt.position_m - over_ground.position_m
+    np.testing.assert_allclose(np.linalg.norm(added, axis=1), 2.0)
+    np.testing.assert_allclose(np.linalg.norm(travelled, axis=1), 2.0 * still.time_s, atol=1e-9)
+
+
+def test_a_gap_has_no_speed(fits):
+    motion = fits["smooth"]
+    is_known = np.ones(30, bool)
+    is_known[:3] = is_known[10:18] = False
+    moved = path_kinematics(motion.time_s, motion.solution.reference_path, is_known)
+    unknown = np.isnan(moved.speed_m_s)
+    assert unknown[:30].all()
+    assert not unknown[30:91].any()
+    assert unknown[91:180].all()
+    assert not unknown[180:].any()
