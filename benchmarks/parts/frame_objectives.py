@@ -1,6 +1,6 @@
 """Measure the effect of each objective of the frame method on real runs, by fits with only some of them.
 
-    python benchmarks/parts/frame_objectives.py [FOLDER]
+    python benchmarks/parts/frame_objectives.py [FOLDER] [--only CASE ...]
 
 The fits use the named camera of every run of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA. An objective
 that is left out has a weight of a millionth, so that there are never fewer residuals than unknowns. Columns: mean
@@ -103,10 +103,12 @@ def measured(run: Path, kept: tuple[str, ...], options: dict[str, Any]) -> tuple
 
 
 def main() -> None:
-    parser = parser_of(__doc__, kind="cheetah-runs")
-    runs = runs_or_exit(parser, parser.parse_args().folder)
+    parser = parser_of(__doc__, kind="cheetah-runs", only=[*CASES])
+    arguments = parser.parse_args()
+    runs = runs_or_exit(parser, arguments.folder)
     print_header(["objectives", "pixels", "MPJPE, mm (by run)", "share", "jitter"])
-    for name, (kept, options) in CASES.items():
+    for name in arguments.only:
+        kept, options = CASES[name]
         pixels, mpjpe, share, jitter = np.array([measured(run, kept, options) for run in runs]).T
         error = f"{mpjpe.mean():.0f} ({mpjpe.min():.0f} to {mpjpe.max():.0f})"
         is_limited = bool({*kept} & {*LIMITS})
