@@ -26,9 +26,8 @@ from markdown_table import print_table
 from wrong_inputs import Case, Clip, Given, cameras_of, fitted, hind_of_second, scaled
 
 from recon import InputError
-from recon.check import inputs
+from recon.check import halves, inputs
 from recon.check.clocks import DRIFT_SIGMAS, drifts_of
-from recon.check.halves import LIMIT_SIGMAS, offset_of
 from recon.check.stretch import LIMITS, deviation, stretch_of
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.result import TrajectorySolution
@@ -56,7 +55,7 @@ ROWS = (
 )
 LIMIT_TEXTS = {
     "stretch": f"{LIMITS[0]} to {LIMITS[1]}",
-    "halves": f"-{LIMIT_SIGMAS} to {LIMIT_SIGMAS}",
+    "halves": f"{halves.LIMITS[0]} to {halves.LIMITS[1]}",
     "drift": f"0 to {DRIFT_SIGMAS}",
 }
 
@@ -69,8 +68,8 @@ def deviation_of(clip: Clip, case: Case, check: str) -> list[float]:
         step = stretch_of(problem, solution)
         seen.extend([] if step is None else [deviation(step)])
 
-    def halves(problem: ClipProblem, solution: TrajectorySolution) -> None:
-        step = offset_of(problem, solution)
+    def late_half(problem: ClipProblem, solution: TrajectorySolution) -> None:
+        step = halves.offset_of(problem, solution)
         seen.extend([step.value / step.sigma] if check == "halves" and step is not None else [])
 
     def drift(problem: ClipProblem, solution: TrajectorySolution, *_: object) -> tuple[()]:
@@ -81,7 +80,7 @@ def deviation_of(clip: Clip, case: Case, check: str) -> list[float]:
     with (
         tempfile.TemporaryDirectory() as folder,
         patch.object(inputs, "stretch_finding", stretch if check == "stretch" else lambda *_: None),
-        patch.object(inputs, "halves_finding", halves),
+        patch.object(inputs, "halves_finding", late_half),
         patch.object(inputs, "drift_findings", drift),
         suppress(InputError),  # a clip whose scaled picture is refused has no check
     ):

@@ -14,11 +14,12 @@ from recon.check.one_step import Detections, Step, one_steps
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.result import Finding, TrajectorySolution
 
-LIMIT_SIGMAS = 2.0
-"""Standard deviations from which the time offset of the hind half is reported.
+LIMITS = -1.4, 3.3
+"""Time offsets of the hind half, in standard deviations, below which it is late and above which it is early.
 
-They are 1.3 at most in right views, whichever run is left out, and 2.3 to 3.9 with the hind half of an animal that runs
-a tenth of a second behind (`benchmarks/wrong_inputs.py --only limits`).
+They are -0.7 to 1.4 in right views, inside the limits whichever run is left out, -2.3 to -1.2 with the hind half of an
+animal that runs a tenth of a second behind, -1.2 in a picture that is stretched along x, and up to 2.6 in a compressed
+one (`benchmarks/wrong_inputs.py --only limits` has the first two).
 """
 LEAST_FRAMES = 3
 """Smallest number of frames of a segment whose motion is tested."""
@@ -53,6 +54,6 @@ def offset_of(clip: ClipProblem, solution: TrajectorySolution) -> Step | None:
 def halves_finding(clip: ClipProblem, solution: TrajectorySolution) -> Finding | None:
     """Return a finding if the hind half is early or late."""
     offset = offset_of(clip, solution)
-    if offset is None or abs(offset.value) < LIMIT_SIGMAS * offset.sigma:
+    if offset is None or LIMITS[0] * offset.sigma < offset.value < LIMITS[1] * offset.sigma:
         return None
     return finding("halves_apart", late_frames=-offset.value, sigmas=abs(offset.value) / offset.sigma)

@@ -104,8 +104,10 @@ def input_findings(
                     swap_finding(trial, source, body) for trial in (swaps(baseline, is_unlike) if seek_swaps else ())
                 ]
                 findings += found_swaps
-                if len(motion.sources) == 1 and not (found_swaps or moves):
-                    moves += _of_only_view(motion, ground_clip, baseline)
+                is_only_jolting = all(item.code == "path_jolts" for item in moves)
+                if len(motion.sources) == 1 and is_only_jolting and not found_swaps:
+                    apart = halves_finding(ground_clip, solution)
+                    moves = [apart] if apart is not None else moves or _of_only_view(motion, ground_clip, baseline)
         findings += pictures
         if len(motion.sources) > 1 and not (pictures or is_certain):
             names = [source.camera.name for source in motion.sources]
@@ -122,11 +124,9 @@ def input_findings(
 
 
 def _of_only_view(motion: Motion, clip: ClipProblem, baseline: Baseline) -> list[Finding]:
-    """Return findings on a clip of one camera: two halves that do not belong together, or another lens or picture."""
+    """Return findings on a clip of one camera whose lens or picture is another one."""
     solution = motion.solution
     assert isinstance(solution, TrajectorySolution)
-    if (apart := halves_finding(clip, solution)) is not None:
-        return [apart]
     sigma_m = float(np.nanmean(motion.place_sigma_m[motion.solved]))
     lens = lens_findings(baseline, solution.noise_px[0])
     findings = [by_effect(item, motion.trunk_m, position_sigma_m=sigma_m) for item in lens]

@@ -24,8 +24,8 @@ deviation that these estimates show, because the posterior is cautious about las
 LIMITS = -1.6, 3.3
 """Deviations, in standard deviations, beyond which a picture is compressed or stretched along x.
 
-The deviations are -1.1 to 2.5 in 32 correct views, and within the limits whichever run is left out. They are -5.4 to
-0.3 (median -2.8) if x is scaled by 0.75, and 3.0 to 5.1 if x is scaled by 1.33.
+They are -1.0 to 2.5 in right views, -2.4 to -0.3 (median -2.1) where x is scaled by 0.75, and 2.1 to 4.7 (median 3.7)
+by 1.33 (`benchmarks/wrong_inputs.py --only limits`).
 """
 SEEN = 0.25
 """Least share of the frames in which each foot is detected: without legs an animal's height is not known."""
