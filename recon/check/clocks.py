@@ -14,8 +14,10 @@ from recon.fit.clip_problem import ClipProblem
 from recon.fit.result import Finding, TrajectorySolution
 
 DRIFT_SIGMAS = 3.5
-"""Drift, in standard deviations, from which it is reported: 1.2 at most in real pairs, 6 for a lost frame per
-second.
+"""Drift, in standard deviations, from which it is reported.
+
+It is 1.3 at most in right pairs, and 0.1 to 1.4 (median 0.5) with a camera that takes a picture a second less
+(`benchmarks/wrong_inputs.py --only limits`).
 """
 
 
