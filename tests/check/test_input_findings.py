@@ -137,7 +137,10 @@ def test_missing_points_say_nothing_of_jumps():
     assert np.isinf(jumps(view().part(slice(0, 5)), pairs_of(BODY)["all"])).all()
 
 
-@pytest.mark.parametrize(("kind", "first", "stop"), [("all", 15, 25), ("all", 0, T), ("fore", 20, T), ("hind", 20, T)])
+@pytest.mark.parametrize(
+    ("kind", "first", "stop"),
+    [("all", 15, 25), ("all", 0, T), ("fore", 20, T), pytest.param("hind", 20, T, marks=pytest.mark.slow)],
+)
 def test_exchanged_sides_are_found(kind, first, stop):
     (found,) = swaps(fitted(with_exchanged(view(), stretch(kind, first, stop))))
     assert found.stretch.rows == slice(first, stop)

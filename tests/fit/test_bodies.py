@@ -164,7 +164,7 @@ def test_two_cameras_in_their_places_are_not_named(skeleton, frames, size, monke
     assert max(second.misplaced, second.late) < 0
 
 
-@pytest.mark.parametrize("size", [0.8, 1.1])
+@pytest.mark.parametrize("size", [0.8, pytest.param(1.1, marks=pytest.mark.slow)])
 def test_the_ground_does_not_pull_at_the_size_that_two_cameras_find(size):
     """A dog whose root is as high as that of one of usual size, so that its feet are off z = 0."""
     body, random = load_skeleton("dog-27"), np.random.default_rng(1)
@@ -268,7 +268,7 @@ def test_no_quadruped_is_drafted_of_another_skeletons_points(names: Iterable[str
         draft_skeleton([*names], "mine", Path("clip.csv"))
 
 
-@pytest.mark.parametrize(("skeleton", "alone"), [("mouse-top", 0), ("human-25", 2)])
+@pytest.mark.parametrize(("skeleton", "alone"), [("mouse-top", 0), pytest.param("human-25", 2, marks=pytest.mark.slow)])
 def test_a_draft_from_geometry(skeleton, alone, tmp_path):
     """Names tell nothing; points of one of the true segments come to one of the draft's, which then fits the clip."""
     true = load_skeleton(skeleton)

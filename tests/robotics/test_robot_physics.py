@@ -184,9 +184,6 @@ def test_the_command_says_what_it_changed(trotting, tmp_path):
     source = json.loads((out / "amp.json").read_text())["Source"]["check"]
     assert source["changed"] == pytest.approx(report["check"]["changed"])
     assert source["stride"]["forces"]["share"] == 1
-    source = json.loads((out / "amp.json").read_text())["Source"]["check"]
-    assert source["changed"] == pytest.approx(report["check"]["changed"])
-    assert source["stride"]["forces"]["share"] == 1
     for part, prefix in (("clip", ""), ("stride", "stride_")):
         table = np.genfromtxt(out / f"{prefix}check.csv", delimiter=",", names=True)
         assert table.dtype.names == ("time_s", *RULES)
