@@ -240,13 +240,18 @@ class ClipAnalysis(Brief):
 
     @cached_property
     def end_effector(self) -> EndEffector | None:
-        """Return the path of a chain's fore foot relative to the reference joint, or None for a whole animal."""
+        """Return the path of a chain's fore foot relative to the reference joint.
+
+        Return None for a whole animal, and without a smoothed pose, as in a clip of four frames.
+        """
         motion = self.motion
         label = next((label for label in motion.foot_names if label.endswith("F")), None)
         if motion.chain is None or label is None:
             return None
         points_m, names = self.pose.xyz_m, self.pose.names
         rear, front = (points_m[:, names.index(name)] for name in motion.forward_names)
+        if not np.isfinite(front - rear).any():
+            return None
         foot_m, body_m = (points_m[:, names.index(name)] for name in (motion.foot_names[label], self.reference))
         return end_effector(label, motion.time_s, foot_m, body_m, np.nanmean(front - rear, axis=0))
 

@@ -124,8 +124,8 @@ def _variance(body: Body, states: Array, size: float, angle_sigma: Array) -> Arr
     matters = np.abs(_changes(body, every_few, size, columns)).max(axis=(1, 2), initial=0.0) > 1e-6
     at_once = max(1, _ROWS_AT_ONCE // len(states))
     for first in range(0, int(matters.sum()), at_once):
-        some = columns[matters][first : first + at_once]
-        for column, change in zip(some, _changes(body, states, size, some), strict=True):
+        group = columns[matters][first : first + at_once]
+        for column, change in zip(group, _changes(body, states, size, group), strict=True):
             variance += (change * angle_sigma[:, column - 3]) ** 2
     return variance
 
@@ -135,8 +135,8 @@ def _changes(body: Body, states: Array, size: float, columns: Index) -> Array:
     steps = _STEP_RAD * (np.arange(states.shape[1]) == columns[:, None])[:, None]
     stepped = np.concatenate([states + steps, states - steps])
     flexions = flexion_rad(body, stepped.reshape(-1, states.shape[1]), size).reshape(len(body.anatomy), -1, len(states))
-    ahead, behind = np.split(flexions.swapaxes(0, 1), 2)
-    return (np.mod(ahead - behind + np.pi, 2 * np.pi) - np.pi) / (2 * _STEP_RAD)
+    forward, backward = np.split(flexions.swapaxes(0, 1), 2)
+    return (np.mod(forward - backward + np.pi, 2 * np.pi) - np.pi) / (2 * _STEP_RAD)
 
 
 # -- over the stride ---------------------------------------------------------------------------------------------------

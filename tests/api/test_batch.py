@@ -36,7 +36,7 @@ from recon.io.calibration import read_cameras
 
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"
 CAMERA = SAMPLES / "camera.toml"
-QUICK = {"camera": CAMERA, "fps": 30, "method": "frame", "frames": "0:6"}
+QUICK = {"camera": CAMERA, "fps": 30, "method": "frame", "frames": "0:4"}
 pytestmark = pytest.mark.usefixtures("no_playback", "undrawn")
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at processes in /proc")
 
@@ -187,7 +187,7 @@ def test_manifest_rows_overrule_the_common_options(clips):
     first, second, third = found(path)
     assert (first.name, second.name, third.name) == ("first", "b-2-6", "whole")
     assert first.settings == FitSettings(
-        keypoints=(clips / "a.csv",), camera=CAMERA, fps=60, method="trajectory", fast=True, frames="0:6"
+        keypoints=(clips / "a.csv",), camera=CAMERA, fps=60, method="trajectory", fast=True, frames="0:4"
     )
     assert second.settings == FitSettings(
         keypoints=(clips / "b.csv",), camera=clips / "mine.toml", fps=30, method="frame", frames="2:6"
@@ -198,7 +198,7 @@ def test_manifest_rows_overrule_the_common_options(clips):
         image_size_px=(1920, 1080),
         fps=30,
         method="frame",
-        frames="0:6",
+        frames="0:4",
     )
 
 
@@ -540,7 +540,7 @@ def test_finished_clips_are_known_by_their_content(clips, tmp_path):
     camera = shutil.copy(CAMERA, tmp_path / "camera.toml")
     assert fit(found(one, camera=camera), out) == [("new", "")]
     first = {path.name: path.read_bytes() for path in (out / "a").iterdir()}
-    assert json.loads(first["report.json"])["summary"]["frames"] == 6
+    assert json.loads(first["report.json"])["summary"]["frames"] == 4
 
     os.utime(one, (1, 1))
     assert fit(found(one, camera=camera), out) == [("done", "")]
@@ -717,7 +717,7 @@ def test_a_summary_that_somebody_spoilt_is_named_by_line_and_column(clips, tmp_p
     fit(found(clips / "a.csv"), out)
     summary = out / "summary.csv"
     kept = summary.read_text()
-    summary.write_text(kept.replace(",6,6,", ",6,many,").replace("frames,", "rows,", 1))
+    summary.write_text(kept.replace(",4,4,", ",6,many,").replace("frames,", "rows,", 1))
     refused(["report", out], (f"{summary}, line 2", "frames_with_pose", "many", "number"))
     summary.write_text(kept.replace("clip,", "name,"))
     refused(["report", out], (f"{summary}, line 2", "clip", "nothing", "text"))
@@ -823,7 +823,7 @@ def test_faults_take_only_their_clip(clips, tmp_path):
     row, speeds = rows["c"], report["root_path"]["smoothed"] or report["root_path"]["exact"]
     assert row["keypoints"] == "../clips/c.csv"  # from the summary's folder
     assert row["out"] == "c"
-    assert row["frames"] == row["frames_with_pose"] == "6"
+    assert row["frames"] == row["frames_with_pose"] == "4"
     assert float(row["mean_reprojection_px"]) == report["summary"]["reprojection_px"]["mean"]
     assert int(row["outliers"]) == report["summary"]["outliers"]
     assert row["corrected"] == "0"

@@ -252,6 +252,11 @@ def test_too_few_poses(frame_results):
     joints_m[3:] = np.nan
     with refusal(("noisy.csv", "frames", "3 frames", "at least 4")):
         analyse(replace(motion, solution=replace(motion.solution, joints_m=joints_m)))
+    joints_m[3] = motion.solution.joints_m[3]
+    found = analyse(replace(motion, solution=replace(motion.solution, joints_m=joints_m)))
+    assert not np.isfinite(found.pose.xyz_m).any()
+    assert found.end_effector is None
+    assert found.stride is None
 
 
 def test_a_motion_that_was_just_fitted(small_trajectory):
