@@ -146,7 +146,7 @@ class FrameSolution(Solution):
             unknown[:, :6, :6] = covariance
             covariance = unknown
         blocks = covariance.reshape(T, 3, 3, 3, 3)
-        in_world = np.einsum("tab,tibjc,tdc->tiajd", R, blocks, R).reshape(T, 9, 9)
+        rotated = np.einsum("tab,tibjc,tdc->tiajd", R, blocks, R).reshape(T, 9, 9)
         position, velocity, acceleration = (
             size * np.einsum("tab,tb->ta", R, values)
             for values in (path.position_m, path.velocity_m_s, acceleration_m_s2)
@@ -154,8 +154,8 @@ class FrameSolution(Solution):
         # the camera moves in the frame of a treadmill's belt
         camera_m_s = self.fps * np.gradient(centre_m, axis=0)
         relative_sigma = (self.size_sigma or 0.0) / size
-        moved = position + centre_m, velocity + camera_m_s, acceleration
-        return ReferencePath(*moved, size**2 * in_world, centre_m, relative_sigma)
+        derivatives = position + centre_m, velocity + camera_m_s, acceleration
+        return ReferencePath(*derivatives, size**2 * rotated, centre_m, relative_sigma)
 
     @property
     def prior_misfit(self) -> float:
