@@ -51,10 +51,10 @@ def result_sentences(
         )
 
 
-def quantity_text(quantity: GaitQuantity, unit: str) -> str:
+def quantity_text(measure: GaitQuantity, unit: str) -> str:
     """Format a quantity with its 90 % interval and its unit."""
-    low, high = quantity.interval
-    return interval(quantity.value, low, high, unit, level="90 %")
+    low, high = measure.interval
+    return interval(measure.value, low, high, unit, level="90 %")
 
 
 def _speed_sentence(

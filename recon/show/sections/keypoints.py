@@ -96,8 +96,8 @@ def keypoint_lines(motion: Motion, data: list[dict[str, Any]]) -> Iterator[Line]
 
 
 def _errors_text(errors: Mapping[str, Any]) -> str:
-    mean, middle, worst = (quantity(errors[name], 1, "px") for name in ("mean", "median", "worst_joint_mean"))
-    return f"{mean} mean, {middle} median; worst joint {errors['worst_joint']}, {worst}"
+    average, middle, worst = (quantity(errors[name], 1, "px") for name in ("mean", "median", "worst_joint_mean"))
+    return f"{average} mean, {middle} median; worst joint {errors['worst_joint']}, {worst}"
 
 
 def _detections_text(motion: Motion, fitted: list[dict[str, Any]], used: int, missing: int, rejected: int) -> str:

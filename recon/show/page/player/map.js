@@ -53,7 +53,7 @@ export class KeypointMap extends Strip {
 
   drawStill(pen, wide, high, paint) {
     const { clip, cursor } = this, camera = clip.cameras[cursor.camera];
-    const right = wide - 10, width = Math.max(1, Math.round((right - this.gutter) * (this.still.width / wide)));
+    const right = wide - 10, width = Math.max(1, Math.round((right - this.gutter) * (this.canvas.width / wide)));
     pen.textBaseline = "middle";
     pen.textAlign = "right";
     clip.keypoints.forEach((name, j) => {

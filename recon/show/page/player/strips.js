@@ -1,12 +1,14 @@
 // Views: strips over time under the pictures. All have one time axis, show the cursor, and move it when clicked.
-// What does not move is drawn once into a picture of its own, so that scrubbing costs a copy and a line.
+// What does not move is drawn once; the cursor is a line over it, so that scrubbing draws nothing again.
 import { FONT, colours, penOf } from "./theme.js";
 
 const DASHES = { left: [5, 3], right: [], middle: [] };
 
 export class Strip {
   constructor(canvas, clip, cursor, output = null) {
-    Object.assign(this, { canvas, clip, cursor, output, still: document.createElement("canvas"), stale: true, visible: true });
+    Object.assign(this, { canvas, clip, cursor, output, line: document.createElement("i"), stale: true, visible: true });
+    this.line.className = "cursor-line";
+    canvas.after(this.line);
     const scrub = (event) => {
       const box = canvas.getBoundingClientRect();
       this.clicked(event.clientX - box.left, event.clientY - box.top, event.type === "pointerdown");
@@ -61,25 +63,21 @@ export class Strip {
   }
 
   paint(always = false) {
-    const { canvas, still } = this;
+    const { canvas, line } = this;
     this.drawn = canvas.clientWidth > 0 && (this.visible || always);
     if (!this.drawn) return;
-    const { pen, wide, high } = penOf(canvas), paint = colours(canvas);
-    this.wide = wide;
-    if (this.stale || still.width !== canvas.width || still.height !== canvas.height) {
-      [still.width, still.height] = [canvas.width, canvas.height];
-      const layer = still.getContext("2d");
-      layer.setTransform(canvas.width / wide, 0, 0, canvas.height / high, 0, 0);
-      layer.font = FONT;
-      this.drawFlagged(layer, high, paint);
-      this.drawStill(layer, wide, high, paint);
-      this.stale = false;
+    if (this.stale || this.wide !== canvas.clientWidth) {
+      const { pen, wide, high } = penOf(canvas), paint = colours(canvas);
+      [this.wide, this.stale] = [wide, false];
+      pen.clearRect(0, 0, wide, high);
+      pen.save();
+      pen.font = FONT;
+      this.drawFlagged(pen, high, paint);
+      this.drawStill(pen, wide, high, paint);
+      pen.restore();
+      Object.assign(line.style, { top: `${canvas.offsetTop}px`, height: `${high}px`, left: `${canvas.offsetLeft - 1}px` });
     }
-    pen.clearRect(0, 0, wide, high);
-    pen.drawImage(still, 0, 0, wide, high);
-    const x = this.x(this.cursor.row);
-    pen.fillStyle = paint.strong;
-    pen.fillRect(x - 1, 0, 2, high);
+    line.style.transform = `translateX(${this.x(this.cursor.row)}px)`;
   }
 
   /** Frames that have a flag have a darker ground in every strip. */
