@@ -106,8 +106,8 @@ def input_findings(
                 findings += found_swaps
                 is_only_jolting = all(item.code == "path_jolts" for item in moves)
                 if len(motion.sources) == 1 and is_only_jolting and not found_swaps:
-                    apart = halves_finding(ground_clip, solution)
-                    moves = [apart] if apart is not None else moves or _of_only_view(motion, ground_clip, baseline)
+                    hind = halves_finding(ground_clip, solution)
+                    moves = [hind] if hind is not None else moves or _of_only_view(motion, ground_clip, baseline)
         findings += pictures
         if len(motion.sources) > 1 and not (pictures or is_certain):
             names = [source.camera.name for source in motion.sources]

@@ -217,7 +217,7 @@ def bars_note(video: Path | None) -> str | None:
     if video is None:
         return None
     sides = zip(probe(video).bars_px, ("at left and right", "at top and bottom"), strict=True)
-    bars = [f"{width_px} px {where}" for width_px, where in sides if width_px]
+    bars = [f"{width_px} px {ends}" for width_px, ends in sides if width_px]
     if not bars:
         return None
     return (
