@@ -33,6 +33,7 @@ from scipy.spatial.transform import Rotation
 from wrong_inputs import Case, Clip, Given, cameras_of, errors, fitted, truth_on
 
 from recon import InputError
+from recon.api.clip import PAIR_REFINED
 from recon.fit.result import LEVELS
 from recon.testing.coverage import coordinate_coverage
 
@@ -109,7 +110,7 @@ def outcome(settings: dict[str, str], task: tuple[str, Clip, float]) -> Outcome 
     inside = coordinate_coverage(off_m[known], (R @ motion.solution.covariance_m2 @ R.T)[known], 0.9)
     pose_mm, position_m = errors(off_m[known])
     serious = tuple(sorted({item.code for item in motion.findings if item.severity != "note"}))
-    is_refined = any(item.code == "pair_refined" for item in motion.findings)
+    is_refined = any(item.code in PAIR_REFINED for item in motion.findings)
     name = f"{clip.run.name}, {' + '.join(clip.cameras)}"
     return Outcome(label, name, is_refined, pose_mm, 1000 * position_m, inside, motion.verdict.level, serious)
 

@@ -20,6 +20,7 @@ from recon.check.inputs import input_findings, with_flags, without_gross_outlier
 from recon.check.swap_repair import downgrade_swap, swap_improves, without_swaps
 from recon.check.verdict import add_verdict, verdict_lines
 from recon.clip import Source, views_of
+from recon.fit import constants
 from recon.fit.belt import belt_path_m, views_from_belt
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.correction_gain import correction_gain_m2
@@ -28,6 +29,8 @@ from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.trajectory import solve_trajectory
 
 LOGGER = logging.getLogger("recon")
+PAIR_REFINED = "pair_refined", "pair_adjusted"
+"""Findings on a fit whose second camera was refined although nobody requested it."""
 CHECKS_BEGIN = 0.9
 """Fraction of a fit's time after which the checks of the input begin (one camera, 600 frames)."""
 
@@ -68,7 +71,7 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     solving = _part_of(progress, 0.0, CHECKS_BEGIN)
     fit = _solve_first(inputs, options, partial(solve, progress=solving))
     fit = _solve_again_with_fixed_cameras(fit, solve, settings.lengths_known)
-    fit = _refine_pair(fit, inputs, settings, solve)
+    fit = _refine_pair(fit, inputs, settings)
     began = time.perf_counter()
     checking = _part_of(progress, CHECKS_BEGIN, 1.0)
     checking("gross outliers", 0.0)
@@ -106,7 +109,7 @@ def refit_clip(settings: FitSettings, motion: Motion) -> Motion:
     InputError
         As in `fit_clip`.
     """
-    is_refined = any(item.code == "pair_refined" for item in motion.findings)
+    is_refined = any(item.code in PAIR_REFINED for item in motion.findings)
     is_more = settings.seeks_cameras or is_refined or settings.belt_speed_m_s is not None or settings.find_offsets
     if is_more or settings.method == "frame" or not isinstance(motion.solution, TrajectorySolution):
         return fit_clip(settings)
@@ -183,30 +186,46 @@ def _solve_again_with_fixed_cameras(fit: _Fit, solve: Solve, lengths_known: bool
     return replace(fit, options=options, solution=fixed, findings=(*fit.findings, *unrefined))
 
 
-def _refine_pair(fit: _Fit, inputs: ClipInputs, settings: FitSettings, solve: Solve) -> _Fit:
-    """Refine the poses of two cameras if one of them has probably been turned or moved since its calibration.
+def _refine_pair(fit: _Fit, inputs: ClipInputs, settings: FitSettings) -> _Fit:
+    """Refine the pose of the second of two cameras, unless the poses are known or the refined pose fits no better.
 
     The animal's lengths have to be known roughly, because only lengths can contradict the poses of a pair whose rays
-    meet.
+    meet. The search begins at the solution with the poses as calibrated. The expected rotation is larger if one of the
+    cameras is more likely turned or moved than well calibrated.
     """
     is_fixed = settings.cameras_known or settings.camera_track is not None or settings.belt_speed_m_s is not None
     if is_fixed or fit.options.refine_cameras or len(fit.sources) != 2 or inputs.body.size_sigma > ROUGH_SIZE_SIGMA:
         return fit
-    if not any(test.is_misplaced for test in fit.solution.second_cameras):
+    if settings.refine_cameras or not fit.solution.posed.any():  # refined poses were refused, or there is no pose
         return fit
     from recon.check.agreement import pair_refined, why_not_refined
 
-    options = replace(fit.options, refine_cameras=True, lengths_known=True)
-    refined = solve(fit.sources, options)
+    is_misplaced = any(test.is_misplaced for test in fit.solution.second_cameras)
+    rotation_rad = constants.MISPLACED_RAD if is_misplaced else constants.CALIBRATED_RAD
+    options = replace(fit.options, refine_cameras=True, lengths_known=True, camera_rotation_rad=rotation_rad)
+    views = views_of(fit.sources)
+    refined = solve_trajectory(views, inputs.body, inputs.prior, inputs.fps, options, start=fit.solution)
     if not refined.posed.any() or why_not_refined(refined, fit.solution):
         return fit
-    return replace(fit, options=options, solution=refined, findings=(*fit.findings, pair_refined(refined)))
+    solution = refined if is_misplaced else _with_pair_tests(refined, fit.solution)
+    findings = (*fit.findings, pair_refined(refined, is_misplaced))
+    return replace(fit, options=options, solution=solution, findings=findings)
+
+
+def _with_pair_tests(solution: TrajectorySolution, earlier: TrajectorySolution) -> TrajectorySolution:
+    """Return a solution with refined poses that keeps the earlier tests of the second camera."""
+    tests = {(part.rows.start, part.rows.stop): part.second_camera for part in earlier.segments}
+    segments = tuple(
+        replace(part, second_camera=part.second_camera or tests.get((part.rows.start, part.rows.stop)))
+        for part in solution.segments
+    )
+    return replace(solution, segments=segments)
 
 
 def _solve_again_without_gross_outliers(fit: _Fit, solve: Solve) -> _Fit:
     """Leave out detections that are far from any pose, unless no frame can be solved without them."""
     cleaned, outliers = without_gross_outliers(fit.sources, fit.solution)
-    solution = solve(cleaned, fit.options) if outliers else fit.solution
+    solution = _with_pair_tests(solve(cleaned, fit.options), fit.solution) if outliers else fit.solution
     if not solution.posed.any() and fit.solution.posed.any():  # these detections were not outliers
         return fit
     return replace(fit, sources=cleaned, solution=solution, findings=(*fit.findings, *outliers))
@@ -226,7 +245,7 @@ def _solve_again_without_swaps(fit: _Fit, inputs: ClipInputs, settings: FitSetti
     if not any(finding.code == "left_right_swap" for finding in fit.findings):
         return fit
     mended, marked = without_swaps(fit.sources, fit.findings, inputs.body)
-    solution = solve(mended, fit.options)
+    solution = _with_pair_tests(solve(mended, fit.options), fit.solution)
     if not swap_improves(solution, fit.solution):
         return replace(fit, findings=tuple(downgrade_swap(finding) for finding in fit.findings))
     return replace(fit, sources=mended, solution=solution, findings=marked) if settings.fix_swaps else fit

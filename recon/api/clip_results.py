@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 from pydantic import TypeAdapter
 
 from recon.animal.prior import load_prior
-from recon.api.clip import fit_clip
+from recon.api.clip import PAIR_REFINED, fit_clip
 from recon.api.clip_cameras import read_clip_cameras
 from recon.api.settings import SETTINGS, FitSettings, with_paths
 from recon.base.documents import parse_json, read_toml, validated
@@ -119,7 +119,7 @@ def write_clip(
         write_report(report, folder / "report.json")
         (folder / CONFIG).write_text(settings.to_toml(out, known), encoding="utf-8")
         view.write(motion, folder / "motion.rrd")
-        if settings.seeks_cameras or any(item.code == "pair_refined" for item in motion.findings):
+        if settings.seeks_cameras or any(item.code in PAIR_REFINED for item in motion.findings):
             from recon.io.camera_files import write_cameras
 
             write_cameras([source.camera for source in motion.sources], folder / REFINED_CAMERAS)

@@ -299,7 +299,8 @@ class FitSettings(Settings):
         """Return the options that the trajectory method's solver reads."""
         from recon.fit.clip_problem import TrajectoryOptions, focal_sigma_of
 
-        values: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(TrajectoryOptions)}
+        names = [field.name for field in fields(TrajectoryOptions) if hasattr(self, field.name)]
+        values: dict[str, Any] = {name: getattr(self, name) for name in names}
         camera_settings = {name: getattr(self, name) for name in ("focal_sigma", "camera_track", "hfov_deg")}
         values["focal_sigma"] = focal_sigma_of(camera_settings, len(self.keypoints))
         return TrajectoryOptions(**values)

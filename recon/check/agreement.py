@@ -680,12 +680,15 @@ def why_not_refined(refined: TrajectorySolution, fixed: TrajectorySolution) -> t
     return ()
 
 
-def pair_refined(refined: TrajectorySolution) -> Finding:
-    """Return the finding on the second of two cameras, whose pose was refined although nobody requested it."""
+def pair_refined(refined: TrajectorySolution, is_misplaced: bool) -> Finding:
+    """Return the finding on the second of two cameras, whose pose was refined although nobody requested it.
+
+    It is a warning if the camera is more likely turned or moved than well calibrated.
+    """
     turn, shift = refined.extrinsic_correction[1, :3], refined.extrinsic_correction[1, 3:]
     cameras = tuple(view.camera.name for view in refined.views)
     return finding(
-        "pair_refined",
+        "pair_refined" if is_misplaced else "pair_adjusted",
         cameras=cameras,
         turn_rad=float(np.linalg.norm(turn)),
         shift_m=float(np.linalg.norm(shift)),

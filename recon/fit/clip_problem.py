@@ -46,6 +46,8 @@ class TrajectoryOptions:
     """Whether the time offsets of all cameras but the first are unknowns."""
     refine_cameras: bool = False
     """Whether the poses of all cameras but the first are unknowns."""
+    camera_rotation_rad: float = constants.CAMERA_ROTATION_RAD
+    """Standard deviation of their rotations about each axis."""
     focal_sigma: float | None = None
     """Relative standard deviation of all cameras' focal lengths; None if they are exact.
 
@@ -323,7 +325,7 @@ class ClipProblem:
             shapes, biases = [], [*biases, *(shapes or common_biases)]
         sideslip = [lasting(terms.SIDESLIP, constants.SIDESLIP_RAD)] if len(self) > 1 else []
         shifts = [] if shifts_m is None or not options.refine_cameras else [*enumerate(shifts_m.tolist())][1:]
-        rotation = [constants.CAMERA_ROTATION_RAD] * 3
+        rotation = [options.camera_rotation_rad] * 3
         corrections = [lasting(terms.extrinsic_correction(i), np.array([*rotation, *[m] * 3])) for i, m in shifts]
         if V == 2 and shifts_m is not None and not (shifts or options.cameras_known):
             usual = [*[constants.CALIBRATED_RAD] * 3, *[float(shifts_m[1])] * 3]

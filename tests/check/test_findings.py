@@ -146,6 +146,10 @@ SENTENCES = {
         "turned by 3.0 degrees and moved by 50 mm, and the result uses that pose, which is in cameras.toml",
         {"cameras": ("cam1", "cam2"), "turn_rad": 0.0524, "shift_m": 0.05},
     ),
+    "pair_adjusted": (
+        "with the second camera turned by 0.3 degrees and moved by 20 mm, as much as calibrations are usually off",
+        {"cameras": ("cam1", "cam2"), "turn_rad": 0.00524, "shift_m": 0.02},
+    ),
     "pair_or_lengths": ("cam1, cam2 do not fit the lengths of this skeleton", {"cameras": ("cam1", "cam2")}),
     "too_fast": ("at 41 m/s, faster than any animal", {"speed_m_s": 41.2}),
     "second_solution": ("up to 0.30 m away", {"count": 2, "frames_total": 9, "apart_m": 0.3}),
