@@ -226,7 +226,7 @@ def body_fixed(
             axes.set_title(name, loc="left", fontsize=style.SMALL, color=style.GREY, pad=2)
             axes.set(xlim=box[i], ylim=box[j][:: -1 if j == 1 else 1], aspect="equal")  # V is down
             axes.set(xlabel=LABELS[i], ylabel=LABELS[j])
-        says = f"{_SAYS}; {time_s[rows[0]]:.2f} to {quantity(time_s[rows[-1]], 2, 's')}"
+        says = f"{_SAYS}; {time_s[rows[0]]:.2f} to {quantity(float(time_s[rows[-1]]), 2, 's')}"
         figure.supxlabel(says, fontsize=style.SMALL, color=style.GREY)
     return figure
 
