@@ -106,8 +106,8 @@ def _second_difference(states: Array) -> Array:
 def _second_difference_variance(marginal: Array) -> Array:
     """Return the variances (T - 2, D) of second differences from the blocks of the covariance (T, 3, D, D)."""
     variance, next_frame, second_frame = np.moveaxis(np.diagonal(marginal, axis1=2, axis2=3), 1, 0)
-    own = variance[:-2] + 4 * variance[1:-1] + variance[2:]
-    return own - 4 * next_frame[:-2] - 4 * next_frame[1:-1] + 2 * second_frame[:-2]
+    single = variance[:-2] + 4 * variance[1:-1] + variance[2:]
+    return single - 4 * next_frame[:-2] - 4 * next_frame[1:-1] + 2 * second_frame[:-2]
 
 
 def _penalty_gradient(states: Array, weight: Array) -> Array:
