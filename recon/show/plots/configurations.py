@@ -21,6 +21,7 @@ from matplotlib.colors import ListedColormap, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
+from matplotlib.transforms import ScaledTranslation
 
 from recon.animal.body import Body, Side, other_side, side_of
 from recon.animal.chain import UVW_BODY
@@ -50,6 +51,8 @@ _WIDE_MM, _HEIGHT_MM, _LEAST_MM, _FRONT_MM, _LABELS_MM = 160.0, 120.0, 18.0, 45.
 """Sizes in mm: largest width and height of the side and top view together; smallest height of the side view; largest
 height of the front view, which is never higher than the side view; and room for all labels and the bar of times.
 """
+_NUMBERS_MM = 10.0
+"""Width of the numbers of an upright axis."""
 _WIDE_FRONT = 0.3
 """Share of the width for the front view."""
 
@@ -126,6 +129,9 @@ def composites(
         ):
             axes.set_xlabel(label)
             axes.set_ylabel(f"{upwards} (m)")
+            # At a fixed distance: equal scales change the numbers beside the label after the layout.
+            outside = axes.transAxes + ScaledTranslation(-_NUMBERS_MM * style.MM, 0.0, figure.dpi_scale_trans)
+            axes.yaxis.set_label_coords(0.0, 0.5, outside)
         cells["key"].axis("off")
         handles = _handles({sides.get(limb) for limb in limbs}, ground is not None)
         cells["key"].legend(handles=handles, loc="center", ncols=2)
