@@ -62,6 +62,8 @@ SLOW, SWING = (0.16, 0.32), 1.3
 """Speed of a foot over the ground, relative to its speed in the swing, below which it certainly stands, and below which
 it may stand; and smallest speed in the swing relative to the body's speed.
 """
+REST = 0.5
+"""Largest speed at which feet stand in poses that jitter, relative to the body's speed."""
 LANDS, LIFTS, EVENT_SIGMAS = 0.12, 0.22, (0.05, 0.1)
 """Relative speed at touch-down and at lift-off, fitted to force plates, and the standard deviation of each."""
 SPEED_ERROR = 0.6
@@ -387,6 +389,7 @@ def pose_tracks(
     body_speed = np.linalg.norm(body_path.rate[:, :2], axis=1)
     known_speeds = [speed[np.isfinite(speed)] if np.isfinite(speed).any() else np.zeros(1) for speed in foot_speed.T]
     rest, fast = np.array([np.percentile(speed, (10, 95)) for speed in known_speeds]).T * [[restless], [1]]
+    rest = np.minimum(rest, REST * mean(body_speed))
     swing_m_s = np.maximum(fast, SWING * mean(body_speed)) - rest
     slow_m_s = rest + np.multiply.outer((*SLOW, LANDS, LIFTS), swing_m_s)
     slow = foot_speed < slow_m_s[0]

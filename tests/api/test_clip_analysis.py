@@ -308,7 +308,7 @@ def test_each_figure_is_drawn_with_all_its_text(name, whole, tmp_path):
     figure = figures_of(whole)[name]()
     assert cut_off(figure) == []
     assert figure.get_size_inches()[1] / style.MM < 275
-    assert all(axes.has_data() for axes in figure.axes if axes.axison)
+    assert all(axes.has_data() or axes.texts for axes in figure.axes if axes.axison)  # a panel without data says why
     figure.savefig(tmp_path / "figure.svg")  # as PNG too: test_plots.py
     assert (tmp_path / "figure.svg").stat().st_size > 5000
 
