@@ -223,25 +223,26 @@ class LeastSquares:
     ) -> Estimate:
         """Return the minimum from a start.
 
-        The search stops when a step lowers the cost by less than tolerance times max(|cost|, 1). It also stops when a
-        whole step lowered the cost almost exactly as predicted (by half of the slope along it), so that the next step
-        cannot lower the cost by half of that limit.
+        The search stops when a step lowers the cost by less than a limit, tolerance times max(|cost|, 1). It also stops
+        when the next step is expected to lower the cost by less than half of the limit, because the decreases shrink by
+        the factor of the last two.
         """
         shared = self.expected() if shared is None else shared
         current, damping = Estimate(states, self.cost(states, shared), 0, False, shared), _FIRST_DAMPING
+        decrease = 0.0
         for iteration in range(1, max_iterations + 1):
             enough = tolerance * max(abs(current.cost), 1.0)
-            lower, damping, remaining = self._damped_step(current, damping, enough)
-            done = lower is None or current.cost - lower.cost < enough or remaining < _REMAINING * enough
+            lower, damping = self._damped_step(current, damping, enough)
+            previous, decrease = decrease, 0.0 if lower is None else current.cost - lower.cost
+            done = decrease < enough or decrease**2 < _REMAINING * enough * previous
             current = replace(lower or current, iterations=iteration, converged=done)
             if done:  # no direction lowers the cost: a minimum to rounding
                 break
         return current
 
-    def _damped_step(self, current: Estimate, damping: float, enough: float) -> tuple[Estimate | None, float, float]:
-        """Return a point of lower cost along a damped step, or None if there is none.
+    def _damped_step(self, current: Estimate, damping: float, enough: float) -> tuple[Estimate | None, float]:
+        """Return a point of lower cost along a damped step, or None if there is none, and the next damping.
 
-        After it: the next damping, and the decrease of the cost that is expected after this step, infinite if unknown.
         Decreases below `enough` are not searched for.
         """
         normals = self.normals(current.states, current.shared)
@@ -253,18 +254,18 @@ class LeastSquares:
                     if trial.cost < current.cost:
                         next_damping = max(damping * (0.2 if share == 1.0 else 0.6), _LEAST_DAMPING)
                         if share < 1.0:
-                            return trial, next_damping, np.inf
+                            return trial, next_damping
                         # the loss curves less than its model: the cost fell by more than half of the slope
                         beyond = current.cost - trial.cost + 0.5 * slope
                         if _BEYOND * enough < beyond < 0.5 * max(abs(current.cost), 1.0):
                             length = _best_length(current.cost - trial.cost, slope)
                             further = self._moved(current, states_step, shared_step, length)
                             trial = further if further.cost < trial.cost else trial
-                        return trial, next_damping, abs(beyond)
+                        return trial, next_damping
             except np.linalg.LinAlgError:  # not positive definite to rounding: more damping
                 pass
             damping = max(20.0 * damping, _FIRST_DAMPING)
-        return None, damping, np.inf
+        return None, damping
 
     def _moved(self, current: Estimate, states_step: Array, shared_step: Array, share: float) -> Estimate:
         """Return the point at a share of a step, with its cost."""
