@@ -142,7 +142,7 @@ def test_the_feet_of_a_trot_carry_it_once_the_base_is_moved_a_little(trot, carri
     assert motion.closing_percent < 1e-6
 
 
-@pytest.mark.parametrize(("robot", "scale"), [("a1", 0.28), ("go2", 0.31)])
+@pytest.mark.parametrize(("robot", "scale"), [("a1", 0.28), ("go2", 0.3)])
 def test_the_feet_of_the_samples_gallop_carry_it(whole_results, robot, scale):
     """Less than half of the frames have a foot on the ground, and few have two."""
     gallop = retarget(reference_of(Motion.load(whole_results)), load_robot(robot), scale).stride
