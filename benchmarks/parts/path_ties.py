@@ -84,7 +84,7 @@ def main() -> None:
 
 def show(table: pd.DataFrame) -> None:
     """Print the results by tie, and the choices with each run left out."""
-    tables = {float(tie_m): views.reset_index(drop=True) for tie_m, views in table.groupby("tie_m")}
+    tables = {tie_m: table[table.tie_m == tie_m].reset_index(drop=True) for tie_m in sorted(set(table.tie_m.tolist()))}
     columns = ["px (median, mean)", "MPJPE mm (named, all)", "depth jitter m", "pose 90 % hold"]
     print_table(["tie, m", *columns], [[words(tie), *summary(table)] for tie, table in tables.items()])
     print()

@@ -415,8 +415,8 @@ def _zooms(clip: ClipProblem, view: View, states: Array, minimum: _Minimum) -> I
         return
     zoomed = at(ZOOM * best, as_given.states)
     if exceeds_margin(ratio := as_given.cost - zoomed.cost):
-        effect_m = _effect_m(clip, as_given.states, zoomed.states)
-        yield finding("picture_zooms", way="in" if best > 0 else "out", log_likelihood_ratio=ratio, **effect_m)
+        numbers = {"log_likelihood_ratio": ratio, **_effect_m(clip, as_given.states, zoomed.states)}
+        yield finding("picture_zooms", None, None, way="in" if best > 0 else "out", **numbers)
 
 
 # -- the frame rate ----------------------------------------------------------------------------------------------------

@@ -220,7 +220,7 @@ def _path(positions: Array) -> Array:
     """Return the path (T, C) of the animal, by the median step of its points (T, K, C)."""
     path = np.zeros((len(positions), positions.shape[2]))
     steps = np.diff(positions, axis=0)
-    is_known = np.isfinite(steps).all(axis=2).any(axis=1)
+    is_known = np.asarray(np.isfinite(steps).all(axis=2)).any(axis=1)
     path[1:][is_known] = np.nanmedian(steps[is_known], axis=1)
     return np.cumsum(path, axis=0)
 

@@ -44,10 +44,8 @@ _PIECE_S = 5.5
 Solving in pieces changes the states by 1e-6 at most.
 """
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e6
-_REMAINING, _BEYOND = 0.5, 0.1
-"""Fractions of the decrease of the cost at which a search ends. The search also ends if the next decrease is expected
-to be below the first; a step is extended if that promises a decrease above the second.
-"""
+_BEYOND = 0.1
+"""Fraction of the decrease at which a search ends, above which a promised decrease extends a step."""
 _LONGEST = 4.0
 """Largest factor by which a step is extended."""
 _STEP_SHARES = (1.0, 0.5, 0.2)
@@ -223,18 +221,14 @@ class LeastSquares:
     ) -> Estimate:
         """Return the minimum from a start.
 
-        The search stops when a step lowers the cost by less than a limit, tolerance times max(|cost|, 1). It also stops
-        when the next step is expected to lower the cost by less than half of the limit, because the decreases shrink by
-        the factor of the last two.
+        The search stops when a step lowers the cost by less than tolerance times max(|cost|, 1).
         """
         shared = self.expected() if shared is None else shared
         current, damping = Estimate(states, self.cost(states, shared), 0, False, shared), _FIRST_DAMPING
-        decrease = 0.0
         for iteration in range(1, max_iterations + 1):
             enough = tolerance * max(abs(current.cost), 1.0)
             lower, damping = self._damped_step(current, damping, enough)
-            previous, decrease = decrease, 0.0 if lower is None else current.cost - lower.cost
-            done = decrease < enough or decrease**2 < _REMAINING * enough * previous
+            done = lower is None or current.cost - lower.cost < enough
             current = replace(lower or current, iterations=iteration, converged=done)
             if done:  # no direction lowers the cost: a minimum to rounding
                 break
