@@ -24,17 +24,15 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from markdown_table import print_table
-from planted_faults import FAULTS, NOISE_PX, Fits, planted
+from planted_faults import FAULTS, Fits, detections
 
 from recon import Motion
-from recon.io.camera_files import write_camera
 from recon.io.corrections import read_corrections
 from recon.io.deeplabcut import write_csv
 from recon.testing.film import FPS, film_clip
@@ -120,20 +118,15 @@ def corrected_by(user: User, clip: SyntheticClip) -> int:
 
 def row(chromium: Any, clip: SyntheticClip, seed: int) -> list[str]:
     """Return the results for one set of faults."""
-    rng = np.random.default_rng(seed)
-    exact = clip.keypoints
-    noisy = replace(exact, xy_px=exact.xy_px + rng.normal(0, NOISE_PX, exact.xy_px.shape))
-    xy_px, faults = noisy.xy_px.copy(), dict(planted(noisy, rng))
-    for (t, k), point_px in faults.items():
-        xy_px[t, k] = point_px
+    rng, exact = np.random.default_rng(seed), clip.keypoints
+    noisy, with_faults, faults = detections(clip, rng)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         fits = Fits(folder, clip)
         clean_mm = fits.error_mm(fits.fit(noisy))
-        write_csv(replace(noisy, xy_px=xy_px), folder / "clip.csv")
-        write_camera(clip.camera, folder / "camera.toml")
+        write_csv(with_faults, folder / "clip.csv")
         result, out, again = folder / "clip", folder / "clip" / "corrections.csv", folder / "again"
-        recon("fit", folder / "clip.csv", "--camera", folder / "camera.toml", "--fps", FPS, "--out", result)
+        recon("fit", folder / "clip.csv", "--camera", fits.camera, "--fps", FPS, "--out", result)
         messages = list[str]()
         with served(result, "--video", FILM) as address:
             page = chromium.new_page(viewport={"width": 1280, "height": 900})
@@ -149,7 +142,7 @@ def row(chromium: Any, clip: SyntheticClip, seed: int) -> list[str]:
         recon("fit", "--config", result / "config.toml", "--corrections", out, "--out", again)
         errors_mm = clean_mm, *(fits.error_mm(Motion.load(path)) for path in (result, again))
     share = errors_mm[2] / errors_mm[0] - 1
-    counts = f"{user.keys} keys, {clicks} clicks", f"{user.seconds / 60:.1f}", str(len(cells & {*faults}))
+    counts = f"{user.keys} keys, {clicks} clicks", f"{user.seconds / 60:.1f}", str(len(cells & faults))
     return [*counts, *(f"{error:.1f}" for error in errors_mm), f"{share:+.1%}", str(len(messages))]
 
 

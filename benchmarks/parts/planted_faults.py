@@ -46,15 +46,11 @@ def main() -> None:
 
 def row(clip: SyntheticClip, seed: int) -> list[str]:
     """Return the results for one set of faults."""
-    rng = np.random.default_rng(seed)
     exact = clip.keypoints
-    noisy = replace(exact, xy_px=exact.xy_px + rng.normal(0, NOISE_PX, exact.xy_px.shape))
-    xy_px, faults = noisy.xy_px.copy(), dict(planted(noisy, rng))
-    for (t, k), point_px in faults.items():
-        xy_px[t, k] = point_px
+    noisy, with_faults, faults = detections(clip, np.random.default_rng(seed))
     with tempfile.TemporaryDirectory() as folder:
         fits = Fits(Path(folder), clip)
-        clean, faulty = fits.fit(noisy), fits.fit(replace(noisy, xy_px=xy_px))
+        clean, faulty = fits.fit(noisy), fits.fit(with_faults)
         listed = to_correct(faulty)[:FAULTS]
         cells = [(int(np.searchsorted(exact.frames, item.frame)), exact.names.index(item.keypoint)) for item in listed]
         corrections = [
@@ -62,9 +58,19 @@ def row(clip: SyntheticClip, seed: int) -> list[str]:
             for item, cell in zip(listed, cells, strict=True)
             if np.isfinite(exact.xy_px[cell]).all()
         ]
-        corrected = fits.fit(replace(noisy, xy_px=xy_px), corrections)
-        hits = len({*cells} & {*faults})
+        corrected = fits.fit(with_faults, corrections)
+        hits = len({*cells} & faults)
         return [str(len(faults)), str(hits), *(f"{fits.error_mm(motion):.1f}" for motion in (clean, faulty, corrected))]
+
+
+def detections(clip: SyntheticClip, rng: np.random.Generator) -> tuple[Keypoints, Keypoints, set[tuple[int, int]]]:
+    """Return a clip's detections with noise, the same with faults too, and the cells of the faults."""
+    exact = clip.keypoints
+    noisy = replace(exact, xy_px=exact.xy_px + rng.normal(0, NOISE_PX, exact.xy_px.shape))
+    xy_px, faults = noisy.xy_px.copy(), dict(planted(noisy, rng))
+    for (t, k), point_px in faults.items():
+        xy_px[t, k] = point_px
+    return noisy, replace(noisy, xy_px=xy_px), {*faults}
 
 
 def planted(keypoints: Keypoints, rng: np.random.Generator) -> Iterator[tuple[tuple[int, int], Array]]:
@@ -97,14 +103,14 @@ class Fits:
     """Fit detections of a clip, and compare them with its truth."""
 
     def __init__(self, folder: Path, clip: SyntheticClip) -> None:
-        self.folder, self.clip = folder, clip
-        write_camera(clip.camera, folder / "camera.toml")
+        self.folder, self.clip, self.camera = folder, clip, folder / "camera.toml"
+        write_camera(clip.camera, self.camera)
 
     def fit(self, keypoints: Keypoints, corrections: list[Correction] | None = None) -> Motion:
         files = self.folder / "points.csv", self.folder / "corrections.csv"
         write_csv(keypoints, files[0])
         write_corrections(corrections or [], files[1])
-        settings = FitSettings(keypoints=(files[0],), camera=(self.folder / "camera.toml",), fps=keypoints.fps)
+        settings = FitSettings(keypoints=(files[0],), camera=(self.camera,), fps=keypoints.fps)
         return fit_clip(replace(settings, corrections=files[1] if corrections else None))
 
     def error_mm(self, motion: Motion) -> float:

@@ -16,7 +16,7 @@ from recon.fit.result import Finding, TrajectorySolution
 DRIFT_SIGMAS = 3.5
 """Drift, in standard deviations, from which it is reported.
 
-It is 1.3 at most in right pairs, and 0.1 to 1.4 (median 0.5) with a camera that takes a picture a second less
+It is 1.3 at most in right pairs, and 0.0 to 1.4 (median 0.5) with a camera that takes a picture a second less
 (`benchmarks/wrong_inputs.py --only limits`).
 """
 

@@ -17,9 +17,8 @@ from recon.fit.result import Finding, TrajectorySolution
 LIMITS = -1.4, 3.3
 """Time offsets of the hind half, in standard deviations, below which it is late and above which it is early.
 
-They are -0.7 to 1.4 in right views, inside the limits whichever run is left out, -2.3 to -1.2 with the hind half of an
-animal that runs a tenth of a second behind, -1.2 in a picture that is stretched along x, and up to 2.6 in a compressed
-one (`benchmarks/wrong_inputs.py --only limits` has the first two).
+They are 0.2 to 1.4 in right views, and -2.2 to -1.2 (median -1.4) with the hind half of an animal that runs a tenth of
+a second behind (`benchmarks/wrong_inputs.py --only limits`, five views each).
 """
 LEAST_FRAMES = 3
 """Smallest number of frames of a segment whose motion is tested."""
@@ -27,10 +26,7 @@ LEAST_FRAMES = 3
 
 def hind_markers(clip: ClipProblem) -> Bools:
     """Return a mask (J,) of the markers behind the middle of the trunk, in the expected pose."""
-    body = clip.body
-    state = np.zeros((1, body.n_state))
-    state[:, 4:] = body.mean_rad
-    points_m = body.tree.pose(state).points_m[0]
+    body, points_m = clip.body, clip.body.expected_points_m()
     rear, front = (body.markers.index(marker) for marker in body.forward)
     ahead = points_m[front] - points_m[rear]
     return np.asarray((points_m - 0.5 * (points_m[front] + points_m[rear])) @ ahead < 0)

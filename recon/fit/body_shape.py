@@ -127,19 +127,16 @@ class Shape:
 
     def leader(self, name: str) -> str:
         """Return the name whose unknowns are used for a name: its counterpart on the left, or the name itself."""
-        return other_side(name) if self._follows(name) else name
-
-    def _follows(self, name: str) -> bool:
-        if name not in self._known_followers:
-            self._known_followers[name] = follows(name, self.body)
-        return self._known_followers[name]
+        return other_side(name) if name in self._followers else name
 
     @cached_property
-    def _known_followers(self) -> dict[str, bool]:
-        return {}
+    def _followers(self) -> frozenset[str]:
+        """Return the names of segments and markers for which `follows` is true."""
+        items = (*self.body.tree.segments, *self.body.tree.markers)
+        return frozenset(item.name for item in items if follows(item.name, self.body))
 
     def _mirror(self, name: str) -> Array:
-        return np.array([1.0, -1.0, 1.0]) if self._follows(name) else np.ones(3)
+        return np.array([1.0, -1.0, 1.0]) if name in self._followers else np.ones(3)
 
 
 def follows(name: str, body: Body) -> bool:

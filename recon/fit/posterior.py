@@ -159,14 +159,15 @@ def curvature(
     problem = _with_free_nuisance(problem)
     shared = problem.expected() | dict(estimate.shared)
     normals = problem.normals(estimate.states, shared) if normal is None else lambda: [normal]
+
+    def new_windows() -> Iterator[Window]:
+        return eliminated(normals(), bounded=True)  # an undetermined unknown gets a large variance, not an error
+
     is_short = len(estimate.states) <= 2 * problem.piece
-    # an undetermined unknown gets a large variance, not an error
-    kept = [*eliminated(normals(), bounded=True)] if is_short else []
+    kept = [*new_windows()] if is_short else []  # the windows of a long clip need too much memory
 
     def windows() -> Iterable[Window]:
-        return kept or eliminated(
-            normals(), bounded=True
-        )  # an undetermined unknown gets a large variance, not an error
+        return kept or new_windows()
 
     reduced = np.sum([window.reduced() for window in windows()], axis=0)
     S, n_size, beyond_m2 = reduced[:, :-1].copy(), int(SIZE in problem.columns), 0.0

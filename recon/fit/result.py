@@ -195,7 +195,7 @@ class SolvedShape(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ReferencePath(Brief):
-    """Hold the path of the reference joint in the world, estimated from all T frames of a clip."""
+    """Path of the reference joint in the world, estimated from all T frames of a clip."""
 
     position_m: Array
     """Positions, shape (T, 3)."""

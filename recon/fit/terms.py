@@ -73,9 +73,11 @@ REFERENCE_HZ = 90.0
 """Frame rate at which the priors were weighted."""
 OUT_OF_SIGHT = 50.0
 """Squared residual, in units of the loss's c^2, of a detected joint that the camera cannot project."""
-PRIOR_TERMS = POSE, MOTION = "pose prior", "motion prior"
-ACCELERATION_TERMS = MOTION, ROOT_ACCELERATION = MOTION, "root acceleration"
+POSE, MOTION, ROOT_ACCELERATION = "pose prior", "motion prior", "root acceleration"
+PRIOR_TERMS = POSE, MOTION
 """Names of the terms that a prior makes."""
+ACCELERATION_TERMS = MOTION, ROOT_ACCELERATION
+"""Names of the terms that expect small accelerations."""
 
 
 @dataclass(frozen=True)

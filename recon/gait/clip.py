@@ -96,7 +96,7 @@ class ClipAnalysis(Brief):
     def tracked(self) -> Pose3D:
         """Return the upright pose; moved onto the path of the reference joint if the solution has such a path.
 
-        The poses of a method that solves every frame on its own jitter along the line of sight, the path does not.
+        A method that solves every frame on its own gives poses that jitter along the line of sight. The path does not.
         """
         pose, path = self.motion.upright, self.motion.solution.reference_path
         if path is None:

@@ -83,8 +83,11 @@ def _viewer_files() -> dict[str, Reply]:
         _wait_for(process, (viewer_port,))
         files = dict[str, Reply]()
         for name, kind in FILES.items():
-            with suppress(*[urllib.error.HTTPError] * (name == OPTIONAL)):
+            try:
                 files[name] = _file(f"http://{LOOPBACK}:{viewer_port}/{name}", kind)
+            except urllib.error.HTTPError:
+                if name != OPTIONAL:
+                    raise
         return files
     finally:
         process.terminate()
