@@ -137,10 +137,10 @@ def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:
         return None
     px = _focal_px(motion.focal, lens)
     wide = 2 * np.degrees(np.arctan(lens.image_size_px[0] / 2 / px["found"]))
-    found, of_file = quantity(px["found"], 0, "px"), quantity(px["file"], 0, "px")
+    measured, stated = quantity(px["found"], 0, "px"), quantity(px["file"], 0, "px")
     return (
-        f"the background turns as with a focal length of {found} (standard deviation {px['sigma']:.1f}; {wide:.1f} "
-        f"degrees across the picture, without distortion), and the camera file has {of_file}"
+        f"the background turns as with a focal length of {measured} (standard deviation {px['sigma']:.1f}; {wide:.1f} "
+        f"degrees across the picture, without distortion), and the camera file has {stated}"
     )
 
 
