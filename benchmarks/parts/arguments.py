@@ -20,8 +20,14 @@ COMMON: dict[str, dict[str, Any]] = {
 def parser_of(text: str | None, *options: str, kind: str = "", only: Sequence[str] = ()) -> argparse.ArgumentParser:
     """Return a parser whose help is the script's text.
 
-    Parameters ---------- options : names of `COMMON` kind : kind of recordings whose folder can be given; by default
-    the folder of $RECON_SHARED_DATA only : the parts that --only can choose; by default all are measured
+    Parameters
+    ----------
+    options
+        Names in `COMMON`.
+    kind
+        Kind of recordings whose folder can be given; the default is the folder of $RECON_SHARED_DATA.
+    only
+        Parts that --only can choose; by default all are measured.
     """
     parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
     if kind:

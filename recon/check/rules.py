@@ -1,7 +1,8 @@
-"""Check a motion by itself with cheap rules: `COMMON` and `OF_POSES` for both methods, `OF_TRAJECTORY` for one.
+"""Check a motion by itself with cheap rules: `RULES` for both methods, `TRAJECTORY_RULES` for the trajectory method.
 
-A rule is a function that takes a motion and yields its findings. Checks that fit the clip again are in
-`recon.check.inputs` and `recon.check.agreement`.
+A rule is a function that takes a motion and yields its findings. Rules apply to a motion that has a pose in some frame;
+`no_pose` is for all others. Checks that fit the clip again are in `recon.check.inputs`, and those that compare cameras
+in `recon.check.agreement`.
 """
 
 from __future__ import annotations
@@ -75,8 +76,7 @@ def findings_of(motion: Motion) -> tuple[Finding, ...]:
     given_findings = [*motion.findings, *solution.findings()]
     rules: tuple[Rule, ...] = (no_pose,)
     if motion.solved.any():
-        of_trajectory = OF_TRAJECTORY if isinstance(solution, TrajectorySolution) else ()
-        rules = (*COMMON, *of_trajectory, *OF_POSES)
+        rules = (*RULES, *TRAJECTORY_RULES) if isinstance(solution, TrajectorySolution) else RULES
     return sort_findings([*given_findings, *(item for rule in rules for item in rule(motion))])
 
 
@@ -183,19 +183,6 @@ def _unlikely(source: Source) -> int:
     return cleaning.total("rejected") - sum(map(cleaning.left_out.count, other_reasons))
 
 
-COMMON: tuple[Rule, ...] = (
-    likelihoods_low,
-    missing_as_constant,
-    many_outliers,
-    many_left_out,
-    detections_not_explained,
-    keypoints_that_do_not_fit,
-    camera_taken_level,
-)
-
-# -- trajectory method -------------------------------------------------------------------------------------------------
-
-
 def no_pose(motion: Motion) -> Iterator[Finding]:
     """Yield the reason why no frame has a pose."""
     centres = np.array([view.centre_m[0] for view in motion.solution.views if view.is_still])
@@ -208,6 +195,50 @@ def no_pose(motion: Motion) -> Iterator[Finding]:
         )
         return
     yield finding("no_pose_diverged" if diverged else "no_pose")
+
+
+def subject_unlike_species(motion: Motion) -> Iterator[Finding]:
+    """Yield a finding if the measured lengths differ from those of the skeleton."""
+    skeleton = motion.settings.get("skeleton") or motion.body.name
+    if motion.body.subject is None or (motion.settings.get("skeleton") is None and skeleton not in builtin_names()):
+        return
+    species = load_skeleton(skeleton)
+    times = _span(motion.body) / _span(species)
+    if abs(times - 1) > SUBJECT_SIGMAS * species.size_sigma:
+        yield finding("subject_unlike_species", times=times, expected_sigma=species.size_sigma)
+
+
+def _span(body: Body) -> float:
+    """Return the root mean square of the markers' distances from their mean, with all angles at 0."""
+    points = body.tree.pose(np.zeros((1, body.n_state))).points_m[0]
+    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
+
+
+def too_fast(motion: Motion) -> Iterator[Finding]:
+    """Yield a finding if the motion is faster than any animal."""
+    speed = mean_speed_m_s(motion.states, motion.fps)
+    if speed > FASTEST_M_S:
+        yield finding("too_fast", speed_m_s=speed)
+
+
+def few_frames(motion: Motion) -> Iterator[Finding]:
+    """Yield a finding if few frames have a pose."""
+    solved = int(motion.solved.sum())
+    if solved < FEW_FRAMES:
+        yield finding("few_frames", count=solved)
+
+
+def frames_flagged(motion: Motion) -> Iterator[Finding]:
+    """Yield a finding if more than a third of the frames have a flag."""
+    counted = {*FLAGS} - {SWAPPED}  # a swap has a finding of its own, as far as it matters
+    flags = [{*flags} & counted for flags, is_solved in zip(motion.flags, motion.solved, strict=True) if is_solved]
+    count = sum(map(bool, flags))
+    if count > MANY_FRAMES * len(flags):
+        commonest = max(FLAGS, key=lambda name: sum(name in frame_flags for frame_flags in flags))
+        yield finding("frames_flagged", count=count, frames_total=len(flags), flag=commonest, meaning=FLAGS[commonest])
+
+
+# -- trajectory method -------------------------------------------------------------------------------------------------
 
 
 def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
@@ -287,23 +318,6 @@ def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
             return
 
 
-def subject_unlike_species(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if the measured lengths differ from those of the skeleton."""
-    skeleton = motion.settings.get("skeleton") or motion.body.name
-    if motion.body.subject is None or (motion.settings.get("skeleton") is None and skeleton not in builtin_names()):
-        return
-    species = load_skeleton(skeleton)
-    times = _span(motion.body) / _span(species)
-    if abs(times - 1) > SUBJECT_SIGMAS * species.size_sigma:
-        yield finding("subject_unlike_species", times=times, expected_sigma=species.size_sigma)
-
-
-def _span(body: Body) -> float:
-    """Return the root mean square of the markers' distances from their mean, with all angles at 0."""
-    points = body.tree.pose(np.zeros((1, body.n_state))).points_m[0]
-    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
-
-
 def solution_unusual(motion: Motion) -> Iterator[Finding]:
     """Yield findings on single numbers of the solution: its minimum and its size."""
     solution = _solution(motion)
@@ -313,20 +327,6 @@ def solution_unusual(motion: Motion) -> Iterator[Finding]:
         limit = min(SIZE_SIGMAS_MOST * solution.size_prior_sigma, LOG_SIZE_MOST)
         code = "size_impossible" if abs(math.log(solution.size)) > limit else "size_unexpected"
         yield finding(code, size=solution.size, expected_sigma=solution.size_prior_sigma)
-
-
-def too_fast(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if the motion is faster than any animal."""
-    speed = mean_speed_m_s(motion.states, motion.fps)
-    if speed > FASTEST_M_S:
-        yield finding("too_fast", speed_m_s=speed)
-
-
-def few_frames(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if few frames have a pose."""
-    solved = int(motion.solved.sum())
-    if solved < FEW_FRAMES:
-        yield finding("few_frames", count=solved)
 
 
 def pair_disagrees(motion: Motion) -> Iterator[Finding]:
@@ -363,17 +363,7 @@ def second_solution(motion: Motion) -> Iterator[Finding]:
         yield finding("second_solution", count=int(rows.sum()), frames_total=len(rows), apart_m=distance_m)
 
 
-def frames_flagged(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if more than a third of the frames have a flag."""
-    counted = {*FLAGS} - {SWAPPED}  # a swap has a finding of its own, as far as it matters
-    flags = [{*flags} & counted for flags, is_solved in zip(motion.flags, motion.solved, strict=True) if is_solved]
-    count = sum(map(bool, flags))
-    if count > MANY_FRAMES * len(flags):
-        commonest = max(FLAGS, key=lambda name: sum(name in frame_flags for frame_flags in flags))
-        yield finding("frames_flagged", count=count, frames_total=len(flags), flag=commonest, meaning=FLAGS[commonest])
-
-
-OF_TRAJECTORY: tuple[Rule, ...] = (
+TRAJECTORY_RULES: tuple[Rule, ...] = (
     cameras_out_of_step,
     motion_unlike_prior,
     ground_above_camera,
@@ -382,8 +372,20 @@ OF_TRAJECTORY: tuple[Rule, ...] = (
     pair_disagrees,
     second_solution,
 )
-OF_POSES: tuple[Rule, ...] = (too_fast, few_frames, subject_unlike_species, frames_flagged)
-"""Rules for both methods, if some frame has a pose."""
+RULES: tuple[Rule, ...] = (
+    likelihoods_low,
+    missing_as_constant,
+    many_outliers,
+    many_left_out,
+    detections_not_explained,
+    keypoints_that_do_not_fit,
+    camera_taken_level,
+    too_fast,
+    few_frames,
+    subject_unlike_species,
+    frames_flagged,
+)
+"""Rules for both methods."""
 
 
 def _outliers(motion: Motion) -> tuple[int, float]:

@@ -3,7 +3,8 @@
 For N frames, from a span's first frame on, a term gives its cost (N,), residual r (N, M), Jacobian J (N, M, S, D) and,
 by name, the derivatives (N, M, P) by unknowns that all frames share. J'r is the exact gradient of the cost, and J'J its
 curvature. Residuals are divided by standard deviations and multiplied by the square root of a robust loss' slope, so
-that the cost is not half of r'r. The stencil (S,) is the offsets of the frames that a row reads.
+that the cost is not half of r'r. The stencil (S,) is the offsets of the frames that a row reads: at most (-1, 0, 1) in
+a `Linear`, and (0, 1) in a class, because spans overlap by one frame.
 
 States are those of a body of nominal size about an origin, the first camera's centre: the point p of such a scene lies
 at origin + size p in the world. Larger animals move further in proportion, so neither a prior nor a camera that stays
@@ -607,5 +608,6 @@ class OnGround:
 MARKER_TERMS = (Reprojection, Heading, StanceVelocity, OnGround)
 """The terms that read the markers (`span.pose`).
 
-Every such term must be listed here; otherwise fits that solve for lengths and offsets lack its derivatives.
+Every such term must be listed here. Otherwise a problem without another such term has no markers at all, and fits that
+solve for lengths and offsets lack the term's derivatives.
 """
