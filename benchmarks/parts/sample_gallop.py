@@ -5,12 +5,7 @@ python benchmarks/parts/sample_gallop.py
 
 from __future__ import annotations
 
-import subprocess
-import sys
-import tempfile
-import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -82,14 +77,6 @@ def main() -> None:
                     + " | ".join([f"noisy {clip.camera.model} to the {clip.side}, seed {seed}", label, *row])
                     + " |"
                 )
-    with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-c", "from recon.cli.app import main; main()", "demo", "--quiet", "--out"]
-        walls = []
-        for i in range(5):
-            start = time.perf_counter()
-            subprocess.run([*command, str(Path(folder) / str(i))], check=True)
-            walls.append(time.perf_counter() - start)
-    print(f"\n`recon demo` (60 frames) as a whole process: median {np.median(walls):.1f} s of five.")
 
 
 if __name__ == "__main__":

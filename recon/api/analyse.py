@@ -174,8 +174,8 @@ def summarise(analysis: ClipAnalysis, results: str) -> dict[str, Any]:
 
 
 def _origin(stride: Stride | None) -> str:
-    """Return the origin of the stride: the gait, the end effector of a chain, or the user."""
-    return stride.at if stride is not None and stride.at in ("given", "end effector") else "gait"
+    """Return the origin of the stride: the gait, the end effector of a chain or its nearest return, or the user."""
+    return stride.at if stride is not None and stride.at in ("given", "end effector", "return") else "gait"
 
 
 def notes(analysis: ClipAnalysis) -> Iterator[str]:
@@ -203,6 +203,8 @@ def notes(analysis: ClipAnalysis) -> Iterator[str]:
         yield "The skeleton has no masses ([mass]): no centre of mass, energy or forces."
     if gait is not None and analysis.stride is None:
         yield "No complete stride in the clip: no stride figures, and phase portraits are of the whole clip."
+    elif gait is not None and not gait.strides and analysis.stride is not None and analysis.stride.at == "return":
+        yield "No complete stride in the clip: no stride figures, and phase portraits are of a foot's nearest return."
 
 
 def _dynamics_summary(analysis: ClipAnalysis) -> dict[str, Any] | None:
@@ -283,6 +285,15 @@ def write_figures(analysis: ClipAnalysis, folder: Path, progress: Progress, is_c
         save(draw(), folder, name)
 
 
+def _stride_title(stride: Stride | None) -> str:
+    """Return the title of figures that show the stride, or without one the whole clip."""
+    if stride is None:
+        return "whole clip: no complete stride"
+    return {"given": "the stride that was given", "return": f"no complete stride: nearest return of {stride.foot}"}.get(
+        stride.at, f"one stride of {stride.foot}"
+    )
+
+
 def figures_of(analysis: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
     """Return the functions that draw the figures, by file name."""
     from recon.show.plots.configurations import body_fixed, composites, in_body, observability
@@ -292,8 +303,7 @@ def figures_of(analysis: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
 
     motion, time_s, during, gait = analysis.motion, analysis.motion.time_s, analysis.during_stride, analysis.gait
     joints_m = in_body(motion.body, motion.states[during], motion.size, motion.reference_joint)
-    title = f"one stride of {analysis.stride.foot}" if analysis.stride else "whole clip: no complete stride"
-    title = "the stride that was given" if analysis.given is not None else title
+    title = _stride_title(analysis.stride)
     limbs, sides = motion.limbs, motion.limb_sides
     style_by_limb = {"time_s": time_s[during], "sides": sides, "title": title}
     shares, ground = motion.posture_data_share, None if gait is None else gait.tracks.grounds

@@ -68,7 +68,8 @@ StrideTimes = Annotated[
 FIRST_FRAME = Option("Number that the video's first frame has in the keypoint file, if it was cut.")
 ANYWAY = Option('Also use clips whose verdict is "do not use".')
 STRIDE = Option(
-    "A stride, in seconds since frame 0, as in 0.31:0.62. (default: a stride of the clip)",
+    "A stride, in seconds since frame 0, as in 0.31:0.62; its start moves to the nearest frame. "
+    "(default: a stride of the clip)",
     "START:END in seconds, as in 0.31:0.62",
     metavar="START:END",
 )

@@ -14,7 +14,7 @@ from recon.base.numbers import quantity
 from recon.base.progress import Progress, silent
 from recon.cli.answers import Answer, table_of, verdict_texts
 from recon.gait.clip import ClipAnalysis
-from recon.gait.gait import interval_text
+from recon.gait.gait import STRIDE_TEXTS, interval_text
 from recon.show.sentences import analysis_sentences
 
 MOST_STANCES = 100
@@ -56,10 +56,9 @@ def _lines(analysis: ClipAnalysis, summary: Mapping[str, Any]) -> Iterator[str |
         peak_text = f"{peak:.1f} body weights (90 %: {low:.1f} to {high:.1f}), mean over the stances in forces.csv"
         yield f"Peak vertical force of a foot: {peak_text}."
     if (stride := analysis.stride) is not None:
-        origin = "as given" if analysis.given is not None else f"of {stride.foot}"
-        if stride.at == "end effector":
-            origin += ", between two rearmost positions of the foot"
-        yield f"Phase portraits: the stride from {stride.start_s:.3f} to {quantity(stride.end_s, 3, 's')}, {origin}."
+        foot = f"{stride.foot}, " if stride.foot else ""
+        times = f"{stride.start_s:.3f} to {quantity(stride.end_s, 3, 's')}"
+        yield f"Phase portraits: {foot}{times}, {STRIDE_TEXTS[stride.at]}."
     if analysis.gait is not None and len(analysis.gait.stances) <= MOST_STANCES:
         spans: dict[str, list[str]] = {foot: [] for foot in motion.foot_names}
         for s in analysis.gait.stances:

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from recon.base.numbers import percent, quantity
 from recon.cli.answers import Answer, table_of, verdict_texts
+from recon.gait.gait import STRIDE_TEXTS
 from recon.ik.clip import IkSettings, run_ik
 from recon.ik.cost_study import GROWTH, TURNS
 
@@ -35,13 +36,7 @@ def ik(settings: IkSettings) -> Answer:
 
 def _ik_lines(summary: dict[str, Any], out: Path) -> Iterator[str | Table]:
     stride = summary["stride"]
-    origin = {
-        "given": "as given",
-        "gait": "from touchdown to touchdown",
-        "end effector": "between two rearmost positions of the foot, as in recon analyse",
-        "return": "the clip has no complete stride: from a position of the foot to its nearest return there",
-        "whole clip": "the clip has no complete stride: the whole clip",
-    }[stride["how"]]
+    origin = STRIDE_TEXTS[stride["how"]]
     yield f"{summary['foot']}: {len(summary['joints'])} joints, {summary['dimensions']}D ({summary['base_frame']})"
     if summary["misfit_m"]:
         yield (

@@ -17,7 +17,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -34,6 +34,7 @@ from recon.gait.end_effector import EndEffector, end_effector
 from recon.gait.flexion import JointFlexion, StrideCurve, joint_flexions, stride_curves
 from recon.gait.gait import BODY, Gait, Stride, gait, interval_of, interval_text, pose_tracks
 from recon.gait.kinematics import MIN_POINTS, AngleKinematics, Errors, JointKinematics, at_frames
+from recon.gait.nearest_return import longest_stretch, nearest_return
 from recon.gait.quantities import AnalysedClip, GaitQuantity, gait_quantities
 from recon.io.common import Pose3D
 
@@ -228,7 +229,8 @@ class ClipAnalysis(Brief):
         """Return the stride that phase portraits show, or None.
 
         It is the given stride, or the first complete stride of the foot with the most strides. For a chain it is the
-        first stride of the end effector.
+        first stride of the end effector, and if no foot completes a stride, the end effector's nearest return. `recon
+        ik` takes the same stride of a chain.
         """
         if self.given is not None:
             return self.given
@@ -236,7 +238,10 @@ class ClipAnalysis(Brief):
             return stride
         strides = () if self.gait is None else self.gait.strides
         feet = [stride.foot for stride in strides]
-        return min(strides, key=lambda s: (-feet.count(s.foot), s.start_s), default=None)
+        first = min(strides, key=lambda s: (-feet.count(s.foot), s.start_s), default=None)
+        if first is None:
+            return self._effector_return
+        return first if self.motion.chain is None else _from_pose(self.motion, first)
 
     @cached_property
     def end_effector(self) -> EndEffector | None:
@@ -244,30 +249,52 @@ class ClipAnalysis(Brief):
 
         Return None for a whole animal, and without a smoothed pose, as in a clip of four frames.
         """
-        motion = self.motion
-        label = next((label for label in motion.foot_names if label.endswith("F")), None)
-        if motion.chain is None or label is None:
+        label, points_m, names = self._effector_label, self.pose.xyz_m, self.pose.names
+        rear, front = (points_m[:, names.index(name)] for name in self.motion.forward_names)
+        if label is None or not np.isfinite(front - rear).any():
             return None
+        foot_m, body_m = self._effector_points_m(label)
+        return end_effector(label, self.motion.time_s, foot_m, body_m, np.nanmean(front - rear, axis=0))
+
+    @property
+    def _effector_label(self) -> str | None:
+        """Return the label of a chain's fore foot, or None."""
+        labels = () if self.motion.chain is None else self.motion.foot_names
+        return next((label for label in labels if label.endswith("F")), None)
+
+    def _effector_points_m(self, label: str) -> tuple[Array, Array]:
+        """Return the positions (T, 3) of a foot and of the reference joint."""
         points_m, names = self.pose.xyz_m, self.pose.names
-        rear, front = (points_m[:, names.index(name)] for name in motion.forward_names)
-        if not np.isfinite(front - rear).any():
-            return None
-        foot_m, body_m = (points_m[:, names.index(name)] for name in (motion.foot_names[label], self.reference))
-        return end_effector(label, motion.time_s, foot_m, body_m, np.nanmean(front - rear, axis=0))
+        return points_m[:, names.index(self.motion.foot_names[label])], points_m[:, names.index(self.reference)]
 
     @cached_property
     def _effector_stride(self) -> Stride | None:
         """Return the first stride of a chain's end effector."""
         motion, effector = self.motion, self.end_effector
-        span_s = None if effector is None else effector.stride_s(motion.time_s)
+        span_s = None if effector is None else effector.stride_s(motion.time_s[longest_stretch(motion.solved)])
         if effector is None or span_s is None:
             return None
+        return self._stride_over(effector.foot, span_s, "end effector")
+
+    @property
+    def _effector_return(self) -> Stride | None:
+        """Return the nearest return of a chain's end effector relative to the body, or None."""
+        if (label := self._effector_label) is None:
+            return None
+        foot_m, body_m = self._effector_points_m(label)
+        frames = nearest_return(foot_m - body_m)
+        if frames is None:
+            return None
+        first_s, fps = float(self.motion.time_s[0]), self.motion.fps
+        return self._stride_over(label, (first_s + frames[0] / fps, first_s + frames[1] / fps), "return")
+
+    def _stride_over(self, foot: str, span_s: tuple[float, float], at: Literal["end effector", "return"]) -> Stride:
+        """Return a stride between two times, with the length of the body's path."""
         series = self.reference_motion.series
         begin, end = (
             np.array([np.interp(at_s, series.time_s, series.value[:, axis]) for axis in (0, 1)]) for at_s in span_s
         )
-        length_m = float(np.linalg.norm(end - begin))
-        return Stride(effector.foot, *span_s, length_m, np.nan, np.nan, "end effector")
+        return Stride(foot, *span_s, float(np.linalg.norm(end - begin)), np.nan, np.nan, at)
 
     @cached_property
     def dynamics(self) -> Dynamics | None:
@@ -351,7 +378,8 @@ def analyse(
     motion : Motion
         A fitted clip.
     stride_s : tuple of float, optional
-        Start and end of the stride that phase portraits show, in seconds; None for the first complete stride.
+        Start and end of the stride that phase portraits show, in seconds; None for the first complete stride, or for a
+        chain without one its foot's nearest return.
     belt_speed_m_s : float, optional
         Speed of a treadmill's belt, m/s, if the fit was made without this speed.
 
@@ -387,7 +415,8 @@ def over_belt(motion: Motion, speed_m_s: float) -> Motion:
 def stride_given(motion: Motion, stride_s: tuple[float, float]) -> Stride:
     """Return the stride given by `--stride`, which does not belong to a foot.
 
-    Raises InputError for times outside the clip.
+    It begins at the frame with a pose nearest to the given start, because inverse kinematics starts from a pose, and
+    has the given duration. Raises InputError for times outside the clip.
     """
     start_s, end_s = stride_s
     first_s, last_s = motion.time_s[[0, -1]]
@@ -395,7 +424,18 @@ def stride_given(motion: Motion, stride_s: tuple[float, float]) -> Stride:
     if not first_s - slack <= start_s < end_s <= last_s + slack or end_s - start_s < 2 / motion.fps:
         expected = f"two frames or more within {first_s:.3f}:{last_s:.3f}, in seconds"
         raise InputError(Problem("--stride", "times", f"{start_s:g}:{end_s:g}", expected))
-    return Stride("", start_s, end_s, np.nan, np.nan, np.nan, "given")
+    return _from_pose(motion, Stride("", start_s, end_s, np.nan, np.nan, np.nan, "given"))
+
+
+def _from_pose(motion: Motion, stride: Stride) -> Stride:
+    """Return a stride of the same duration that begins at the nearest frame with a pose and is within such frames."""
+    known_s = motion.time_s[longest_stretch(motion.solved)]
+    if not len(known_s):
+        return stride
+    # A later start would put the end of the stride after the last frame.
+    begins_s = known_s[(known_s + stride.duration_s <= known_s[-1] + 1e-6) | (known_s == known_s[0])]
+    start_s = float(begins_s[np.argmin(np.abs(begins_s - stride.start_s))])
+    return replace(stride, start_s=start_s, end_s=min(start_s + stride.duration_s, float(known_s[-1])))
 
 
 def limb_chains(motion: Motion) -> dict[str, tuple[str, ...]]:

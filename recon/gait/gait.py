@@ -101,6 +101,21 @@ makes a walk, or below one half that makes a run.
 """
 
 
+WHOLE_CLIP = "whole clip"
+STRIDE_TEXTS = {
+    "given": "as given",
+    "gait": "from one touchdown, or lift-off, of the foot to the next",
+    "touchdown": "from touchdown to touchdown",
+    "lift-off": "from lift-off to lift-off",
+    "end effector": "between two rearmost positions of the foot",
+    "return": "the clip has no complete stride: from a position of the foot to its nearest return there",
+    WHOLE_CLIP: "the clip has no complete stride: the whole clip",
+}
+"""Descriptions of the stride that phase portraits and inverse kinematics show, by the event at its ends (`Stride.at`);
+"gait" for a touchdown or a lift-off, and `WHOLE_CLIP` without a stride.
+"""
+
+
 @dataclass(frozen=True)
 class Stance:
     """One stance: the time for which a foot is on the ground."""
@@ -214,7 +229,8 @@ class Stride:
     """One stride: the time from one touch-down of a foot to the next.
 
     If the clip does not contain two touch-downs of the foot, the stride lasts from one lift-off to the next. A stride
-    given by the user does not belong to a foot; its length and duty factor are NaN.
+    given by the user does not belong to a foot; its length and duty factor are NaN. `STRIDE_TEXTS` describes the
+    others.
     """
 
     foot: str
@@ -226,7 +242,7 @@ class Stride:
     """Fraction of the stride for which the foot stands, in a stance that is completely in the clip."""
     duty_sigma: float
     """Standard deviation of the duty factor."""
-    at: Literal["touchdown", "lift-off", "end effector", "given"]
+    at: Literal["touchdown", "lift-off", "end effector", "return", "given"]
     """Event at the beginning and the end of the stride."""
     others_s: float = np.nan
     """Median duration of the strides of all feet around this time, for a stride that does not count."""

@@ -15,7 +15,7 @@ from recon.base.arrays import Array
 from recon.base.errors import InputError, Problem, raise_problems
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, limb_chains, stride_given
-from recon.gait.gait import AGREE, Gait, doubtful_text
+from recon.gait.gait import AGREE, Gait, Stride, doubtful_text
 from recon.gait.kinematics import MIN_POINTS, angle_kinematics, jitter_errors
 from recon.gait.phase import Portrait, phase_portrait
 from recon.ik.animal_chain import (
@@ -264,53 +264,50 @@ def _rates_of(limb: Limb) -> tuple[Frames, Array]:
 
 
 def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None = None) -> StridePath:
-    """Return the given stride, or the first valid stride of the foot (`recon.gait.gait`).
+    """Return the given stride, or that of the analysis for a chain, or the first valid stride of the foot.
 
-    The stride is that of the analysis, whatever the number of dimensions. In a clip without a valid stride it is the
-    closest return of the foot within the duration of a stride.
+    The stride is the same in two and three dimensions. In a clip without a valid stride (`recon.gait.gait`) it is the
+    closest return of the foot, for a whole animal within the duration of a stride, or the whole clip.
 
     Raises
     ------
     InputError
         If the clip shows too little of a stride.
     """
-    stride_in_gait, origin, notes, lasts_s = None, "", [], (0.0, np.inf)
+    notes: list[str] = []
     if stride_s is not None:
-        stride_in_gait, origin = stride_given(motion, stride_s), "given"
+        stride, lasts_s = stride_given(motion, stride_s), None
     elif isinstance(motion.chain, Chain):
         # One stride for the analysis and for the chains in two and three dimensions.
-        stride_in_gait = ClipAnalysis(motion).stride
-        origin = "" if stride_in_gait is None else "gait" if stride_in_gait.at != "end effector" else stride_in_gait.at
-        if stride_in_gait is None and limb.chain.dim == 2:
-            nearest = stride_of(motion, limb_of(motion, limb.foot, 3))
-            return replace(_path_of(motion, limb, (nearest.start_s, nearest.end_s)), origin=nearest.origin)
+        stride, lasts_s = ClipAnalysis(motion).stride, None
     else:
         gait = ClipAnalysis(motion).gait
         assert gait is not None  # the limb has a foot
         label = next(label for label, joint in motion.foot_names.items() if joint == limb.foot)
         notes = [doubtful_text(doubt) for doubt in gait.doubtful if doubt.foot == label]
-        if not motion.jitters:  # if poses jitter, touch-downs are less certain than the return of a pose
-            stride_in_gait = next((s for s in gait.strides if s.foot == label), None)
-        if stride_in_gait is None:
-            lasts_s = stride_lasts_s(gait)
-        else:
-            origin = "gait"
-    span_s = None
-    if stride_in_gait is not None:
-        span_s = stride_in_gait.start_s - limb.first_s, stride_in_gait.end_s - limb.first_s
-    stride = _path_of(motion, limb, span_s, lasts_s)
-    return replace(stride, origin=origin or stride.origin, notes=tuple(notes))
+        stride, lasts_s = next((s for s in gait.strides if s.foot == label), None), stride_lasts_s(gait)
+    path = _path_of(motion, limb, stride, lasts_s)
+    return replace(path, notes=tuple(notes))
 
 
-def _path_of(
-    motion: Motion, limb: Limb, span_s: tuple[float, float] | None, lasts_s: tuple[float, float] = (0.0, np.inf)
-) -> StridePath:
-    """Return `find_stride` of a limb.
+def _path_of(motion: Motion, limb: Limb, stride: Stride | None, lasts_s: tuple[float, float] | None) -> StridePath:
+    """Return a stride as the path of a limb's foot.
 
+    Without a stride it is the foot's nearest return in space that lasts so long, or the whole clip if lasts_s is None.
     Raises InputError if the clip shows too little of a stride.
     """
     try:
-        return find_stride(limb.chain, limb.q, limb.fps, span_s, lasts_s)
+        if stride is not None:
+            span_s = stride.start_s - limb.first_s, stride.end_s - limb.first_s
+            origin = "gait" if stride.at in ("touchdown", "lift-off") else stride.at
+            return replace(find_stride(limb.chain, limb.q, limb.fps, span_s), origin=origin)
+        if lasts_s is None:
+            return find_stride(limb.chain, limb.q, limb.fps, lasts_s=None)
+        in_space = limb if limb.chain.dim == 3 else limb_of(motion, limb.foot, 3)
+        path = find_stride(in_space.chain, in_space.q, limb.fps, lasts_s=lasts_s)
+        if in_space is limb:
+            return path
+        return replace(find_stride(limb.chain, limb.q, limb.fps, (path.start_s, path.end_s)), origin=path.origin)
     except ValueError as error:
         raise InputError(Problem(motion.file, "stride", str(error), "a clip with a longer part of a stride")) from None
 

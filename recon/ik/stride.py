@@ -6,11 +6,8 @@ and may end between two frames. If a stride of nine frames were rounded to whole
 up to a ninth, and the gap would be as wide as the motion of the foot in a frame.
 
 A given stride begins at the frame closest to the given start, for instance a touch-down, and has the given duration.
-Otherwise the stride is the best return of the end effector to its start. From each frame, the foot has to move away by
-half the diameter of the path and return to within a quarter of it, while its direction stays within a right angle of
-its first direction; the return ends at the nearest point. A return counts if it spans most of the path's diameter. The
-return with the smallest gap is taken, or all frames if no return counts. The remaining gap is spread evenly over the
-path.
+Otherwise the stride is the nearest return of the end effector to its start (`recon.gait.nearest_return`), or all frames
+if there is no return. The remaining gap is spread evenly over the path.
 """
 
 from __future__ import annotations
@@ -20,18 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from recon.base.arrays import Array, Index
+from recon.base.arrays import Array
+from recon.gait.gait import WHOLE_CLIP
+from recon.gait.nearest_return import MIN_FRAMES, longest_stretch, nearest_return
 from recon.gait.phase import diameter
 from recon.ik.chain import SerialChain
 
 OVERSAMPLING = 10
 """Points of the path for each frame."""
-MIN_FRAMES = 4
-"""Smallest number of known frames for a spline."""
-MAX_GAP_FRAMES = 4
-"""Longest stretch without data that the spline bridges, frames."""
-AWAY, BACK, SPAN = 0.5, 0.25, 0.8
-"""Shares of the path's diameter: how far a return leads away, how near it comes back, and how much it spans."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +37,7 @@ class StridePath:
     start_s: float
     end_s: float
     origin: str
-    """Origin of the stride: "given", "gait" for a complete stride, "return" or "whole clip"."""
+    """Origin of the stride: "given", "gait" or "end effector" for a complete stride, "return" or "whole clip"."""
     q: Array
     """Joint angles of the animal, shape (F, n), NaN if missing; the first row is the start."""
     path_m: Array
@@ -63,7 +56,7 @@ def find_stride(
     q: Array,
     fps: float,
     span_s: tuple[float, float] | None = None,
-    lasts_s: tuple[float, float] = (0.0, np.inf),
+    lasts_s: tuple[float, float] | None = (0.0, np.inf),
 ) -> StridePath:
     """Return the stride of a chain from its joint angles; the module describes the search.
 
@@ -80,15 +73,14 @@ def find_stride(
     span_s
         Start and end of the stride, if known.
     lasts_s
-        Shortest and longest possible duration of a return, if known.
+        Shortest and longest possible duration of a return, if known; None for the whole clip.
 
     Raises
     ------
     ValueError
         If the times are not within the clip, or if there are too few frames.
     """
-    known = np.flatnonzero(np.isfinite(q).all(axis=1))
-    known = max(np.split(known, np.flatnonzero(np.diff(known) > MAX_GAP_FRAMES + 1) + 1), key=np.size)
+    known = longest_stretch(np.isfinite(q).all(axis=1))
     if len(known) < MIN_FRAMES:
         raise ValueError(f"a stride needs {MIN_FRAMES} or more consecutive frames with a pose, got {len(known)}")
     ends = chain.end(q[known])
@@ -107,13 +99,11 @@ def find_stride(
         start = int(begins[np.argmin(np.abs(begins - start_s * fps))])
         end = min(start + frames, float(known[-1]))
     else:
-        rows = _return(known, ends, lasts_s[0] * fps, lasts_s[1] * fps)
-        origin = "return" if rows else "whole clip"
-        i, j = rows or (0, len(known) - 1)
-        start, end = int(known[i]), float(known[j])
-        if rows:
-            near = np.linspace(max(end - 1, start), min(end + 1, known[-1]), 20 * OVERSAMPLING + 1)
-            end = float(near[np.argmin(np.linalg.norm(curve(near) - ends[i], axis=1))])
+        path = np.full((len(q), chain.dim), np.nan)
+        path[known] = ends
+        frames_of_return = None if lasts_s is None else nearest_return(path, lasts_s[0] * fps, lasts_s[1] * fps)
+        origin = WHOLE_CLIP if frames_of_return is None else "return"
+        start, end = frames_of_return or (int(known[0]), float(known[-1]))
     if end <= start + 1 - 1e-6:
         raise ValueError("a stride needs two frames or more")
     points = round((end - start) * OVERSAMPLING) + 1
@@ -145,29 +135,3 @@ def farthest_reach(chain: SerialChain, q: Array) -> tuple[Array, Array]:
         raise ValueError("no frame without a missing value")
     ends = chain.end(known)
     return known[np.argmin(ends[:, 0])], ends[np.argmax(ends[:, 0])]
-
-
-def _return(frames: Index, ends: Array, shortest: float, longest: float) -> tuple[int, int] | None:
-    """Return the rows of the return with the smallest gap, or None if there is no return; see the module.
-
-    ends is the path (F, dim). A return lasts `shortest` to `longest` frames.
-    """
-    velocity = np.gradient(ends, frames, axis=0)
-    extent = diameter(ends)
-    best, smallest = None, np.inf
-    for i in range(len(ends)):
-        distance = np.linalg.norm(ends[i:] - ends[i], axis=1)
-        left = np.flatnonzero(distance >= AWAY * extent)
-        if not len(left):
-            continue
-        back = np.flatnonzero((distance < BACK * extent) & (velocity[i:] @ velocity[i] > 0))
-        lag = frames[i + back] - frames[i]
-        back = back[(back > left[0]) & (lag >= shortest) & (lag <= longest)]
-        if not len(back):
-            continue
-        # Look only as far as the next time that it leaves.
-        visit = back[: np.argmax(np.append(np.diff(back), 2) > 1) + 1]
-        j = int(visit[np.argmin(distance[visit])])
-        if distance[j] < smallest and diameter(ends[i : i + j + 1]) >= SPAN * extent:
-            best, smallest = (i, i + j), float(distance[j])
-    return best

@@ -17,11 +17,12 @@ from shortcuts import shorten_cost_study
 from recon.cli.ik import CLOSES_PERCENT
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
-from recon.gait.gait import pose_gait
+from recon.gait.gait import STRIDE_TEXTS, pose_gait
 from recon.ik.clip import METHODS, IkSettings, run_ik
 from recon.ik.drive import drive_to
 from recon.ik.figures import parameter_series
 from recon.ik.limb import (
+    animal_portraits,
     cost_of,
     fit_parameter_series,
     fit_parameters,
@@ -324,14 +325,37 @@ def test_analysis_and_both_dimensions_have_one_stride_of_the_chain(fit, request,
     assert says(" ".join(done.out.split()), "between two rearmost positions of the foot")
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_a_chain_without_a_stride_takes_the_nearest_return(frame_results, dim, monkeypatch):
-    results = Motion.load(frame_results)
-    monkeypatch.setattr(ClipAnalysis, "stride", None)
-    found = stride_of(results, limb_of(results, dim=dim))
-    in_space = stride_of(results, limb_of(results, dim=3))
-    assert found.origin == "return"
-    assert (found.start_s, found.end_s) == pytest.approx((in_space.start_s, in_space.end_s))
+@pytest.mark.parametrize(
+    ("frames", "how"), [(slice(0, 13), "return"), (slice(2, 14), "gait"), (slice(0, 8), "whole clip")]
+)
+def test_analysis_and_both_dimensions_show_the_same_frames_of_a_short_clip(frame_results, frames, how):
+    """Without a complete stride the nearest return, with the same sentence; the whole clip if there is none."""
+    motion = Motion.load(frame_results)
+    states, joints_m = (np.full_like(values, np.nan) for values in (motion.states, motion.solution.joints_m))
+    states[frames], joints_m[frames] = motion.states[frames], motion.solution.joints_m[frames]
+    short = replace(motion, solution=replace(motion.solution, states=states, joints_m=joints_m))
+    analysis = ClipAnalysis(short)
+    portrait = analysis.portraits["theta_1"]
+    moving = portrait.time_s[np.isfinite(portrait.angle_rad)]
+    for dim in (2, 3):
+        limb = limb_of(short, dim=dim)
+        stride = stride_of(short, limb)
+        assert stride.origin == how
+        assert limb.first_s + np.array([stride.start_s, stride.end_s]) == pytest.approx(moving[[0, -1]], abs=0.1 / 30)
+        shown = animal_portraits(short, limb, stride)["theta_1"]
+        assert shown.time_s == pytest.approx(moving)
+    assert bool(analysis.closures) == (how != "whole clip")
+
+
+def test_the_nearest_return_has_the_same_sentence_in_analyse_and_ik(frame_results, tmp_path):
+    folder, motion = tmp_path / "fit", Motion.load(frame_results)
+    states, joints_m = motion.states.copy(), motion.solution.joints_m.copy()
+    states[13:] = joints_m[13:] = np.nan
+    replace(motion, solution=replace(motion.solution, states=states, joints_m=joints_m)).save(folder)
+    follow = "--follow", "stride", "--dim"
+    for i, arguments in enumerate((("analyse",), ("ik", *follow, "2"), ("ik", *follow, "3"))):
+        done = run(*arguments, folder, "--no-figures", "--out", tmp_path / str(i))
+        assert says(" ".join(done.out.split()), "0.100 to 0.392 s, " + STRIDE_TEXTS["return"])
 
 
 def test_a_stride_of_ones_own(frame_results, tmp_path):

@@ -1,0 +1,81 @@
+"""Find the nearest return of a foot to a position, for a clip in which no stride is complete.
+
+From each frame, the foot has to move away by half the diameter of its path and return to within a quarter of it, while
+its direction stays within a right angle of its first direction; the return ends at the nearest point, which may lie
+between two frames. A return counts if it spans most of the path's diameter. The return with the smallest gap is taken.
+
+Between frames, the foot follows a cubic spline. Only the longest stretch of frames without a gap of more than
+`MAX_GAP_FRAMES` counts.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from recon.base.arrays import Array, Bools, Index
+from recon.gait.phase import diameter
+
+MIN_FRAMES = 4
+"""Smallest number of known frames for a spline."""
+MAX_GAP_FRAMES = 4
+"""Longest stretch without data that the spline bridges, frames."""
+AWAY, BACK, SPAN = 0.5, 0.25, 0.8
+"""Shares of the path's diameter: how far a return leads away, how near it comes back, and how much it spans."""
+_STEPS = 100
+"""Points per frame at which the end of a return is searched."""
+
+
+def longest_stretch(is_known: Bools) -> Index:
+    """Return the known frames of the longest stretch without a gap of more than `MAX_GAP_FRAMES`.
+
+    is_known has the shape (T,).
+    """
+    known = np.flatnonzero(is_known)
+    return max(np.split(known, np.flatnonzero(np.diff(known) > MAX_GAP_FRAMES + 1) + 1), key=np.size)
+
+
+def nearest_return(path_m: Array, shortest: float = 0.0, longest: float = np.inf) -> tuple[int, float] | None:
+    """Return the frames in which the nearest return begins and ends, or None if no return counts (see the module).
+
+    Parameters
+    ----------
+    path_m : ndarray
+        Positions of the foot relative to the body, shape (T, dim), NaN where unknown.
+    shortest, longest : float
+        Shortest and longest possible duration of the return, in frames.
+    """
+    frames = longest_stretch(np.isfinite(path_m).all(axis=1))
+    if len(frames) < MIN_FRAMES:
+        return None
+    points = path_m[frames]
+    rows = _best_rows(frames, points, shortest, longest)
+    if rows is None:
+        return None
+    start, end = (int(frames[row]) for row in rows)
+    near_end = np.linspace(max(end - 1, start), min(end + 1, frames[-1]), 2 * _STEPS + 1)
+    gaps = np.linalg.norm(CubicSpline(frames, points)(near_end) - path_m[start], axis=1)
+    return start, float(near_end[np.argmin(gaps)])
+
+
+def _best_rows(frames: Index, points: Array, shortest: float, longest: float) -> tuple[int, int] | None:
+    """Return the rows of `points` (F, dim) between which the return with the smallest gap lies, or None."""
+    velocity = np.gradient(points, frames, axis=0)
+    extent = diameter(points)
+    best, smallest = None, np.inf
+    for i in range(len(points)):
+        distance = np.linalg.norm(points[i:] - points[i], axis=1)
+        left = np.flatnonzero(distance >= AWAY * extent)
+        if not len(left):
+            continue
+        back = np.flatnonzero((distance < BACK * extent) & (velocity[i:] @ velocity[i] > 0))
+        lag = frames[i + back] - frames[i]
+        back = back[(back > left[0]) & (lag >= shortest) & (lag <= longest)]
+        if not len(back):
+            continue
+        # Look only as far as the next time that it leaves.
+        visit = back[: np.argmax(np.append(np.diff(back), 2) > 1) + 1]
+        j = int(visit[np.argmin(distance[visit])])
+        if distance[j] < smallest and diameter(points[i : i + j + 1]) >= SPAN * extent:
+            best, smallest = (i, i + j), float(distance[j])
+    return best
