@@ -164,17 +164,17 @@ class Body(Brief):
     mean_rad: Array
     """Expected angles state[:, 4:], shape (D - 4,): the root's pitch and roll, and the joints' angles."""
     sigma_rad: Array
-    """Standard deviations of these angles, shape (D - 4,)."""
+    """Standard deviations of the angles of `mean_rad`, shape (D - 4,)."""
     acceleration_rad_s2: Array
-    """Standard deviations of their accelerations, shape (D - 4,)."""
+    """Standard deviations of the accelerations of the angles of `mean_rad`, shape (D - 4,)."""
     keypoint_offset_m: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     """Offset of a detector's keypoint from its marker, (x, y, z) in the marker's segment, by marker."""
     keypoint_spread_m: dict[str, float] = field(default_factory=dict)
-    """Standard deviation of this offset between clips, along each axis, by marker."""
+    """Standard deviation of a keypoint's offset between clips, along each axis, by marker."""
     marker_sigma_m: float = 0.0
     """Standard deviation, along each axis, of the markers' distance from the animal's points that they represent."""
     keypoint_noise_m: dict[str, float] = field(default_factory=dict)
-    """Standard deviation of this offset in a single frame, by marker; `keypoint_sigma_m` for other markers."""
+    """Standard deviation of a keypoint's offset in a single frame, by marker; `keypoint_sigma_m` for other markers."""
     detector: str | None = None
     """Name of the detector whose keypoints are expected (`recon.animal.skeleton_file`)."""
     mass: dict[str, tuple[float, float]] = field(default_factory=dict)

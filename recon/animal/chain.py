@@ -42,7 +42,7 @@ UVW_BODY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 _PITCH_RAD = 0.3
 """Standard deviation of the pitch of a running animal."""
 _ROOT_RAD_S2 = 40.0
-"""Standard deviation of the accelerations of its pitch and roll."""
+"""Standard deviation of the accelerations of a running animal's pitch and roll."""
 
 
 def _left_and_right(keypoint: object) -> object:
@@ -203,7 +203,7 @@ class Chain(Skeleton):
         expected[0, self.body_angles] = np.concatenate([r.mean_rad for r in ranges])
         expected[1, self.body_angles] = np.repeat([prior.theta_sigma_rad, prior.phi_sigma_rad], self.n_angles)
         # A swing through the expected range that just reaches the fastest rate, w = rate / tolerance, accelerates by
-        # w^2 tolerance at most, and by that over sqrt(2) on the average.
+        # w^2 tolerance at most, and by 1 / sqrt(2) of that on average.
         swing = [r.max_rate_rad_s**2 / r.tolerance_rad / np.sqrt(2) for r in ranges]
         expected[2, self.body_angles] = np.concatenate(swing)
         return Body(

@@ -45,7 +45,7 @@ _FILLERS = {"of", "the", "limb"}
 ANATOMICAL = "anatomical"
 """The built-in map of veterinary names."""
 _NEAR = 0.8
-"""Names are similar if they share this part of their letters."""
+"""Share of their letters that two names have in common if they are similar."""
 _MOST_OF_FILE = 0.8
 """Share of a file's keypoints above which the skeleton that has them is probably the right one."""
 

@@ -69,7 +69,7 @@ class MotionPrior:
     drift: Array
     """Matrix (A, 2A) of the accelerations: d2z/dt2 = drift @ [z - mean, dz/dt] + noise, in rad and s."""
     acceleration_covariance: Array
-    """Covariance of that noise, shape (A, A)."""
+    """Covariance of the noise of the accelerations, shape (A, A)."""
     source: str
     """Origin of the poses."""
     segments: tuple[SegmentRow, ...] = ()

@@ -22,7 +22,7 @@ FRAMES_PER_COMPONENT = 20
 A smaller component could be one short piece of one segment.
 """
 POSE_FLOOR_RAD = 0.1
-"""Added to the spread of every angle, because no reconstruction is exact.
+"""Amount added to the spread of every angle, because no reconstruction is exact.
 
 The value maximises the likelihood of held-out segments (docs/priors.md).
 """
@@ -34,7 +34,7 @@ _EM_ITERATIONS, _K_MEANS_ITERATIONS = 30, 50
 RIDGE_PER_ROW = 0.1
 """Ridge for each row; the value maximises the likelihood of held-out accelerations (docs/priors.md)."""
 ACCELERATION_FLOOR_RAD_S2 = 10.0
-"""Added to the spread of every acceleration."""
+"""Amount added to the spread of every acceleration."""
 
 
 def fit_prior(
@@ -164,7 +164,7 @@ def _mixture_parameters(poses: Array, share: Array, shrink: float, extra: Array)
 def ridge(states: Array, accelerations: Array, loose: Bools) -> tuple[Array, Array]:
     """Return the drift (A, 2A) from states (M, 2A) to accelerations (M, A), and the residual covariance (A, A).
 
-    The loose angles (A,) are left out.
+    `loose` (A,) marks the angles that neither follow from the others nor affect them; they are left out.
     """
     scale = states.std(axis=0)
     n_angles = accelerations.shape[1]

@@ -191,7 +191,7 @@ def notes(analysis: ClipAnalysis) -> Iterator[str]:
         )
     if gait is not None and len(motion.foot_names) < 4:
         yield f"Only the feet {', '.join(motion.foot_names)} were fitted: the gait has no name."
-    doubtful = [] if gait is None else [doubtful_text(doubt) for doubt in gait.doubtful]
+    doubtful = [] if gait is None else [doubtful_text(stride) for stride in gait.doubtful]
     yield from doubtful[:SHOWN]
     if (count_more := len(doubtful) - SHOWN) > 0:
         yield f"{count_more} more strides do not count, for reasons of the same kind"

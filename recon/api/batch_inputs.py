@@ -431,7 +431,7 @@ def _joined(
     if pattern is not None and camera_name is not None:
         actual = f"{camera_name if isinstance(camera_name, str) else ', '.join(camera_name)} together with {OPTION}"
         raise InputError(Problem("--camera-name", "camera_name", actual, "only one of the two"))
-    groups: dict[Any, list[tuple[_Draft, _Draft]]] = {}  # each draft as it was, and with its camera
+    groups: dict[Any, list[tuple[_Draft, _Draft]]] = {}  # pairs: the draft as stated, and with its camera
     without_camera = []
     for draft in drafts:
         with_camera = _with_camera(draft, pattern, cameras_by, camera_names)

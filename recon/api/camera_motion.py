@@ -192,7 +192,10 @@ def _points(keypoints: Keypoints, first_frame: int) -> dict[int, Array]:
 def _up(
     s: CameraMotionSettings, motion: TurningMotion, lens: Camera, marks: Sequence[LevelMark]
 ) -> tuple[Array | None, str]:
-    """Return up (3,) in the first frame's camera, or None if the mean frame counts as level; and its source as text."""
+    """Return the upward direction (3,) in the first frame's camera, and its source as text.
+
+    The direction is None if the mean frame counts as level.
+    """
     if s.tilt_deg is not None:
         level = f"the first frame looks {s.tilt_deg:g} degrees down, as given, and its roll is taken as 0"
         return tilted(np.radians(s.tilt_deg)), level

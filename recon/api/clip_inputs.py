@@ -56,7 +56,7 @@ _FAR_OUTSIDE = "too far outside the picture to have been found in it"
 
 
 SharedInputs = tuple[Body, MotionPrior, Cameras]
-"""Inputs that clips of the same animal filmed by the same cameras share."""
+"""Inputs that are the same for all clips of one animal and the same cameras."""
 
 
 @dataclass(frozen=True)

@@ -270,7 +270,7 @@ def _page(
     by: str,
     experiment: Experiment | None,
 ) -> str:
-    """Return the page of a comparison, with links to the clips' pages that are there.
+    """Return the page of a comparison, with links to those pages of clips that exist.
 
     With a design, a row of `clips` is a run, which has the page of its first camera, and the groups' means are those of
     the mixed models.
@@ -291,10 +291,10 @@ def _page(
 
 
 def _copies(motions: Mapping[str, Motion], folders: Mapping[str, Path]) -> dict[str, str]:
-    """Return the names of results that repeat another result with as many frames or more, each with the other's name.
+    """Return the results that are copies of another result, each with the name of the result that it repeats.
 
-    Such results were made from the same keypoint and camera files, by their digests, for the same animal and at the
-    same time.
+    Two results are copies if they were made from the same keypoint and camera files, by their digests, for the same
+    animal and at the same time. Of two copies, the one with fewer frames is returned.
     """
     known: dict[tuple[Any, ...], list[str]] = {}
     copies = {}
@@ -471,7 +471,7 @@ def known_quantities(clips: pd.DataFrame) -> list[str]:
 
 
 def _figure(clips: pd.DataFrame, groups: pd.DataFrame) -> Figure:
-    """Draw each clip with its standard deviation, and each group's mean with its own, one panel per quantity."""
+    """Draw the mean of each clip and of each group, with standard deviations, one panel per quantity."""
     with drawing(62.0) as figure:
         quantities = known_quantities(clips)
         panels = figure.subplots(1, max(len(quantities), 1), squeeze=False)[0]

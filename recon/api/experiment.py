@@ -264,7 +264,7 @@ class QuantityModel:
         return self.model.strides / self.model.runs
 
     def effects(self) -> Iterator[dict[str, object]]:
-        """Yield each group's mean, its difference to the first group, and the slope of each covariate."""
+        """Yield each group's mean, its difference from the first group, and the slope of each covariate."""
         size, total = len(self.model.names), len(self.groups)
         for place, group in enumerate(self.groups):
             yield self._row(f"mean of {group}", np.eye(size)[place], (group,))

@@ -161,7 +161,7 @@ class LabelSession:
         session = cls(video, tuple(names), (), scorer, output, edges)
         table = output.folder / f"CollectedData_{scorer}.csv"
         if table.is_file():
-            output.require((table.name,))  # not a table that somebody else has made
+            output.require((table.name,))  # refuse a table that the user made
             earlier = read_keypoints(table)
             if earlier.names != session.names:
                 actual = ", ".join(earlier.names)[:200]

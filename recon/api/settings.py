@@ -168,7 +168,7 @@ class FitSettings(Settings):
     several cameras, both are estimated in the fit)
     """
     camera_fps: Annotated[OneOrMore[Positive] | None, _RARE_TRAJECTORY] = None
-    """Frame rates of the cameras if they differ, once per keypoint file; the result has the first one's rate."""
+    """Frame rates of the cameras if they differ, once per keypoint file; the result has the first camera's rate."""
     method: Annotated[Method, _RARE] = "trajectory"
     """trajectory: the whole animal over the whole clip; frame: one side of the animal, frame by frame."""
     detector: Annotated[NameOrFile | None, _RARE_TRAJECTORY] = None
@@ -198,7 +198,7 @@ class FitSettings(Settings):
     path: Annotated[Literal["smooth", "free"], _FRAME] = "smooth"
     """Path of the reference joint: smooth as an animal moves, or free in every frame."""
     path_sigma_m: Annotated[Positive, _FRAME] = 0.5
-    """Standard deviation of the reference joint about a smooth path, in metres. A smaller one makes the poses' depths
+    """Standard deviation of the reference joint about a smooth path, in metres. A smaller value makes the poses' depths
     smoother.
     """
     start_angles: Annotated[str | None, _FRAME] = None

@@ -46,8 +46,10 @@ REAR, FRONT = ("tail_base", "l_hip", "spine"), ("neck_base", "withers", "l_shoul
 """Markers of the quadruped at which `forward` may begin and end, the preferred ones first."""
 FEWEST_FRAMES = 20
 RIGID, TOO_MUCH, NOISE = 0.01, 0.02, 2.0
-"""RIGID and TOO_MUCH, fractions of the animal's length: a distance whose standard deviation is below RIGID counts as
-constant. With noisy keypoints the limit is NOISE times the variation between steady neighbours, but at most TOO_MUCH.
+"""Limits below which the distance between two keypoints counts as constant.
+
+The limit of the standard deviation is RIGID times the animal's length. If keypoints are noisy, the limit is NOISE times
+the variation between steady neighbours, but at most TOO_MUCH times the animal's length.
 """
 TAIL, TAIL_SIGMAS = 0.05, 3.29
 """Fraction of frames at either end of a distance's range that may be errors, and range of the rest in sigmas.
@@ -56,8 +58,10 @@ A median deviation would call every distance constant in an animal that stands f
 """
 KEYPOINT_SHARE, MARKER_SHARE, SIZE_SIGMA = 0.03, 0.025, 0.05
 """Values for the skeleton file: keypoint_sigma_m and marker_sigma_m as fractions of the animal's length, and size_sigma
-of a measured animal. A draft has its markers where the detector sees them, which is a little off the joints, and its
-segments are rigid, which adds to marker_sigma_m how far their lengths changed.
+of a measured animal.
+
+A draft has its markers where the detector sees them, which is a little off the joints. Its segments are rigid, so the
+observed changes of their lengths are added to marker_sigma_m.
 """
 HEAD = ("keypoint_sigma_m", "marker_sigma_m", "size_sigma")
 SWING_RAD, SWING_HZ, WIDER = (0.3, 1.2), (0.5, 8.0), 1.5
@@ -267,9 +271,9 @@ class _Distances:
     """Distances between K keypoints over a clip, metres."""
 
     usual_m: Array
-    """(K, K): median over the frames."""
+    """Median of each distance over the frames, (K, K)."""
     changes_m: Array
-    """(K, K): standard deviation over the frames, estimated from the range without the extreme `TAIL` at each end."""
+    """Standard deviation of each distance over the frames, (K, K), from its range without `TAIL` at each end."""
     same_m: float
     """Variation below which a distance counts as constant."""
     length_m: float
@@ -382,7 +386,7 @@ def _rigid_bodies(distances: _Distances) -> list[list[int]]:
 
 
 def _root_body(bodies: Sequence[list[int]], points_m: Array, labels: Sequence[str], distances: _Distances) -> int:
-    """Return the body that is nearest to all points, preferring those of three or more points that are no leg's."""
+    """Return the body that is nearest to all points, preferably one of three or more points that is not part of a leg."""
     height_m = np.nanmedian(points_m[..., 2], axis=0)
     low_m = height_m.min() + LOW * (height_m.max() - height_m.min())
 
@@ -395,7 +399,7 @@ def _root_body(bodies: Sequence[list[int]], points_m: Array, labels: Sequence[st
 
 
 def _named_ends(labels: Sequence[str], root: Sequence[int], distances: _Distances) -> tuple[int, int] | None:
-    """Return the points at the trunk's rear and front by their names, or None if the names do not tell.
+    """Return the points at the trunk's rear and front by their names, or None if the names do not show the ends.
 
     Points nearest to the root are chosen, preferably points that are on neither side.
     """
@@ -441,7 +445,7 @@ def _directions_ahead(
 ) -> Array:
     """Return level vectors (T, 2) that point ahead: along the path, or from tail to head if the animal stays in place.
 
-    Raises InputError if neither the path nor the names tell the front, or if the animal has only one body.
+    Raises InputError if neither the path nor the names show the front, or if the animal has only one body.
     """
     steps_m = np.gradient(centre_m[:, :2], axis=0)
     path_m = float(np.nansum(np.linalg.norm(steps_m, axis=1)))
@@ -524,7 +528,7 @@ def _tree(bodies: Sequence[list[int]], root: int, labels: Sequence[str], distanc
 
 
 def _bending_m(parts: Sequence[_Part], distances: _Distances) -> float:
-    """Return the standard deviation of the distances that the skeleton keeps constant, the mean over its links."""
+    """Return the standard deviation of the distances that the skeleton keeps constant, averaged over its links."""
     links = [(part.origin, point) for part in parts for point in part.points if point != part.origin]
     links += [(part.parent.origin, part.origin) for part in parts if part.parent and part.parent.origin != part.origin]
     return float(np.sqrt(np.mean(distances.changes_m[tuple(np.transpose(links))] ** 2)))

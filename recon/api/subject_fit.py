@@ -31,7 +31,7 @@ from recon.io.common import Pose3D
 from recon.io.positions import read_pose3d
 
 LEAST_SIZE_SIGMA = 0.01
-"""Smallest size_sigma of a measured animal, because keypoints on it are known no more accurately."""
+"""Smallest size_sigma of a measured animal, because the positions of keypoints on an animal are no more certain."""
 
 
 def _rows(fit: ShapeFit, size_sigma: float) -> Iterator[dict[str, Any]]:

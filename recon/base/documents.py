@@ -29,7 +29,7 @@ from recon.base.errors import ANY_FILE, NO_FILE, InputError, Problem
 from recon.base.file_names import encodable
 
 Json: TypeAlias = Any
-"""The content of a JSON text: dictionaries, lists, texts, numbers, truth values and None."""
+"""The content of a JSON text: dictionaries, lists, texts, numbers, booleans and None."""
 MAX_BYTES = 1 << 28
 MAX_TOML_BYTES = 1 << 23
 """Largest TOML file, because the parser is slow; a skeleton has some ten thousand bytes."""
@@ -169,7 +169,7 @@ def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path)
 MAX_UNPACKED, MAX_ARRAYS = 1 << 30, 1 << 16
 """Largest archive that is unpacked, and the largest size and number of arrays that it may contain."""
 KINDS = "biuf"
-"""NumPy's letters for the types that can be read: truth values, whole numbers and floats."""
+"""NumPy's letters for the types that can be read: booleans, whole numbers and floats."""
 
 
 def arrays_of(content: bytes, kinds: str) -> dict[str, np.ndarray]:
@@ -246,8 +246,8 @@ def named_file(
 ) -> tuple[bytes, str]:
     """Return the content of a file by its name, and its name for messages.
 
-    The file is in a folder of the package, or the user's own. `kind` describes the file; `names` are the allowed names,
-    if not all are. Raises InputError for an unknown name.
+    The file is in a folder of the package, or is a file of the user. `kind` describes the file, and `names` are the
+    allowed names if only some files of the folder are allowed. Raises InputError for an unknown name.
     """
     known = builtin_names(folder, ending)
     if str(name) in known:

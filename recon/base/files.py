@@ -133,13 +133,13 @@ def _new_staging(folder: Path) -> tuple[Path, int]:
             staging = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=folder))
             lock = os.open(staging / _LOCK, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
         except (FileNotFoundError, FileExistsError):
-            continue  # another process has just removed it as abandoned, or has removed the folder that it had made
+            continue  # another process has just removed `staging` as abandoned, or has removed `folder`
         try:
             if is_locked_here(lock) is not False:
                 (staging / NEW).mkdir()
                 return staging, lock
         except FileNotFoundError:
-            pass  # as above
+            pass  # another process has just removed `staging`
         except BaseException:
             os.close(lock)
             shutil.rmtree(staging, ignore_errors=True)
@@ -217,7 +217,7 @@ def exchange(staging: Path, folder: Path, leaving: Mapping[str, FileState]) -> N
             _move_in(new / name, folder / name)
     except BaseException:
         for name in names:
-            with suppress(OSError):  # it had not been moved yet
+            with suppress(OSError):  # the file had not been moved yet
                 if os.lstat(folder / name).st_ino == inodes[name]:
                     (folder / name).unlink()
         for name in names_in(old):

@@ -130,7 +130,7 @@ class Interrupts:
 
 
 def installed() -> Interrupts | None:
-    """Return the handler of this process, if it is a `recon` of its own."""
+    """Return the handler of this process, if the process runs the command line."""
     return next((h for h in map(signal.getsignal, STOPPING) if isinstance(h, Interrupts)), None)
 
 

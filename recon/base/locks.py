@@ -100,7 +100,7 @@ def gone_if_empty(folder: Path) -> Iterator[None]:
         yield
     finally:
         for path in made:
-            with suppress(OSError):  # it was not created, or is not empty
+            with suppress(OSError):  # the folder was not created, or is not empty
                 path.rmdir()
 
 
@@ -131,10 +131,10 @@ def _locked_file(path: Path, until_s: float) -> int:
             is_free = is_locked_here(lock)
             if is_free is None and not is_writable:
                 raise _not_usable(path)
-            with suppress(FileNotFoundError):  # the process that held the lock before removes the file
+            with suppress(FileNotFoundError):  # the previous holder of the lock removes the file
                 if is_free is not False and os.path.samestat(os.fstat(lock), os.lstat(path)):
                     if is_writable:
-                        with suppress(OSError):  # a full disk cannot take the number
+                        with suppress(OSError):  # the disk is full
                             os.truncate(lock, 0)
                             os.write(lock, f"{os.getpid()}\n".encode())
                     return lock

@@ -36,9 +36,10 @@ def slow_part(pattern: str) -> str | None:
 
 
 def _variable_repeats(part: _Part, inside: bool) -> list[int] | None:
-    """Return the largest count of each repeat of variable length; None if one, or a choice, is within a repeat.
+    """Return the largest count of each repeat of variable length.
 
-    `inside` states whether the part itself is repeated.
+    The result is None if a repeat contains a repeat of variable length or a choice. `inside` states whether the part
+    itself is repeated.
     """
     operation = part[0] if isinstance(part, tuple) and len(part) == 2 else None
     if any(operation is repeat for repeat in _REPEATS):

@@ -60,7 +60,7 @@ _UNITS = {
 }
 """Units by the ending of a setting's name, longer endings first."""
 _MAY_BE_FILE = object()
-"""Marks a type whose text is a file if it ends like one."""
+"""Marker of a type whose text is a file if the text ends like a file name."""
 _Value = TypeVar("_Value")
 Number = Annotated[float, BeforeValidator(_no_bool), Field(allow_inf_nan=False)]
 """A finite number."""

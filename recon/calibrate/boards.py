@@ -646,12 +646,12 @@ class _CalibrationCheck:
 
 
 LIMITS = (
-    # three determine the matrix, two more the lens; with six, an error in one still shows in the others
+    # three pictures determine the matrix, and two more the lens; with six, an error in one of them still shows
     ("images", "pictures used", "", 10, 6, True, "take more pictures"),
     # if one in four is an outlier, the median itself is uncertain
     ("dropped", "pictures left out as outliers", "%", 10, 25, False, "look for a board that bends or moves"),
-    # corners are detected to 0.05-0.3 px; larger errors mean a wrong lens model or board; in px of 1920 above that
-    # width
+    # corners are detected to 0.05-0.3 px; larger errors mean a wrong lens model or board; pictures wider than 1920 px
+    # are scaled to that width
     ("rms", "reprojection error", "px of 1920", 0.5, 1.0, False,
      "check --board, --model, and that the board is flat"),
     # the lens is measured inside this area, and extrapolated by polynomials outside

@@ -57,7 +57,7 @@ CONSEQUENCES: Mapping[str, tuple[str, ...]] = {
     "points_identical": ("lengths_change", "joint_beyond_range"),
     "point_frozen": ("lengths_change", "joint_beyond_range"),
 }
-"""Findings that a cause brings with it; only the cause is reported."""
+"""Findings that follow from another finding; only the cause is reported."""
 LEAST_FRAMES = 5
 """Smallest number of frames that can be audited."""
 

@@ -7,7 +7,7 @@ A clip may be used if its error is below this limit with a probability of 95 %, 
 is more likely than not. A finding with a smaller effect on poses and positions is not an error.
 """
 EFFECT_OF_NOTE = 0.25
-"""Fraction of that limit up to which an effect is only a note.
+"""Fraction of `LIMIT_OF_TRUNK` up to which an effect is only a note.
 
 It is 3.5 cm for a cheetah, about the error of the fit itself.
 """

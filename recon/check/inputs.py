@@ -42,9 +42,7 @@ FASTEST_M_S = 40.0
 """Largest speed of an animal: cheetahs reach 29 m/s (N. Sharp, *Timed running speed of a cheetah*, J. Zool. 1997)."""
 
 MOSTLY_POOR = 0.9
-"""Fraction of frames with few or no detections above which the motion follows the prior alone.
-
-The same is then true of the frame rate.
+"""Fraction of frames with few or no detections above which the motion, and so the frame rate, follows from the prior.
 """
 MOVES = ("animal_still", "time_reversed", "treadmill", "camera_moves")
 """Codes of motions in which left and right cannot be distinguished."""
@@ -178,8 +176,9 @@ A point on a cubic has a fourth difference as small as that.
 _CUBIC_FRAMES = 5
 """Number of frames that lie on one cubic if their fourth difference is 0."""
 CURVED_PX = 0.1
-"""Smallest deviation from that line of a point that is tested for a cubic, because points on the line are on a cubic
-too.
+"""Smallest deviation, in pixels, of a point from the line between its neighbours for a test against a cubic.
+
+Points on a straight line are on a cubic, too.
 """
 LONG, SHORT, SHARE_LONG = 1.45, 0.5, 0.13
 """Ratios above and below which a step is long or short for the steps around it, and the usual share of long steps.

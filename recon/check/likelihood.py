@@ -150,7 +150,7 @@ class Baseline:
     other_views: tuple[View, ...] = ()
     """The clip's other views, which contributed to the states."""
     _refits: dict[tuple[int, int], Refit] = field(default_factory=dict, init=False, repr=False)
-    """The fits of parts of the clip as given, by their first frames and those after their last ones."""
+    """The fits of parts of the clip as given, by first frame and the frame after the last."""
 
     @property
     def view(self) -> View:

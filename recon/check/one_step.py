@@ -56,7 +56,7 @@ class _ExtendedReprojection(Reprojection):
     by_unknown: ByUnknown | None = None
 
     def point_rows(self, span: Span) -> PointRows:
-        """Return the rows of `Reprojection` with those by the unknown."""
+        """Return the rows of `Reprojection` with the derivatives by the unknown."""
         rows, scene = super().point_rows(span), self._scene(span)
         if self.by_unknown is None:
             return rows

@@ -48,7 +48,7 @@ RANGE_DEG: Mapping[str, tuple[float, float]] = {
     "hock": (-20.0, 165.0),
     "carpus": (-110.0, 175.0),
 }
-"""Flexion of joints that bend to one side only, 0 for a straight one, of mammals from mice to horses."""
+"""Range of flexion, 0 for a straight joint, of joints that bend to one side only, in mammals from mice to horses."""
 BEYOND_DEG, BEYOND_FRAMES = 15.0, 2
 """Smallest relevant angle beyond the range, and smallest number of frames."""
 LEVEL_DEG = 60.0

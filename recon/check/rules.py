@@ -38,10 +38,11 @@ EXPLAINED_SIGMAS = 1.9
 Correct views have 1.0 to 1.4.
 """
 EXPLAINED_DETECTORS = 3.0
-"""The same limit in units of the detectors' usual errors, because a fit's own noise estimate can hide a misfit.
+"""Median deviation of detections, in units of the detectors' usual errors, above which the fit does not explain them.
 
-Correct views have 0.5 to 1.4, also with half of the points or a side missing, and the largest of the other runs is 1.4
-whichever run is left out; frames in random order have 5 to 9. The limit is about twice the largest.
+A fit's own noise estimate can hide a misfit. Correct views have 0.5 to 1.4, also with half of the points or a side
+missing, and the largest of the other runs is 1.4 whichever run is left out; frames in random order have 5 to 9. The
+limit is about twice the largest.
 """
 UNEXPLAINED_SHARE = 0.1
 """Share of outliers above which a motion that the prior does not know is not that of an animal.
@@ -65,7 +66,7 @@ SIZE_SIGMAS_MOST, LOG_SIZE_MOST = 4.0, math.log(2.0)
 """Largest deviation of a grown animal's size, in standard deviations and as a logarithm of its size."""
 UNITS_PER_M = {"m": 1.0, "inches": 39.37, "cm": 100.0, "mm": 1000.0}
 NEARLY_UNIT = 1.35
-"""Factor within which a camera's height suggests a unit, because the size of an animal is not known better."""
+"""Factor within which a camera's height suggests a unit, because an animal's size, and so the height, is uncertain."""
 SUBJECT_SIGMAS = 3.0
 """Deviation of an animal's lengths from those of its kind, in standard deviations of the existing sizes."""
 

@@ -18,8 +18,8 @@ from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.terms import focal_scale
 
 USUAL, SPREAD, SIGMA_SHARE = 0.05, 0.04, 0.5
-"""Mean and least standard deviation of the estimates in unstretched pictures, and the share of the posterior's standard
-deviation that these estimates show, because the posterior is cautious about lasting errors.
+"""Mean and least standard deviation of the estimates in unstretched pictures, and a factor on the posterior's standard
+deviation, which is twice as large as the estimates vary.
 """
 LIMITS = -1.6, 3.3
 """Deviations, in standard deviations, beyond which a picture is compressed or stretched along x.

@@ -35,9 +35,9 @@ largest number of swaps in a clip.
 LOOKS = -10.0
 """Smallest log-likelihood gain at which a swap of the whole clip is tried.
 
-A clip is to be looked at if it is likelier undone but below the margin, or if only its appearance suggests a swap
-(`LIKELY`), because nothing else shows a mirrored video. In 32 correct clips, undoing loses 6 or more or is not tried,
-and gains 9 in appearance at most.
+A clip is to be checked by eye if it is likelier with the swap undone, but by less than the margin, or if only its
+appearance suggests a swap (`LIKELY`), because nothing else shows a mirrored video. In 32 correct clips, undoing loses 6
+or more or is not tried, and gains 9 in appearance at most.
 """
 LEAST_S = 0.25
 """Shortest clip, in seconds, whose sides can be tested as a whole.

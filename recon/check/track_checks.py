@@ -33,7 +33,7 @@ BENT = 5.0
 STRAIGHT = 0.02
 """Largest deviation from a line, relative to the track's usual deviation."""
 MOVING, STANCE = 0.01, 1.0
-"""Distances relative to the animal's size: if the other points move this far, a point, and a foot, cannot stay
+"""Distances, relative to the animal's size, that the other points can move at most while a point, or a foot, stays
 still.
 """
 JUMP, JUMP_SPREADS = 0.2, 10.0

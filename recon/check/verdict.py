@@ -30,7 +30,7 @@ from recon.fit.result import ExpectedError, Finding, Level, TrajectorySolution, 
 POWERS = {"posterior": 0.66, "distance": 0.14, "end_on": 0.78, "unseen": 0.80, "rate": 0.32}
 """Powers of `Evidence.factors`.
 
-The last is 0.29 to 0.36 with one run left out, at a half and a quarter of its rate.
+The last power is 0.29 to 0.36 if one run is left out, at half and a quarter of its frame rate.
 """
 RATE_HZ = 60.0
 """Frame rate below which a pose is less certain than the posterior states, under a prior learned from motions."""
@@ -53,7 +53,7 @@ WHY = {
 NOTHING_AGAINST = "No check of the clip found a fault."
 """Reason for the verdict "use", which a list of clips leaves out."""
 NOT_ALL_CHECKED = "No check that ran found a fault; frame rate, swaps, lens and zoom were not checked."
-"""Reason for the verdict "use" without a learned prior, which those checks need."""
+"""Reason for the verdict "use" without a learned prior, which some checks need."""
 _MEAN_OF_NORM = 0.92
 """Mean length of a vector of three equal normal components, in roots of their summed variance."""
 _LEAST_M2 = 1e-8
@@ -82,7 +82,7 @@ class Evidence:
     unseen: float
     """Share of the joints' variance that is not due to the pixels; 0 for a method that solves each frame on its own."""
     position_sigma_m: float
-    """Posterior standard deviation, including that of one camera's focal length."""
+    """Posterior standard deviation of the position, with the uncertainty of one camera's focal length."""
 
     slowness: float = 1.0
     """`RATE_HZ` relative to the frame rate, 1 at least; 1 without a learned prior."""
@@ -193,7 +193,7 @@ def expected_pose_of_trunk(evidence: Evidence) -> ExpectedError:
 
 
 def expected_position(evidence: Evidence) -> ExpectedError:
-    """Return the expected error of the animal's middle, averaged over frames, which have nearly all of it in common."""
+    """Return the expected error of the animal's middle, averaged over frames; most of it is the same in all frames."""
     return ExpectedError(_MEAN_OF_SIGMA, radius(0.05), radius(0.95)).times(evidence.position_sigma_m)
 
 
@@ -248,7 +248,7 @@ def _widened(error: ExpectedError, effect: float) -> ExpectedError:
 
 
 def level_of(pose_of_trunk: ExpectedError, error: bool, warning: bool) -> Level:
-    """Return the level from the expected error and whether there are findings of that severity."""
+    """Return the level from the expected error, and from whether there are errors and warnings among the findings."""
     if error or pose_of_trunk.expected > LIMIT_OF_TRUNK:
         return "do not use"
     return "check" if warning or pose_of_trunk.high > LIMIT_OF_TRUNK else "use"

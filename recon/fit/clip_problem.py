@@ -47,7 +47,7 @@ class TrajectoryOptions:
     refine_cameras: bool = False
     """Whether the poses of all cameras but the first are unknowns."""
     camera_rotation_rad: float = constants.CAMERA_ROTATION_RAD
-    """Standard deviation of their rotations about each axis."""
+    """Standard deviation of the rotations of refined cameras about each axis."""
     focal_sigma: float | None = None
     """Relative standard deviation of all cameras' focal lengths; None if they are exact.
 

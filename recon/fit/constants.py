@@ -67,15 +67,16 @@ LEAST_NOISE, NOISE_COUNT = 0.02, 1.0
 They apply if several cameras solve for the body's shape and the detector was not measured.
 """
 LENGTH_SHARE, OFFSET_SHARE = 0.3, 0.4
-"""Standard deviations with which several cameras solve for the shape.
+"""Factors that give the standard deviations with which several cameras solve for the shape.
 
-The first is that of single lengths as a share of that of the size, the second that of keypoint offsets as a share of
-that of the common bias. Both are widened if those of the animal are larger.
+A single length has the first factor times the standard deviation of the size, and a keypoint offset has the second
+factor times that of the common bias. Both are widened if the animal's lengths and offsets vary more.
 """
 LENGTH_SIGMA = 0.1
 """Least relative standard deviation of single lengths of a skeleton without a prior, for one camera."""
 FIRST_SHAPE_SCALE, KNOWN_SHAPE_SCALE = (3.0, 2.5), (1 / 3, 1 / 2)
-"""Factors on both standard deviations: in the first round, and for a detector that was measured with the skeleton.
+"""Factors on the standard deviations of lengths and offsets: in the first round, and for a detector that was measured
+with the skeleton.
 
 The lengths and offsets of the first round show how widely they spread. A detector and a skeleton that were measured
 together fit each other; in the benchmark's real runs, each with a detector measured in the others, poses are then

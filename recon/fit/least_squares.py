@@ -45,7 +45,9 @@ Solving in pieces changes the states by 1e-6 at most.
 """
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-4, 1e6
 _BEYOND = 0.1
-"""Fraction of the decrease at which a search ends, above which a promised decrease extends a step."""
+"""Factor on the decrease at which a search ends; a step is extended if the expected further decrease exceeds the
+product.
+"""
 _LONGEST = 4.0
 """Largest factor by which a step is extended."""
 _STEP_SHARES = (1.0, 0.5, 0.2)
@@ -424,7 +426,7 @@ def _add_own_unknowns(
             B_T = points.by_point.swapaxes(2, 3)
             across[..., np.searchsorted(own_columns, view_columns)] += B_T @ K.reshape(N, J, 2, -1)
         bias = columns.get(keypoint_bias(points.number))
-        if points.by_bias is not None and bias is not None:  # its K is a diagonal
+        if points.by_bias is not None and bias is not None:  # K of the bias is diagonal
             by_bias = np.repeat(points.by_bias, 2, axis=1)
             corner[bias, bias] += np.diag(np.sum(by_bias**2, axis=0))
             gradient[bias] += np.sum(by_bias * points.residual.reshape(N, 2 * J), axis=0)

@@ -268,7 +268,7 @@ def _with_noise_factor(problem: LeastSquares, factor: float) -> LeastSquares:
 
 @dataclass(frozen=True)
 class _EquationsByNoise:
-    """Normal equations of a short clip, from which those with other noise of the detections follow."""
+    """Normal equations of a short clip, from which those for any other noise of the detections follow."""
 
     whole: Normal | None
     """The normal equations; None for a long clip, whose normal equations are too large."""
@@ -543,7 +543,7 @@ def prior_misfit_of(problem: LeastSquares, estimate: Estimate) -> PriorMisfit:
 DEGREES_OF_FREEDOM = 7.0
 """Degrees of freedom nu, the most likely ones for the errors of 28 real views (`benchmarks/uncertainty.py`)."""
 _ROUNDING_M2 = 1e-12
-"""Added to variances, because those of a pose relative to its own middle may be singular to rounding."""
+"""Amount added to variances: the covariance of a pose relative to its own middle may be singular to rounding."""
 
 
 def radius(level: float, dimensions: int = 1, nu: float = DEGREES_OF_FREEDOM) -> float:

@@ -180,7 +180,7 @@ class SolvedShape(Brief):
     names: tuple[str, ...]
     """Segments and markers whose distance from their origin was estimated (L); right sides equal the left ones."""
     lengths_m: Array
-    """(L,): their lengths, size included."""
+    """(L,): the estimated lengths, size included."""
     lengths_sigma_m: Array
     """(L,): standard deviations."""
     expected_lengths_m: Array
@@ -236,11 +236,11 @@ class Solution(Brief):
     joints_m: Array
     """(T, J, 3): the joints in the world, NaN without a pose."""
     covariance_m2: Array
-    """(T, J, 3, 3): of the joints, position and size included."""
+    """(T, J, 3, 3): covariances of the joints, position and size included."""
     relative_covariance_m2: Array
-    """(T, J, 3, 3): of the joints relative to the mean of all joints."""
+    """(T, J, 3, 3): covariances of the joints relative to the mean of all joints."""
     angle_sigma_rad: Array
-    """(T, D - 3): of the root's rotation and the joints' angles, `states[:, 3:]`."""
+    """(T, D - 3): standard deviations of the root's rotation and the joints' angles, `states[:, 3:]`."""
     angle_data_share: Array
     """(T, D - 3): information fraction of the angles, the part of their precision from the pixels, 0 to 1."""
     noise_px: Array

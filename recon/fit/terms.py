@@ -227,7 +227,7 @@ def climb_term(n_state: int, fps: float, sigma_m_s: float) -> Linear:
 class PoseMixture:
     """A mixture of Gaussians of poses, -log sum_k w_k N(z; mean_k, cov_k), flattened by a temperature >= 1.
 
-    The rows are those of the Gaussian with the components' mean precision that has the mixture's gradient.
+    The rows are those of a Gaussian with the mixture's gradient. Its precision is the mean precision of the components.
     """
 
     prior: MotionPrior
@@ -382,8 +382,8 @@ class Reprojection:
     def _errors(self, scene: _Scene, span: Span, jacobian: bool) -> tuple[Array, Array, Array, Bools, Array, Array]:
         """Return the cost (N,), the errors e (N, J, 2) in standard deviations, and their squares in units of the loss.
 
-        After these: which detections are seen, the projected markers without keypoint bias, and their derivatives by
-        the markers, which are empty unless `jacobian`.
+        The last three results are which detections are seen, the projected markers without keypoint bias, and the
+        derivatives of these markers, which are empty unless `jacobian`.
         """
         view = scene.view
         if jacobian:

@@ -75,8 +75,9 @@ _FLATTENED_TOLERANCE, _FLATTENED_ITERATIONS = 1e-3, 8
 _MORE_ROUNDS = 3
 """Further rounds if the prior has lost most of its weight, until noise and contacts have settled again."""
 POOR_SHARE, POORER_SHARE = 1 / 3, 0.8
-"""A frame is "data poor" if a smaller fraction of all joints, or of the joints trusted in good frames, is trusted in
-it.
+"""Fractions of all joints, and of the joints trusted in good frames.
+
+A frame is "data poor" if fewer joints than either fraction are trusted in the frame.
 """
 END_ON_RAD = np.radians(25)
 """Angle between line of sight and trunk below which only perspective shows the depth: "ambiguous depth".

@@ -197,7 +197,7 @@ def _first_positive_root(coefficients: npt.ArrayLike) -> float:
     Coefficients are in increasing order.
     """
     array = np.asarray(coefficients, dtype=float)
-    trimmed = np.trim_zeros(np.where(np.abs(array) < 1e-100, 0.0, array), "b")  # roots divide by the last one
+    trimmed = np.trim_zeros(np.where(np.abs(array) < 1e-100, 0.0, array), "b")  # polyroots divides by the last
     roots = polynomial.polyroots(trimmed) if trimmed.size > 1 else np.zeros(0)
     real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)]
     return float(real.min(initial=math.inf))

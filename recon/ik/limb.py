@@ -284,7 +284,7 @@ def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None =
         gait = ClipAnalysis(motion).gait
         assert gait is not None  # the limb has a foot
         label = next(label for label, joint in motion.foot_names.items() if joint == limb.foot)
-        notes = [doubtful_text(doubt) for doubt in gait.doubtful if doubt.foot == label]
+        notes = [doubtful_text(stride) for stride in gait.doubtful if stride.foot == label]
         stride, lasts_s = next((s for s in gait.strides if s.foot == label), None), stride_lasts_s(gait)
     path = _path_of(motion, limb, stride, lasts_s)
     return replace(path, notes=tuple(notes))

@@ -46,7 +46,7 @@ class StridePath:
     gap_m: float
     """Width of the gap that was closed."""
     gap_percent: float
-    """Width of that gap in percent of the path's diameter."""
+    """Width of the gap in percent of the path's diameter."""
     notes: tuple[str, ...] = ()
     """Strides that do not count, each with the reason."""
 

@@ -65,7 +65,7 @@ class Bone:
     centre_m: Array
     """(3,): centre of mass in the bone's frame."""
     inertia_kg_m2: Array
-    """(3, 3): moments of inertia about that centre."""
+    """(3, 3): moments of inertia about `centre_m`."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ from recon.io.common import starts_with
 FREE_BYTES = 1 << 26
 """Memory that a dataset or a piece of it may always take.
 
-A larger one may take its size in the file or, up to `MAX_UNPACKED`, `MAX_RATIO` times that.
+A larger dataset may take the size that it has in the file, or `MAX_RATIO` times that size up to `MAX_UNPACKED`.
 """
 MAX_RATIO = 1100
 """Largest ratio of a dataset's size to its size in the file; gzip reaches 1032."""

@@ -123,13 +123,13 @@ def _h5(
     require_label_writer()
 
     def index(labels: Sequence[tuple[str, ...]], names: Sequence[str | None]) -> pd.MultiIndex:
-        parts = [pd.Index(part, dtype=object) for part in zip(*labels, strict=True)]  # pandas 2 has no other texts
+        parts = [pd.Index(part, dtype=object) for part in zip(*labels, strict=True)]  # as pandas 2 stores texts
         return pd.MultiIndex.from_arrays(parts, names=[*names])
 
     table = pd.DataFrame(values, index(rows, [None] * len(rows[0])), index(columns, levels))
     in_memory: dict[str, Any] = {"driver": "H5FD_CORE", "driver_core_backing_store": 0}
     with cast(Any, pd.HDFStore("labels.h5", mode="w", **in_memory)) as store:
-        for name in ("create_array", "create_vlarray"):  # pandas does not pass it on to all that it makes
+        for name in ("create_array", "create_vlarray"):  # pandas does not pass track_times on to every array
             setattr(store._handle, name, partial(getattr(store._handle, name), track_times=False))
         store.put(PANDAS_KEY, table, format="fixed", track_times=False)
         return store._handle.get_file_image()

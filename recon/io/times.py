@@ -113,7 +113,7 @@ def seconds(cells: Iterable[object]) -> np.ndarray | None:
     first = known[0][0]
     try:
         return np.array([(moment - first).total_seconds() + fraction for moment, fraction in known])
-    except TypeError:  # some have a time zone, others do not
+    except TypeError:  # some times have a time zone, others have none
         return None
 
 

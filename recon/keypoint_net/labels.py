@@ -152,7 +152,7 @@ def read_labels(data: Path, labels: Path | None = None, **options: Any) -> Label
         read = replace(read, names=names, xy_px=read.xy_px[:, keep], notes=(*read.notes, note))
     sizes = np.array([picture.shape[1::-1] for picture in read.pictures], float)[:, None]
     outside = read.labelled & ((read.xy_px < -0.5) | (read.xy_px > sizes - 0.5)).any(axis=2)
-    if outside.sum() > OUTSIDE * read.labelled.sum():  # too many outside: the labels belong to other pictures
+    if outside.sum() > OUTSIDE * read.labelled.sum():  # these labels belong to other pictures
         i, k = np.argwhere(outside)[0]
         detail = (
             f"{outside.sum()} of {read.labelled.sum()} points are outside, first {read.names[k]} in {read.images[i]}"
@@ -300,8 +300,9 @@ def _mirrored(name: str) -> Iterator[str]:
 PARTS = ("train", "validation", "test")
 """Pictures to train on, to evaluate and calibrate on meanwhile, and for the test at the end."""
 BLOCKS = 10
-"""Largest number of runs of consecutive pictures into which the pictures are divided to hold out a share. Neighbours in
-time look similar: a single held-out picture would be almost the same as a picture of the training.
+"""Least number of blocks of consecutive pictures into which the labels are divided; whole blocks are held out.
+
+Neighbours in time look similar: a single held-out picture would be almost the same as its neighbours in the training.
 """
 
 

@@ -58,7 +58,7 @@ LEARNING_RATE, WEIGHT_DECAY = 2e-3, 0.05
 FINISH = 0.6
 """Fraction of a run after which the validation pictures are learned from, too."""
 FINISH_RATE = 0.5
-"""Initial learning rate of this last part, relative to the highest rate before."""
+"""Initial learning rate of the part after `FINISH`, relative to the highest rate before."""
 WARM_UP = 0.04
 EVALUATIONS = 30
 MOST_AVERAGED = 300.0
@@ -386,8 +386,9 @@ REASONS = {
     "others": "body lengths further from every other label than usual",
 }
 LEARNED = 5.0
-"""Multiple of its keypoint's median distance from the network's points that the distance of a suspicious label has to
-exceed: a large median means that the network has not learned the keypoint.
+"""Factor on a keypoint's median distance from the network's points above which the distance of a label is suspicious.
+
+A large median means that the network has not learned the keypoint.
 """
 FITS = 2.0
 """Largest median error, as a multiple of the tolerance, in the pictures that a network learned from. A network with

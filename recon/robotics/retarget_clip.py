@@ -91,7 +91,7 @@ class RetargetSettings(Settings):
     """
     anyway: Annotated[bool, ANYWAY] = False
     overwrite: bool = False
-    """Replace earlier ones."""
+    """Replace earlier files."""
 
 
 REPORT, STACKED = "report.json", "samples.npz"
@@ -250,7 +250,7 @@ def _figures(motion: RobotMotion) -> dict[str, Any]:
 
 def _notes(done: Retargeting) -> list[str]:
     window = done.window
-    notes = [doubtful_text(doubt) for doubt in done.animal.gait.doubtful]
+    notes = [doubtful_text(stride) for stride in done.animal.gait.doubtful]
     if window.source == "return":
         notes.append(
             "the clip has no complete stride: the repeating stride is the part after which the feet come closest to "

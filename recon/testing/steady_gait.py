@@ -171,7 +171,7 @@ class ForceErrors:
     rms_bw: float
     """RMS error of single feet's forces in stances that are complete in the clip, body weights."""
     timed_rms_bw: float
-    """The same RMS error, with the true times of touch-down and lift-off, body weights."""
+    """RMS error of the forces as in `rms_bw`, with the true times of touch-down and lift-off, body weights."""
     inside: float
     """Fraction of the forces within their 90 % intervals."""
 

@@ -52,7 +52,7 @@ class FrameOptions:
     keypoint_sigma_m: float | None = None
     """Distance of keypoints from the model's joints, metres; None for that of the skeleton."""
     keypoint_sigma_max_px: float = 12.0
-    """Largest value of this distance in the picture."""
+    """Largest value of `keypoint_sigma_m` in the picture, pixels."""
     robust_c: float = 4.5
     """Number of standard deviations at which a residual counts half."""
     path: Literal["smooth", "free"] = "smooth"
@@ -60,15 +60,15 @@ class FrameOptions:
     path_sigma_m: float = 0.5
     """Standard deviation of the reference joint about a smooth path, metres.
 
-    A smaller one makes the poses smoother and costs pixels; the speeds are those of the path whatever it is (`python
-    benchmarks/thesis.py --only path-ties`).
+    A smaller value makes the poses smoother, but fits the pixels less well. The speeds are those of the path for any
+    value (`python benchmarks/thesis.py --only path-ties`).
     """
     start_angles: str | None = None
     """Angles at the start of the first frame, measured by hand (`recon.thesis.start.parse_start_angles`)."""
     initial_damping: float | None = None
     """First damping of a search (`recon.thesis.levenberg`); None if MINPACK finds its own."""
     damping_factor: float = 10.0
-    """Factor by which that damping changes."""
+    """Factor by which the damping changes."""
     tolerance: float = 1e-8
     """Relative change of cost, step and gradient at which a search ends."""
     max_evaluations: int = 400

@@ -25,7 +25,7 @@ from recon.thesis.objectives import Objective, ResidualAndJacobian
 ACCELERATION_M_S2 = 9.0
 """Standard deviation of the acceleration of a running animal's reference joint, for each axis."""
 ACCELERATION_LASTS_S = 0.05
-"""Correlation time of this acceleration."""
+"""Correlation time of the reference joint's acceleration."""
 ERRORS_LAST_S = 0.06
 """Time over which the errors of neighbouring frames count as one (integral of their correlation)."""
 LEAST_SIGMA_M = 0.02

@@ -265,7 +265,7 @@ def in_world(view: View, chain: UnknownsChain, states: Array, covariance: Array,
         for jacobian in (by_state, by_state - by_state.mean(axis=1, keepdims=True))
     )
     path: Path | None = fields.get("path")
-    # The covariances of the frames are given the path. All joints share its error, as far as the tie passes it on.
+    # The frames were solved for a fixed path. Its error moves all joints together, by the share that the tie passes on.
     if path is not None:
         R = T_world_camera[:3, :3]
         share = absolute[:, 0] / fields["path_sigma_m"] ** 2
@@ -310,7 +310,8 @@ def _body_angles(
     """Return standard deviations, and shares of the pixels (T, D' - 3), of the body's angles.
 
     states (T, D), covariance (T, D, D) and shares (T, D) are those of the chain. The rotation of the root depends on
-    the Euler angles; its shares are theirs, weighted by their contributions to its variance.
+    the Euler angles, so its share is the mean of the Euler angles' shares, weighted by their contributions to its
+    variance.
     """
     angles = np.arange(2 * chain.n_angles)
     by_state = np.zeros((len(states), chain.body.n_state - YAW, chain.n_state))

@@ -414,8 +414,10 @@ class _Seen(NamedTuple):
 
 _FrameLink = tuple[int, int, Array, Array, Array, Array]
 """Link from a keyframe to a frame: index of the frame, index of the keyframe, rotation (3, 3), log zooms (2,), H (5, 5)
-and g (5,). The cost is e'He - 2 g'e. e holds the rotation (rad) from keyframe to frame beyond that rotation, and the
-differences of the two log zooms from those.
+and g (5,).
+
+The cost is e'He - 2 g'e. e holds the deviations from the link: of the rotation from keyframe to frame (rad), and of the
+two log zooms.
 """
 
 

@@ -515,7 +515,7 @@ class ClimbSettings(Settings):
     figures: bool = True
     """Write figures as PNG and SVG, too."""
     overwrite: bool = False
-    """Replace earlier ones."""
+    """Replace earlier files."""
 
 
 # -- a plan, written ---------------------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """Fill in the pages of one result and of a batch.
 
-The page of a batch is a table of its clips, the doubtful ones first. All pictures are inside the page's file.
+The page of a batch is a table of its clips, those to check first at the top. All pictures are inside the page's file.
 """
 
 from __future__ import annotations

@@ -129,7 +129,7 @@ def composites(
         ):
             axes.set_xlabel(label)
             axes.set_ylabel(f"{upwards} (m)")
-            # At a fixed distance: equal scales change the numbers beside the label after the layout.
+            # Fix the distance of the label, because equal scales change the axis numbers after the layout.
             outside = axes.transAxes + ScaledTranslation(-_NUMBERS_MM * style.MM, 0.0, figure.dpi_scale_trans)
             axes.yaxis.set_label_coords(0.0, 0.5, outside)
         cells["key"].axis("off")

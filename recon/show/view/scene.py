@@ -278,7 +278,7 @@ def write_world(motion: Motion, scene: Scene, log: Log) -> None:
     log.draw("world/skeleton", rr.LineStrips3D, limb_strips(joints, motion.limbs, solved), **style)
     style = {"class_ids": joint_limbs(motion), "radii": 0.028, "labels": motion.names, "show_labels": False}
     log.points("world/skeleton/joints", joints, np.broadcast_to(solved[:, None], joints.shape[:2]), **style)
-    # Follow more than the animal, and without the movement of its legs.
+    # The camera of the view follows a point that does not move with the legs, and shows some room around the animal.
     log.follow("world/followed", joints.mean(axis=1), 0.65 * scene.size_m, solved)
 
     root = motion.root_m
