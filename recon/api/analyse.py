@@ -121,7 +121,7 @@ def run_analysis(settings: AnalyseSettings, progress: Progress = silent) -> Writ
         with output.staged() as staging:
             write_analysis(analysis, staging)
             if settings.tables_format == "xlsx":
-                from recon.show.workbook import write_workbook  # here, as pandas is slow to import
+                from recon.show.workbook import write_workbook  # slow to import
 
                 write_workbook(analysis, settings.folder.absolute().name, staging / WORKBOOK)
             elif settings.tables_format == "long":

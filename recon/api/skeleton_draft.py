@@ -386,7 +386,7 @@ def _rigid_bodies(distances: _Distances) -> list[list[int]]:
 
 
 def _root_body(bodies: Sequence[list[int]], points_m: Array, labels: Sequence[str], distances: _Distances) -> int:
-    """Return the body that is nearest to all points, preferably one of three or more points that is not part of a leg."""
+    """Return the body nearest to all points, preferably one of three or more points that is not part of a leg."""
     height_m = np.nanmedian(points_m[..., 2], axis=0)
     low_m = height_m.min() + LOW * (height_m.max() - height_m.min())
 

@@ -103,7 +103,7 @@ def staging_in(folder: Path) -> Iterator[Path]:
             finally:
                 shutil.rmtree(staging, ignore_errors=True)
                 os.close(lock)
-                shutil.rmtree(staging, ignore_errors=True)  # Windows keeps open files
+                shutil.rmtree(staging, ignore_errors=True)  # Windows does not delete open files
         except OSError as error:
             if error.filename is None and error.errno is not None:
                 error.filename = str(folder)
@@ -160,7 +160,7 @@ def _remove_stale(folder: Path) -> None:
             finally:
                 os.close(lock)
             if dead:
-                shutil.rmtree(stale, ignore_errors=True)  # Windows keeps open files
+                shutil.rmtree(stale, ignore_errors=True)  # Windows does not delete open files
 
 
 def require_no_folders(folder: Path, names: Iterable[str]) -> None:

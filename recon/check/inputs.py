@@ -275,7 +275,7 @@ def step_ratios(tracks: Array) -> Array | None:
     Each keypoint of the tracks (T, K, 2 or 3), in pixels, is compared with itself, because visibility changes and paws
     are faster than the trunk. The ratio of a frame is the median over its keypoints.
     """
-    from scipy.ndimage import median_filter  # here, as it is slow to import
+    from scipy.ndimage import median_filter  # slow to import
 
     steps = np.diff(tracks, axis=0)
     times = np.full(steps.shape[:2], np.nan)

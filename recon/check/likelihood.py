@@ -322,7 +322,7 @@ def _feet_below(clip: ClipProblem, view: View) -> float:
 def smaller(camera: Camera, times: float) -> Camera:
     """Return the camera for the same video reduced in size."""
     scale = np.array([[1.0 / times], [1.0 / times], [1.0]])
-    # pixels count from the middle of the first one
+    # pixel coordinates are 0 in the middle of the first pixel
     shift = np.array([[0, 0, 0.5 / times - 0.5], [0, 0, 0.5 / times - 0.5], [0, 0, 0]])
     width, height = camera.image_size_px
     size_px = (max(round(width / times), 1), max(round(height / times), 1))

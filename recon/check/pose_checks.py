@@ -114,7 +114,7 @@ def _lengths(points: AuditedPoints) -> Iterator[Measure]:
 
 
 def _running_median(values: Array) -> Array:
-    from scipy.ndimage import median_filter  # here, as it is slow to import
+    from scipy.ndimage import median_filter  # slow to import
 
     known = np.isfinite(values)
     result = np.full(len(values), np.nan)
@@ -251,7 +251,7 @@ def _gravity(points: AuditedPoints) -> Iterator[Measure]:
     value = abs(float(np.log(max(nearest_m_s2, 1e-2) / GRAVITY_M_S2) / np.log(RATIO)))
     numbers: dict[str, float | str] = {"acceleration_m_s2": -mean, "sigma_m_s2": sigma, "given_hz": points.fps}
     advice = "Check --fps, and --unit."
-    if -mean > SIGMAS * sigma:  # otherwise it does not show the rate
+    if -mean > SIGMAS * sigma:  # otherwise the flight does not show the rate
         numbers["other_hz"] = points.fps * float(np.sqrt(GRAVITY_M_S2 / -mean))
         advice = f"At about {numbers['other_hz']:.0f} frames a second it would be right (now {points.fps:g})."
     numbers["advice"] = advice

@@ -231,7 +231,7 @@ def few_frames(motion: Motion) -> Iterator[Finding]:
 
 def frames_flagged(motion: Motion) -> Iterator[Finding]:
     """Yield a finding if more than a third of the frames have a flag."""
-    counted = {*FLAGS} - {SWAPPED}  # a swap has a finding of its own, as far as it matters
+    counted = {*FLAGS} - {SWAPPED}  # a swap that matters has a finding of its own
     flags = [{*flags} & counted for flags, is_solved in zip(motion.flags, motion.solved, strict=True) if is_solved]
     count = sum(map(bool, flags))
     if count > MANY_FRAMES * len(flags):

@@ -387,7 +387,7 @@ def write_recording(settings: ViewSettings, progress: Progress = silent) -> Answ
 
 def _write(settings: ViewSettings, path: Path) -> str | None:
     """Write a recording, and return a note on the video, or None."""
-    from recon.show import view as viewer  # here, as rerun is slow to import
+    from recon.show import view as viewer  # slow to import
 
     motion, number = result_and_video(settings)
     analysis = analyse(motion) if (settings.folder / FOLDER / ANALYSIS).is_file() else None

@@ -130,7 +130,7 @@ def step(pieces: Iterable[Normal], damping: float) -> tuple[Array, Array, float]
         if not isinstance(part, Window):
             return -part[..., 0] - part[..., 1:] @ shared
         white = part.whitened[..., 0] + part.whitened[..., 1:] @ shared
-        return -part.unwhiten(white)  # one right-hand side replaces all
+        return -part.unwhiten(white)  # solve for the sum of all right-hand sides
 
     steps = [frames_step(part) for part, _ in windows]
     slope = sum(float(np.vdot(*pair)) for pair in zip(gradients, steps, strict=True))

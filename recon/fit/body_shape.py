@@ -190,7 +190,7 @@ class FreeShape:
     def jacobian(self, shared: Mapping[str, Array], states: Array) -> Array:
         """Return the derivatives (N, J, 3, L + 3J) of the markers that the detector sees, for states (N, D)."""
         body = self.applied(shared)
-        rotations = body.detected.orientations(states)  # those of `body.tree`
+        rotations = body.detected.orientations(states)  # the same as those of `body.tree`
         by_length = self.lengths.jacobian(body, states, rotations)
         return np.concatenate([by_length, by_offset(body.tree, rotations)], axis=3)
 

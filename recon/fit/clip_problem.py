@@ -446,8 +446,8 @@ def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Gr
     contact_of_frames = np.concatenate([contact[:1], np.maximum(contact[1:], contact[:-1]), contact[-1:]])
     if contact.sum() < 3:  # no foot stands, so the ground is unknown
         return contact_of_frames, None, (stance,)
-    # Several cameras see the height of the ground, and at nominal size it would bias the size; refined cameras see
-    # less.
+    # Several cameras see the height of the ground, and a plane at nominal size would bias the size. Refined cameras
+    # see the height less well.
     in_world = len(clip.views) > 1 and (near_zero or not clip.options.refine_cameras)
     plane_size = size if in_world else None
     on_ground = terms.OnGround(feet, contact, plane, centre, clip.fps, constants.GROUND_FOOT_M, plane_size)

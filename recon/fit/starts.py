@@ -227,7 +227,7 @@ def approach(clip: ClipProblem) -> list[Estimate]:
     for estimate in [] if fast else starts[1:2]:
         for (widen, tolerance), best in zip(narrower, minima[1:], strict=True):
             if estimate.cost > finished[0].cost + ALTERNATIVE_COST:
-                break  # less noise only makes it costlier
+                break  # less noise only makes the start costlier
             estimate = minimum(estimate.states, widen, tolerance, 15)
             if _distance_m(thin, estimate, best) < _SAME_M:
                 estimate = finished[0]

@@ -283,7 +283,7 @@ def smoothed(result: Triangulation, fps: float) -> Triangulation:
 
 def _spline(frames: Index, values: Array, sigma: Array, every: Index) -> Array:
     """Return values (m, 3) of a robust smoothing spline through values (n, 3) at frames (n,), at other frames."""
-    from scipy.interpolate import make_smoothing_spline  # here, as it is slow to import
+    from scipy.interpolate import make_smoothing_spline  # slow to import
 
     result = np.empty((len(every), 3))
     x, root = frames.astype(float), np.ones(len(frames))

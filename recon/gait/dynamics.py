@@ -52,9 +52,11 @@ SKEW = 0.8
 stance (0.36 to 0.48).
 """
 GALLOP_FORE, OTHER_FORE = (0.44, 0.11), (0.5, 0.16)
-"""Fraction of the impulse on the fore feet, and its standard deviation. For a gallop: mean and spread of 0.30 of
-cheetahs at 18 m/s, 0.38 of greyhounds at their fastest (J. Exp. Biol. 215:2425), 0.43 of accelerating dogs, 0.60 of
-dogs at constant speed (212:1930) and 0.50 of racehorses (222:jeb204107). For other gaits: a guess.
+"""Fraction of the impulse on the fore feet, and its standard deviation.
+
+For a gallop, they are the mean and spread of these measurements: 0.30 (cheetahs at 18 m/s), 0.38 (greyhounds at their
+fastest, J. Exp. Biol. 215:2425), 0.43 (accelerating dogs) and 0.60 (dogs at constant speed, 212:1930), 0.50
+(racehorses, 222:jeb204107). For other gaits they are a guess.
 """
 FOOT = 0.4
 """Standard deviation of the logarithm of a foot's impulse relative to its pair's mean."""

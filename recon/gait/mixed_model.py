@@ -149,7 +149,7 @@ class _Block:
     known: Array
     """Covariance of the measurement, (n, n)."""
     animals: int = 1
-    """A."""
+    """Number A of animals."""
 
 
 def _block(values: Array, design: Array, runs: Array, sigma: Array) -> _Block:

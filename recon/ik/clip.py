@@ -231,7 +231,7 @@ def run_ik(settings: IkSettings) -> IkRun:
     Raises
     ------
     InputError
-        If the results are no fit, or show too little of a stride.
+        If the results are not those of a fit, or show too little of a stride.
     """
     made_from = ReadResults.read(settings.folder)
     motion = usable(Motion.load(settings.folder), settings.folder, settings.anyway)

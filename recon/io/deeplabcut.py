@@ -30,7 +30,7 @@ HEADERS = (
     ("individuals", "bodyparts", "coords"),
 )
 COORDS, COORDS_2D = ("x", "y", "z", "likelihood"), ("x", "y", "likelihood")
-# DeepLabCut files the bodyparts that belong to no animal, such as the corners of the arena, under this individual.
+# Individual to which DeepLabCut assigns bodyparts that belong to no animal, such as the corners of the arena.
 UNIQUE_BODYPARTS = "single"
 PADDING = -1.0
 """x, y and likelihood of an animal that DeepLabCut 3 did not see in a frame."""

@@ -104,7 +104,7 @@ def _bars(axes: Axes, stances: Sequence[Stance], y: float, height: float, colour
     intervals = np.array(
         [interval for stance in stances for interval in (stance.start_interval_s, stance.end_interval_s)]
     )
-    # apart, since the two intervals of a short stance would overlap
+    # at different heights, because the two intervals of a short stance would overlap
     offsets = y + height / 4 * np.tile([-1, 1], len(stances))
     segments = [[(a, row), (b, row)] for (a, b), row in zip(intervals, offsets, strict=True) if np.isfinite(a)]
     axes.add_collection(LineCollection(segments, color="0.35", lw=0.7, zorder=3.2), autolim=False)
