@@ -19,7 +19,14 @@ import numpy as np
 import pytest
 from command_line import carry_out_here, copy_results, run
 from motions import with_first
-from shortcuts import draw_small, draw_two_methods, fit_demo_from, leave_out_drawing, leave_out_playback
+from shortcuts import (
+    draw_small,
+    draw_two_methods,
+    fit_demo_from,
+    leave_out_drawing,
+    leave_out_playback,
+    remember_analyses,
+)
 
 from recon import FitSettings
 from recon.animal.skeleton_file import load_skeleton
@@ -117,6 +124,12 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 def no_playback(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of something else."""
     leave_out_playback(monkeypatch)
+
+
+@pytest.fixture
+def remembered_analyses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests of commands that analyse the same results as others."""
+    remember_analyses(monkeypatch)
 
 
 @pytest.fixture

@@ -17,11 +17,14 @@ from command_line import copy_results
 from recon import FitSettings
 from recon.api import analyse
 from recon.cli.answers import Answer
+from recon.gait import clip as gait_clip
 from recon.ik import clip as ik_clip
 from recon.show.plots import style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from recon.fit.motion import Motion
 
 SMALL_DPI = 50
 PIXEL = "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNkYPhfDwAChwGA60e6kgAAAABJRU5ErkJggg=="
@@ -81,6 +84,22 @@ def draw_two_methods(patch: pytest.MonkeyPatch) -> None:
 def shorten_cost_study(patch: pytest.MonkeyPatch) -> None:
     """`recon ik --costs` follows its path for two turns instead of ten."""
     patch.setattr(ik_clip, "cost_outcome", partial(ik_clip.cost_outcome, turns=2))
+
+
+def remember_analyses(patch: pytest.MonkeyPatch) -> None:
+    """`recon analyse` and `recon compare` analyse each motion once in a process, whatever its folder is called."""
+    for module in ("recon.api.analyse", "recon.api.compare"):
+        patch.setattr(f"{module}.analyse", _remembered_analysis)
+
+
+def _remembered_analysis(motion: Motion, stride_s: tuple[float, float] | None = None) -> gait_clip.ClipAnalysis:
+    key = motion.solution.joints_m.tobytes(), motion.frames.tobytes(), motion.fps, motion.file, stride_s
+    if key not in _ANALYSES:
+        _ANALYSES[key] = gait_clip.analyse(motion, stride_s)
+    return _ANALYSES[key]
+
+
+_ANALYSES: dict[tuple[object, ...], gait_clip.ClipAnalysis] = {}
 
 
 def leave_out_playback(patch: pytest.MonkeyPatch) -> None:

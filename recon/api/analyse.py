@@ -115,7 +115,8 @@ def run_analysis(settings: AnalyseSettings, progress: Progress = silent) -> Writ
         progress("analysis", 0.1)
         with threadpool_limits(1, user_api="blas"):  # threads cost more than they gain on small matrices
             analysis = analyse(motion, settings.stride)
-        analysis = replace(analysis, body_mass_kg=settings.body_mass_kg)
+        if settings.body_mass_kg is not None:
+            analysis = replace(analysis, body_mass_kg=settings.body_mass_kg)
         summary = summarise(analysis, settings.folder.absolute().name)
         progress("tables", FIGURES_BEGIN - 0.1)
         with output.staged() as staging:

@@ -557,17 +557,24 @@ def test_finished_clips_are_known_by_their_content(clips, tmp_path):
     assert plan_batch(find_clips([one], QUICK | {"camera": camera}, config)[0], out)[0].action == "done"
     assert {path.name: path.read_bytes() for path in (out / "a").iterdir()} == first
 
+    def planned(overwrite: bool = False, **common: Any) -> tuple[str, str]:
+        (clip,) = plan_batch(found(one, camera=camera, **common), out, overwrite)
+        return clip.action, clip.reason
+
+    for file, what in ((one, "keypoints"), (camera, "camera")):
+        content = file.read_text()
+        file.write_text(content + "# changed\n" * (file == camera) + "\n")
+        assert planned() == ("refit", f"changed: {what}")
+        file.write_text(content)
+    assert planned(overwrite=True) == ("refit", "--overwrite")
+    assert planned() == ("done", "")
+    assert planned(fps=60, likelihood_min=0.6) == ("refit", "changed: fps, likelihood_min")
     one.write_text(one.read_text() + "\n")
-    assert fit(found(one, camera=camera), out) == [("refit", "changed: keypoints")]
-    camera.write_text(camera.read_text() + "# moved\n")
-    assert fit(found(one, camera=camera), out) == [("refit", "changed: camera")]
-    assert fit(found(one, camera=camera, fps=60, likelihood_min=0.6), out) == [
-        ("refit", "changed: fps, likelihood_min")
-    ]
-    assert fit(found(one, camera=camera, fps=60, likelihood_min=0.6), out, overwrite=True) == [("refit", "--overwrite")]
     (out / "a" / "angles.csv").unlink()
-    assert fit(found(one, camera=camera, fps=60, likelihood_min=0.6), out) == [("refit", "not complete")]
-    assert fit(found(one, camera=camera, fps=60, likelihood_min=0.6), out) == [("done", "")]
+    assert fit(found(one, camera=camera, fps=60), out) == [("refit", "changed: keypoints, fps")]
+    (out / "a" / "angles.csv").unlink()
+    assert fit(found(one, camera=camera, fps=60), out) == [("refit", "not complete")]
+    assert planned(fps=60) == ("done", "")
 
 
 def test_corrections_in_a_clip_s_folder_are_fitted(clips, tmp_path):

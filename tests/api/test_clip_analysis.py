@@ -304,13 +304,17 @@ DRAWN_LIKE_OTHERS = "right|left_hind|portraits_all|body_fixed_left|field_(head|t
     "name",
     [pytest.param(name, marks=[pytest.mark.slow] * bool(re.search(DRAWN_LIKE_OTHERS, name))) for name in FIGURES],
 )
-def test_each_figure_is_drawn_with_all_its_text(name, whole, tmp_path):
+def test_each_figure_is_drawn_with_all_its_text(name, whole):
     """The left front leg stands for all limbs, the spine for all parts that are held still: they share their code."""
     figure = figures_of(whole)[name]()
     assert cut_off(figure) == []
     assert figure.get_size_inches()[1] / style.MM < 275
     assert all(axes.has_data() or axes.texts for axes in figure.axes if axes.axison)  # a panel without data says why
-    figure.savefig(tmp_path / "figure.svg")  # as PNG too: test_plots.py
+
+
+@pytest.mark.parametrize("name", ["speed", *(pytest.param(n, marks=pytest.mark.slow) for n in FIGURES if n != "speed")])
+def test_each_figure_can_be_saved(name, whole, tmp_path):
+    figures_of(whole)[name]().savefig(tmp_path / "figure.svg")  # as PNG too: test_plots.py
     assert (tmp_path / "figure.svg").stat().st_size > 5000
 
 
@@ -354,6 +358,7 @@ def test_command_writes_tables_figures_and_plots(of_results, whole_results, monk
     assert summary["speed"]["peak_m_s"] == pytest.approx(16.05, abs=0.3)
 
 
+@pytest.mark.usefixtures("remembered_analyses")
 def test_command_writes_over_an_analysis_only_if_asked_to(of_results, tmp_path, monkeypatch):
     _, ran_in = of_results("recon analyse results/clip")
     monkeypatch.chdir(shutil.copytree(ran_in, tmp_path / "ran"))
@@ -373,6 +378,7 @@ def test_command_says_what_is_missing(frame_results, tmp_path):
     refused(["analyse", SAMPLES / "whole.csv"], (SAMPLES / "whole.csv", "folder", "a file", "recon fit"))
 
 
+@pytest.mark.usefixtures("remembered_analyses")
 def test_quiet_prints_nothing_and_many_stances_are_not_listed(whole_results, tmp_path, monkeypatch):
     quiet = run("analyse", whole_results, "--out", tmp_path / "a", "--no-figures", "--quiet")
     assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
@@ -400,6 +406,7 @@ def test_a_back_of_one_segment_has_no_flexion(whole):
     assert {*whole.angles} - {*stiff.angles} == {"spine_flexion"}
 
 
+@pytest.mark.usefixtures("remembered_analyses")
 def test_tables_are_written_where_figures_fail(whole_results, tmp_path, monkeypatch):
     def full(*args: object) -> None:
         raise OSError(28, "No space left on device")

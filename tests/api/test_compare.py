@@ -17,6 +17,8 @@ from recon.base.files import write_manifest
 from recon.cli.compare import _lines
 from recon.fit.motion import Motion
 
+pytestmark = pytest.mark.usefixtures("remembered_analyses")
+
 
 @pytest.fixture(scope="module")
 def whole_motion(whole_results: Path) -> Motion:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pandas as pd
 import pytest
 from command_line import refused, run
 
+from recon import FitSettings, Motion, fit_clip
 from recon.api.label_export import CorrectedClip
 from recon.io.corrections import Correction, write_corrections
 from recon.io.formats import read_keypoints
@@ -22,6 +24,23 @@ ROWS = [
     Correction(19, "", "nose", None, (700.0, 500.0), "accepted"),
     Correction(20, "", "nose", None, None, "not to be used"),
 ]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _fitted_once() -> Iterator[None]:
+    """All tests export the same fit."""
+    fitted: dict[str, Motion] = {}
+
+    def fit_once(settings: FitSettings) -> Motion:
+        assert isinstance(settings.corrections, Path)
+        text = settings.corrections.read_text(encoding="utf-8")
+        if text not in fitted:
+            fitted[text] = fit_clip(settings)
+        return fitted[text]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("recon.api.label_export.fit_clip", fit_once)
+        yield
 
 
 @pytest.fixture

@@ -77,8 +77,8 @@ def test_speed_has_its_times_and_its_band(sample_fit: Motion):
 
 
 @pytest.fixture(scope="module")
-def sample_fit() -> Motion:
-    return recon.fit_clip(recon.FitSettings(keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60))
+def sample_fit(whole_results: Path) -> Motion:
+    return Motion.load(whole_results)
 
 
 def same(a: recon.Keypoints, b: recon.Keypoints) -> None:
@@ -149,7 +149,9 @@ def test_all_that_is_public_explains_itself_and_completion_shows_no_more():
 
 def test_messages_are_for_who_listens(caplog, capfd):
     """Nothing is printed from Python; what a terminal would say goes to the logger "recon"."""
-    settings = recon.FitSettings(keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60, frames="0:12")
+    settings = recon.FitSettings(
+        keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60, frames="0:8", fast=True
+    )
     with caplog.at_level("INFO", logger="recon"):
         motion = recon.fit_clip(settings)
     assert motion.verdict is not None
