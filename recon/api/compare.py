@@ -87,7 +87,7 @@ class CompareSettings(Settings):
     names: Annotated[str | None, Option(panel=_EXPERIMENT, metavar="PATTERN")] = None
     """Form of the folders' names in place of a design, as in {group}-{animal}-{run}-{camera}."""
     covariate: Annotated[OneOrMore[str], Option(panel=_EXPERIMENT, metavar="NAME")] = ()
-    """Covariate of the mixed model, or several: speed, which is that of the run, or a column of the design."""
+    """Covariates of the mixed model, such as speed (the speed of the run), or the name of a column of the design."""
     plan: Annotated[OneOrMore[str], Option(panel=_EXPERIMENT, metavar="TEXT")] = ()
     """Say how many animals, runs, strides and cameras an effect needs, as in "effect=0.3 power=0.8": with the variances
     of the folders, or with given ones, as in "effect=10% mean=4 animal=0.4 run=0.2 stride=0.2 measurement=0.15"."""

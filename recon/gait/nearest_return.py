@@ -73,7 +73,7 @@ def _best_rows(frames: Index, points: Array, shortest: float, longest: float) ->
         back = back[(back > left[0]) & (lag >= shortest) & (lag <= longest)]
         if not len(back):
             continue
-        # Look only as far as the next time that it leaves.
+        # Look only until the limb leaves again.
         visit = back[: np.argmax(np.append(np.diff(back), 2) > 1) + 1]
         j = int(visit[np.argmin(distance[visit])])
         if distance[j] < smallest and diameter(points[i : i + j + 1]) >= SPAN * extent:

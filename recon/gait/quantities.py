@@ -53,7 +53,7 @@ class AnalysedClip:
     reference_motion: JointKinematics
     """Motion of the reference joint, with all errors."""
     unsized_motion: JointKinematics
-    """The same motion, without the error of the animal's size."""
+    """Motion of the reference joint, without the error of the animal's size."""
     why_no_speed: str | None
 
 

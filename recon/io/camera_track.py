@@ -41,7 +41,7 @@ SIGMA = "sigma_deg"
 Columns = dict[str, Array]
 """Numbers (N,) of N poses: frame and `POSE`, and `INTRINSICS` or `SIGMA` if known."""
 UNIT_TOLERANCE = 1e-2
-"""Tolerance of a quaternion's length, which three digits satisfy."""
+"""Tolerance of a quaternion's length; quaternions written with three digits are within it."""
 MAX_METRES, MAX_PX, MAX_SIGMA_DEG, MAX_ROTATION_RAD = 1e7, 1e6, 10.0, 100.0
 LEANING_MAX_RAD = np.radians(60)
 """Angle above which a camera leans too far.

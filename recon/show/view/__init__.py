@@ -411,7 +411,7 @@ def _foot_colour(foot: str, paler: bool = False) -> scenes.Colour:
 def write_forces(analysis: ClipAnalysis, log: Log) -> None:
     """Write arrows under the feet and the path of the centre of mass.
 
-    A body weight is as long as the centre of mass is high.
+    The arrow of a force of one body weight is as long as the centre of mass is high.
     """
     if (d := analysis.dynamics) is None or analysis.gait is None:
         return
