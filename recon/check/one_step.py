@@ -117,11 +117,11 @@ def one_steps(
     columns = np.array([problem.columns[_name(camera)].start for camera in unknowns])
     steps = {}
     for camera, column in zip(unknowns, columns, strict=True):
-        kept = np.setdiff1d(np.arange(len(at_solution.pull)), columns[columns != column])
+        kept = np.setdiff1d(np.arange(len(at_solution.shared_gradient)), columns[columns != column])
         covariance = np.linalg.inv(at_solution.shared_precision[np.ix_(kept, kept)])
         row = covariance[np.searchsorted(kept, column)]
         variance = float(row[np.searchsorted(kept, column)]) * clip.correlation_frames
-        steps[camera] = Step(-float(row @ at_solution.pull[kept]), math.sqrt(variance))
+        steps[camera] = Step(-float(row @ at_solution.shared_gradient[kept]), math.sqrt(variance))
     return steps
 
 

@@ -108,28 +108,30 @@ class Posterior:
 
 
 @dataclass(frozen=True, eq=False)
-class _Curvature:
-    """Curvature of a problem at its solution.
+class Curvature:
+    """Curvature of a problem at its solution, with P shared unknowns other than the size.
 
-    The fields are the windows of the normal equations, a root (P, P) of the covariance of the shared unknowns other
-    than the size, and the precision (1 + P, 1 + P) of all shared unknowns.
+    The size comes first among all shared unknowns, 1 + P of them; if the size is fixed, there are only P.
     """
 
     normals: Callable[[], Iterable[Normal]]
-    """The normal equations, in pieces."""
+    """Function that returns the normal equations, in pieces."""
     eliminated: Callable[[], Iterable[Window]]
-    root: Array
-    others_by_size: Array
-    """Derivatives of the other shared unknowns with respect to the size, shape (P,)."""
+    """Function that returns the windows of the normal equations."""
     shared_precision: Array
-    size_known: float
-    """Precision of the size due to the pixels, before the variance factor; 0 if it is not an unknown."""
-    beyond_m2: Array | float
-    """Excess of the variance of the common keypoint bias over the expected variance, shape (J,)."""
+    """Precision S of all shared unknowns, with the states eliminated, shape (1 + P, 1 + P)."""
+    shared_gradient: Array
+    """Gradient with respect to the shared unknowns, with the states at their minimum, shape (1 + P,)."""
     expected_precision: Array
     """Part of each shared unknown's precision that its own expected spread contributes, shape (1 + P,)."""
-    pull: Array
-    """Gradient with respect to the shared unknowns, with all other unknowns at their minimum, shape (1 + P,)."""
+    covariance_root: Array
+    """Root of the covariance of the unknowns other than the size, for a given size, shape (P, P)."""
+    others_by_size: Array
+    """Derivatives of the unknowns other than the size with respect to the size, shape (P,)."""
+    size_precision: float
+    """Precision of the size due to the pixels, before the variance factor; 0 if the size is fixed."""
+    excess_bias_m2: Array | float
+    """Variance of the common keypoint bias minus its expected variance, shape (J,), if the bias was not solved for."""
     lengths: slice | None = None
     """Indices of the lengths among the P unknowns, if lengths are unknown."""
 
@@ -139,7 +141,7 @@ class _Curvature:
         The first array is Y (n, D, P) for the P unknowns other than the size, whose change moves the frames by -Y; the
         second array is the derivative (n, D) with respect to the size.
         """
-        n_size = len(self.shared_precision) - len(self.root)  # the size comes first
+        n_size = len(self.shared_precision) - len(self.covariance_root)  # the size comes first
         for window in self.eliminated():
             derivatives = window.solved()[..., 1:]
             by_others = derivatives[..., n_size:]
@@ -151,7 +153,7 @@ class _Curvature:
 
 def curvature(
     problem: LeastSquares, estimate: Estimate, variance_factor: float, normal: Normal | None = None
-) -> _Curvature:
+) -> Curvature:
     """Return the curvature with nuisance unknowns free and the common bias as wide as the detections show.
 
     `normal` holds the problem's normal equations with the nuisance unknowns, if they are known.
@@ -170,36 +172,48 @@ def curvature(
         return kept or new_windows()
 
     reduced = np.sum([window.reduced() for window in windows()], axis=0)
-    S, n_size, beyond_m2 = reduced[:, :-1].copy(), int(SIZE in problem.columns), 0.0
-    prior_precision = np.concatenate([np.zeros(0), *(unknown.sigma**-2.0 for unknown in problem.shared)])
-    if (bias_columns := problem.columns.get(COMMON_KEYPOINT_BIAS)) is not None:
-        variance_m2 = 1.0 / prior_precision[bias_columns]
-        solved_bias = estimate.shared.get(COMMON_KEYPOINT_BIAS)
-        without_bias = reduced[:, -1] if solved_bias is None else reduced[:, -1] - S[:, bias_columns] @ solved_bias
-        variance_scale = _bias_scale(S, without_bias, bias_columns, variance_m2, variance_factor)
-        S[bias_columns, bias_columns] += np.diag((1.0 / variance_scale - 1.0) / variance_m2)
-        prior_precision[bias_columns] /= variance_scale
-        if solved_bias is None:  # a bias that was solved for is already in the joints
-            beyond_m2 = (variance_scale - 1.0) * variance_m2[::3]
-    others_covariance, size_known = np.linalg.inv(S[n_size:, n_size:]), 0.0
+    S, expected_precision, excess_bias_m2 = _with_likely_bias(problem, estimate, reduced, variance_factor)
+    n_size = int(SIZE in problem.columns)
+    others_covariance, size_precision = np.linalg.inv(S[n_size:, n_size:]), 0.0
     others_by_size = np.zeros(len(others_covariance))
     if n_size:
         others_by_size = -others_covariance @ S[1:, 0]
-        size_known = float(S[0, 0] + S[0, 1:] @ others_by_size - problem.shared[0].sigma[0] ** -2)
-    covariance_root = np.asarray(np.linalg.cholesky(others_covariance), dtype=float)
+        size_precision = float(S[0, 0] + S[0, 1:] @ others_by_size - problem.shared[0].sigma[0] ** -2)
     columns = problem.columns.get(LENGTHS)
-    return _Curvature(
-        normals,
-        windows,
-        covariance_root,
-        others_by_size,
-        S,
-        max(size_known, 0.0),
-        beyond_m2,
-        prior_precision,
-        reduced[:, -1],
-        None if columns is None else slice(columns.start - n_size, columns.stop - n_size),
+    return Curvature(
+        normals=normals,
+        eliminated=windows,
+        shared_precision=S,
+        shared_gradient=reduced[:, -1],
+        expected_precision=expected_precision,
+        covariance_root=np.asarray(np.linalg.cholesky(others_covariance), dtype=float),
+        others_by_size=others_by_size,
+        size_precision=max(size_precision, 0.0),
+        excess_bias_m2=excess_bias_m2,
+        lengths=None if columns is None else slice(columns.start - n_size, columns.stop - n_size),
     )
+
+
+def _with_likely_bias(
+    problem: LeastSquares, estimate: Estimate, reduced: Array, variance_factor: float
+) -> tuple[Array, Array, Array | float]:
+    """Return the precision of the shared unknowns with a common keypoint bias as wide as the detections show.
+
+    `reduced` holds the precision and the gradient for the expected width of the bias. The second result is the part of
+    the precision that the expected spreads contribute, and the third is `Curvature.excess_bias_m2`.
+    """
+    S, gradient = reduced[:, :-1].copy(), reduced[:, -1]
+    expected_precision = np.concatenate([np.zeros(0), *(unknown.sigma**-2.0 for unknown in problem.shared)])
+    if (bias := problem.columns.get(COMMON_KEYPOINT_BIAS)) is None:
+        return S, expected_precision, 0.0
+    variance_m2 = 1.0 / expected_precision[bias]
+    solved_bias = estimate.shared.get(COMMON_KEYPOINT_BIAS)
+    gradient_at_no_bias = gradient if solved_bias is None else gradient - S[:, bias] @ solved_bias
+    scale = _bias_scale(S, gradient_at_no_bias, bias, variance_m2, variance_factor)
+    S[bias, bias] += np.diag((1.0 / scale - 1.0) / variance_m2)
+    expected_precision[bias] /= scale
+    # a bias that was solved for is already in the joints
+    return S, expected_precision, (scale - 1.0) * variance_m2[::3] if solved_bias is None else 0.0
 
 
 def _with_free_nuisance(problem: LeastSquares) -> LeastSquares:
@@ -246,10 +260,11 @@ def _with_noise_about_bias(
     for _ in range(_NOISE_ROUNDS):
         problem_curvature = curvature(scaled, estimate, variance_factor, equations.normal(factor))
         covariance = np.linalg.inv(problem_curvature.shared_precision)
-        bias, expected = covariance @ problem_curvature.pull, problem_curvature.expected_precision
-        squares = all_squares / factor - float(problem_curvature.pull @ bias + expected @ bias**2)
-        bias_detections = variance_factor * (len(bias) - float(expected @ np.diagonal(covariance)))
-        noise_detections = max(detections - bias_detections, 1.0)
+        gradient, expected = problem_curvature.shared_gradient, problem_curvature.expected_precision
+        step = covariance @ gradient  # of the shared unknowns, to the best bias
+        squares = all_squares / factor - float(gradient @ step + expected @ step**2)
+        shared_detections = variance_factor * (len(step) - float(expected @ np.diagonal(covariance)))
+        noise_detections = max(detections - shared_detections, 1.0)
         factor *= float(np.clip(constants.NOISE_ABOUT_BIAS * squares / noise_detections, *_NOISE_FACTOR))
         scaled = _with_noise_factor(problem, factor)
     return scaled, equations.normal(factor)
@@ -324,26 +339,26 @@ def posterior(
     """
     states, size = estimate.states, size_of(estimate.shared)
     (T, D), J = states.shape, len(body.markers)
-    solution = curvature(problem, estimate, variance_factor, normal)
+    at_minimum = curvature(problem, estimate, variance_factor, normal)
     absolute, relative, by_size = np.empty((T, J, 3, 3)), np.empty((T, J, 3, 3)), np.empty((T, J, 3))
     state_by_size, by_size_alone, angle_variance = np.empty((T, D)), np.empty((T, D)), np.empty((2, T, D - YAW))
-    for window, by_others, window_by_size in solution.windows():  # one at a time, because a window is large
+    for window, by_others, window_by_size in at_minimum.windows():  # one at a time, because a window is large
         rows, state_covariance = window.rows, window.marginal_blocks()[:, 0]
-        if solution.lengths is None:
-            _add_shared(state_covariance, by_others, solution.root)
+        if at_minimum.lengths is None:
+            _add_shared(state_covariance, by_others, at_minimum.covariance_root)
             joints = _joint_covariances(body, states[rows], state_covariance, size, window_by_size)
         else:
             joints = _joint_covariances(body, states[rows], state_covariance, size, window_by_size)
-            _add_shape(joints, state_covariance, solution, body, states[rows], by_others, size)
+            _add_shape(joints, state_covariance, at_minimum, body, states[rows], by_others, size)
         absolute[rows], relative[rows], by_size[rows] = joints
         angle_variance[0, rows] = np.diagonal(state_covariance, axis1=1, axis2=2)[:, YAW:]
         state_by_size[rows] = window_by_size
-        by_size_alone[rows] = window_by_size + by_others @ solution.others_by_size
+        by_size_alone[rows] = window_by_size + by_others @ at_minimum.others_by_size
     for covariance in (absolute, relative):  # in place, because the covariances of a long clip are large
-        covariance += np.multiply.outer(solution.beyond_m2, np.eye(3))
+        covariance += np.multiply.outer(at_minimum.excess_bias_m2, np.eye(3))
         covariance *= variance_factor
         covariance += body.marker_sigma_m**2 * np.eye(3)
-    data_share, angle_variance[1] = _without_pixels(problem, body, estimate, solution.normals)
+    data_share, angle_variance[1] = _without_pixels(problem, body, estimate, at_minimum.normals)
     return Posterior(
         covariance_m2=absolute,
         relative_covariance_m2=relative,
@@ -352,8 +367,8 @@ def posterior(
         state_by_size=state_by_size,
         state_by_size_alone=by_size_alone,
         joint_by_size_m=by_size,
-        size_precision=solution.size_known / variance_factor,
-        shared_sigma=_shared_sigma(problem, solution, body.subject is not None, variance_factor),
+        size_precision=at_minimum.size_precision / variance_factor,
+        shared_sigma=_shared_sigma(problem, at_minimum, body.subject is not None, variance_factor),
     )
 
 
@@ -368,7 +383,7 @@ def _add_shared(state_covariance: Array, by_others: Array, root: Array) -> None:
 def _add_shape(
     joints: tuple[Array, Array, Array],
     state_covariance: Array,
-    solution: _Curvature,
+    at_minimum: Curvature,
     body: Body,
     states: Array,
     by_others: Array,
@@ -378,23 +393,23 @@ def _add_shape(
 
     `joints` holds absolute and relative covariances (n, J, 3, 3) and the derivatives (n, J, 3) with respect to the
     size. These and the covariance of the states change in place. A joint moves by X (3, D + L) with states and lengths,
-    which together have the covariance S (D + L, D + L): the covariance of the joint is X S X'.
+    which together have the covariance V (D + L, D + L): the covariance of the joint is X V X'.
     """
     absolute, relative, by_size = joints
-    shape, root_of_lengths = Shape.of_body(body), solution.root[solution.lengths]
+    shape, root_of_lengths = Shape.of_body(body), at_minimum.covariance_root[at_minimum.lengths]
     for first in range(0, len(states), _FRAMES_OF_SHAPE):
         rows = slice(first, first + _FRAMES_OF_SHAPE)
         pose, by_length = body.tree.pose_with_jacobian(states[rows]), shape.jacobian(body, states[rows])
         n, J, _, D = pose.jacobian.shape
-        root_of_states = -(by_others[rows].reshape(n * D, -1) @ solution.root).reshape(n, D, -1)
+        root_of_states = -(by_others[rows].reshape(n * D, -1) @ at_minimum.covariance_root).reshape(n, D, -1)
         roots = np.concatenate([root_of_states, np.repeat(root_of_lengths[None], n, axis=0)], axis=1)
-        S = roots @ roots.swapaxes(1, 2)
-        state_covariance[rows] += S[:, :D, :D]
+        V = roots @ roots.swapaxes(1, 2)
+        state_covariance[rows] += V[:, :D, :D]
         X = np.concatenate([pose.jacobian, by_length], axis=3)
         for covariance, by_both in ((absolute, X), (relative, X - X.mean(axis=1, keepdims=True))):
-            moved = (by_both.reshape(n, 3 * J, -1) @ S).reshape(n, J, 3, -1)
+            moved = (by_both.reshape(n, 3 * J, -1) @ V).reshape(n, J, 3, -1)
             covariance[rows] += moved @ by_both.swapaxes(2, 3)
-        by_size[rows] += size * by_length @ solution.others_by_size[solution.lengths]
+        by_size[rows] += size * by_length @ at_minimum.others_by_size[at_minimum.lengths]
 
 
 def _without_pixels(
@@ -424,7 +439,7 @@ def _without_pixels(
 
 
 def _shared_sigma(
-    problem: LeastSquares, solution: _Curvature, is_measured: bool, variance_factor: float
+    problem: LeastSquares, at_minimum: Curvature, is_measured: bool, variance_factor: float
 ) -> dict[str, Array]:
     """Return the standard deviations (P,) of the shared unknowns: see `Posterior.shared_sigma`.
 
@@ -432,7 +447,7 @@ def _shared_sigma(
     `constants.LENGTH_SIGMA`, because an individual may differ from the skeleton by more than the fit assumed.
     """
     unknowns = {unknown.name: unknown for unknown in (*problem.shared, *problem.nuisance)}
-    columns, precision = replace(problem, shared=[*unknowns.values()]).columns, solution.shared_precision
+    columns, precision = replace(problem, shared=[*unknowns.values()]).columns, at_minimum.shared_precision
     sigma = np.sqrt(variance_factor * np.diagonal(np.linalg.inv(precision)))
     solved = [unknown.name for unknown in problem.shared]
     by_name = {name: sigma[columns[name]] for name in (*solved, *(unknowns.keys() & {LENGTHS, COMMON_KEYPOINT_BIAS}))}
@@ -549,7 +564,7 @@ _ROUNDING_M2 = 1e-12
 def radius(level: float, dimensions: int = 1, nu: float = DEGREES_OF_FREEDOM) -> float:
     """Return the radius, in standard deviations, of the region that holds the truth with probability `level`.
 
-    It is the square root of e' S^-1 e at the region's edge.
+    It is the square root of e' V^-1 e at the region's edge.
     """
     return float(np.sqrt(dimensions * fdtri(dimensions, nu, level) * (nu - 2) / nu))
 
@@ -558,6 +573,6 @@ def sigmas(error: Array, covariance: Array) -> Array:
     """Return errors (..., k) with covariances (..., k, k) in standard deviations, (...), NaN if unknown."""
     is_known = np.isfinite(error).all(axis=-1) & np.isfinite(covariance).all(axis=(-2, -1))
     sizes = np.full(is_known.shape, np.nan)
-    e, S = error[is_known], covariance[is_known] + _ROUNDING_M2 * np.eye(error.shape[-1])
-    sizes[is_known] = np.sqrt(np.sum(e * np.linalg.solve(S, e[..., None])[..., 0], axis=-1))
+    e, V = error[is_known], covariance[is_known] + _ROUNDING_M2 * np.eye(error.shape[-1])
+    sizes[is_known] = np.sqrt(np.sum(e * np.linalg.solve(V, e[..., None])[..., 0], axis=-1))
     return sizes

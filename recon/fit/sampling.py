@@ -71,7 +71,9 @@ def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int
             with_noise_about_bias(problem, estimate, variance_factor), estimate, variance_factor
         )
         white = rng.normal(size=(*states.shape, count))
-        common_steps = problem_curvature.root @ rng.normal(size=(len(problem_curvature.root), count))
+        common_steps = problem_curvature.covariance_root @ rng.normal(
+            size=(len(problem_curvature.covariance_root), count)
+        )
         first = segment.rows.start
         for window, by_others, by_size in problem_curvature.windows():
             rows, factor_rows = window.rows, slice(window.rows.start, window.rows.start + len(window.whitened))

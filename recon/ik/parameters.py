@@ -184,7 +184,7 @@ def _in_range(
     value = float(np.exp(refined if cost(refined) < cost(grid[i]) else grid[i]))
     (low, high), (name, unit), note = RANGE, called, ""
     if i == 0 and name == "lambda":
-        # Because dx is J dq, damping adds a term sum((1 - s^2 / (s^2 + lambda^2))^2 ...) to the error of the least norm.
+        # Because dx is J dq, damping adds sum((1 - s^2 / (s^2 + lambda^2))^2 ...) to the error of the least norm.
         note = "lambda is 0: damping only reduces the rates of the least-norm method, which are too small already"
     elif i in (0, len(grid) - 1):
         note = f"{name} at the edge of {low:g} to {high:g} {unit}"
