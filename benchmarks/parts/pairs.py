@@ -1,15 +1,15 @@
-"""Pairs of cameras as calibrated, and with the second one turned: errors, intervals and verdicts of `recon fit`.
+"""Pairs of cameras as calibrated, and with one of them turned: errors, intervals and verdicts of `recon fit`.
 
-    python benchmarks/parts/pairs.py [--jobs 2] [--pairs 2] [--degrees 0 1 3 6] [--cameras two one all]
+    python benchmarks/parts/pairs.py [--jobs 2] [--pairs 2] [--degrees 0 1 3 6] [--turned second] [--cameras two]
 
 The cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data. Two: the named camera of each run with `--pairs` others,
-those with the most detections; by default with all others. The second camera is turned about a random axis through its
-centre. One: the named camera; all: all cameras of a run, both untouched. Fits are those of `recon fit --fast`, with
-other settings by --set.
+those with the most detections; by default with all others. One of the two is turned through its centre, about each of
+its axes (tilt, pan, roll) in a fit of its own. One: the named camera; all: all cameras of a run, both untouched. Fits
+are those of `recon fit --fast`, with other settings by --set.
 
-Columns: how many fits refined the second camera; means over the fits of the errors of pose and position; the share of
-the joints' coordinates in the world inside 90 % intervals, of all fits and of the worst; and the verdicts. Then, the
-fits of untouched cameras that are "do not use", with the findings that say why. One thread for each job.
+Columns: how many fits refined a camera; means over the fits of the errors of pose and position; the share of the
+joints' coordinates in the world inside 90 % intervals, of all fits and of the worst; and the verdicts. Then, the fits
+of untouched cameras that are "do not use", with the findings that say why. One thread for each job.
 """
 
 from __future__ import annotations
@@ -18,11 +18,13 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import argparse
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -59,32 +61,50 @@ class Outcome:
     """Codes of errors and warnings."""
 
 
-def turned(degrees: float, settings: dict[str, str]) -> Callable[[Clip, Given], Given]:
-    """Return the change that turns a camera about a random axis."""
+@dataclass(frozen=True, eq=False)
+class Task:
+    """One fit: its cameras, and by how much one of two is turned."""
+
+    label: str
+    clip: Clip
+    degrees: float = 0.0
+    axis: int = 0
+    """Axis of the camera about which it is turned."""
+    turned: str = "second"
+
+
+AXES = "tilt", "pan", "roll"
+"""Turns about a camera's x, y and z."""
+
+
+def turn(task: Task, settings: dict[str, str]) -> Callable[[Clip, Given], Given]:
+    """Return the change that turns one camera of a pair, and gives every fit its settings."""
+    turned_camera = task.clip.cameras[-1 if task.turned == "second" else 0]
 
     def change(clip: Clip, given: Given) -> Given:
-        axis = np.random.default_rng(sum(map(ord, "".join(clip.cameras)))).normal(size=3)
-        turn = Rotation.from_rotvec(np.radians(degrees) * axis / np.linalg.norm(axis)).as_matrix()
-        camera = given.camera
-        assert camera.rotation is not None
-        assert camera.translation_m is not None
-        camera = replace(camera, rotation=turn @ camera.rotation, translation_m=turn @ camera.translation_m)
-        return replace(given, camera=camera, told={"fast": True} | settings)
+        given = replace(given, told={"fast": True} | settings)
+        if given.camera.name != turned_camera:
+            return given
+        by = Rotation.from_rotvec(np.radians(task.degrees) * np.eye(3)[task.axis]).as_matrix()
+        return given.turned(by)
 
     return change
 
 
-def tasks(cameras: Sequence[str], pairs: int | None, degrees: Sequence[float]) -> Iterator[tuple[str, Clip, float]]:
-    """Yield the label, the clip and the turn of each fit."""
+def tasks(options: argparse.Namespace) -> Iterator[Task]:
+    """Yield the fits that the command line asks for."""
     for run in runs_of(recordings("cheetah-runs")):
         names = cameras_of(run)
-        others = sorted(names[1:], key=partial(detections, run), reverse=True)[:pairs]
-        if "two" in cameras:
-            for angle in degrees:
-                label = f"two, the second turned by {angle:g}°" if angle else "two"
-                yield from ((label, Clip(run, (names[0], name)), angle) for name in others)
-        yield from (("one", Clip(run, (names[0],)), 0.0) for label in cameras if label == "one")
-        yield from (("all", Clip(run, tuple(names)), 0.0) for label in cameras if label == "all")
+        others = sorted(names[1:], key=partial(detections, run), reverse=True)[: options.pairs]
+        pairs = [Clip(run, (names[0], name)) for name in others]
+        if "two" in options.cameras:
+            if 0 in options.degrees:
+                yield from (Task("two", pair) for pair in pairs)
+            for degrees, turned in product([d for d in options.degrees if d], options.turned):
+                label = f"two, the {turned} turned by {degrees:g}°"
+                yield from (Task(label, pair, degrees, axis, turned) for pair in pairs for axis in range(3))
+        yield from (Task("one", Clip(run, (names[0],))) for label in options.cameras if label == "one")
+        yield from (Task("all", Clip(run, tuple(names))) for label in options.cameras if label == "all")
 
 
 def detections(run: Path, camera: str) -> int:
@@ -92,14 +112,12 @@ def detections(run: Path, camera: str) -> int:
     return int(np.isfinite(Clip(run, (camera,)).given(camera).xy_px[..., 0]).sum())
 
 
-def outcome(settings: dict[str, str], task: tuple[str, Clip, float]) -> Outcome | None:
+def outcome(settings: dict[str, str], task: Task) -> Outcome | None:
     """Fit a clip; None if it is refused or has no pose."""
-    label, clip, degrees = task
+    clip = task.clip
     with tempfile.TemporaryDirectory() as folder:
         try:
-            motion, given = fitted(
-                clip, Case(turned(degrees, settings), both=len(clip.cameras) != 2, two=True), Path(folder)
-            )
+            motion, given = fitted(clip, Case(turn(task, settings), both=True, two=True), Path(folder))
         except InputError:
             return None
     off_m = motion.joints_m - truth_on(clip, given, motion)
@@ -112,22 +130,26 @@ def outcome(settings: dict[str, str], task: tuple[str, Clip, float]) -> Outcome 
     serious = tuple(sorted({item.code for item in motion.findings if item.severity != "note"}))
     is_refined = any(item.code in PAIR_REFINED for item in motion.findings)
     name = f"{clip.run.name}, {' + '.join(clip.cameras)}"
-    return Outcome(label, name, is_refined, pose_mm, 1000 * position_m, inside, motion.verdict.level, serious)
+    if task.degrees:
+        name += f", {AXES[task.axis]}"
+    return Outcome(task.label, name, is_refined, pose_mm, 1000 * position_m, inside, motion.verdict.level, serious)
 
 
 def main() -> None:
     """Print a row for each kind of cameras, and the fits that are not to be used."""
     parser = parser_of(__doc__, "--jobs", "--set")
     parser.add_argument("--pairs", type=int, help="only so many pairs of each run")
+    parser.add_argument("--turned", nargs="+", choices=["second", "first"], default=["second"], help="of two cameras")
+    parser.add_argument("--every", action="store_true", help="print every fit")
     parser.add_argument("--degrees", nargs="+", type=float, default=[0.0, 1.0, 3.0, 6.0])
     parser.add_argument("--cameras", nargs="+", choices=["one", "two", "all"], default=["one", "two", "all"])
     options = parser.parse_args()
-    every_task = [*tasks(options.cameras, options.pairs, options.degrees)]
+    every_task = [*tasks(options)]
     with ProcessPoolExecutor(options.jobs) as pool:
         outcomes = [*pool.map(partial(outcome, settings_of(options)), every_task)]
     fits = [fit for fit in outcomes if fit is not None]
     rows = []
-    for label in dict.fromkeys(label for label, _, _ in every_task):
+    for label in dict.fromkeys(task.label for task in every_task):
         of_label = [fit for fit in fits if fit.label == label]
         if not of_label:
             continue
@@ -137,6 +159,20 @@ def main() -> None:
         shares = f"{np.mean(inside):.0%}, {min(inside):.0%}"
         rows.append([label, len(of_label), sum(fit.is_refined for fit in of_label), *means, shares, levels])
     print_table(COLUMNS, rows)
+    if options.every:
+        cells = [
+            (
+                f.label,
+                f.name,
+                f"{f.pose_mm:.0f}",
+                f"{f.position_mm:.0f}",
+                f"{f.inside:.0%}",
+                f.level,
+                ", ".join(f.codes),
+            )
+            for f in fits
+        ]
+        print_table(("cameras", "fit", "pose, mm", "position, mm", "inside", "verdict", "findings"), cells)
     untouched = [fit for fit in fits if "turned" not in fit.label and fit.level == LEVELS[0]]
     print_table(
         ("do not use", "pose, mm", "findings"), [(f.name, f"{f.pose_mm:.0f}", ", ".join(f.codes)) for f in untouched]

@@ -72,6 +72,8 @@ def fit_clip(settings: FitSettings, progress: Progress = silent) -> Motion:
     fit = _solve_first(inputs, options, partial(solve, progress=solving))
     fit = _solve_again_with_fixed_cameras(fit, solve, settings.lengths_known)
     fit = _refine_pair(fit, inputs, settings)
+    if fit.options.refine_cameras and not options.refine_cameras:
+        solve = partial(_solve_near, inputs, fit.solution)
     began = time.perf_counter()
     checking = _part_of(progress, CHECKS_BEGIN, 1.0)
     checking("gross outliers", 0.0)
@@ -147,6 +149,14 @@ def _solve(
     path_m = belt_path_m(solution, sources[0].keypoints.frames / inputs.fps, belt_speed_m_s)
     views = views_from_belt(views, path_m)
     return solve_trajectory(views, inputs.body, inputs.prior, inputs.fps, options, progress)
+
+
+def _solve_near(
+    inputs: ClipInputs, start: TrajectorySolution, sources: tuple[Source, ...], options: TrajectoryOptions
+) -> TrajectorySolution:
+    """Solve for the motion from the sources, beginning at a solution for nearly the same keypoints."""
+    views = views_of(sources)
+    return solve_trajectory(views, inputs.body, inputs.prior, inputs.fps, options, start=start)
 
 
 def _solve_first(inputs: ClipInputs, options: TrajectoryOptions, solve: Solve) -> _Fit:

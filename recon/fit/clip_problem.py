@@ -149,6 +149,10 @@ class ClipProblem:
         scale = constants.KNOWN_SHAPE_SCALE if self.detector_is_measured else constants.FIRST_SHAPE_SCALE
         return replace(self, shape=FreeShape.of_body(self.body), shape_scale=scale)
 
+    def without_ground(self) -> ClipProblem:
+        """Return the problem without assumptions about the feet."""
+        return replace(self, options=replace(self.options, ground="none"))
+
     @property
     def detector_is_measured(self) -> bool:
         """Return whether the position and the noise of the detector's keypoints are known."""

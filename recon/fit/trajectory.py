@@ -221,6 +221,8 @@ def _solve_segments_from(clip: ClipProblem, start: TrajectorySolution) -> list[S
     """
     states = clip.nominal(start.states, start.size)
     shared = {SIZE: np.array([start.size])} if clip.shows_size else {}
+    if clip.options.refine_cameras:
+        shared |= {extrinsic_correction(i): start.extrinsic_correction[i] for i in range(1, len(clip.views))}
     weights = {(part.rows.start, part.rows.stop): part.prior_weight for part in start.segments}
     segments = []
     for rows in _segments(clip.present().sum(axis=1) >= MIN_JOINTS, clip.fps):
@@ -231,7 +233,10 @@ def _solve_segments_from(clip: ClipProblem, start: TrajectorySolution) -> list[S
         estimate = Estimate(states[rows], np.inf, 0, False, shared)
         part = replace(part, prior_weight=weight)
         segment = replace(SegmentFit.unsolved(part, rows, estimate), noise_px=start.noise_px[:, rows])
-        segment = _solve_with_noise(part, segment)
+        if part.options.refine_cameras:
+            segment = _solve_round(part, _solve_with_noise(part.without_ground(), segment))
+        else:
+            segment = _solve_with_noise(part, segment)
         segments.append(replace(segment, prior_weight=weight))
     return segments
 
@@ -319,6 +324,8 @@ def _solve_segment(clip: ClipProblem, rows: slice, progress: Progress) -> Segmen
     segment = _solve_flattened(clip, SegmentFit.unsolved(clip, rows, estimate), temperatures)
     rounds_began = STARTS_END + (ROUNDS_END - STARTS_END) * FLATTENED_SHARE
     progress("whole clip", rounds_began)
+    if options.refine_cameras:  # the ground under a motion seen by misplaced cameras would keep them misplaced
+        segment = _solve_round(replace(clip.without_ground(), shape=None), segment)
     for i in range(rounds):
         is_last = i == rounds - 1
         keeps_shape = i == 0 and clip.detector_is_measured  # the solution is close to the expected shape
