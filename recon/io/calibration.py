@@ -88,12 +88,27 @@ def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None
         raise InputError(Problem(path, "format", program, f"one of: {titles('cameras')}"))
     reader = recognised(path, "cameras")
     if reader is None:
-        parse_json(read_calibration(path), path)
-        raise InputError(Problem(path, "format", "JSON of another kind", f"one of: {titles('cameras')}"))
+        keys = _keys_text(parse_json(read_calibration(path), path))
+        raise InputError(Problem(path, "format", f"JSON of another kind{keys}", f"one of: {titles('cameras')}"))
     return cameras_of(reader.read(path), path, image_size_px)
 
 
+def _keys_text(document: object) -> str:
+    """Return the keys of a document, and of the tables in it, for a message."""
+    entries = document.items() if isinstance(document, dict) else [("", document)]
+    text = ", ".join(f"{key}{_inner_keys(value)}".strip() for key, value in entries)
+    return f"; it has {text[:KEYS_SHOWN]}" if text else ""
+
+
+def _inner_keys(value: object) -> str:
+    """Return the keys of a table, or of the first table of a list, in brackets."""
+    table = value[0] if isinstance(value, list) and value else value
+    return f" ({', '.join(map(str, table))})" if isinstance(table, dict) else ""
+
+
 _OTHER_PROGRAMS = (
+    (r'"(ppx|ppy)"', "intrinsics of a RealSense camera; their lens model is the inverse of OpenCV's"),
+    (r'"(IntrinsicMatrix|RadialDistortion|RDistort)"', "MATLAB's camera parameters, whose matrix is transposed"),
     (r'"(fl_x|camera_angle_x|transform_matrix)"', "nerfstudio's transforms.json, whose poses are from camera to world"),
     (r"(?i)<(qualisys|qtm)|<calibration[^>]*(created|qtm)", "a calibration of Qualisys"),
     (r"<Camera [^>]*DEVICEID", "a calibration of Vicon"),
@@ -232,7 +247,10 @@ def _camera(record: CameraRecord, number: int, path: Path, image_size_px: tuple[
             faults[field] = f"nothing; the file has {', '.join(record.keys)[:KEYS_SHOWN]}", faults[field][1]
     if "matrix" in faults and _is_transposed(arguments["matrix"]):
         matrix_text, expected = faults["matrix"]
-        faults["matrix"] = f"{matrix_text}with the principal point in its last row", f"its transpose: {expected}"
+        faults["matrix"] = (
+            f"{matrix_text.strip()} with the principal point in its last row",
+            f"its transpose: {expected}",
+        )
     if faults or camera is None:
         keys = {field: record.location + record.called.get(field, field) for field in faults}
         raise InputError(Problem(path, keys[field], *fault) for field, fault in faults.items())

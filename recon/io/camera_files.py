@@ -31,7 +31,7 @@ from recon.base.errors import InputError, Problem
 from recon.base.files import write_text
 from recon.geometry.camera import Camera
 from recon.geometry.lens import LENS_MODELS, lens_named
-from recon.io.calibration import FORMAT, VERSION, CameraRecord, read_calibration
+from recon.io.calibration import FORMAT, KEYS_SHOWN, VERSION, CameraRecord, read_calibration
 from recon.io.common import number
 
 if TYPE_CHECKING:
@@ -51,15 +51,29 @@ ALIASES = {
     "image_size_px": ("size", "camera_resolution", "image_size_px", "image_size", "imageSize", "resolution"),
     "model": ("distortion_model",),
 }
-"""Keys of each field in other programs."""
+"""Keys of each field in other programs, which may also be written with other capitals, blanks, or underscores."""
+FOCAL_KEYS = ("fx", "fy", "cx", "cy")
+"""Keys of a camera matrix in single numbers."""
+COEFFICIENT_KEYS = ("k1", "k2", "p1", "p2", "k3")
+"""Keys of radial-tangential coefficients in single numbers, in OpenCV's order."""
+POSE_KEYS = (
+    *("extrinsics", "extrinsic", "extrinsic_matrix", "world_to_camera", "world2cam", "w2c", "RT", "view_matrix"),
+    *("camera_to_world", "cam2world", "c2w", "pose", "camera_pose", "transform", "transform_matrix"),
+)
+"""Keys of a pose in one matrix, whose direction differs between programs."""
 LENS_KEYS = (
     *("distortion_model", "camera_model", "projection_model", "distortion_type", "lens_model", "model", "lens"),
-    *("camera_type", "projection"),
+    *("camera_type", "projection", "lens_type", "model_type", "projection_type", "type"),
 )
 """Keys under which files state a lens model."""
 STRICT_LENS_KEYS = LENS_KEYS[:5]
 """Keys whose value can only be a lens model; the values of other keys can also name a product."""
-FISHEYE_KEYS = ("fisheye", "fisheye_model", "is_fisheye")
+FISHEYE_KEYS = ("fisheye", "fisheye_model", "is_fisheye", "use_fisheye")
+SIZE_KEYS = (
+    ("image_width", "width", "img_width", "frame_width"),
+    ("image_height", "height", "img_height", "frame_height"),
+)
+"""Keys of the picture's width, and of its height."""
 _PERSPECTIVE = ("pinhole", "perspective")
 """Values of a camera model that do not describe the lens distortion."""
 _OTHER_LENS = re.compile(r"fish|omni|equi|kannala|brandt|mei|thin|division|unified|fov", re.IGNORECASE)
@@ -83,14 +97,67 @@ def record_of(name: object, location: str, table: Mapping[str, Any], **changes: 
 
     The lens is the stated lens, otherwise radial-tangential.
     """
-    called = {field: next((key for key in keys if key in table), keys[0]) for field, keys in ALIASES.items()}
+    called = {field: key_in(table, keys) or keys[0] for field, keys in ALIASES.items()}
     values = {field: table.get(key) for field, key in called.items()}
+    if values["image_size_px"] is None:
+        values["image_size_px"] = size_in(table)
+    if values["matrix"] is None:
+        values |= _of_single_numbers(table, values["distortion"])
     key, model = stated_lens(table)
     called["model"] = key
     values |= {"model": model or "radtan", "world_z_up": False} | changes
     if called["matrix"] == "intrinsicMatrix":  # JARVIS has MATLAB's matrices, whose rows are points
         values |= {field: transposed(values[field]) for field in ("matrix", "rotation")}
     return CameraRecord(name, location, values, called, keys=tuple(map(str, table)))
+
+
+def plain_key(key: object) -> str:
+    """Return a key in lower case, without blanks, underscores and dashes."""
+    return re.sub(r"[ _-]", "", str(key)).lower()
+
+
+def key_in(table: Mapping[str, Any], keys: Sequence[str]) -> str | None:
+    """Return the table's key for the first of some keys that it has, however that is written, or None."""
+    exact = next((key for key in keys if key in table), None)
+    if exact is not None:
+        return exact
+    written = {plain_key(key): key for key in table}
+    return next((written[plain_key(key)] for key in keys if plain_key(key) in written), None)
+
+
+def size_in(table: Mapping[str, object]) -> list[object] | None:
+    """Return the picture's width and height if a table has them as two numbers."""
+    keys = [key_in(table, names) for names in SIZE_KEYS]
+    return None if None in keys else [table[key] for key in keys if key is not None]
+
+
+def has_matrix(table: Mapping[str, Any]) -> bool:
+    """Return whether a table has a camera matrix, as a block or in single numbers."""
+    return key_in(table, ALIASES["matrix"]) is not None or {*FOCAL_KEYS} <= table.keys()
+
+
+def _of_single_numbers(table: Mapping[str, Any], distortion: object) -> dict[str, Any]:
+    """Return the matrix of fx, fy, cx, cy, and the coefficients k1, k2, p1, p2, k3 unless a block has them."""
+    if not {*FOCAL_KEYS} <= table.keys():
+        return {}
+    fx, fy, cx, cy = (table[key] for key in FOCAL_KEYS)
+    values: dict[str, Any] = {"matrix": [[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]}
+    if distortion is None and {"k1", "k2"} <= table.keys() and not {"k4", "k5", "k6"} & table.keys():
+        values["distortion"] = [table.get(key, 0.0) for key in COEFFICIENT_KEYS]
+    return values
+
+
+def require_separate_pose(path: Path, table: Mapping[str, Any], record: CameraRecord) -> None:
+    """Raise InputError for a pose in one matrix, which may be from world to camera or the other way round."""
+    if record.values["rotation"] is not None or record.values["translation_m"] is not None:
+        return
+    key = key_in(table, POSE_KEYS)
+    value = (
+        np.asarray(_block(table[key])) if key is not None and isinstance(table[key], list | Mapping) else np.zeros(0)
+    )
+    if key is not None and value.size in (12, 16):
+        expected = "R and t, world to camera; for a matrix from camera to world, those of its inverse"
+        raise InputError(Problem(path, f"{record.location}{key}", "a pose in one matrix", expected))
 
 
 def stated_lens(table: Mapping[str, Any]) -> tuple[str, str | None]:
@@ -100,15 +167,17 @@ def stated_lens(table: Mapping[str, Any]) -> tuple[str, str | None]:
     lens.
     """
     stated: dict[str, str] = {}
-    for key in LENS_KEYS:
-        text = table.get(key)
-        if not isinstance(text, str) or text.lower() in _PERSPECTIVE:
+    for name in LENS_KEYS:
+        key = key_in(table, (name,))
+        text = table[key] if key is not None else None
+        if key is None or not isinstance(text, str) or text.lower() in _PERSPECTIVE:
             continue
         known = lens_named(text.lower())
-        if known is not None or key in STRICT_LENS_KEYS or _OTHER_LENS.search(text):
+        if known is not None or name in STRICT_LENS_KEYS or _OTHER_LENS.search(text):
             stated[key] = known or text
-    for key in FISHEYE_KEYS:
-        if table.get(key):
+    for name in FISHEYE_KEYS:
+        key = key_in(table, (name,))
+        if key is not None and table[key]:
             stated[key] = "fisheye"
     if len({*stated.values()}) > 1:
         return ", ".join(stated), " and ".join(stated.values())
@@ -133,19 +202,30 @@ def read_anipose(path: Path, individual: str | None = None) -> list[CameraRecord
     """Return the cameras of an Anipose or Pose2Sim TOML file; raise InputError."""
     document = parse_toml(read_calibration(path), path)
     expected = f'[camera] with format = "{FORMAT}", or one table per camera as Anipose and Pose2Sim write'
-    known, records = {key for keys in ALIASES.values() for key in keys}, []
+    records = []
     if isinstance(document.get("cameras"), dict):  # Caliscope: a camera without a calibration has only its size
         inside = document["cameras"]
         named = {f"cam_{key}" if str(key).isdigit() else key: table for key, table in inside.items()}
         document = {key: t for key, t in named.items() if not isinstance(t, dict) or t.get("matrix") is not None}
     # other tables are metadata, or the file is about something else
-    tables = {key: table for key, table in document.items() if isinstance(table, dict) and known & table.keys()}
-    for section, table in _tables(path, tables, expected).items():
+    tables = {key: table for key, table in document.items() if isinstance(table, dict) and has_camera_key(table)}
+    if not tables:
+        inside = (f"{key}: {', '.join(table)}" if isinstance(table, dict) else key for key, table in document.items())
+        detail = f"no table of a camera; the file has {'; '.join(inside)[:KEYS_SHOWN]}"
+        raise InputError(Problem(path, "cameras", detail, expected))
+    for section, table in tables.items():
         coefficients = table.get("distortions")
         if isinstance(coefficients, list) and len(coefficients) == 1:
             table = table | {"distortions": coefficients + [0.0] * 3}  # k1 alone; the others were not estimated
-        records.append(record_of(table.get("name", section), f"{section}.", table))
+        record = record_of(table.get("name", section), f"{section}.", table)
+        require_separate_pose(path, table, record)
+        records.append(record)
     return records
+
+
+def has_camera_key(table: Mapping[str, Any]) -> bool:
+    """Return whether a table has a value of a camera."""
+    return has_matrix(table) or any(key_in(table, keys) is not None for keys in ALIASES.values())
 
 
 # -- AcinoSet ----------------------------------------------------------------------------------------------------------
@@ -263,21 +343,29 @@ def _of_numbers(model: str, n: dict[str, float]) -> dict[str, Any]:
 
 def recognises_opencv(path: Path) -> bool:
     """Return whether a file is OpenCV's or ROS' YAML, XML or JSON."""
-    keys = "opencv-matrix|camera_matrix|cameraMatrix|K"
-    return _is(path, (".yaml", ".yml", ".xml")) or _is(path, (".json",), f'"({keys})"')
+    if _is(path, (".yaml", ".yml", ".xml")) or _is(path, (".json",), '"opencv-matrix"'):
+        return True
+    if path.suffix.lower() != ".json":
+        return False
+    try:
+        document = parse_json(read_calibration(path), path)
+    except InputError:
+        return False
+    return isinstance(document, dict) and has_matrix(document)
 
 
 def read_opencv(path: Path, individual: str | None = None) -> list[CameraRecord]:
     """Return the camera of an OpenCV or ROS file; raise InputError."""
     document = document_of(path)
-    size = [document.get(f"image_{side}", document.get(side)) for side in ("width", "height")]
     stated: dict[str, Any] = {"world_z_up": bool(document.get("world_z_up", False))}
-    if None not in size:
+    size = size_in(document)
+    if size is not None:
         stated["image_size_px"] = size
-    if "R" in document and not {"T", "translation", "tvec"} & document.keys():
+    if key_in(document, ("R",)) is not None and key_in(document, ALIASES["translation_m"]) is None:
         stated["rotation"] = None  # ROS: the rectification, not a pose
     record = record_of(document.get("camera_name"), "", document, **stated)
     require_lens(path, document, record)
+    require_separate_pose(path, document, record)
     return [_of_region(path, document, record)]
 
 
@@ -298,7 +386,7 @@ def require_lens(path: Path, document: Mapping[str, Any], record: CameraRecord) 
     value = record.values["distortion"]
     coefficients = np.asarray(value["data"] if isinstance(value, Mapping) and "data" in value else value)
     ambiguous = coefficients.size == 4 and coefficients.dtype.kind in "iuf" and coefficients.any()
-    if ambiguous and stated_lens(document)[1] is None and not {*FISHEYE_KEYS} & document.keys():
+    if ambiguous and stated_lens(document)[1] is None and key_in(document, FISHEYE_KEYS) is None:
         detail = "4 coefficients but no lens model: radtan and fisheye lenses both have 4"
         expected = "distortion_model: plumb_bob (radtan) or equidistant (fisheye) in the file"
         raise InputError(Problem(path, record.location + record.called["distortion"], detail, expected))

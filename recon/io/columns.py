@@ -30,7 +30,7 @@ from recon.io import common, writing
 from recon.io.common import Pose3D, StoredPoints
 from recon.io.deeplabcut import points_of_table
 from recon.io.formats import as_keypoints
-from recon.io.times import seconds, with_times
+from recon.io.times import seconds, since_first, with_times
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,7 +40,7 @@ Columns = Mapping[str, Any]
 """A table by column, as sequences of text cells or arrays of numbers."""
 ROLES: dict[str, tuple[str, ...]] = {
     "frame": ("frame", "frames", "frame_idx", "frame_index", "frame_id", "frame_number", "framenumber", "fnum"),
-    "time": ("time_s", "time", "seconds", "timestamp"),
+    "time": ("time", "times", "seconds", "timestamp", "timestamps", "t"),
     "bodypart": ("bodypart", "body_part", "keypoint", "node", "joint", "marker", "landmark", "part", "point", "name"),
     "individual": ("individual", "animal", "track", "track_id", "instance", "subject"),
     "x": ("x",),
@@ -52,8 +52,13 @@ ROLES: dict[str, tuple[str, ...]] = {
 """Roles of columns, with the names by which they are recognised, in lower case."""
 OF_POINTS = ("x", "y", "z", "likelihood")
 UNIT = r"(?:[ _]?[\[(]?(px|m|cm|mm)[\])]?)?"
-OF_PART = re.compile(rf"(.+?)[ _.:/-](?:([xyz]){UNIT}|({'|'.join(ROLES['likelihood'])}))", re.IGNORECASE)
+TIME_UNIT = r"(?:[ _]?[\[(]?(s|sec|ms|us|µs|ns)[\])]?)?"
+OF_PART = re.compile(
+    rf"(.+?)(?:[ _.:/-]| ?[\[(])(?:([xyz]){UNIT}|({'|'.join(ROLES['likelihood'])}))[\])]?", re.IGNORECASE
+)
 """Pattern of a column that belongs to one bodypart."""
+PART_LAST = re.compile(r"(?:([xyz])|(likelihood|confidence|score))[ _.:/-](.+)", re.IGNORECASE)
+"""Pattern of such a column with the bodypart behind the coordinate."""
 PART = "{bodypart}"
 VALUES_MAX, COLUMNS_MAX = 4 * common.POINTS_MAX, 10_000
 METADATA = b"recon"
@@ -128,10 +133,13 @@ def _by_name(column: str) -> _Meaning | None:
     """Return the meaning of a column whose name is in common use."""
     text = column.strip()
     for role, known in ROLES.items():
-        if match := re.fullmatch(f"(?:{'|'.join(known)}){UNIT if role in 'xyz' else '()'}", text.lower()):
+        unit = TIME_UNIT if role == "time" else UNIT if role in "xyz" else "()"
+        if match := re.fullmatch(f"(?:{'|'.join(known)}){unit}", text.lower()):
             return "", role, match[1] or None
-    match = OF_PART.fullmatch(text)
-    return (match[1], (match[2] or "likelihood").lower(), match[3]) if match else None
+    if match := OF_PART.fullmatch(text):
+        return match[1], (match[2] or "likelihood").lower(), match[3]
+    match = PART_LAST.fullmatch(text)
+    return (match[3], (match[1] or "likelihood").lower(), None) if match else None
 
 
 def _by_map(columns: Mapping[str, str]) -> Callable[[str], _Meaning | None]:
@@ -156,7 +164,7 @@ def recognises_long(path: Path) -> bool:
     """Return whether a file is a text table, long or wide, 2D or 3D, whose columns are recognised by name."""
     with path.open("rb") as file:
         first = file.readline(1 << 20)
-        if re.match(rb"(?i)(\xef\xbb\xbf)?sep=.\s*$", first):
+        if re.match(rb'(?i)(\xef\xbb\xbf)?"?sep=."?[,;\s]*$', first):
             first += file.readline(1 << 20)
     try:
         text = first.decode("utf-8-sig")
@@ -263,7 +271,12 @@ def gathered(path: Path, table: Columns, individual: str | None, column_map: Map
     fps = common.rate(rates.pop()) if len(rates) == 1 else None
     clock = role.get("frame", role.get("time", ""))
     stamps = seconds(table[clock][row] for row in rows) if "frame" not in role else None
-    ticks = cells_of(clock) if stamps is None else stamps
+    if stamps is None:
+        ticks = cells_of(clock)
+        time_unit = None if column_map is not None else (_by_name(clock) or ("", "", None))[2]
+        ticks = ticks if "frame" in role else since_first(ticks, time_unit)
+    else:
+        ticks = stamps
     for i in np.flatnonzero(np.isnan(ticks)):
         problems.append(Problem(path, f"line {rows[i] + 2}, {clock}", "nothing", "a frame number, or seconds"))
     raise_problems(common.first_problems(problems, path))

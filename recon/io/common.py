@@ -373,13 +373,14 @@ def require_span(frames: int, points: int, source: str | Path) -> None:
 
 # -- tables of text ----------------------------------------------------------------------------------------------------
 
-SEPARATORS = (",", ";", "\t")
+SEPARATORS = (",", ";", "\t", "|")
 Rows = Iterable[tuple[int, list[str]]]
 """Rows of a table, with their line numbers."""
 
 
-_SEPARATOR_LINE = re.compile(r"\s*sep=(.)\s*", re.IGNORECASE)
+_SEPARATOR_LINE = re.compile(r'\s*"?sep=(.)"?[\s,;]*', re.IGNORECASE)
 """First line that states the separator for Excel."""
+_BELOW_ONE = re.compile(r"\s*-?0,[0-9]+\s*")
 _DECIMAL_COMMA = re.compile(r"\s*[-+]?[0-9]*,[0-9]+(?:[eE][-+]?[0-9]+)?\s*")
 
 
@@ -394,8 +395,8 @@ def text_rows(path: Path, separator: str | None = None) -> Iterator[tuple[int, l
     """Yield the rows of a text table that are not blank, with their line numbers.
 
     By default the separator is the one stated in a line such as sep=; or else the most frequent of `SEPARATORS` in the
-    first line. If the separator is not a comma, commas in numbers are decimal commas, as Excel writes them in many
-    languages. Raises InputError for bytes that are not UTF-8, and for no table.
+    first line. If the separator is not a comma, or a number such as "0,93" is in quotes, commas in numbers are decimal
+    commas, as Excel writes them in many languages. Raises InputError for bytes that are not UTF-8, and for no table.
     """
     expected = "a table of text in UTF-8"
     with damage_named(path, expected, "text"), path.open(encoding="utf-8-sig", newline="") as file:
@@ -404,11 +405,15 @@ def text_rows(path: Path, separator: str | None = None) -> Iterator[tuple[int, l
             file.seek(0)
         separator = separator or header_separator
         rows, line = csv.reader(file, delimiter=separator), 0
+        has_decimal_commas = separator != ","
         try:
             for row in rows:
                 line = rows.line_num + skipped
                 if any(cell.strip() for cell in row):
-                    yield line, row if separator == "," else _with_decimal_points(row)
+                    # numbers below 1 in quotes, such as "0,93", are no thousands
+                    if not has_decimal_commas and "," in "".join(row):
+                        has_decimal_commas = any(map(_BELOW_ONE.fullmatch, row))
+                    yield line, _with_decimal_points(row) if has_decimal_commas else row
         except csv.Error as error:
             raise InputError(Problem(path, f"line {line + 1}", str(error), expected)) from None
 

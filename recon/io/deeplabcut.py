@@ -49,16 +49,48 @@ MIN_PARTS = 3
 def recognises_csv(path: Path) -> bool:
     """Return whether a text has DeepLabCut's header rows."""
     with path.open("rb") as file:
-        head = re.sub(rb"(?i)^sep=.[\r\n]+", b"", file.read(64).removeprefix(b"\xef\xbb\xbf"))
-    return re.match(rb'\s*"?\s*(scorer|individuals|bodyparts)\s*"?\s*([,;\t\r\n]|$)', head) is not None
+        head = re.sub(rb'(?i)^"?sep=."?[,;\s]*[\r\n]+', b"", file.read(64).removeprefix(b"\xef\xbb\xbf"))
+    return re.match(rb'[\s,;]*"?\s*(scorer|individuals|bodyparts)\s*"?\s*([,;|\t\r\n]|$)', head) is not None
 
 
 def read_csv(path: Path, individual: str | None = None) -> StoredPoints:
     """Return the points of one animal in a CSV file (see `points_of_table`); raise InputError."""
-    rows = common.text_rows(path)
+    rows = _without_blank_start(common.text_rows(path))
     header, index_columns = _read_header(path, rows)
     width = index_columns + len(next(iter(header.values())))
-    return points_of_rows(path, header, common.cut_blank(rows, width), index_columns, individual)
+    header, whole_rows = _without_blank_columns(header, common.cut_blank(rows, width), index_columns)
+    return points_of_rows(path, header, whole_rows, index_columns, individual)
+
+
+def _without_blank_start(rows: Iterator[tuple[int, list[str]]]) -> Iterator[tuple[int, list[str]]]:
+    """Yield rows without the blank columns before the first cell of the header."""
+    blank: int | None = None
+    for line, row in rows:
+        if blank is None:
+            blank = next((j for j, cell in enumerate(row) if cell.strip()), 0)
+        yield line, row[blank:] if not any(cell.strip() for cell in row[:blank]) else row
+
+
+def _without_blank_columns(
+    header: dict[str, list[str]], rows: common.Rows, index_columns: int
+) -> tuple[dict[str, list[str]], common.Rows]:
+    """Return the header, and the rows, without columns that are blank in all rows of the header.
+
+    A row with text in such a column stays as long as it is, which is a problem.
+    """
+    names = [*zip(*header.values(), strict=True)]
+    kept = [j for j, cells in enumerate(names) if any(map(str.strip, cells))]
+    if len(kept) == len(names):
+        return header, rows
+    blank = [index_columns + j for j in range(len(names)) if j not in {*kept}]
+    columns = [*range(index_columns), *(index_columns + j for j in kept)]
+
+    def shorter() -> Iterator[tuple[int, list[str]]]:
+        for line, row in rows:
+            is_whole = len(row) == index_columns + len(names) and not any(row[j].strip() for j in blank)
+            yield line, [row[j] for j in columns] if is_whole else row
+
+    return {level: [cells[j] for j in kept] for level, cells in header.items()}, shorter()
 
 
 def points_of_rows(
@@ -173,6 +205,12 @@ def points_of_table(
     if len(scorers) > 1 and len({*columns}) < len(columns):
         detail = f"points of {len(scorers)} scorers: {', '.join(scorers)[:120]}"
         raise InputError(Problem(path, "scorer", detail, "points of one scorer: delete the columns of the others"))
+    repeats = _equal_repeats(columns, values)
+    if repeats:
+        twice = ", ".join(dict.fromkeys(columns[j][1] for j in repeats))
+        notes += (f"Columns of {twice} are in the table more than once, with the same numbers: the first are read.",)
+        distinct = [j for j in range(len(columns)) if j not in repeats]
+        columns, values = [columns[j] for j in distinct], values[:, distinct]
     everyone = list(dict.fromkeys(animal for animal, _, _ in columns))
     animals = [name for name in everyone if name != UNIQUE_BODYPARTS] or everyone
     of_animal = {name: [j for j, column in enumerate(columns) if column[0] == name] for name in everyone}
@@ -213,6 +251,16 @@ def points_of_table(
     stored = StoredPoints(names, points, frames[order], likelihood, **extra)
     stored = common.one_animal(path, animal or None, stored, [animal] if animal else [])
     return common.without_zeros(stored) if in_space else stored
+
+
+def _equal_repeats(columns: Sequence[tuple[str, str, str]], values: np.ndarray) -> set[int]:
+    """Return the indices of columns whose name and numbers are those of an earlier column."""
+    first: dict[tuple[str, str, str], int] = {}
+    return {
+        j
+        for j, column in enumerate(columns)
+        if first.setdefault(column, j) != j and np.array_equal(values[:, j], values[:, first[column]], equal_nan=True)
+    }
 
 
 def _uncropped(path: Path, points: np.ndarray, likelihood: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -274,7 +322,8 @@ def _points(
     points = np.full((len(values), len(indices_of), 3), np.nan)
     for k, (bodypart, by_coord) in enumerate(indices_of.items()):
         if any(len(indices) > 1 for indices in by_coord.values()):
-            problems.append(Problem(path, f"bodypart {bodypart}", "more than one column of a kind", "one"))
+            detail = "more than one column of a kind, with different numbers"
+            problems.append(Problem(path, f"bodypart {bodypart}", detail, "one of each kind"))
         if lacking := [coord for coord in required if coord not in by_coord]:
             problems.append(Problem(path, f"bodypart {bodypart}", f"no {', '.join(lacking)}", ", ".join(required)))
         for i, coord in enumerate(coords):

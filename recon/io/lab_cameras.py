@@ -6,8 +6,8 @@
   `Rot_01` or `R_01` and `T_01`.
 - JARVIS: `intrinsicMatrix`, `distortionCoefficients`, `R`, `T` of one camera. Matrices are MATLAB's, whose rows are
   points, and are transposed here.
-- OpenCV's stereo files: `K1` (`M1`, `cameraMatrix1`), `D1`, `K2`, `D2`, and `R`, `T` from the first camera to the
-  second. The world is the first camera's frame.
+- OpenCV's stereo files: `K1` (`M1`, `cameraMatrix1`, `K_left`), `D1`, `K2`, `D2`, and `R`, `T` from the first camera
+  to the second. The world is the first camera's frame.
 
 No format states the unit of lengths or that z points up.
 """
@@ -24,11 +24,23 @@ import numpy as np
 from recon.base.documents import parse_json
 from recon.base.errors import InputError, Problem
 from recon.io.calibration import CameraRecord, read_calibration
-from recon.io.camera_files import ALIASES, document_of, record_of, require_lens
+from recon.io.camera_files import (
+    ALIASES,
+    document_of,
+    has_camera_key,
+    has_matrix,
+    key_in,
+    record_of,
+    require_lens,
+    require_separate_pose,
+    size_in,
+)
 
 EXTRINSICS = "extri.yml"
-_STEREO = re.compile(r"(?:K|M|cameraMatrix|camera_matrix|mtx)_?([12])")
-_STEREO_LENS = ("D", "distCoeffs", "dist_coeffs", "dist", "distortion_coefficients")
+_STEREO_ENDS = (("1", "2"), ("0", "1"), ("left", "right"), ("Left", "Right"), ("L", "R"), ("l", "r"))
+"""Ends of the keys of the first camera and of the second."""
+_STEREO_MATRIX = r"(?:K|M|cameraMatrix|camera_matrix|intrinsic_matrix|mtx)_?"
+_STEREO_LENS = ("D", "distCoeffs", "dist_coeffs", "dist", "distortion_coefficients", "distortion")
 
 
 # -- JSON with a table for each camera -----------------------------------------------------------------------------
@@ -52,6 +64,7 @@ def read_tables(path: Path, individual: str | None = None) -> list[CameraRecord]
     ]
     for record, (_, _, table) in zip(records, tables, strict=True):
         require_lens(path, table, record)
+        require_separate_pose(path, table, record)
     return records
 
 
@@ -66,13 +79,12 @@ def _tables_of(document: object) -> list[tuple[Any, str, Mapping[str, Any]]]:
     else:
         return []
     tables = [(n, location, table) for n, location, table in named if isinstance(table, Mapping)]
-    if not any({*ALIASES["matrix"]} & table.keys() for _, _, table in tables):
+    if not any(has_matrix(table) for _, _, table in tables):
         return []
-    known = {key for keys in ALIASES.values() for key in keys}
     return [
         (table.get("name", table.get("camera_name", name)), location, table)
         for name, location, table in tables
-        if known & table.keys()
+        if has_camera_key(table)
     ]
 
 
@@ -119,23 +131,31 @@ def recognises_stereo(path: Path) -> bool:
     """Return whether a file is an OpenCV file of two cameras."""
     if path.suffix.lower() not in (".yml", ".yaml", ".xml", ".json"):
         return False
-    text = read_calibration(path)
-    return all(re.search(rf"[<\"\s](?:K|M|cameraMatrix|camera_matrix|mtx)_?{i}[>\"\s:]", text) for i in (1, 2))
+    return _stereo_ends(read_calibration(path)) is not None
+
+
+def _stereo_ends(text: str) -> tuple[str, str] | None:
+    """Return the ends of the keys of two cameras in a text, or None for a file of another kind."""
+    for ends in _STEREO_ENDS:
+        if all(re.search(rf"[<\"\s]{_STEREO_MATRIX}{end}[>\"\s:]", f"\n{text}") for end in ends):
+            return ends
+    return None
 
 
 def read_stereo(path: Path, individual: str | None = None) -> list[CameraRecord]:
     """Return the two cameras of OpenCV's stereo file; raise InputError."""
-    document = document_of(path)
-    matrices = {match[1]: key for key in document if (match := _STEREO.fullmatch(key))}
-    size = [document.get(f"image_{side}", document.get(side)) for side in ("width", "height")]
-    poses = {"1": {"R": np.eye(3).tolist(), "T": [0.0, 0.0, 0.0]}, "2": {key: document.get(key) for key in "RT"}}
-    posed = None not in poses["2"].values()
+    document, ends = document_of(path), _stereo_ends(read_calibration(path))
+    matrices = [next((key for key in document if re.fullmatch(_STEREO_MATRIX + end, key)), "K") for end in ends or ()]
+    size = size_in(document) or document.get(key_in(document, ALIASES["image_size_px"]) or "")
+    fields = (("R", "rotation"), ("T", "translation_m"))
+    moved = {short: document.get(key_in(document, ALIASES[field]) or "") for short, field in fields}
+    poses = ({"R": np.eye(3).tolist(), "T": [0.0, 0.0, 0.0]}, moved) if None not in moved.values() else ({}, {})
     records = []
-    for number, key in sorted(matrices.items()):
-        lens = next((k for name in _STEREO_LENS for k in (f"{name}{number}", f"{name}_{number}") if k in document), "D")
-        table = {"K": document[key], "D": document.get(lens), **(poses[number] if posed else {})}
-        sized = document.get("image_size", document.get("imageSize")) if None in size else size
-        record = record_of(f"cam{number}", "", table, image_size_px=sized)
-        called = {**record.called, "matrix": key, "distortion": lens if lens in document else f"D{number}"}
+    for number, (key, end, pose) in enumerate(zip(matrices, ends or (), poses, strict=True), start=1):
+        lens = next((k for name in _STEREO_LENS for k in (f"{name}{end}", f"{name}_{end}") if k in document), "D")
+        table = {"K": document.get(key), "D": document.get(lens), **pose}
+        name = f"cam{end if end.isdigit() else number}"
+        record = record_of(name, "", table, image_size_px=size)
+        called = {**record.called, "matrix": key, "distortion": lens if lens in document else f"D{end}"}
         records.append(CameraRecord(record.name, "", record.values, called, keys=tuple(document)))
     return records

@@ -32,6 +32,10 @@ PHASE_SHARED = 0.5
 """Length of the mean direction of the times' phases above which the times share a phase."""
 _WINDOW = 16
 """Number of times from which the rate is first estimated."""
+PER_SECOND = {"ns": 1e9, "us": 1e6, "µs": 1e6, "ms": 1e3}
+"""Units of times other than seconds, and how many of them are a second."""
+EPOCH_S = 9e8, 1e10
+"""Range of time stamps in seconds since 1970, from the year 1998 on."""
 
 
 def frames_of_numbers(path: Path, numbers: np.ndarray) -> np.ndarray:
@@ -104,9 +108,36 @@ def nearest_frames(path: Path, times_s: np.ndarray, fps: float) -> np.ndarray:
     return frames.astype(np.int64)
 
 
+def since_first(times: np.ndarray, unit: str | None = None) -> np.ndarray:
+    """Return times in seconds, counted from the first one if they are stamps since 1970.
+
+    Parameters
+    ----------
+    times : (T,)
+        Times in a unit of `PER_SECOND`; NaN if unknown.
+    unit : str, optional
+        The unit that the file states; without one, times are seconds, and stamps since 1970 are in the unit that makes
+        them dates.
+    """
+    largest = float(np.nanmax(times)) if np.isfinite(times).any() else 0.0
+    is_stamp = {name: EPOCH_S[0] <= largest / by < EPOCH_S[1] for name, by in (PER_SECOND | {"s": 1.0}).items()}
+    if unit is None:
+        unit = next((name for name, is_date in is_stamp.items() if is_date), "s")
+    origin = float(np.nanmin(times)) if is_stamp.get(unit, False) else 0.0
+    return (times - origin) / PER_SECOND.get(unit, 1.0)
+
+
 def seconds(cells: Iterable[object]) -> np.ndarray | None:
-    """Return ISO 8601 time stamps as seconds after the first, or None if any cell is not a time stamp."""
-    stamps = [_stamp(str(cell).strip()) for cell in cells]
+    """Return ISO 8601 time stamps as seconds after the first, or None if any cell is not a time stamp.
+
+    Times of the day, as 00:01:02.500, are seconds after midnight.
+    """
+    texts = [str(cell).strip() for cell in cells]
+    clocks = [re.fullmatch(r"(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d+)?)", text) for text in texts]
+    if texts and all(clocks):
+        parts = [[float(part.replace(",", ".")) for part in clock.groups()] for clock in clocks if clock is not None]
+        return np.array(parts) @ [3600.0, 60.0, 1.0]
+    stamps = [_stamp(text) for text in texts]
     if not stamps or any(stamp is None for stamp in stamps):
         return None
     known = [stamp for stamp in stamps if stamp is not None]

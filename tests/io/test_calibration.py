@@ -399,6 +399,52 @@ class TestLayoutsOfLabs:
         np.testing.assert_array_equal(first.centre_world, [0, 0, 0])
         assert_camera(second, RADTAN, "radtan", posed=True, world_z_up=False)
 
+    @pytest.mark.parametrize(
+        "ends", [("_left", "_right"), ("0", "1"), ("L", "R")], ids=["left and right", "from 0", "letters"]
+    )
+    def test_ends_of_keys_of_stereo_files(self, write, ends):
+        """The size may be a list, and the translation `tvec`."""
+        values = {f"K{end}": K for end in ends} | {f"D{end}": RADTAN for end in ends}
+        first, second = read_cameras(write("a.json", {**values, "R": R.tolist(), "tvec": T, "image_size": SIZE}))
+        np.testing.assert_array_equal(first.centre_world, [0, 0, 0])
+        assert_camera(second, RADTAN, "radtan", posed=True, world_z_up=False)
+
+    @pytest.mark.parametrize(
+        "values",
+        [
+            {"mtx": K, "dist": [RADTAN], "width": 1920, "height": 1080},
+            {"Camera Matrix": K, "DistCoeffs": RADTAN, "image_Width": 1920, "image_Height": 1080},
+            {"fx": K[0][0], "fy": K[1][1], "cx": K[0][2], "cy": K[1][2], "size": SIZE}
+            | dict(zip(("k1", "k2", "p1", "p2", "k3"), RADTAN, strict=True)),
+        ],
+        ids=["numpy", "capitals", "single numbers"],
+    )
+    def test_other_spellings_of_keys(self, write, values):
+        assert_camera(read_camera(write("a.json", values)), RADTAN, "radtan", world_z_up=False)
+
+    def test_rotation_without_translation_is_a_rectification(self, write):
+        """ROS 2 writes the keys of camera_info in lower case."""
+        values = {
+            "k": np.ravel(K).tolist(),
+            "d": RADTAN,
+            "r": np.eye(3).ravel().tolist(),
+            "width": 1920,
+            "height": 1080,
+        }
+        assert not read_camera(write("a.json", values | {"distortion_model": "plumb_bob"})).has_extrinsics
+        posed = read_camera(write("b.json", {"K": K, "D": RADTAN, "size": SIZE, "R": R.tolist(), "t": T}))
+        assert_camera(posed, RADTAN, "radtan", posed=True, world_z_up=False)
+
+    @pytest.mark.parametrize("key", ["extrinsics", "camera_to_world"])
+    @pytest.mark.parametrize("name", ["a.json", "cameras.json", "a.toml"])
+    def test_a_pose_in_one_matrix_is_not_left_out(self, write, key, name):
+        """Its direction differs between programs."""
+        pose = np.vstack([np.column_stack([R, T]), [0, 0, 0, 1]]).tolist()
+        table = {"matrix": K, "distortions": RADTAN, "size": SIZE, key: pose}
+        alone = name == "a.json"
+        field = key if alone else f"A.{key}"
+        refuses(write(name, table if alone else {"A": table}), (field, "one matrix", "world to camera"))
+
     @pytest.mark.parametrize("by_name", [False, True])
     def test_tables_in_json(self, write, by_name):
         """As CMU Panoptic's: a stated lens counts, and only AcinoSet's own keys mean a fisheye and z up."""
@@ -417,6 +463,9 @@ class TestLayoutsOfLabs:
             ("lens", "Fisheye", "fisheye"),
             ("distortion_type", "equidistant", "fisheye"),
             ("model", "radtan", "radtan"),
+            ("lens_type", "fisheye", "fisheye"),
+            ("cameraModel", "FISHEYE", "fisheye"),
+            ("isFisheye", True, "fisheye"),
         ],
     )
     def test_a_lens_under_any_of_its_keys(self, write, key, value, model):
@@ -461,6 +510,8 @@ class TestLayoutsOfLabs:
         found = "the file has image_width, image_height, Kmat"
         fields = ("matrix", "distortions")
         refuses(write("a.yml", opencv_text(".yml", **values)), *((field, found) for field in fields))
+        refuses(write("a.json", {"cameras": [{"f": 1, "lens": 2}]}), ("format", ["another kind", "cameras (f, lens)"]))
+        refuses(write("a.toml", {"rig": {"f": 1}}), ("cameras", "the file has rig: f"))
 
 
 class TestMalformed:

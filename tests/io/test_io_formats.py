@@ -538,6 +538,8 @@ TABLE = ["scorer,net,net,net,net", "bodyparts,nose,nose,tail,tail", "coords,x,y,
         lambda text: "sep=;\r\n" + text.replace(",", ";"),
         lambda text: text.replace(",", "\t").replace(".", ","),
         lambda text: text.replace("\n", ",,\n"),
+        lambda text: '"sep=;"\n' + text.replace(",", ";"),
+        lambda text: text.replace(",", "|"),
     ],
 )
 @pytest.mark.parametrize("wide", [False, True])
@@ -571,6 +573,57 @@ def test_a_column_that_is_repeated(tmp_path):
     path.write_text("frame,nose_x,nose_y,nose_x\n0,1,2,0\n1,3,4,1\n")
     with refusal((path, "header", "column 'nose_x' more than once", "columns of this name differ")):
         read_keypoints(path)
+
+
+def test_blank_and_repeated_columns_of_deeplabcuts_tables(tmp_path):
+    """Blank columns anywhere are left out, equal columns read once, and a number below 1 in quotes has a decimal
+    comma."""
+    path = tmp_path / "a.csv"
+    rows = [
+        ",scorer,net,,net,net",
+        ",bodyparts,nose,,nose,nose",
+        ",coords,x,,y,x",
+        ',0,"0,5",,"2,25","0,5"',
+        ",1,5,,6,5",
+    ]
+    path.write_text("\n".join(rows))
+    found = read_keypoints(path)
+    assert found.xy_px.tolist() == [[[0.5, 2.25]], [[5, 6]]]
+    assert "Columns of nose are in the table more than once" in " ".join(found.notes)
+    path.write_text("\n".join([*rows[:4], ",1,5,,6,7"]))
+    with refusal((path, "bodypart nose", "different numbers", "one of each kind")):
+        read_keypoints(path)
+    path.write_text("\n".join([*rows[:4], ",1,5,8,6,5"]))
+    with refusal((path, "line 5", "5 cells", "4, as in the header")):
+        read_keypoints(path)
+
+
+@pytest.mark.parametrize(
+    ("column", "write", "first_s"),
+    [
+        ("time_ms", lambda s: f"{1e3 * s:.3f}", 2.0),
+        ("time [ms]", lambda s: f"{1e3 * s:.3f}", 2.0),
+        ("timestamp_ns", lambda s: f"{1_790_000_000 + s:.6f}".replace(".", "") + "000", 0.0),
+        ("timestamp", lambda s: f"{1_790_000_000 + s:.6f}", 0.0),
+        ("timestamp", lambda s: f"{1_790_000_000 + s:.3f}".replace(".", ""), 0.0),
+        ("time", lambda s: f"00:00:{s:09.6f}", 2.0),
+    ],
+)
+def test_units_of_times(column, write, first_s, tmp_path):
+    """Stamps since 1970 count from the first, whatever their unit."""
+    rows = [f"{write(2 + k / 50)},{k},{2 * k}" for k in range(20)]
+    (tmp_path / "a.csv").write_text("\n".join([f"{column},nose_x,nose_y", *rows]))
+    found = read_keypoints(tmp_path / "a.csv")
+    assert found.fps == pytest.approx(50, rel=1e-4)
+    assert found.frames.tolist() == list(range(round(50 * first_s), round(50 * first_s) + 20))
+
+
+@pytest.mark.parametrize("names", ["x_nose,y_nose,score_nose", "nose (x),nose (y),nose (score)"])
+def test_names_of_columns_of_points(names, tmp_path):
+    (tmp_path / "a.csv").write_text(f"frame,{names}\n0,1,2,0.9\n1,3,4,0.8\n")
+    found = read_keypoints(tmp_path / "a.csv")
+    assert (found.names, found.xy_px.tolist()) == (("nose",), [[[1, 2]], [[3, 4]]])
+    assert found.confidence.tolist() == [[0.9], [0.8]]
 
 
 CROPPED = "clipDLC_resnet50_runAug1shuffle1_1000"
