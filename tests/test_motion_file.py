@@ -19,7 +19,7 @@ from command_line import refusal
 
 from recon import InputError, Motion
 from recon.base.files import write_manifest
-from recon.base.records import RECORD, load_record, save_record
+from recon.base.records import RECORD, _Layout, load_record, save_record
 from recon.fit.motion_forms import CLASSES, MOTION, SCHEMA
 
 FILES = Path(__file__).parent / "files"
@@ -84,6 +84,28 @@ def rewritten(path: Path, change: Callable[[dict[str, np.ndarray], dict[str, Any
     np.savez(path, record=np.frombuffer(json.dumps(record).encode(), np.uint8), **arrays)
 
 
+def as_version_3(arrays: dict[str, np.ndarray], record: dict[str, Any]) -> None:
+    """With every array as it is, under the name of its first field."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            if "stored" not in value:
+                return {key: plain(item) for key, item in value.items()}
+            name = value.pop("array")
+            if arrays[name].dtype == np.uint8:
+                arrays[name] = _Layout(**(value | {"shape": tuple(value["shape"])})).unpacked(arrays[name])
+            return {"array": name}
+        return [plain(item) for item in value] if isinstance(value, list) else value
+
+    record.update(value=plain(record["value"]), schema=record["schema"] | {"version": 3})
+
+
+def cut_states(arrays: dict[str, np.ndarray], record: dict[str, Any]) -> None:
+    """Without the first frame's state."""
+    as_version_3(arrays, record)
+    arrays["solution.states"] = arrays["solution.states"][1:]
+
+
 def test_damaged_bytes(saved: Path) -> None:
     whole = saved.read_bytes()
     for content in (b"PK\x03\x04", whole[:-30], whole[: len(whole) // 2], b"x" * 100):
@@ -127,11 +149,12 @@ def test_pickles(saved: Path) -> None:
     ("change", "expected"),
     [
         (lambda a, r: a.pop("solution.states"), ("content", "'solution.states'")),
-        (
-            lambda a, r: a.update({"solution.states": a["solution.states"][1:]}),
-            ("solution.states", "(7, 28)", "(8, 28)"),
-        ),
-        (lambda a, r: r["schema"].update(version=9), ("schema", "version 9", "version 3")),
+        (lambda a, r: cut_states(a, r), ("solution.states", "(7, 28)", "(8, 28)")),
+        (lambda a, r: a.update({"solution.states": a["solution.states"][:, 1:]}), ("content", "cannot reshape")),
+        (lambda a, r: a.update({"solution.states": np.zeros(9)}), ("content", "stored as float64")),
+        (lambda a, r: r["value"]["solution"]["states"].update(stored="<i8"), ("content", "cannot be read")),
+        (lambda a, r: r["value"]["solution"]["states"].update(shape=["8", 28]), ("content", "cannot be read")),
+        (lambda a, r: r["schema"].update(version=9), ("schema", "version 9", "version 4")),
         (lambda a, r: r.update(schema={"name": "other", "version": 1}), ("schema", "other", "recon.motion")),
         (lambda a, r: r.pop("value"), ("content", "'value'")),
         (lambda a, r: r["value"].pop("side"), ("side", "nothing")),
@@ -186,6 +209,15 @@ def test_motions_of_schema_version_2(method: str, size: float, first_joint_m: li
     assert not differences(motion, Motion.load(tmp_path))
 
 
+def test_motions_of_schema_version_3(small_trajectory: Motion, tmp_path: Path) -> None:
+    """They have every array as it is."""
+    path = small_trajectory.save(tmp_path)
+    rewritten(path, as_version_3)
+    with np.load(path) as arrays:
+        np.testing.assert_array_equal(arrays["solution.states"], small_trajectory.solution.states)
+    assert not differences(small_trajectory, Motion.load(tmp_path))
+
+
 def test_no_motion(tmp_path: Path, small_trajectory: Motion) -> None:
     with refusal(("none", "folder", "no such folder")):
         Motion.load(tmp_path / "none")
@@ -206,7 +238,7 @@ def test_results_of_an_earlier_version(tmp_path: Path) -> None:
 
 def test_motion_of_an_earlier_version(saved: Path) -> None:
     rewritten(saved, lambda arrays, record: record["schema"].update(version=1))
-    refuses(saved, ("schema", "version 1", ["version 3", "recon fit"]))
+    refuses(saved, ("schema", "version 1", ["version 4", "recon fit"]))
     (saved.parent / "config.toml").write_text("")
     write_manifest(saved.parent)
     again = f"recon fit --config {saved.parent}/config.toml --out {saved.parent} --overwrite"
@@ -248,3 +280,25 @@ def test_any_dataclass(tmp_path: Path) -> None:
         assert [*file.files] == ["record", "leaves.0.values"]  # once, though it stands there twice
     with pytest.raises(TypeError, match="what: a set cannot be saved"):
         save_record(replace(tree, what={1}), path, SCHEMA)  # type: ignore[arg-type]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Arrays:
+    arrays: tuple[np.ndarray, ...]
+
+
+def test_arrays_are_stored_small(tmp_path: Path) -> None:
+    """Symmetric matrices once, single precision where no bit is lost, equal arrays once; all come back bit for bit."""
+    random = np.random.default_rng(0)
+    doubles = random.normal(size=(50, 4))
+    doubles[3] = np.nan
+    matrices = random.normal(size=(50, 2, 3, 3))
+    matrices += matrices.swapaxes(-1, -2)
+    singles = random.normal(size=(2, 80)).astype(np.float32).astype(float)
+    arrays = (doubles, doubles.copy(), matrices, singles, np.asfortranarray(doubles), -0.0 * np.ones((9, 9)))
+    save_record(_Arrays(arrays), tmp_path / "a.npz", {"name": "arrays", "version": 1})
+    with np.load(tmp_path / "a.npz") as stored:
+        shapes = {name: stored[name].shape for name in stored.files if name != RECORD}
+    assert shapes == {"arrays.0": (8, 200), "arrays.2": (8, 600), "arrays.3": (4, 160), "arrays.5": (4, 81)}
+    loaded = load_record(_Arrays, tmp_path / "a.npz", {"name": "arrays", "version": 1}, "arrays")
+    assert not differences(_Arrays(arrays), loaded)

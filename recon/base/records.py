@@ -1,7 +1,9 @@
 """Save dataclasses bit for bit in one file of arrays: a NumPy archive (.npz) without pickles.
 
 The archive has an array `record`, a JSON text with everything but the arrays, and one array for each larger one, named
-by the fields that lead to it, such as `solution.states`. Fields are plain values, paths, slices, tuples, mappings with
+by the fields that lead to it, such as `solution.states`. Arrays with the same content are stored once. Floats are
+stored as planes of bytes, which compress better, and in single precision where that changes no bit (`_Layout`). Fields
+are plain values, paths, slices, tuples, mappings with
 texts as keys, arrays of numbers, tables of files (pydantic's models), and dataclasses, also of a subclass within this
 package; loaded values have the types that the fields declare. A subclass is named by its tag, `record_tag`, never by
 its module, and the caller of `load_record` lists the classes. Values that a dataclass computes from its fields are not
@@ -11,7 +13,10 @@ in the file.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
+import operator
+import zipfile
 from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
@@ -42,15 +47,20 @@ def save_record(value: object, path: Path, schema: Mapping[str, Any]) -> None:
     `schema` is the name and version of the format, which `load_record` expects. Raises TypeError for values whose type
     such a file cannot hold.
     """
-    arrays: dict[str, np.ndarray] = {}
+    arrays: dict[str, tuple[np.ndarray, _Layout | None]] = {}
     text = json.dumps({"schema": schema, "value": _plain(value, "", arrays, {})})
-    entries: dict[str, Any] = {RECORD: np.frombuffer(text.encode(), np.uint8), **arrays}
+    arrays = {RECORD: (np.frombuffer(text.encode(), np.uint8), None), **arrays}
     from recon.base.files import staged_file
 
     with staged_file(path) as staged:
         try:
-            with staged.open("wb") as file:  # the file of a long clip may be too large for memory
-                np.savez_compressed(file, **entries)
+            with zipfile.ZipFile(staged, "w", zipfile.ZIP_DEFLATED) as archive:
+                for name, (array, layout) in arrays.items():  # packed one at a time: a long clip's need much memory
+                    entry = zipfile.ZipInfo(f"{name}.npy")
+                    entry.compress_type = zipfile.ZIP_DEFLATED
+                    with archive.open(entry, "w", force_zip64=True) as file:
+                        stored = array if layout is None else layout.packed(array)
+                        np.lib.format.write_array(file, np.asanyarray(stored), allow_pickle=False)
         except OSError as error:
             error.filename = str(staged)
             raise
@@ -87,11 +97,75 @@ def load_record(
             raise InputError(dataclasses.replace(p, expected=f"{p.expected}: {expected}") for p in problems) from None
 
 
-def _plain(value: object, field: str, arrays: dict[str, np.ndarray], name_of: dict[int, str]) -> object:
+@dataclasses.dataclass(frozen=True)
+class _Layout:
+    """How an array of floats is stored: as planes (itemsize, N) of the bytes of its values.
+
+    The planes of slowly changing values compress well. The longest axis runs fastest.
+    """
+
+    dtype: str
+    """Type of the array."""
+    shape: tuple[int, ...]
+    stored: str
+    """Type of the stored values: single precision if that changes no bit."""
+    symmetric: bool
+    """Whether the last two axes are those of symmetric matrices, of which the upper triangle is stored."""
+
+    @classmethod
+    def of_array(cls, array: np.ndarray) -> _Layout:
+        """Return the smallest layout that restores an array bit for bit."""
+        bits = np.ascontiguousarray(array).view(f"u{array.dtype.itemsize}")
+        is_square = array.ndim > 2 and array.shape[-1] == array.shape[-2] > 1
+        symmetric = is_square and np.array_equal(bits, bits.swapaxes(-1, -2))
+        stored = array.dtype
+        if stored.itemsize == 8:
+            with np.errstate(over="ignore", under="ignore"):
+                single = array.astype(stored.newbyteorder("=").str.replace("8", "4"))
+            if np.array_equal(single.astype(stored).view(bits.dtype), bits):
+                stored = single.dtype
+        return cls(array.dtype.str, array.shape, stored.str, symmetric)
+
+    def packed(self, array: np.ndarray) -> np.ndarray:
+        """Return the planes of an array."""
+        if self.symmetric:
+            array = array[(..., *np.triu_indices(array.shape[-1]))]
+        values = np.moveaxis(array.astype(self.stored), _longest(array.shape), -1)
+        return np.ascontiguousarray(np.ascontiguousarray(values).reshape(-1, 1).view(np.uint8).T)
+
+    def unpacked(self, planes: np.ndarray) -> np.ndarray:
+        """Return the array of planes. Raises ValueError or TypeError if they do not fit."""
+        dtypes = np.dtype(self.dtype), np.dtype(self.stored)
+        if any(dtype.kind != "f" for dtype in dtypes) or planes.dtype != np.uint8 or planes.ndim != 2:
+            raise ValueError(f"an array of {self.dtype}, stored as {planes.dtype}")
+        shape, (rows, columns) = self.shape, np.triu_indices(self.shape[-1] if self.symmetric else 0)
+        if self.symmetric:
+            shape = (*shape[:-2], len(rows))
+        longest = _longest(shape)
+        moved = (*shape[:longest], *shape[longest + 1 :], shape[longest])
+        values = np.ascontiguousarray(planes.T).view(dtypes[1]).reshape(moved)
+        values = np.moveaxis(values, -1, longest).astype(dtypes[0], order="C")
+        if not self.symmetric:
+            return values
+        array = np.empty(self.shape, dtypes[0])
+        array[..., rows, columns] = array[..., columns, rows] = values
+        return array
+
+
+def _longest(shape: tuple[int, ...]) -> int:
+    return int(np.argmax(shape))
+
+
+LAYOUT = {field.name for field in dataclasses.fields(_Layout)}
+
+
+def _plain(
+    value: object, field: str, arrays: dict[str, tuple[np.ndarray, _Layout | None]], name_of: dict[object, str]
+) -> object:
     """Return a value as JSON types, with larger arrays replaced by their names.
 
-    `field` has the fields that lead to the value. `name_of` has the names by the identity of the array, so that an
-    array with several names is written once.
+    `field` has the fields that lead to the value. `name_of` has the names by the content of the array, so that an array
+    with several names is written once.
     """
 
     def inside(name: str | int, item: object) -> object:
@@ -102,9 +176,12 @@ def _plain(value: object, field: str, arrays: dict[str, np.ndarray], name_of: di
             raise TypeError(f"{field}: an array of {value.dtype} cannot be saved")
         if value.size <= SMALL:
             return {"dtype": value.dtype.str, "shape": value.shape, "values": value.ravel().tolist()}
-        name = name_of.setdefault(id(value), field)
-        arrays[name] = value
-        return {"array": name}
+        content = value.dtype.str, value.shape, hashlib.sha256(np.ascontiguousarray(value)).digest()
+        name = name_of.setdefault(content, field)
+        if name not in arrays:
+            arrays[name] = value, _Layout.of_array(value) if value.dtype.kind == "f" else None
+        layout = arrays[name][1]
+        return {"array": name} | ({} if layout is None else dataclasses.asdict(layout))
     if isinstance(value, slice):
         return {"slice": [value.start, value.stop, value.step]}
     if isinstance(value, tuple | list):
@@ -145,6 +222,10 @@ def _restored(value: object, arrays: Mapping[str, np.ndarray], classes: Classes)
         return value
     if value.keys() == {"array"}:
         return arrays[value["array"]]
+    if value.keys() == {"array", *LAYOUT}:
+        layout = {name: item for name, item in value.items() if name != "array"}
+        shape = tuple(map(operator.index, layout["shape"]))
+        return _Layout(**(layout | {"shape": shape})).unpacked(arrays[value["array"]])
     if value.keys() == {"slice"}:
         return slice(*value["slice"])
     if value.keys() == {"dtype", "shape", "values"}:

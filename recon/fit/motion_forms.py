@@ -25,8 +25,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOTION = "motion.npz"
-SCHEMA, OLDER_VERSIONS = {"name": "recon.motion", "version": 3}, (2,)
-"""Name and version of the format. Version 2 named classes by their modules (`_CLASSES_BY_PATH`)."""
+SCHEMA, OLDER_VERSIONS = {"name": "recon.motion", "version": 4}, (2, 3)
+"""Name and version of the format.
+
+Version 2 named classes by their modules (`_CLASSES_BY_PATH`). Versions 2 and 3 stored arrays as they are.
+"""
 EXPECTED = "the motion that `recon fit` or `Motion.save` wrote"
 _REPORT, _CONFIG = "report.json", "config.toml"
 """Files next to the motion in a results folder of `recon fit`."""

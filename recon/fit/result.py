@@ -112,6 +112,11 @@ SHAPES = {
     "contact": "TF",
 }
 """Shapes of a solution's arrays: T frames, J joints, V views, D unknowns a frame, A angles, F feet."""
+SINGLE = (
+    *("covariance_m2", "relative_covariance_m2", "angle_sigma_rad", "angle_data_share"),
+    *("noise_px", "weight"),
+)
+"""Arrays of the trajectory method that have the precision of single floats, which is more than they mean."""
 OUTLIER_SIGMAS = 3.0
 """Distance of a detection from its joint's reprojection, in standard deviations, above which it is an outlier."""
 

@@ -26,7 +26,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import chain
+from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
@@ -43,7 +43,7 @@ from recon.fit.body_shape import FreeShape
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
 from recon.fit.least_squares import Estimate, LeastSquares, SharedUnknown
 from recon.fit.posterior import Posterior, PriorMisfit, posterior_about_bias, prior_misfit_of, with_size
-from recon.fit.result import SHAPES, Ground, MotionSegment, SecondCamera, SolvedShape, TrajectorySolution
+from recon.fit.result import SHAPES, SINGLE, Ground, MotionSegment, SecondCamera, SolvedShape, TrajectorySolution
 from recon.fit.smoothness import likely_scale
 from recon.fit.starts import ALTERNATIVE_COST, APPROACH_HZ, approach, interpolate_states
 from recon.fit.terms import (
@@ -74,6 +74,8 @@ _FLATTENED_TOLERANCE, _FLATTENED_ITERATIONS = 1e-3, 8
 """Relative decrease of the cost at which the search with one temperature ends, and its largest number of iterations."""
 _MORE_ROUNDS = 3
 """Further rounds if the prior has lost most of its weight, until noise and contacts have settled again."""
+_FRAMES_AT_ONCE = 4096
+"""Number of frames to convert at once."""
 POOR_SHARE, POORER_SHARE = 1 / 3, 0.8
 """Fractions of all joints, and of the joints trusted in good frames.
 
@@ -512,6 +514,8 @@ def _solution(clip: ClipProblem, segments: Sequence[SegmentFit], expected: Body,
     alternative_cost = np.inf
     for segment, segment_posterior in zip(segments, posteriors, strict=True):
         for name, values in _segment_arrays(clip, segment, segment_posterior, size, size_sigma):
+            if name in SINGLE:
+                _round_to_single(values)
             if values.shape == shapes[name]:  # if the segment is the whole clip, avoid a copy, which would be large
                 arrays[name] = values
             else:
@@ -553,6 +557,16 @@ def _solution(clip: ClipProblem, segments: Sequence[SegmentFit], expected: Body,
         shape=_solved_shape(unshaped, clip.body, expected, segments, posteriors, size),
         stage_s={"all": time.perf_counter() - began},
     )
+
+
+def _round_to_single(values: Array) -> None:
+    """Round values to single precision, which halves their files; matrices become exactly symmetric."""
+    for first in range(0, len(values), _FRAMES_AT_ONCE):
+        rows = slice(first, first + _FRAMES_AT_ONCE)
+        values[rows] = values[rows].astype(np.float32)
+    if values.ndim > 3 and values.shape[-2] == values.shape[-1]:
+        for row, column in combinations(range(values.shape[-1]), 2):
+            values[..., column, row] = values[..., row, column]
 
 
 def _solved_shape(

@@ -403,7 +403,7 @@ def write_ensemble(
 
 # -- files for programs that train policies ----------------------------------------------------------------------------
 
-KEPT, SCHEMA = "robot.npz", {"name": "recon.robot", "version": 1}
+KEPT, SCHEMA, OLDER_VERSIONS = "robot.npz", {"name": "recon.robot", "version": 2}, (1,)
 AMP_LEGS = ("RF", "LF", "RH", "LH")
 AMP_JOINTS = 3
 """Number of joints of a leg in AMP's layout."""
@@ -592,7 +592,8 @@ def keep(clip: RobotMotion, stride: RobotMotion, robot: str, origin: Mapping[str
 
 def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any]]:
     """Return the clip, the stride, and the origin that the file states; raise InputError."""
-    arrays = load_record(_Kept, path, SCHEMA, "motions of a robot, written by `recon retarget`")
+    expected = "motions of a robot, written by `recon retarget`"
+    arrays = load_record(_Kept, path, SCHEMA, expected, older_versions=OLDER_VERSIONS)
     named = arrays.robot if arrays.robot in builtin_robots() else str(path.parent / arrays.robot)
     robot = load_robot(named)
 
