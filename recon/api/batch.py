@@ -155,7 +155,7 @@ def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Pro
     read = cache(read_model_and_cameras)
 
     def read_once(settings: FitSettings) -> SharedInputs:
-        """Read inputs that several clips share only once."""
+        """Return the body, the prior and the cameras of a clip; inputs that several clips share are read only once."""
         # The names of keypoint files decide which cameras are used.
         files = [str(i) for i, _ in enumerate(settings.keypoints)] if settings.camera_name else settings.keypoints
         return read(replace(settings, keypoints=files, individual=None, frames=None))

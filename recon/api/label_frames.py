@@ -72,7 +72,7 @@ def frames_by_gain(motion: Motion, camera: int, count: int) -> list[int]:
     """Return frame numbers of a camera's keypoint file whose labels would lower the expected error of the pose most.
 
     The gain of a frame is the sum over its keypoints. Errors last for about `ERROR_TIME_S`, so each frame lowers the
-    gain that remains nearby. There are fewer than `count` if no further frame has a gain.
+    gain that remains nearby. Fewer than `count` numbers are returned if no further frame has a gain.
 
     Raises
     ------

@@ -249,30 +249,30 @@ def _doctor() -> CommandFunction:
 
 COMMANDS = {
     "From a clip to its motion": {
-        "fit": (_fit, "One clip: keypoints and a camera in, a folder of results out."),
-        "batch": (_batch, "Many clips in parallel; a stopped batch continues."),
-        "run": (_run, "From a video to a page: keypoints, fit, analysis, overlay, report.html."),
-        "triangulate": (_triangulate, "Keypoints of several cameras to 3D points, without a skeleton."),
+        "fit": (_fit, "Fit one clip: keypoints and a camera in, a folder of results out."),
+        "batch": (_batch, "Fit many clips in parallel; the same command continues a stopped batch."),
+        "run": (_run, "Go from a video to a page: keypoints, fit, analysis, overlay, report.html."),
+        "triangulate": (_triangulate, "Triangulate the keypoints of several cameras, without a skeleton."),
         "demo": (_demo, "Fit the bundled sample and compare it with its truth."),
-        "settings": (_settings, "All settings of a command, including those without an option."),
+        "settings": (_settings, "List all settings of a command, including those without an option."),
     },
     "Look at it and use it": {
-        "view": (_view, "The playback in the rerun viewer, with the plots of its analysis."),
-        "report": (_report, "A page of a result or a batch, to look at and to pass on."),
+        "view": (_view, "Show the playback in the rerun viewer, with the plots of its analysis."),
+        "report": (_report, "Make a page of a result or a batch, to look at and to pass on."),
         "fix": (_fix, "Correct wrong keypoints in a browser, while the animal is fitted again."),
-        "analyse": (_analyse, "Speeds, angles, gait, vector fields and phase portraits."),
-        "figure": (_figure, "Figures of a result for a paper: PDF, SVG or PNG, with a caption."),
-        "compare": (_compare, "Strides and speeds of several clips, by group."),
+        "analyse": (_analyse, "Compute speeds, angles, gait, vector fields and phase portraits."),
+        "figure": (_figure, "Draw figures of a result for a paper: PDF, SVG or PNG, with a caption."),
+        "compare": (_compare, "Compare strides and speeds of several clips, by group."),
         "audit": (_audit, "Check 2D keypoints or 3D poses of any program for faults."),
         "evaluate": (_evaluate, "Compare a result with a reference."),
-        "convert": (_convert, "Keypoints, 3D positions or results in another file format."),
+        "convert": (_convert, "Write keypoints, 3D positions or results in another file format."),
         "overlay": (_overlay, "Draw a result on its video."),
     },
     "Cameras": {
-        "calibrate": (_calibrate, "A camera, from pictures of a board."),
-        "calibrate extrinsics": (_calibrate_extrinsics, "Poses of several cameras, from clips of the animal."),
-        "camera-motion": (_camera_motion, "The motion of a camera, from its video."),
-        "camera-advice": (_camera_advice, "The best position of a camera to measure an angle or a joint."),
+        "calibrate": (_calibrate, "Calibrate a camera from pictures of a board."),
+        "calibrate extrinsics": (_calibrate_extrinsics, "Find the poses of several cameras from clips of the animal."),
+        "camera-motion": (_camera_motion, "Find the motion of a camera from its video."),
+        "camera-advice": (_camera_advice, "Find the best position of a camera to measure an angle or a joint."),
     },
     "Keypoints from video": {
         "label": (_label, "Label frames of a video in a browser, starting without keypoints."),
@@ -288,13 +288,13 @@ COMMANDS = {
         "prior fit": (_prior_fit, "Fit a motion prior to results or 3D poses."),
     },
     "Robots and the thesis": {
-        "ik": (_ik, "Inverse kinematics from the trunk to a foot."),
-        "retarget": (_retarget, "The motion on a four-legged robot."),
-        "robot pose": (_robot_pose, "The legs' angles of a body that moves over planted feet."),
-        "robot dh": (_robot_dh, "A leg or chain by its Denavit-Hartenberg table, forward and inverse."),
-        "climb": (_climb, "A four-legged robot climbs a step by potential fields."),
+        "ik": (_ik, "Solve the inverse kinematics from the trunk to a foot."),
+        "retarget": (_retarget, "Transfer the motion to a four-legged robot."),
+        "robot pose": (_robot_pose, "Print the angles of the legs of a body that moves over planted feet."),
+        "robot dh": (_robot_dh, "Solve a leg or chain by its Denavit-Hartenberg table, forward and inverse."),
+        "climb": (_climb, "Plan how a four-legged robot climbs a step by potential fields."),
         "frame": (_frame, "Fit one side of the animal, one frame after the other."),
-        "solver": (_solver, "Costs, Jacobian and limits in the optimisation of recon frame."),
+        "solver": (_solver, "Show costs, Jacobian and limits in the optimisation of recon frame."),
     },
     "This installation": {
         "doctor": (_doctor, "Check versions, optional parts, the viewer, and a fit of the sample."),
@@ -305,10 +305,10 @@ COMMANDS = {
 Only the called command is imported.
 """
 GROUPS = {
-    "skeleton": "Skeletons: those that come with the package, and your own.",
-    "subject": "Measured animals: the lengths of one animal, and a detector's offsets from its markers.",
-    "prior": "Motion priors: which poses occur, and how they change.",
-    "robot": "A robot's kinematics: its body's pose, legs, tables of parameters; all solutions.",
+    "skeleton": "List, check and draft skeletons.",
+    "subject": "Measure the lengths of one animal, and a detector's offsets from its markers.",
+    "prior": "Fit motion priors: which poses occur, and how they change.",
+    "robot": "Solve a robot's kinematics: legs for a pose of the body, Denavit-Hartenberg tables.",
 }
 
 
@@ -368,7 +368,7 @@ class _Commands(_Group):
 
 app = typer.Typer(
     cls=_Commands,
-    help="Metric 3D motion of a running animal from the keypoints of one camera or several, still or panning.",
+    help="Measure the 3D motion of a running animal, in metres, from one camera or several, still or moving.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings=HELP,

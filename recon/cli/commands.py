@@ -128,11 +128,16 @@ def make_command(name: str, function: Callable[..., Answer]) -> SettingsCommand:
     call.__dict__["__signature__"] = inspect.Signature(parameters)
     call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    app.command(name, help=inspect.getdoc(function), cls=SettingsCommand, context_settings=HELP)(call)
+    app.command(name, help=help_of(function), cls=SettingsCommand, context_settings=HELP)(call)
     command = typer.main.get_command(app)
     assert isinstance(command, SettingsCommand)
     command.infos = infos
     return command
+
+
+def help_of(function: Callable[..., Any]) -> str:
+    """Return a function's docstring with one line per paragraph, which the terminal's width then breaks."""
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in (inspect.getdoc(function) or "").split("\n\n"))
 
 
 def _values_of_set(texts: list[str], infos: dict[str, SettingInfo]) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from recon.show.page.own_page import COMPARE_PAGE
 def compare(settings: CompareSettings, progress: Progress) -> Answer:
     """Compare strides and speeds of several clips by group, with uncertainties, group means and spreads.
 
-    With --design or --names, a mixed model tells animals, runs, strides and measurement apart.
+    With --design or --names, a mixed model separates the variation between animals, runs, strides and measurements.
 
     --plan says how many animals an effect needs.
 

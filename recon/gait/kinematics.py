@@ -494,7 +494,7 @@ def _kinematics_of(series: Series, speeds: tuple[Array, Array], accelerations: t
 
 
 def _at_peak(values: Array, quantity: Array) -> float:
-    """Return the other quantity (N,) at the largest of the values (N,), NaN if none is known."""
+    """Return the element of a quantity (N,) at the largest of some values (N,), NaN if no value is known."""
     return float(quantity[np.nanargmax(values)]) if np.isfinite(values).any() else np.nan
 
 

@@ -188,9 +188,9 @@ class TableSettings(Settings):
     tip: str | None = None
     """Leg (LF, RF, LH or RH), or the link at the end for a .urdf or .xml file. (default: the only leaf)"""
     angles: Annotated[str | None, Option(metavar="NUMBERS")] = None
-    """Show where the end is at these angles, degrees (metres for sliding joints), as in 0,45,-90."""
+    """Show the position of the end for these angles, in degrees (metres for sliding joints), as in 0,45,-90."""
     place: Annotated[_Three | None, _THREE] = None
-    """Show all angles that put the end at this position, base or body axes, metres, as in 0.4,0.1,0.2."""
+    """Show all angles that put the end at this position, in metres in base or body axes, as in 0.4,0.1,0.2."""
     turned: Annotated[_Three | None, _THREE] = None
     """Roll, pitch and yaw of the end for --place, degrees, as in 0,90,0. (default: any)"""
 

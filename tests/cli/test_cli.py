@@ -32,6 +32,7 @@ from recon.base.numbers import percent
 from recon.base.outputs import RECORD, Output
 from recon.check.verdict import verdict_lines
 from recon.cli.answers import error_text, say, table_of, terminal
+from recon.cli.commands import help_of
 from recon.io.formats import read_keypoints
 
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"
@@ -886,6 +887,17 @@ def test_view_shows_what_goes_with_the_recording(fitted, tmp_path, monkeypatch):
     look(tmp_path / "all.rrd")
     assert seen == [{"/analysis/speed", "/speed"}] * 2
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+
+
+def test_the_terminal_alone_breaks_the_lines_of_a_help():
+    def made_up():
+        """Do one thing.
+
+        A paragraph of
+        two lines.
+        """
+
+    assert help_of(made_up) == "Do one thing.\n\nA paragraph of two lines."
 
 
 @pytest.mark.parametrize("command", ["fit", "evaluate", "view", "demo"])
