@@ -123,16 +123,20 @@ def table_of(
 ) -> Table:
     """Return a table with text columns, the first of which names the row, followed by columns of numbers.
 
-    Words in the header are never cut.
+    Words in the header, and in columns of numbers, are never cut.
     """
     first, *more_texts = texts
+    rows = [[*row] for row in rows]
     columns = (
         Column(first, no_wrap=True),
         *map(Column, more_texts),
         *(Column(name, justify="right") for name in numbers),
     )
-    for column in columns:
-        column.min_width = max(map(len, str(column.header).split()), default=None)
+    for i, column in enumerate(columns):
+        cells = [str(row[i]) for row in rows] if i >= len(texts) else []
+        column.min_width = max(
+            (len(word) for text in (str(column.header), *cells) for word in text.split()), default=None
+        )
     table = Table(*columns, box=SIMPLE_HEAD, title_justify="left", **options)
     for row in rows:
         table.add_row(*(Text(cell) if isinstance(cell, str) else cell for cell in row))

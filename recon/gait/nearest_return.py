@@ -45,7 +45,7 @@ def nearest_return(path_m: Array, shortest: float = 0.0, longest: float = np.inf
     shortest, longest : float
         Shortest and longest possible duration of the return, in frames.
     """
-    frames = longest_stretch(np.isfinite(path_m).all(axis=1))
+    frames = longest_stretch(np.array(np.isfinite(path_m).all(axis=1)))
     if len(frames) < MIN_FRAMES:
         return None
     points = path_m[frames]

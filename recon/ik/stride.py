@@ -80,7 +80,7 @@ def find_stride(
     ValueError
         If the times are not within the clip, or if there are too few frames.
     """
-    known = longest_stretch(np.isfinite(q).all(axis=1))
+    known = longest_stretch(np.array(np.isfinite(q).all(axis=1)))
     if len(known) < MIN_FRAMES:
         raise ValueError(f"a stride needs {MIN_FRAMES} or more consecutive frames with a pose, got {len(known)}")
     ends = chain.end(q[known])

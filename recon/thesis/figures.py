@@ -98,19 +98,25 @@ def solver_unknowns(record: SolverRecord) -> Figure:
 
 
 def solver_frame(record: SolverRecord) -> Figure:
-    """Draw the search within one frame: objective, damping and step at each accepted point."""
+    """Draw the search within one frame: objective, damping and step at each accepted point.
+
+    The damping is left out if every step is a Gauss-Newton step.
+    """
     search = record.search
     title = f"frame {record.frame}: {len(search.damping)} steps, {search.evaluations_at[-1]} evaluations"
-    labels = ("objective (½σ²)", f"damping λ\n({_UNDAMPED:g}: none)", "step (rad, m)")
-    shown = search.costs, search.damping.clip(_UNDAMPED), search.step_norms.clip(_LEAST)
-    with style.drawing(110, title=title) as figure:
-        rows = figure.subplots(3, 1, sharex=True)
-        for i, (axes, values) in enumerate(zip(rows, shown, strict=True)):
+    shown = {"objective (½σ²)": search.costs, "step (rad, m)": search.step_norms.clip(_LEAST)}
+    if (search.damping > _UNDAMPED).any():
+        shown[f"damping λ\n({_UNDAMPED:g}: none)"] = search.damping.clip(_UNDAMPED)
+    else:
+        title += ", no damping"
+    with style.drawing(20 + 30 * len(shown), title=title) as figure:
+        rows = figure.subplots(len(shown), 1, sharex=True)
+        for i, (axes, values) in enumerate(zip(rows, shown.values(), strict=True)):
             axes.plot(np.arange(len(values)), values, **style.dots(len(values), 3.0), **style.look(i))
             axes.set_yscale("log")
             style.plain_logarithm(axes.yaxis)
             axes.xaxis.get_major_locator().set_params(integer=True)
-        _over_time(figure, rows, labels, "accepted point")
+        _over_time(figure, rows, [*shown], "accepted point")
     return figure
 
 

@@ -41,6 +41,7 @@ def stride_boundaries(effector: EndEffector, stride: Stride | None = None) -> Fi
         lows = np.interp(effector.boundaries_s, effector.time_s, effector.forward_m)
         rows[0].plot(effector.boundaries_s, lows, "kv", ms=4, zorder=4)
         rows[2].axhline(0.0, color=style.GREY, lw=0.6, zorder=1)
-        rows[-1].set_xlabel(f"time (s)\n\n{_RULE}", fontsize=style.SMALL)
+        shaded = "" if stride is None else "   grey: the time that phase portraits show"
+        rows[-1].set_xlabel(f"time (s)\n\n{_RULE}{shaded}", fontsize=style.SMALL)
         figure.align_ylabels()
     return figure
