@@ -10,7 +10,9 @@ import shlex
 from collections.abc import Callable, Generator
 from contextlib import suppress
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 # Before numpy is loaded: matrices are small here, and several processes share the cores.
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
@@ -35,12 +37,16 @@ from recon.base.file_names import encodable
 from recon.clip import Keypoints, Source, View, camera_poses, clean, still_view, views_of
 from recon.fit.motion import Motion
 from recon.fit.result import Ground, MotionSegment, TrajectorySolution
+from recon.gait.clip import ClipAnalysis, analyse
 from recon.geometry.camera import Camera
 from recon.geometry.frames import inverse, moved
 from recon.io.deeplabcut import write_csv
 from recon.thesis.chain import load_chain, mean_pose
 from recon.thesis.objectives import FrameOptions
 from recon.thesis.solver import solve_frames
+
+if TYPE_CHECKING:
+    from recon.robotics.retarget import Retargeting
 
 # Modules are no garbage, nor is most of what a test makes: it is looked for less often than Python does by itself.
 gc.set_threshold(20_000)
@@ -189,6 +195,21 @@ def chain_results(made_once) -> Path:
         keypoints=SAMPLES / "noisy.csv", camera=SAMPLES / "camera.toml", fps=30, skeleton="cheetah-8u"
     )
     return made_once("chain", lambda out: run_clip(settings, out))
+
+
+@pytest.fixture(scope="session")
+def whole_analysis(whole_results: Path) -> ClipAnalysis:
+    """The analysis of `whole_results`."""
+    return analyse(Motion.load(whole_results))
+
+
+@pytest.fixture(scope="session")
+def retargeted(whole_results: Path) -> Callable[[str], Retargeting]:
+    """`retargeted(robot)` is the motion of `whole_results` on a robot, which each process solves once."""
+    from recon.robotics.quadruped import load_robot
+    from recon.robotics.retarget import reference_of, retarget
+
+    return cache(lambda robot: retarget(reference_of(Motion.load(whole_results)), load_robot(robot)))
 
 
 @pytest.fixture(scope="session")

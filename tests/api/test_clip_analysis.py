@@ -31,8 +31,8 @@ SAMPLES = Path(__file__).parents[2] / "data" / "samples"
 
 
 @pytest.fixture(scope="module")
-def whole(whole_results) -> ClipAnalysis:
-    return analyse(Motion.load(whole_results))
+def whole(whole_analysis: ClipAnalysis) -> ClipAnalysis:
+    return whole_analysis
 
 
 @pytest.fixture(scope="module")

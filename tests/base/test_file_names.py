@@ -23,7 +23,7 @@ pytestmark = pytest.mark.usefixtures("no_playback")
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLES = ROOT / "data" / "samples"
-FIT = ("--camera", SAMPLES / "camera.toml", "--fps", 60, "--frames", "0:8", "--set", "fast=true")
+FIT = ("--camera", SAMPLES / "camera.toml", "--fps", 60, "--frames", "0:4", "--set", "fast=true")
 LATIN_1 = os.fsdecode(b"caf\xe9")
 
 

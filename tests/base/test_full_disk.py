@@ -74,7 +74,9 @@ def test_every_format(file_format: Format, kind: str, tmp_path: Path) -> None:
         assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("limit", [0, 2_000, 30_000, 100_000])
+@pytest.mark.parametrize(
+    "limit", [0, 30_000, *(pytest.param(limit, marks=pytest.mark.slow) for limit in (2_000, 100_000))]
+)
 def test_results(limit: int, small_trajectory: Motion, tmp_path: Path) -> None:
     settings = FitSettings(keypoints=Path("run.csv"), hfov_deg=64, image_size_px=(1920, 1080), fps=30)
     with files_up_to(limit), pytest.raises(OSError, match="File too large") as caught:

@@ -91,7 +91,13 @@ def test_a_command_called_from_python_ends_with_one_line(monkeypatch):
 
 
 @posix
-@pytest.mark.parametrize("moment", WORK)
+@pytest.mark.parametrize(
+    "moment",
+    [
+        pytest.param(moment, marks=[pytest.mark.slow] * (moment in ("just before it waits", "no exception")))
+        for moment in WORK
+    ],
+)
 def test_the_command_cleans_up(moment):
     """A library may make another exception of it, or none."""
     assert recon_in(f"def work():\n    {WORK[moment]}") == Ended(130, "cleaned up\n", f"{MESSAGE}\n")

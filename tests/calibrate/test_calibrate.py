@@ -135,7 +135,14 @@ def test_corners_are_found_to_a_fraction_of_a_pixel(lens, text):
 # ---- cameras from pictures ----
 
 
-@pytest.mark.parametrize(("lens", "text"), [("pinhole", CHESS), ("radtan", CHARUCO), ("fisheye", CHARUCO)])
+@pytest.mark.parametrize(
+    ("lens", "text"),
+    [
+        ("fisheye", CHARUCO),
+        pytest.param("pinhole", CHESS, marks=pytest.mark.slow),
+        pytest.param("radtan", CHARUCO, marks=pytest.mark.slow),
+    ],
+)
 def test_intrinsics_come_back(lens, text):
     """Within 0.5 % of the truth, and the lens to a pixel wherever boards reach."""
     camera, board = BOARD_CAMERAS[lens], parse_board(text)
@@ -177,6 +184,7 @@ def test_standard_deviations_are_those_of_opencv(chess_views, model):
     np.testing.assert_allclose(calibration.camera.matrix, matrix, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_standard_deviations_of_a_fisheye_are_the_scatter_over_noise():
     camera, board = BOARD_CAMERAS["fisheye"], parse_board(CHESS)
     where = board_poses(board, camera, 8, np.random.default_rng(2), fill=0.7)

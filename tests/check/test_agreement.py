@@ -66,7 +66,10 @@ def test_cameras_that_agree(n):
         assert {camera.late_frames for camera in notes(found)} <= {-0.25, 0.0, 0.25}
 
 
-@pytest.mark.parametrize(("n", "which", "axis"), [(3, 0, 0), (4, 2, 0), (3, 2, 1), (4, 0, 2)])
+@pytest.mark.parametrize(
+    ("n", "which", "axis"),
+    [(4, 2, 0), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((3, 0, 0), (3, 2, 1), (4, 0, 2)))],
+)
 def test_a_camera_that_is_turned(n, which, axis):
     views = run_views(n)
     views[which] = turned(views[which], axis)
@@ -76,7 +79,10 @@ def test_a_camera_that_is_turned(n, which, axis):
     assert notes(found)[which].level_turned < 1.2
 
 
-@pytest.mark.parametrize(("n", "which", "frames"), [(4, 0, 10), (3, 1, -10), (3, 2, 10)])
+@pytest.mark.parametrize(
+    ("n", "which", "frames"),
+    [(3, 1, -10), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((4, 0, 10), (3, 2, 10)))],
+)
 def test_a_camera_that_is_late_or_early(n, which, frames):
     views = run_views(n)
     views[which] = late(views[which], frames)
@@ -97,7 +103,7 @@ def test_what_is_known_of_the_lag_is_taken_into_account():
     assert notes(judged([views[0], replace(views[1], offset_frames=0.0), views[2]]))[1].late_frames == 0.5
 
 
-@pytest.mark.parametrize(("n", "pair"), [(3, (0, 1)), (4, (1, 2))])
+@pytest.mark.parametrize(("n", "pair"), [(3, (0, 1)), pytest.param(4, (1, 2), marks=pytest.mark.slow)])
 def test_two_exchanged_files(n, pair):
     found = judged(exchanged(run_views(n), *pair))
     assert findings(found) == [("cameras_exchanged", pair)]

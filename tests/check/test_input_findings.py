@@ -91,6 +91,12 @@ def stretch(kind: str, first: int, stop: int) -> _Stretch:
     return _Stretch(slice(first, stop), pairs_of(BODY)[kind])
 
 
+@cache
+def exchanged(kind: str, first: int, stop: int) -> View:
+    """What is seen with the sides exchanged in some frames: the same view for all tests, which fit it once."""
+    return with_exchanged(view(), stretch(kind, first, stop))
+
+
 # -- sides ---------------------------------------------------------------------------------------------------------
 
 
@@ -103,7 +109,7 @@ def test_pairs_are_those_of_the_other_side():
 
 
 def test_swaps_are_undone_only_where_the_whole_clip_is_likelier_then():
-    swapped = solved(with_exchanged(view(), stretch("all", 15, 25)))
+    swapped = solved(exchanged("all", 15, 25))
     assert swap_improves(plain(), swapped)
     assert not swap_improves(swapped, plain())
     assert not swap_improves(plain(), plain())
@@ -113,7 +119,7 @@ def test_swaps_are_undone_only_where_the_whole_clip_is_likelier_then():
 
 
 def test_tracks_jump_where_an_exchange_begins_and_ends():
-    gain = jumps(with_exchanged(view(), stretch("all", 15, 25)), pairs_of(BODY)["all"])
+    gain = jumps(exchanged("all", 15, 25), pairs_of(BODY)["all"])
     assert sorted(np.argsort(-gain)[:2].tolist()) == [15, 25]
     assert gain[[15, 25]].min() > 20
     assert np.delete(gain, [15, 25]).max() < -3
@@ -139,10 +145,15 @@ def test_missing_points_say_nothing_of_jumps():
 
 @pytest.mark.parametrize(
     ("kind", "first", "stop"),
-    [("all", 15, 25), ("all", 0, T), ("fore", 20, T), pytest.param("hind", 20, T, marks=pytest.mark.slow)],
+    [
+        ("all", 0, T),
+        ("fore", 20, T),
+        pytest.param("all", 15, 25, marks=pytest.mark.slow),
+        pytest.param("hind", 20, T, marks=pytest.mark.slow),
+    ],
 )
 def test_exchanged_sides_are_found(kind, first, stop):
-    (found,) = swaps(fitted(with_exchanged(view(), stretch(kind, first, stop))))
+    (found,) = swaps(fitted(exchanged(kind, first, stop)))
     assert found.stretch.rows == slice(first, stop)
     assert found.stretch.markers == stretch(kind, first, stop).markers
     assert found.ratio > MARGIN
@@ -150,7 +161,7 @@ def test_exchanged_sides_are_found(kind, first, stop):
 
 
 def test_what_is_not_clear_is_only_to_be_looked_at():
-    assert swaps(fitted(with_exchanged(view(), stretch("hind", 17, 20)))) == []
+    assert swaps(fitted(exchanged("hind", 17, 20))) == []
     trial = _SwapTrial(stretch("hind", 14, 24), Refit(plain().states, 0.0, 0.0), MARGIN + 10.0)
     (source,) = motion_of(plain()).sources
     unclear = swap_finding(replace(trial, clear=False), source, BODY)
@@ -163,7 +174,7 @@ def test_what_is_not_clear_is_only_to_be_looked_at():
 def test_a_whole_clip_that_only_looks_exchanged_is_to_be_looked_at(monkeypatch):
     refit = Refit(plain().states, 0.0, 0.0)
     monkeypatch.setattr("recon.check.swaps.try_undone", lambda given, one: _SwapTrial(one, refit, -20.0))
-    (found,) = swaps(fitted(with_exchanged(view(), stretch("all", 0, T))))
+    (found,) = swaps(fitted(exchanged("all", 0, T)))
     assert (found.clear, found.stretch.rows) == (False, slice(0, T))
     assert swaps(fitted(view())) == []
 
@@ -189,7 +200,7 @@ def test_two_frames_of_a_camera_between_those_of_another_have_no_swaps():
 
 def test_of_two_that_exclude_each_other_the_likelier_has_to_lead():
     one, other = stretch("hind", 0, 20), stretch("hind", 20, T)
-    swapped = fitted(with_exchanged(view(), other))
+    swapped = fitted(exchanged("hind", 20, T))
     right, wrong = (try_undone(swapped, by) for by in (other, one))
     assert right.ratio > max(MARGIN, wrong.ratio + CLEAR)
     then = with_undone(swapped, right)
@@ -221,7 +232,7 @@ def test_of_a_whole_clip_less_evidence_is_said_as_such(monkeypatch, kind, rows, 
 
 
 def test_a_clip_without_states_has_no_exchanged_stretch():
-    nothing = given(with_exchanged(view(), stretch("all", 15, 25)))
+    nothing = given(exchanged("all", 15, 25))
     assert propose_stretches(replace(nothing, states=np.full_like(nothing.states, np.nan)), pairs_of(BODY), False) == []
 
 
@@ -242,13 +253,13 @@ def test_sides_of_a_whole_clip_are_tried_if_it_is_long_enough_and_has_legs(seen_
 
 
 def given_half():
-    return fitted(with_exchanged(view(), stretch("hind", 20, T)))
+    return fitted(exchanged("hind", 20, T))
 
 
 def test_of_a_motion_that_the_prior_does_not_know_a_stretch_is_found_but_no_whole_clip():
     (found,) = swaps(given_half(), is_unlike=True)
     assert found.stretch.rows == slice(20, T)
-    assert swaps(fitted(with_exchanged(view(), stretch("all", 0, T))), is_unlike=True) == []
+    assert swaps(fitted(exchanged("all", 0, T)), is_unlike=True) == []
 
 
 def test_an_error_that_lasts_is_likelier_than_one_that_jumps():
@@ -302,7 +313,7 @@ def test_an_untouched_clip_has_no_findings():
 
 
 def test_without_a_prior_of_motions_neither_sides_nor_rates_are_judged():
-    wrong = motion_of(solved(with_exchanged(view(), stretch("all", 15, 25))))
+    wrong = motion_of(solved(exchanged("all", 15, 25)))
     (found,) = input_findings(wrong, PRIOR, TrajectoryOptions(), NAMED)
     assert (found.code, found.frames, found.camera) == ("left_right_swap", (115, 125), CAMERA.name)
     assert input_findings(wrong, prior_from_body(BODY), TrajectoryOptions(), NAMED) == ()
@@ -480,6 +491,7 @@ def test_half_the_frame_rate_of_the_sample_is_named():
     assert "motion_unlike_prior" not in [one.code for one in motion.findings]
 
 
+@pytest.mark.slow
 def test_of_an_animal_that_is_too_fast_no_whole_clip_is_exchanged():
     camera = samples_folder() / "camera.toml"
     motion = fit_clip(FitSettings(keypoints=(samples_folder() / "whole.csv",), camera=camera, fps=240))

@@ -139,7 +139,7 @@ def test_viewer_that_is_not_there_or_fails_is_broken(monkeypatch):
     monkeypatch.delenv("DISPLAY")
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     if sys.platform == "linux":
-        assert statuses(viewer())["display"] == "note"
+        assert statuses(viewer([sys.executable, "-c", ""]))["display"] == "note"
     found, _ = viewer(["/no/such/program"])
     assert (found.status, found.state) == ("broken", "/no/such/program: No such file or directory")
     found, _ = viewer([sys.executable, "-c", "import sys; print('no GL', file=sys.stderr); sys.exit(3)"])
@@ -193,7 +193,7 @@ def test_fit_and_demo_print_their_summary_as_json(tmp_path):
         "--set",
         "fast=true",
         "--frames",
-        "0:20",
+        "0:8",
     ]
     ended = run(*clip, "--out", tmp_path / "fit", "--json")
     assert (ended.code, ended.err) == (0, "")
@@ -270,7 +270,7 @@ def test_there_is_colour_without_it(monkeypatch):
     assert COLOUR.search(run("fit", "no-such-file.csv", "--out", "no-such-folder").err)
 
 
-@pytest.mark.parametrize("no_color", [True, False])
+@pytest.mark.parametrize("no_color", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_no_color_is_respected_by_the_help(no_color, monkeypatch):
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("TERM", "xterm-256color")

@@ -36,6 +36,7 @@ def test_the_help_of_what_shows_a_result_imports_as_little_as_that_of_a_fit():
     assert report - fit == {"recon.cli.look_options", "recon.cli.show"}
 
 
+@pytest.mark.slow
 def test_a_fit_imports_what_it_uses(tmp_path):
     samples = ROOT / "data" / "samples"
     fit = (

@@ -16,14 +16,16 @@ from recon.testing.rigs import write_rig_clip
 from recon.testing.walkers import walking_person
 from tests.command_line import run
 
-FPS = 50.0
+FPS, FRAMES = 50.0, 16
 
 
 @pytest.fixture(scope="module")
 def clip(tmp_path_factory):
     folder = tmp_path_factory.mktemp("rig")
     centres_m = [(4, 0, 1.5), (-2, 3.5, 1.2), (-2, -3.5, 1.8), (0, 4, 2.0)]
-    files, truth = write_rig_clip(folder, "human-25", walking_person(40, FPS), FPS, np.array(centres_m), 1.0, 0.8, 2.0)
+    files, truth = write_rig_clip(
+        folder, "human-25", walking_person(FRAMES, FPS), FPS, np.array(centres_m), 1.0, 0.8, 2.0
+    )
     write_csv(truth, folder / "truth.csv")
     return folder, files, truth
 
@@ -51,7 +53,7 @@ def test_covariances_and_summary(clip, tmp_path):
     out = tmp_path / "points"
     assert command(clip, out, "--json").code == 0
     summary = json.loads((out / SUMMARY).read_text())
-    assert summary["frames"] == 40
+    assert summary["frames"] == FRAMES
     assert summary["share_known"] > 0.95
     assert list(summary["cameras"]) == ["cam1", "cam2", "cam3", "cam4"]
     assert 1.5 < np.median(list(summary["sigma_px"].values())) < 2.5
@@ -99,7 +101,7 @@ def test_from_python(clip):
     result = triangulate(keypoints, cameras[:2])
     error_m = np.linalg.norm(result.points_m - truth.xyz_m, axis=-1)
     assert np.nanmedian(error_m) < 0.05
-    assert result.covariance_m2.shape == (40, len(truth.names), 3, 3)
+    assert result.covariance_m2.shape == (FRAMES, len(truth.names), 3, 3)
     assert result.pose3d.names == truth.names
     with pytest.raises(InputError, match="two or more"):
         triangulate(keypoints[:1], cameras[:1])

@@ -14,7 +14,13 @@ FAINT = 1e-6
 """A pull of the angles that moves no marker by anything that shows."""
 
 
-@pytest.fixture(params=builtin_names())
+LIKE_OTHERS = ("cheetah-8u-jules", "cheetah-8u-phantom")
+"""Other lengths of one chain."""
+
+
+@pytest.fixture(
+    params=[pytest.param(name, marks=[pytest.mark.slow] * (name in LIKE_OTHERS)) for name in builtin_names()]
+)
 def body(request: pytest.FixtureRequest) -> Body:
     return load_skeleton(request.param)
 

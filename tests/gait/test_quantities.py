@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from recon.fit.motion import Motion
-from recon.gait.clip import ClipAnalysis, analyse
+from recon.gait.clip import ClipAnalysis
 from recon.gait.quantities import PAIRS, SIDE_SIGMA, asymmetry_values, shared_sigma
 from recon.show.sentences import analysis_sentences
 from recon.show.tables import gait, gait_quantities
 
 
 @pytest.fixture(scope="module")
-def whole(whole_results: Path) -> ClipAnalysis:
-    return analyse(Motion.load(whole_results))
+def whole(whole_analysis: ClipAnalysis) -> ClipAnalysis:
+    return whole_analysis
 
 
 def test_table_and_sentences_have_the_same_numbers(whole: ClipAnalysis):

@@ -183,6 +183,7 @@ def test_both_jobs_with_all_methods(compared):
     assert pd.read_csv(folder / "ik" / "target.csv").set_index("method").loc["damped", "reached"] == "yes"
 
 
+@pytest.mark.slow
 def test_rates_for_control(folder, tmp_path):
     """Every method and joint has rates over the animal's time; on a path that closes they meet at its ends."""
     options = {"compare": True, "dim": 2, "limits": False, "figures": False, "out": tmp_path / "a"}

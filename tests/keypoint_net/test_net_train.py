@@ -114,7 +114,7 @@ def whole(clip: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-@pytest.mark.parametrize("at", [0.5, 0.85])
+@pytest.mark.parametrize("at", [pytest.param(0.5, marks=pytest.mark.slow), 0.85])
 def test_a_run_that_is_killed_and_resumed_ends_in_the_same_weights(clip, whole, quick, tmp_path, at):
     """Before the validation pictures are learned from, too, and after; both times between two checkpoints."""
 
@@ -138,23 +138,23 @@ def test_what_a_run_needs_is_checked_before_a_folder_is_made(clip, tmp_path):
     assert not (tmp_path / "none").exists()
 
 
-def test_the_video_is_never_written_over(clip, model, tmp_path):
+def test_the_video_is_never_written_over(clip, whole, quick, tmp_path):
     video = tmp_path / "clip.avi"
     video.write_bytes((clip / "clip.avi").read_bytes())
     with refusal((video, "file", "an input of this run", "another --overlay")):
-        run_prediction(video, model, tmp_path / "p.csv", overlay=tmp_path / "." / "clip.avi", overwrite=True)
+        run_prediction(video, whole, tmp_path / "p.csv", overlay=tmp_path / "." / "clip.avi", overwrite=True)
     assert video.read_bytes() == (clip / "clip.avi").read_bytes()
     assert not (tmp_path / "p.csv").exists()
 
 
-def test_no_file_of_a_user_s_is_replaced(clip, model, tmp_path):
+def test_no_file_of_a_user_s_is_replaced(clip, whole, quick, tmp_path):
     """Under the names that the commands write; each is refused before any work."""
     train_it = ("train", clip / "clip.avi", "--labels", clip / "labels.csv", "--first-frame", 50, "--steps", 3)
     names = (predict_module.MODEL_FILE, train_module.CHECKPOINT_FILE, *train_module.REPORT_FILES)
     require_untouched((*train_it, "--out", tmp_path / "net"), tmp_path / "net", names)
     files = ("points.csv", "points.avi")
     written = ("--out", tmp_path / "p" / files[0], "--overlay", tmp_path / "p" / files[1])
-    require_untouched(("predict", clip / "clip.avi", "--model", model, *written), tmp_path / "p", files)
+    require_untouched(("predict", clip / "clip.avi", "--model", whole, *written), tmp_path / "p", files)
 
 
 @pytest.mark.slow
@@ -223,6 +223,7 @@ def test_another_seed_gives_other_weights(clip, quick, tmp_path):
     assert not torch.equal(a, b)
 
 
+@pytest.mark.slow
 def test_the_network_learns_the_blobs_and_the_report_says_so(clip, model):
     report = json.loads((model / "training.json").read_text(encoding="utf-8"))
     assert report["errors"]["validation"]["all"]["median_px"] < 2.5
@@ -252,9 +253,16 @@ def test_a_network_that_does_not_fit_judges_no_label_and_the_run_says_so_before(
     assert any("2 steps may be too few" in sentence for sentence in said)
 
 
-def test_predictions_have_deeplabcuts_layout(clip, model, tmp_path):
+@pytest.mark.slow
+def test_predictions_are_where_the_blobs_are(clip, model, tmp_path):
+    keypoints = run_prediction(clip / "clip.avi", model, tmp_path / "points.csv", device="cpu", threads=1)
+    errors = np.linalg.norm(keypoints.xy_px - np.stack([places(f) for f in range(FRAMES)]), axis=2)
+    assert np.median(errors) < 2.5
+
+
+def test_predictions_have_deeplabcuts_layout(clip, whole, quick, tmp_path):
     out = tmp_path / "points.csv"
-    run_prediction(clip / "clip.avi", model, out, overlay=tmp_path / "points.avi", device="cpu", threads=1)
+    run_prediction(clip / "clip.avi", whole, out, overlay=tmp_path / "points.avi", device="cpu", threads=1)
     lines = out.read_text(encoding="utf-8").splitlines()
     assert lines[0] == "scorer" + ",recon_25fps" * 9
     assert lines[1] == "bodyparts," + ",".join(n for n in NAMES for _ in range(3))
@@ -264,31 +272,29 @@ def test_predictions_have_deeplabcuts_layout(clip, model, tmp_path):
     assert table.index.tolist() == list(range(FRAMES))
     assert list(table.columns.names) == ["scorer", "bodyparts", "coords"]
     keypoints = read_keypoints(out)
-    errors = np.linalg.norm(keypoints.xy_px - np.stack([places(f) for f in range(FRAMES)]), axis=2)
-    assert np.median(errors) < 2.5
     assert ((keypoints.confidence >= 0) & (keypoints.confidence <= 1)).all()
     assert probe(tmp_path / "points.avi").size_px == SIZE
     assert probe(tmp_path / "points.avi").stated_frames == FRAMES
 
 
-def test_h5_and_csv_hold_the_same(clip, model, tmp_path):
+def test_h5_and_csv_hold_the_same(clip, whole, quick, tmp_path):
     for name in ("points.csv", "points.h5"):
-        run_prediction(clip / "clip.avi", model, tmp_path / name, device="cpu", threads=1)
+        run_prediction(clip / "clip.avi", whole, tmp_path / name, device="cpu", threads=1)
     one, other = read_keypoints(tmp_path / "points.csv"), read_keypoints(tmp_path / "points.h5")
     np.testing.assert_allclose(one.xy_px, other.xy_px, atol=1e-9)
     assert pd.DataFrame(pd.read_hdf(tmp_path / "points.h5")).columns.names == ["scorer", "bodyparts", "coords"]
 
 
-def test_a_video_that_ends_before_its_stated_end(clip, model, tmp_path, monkeypatch):
+def test_a_video_that_ends_before_its_stated_end(clip, whole, quick, tmp_path, monkeypatch):
     def lying(path: Path) -> VideoInfo:
         return VideoInfo(SIZE, 25.0, 4 * FRAMES)
 
     monkeypatch.setattr(predict_module, "probe", lying)
     out = tmp_path / "points.csv"
     with refusal((clip / "clip.avi", "frames", FRAMES, [4 * FRAMES, "--partial"])):
-        run_prediction(clip / "clip.avi", model, out, overlay=tmp_path / "o.avi", device="cpu", threads=1)
+        run_prediction(clip / "clip.avi", whole, out, overlay=tmp_path / "o.avi", device="cpu", threads=1)
     assert list(tmp_path.iterdir()) == []
-    found = run_prediction(clip / "clip.avi", model, out, device="cpu", threads=1, partial=True)
+    found = run_prediction(clip / "clip.avi", whole, out, device="cpu", threads=1, partial=True)
     assert len(found.frames) == FRAMES
 
 
@@ -334,9 +340,9 @@ NETWORK, LABELS = ["--model", "{model}"], ["--labels", "{clip}/labels.csv"]
         ([*TRAIN, "--labels", "{clip}/no.csv"], ("no.csv", "file", "no such file")),
     ],
 )
-def test_bad_input_is_one_message_and_nothing_is_written(args, expected, clip, model, tmp_path, monkeypatch):
+def test_bad_input_is_one_message_and_nothing_is_written(args, expected, clip, whole, quick, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    refused([a.format(clip=clip, model=model) for a in args], expected)
+    refused([a.format(clip=clip, model=whole) for a in args], expected)
     assert list(tmp_path.iterdir()) == []
 
 

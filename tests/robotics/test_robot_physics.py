@@ -22,8 +22,8 @@ NO_MASSES = ("aibo", "masses", "none")
 
 
 @pytest.fixture(scope="module")
-def a1(whole_results):
-    return retarget(reference_of(Motion.load(whole_results)), load_robot("a1"))
+def a1(retargeted):
+    return retargeted("a1")
 
 
 @pytest.mark.parametrize("part", ["clip", "stride"])
@@ -142,7 +142,7 @@ def test_the_feet_of_a_trot_carry_it_once_the_base_is_moved_a_little(trot, carri
     assert motion.closing_percent < 1e-6
 
 
-@pytest.mark.parametrize(("robot", "scale"), [("a1", 0.28), ("go2", 0.31)])
+@pytest.mark.parametrize(("robot", "scale"), [pytest.param("a1", 0.28, marks=pytest.mark.slow), ("go2", 0.31)])
 def test_the_feet_of_the_samples_gallop_carry_it(whole_results, robot, scale):
     """Less than half of the frames have a foot on the ground, and few have two."""
     gallop = retarget(reference_of(Motion.load(whole_results)), load_robot(robot), scale).stride

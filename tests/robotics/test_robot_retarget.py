@@ -129,8 +129,8 @@ def test_stride_of_a_whole_animal_is_complete_and_closes(whole):
 
 
 @pytest.mark.parametrize("robot", ["a1", "aibo"])
-def test_what_is_promised(whole, robot):
-    solved = retarget(whole, load_robot(robot))
+def test_what_is_promised(retargeted, robot):
+    solved = retargeted(robot)
     assert not [note for note in report_of(solved)["notes"] if not note.startswith(("the clip", "fore and"))]
     for motion in (solved.clip, solved.stride):
         assert motion.slip_m.max() < 0.002
@@ -179,9 +179,8 @@ def test_drawn_in_as_little_as_needed():
     assert feet[1, 1:] == pytest.approx(leg.neutral_m[1:])
 
 
-def test_legs_are_kept_apart(whole):
-    robot = load_robot("a1")
-    motion = retarget(whole, robot)
+def test_legs_are_kept_apart(whole, retargeted):
+    robot, motion = load_robot("a1"), retargeted("a1")
     for part in (motion.clip, motion.stride):
         # At the feet alone they are no nearer than anywhere along the legs.
         feet = np.linalg.norm(part.feet_m[:, :2] - part.feet_m[:, 2:], axis=-1).min()
@@ -218,8 +217,8 @@ def test_distance_of_legs(whole):
     assert 0.361 * 0.7 <= found < 0.361 * 0.7 + 0.013
 
 
-def test_a_repeated_stride_goes_on(whole):
-    stride = retarget(whole, load_robot("a1")).stride
+def test_a_repeated_stride_goes_on(retargeted):
+    stride = retargeted("a1").stride
     three = repeated(stride, 3)
     n = len(stride.time_s) - 1
     assert len(three.time_s) == 3 * n + 1
@@ -229,9 +228,9 @@ def test_a_repeated_stride_goes_on(whole):
     assert three.rate_share.max() <= stride.rate_share.max() * 1.05
 
 
-def test_the_animal_beside_the_robot_has_the_colours_of_its_sides(whole, tmp_path):
+def test_the_animal_beside_the_robot_has_the_colours_of_its_sides(retargeted, tmp_path):
     """Also a horse, whose near side is the left one."""
-    solved = retarget(whole, load_robot("a1"))
+    solved = retargeted("a1")
     horse = load_skeleton("horse-22")
     at = {marker: j for j, marker in enumerate(horse.markers)}
     limbs = {limb: tuple(at[marker] for marker in along) for limb, along in horse.limbs.items()}

@@ -29,8 +29,8 @@ def animal(whole_results):
 
 
 @pytest.fixture(scope="module")
-def solved(animal) -> Retargeting:
-    return retarget(animal, load_robot("a1"))
+def solved(retargeted) -> Retargeting:
+    return retargeted("a1")
 
 
 def a1_bodies(name: str, q: np.ndarray) -> dict[str, tuple[np.ndarray, Rotation]]:
@@ -68,8 +68,8 @@ def test_bodies_are_where_the_robots_own_file_has_them(solved, part):
 
 
 @pytest.fixture(scope="module")
-def aibo(animal) -> Retargeting:
-    return retarget(animal, load_robot("aibo"))
+def aibo(retargeted) -> Retargeting:
+    return retargeted("aibo")
 
 
 @pytest.mark.parametrize("robot", ["solved", "aibo"])

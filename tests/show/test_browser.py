@@ -193,7 +193,13 @@ def comparison(folder: Path, pages: dict[str, Path]) -> Path:
     return path
 
 
-@pytest.mark.parametrize("name", ["film", "several", "refused", "whole", "batch", "compare"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("film", "whole", "batch", "compare"),
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("several", "refused")),
+    ],
+)
 def test_nothing_is_off_the_screen_or_too_pale_or_without_a_name(pages, opened, name):
     page = opened(pages[name])
     assert page.evaluate(UNNAMED) == []

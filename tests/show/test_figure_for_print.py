@@ -15,14 +15,13 @@ from matplotlib.text import Text
 
 from recon.api.analyse import DEFAULT_FIGURES, figures_of
 from recon.api.figure import caption_of, draw_for_print
-from recon.fit.motion import Motion
-from recon.gait.clip import ClipAnalysis, analyse
+from recon.gait.clip import ClipAnalysis
 from recon.show.plots import style
 
 
 @pytest.fixture(scope="module")
-def whole(whole_results: Path) -> ClipAnalysis:
-    return analyse(Motion.load(whole_results))
+def whole(whole_analysis: ClipAnalysis) -> ClipAnalysis:
+    return whole_analysis
 
 
 @pytest.mark.parametrize(

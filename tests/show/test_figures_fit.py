@@ -16,8 +16,7 @@ from figure_texts import cut_off
 from recon.animal.skeleton_file import load_skeleton
 from recon.api.compare import QUANTITIES, _figure
 from recon.calibrate.camera_advice import AZIMUTHS_RAD, ELEVATIONS_RAD, Advice
-from recon.fit.motion import Motion
-from recon.gait.clip import ClipAnalysis, analyse
+from recon.gait.clip import ClipAnalysis
 from recon.show.plots import style
 from recon.show.plots.configurations import angle_ranges, camera_advice, views
 from recon.show.plots.flexion import joint_flexion
@@ -27,8 +26,8 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
-def whole(whole_results) -> ClipAnalysis:
-    return analyse(Motion.load(whole_results))
+def whole(whole_analysis: ClipAnalysis) -> ClipAnalysis:
+    return whole_analysis
 
 
 def test_a_text_that_is_cut_off_is_found():

@@ -27,7 +27,6 @@ from recon.cli.look import neighbours
 from recon.cli.look_options import PageSettings
 from recon.cli.show import report
 from recon.fit.motion import Motion
-from recon.gait.clip import ClipAnalysis
 from recon.io.video import video_writer
 from recon.show.console import TO_DO
 from recon.show.page.pages import Neighbours, _sections, _without_unseen, clip_page, doubtful_frames, inline
@@ -380,6 +379,6 @@ def test_a_page_leads_to_the_pages_before_and_after_it_and_back(batch, folder):
     assert neighbours(batch / second, whole_batch=True).previous == f"../{first}/report.html"
 
 
-def test_a_clip_with_strides_has_its_joint_angles_over_the_stride(whole_results):
-    headings = [section["heading"] for section in _sections(ClipAnalysis(Motion.load(whole_results)))]
+def test_a_clip_with_strides_has_its_joint_angles_over_the_stride(whole_analysis):
+    headings = [section["heading"] for section in _sections(whole_analysis)]
     assert headings[headings.index("Footfalls") + 1] == "Joint angles over the stride"

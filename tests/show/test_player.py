@@ -13,7 +13,6 @@ import pytest
 from motions import with_first
 
 from recon.check.codes import finding
-from recon.gait.clip import ClipAnalysis
 from recon.show.page import pictures, player_data
 from recon.show.page.pictures import Cut, cut_of, encode_strip
 from recon.show.page.quality import quality_tables
@@ -91,10 +90,8 @@ def test_cameras_that_would_make_a_page_too_large_are_left_out(two_cameras, monk
     assert second["detected_px"] is not None
 
 
-def test_curves_and_stances_are_those_of_the_analysis(whole_results):
-    from recon.fit.motion import Motion
-
-    analysis = ClipAnalysis(Motion.load(whole_results))
+def test_curves_and_stances_are_those_of_the_analysis(whole_analysis):
+    analysis = whole_analysis
     data = player_data.player_data(analysis.motion, analysis)
     speed = next(panel for panel in data["curves"] if panel["group"] == "speed")
     values = unpacked(speed["curves"][0]["values"])

@@ -12,7 +12,7 @@ import pytest
 from command_line import refusal
 from rerun.chunk import RrdReader
 
-from recon import ClipAnalysis, analyse
+from recon import ClipAnalysis
 from recon.fit.motion import Motion
 from recon.fit.posterior import radius
 from recon.gait.gait import INTERVAL
@@ -42,8 +42,8 @@ def by_frame(of: list[dict[str, Any]], component: str) -> dict[int, Any]:
 
 
 @pytest.fixture(scope="module")
-def found(whole_results: Path) -> ClipAnalysis:
-    return analyse(Motion.load(whole_results))
+def found(whole_analysis: ClipAnalysis) -> ClipAnalysis:
+    return whole_analysis
 
 
 @pytest.fixture(scope="module")

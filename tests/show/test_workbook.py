@@ -12,8 +12,7 @@ import pandas as pd
 import pytest
 from command_line import refused
 
-from recon.fit.motion import Motion
-from recon.gait.clip import ClipAnalysis, analyse
+from recon.gait.clip import ClipAnalysis
 from recon.show.tables import DICTIONARY, LONG, TABLES, Columns, Table
 from recon.show.workbook import (
     analysis_tables,
@@ -43,8 +42,8 @@ def few_tables(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def whole(whole_results: Path) -> ClipAnalysis:
-    return analyse(Motion.load(whole_results))
+def whole(whole_analysis: ClipAnalysis) -> ClipAnalysis:
+    return whole_analysis
 
 
 @pytest.mark.parametrize(
