@@ -293,8 +293,22 @@ def true_stride_s(start_s: float) -> float:
     return float(np.interp(np.interp(start_s, time_s, phase) + 1, phase, time_s)) - start_s
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("fit", ["frame_results", "chain_results", "whole_results"])
+@pytest.mark.parametrize(
+    ("fit", "dim"),
+    [
+        ("frame_results", 2),
+        ("whole_results", 3),
+        *(
+            pytest.param(fit, dim, marks=pytest.mark.slow)
+            for fit, dim in (
+                ("frame_results", 3),
+                ("chain_results", 2),
+                ("chain_results", 3),
+                ("whole_results", 2),
+            )
+        ),
+    ],
+)
 def test_the_stride_takes_as_long_as_it_does_and_can_be_followed(fit, dim, request):
     """Both skeletons, both methods, all feet that have a chain."""
     results = Motion.load(request.getfixturevalue(fit))

@@ -52,7 +52,7 @@ def random_tasks(dim, count=STARTS, seed=0):
     return starts, np.array([chain.end(q) for q in ends])
 
 
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("dim", [pytest.param(2, marks=pytest.mark.slow), 3])
 @pytest.mark.parametrize("name", methods(front_leg(2)))
 def test_every_method_reaches_reachable_targets(name, dim):
     chain = front_leg(dim)
