@@ -19,7 +19,7 @@ PARTS = {
     ),
     "pairs": Part(
         "pairs.py",
-        ["--jobs", "2", "--pairs", "1", "--cameras", "two", "all"],
+        ["--jobs", "2", "--pairs", "3", "--cameras", "two", "all", "--every"],
         quick=["--pairs", "1", "--cameras", "two", "--degrees", "3"],
         data="cheetah-runs",
     ),

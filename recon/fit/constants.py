@@ -53,6 +53,8 @@ MISPLACED_RAD = 0.05235987755982988
 It is 3 degrees: with 2 degrees, errors in the benchmark's real runs are larger if a second camera is turned by 6
 degrees, and equal if it is turned by 3 degrees.
 """
+OTHER_ROTATION = 1.4
+"""Factor on the usual rotation from which a pose is refined again with the rotation that the refined pose shows."""
 MISPLACED = 12.0
 """Factor on the usual errors for a camera that was moved after its calibration, or whose clock is wrong.
 
