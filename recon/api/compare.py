@@ -256,8 +256,8 @@ def _same_runs(results: _Results, design: pd.DataFrame | None) -> Iterator[str]:
     ]
     if pairs:
         yield (
-            f"Probably of the same run, judged by folder, frames and paths, but each counted as a clip: "
-            f"{names_text(pairs)}. Give one result for each run, if possible the one from all its cameras."
+            "These results are probably of the same run, judged by folder, frames and paths, but count as separate "
+            f"clips: {names_text(pairs)}. Give one result for each run, if possible the one from all its cameras."
         )
 
 

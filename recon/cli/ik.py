@@ -46,7 +46,7 @@ def _ik_lines(summary: dict[str, Any], out: Path) -> Iterator[str | Table]:
     yield f"stride: {stride['start_s']:.3f} to {quantity(stride['end_s'], 3, 's')}, {origin}; {gap}"
     yield from (f"note: {note}" for note in stride["notes"])
     if stride["gap_percent"] > WIDE_GAP_PERCENT:
-        yield "note: the gap is too wide for one stride: a touchdown was missed, or the clip is too short"
+        yield "note: the gap is too wide for one stride: a touch-down was missed, or the clip is too short"
     driven, along = summary["to_target"], summary["along_stride"]
     if driven:
         yield from _target_lines(driven, summary["target_m"])
@@ -125,7 +125,7 @@ def _stride_lines(along: dict[str, Any], summary: dict[str, Any]) -> Iterator[st
         f"result: closes from {CLOSES_PERCENT} % for every joint; off-path from "
         f"{quantity(1000 * OFF_PATH_M, 0, 'mm')}; limited: "
         "does not close, and a joint rests on its limit. "
-        "closure: the least of any joint's angle; off: the joints from the animal's"
+        "closure: the least of any joint's angle; off: distance of the joints from the animal's"
     )
     sources = {"animal": summary["animal"]} | along
     joints = {_short(joint): partial(_closure_cell, joint=joint) for joint in summary["joints"]}

@@ -104,15 +104,15 @@ makes a walk, or below one half that makes a run.
 WHOLE_CLIP = "whole clip"
 STRIDE_TEXTS = {
     "given": "as given",
-    "gait": "from one touchdown, or lift-off, of the foot to the next",
-    "touchdown": "from touchdown to touchdown",
+    "gait": "from one touch-down, or lift-off, of the foot to the next",
+    "touchdown": "from touch-down to touch-down",
     "lift-off": "from lift-off to lift-off",
     "end effector": "between two rearmost positions of the foot",
     "return": "the clip has no complete stride: from a position of the foot to its nearest return there",
     WHOLE_CLIP: "the clip has no complete stride: the whole clip",
 }
 """Descriptions of the stride that phase portraits and inverse kinematics show, by the event at its ends (`Stride.at`);
-"gait" for a touchdown or a lift-off, and `WHOLE_CLIP` without a stride.
+"gait" for a touch-down or a lift-off, and `WHOLE_CLIP` without a stride.
 """
 
 

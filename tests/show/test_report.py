@@ -298,7 +298,7 @@ def test_size_says_what_it_comes_from(trajectory, small_trajectory):
     seen = build_report(with_solution(small_trajectory, size_from=("prior", "views")), {})
     tall = build_report(small_trajectory, {"height_m": 0.8})
     assert seen["size"]["measured"] is tall["size"]["measured"] is True
-    assert says(dict(summary_lines(seen))["size"], "where the cameras are")
+    assert says(dict(summary_lines(seen))["size"], "the positions of the cameras")
     assert dict(summary_lines(tall))["size"] == "as given (--height-m 0.8), ±6 %"
     odd = build_report(with_solution(small_trajectory, size=0.7), {})
     assert numbers(odd, "size_unexpected") == {"size": 0.7, "expected_sigma": 0.1}
@@ -626,7 +626,7 @@ def test_console_summary_of_several_cameras(several, two_cameras):
     assert " below cam1; stances" in dict(lines)["ground"]
     assert dict(lines)["heading"].endswith(", as cam1 sees it")
     assert several["size"]["from"] == ["prior", "views"]
-    assert dict(lines)["size"].endswith("where the cameras are")
+    assert dict(lines)["size"].endswith("the positions of the cameras")
     sentences = " ".join(several["assumptions"]["sentences"])
     assert says(sentences, "it is 1.00", " ± ", "cameras stand still")
 

@@ -17,7 +17,7 @@ from recon.gait.kinematics import MIN_POINTS, frame_jitter_m, jitter_errors, poi
 from recon.show.plain import file_name, picked
 from recon.show.sections.section import Line, camera_name
 
-SIZE_SOURCES = {"views": "where the cameras are", "ground": "the camera's height above the ground"}
+SIZE_SOURCES = {"views": "the positions of the cameras", "ground": "the camera's height above the ground"}
 """Names of the sources of the size other than the expectation."""
 
 
