@@ -87,8 +87,8 @@ def shorten_cost_study(patch: pytest.MonkeyPatch) -> None:
 
 
 def remember_analyses(patch: pytest.MonkeyPatch) -> None:
-    """`recon analyse` and `recon compare` analyse each motion once in a process, whatever its folder is called."""
-    for module in ("recon.api.analyse", "recon.api.compare"):
+    """`recon analyse`, `compare` and `figure` analyse each motion once in a process, whatever its folder is called."""
+    for module in ("recon.api.analyse", "recon.api.compare", "recon.cli.figure"):
         patch.setattr(f"{module}.analyse", _remembered_analysis)
 
 

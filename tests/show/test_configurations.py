@@ -103,7 +103,14 @@ def test_without_a_pose_there_is_nothing():
     assert "no data" in texts
 
 
-@pytest.mark.parametrize("drift_m", [(0, 0, 0), (9, 0, 20), (9, 30, 0), (0.1, 0, 8), (90, 0, 3)])
+@pytest.mark.parametrize(
+    "drift_m",
+    [
+        (9, 0, 20),
+        (9, 30, 0),
+        *(pytest.param(drift, marks=pytest.mark.slow) for drift in ((0, 0, 0), (0.1, 0, 8), (90, 0, 3))),
+    ],
+)
 def test_no_pose_is_cut_wherever_the_animal_goes(small_trajectory, drift_m):
     """As in clips that are not to be used: the animal climbs, or runs off to the side."""
     joints_m = small_trajectory.upright.xyz_m + np.linspace(0, 1, 8)[:, None, None] * np.array(drift_m)

@@ -75,7 +75,7 @@ def test_every_figure_has_a_caption(whole: ClipAnalysis):
         assert caption_of(whole, (name,)).startswith(name.replace("_", " ")) is False
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("undrawn", "remembered_analyses")
 def test_the_command_writes_figure_and_caption(whole_results: Path, tmp_path: Path):
     listed = run("figure", whole_results)
     assert listed.code == 0

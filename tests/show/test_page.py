@@ -379,6 +379,7 @@ def test_a_page_leads_to_the_pages_before_and_after_it_and_back(batch, folder):
     assert neighbours(batch / second, whole_batch=True).previous == f"../{first}/report.html"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_clip_with_strides_has_its_joint_angles_over_the_stride(whole_analysis):
     headings = [section["heading"] for section in _sections(whole_analysis)]
     assert headings[headings.index("Footfalls") + 1] == "Joint angles over the stride"

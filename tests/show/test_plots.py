@@ -232,7 +232,7 @@ def test_nothing_known_is_said():
 # -- composites ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("heading", [0.0, 2.0, -2.5])
+@pytest.mark.parametrize("heading", [2.0, *(pytest.param(h, marks=pytest.mark.slow) for h in (0.0, -2.5))])
 def test_composites_turn_the_run_to_the_right(heading):
     t = times(31)
     figure = plots.composites(running(heading=heading), LIMBS, t, ground=LEVEL, sides=SIDES)
