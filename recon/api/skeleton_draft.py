@@ -3,7 +3,7 @@
 The names of the keypoints place markers on the quadruped's segments. With several cameras, the positions of the
 keypoints define the segments instead, whatever the keypoints are called: keypoints whose mutual distances stay constant
 form a rigid body, and bodies are joined at the points whose distances vary least. The expected pose is a pose that the
-animal had, and the expected angles range as far as those of the animal.
+animal had, and the expected range of each angle is the range that the animal showed.
 """
 
 from __future__ import annotations

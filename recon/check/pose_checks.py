@@ -41,7 +41,7 @@ SIGMAS = 2.0
 RATIO = 1.5
 """Factor by which the acceleration may differ from gravity, apart from its uncertainty, without a finding."""
 OWN_MOTION = 0.02
-"""Motion of the trunk relative to the centre of mass in a flight, relative to the length of the legs."""
+"""Motion of the trunk relative to the centre of mass in a flight, in leg lengths."""
 RANGE_DEG: Mapping[str, tuple[float, float]] = {
     "elbow": (-20.0, 165.0),
     "stifle": (-20.0, 170.0),
