@@ -44,6 +44,8 @@ from recon.io.camera_files import write_cameras
 from recon.io.deeplabcut import write_csv
 from recon.testing.coverage import coverage
 
+EITHER = ("upside_down", "turned_either_way")
+"""Codes of contradictions that several causes explain."""
 CAUSES = {
     *(
         "frames_dropped",
@@ -66,7 +68,7 @@ CAUSES = {
         "subject_unlike_species",
     ),
     *("cameras_apart_in_time", "cameras_exchanged", "cameras_disagree", "camera_turned", "camera_late", "camera_off"),
-    *("picture_zooms", "keypoints_undistorted", "halves_apart", "picture_stretched"),
+    *("picture_zooms", "keypoints_undistorted", "halves_apart", "picture_stretched", *EITHER, "pose_inverted"),
 }
 """Codes that state the cause of a wrong input."""
 SWAPS = ("left_right_swap", "left_right_swap_possible")
@@ -517,9 +519,9 @@ CASES = {
     "mirrored": Case(lambda c, g: g.seen([g.size_px[0] - 1, 0] + g.xy_px * [-1, 1]), SWAPS),
     "portrait": Case(
         lambda c, g: g.seen(np.stack([g.xy_px[..., 1], g.size_px[0] - 1 - g.xy_px[..., 0]], axis=-1)),
-        ("picture_turned", "picture_upside_down", "keypoints_y_up", "refused"),
+        ("picture_turned", "turned_either_way", "refused"),
     ),
-    "y-up world": Case(lambda c, g: g.moved(R=UP), ("world_not_z_up",)),
+    "y-up world": Case(lambda c, g: g.moved(R=UP), ("world_not_z_up", "turned_either_way")),
     "still animal": Case(still, ("animal_still",)),
     "time reversed": Case(backwards, ("time_reversed",)),
     "unit mm": Case(in_unit(1000.0), ("camera_unit",)),
@@ -538,8 +540,10 @@ CASES = {
     "fore legs swapped": Case(swapped("front", lambda T: slice(T // 2, T)), SWAPS),
     "hind legs swapped": Case(swapped("back", lambda T: slice(T // 2, T)), SWAPS),
     **{f"frame rate x {by:.2g}": Case(at_rate(by), ("frame_rate",)) for by in (0.5, 0.6, 0.75, 4 / 3, 5 / 3, 2.0)},
-    "y up in the picture": Case(lambda c, g: g.seen([0, g.size_px[1] - 1] + g.xy_px * [1, -1]), ("keypoints_y_up",)),
-    "upside down": Case(lambda c, g: g.seen(g.size_px - 1 - g.xy_px), ("picture_upside_down",)),
+    "y up in the picture": Case(
+        lambda c, g: g.seen([0, g.size_px[1] - 1] + g.xy_px * [1, -1]), ("keypoints_y_up", *EITHER)
+    ),
+    "upside down": Case(lambda c, g: g.seen(g.size_px - 1 - g.xy_px), ("picture_upside_down", *EITHER)),
     "video of half the size": Case(lambda c, g: g.seen(g.xy_px / 2), ("smaller_video",)),
     "right: half missing": Case(without(0.5)),
     "right: a side hidden": Case(hidden(lambda name: name.startswith("r_"))),
@@ -571,6 +575,10 @@ CASES = {
     "two, one of half the rate": Case(half_rate_of_one, (*OFF, "cameras_apart_in_time", "frame_rate"), two=True),
     "two, the same keypoints": Case(same_twice, (*OFF, "same_keypoints"), two=True),
 }
+
+
+PLAIN = {"untouched": False, "two cameras": True}
+"""Cases without a change, and whether they are of two cameras."""
 
 
 def fitted(clip: Clip, case: Case, folder: Path) -> tuple[Motion, Given]:
@@ -672,7 +680,7 @@ def clips(every: int) -> Iterator[Clip]:
 
 def judged(table: pd.DataFrame) -> pd.DataFrame:
     """Add whether each clip's error is doubled, and whether the findings are true."""
-    plain = table[table["case"].isin(["untouched", "two cameras"])].set_index(["run", "camera"])
+    plain = table[table["case"].isin([*PLAIN])].set_index(["run", "camera"])
     keys = pd.MultiIndex.from_frame(table[["run", "camera"]])
     times = [table[of].to_numpy() / plain[of].reindex(keys).to_numpy() for of in ("pose_mm", "position_m")]
     codes = [{*text.split()} for text in table["codes"]]
@@ -727,7 +735,8 @@ def main() -> None:
     parser.add_argument("--findings", action="store_true", help="which findings each case has")
     arguments = parser.parse_args()
     wanted = [n for n in CASES if arguments.cases is None or any(part in n for part in arguments.cases.split(","))]
-    wanted = [*dict.fromkeys(["untouched", "two cameras", *wanted])]
+    as_they_are = [name for name, two in PLAIN.items() if any(CASES[other].two == two for other in wanted)]
+    wanted = [*dict.fromkeys([*as_they_are, *wanted])]
     rows: list[dict[str, Any]] = []
     with ProcessPoolExecutor(arguments.jobs) as pool:
         for of_clip in pool.map(partial(rows_of, names=wanted), clips(arguments.views)):
@@ -745,7 +754,7 @@ def main() -> None:
         [*header, *use, "pose in 90 %", "position in 90 %", "of what was seen: mm; m"],
         [[name, len(of), of["doubled"].sum(), *cells(of)] for name, of in grouped],
     )
-    wrong = table[~table["case"].isin(["untouched", "two cameras"]) & ~table["case"].str.startswith("right")]
+    wrong = table[~table["case"].isin([*PLAIN]) & ~table["case"].str.startswith("right")]
     print(f'"use" while beyond the bound: {wrong["use_beyond"].sum()} of {len(wrong)} fits')
     if arguments.findings:
         for name, of in grouped:

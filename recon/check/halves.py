@@ -22,6 +22,12 @@ a second behind (`benchmarks/wrong_inputs.py --only limits`, five views each).
 """
 LEAST_FRAMES = 3
 """Smallest number of frames of a segment whose motion is tested."""
+DISAGREES, TIMES = 3.0, 2.0
+"""Distance from its marker beyond which a detection disagrees with the pose, in standard deviations of the noise, and
+the ratio of the shares of such detections from which the half with more of them is the foreign one.
+
+A foreign hind half has 3 to 8 times the other half's share, a late foreign fore half 1.7 to 3 times (three views each).
+"""
 
 
 def hind_markers(clip: ClipProblem) -> Bools:
@@ -52,4 +58,21 @@ def halves_finding(clip: ClipProblem, solution: TrajectorySolution) -> Finding |
     offset = offset_of(clip, solution)
     if offset is None or LIMITS[0] * offset.sigma < offset.value < LIMITS[1] * offset.sigma:
         return None
-    return finding("halves_apart", late_frames=-offset.value, sigmas=abs(offset.value) / offset.sigma)
+    halves = foreign_half(clip, solution)
+    return finding("halves_apart", late_frames=-offset.value, sigmas=abs(offset.value) / offset.sigma, foreign=halves)
+
+
+def foreign_half(clip: ClipProblem, solution: TrajectorySolution) -> str:
+    """Return the half whose detections disagree with the pose far more often than the other's, or both halves."""
+    view, is_hind = clip.views[0], hind_markers(clip)
+    projected_px, _ = view.project(view.shift_to_exposure(solution.markers_m))
+    with np.errstate(invalid="ignore"):  # frames without a pose
+        distances = np.linalg.norm(projected_px - view.xy_px, axis=-1) / solution.noise_px[0]
+    is_known = view.present & np.isfinite(distances)
+    hind, fore = (
+        float((distances[:, half][is_known[:, half]] > DISAGREES).mean()) if is_known[:, half].any() else 0.0
+        for half in (is_hind, ~is_hind)
+    )
+    if max(hind, fore) < TIMES * min(hind, fore) or hind == fore:
+        return "fore or hind half"
+    return "hind half" if hind > fore else "fore half"

@@ -12,7 +12,7 @@ Left-right swaps are in `swaps`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import Any
@@ -261,15 +261,34 @@ def other_picture_finding(baseline: Baseline) -> Finding | None:
     ratios = [
         refit_view(baseline.with_view(candidate).part(part)).gain_over(as_given) for _, _, candidate in alternatives
     ]
+    return _likeliest_finding(view.camera, alternatives, ratios)
+
+
+def _likeliest_finding(camera: Camera, alternatives: Sequence[_Alternative], ratios: Sequence[float]) -> Finding | None:
+    """Return the finding of the likeliest alternative, or of a contradiction with several likely causes."""
     best = int(np.argmax(ratios))
     if not ratios[best] > CLEAR:
         return None
     code, numbers, _ = alternatives[best]
-    if view.camera.knows_up and _is_upside_down(alternatives[best]):
-        rivals = [ratio for ratio, rival in zip(ratios, alternatives, strict=True) if _is_upside_down(rival)]
-        if not exceeds_margin(ratios[best] - sorted(rivals)[-2], surely=True):
-            code, numbers = "upside_down", {}
-    return finding(code, camera=view.camera.name, log_likelihood_ratio=ratios[best], **numbers)
+    likely = [i for i in range(len(ratios)) if not exceeds_margin(ratios[best] - ratios[i], surely=True)]
+    if camera.knows_up and len(likely) > 1:
+        rivals = [alternatives[i] for i in sorted(likely, key=lambda i: -ratios[i])]
+        if all(map(_is_upside_down, rivals)):
+            return finding("upside_down", camera=camera.name, log_likelihood_ratio=ratios[best])
+        causes = tuple(_WORDS[code].format(**numbers) for code, numbers, _ in rivals)
+        return finding("turned_either_way", camera=camera.name, log_likelihood_ratio=ratios[best], causes=causes)
+    return finding(code, camera=camera.name, log_likelihood_ratio=ratios[best], **numbers)
+
+
+_WORDS = {
+    "picture_upside_down": "the picture is turned by 180 degrees",
+    "keypoints_y_up": "the keypoints' y is counted from the bottom of the picture",
+    "picture_turned": "the picture is turned by {degrees} degrees",
+    "world_not_z_up": "{axis} points up in the camera file's world (--set up={axis})",
+    "pose_inverted": "the camera file's pose is from camera to world",
+    "smaller_video": "the video is {times} times smaller than the camera's picture",
+}
+"""Causes in words, by the code of their finding."""
 
 
 def _is_upside_down(alternative: _Alternative) -> bool:
@@ -292,9 +311,17 @@ def _turned(view: View) -> Iterator[_Alternative]:
         turned_over = view.T_camera_world @ np.diag([1.0, -1.0, -1.0, 1.0])
         yield "world_not_z_up", {"axis": "-z"}, replace(view, T_camera_world=turned_over)
         yield "pose_inverted", {}, replace(view, T_camera_world=inverse(view.T_camera_world))
-    for axis, sign in (("y", 1.0), ("-y", -1.0)):
-        up = np.array([[1, 0, 0, 0], [0, 0, -sign, 0], [0, sign, 0, 0], [0, 0, 0, 1.0]])
-        yield "world_not_z_up", {"axis": axis}, replace(view, T_camera_world=view.T_camera_world @ up.T)
+    upward = {"y": (0, 1, 0), "-y": (0, -1, 0)} | ({"x": (1, 0, 0), "-x": (-1, 0, 0)} if view.camera.knows_up else {})
+    for axis, up in upward.items():
+        turn = np.eye(4)
+        turn[:3, :3] = _raising(np.array(up, dtype=float))
+        yield "world_not_z_up", {"axis": axis}, replace(view, T_camera_world=view.T_camera_world @ turn.T)
+
+
+def _raising(up: Array) -> Array:
+    """Return the rotation, by 90 degrees, that turns a level unit vector (3,) into z."""
+    level = np.cross(up, [0.0, 0.0, 1.0])
+    return np.outer(level, level) + np.outer([0.0, 0.0, 1.0], up) - np.outer(up, [0.0, 0.0, 1.0])
 
 
 def _smaller(view: View) -> Iterator[_Alternative]:

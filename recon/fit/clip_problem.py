@@ -189,7 +189,8 @@ class ClipProblem:
     @property
     def image_right(self) -> Array:
         """Return the level direction to the right of the first camera's picture, (3,)."""
-        x = self.views[0].T_camera_world.reshape(-1, 4, 4)[0, 0, :3]
+        right, down, _ = self.views[0].T_camera_world.reshape(-1, 4, 4)[0, :3, :3]
+        x = down if abs(right @ UP) > 1 - 1e-9 else right  # a picture on its side has no level direction to the right
         level = x - UP * x[2]
         return level / np.linalg.norm(level)
 

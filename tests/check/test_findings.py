@@ -63,7 +63,10 @@ SENTENCES = {
     "treadmill": ("--set belt-speed-m-s=1.4", {"slide_m_s": 1.4, "speed_m_s": 0.2}),
     "camera_moves": ("the slowest feet move at -7.0 m/s", {"slide_m_s": -7.0, "speed_m_s": 0.3}),
     "keypoints_undistorted": ("fits clearly better without the lens", {}),
-    "halves_apart": ("half of the animal seems 2.5 frames late", {"late_frames": 2.5, "sigmas": 3.1}),
+    "halves_apart": (
+        "seems 2.5 frames late relative to its fore half (3.1 standard deviations): the points of its fore half may",
+        {"late_frames": 2.5, "sigmas": 3.1, "foreign": "fore half"},
+    ),
     "picture_zooms": ("better if the picture zooms in: distance", {"way": "in"}),
     "path_jolts": ("as no animal does (judged by its heading)", {"of": "heading", "cost": 1.2}),
     "ground_elsewhere": ("stand at z = 0.47 ± 0.04 m", {"height_m": 0.47, "sigma_m": 0.04}),
@@ -75,6 +78,10 @@ SENTENCES = {
     "keypoints_normalised": ("fractions of the picture size, from 0 to 1", {}),
     "keypoints_y_up": ("seems to be counted from the bottom of the picture", {}),
     "upside_down": ("contradict each other: the animal runs upside down", {}),
+    "turned_either_way": (
+        "equally well: x points up, the picture is turned. Correct",
+        {"causes": ("x points up", "the picture is turned")},
+    ),
     "pose_inverted": ("from the camera to the world", {}),
     "picture_upside_down": ("upside down in the picture", {}),
     "smaller_video": ("a video 2 times smaller than", {"times": 2}),

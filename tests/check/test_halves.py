@@ -9,27 +9,46 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from recon.animal.prior import load_prior
-from recon.check.halves import halves_finding, hind_markers
+from recon.check.halves import foreign_half, halves_finding, hind_markers
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.motion import Motion
 from recon.fit.result import TrajectorySolution
 
 
-@pytest.mark.parametrize(("late", "is_named"), [(0, False), (2, True)])
-def test_a_hind_half_of_a_later_animal_is_named(whole_results, late, is_named):
-    motion = Motion.load(whole_results)
+def solved(path) -> tuple[ClipProblem, TrajectorySolution]:
+    motion = Motion.load(path)
     solution = motion.solution
     assert isinstance(solution, TrajectorySolution)
     prior = load_prior(solution.prior, motion.body)
-    clip = ClipProblem.from_views(solution.views, motion.body, prior, motion.fps, TrajectoryOptions())
-    (view,), is_hind = clip.views, hind_markers(clip)
-    assert {"tail_base", "l_hip", "l_back_paw"} < {*np.array(motion.body.markers)[is_hind]}
-    assert not {"nose", "l_shoulder", "l_front_paw"} & {*np.array(motion.body.markers)[is_hind]}
+    return ClipProblem.from_views(solution.views, motion.body, prior, motion.fps, TrajectoryOptions()), solution
+
+
+def later(clip: ClipProblem, half: np.ndarray, frames: int) -> ClipProblem:
+    """Return the clip with the half (J,) of an animal that runs that many frames behind."""
+    (view,) = clip.views
     xy_px = view.xy_px.copy()
-    xy_px[late:, is_hind] = view.xy_px[: len(xy_px) - late, is_hind]
+    xy_px[frames:, half] = view.xy_px[: len(xy_px) - frames, half]
+    return replace(clip, views=(replace(view, xy_px=xy_px),))
+
+
+@pytest.mark.parametrize(("late", "is_named"), [(0, False), (2, True)])
+def test_a_hind_half_of_a_later_animal_is_named(whole_results, late, is_named):
+    clip, solution = solved(whole_results)
+    is_hind, names = hind_markers(clip), np.array(clip.body.markers)
+    assert {"tail_base", "l_hip", "l_back_paw"} < {*names[is_hind]}
+    assert not {"nose", "l_shoulder", "l_front_paw"} & {*names[is_hind]}
     with threadpool_limits(1, user_api="blas"):
-        item = halves_finding(replace(clip, views=(replace(view, xy_px=xy_px),)), solution)
+        item = halves_finding(later(clip, is_hind, late), solution)
     assert (item is not None) == is_named
     if item is not None:
         assert (item.code, item.severity) == ("halves_apart", "warning")
         assert item.numbers["late_frames"] == pytest.approx(2.0, abs=1.5)
+        assert item.numbers["foreign"] == "hind half"
+
+
+def test_the_foreign_half_is_the_one_that_disagrees_with_the_pose(whole_results):
+    clip, solution = solved(whole_results)
+    is_hind = hind_markers(clip)
+    everywhere = np.ones_like(is_hind)
+    halves = [foreign_half(later(clip, half, 6), solution) for half in (is_hind, ~is_hind, everywhere)]
+    assert halves == ["hind half", "fore half", "fore or hind half"]

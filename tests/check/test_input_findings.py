@@ -16,6 +16,7 @@ from recon import FitSettings, fit_clip, samples_folder
 from recon.animal.body import opposites, other_side
 from recon.animal.prior import prior_from_body
 from recon.api.clip_inputs import prepare
+from recon.check import likelihood
 from recon.check.codes import finding
 from recon.check.inputs import input_findings, outlier_ratios, with_flags, without_gross_outliers
 from recon.check.likelihood import (
@@ -437,6 +438,40 @@ def test_an_animal_that_runs_upside_down(code, axis, changed):
     found = other_picture_finding(fitted(wrong.part(slice(10, 16))))
     assert found is not None
     assert (found.code, found.numbers.get("axis")) == (code, axis)
+
+
+@pytest.mark.parametrize(
+    ("gains", "code", "causes"),
+    [
+        ({"x": 500.0}, "world_not_z_up", None),
+        ({"x": 500.0, "picture_turned": 480.0}, "turned_either_way", ["x points up", "turned by 90 degrees"]),
+        ({"-z": 500.0, "keypoints_y_up": 480.0}, "upside_down", None),
+        ({"-z": 500.0, "picture_turned": 480.0}, "turned_either_way", ["-z points up", "turned by 90 degrees"]),
+        ({"-z": 500.0, "picture_turned": 460.0}, "world_not_z_up", None),
+        ({"x": 5.0}, None, None),
+    ],
+)
+def test_a_contradiction_with_several_causes(gains, code, causes):
+    """A cause is named if its likelihood stands out, otherwise all of the likely ones."""
+    posed = replace(CAMERA, rotation=POSE[:3, :3], translation_m=POSE[:3, 3])
+    alternatives = [*likelihood._turned(replace(view(), camera=posed, T_camera_world=POSE))]
+    ratios = [gains.get(n.get("axis", "" if n.get("degrees") == 270 else c), -100.0) for c, n, _ in alternatives]
+    found = likelihood._likeliest_finding(posed, alternatives, ratios)
+    assert (found and found.code) == code
+    if causes:
+        assert found is not None
+        texts = zip(found.numbers["causes"], causes, strict=True)
+        assert all(cause in text for text, cause in texts)
+
+
+@pytest.mark.parametrize(("axis", "up"), [("x", [1, 0, 0]), ("-x", [-1, 0, 0]), ("y", [0, 1, 0]), ("-y", [0, -1, 0])])
+def test_worlds_with_another_axis_up(axis, up):
+    """Each alternative turns that axis of the file's world into z."""
+    posed = replace(CAMERA, rotation=POSE[:3, :3], translation_m=POSE[:3, 3])
+    alternatives = likelihood._turned(replace(view(), camera=posed, T_camera_world=POSE))
+    (turned,) = (other for _, numbers, other in alternatives if numbers.get("axis") == axis)
+    np.testing.assert_allclose(POSE[:3, :3] @ up, turned.T_camera_world[:3, 2], atol=1e-12)
+    assert np.linalg.det(turned.T_camera_world) == pytest.approx(1)
 
 
 def test_a_picture_as_it_is():
