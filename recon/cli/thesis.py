@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Any
 
 from rich.console import Console
 
 from recon.api.settings import SETTINGS, FitSettings
+from recon.base.numbers import counted, percent, quantity
 from recon.base.progress import Progress
 from recon.cli.answers import Answer
 from recon.cli.commands import OptionsOf
 from recon.cli.fit import FitRunSettings, fit
 from recon.thesis.clip import SolverSettings, run_solver
+from recon.thesis.inspect import PUBLISHED
 
 _OPTIONS = tuple(name for name, info in SETTINGS.items() if name != "method" and info.option.method in (None, "frame"))
 
@@ -39,4 +42,26 @@ def solver(settings: SolverSettings, progress: Progress) -> Answer:
     Example: recon solver results/clip
     """
     summary, files = run_solver(settings, progress)
-    return Answer(summary, [f"{len(files)} files are in {settings.out_folder}."])
+    return Answer(summary, [*_solver_lines(summary), f"{len(files)} files are in {settings.out_folder}."])
+
+
+def _solver_lines(summary: dict[str, Any]) -> Iterator[str]:
+    """Yield sentences on how the search ended, its effort, the errors in the picture, and the terms of the cost."""
+    yield f"{summary['frames_converged']} of {counted(summary['frames'], 'frame')} converged."
+    effort = (
+        f"{row['median']:.0f} {name} ({row['min']:.0f} to {row['max']:.0f})"
+        for name, row in (
+            ("iterations", summary["iterations_by_frame"]),
+            ("evaluations", summary["evaluations_by_frame"]),
+        )
+    )
+    yield f"A frame took {' and '.join(effort)}, median and range."
+    worst = summary["worst_joint"]
+    yield (
+        f"Error in the picture: {quantity(summary['image_error_px']['mean'], 1, 'px')} in the mean, most at "
+        f"{worst['name']} ({quantity(worst['mean_px'], 1, 'px')})."
+    )
+    costs = summary["cost_by_term"]
+    total = sum(costs.values()) or 1.0
+    shares = ", ".join(f"{name} {percent(costs.get(term, 0.0) / total)}" for name, term in PUBLISHED.items())
+    yield f"Share of the cost: {shares}; the rest are priors and the path tie."

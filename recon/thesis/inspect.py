@@ -18,7 +18,7 @@ import pandas as pd
 from scipy.sparse import block_diag
 
 from recon.api.clip_results import CONFIG, read_config
-from recon.base.arrays import Array
+from recon.base.arrays import Array, Bools, mean
 from recon.base.errors import InputError, Problem
 from recon.base.files import read_manifest, write_bytes
 from recon.fit.motion import Motion
@@ -185,19 +185,35 @@ class SolverRecord:
     @property
     def active(self) -> dict[str, Array]:
         """Number of angles beyond their expected ranges and of rates beyond their limits, (T,) each, by name."""
-        limits = {"ranges": self.solution.beyond_range_rad, "rates": self.solution.beyond_rate_rad_s}
-        return {name: (beyond > 0).sum(axis=1) for name, beyond in limits.items()}
+        return {name: is_beyond.sum(axis=1) for name, is_beyond in self._is_beyond.items()}
+
+    @property
+    def _is_beyond(self) -> dict[str, Bools]:
+        """Whether an angle is beyond its expected range, and a rate beyond its limit, (T, 2 A) each, by name."""
+        return {"ranges": self.solution.beyond_range_rad > 0, "rates": self.solution.beyond_rate_rad_s > 0}
 
     def summary(self) -> dict[str, object]:
         """Return the content of solver.json."""
+        by_joint = np.array([mean(errors_px) for errors_px in self.image_error_px.T])
+        worst = int(np.nanargmax(by_joint))
         return {
             "cost_by_term": {name: float(c) for name, c in self.cost.sum().items()},
             "largest_gradient": float(np.nanmax(self.optimality)),
             "largest_step": float(np.nanmax(self.solution.reported("step_norm"))),
             "limits_passed": {name: int(count.sum()) for name, count in self.active.items()},
             "iterations": int(np.nansum(self.solution.reported("iterations"))),
+            "iterations_by_frame": self._median_and_range("iterations"),
+            "evaluations_by_frame": self._median_and_range("function_evaluations"),
+            "frames": len(self.motion.frames),
             "frames_converged": self.solution.status.count("converged"),
+            "image_error_px": {"mean": mean(self.image_error_px)},
+            "worst_joint": {"name": self.motion.names[worst], "mean_px": float(by_joint[worst])},
         }
+
+    def _median_and_range(self, count: str) -> dict[str, float]:
+        """Return the median, the least and the most of a count over the frames."""
+        counts = self.solution.reported(count)[self.motion.solved]
+        return {"median": float(np.median(counts)), "min": float(counts.min()), "max": float(counts.max())}
 
     def tables(self) -> dict[str, pd.DataFrame]:
         """Return every table by its file name (`TABLES`)."""
@@ -240,6 +256,8 @@ class SolverRecord:
         motion, solution = self.motion, self.solution
         columns: dict[str, Any] = {"frame": motion.frames, "time_s": motion.time_s}
         columns |= {name: solution.reported(name) for name in COUNTS}
+        flags = columns["optimizer_status"]
+        columns["optimizer_message"] = [EXIT_FLAGS[int(flag)] if np.isfinite(flag) else "" for flag in flags]
         columns |= {"optimality": self.optimality, "last_step": solution.reported("step_norm"), **self.sizes}
         columns |= {f"cost_{str(term).replace(' ', '_')}": cost for term, cost in self.cost.items()}
         columns |= {f"{limit}_passed": count for limit, count in self.active.items()}
@@ -250,12 +268,21 @@ class SolverRecord:
         gradient, norm = np.abs(self.gradient[self.motion.solved]), self.column_norm[self.motion.solved]
         columns: dict[str, Any] = {"unknown": self.unknowns}
         columns |= {"gradient_median": np.median(gradient, 0), "gradient_max": gradient.max(0)}
-        return columns | {f"column_norm_{f.__name__}": f(norm, axis=0) for f in (np.min, np.median, np.max)}
+        columns |= {f"column_norm_{f.__name__}": f(norm, axis=0) for f in (np.min, np.median, np.max)}
+        rest = len(self.unknowns) - 2 * self.solution.chain.n_angles  # unknowns without range and limit
+        return columns | {
+            f"{limit}_passed": np.pad(is_beyond.sum(axis=0), (0, rest)) for limit, is_beyond in self._is_beyond.items()
+        }
 
     def _errors_table(self) -> dict[str, Any]:
-        by_joint = zip(self.motion.names, self.image_error_px.T, strict=True)
-        columns: dict[str, Any] = {"camera": self.motion.pictures[0].name, "frame": self.motion.frames}
-        return columns | {f"{name}_px": errors for name, errors in by_joint}
+        """Return the table of the errors in the picture: distances, then x and y of reprojection less detection."""
+        picture, names = self.motion.pictures[0], self.motion.names
+        columns: dict[str, Any] = {"camera": picture.name, "frame": self.motion.frames}
+        columns |= {f"{name}_px": errors for name, errors in zip(names, self.image_error_px.T, strict=True)}
+        offsets_px = dict(zip(names, np.moveaxis(picture.image_error_px, 1, 0), strict=True))
+        return columns | {
+            f"{name}_{axis}_px": xy[:, k] for name, xy in offsets_px.items() for k, axis in enumerate("xy")
+        }
 
     def _search_table(self) -> dict[str, Any]:
         search = self.search

@@ -8,7 +8,7 @@ import shutil
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import refusal, refused, run
+from command_line import refusal, refused, run, says
 from figure_texts import cut_off
 from matplotlib.figure import Figure
 from scipy.sparse import load_npz
@@ -17,7 +17,7 @@ from recon.base.outputs import RECORD
 from recon.fit.motion import Motion
 from recon.show.report import build_report
 from recon.thesis import figures as solver_plots
-from recon.thesis.inspect import TABLES, SolverRecord, read_solver
+from recon.thesis.inspect import EXIT_FLAGS, TABLES, SolverRecord, read_solver
 from recon.thesis.solver import FrameSolver
 
 
@@ -65,12 +65,25 @@ def test_tables(frame, tmp_path):
     told = build_report(frame.motion)
     xyz_and_base = frames.loc[2, ["xi_rad", "psi_rad", "zeta_rad", "base_length_m"]]
     assert xyz_and_base.tolist() == pytest.approx(frame.solution.chain_states[2, -4:])
-    assert np.nanmean(errors.iloc[:, 2:]) == pytest.approx(told["summary"]["reprojection_px"]["mean"], rel=1e-6)
+    J = len(frame.motion.names)
+    distance, offset = np.split(errors.iloc[:, 2:].to_numpy(), [J], axis=1)
+    np.testing.assert_allclose(np.hypot(offset[:, ::2], offset[:, 1::2]), distance)
+    assert np.nanmean(distance) == pytest.approx(told["summary"]["reprojection_px"]["mean"], rel=1e-6)
     np.testing.assert_allclose(frames["squared_norm"], 2 * frame.cost.sum(axis=1), rtol=1e-9)
     assert frames.loc[2, "jacobian_sparsity"] == np.mean(frame.jacobian(2) == 0)
     assert frames.loc[2, "jacobian_mean_abs"] == pytest.approx(np.abs(frame.jacobian(2)).mean())
-    assert frames["iterations"].sum() == frame.summary()["iterations"]
+    summary, evaluations = frame.summary(), frames["function_evaluations"]
+    assert frames["iterations"].sum() == summary["iterations"]
+    assert summary["evaluations_by_frame"] == {
+        "median": evaluations.median(),
+        "min": evaluations.min(),
+        "max": evaluations.max(),
+    }
+    assert summary["worst_joint"]["mean_px"] == pytest.approx(np.nanmean(distance, axis=0).max())
+    assert {*frames["optimizer_message"]} <= {*EXIT_FLAGS.values()}
     assert frames["rates_passed"].sum() == frame.active["rates"].sum()
+    assert unknowns["rates_passed"].sum() == frames["rates_passed"].sum()
+    assert unknowns.loc[14:, "rates_passed"].sum() == 0  # angles come first
     np.testing.assert_allclose(unknowns["column_norm_median"], np.median(frame.column_norm, axis=0))
     assert search["cost"].tolist() == pytest.approx(frame.search.costs.tolist())
     assert search["step"].iloc[:-1].tolist() == pytest.approx(frame.search.step_norms.tolist())
@@ -177,6 +190,7 @@ def test_command_writes_all_of_it(frame_results, undrawn, tmp_path):
     pictures = {f"{draw.__name__}.{end}" for draw in solver_plots.FIGURES for end in ("png", "svg")}
     assert files == {*TABLES, "jacobian.npz", "solver.json", *pictures}
     assert f"{len(files)} files" in ended.out
+    assert says(" ".join(ended.out.split()), "30 of 30 frames converged", "iterations", "Share of the cost: f1")
     assert json.loads((out / "solver.json").read_text(encoding="utf-8"))["frames_converged"] == 30
 
 
