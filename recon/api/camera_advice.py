@@ -27,8 +27,8 @@ from recon.show.plots.style import save
 
 REPORT, TABLE, FIGURE = "camera_advice.json", "camera_advice.csv", "camera_advice"
 DIRECTIONS = (
-    *("ahead of it", "ahead to its left", "on its left side", "behind to its left"),
-    *("behind it", "behind to its right", "on its right side", "ahead to its right"),
+    *("ahead of the animal", "ahead to the animal's left", "on the animal's left side", "behind to the animal's left"),
+    *("behind the animal", "behind to the animal's right", "on the animal's right side", "ahead to the animal's right"),
 )
 HIGH_RAD = ((np.radians(15), "level with its middle"), (np.radians(45), "raised"), (np.radians(70), "high up"))
 ABOVE = "almost above it"
@@ -45,21 +45,22 @@ def in_sentences(advice_by_camera: Sequence[Advice]) -> Iterator[str]:
             f"middle and {advice.distance_m:.3g} m away: {percent(share)} of the precision of {advice.target} "
             f"comes from the pixels, ±{in_words(sigma, advice.unit)}."
         )
-    worst = np.unravel_index(int(np.argmax(advice_by_camera[0].sigma)), advice_by_camera[0].sigma.shape)
+    first = advice_by_camera[0]
+    worst = np.unravel_index(int(np.argmax(first.sigma)), first.sigma.shape)
     place = AZIMUTHS_RAD[worst[1]], ELEVATIONS_RAD[worst[0]]
-    sigma = float(advice_by_camera[0].sigma[worst])
-    precision = f"±{in_words(sigma, advice_by_camera[0].unit)}" if np.isfinite(sigma) else "it is not in the picture"
+    sigma = float(first.sigma[worst])
+    precision = f"±{in_words(sigma, first.unit)}" if np.isfinite(sigma) else "the animal is not in the picture"
     yield f"The worst position for one camera is {direction_text(*map(float, place))}: {precision}."
     if advice_by_camera[-1].share.max() < MEASURED_SHARE:
-        yield "No position shows it well: everywhere, the prior says more about it than the pixels."
+        yield f"No position shows {first.target} well: more of the precision comes from the prior than from the pixels."
 
 
 def direction_text(azimuth_rad: float, elevation_rad: float) -> str:
-    """Return a direction from the animal in words, such as "on its left side, raised (90°)"."""
+    """Return a direction from the animal in words, such as "on the animal's left side, raised (90°)"."""
     direction = DIRECTIONS[round(azimuth_rad / (np.pi / 4)) % 8]
     height = next((text for limit, text in HIGH_RAD if elevation_rad < limit), ABOVE)
     azimuth = quantity(np.degrees(azimuth_rad), 0, "°")
-    return f"{direction}, {height} ({azimuth})" if height != ABOVE else f"{ABOVE}, {direction}"
+    return f"{direction}, {height} ({azimuth})"
 
 
 class CameraAdviceSettings(Settings):

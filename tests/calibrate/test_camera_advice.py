@@ -93,9 +93,9 @@ def test_advice_finds_the_least_deviation_and_a_second_camera_adds_to_the_first(
 
 
 def test_places_in_words():
-    assert direction_text(0.0, 0.1) == "ahead of it, level with its middle (0°)"
-    assert direction_text(np.radians(270), 0.5) == "on its right side, raised (270°)"
-    assert direction_text(np.radians(120), np.radians(80)) == "almost above it, behind to its left"
+    assert direction_text(0.0, 0.1) == "ahead of the animal, level with its middle (0°)"
+    assert direction_text(np.radians(270), 0.5) == "on the animal's right side, raised (270°)"
+    assert direction_text(np.radians(120), np.radians(80)) == "behind to the animal's left, almost above it (120°)"
 
 
 def test_command(tmp_path):
@@ -103,7 +103,7 @@ def test_command(tmp_path):
     done = run("camera-advice", "--skeleton", "cheetah-8u", "--angle", "theta_6", "--out", out)
     assert done.code == 0
     assert says(done.out, f"Put the camera {direction_text(np.radians(120), 0.5)}", "1.8 m above")
-    assert says(done.out, "worst position", "ahead of it")
+    assert says(done.out, "worst position", "ahead of the animal")
     table, report = pd.read_csv(out / "camera_advice.csv"), json.loads((out / "camera_advice.json").read_text())
     assert len(table) == 48
     (camera,) = report["cameras"]
