@@ -345,6 +345,7 @@ def test_every_bundled_map_has_a_file_of_its_detector():
     assert of_four_legs == {bundled for bundled, _ in detectors.FILES.values() if bundled}
 
 
+@pytest.mark.slow
 def test_from_superanimals_file_to_a_robot(whole_results, tmp_path):
     """All 39 keypoints in DeepLabCut's spelling: four feet with their sides, the gait, and nearly the accuracy that the
     skeleton's own names give."""

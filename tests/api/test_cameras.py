@@ -162,6 +162,7 @@ def test_an_entry_of_a_camera_that_was_copied_is_named(runs, tmp_path):
         prepare(settings(runs, 1, 2, camera=tmp_path / "copied.toml"))
 
 
+@pytest.mark.slow
 def test_an_animal_of_a_tenth_of_the_skeleton_before_a_rig_of_a_tenth(runs, tmp_path):
     """The pictures are the same, and so is the motion, in metres a tenth."""
     cameras = [
@@ -246,6 +247,7 @@ def test_refined_cameras_are_those_of_the_result(runs, tmp_path):
         read_cameras(tmp_path / "cameras.toml")
 
 
+@pytest.mark.slow
 def test_a_pair_of_which_one_is_likelier_turned_is_refined_by_itself(runs, tmp_path):
     """By 2 degrees; not where the poses are said to be exact."""
     scene = json.loads((runs / "scene.json").read_text())
@@ -314,6 +316,7 @@ def test_where_cameras_stand_from_the_animal_alone(runs, tmp_path):
     assert 0 < np.linalg.norm(report["cameras"][1]["turn_sigma_rad"]) < 0.1
 
 
+@pytest.mark.slow
 def test_heights_have_deviations(tmp_path):
     """The sample's cameras are 1.5 and 1.6 m high."""
     files, given = [SAMPLES / f"whole_cam{n}.csv" for n in (1, 2)], {"camera": SAMPLES / "whole_scene.json", "fps": 60}
@@ -365,6 +368,7 @@ def test_cameras_that_the_clips_do_not_tell_are_refused(runs, tmp_path, monkeypa
     assert not (tmp_path / "out.toml").exists()
 
 
+@pytest.mark.slow
 def test_cameras_out_of_step_without_poses(runs, tmp_path):
     """The second camera of the run began four frames later: its file's numbers say so, and then do not."""
     table = (runs / "run_cam2.csv").read_text().splitlines()

@@ -297,7 +297,7 @@ FIGURES = (
 )
 
 
-DRAWN_LIKE_OTHERS = "right|left_hind|portraits_all|body_fixed_left|field_(head|tail|trunk)"
+DRAWN_LIKE_OTHERS = "right|left_hind|portraits_all|body_fixed_(left|spine)|field_(head|tail|trunk)|joint_flexion"
 
 
 @pytest.mark.parametrize(
@@ -305,7 +305,8 @@ DRAWN_LIKE_OTHERS = "right|left_hind|portraits_all|body_fixed_left|field_(head|t
     [pytest.param(name, marks=[pytest.mark.slow] * bool(re.search(DRAWN_LIKE_OTHERS, name))) for name in FIGURES],
 )
 def test_each_figure_is_drawn_with_all_its_text(name, whole):
-    """The left front leg stands for all limbs, the spine for all parts that are held still: they share their code."""
+    """The left front leg stands for all limbs, the spine for all parts that are held still: they share their code.
+    Joint angles are drawn in `test_figure_for_print.py`."""
     figure = figures_of(whole)[name]()
     assert cut_off(figure) == []
     assert figure.get_size_inches()[1] / style.MM < 275

@@ -152,7 +152,7 @@ def test_standard_output_may_be_closed_or_of_ascii(tmp_path):
     assert (closed.returncode, closed.stderr) == (0, b"")
     header, *rows = (tmp_path / "closed.csv").read_text().splitlines()
     assert (header, len(rows)) == ("frame,bodypart,x,y,likelihood", 60 * 24)
-    no = ("fit", tmp_path / "Löwe.csv", *FIT, "--out", tmp_path / "no")
+    no = ("convert", tmp_path / "Löwe.csv", tmp_path / "no.csv")
     commands = [*map(str, ("skeleton", "list", "--json", "then", *no, "then", "fit", "--help"))]
     env = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "ascii", "LANG": "C", "PYTHONUTF8": "0"}
     done = subprocess.run([sys.executable, "-c", IN_TURN, *commands], capture_output=True, env=env, timeout=300)

@@ -94,7 +94,9 @@ def test_a_command_called_from_python_ends_with_one_line(monkeypatch):
 @pytest.mark.parametrize(
     "moment",
     [
-        pytest.param(moment, marks=[pytest.mark.slow] * (moment in ("just before it waits", "no exception")))
+        pytest.param(
+            moment, marks=[pytest.mark.slow] * (moment in ("just before it waits", "no exception", "in a destructor"))
+        )
         for moment in WORK
     ],
 )

@@ -427,7 +427,13 @@ def commands(clip: Path, frame: Path) -> dict[str, tuple[Arguments, str]]:
     }
 
 
-@pytest.mark.parametrize("name", commands(Path(), Path()))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name in ("climb", "solver", "camera-advice")))
+        for name in commands(Path(), Path())
+    ],
+)
 @pytest.mark.usefixtures("no_playback", "undrawn", "in_process", "remembered_analyses")
 def test_no_command_touches_files_of_names_that_it_writes(whole_results, frame_results, tmp_path, name):
     """A first run says which, of fits that of the fixtures; 40 files of a user's lie there at the second."""

@@ -153,6 +153,7 @@ def test_noisier_detections_than_expected_are_no_disagreement():
     assert max(camera.level for camera in notes(found)) > 1.6
 
 
+@pytest.mark.slow
 def test_of_a_long_clip_the_stretch_in_which_most_is_seen_is_compared():
     views = run_views(3)
     xy_px = [np.concatenate([np.full((600, *v.xy_px.shape[1:]), np.nan), v.xy_px]) for v in views]

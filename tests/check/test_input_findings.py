@@ -199,6 +199,7 @@ def test_two_frames_of_a_camera_between_those_of_another_have_no_swaps():
     assert swaps(baseline_of(setting, 0, plain().states[:2], plain().size)) == []
 
 
+@pytest.mark.slow
 def test_of_two_that_exclude_each_other_the_likelier_has_to_lead():
     one, other = stretch("hind", 0, 20), stretch("hind", 20, T)
     swapped = fitted(exchanged("hind", 20, T))
@@ -413,6 +414,7 @@ POSE = rigid(LEVEL, -LEVEL @ [2.0, -3.0, 1.0])
 UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("code", "axis", "changed"),
     [

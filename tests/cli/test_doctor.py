@@ -44,6 +44,7 @@ def doctor() -> tuple[_Check, ...]:
 # -- recon doctor -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_all_is_well_here(doctor, monkeypatch):
     assert [check for check in doctor if check.status == "broken"] == []
     found = {check.name: check.state for check in doctor}
@@ -58,7 +59,9 @@ def test_all_is_well_here(doctor, monkeypatch):
     assert int(mm) < 60
 
 
-def test_prints_a_table_of_80_columns_or_json_and_ends_with_0_or_1(doctor, monkeypatch):
+def test_prints_a_table_of_80_columns_or_json_and_ends_with_0_or_1(monkeypatch):
+    """What takes long is looked at in the slow test."""
+    doctor = (*versions(), *packages(), _Check("viewer", "ok", "rerun-cli 0.1"))
     monkeypatch.setattr("recon.cli.doctor.run_doctor", lambda progress: doctor)
     ended = run("doctor")
     assert ended.code == 0

@@ -24,7 +24,7 @@ def imported_by(*args: object, what: tuple[str, ...] = ("-m", "recon")) -> set[s
     return set(re.findall(r"^import time:.*\| +(\S+)$", done.stderr, re.MULTILINE))
 
 
-@pytest.mark.parametrize("option", ["--help", "--version"])
+@pytest.mark.parametrize("option", ["--help", pytest.param("--version", marks=pytest.mark.slow)])
 def test_the_start_imports_nothing_slow(option):
     modules = imported_by(option)
     assert "typer" in modules

@@ -82,6 +82,7 @@ def fitted(folder: Path, settings: FitSettings, truth) -> tuple[Motion, dict[str
     } | shares
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cameras", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_a_person_who_walks(cameras, tmp_path):
     """1.79 m high, with keypoints 26 mm beside their markers all the time. Both feet are tracked with their stances;

@@ -291,6 +291,7 @@ def test_masses_of_other_animals_are_of_a_whole_one_on_four_legs(name: str):
     assert 0.2 < legs < 0.35
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_the_page_shows_the_forces(motion: Motion):
     page = clip_page(motion, [], None, [])

@@ -449,6 +449,7 @@ def test_earlier_results_are_kept(compared):
     refused(["ik", folder, "--target", "stride-max", "--no-figures"], ("--out", "folder", folder / "ik", "--overwrite"))
 
 
+@pytest.mark.slow
 def test_costs_and_closures_of_the_animal(frame_results, tmp_path, monkeypatch):
     """Appendices B and C: the distance from a pose closes, and the harmonic map does not: it is singular or chaotic."""
     shorten_cost_study(monkeypatch)

@@ -402,6 +402,7 @@ def test_a_camera_that_pans_gives_the_motion_of_a_still_one(tmp_path):
     assert pan.relative_rms_m.mean() == pytest.approx(still.relative_rms_m.mean(), rel=0.03)
 
 
+@pytest.mark.slow
 def test_command(tmp_path):
     """From end to end, read back, scored, analysed, converted and fitted again."""
     given, out = panned(tmp_path), tmp_path / "out"

@@ -282,7 +282,9 @@ def test_published_footfalls(height):
     assert [primitive.name for primitive in recipe.primitives] == list(PUBLISHED)
 
 
-@pytest.mark.parametrize("name", bundled())
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "found-50")) for name in bundled()]
+)
 def test_every_bundled_climb_is_valid_in_every_frame(aibo, name):
     recipe = load_recipe(name)
     climb = plan(aibo, recipe)

@@ -43,7 +43,7 @@ def urdf(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("name", ["a1", "aibo"])
+@pytest.mark.parametrize("name", ["a1", pytest.param("aibo", marks=pytest.mark.slow)])
 def test_chains_and_all_solutions_of_the_legs(name):
     """Joint by joint, with the robot's own signs, a leg of each side and end is as by its closed form, which is
     one of four."""

@@ -164,6 +164,7 @@ def test_the_table_of_the_puma_has_the_published_lengths():
     np.testing.assert_allclose(sizes, expected, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_puma_has_eight_solutions():
     chain = dh_chain(PUMA_MODIFIED, "modified")
     q = np.array([0.3, -0.8, 0.4, 0.9, 0.6, -0.5])

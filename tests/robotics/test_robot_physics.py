@@ -173,6 +173,7 @@ def test_the_a1_follows_a_stride_of_the_trot_by_its_torques_springs_and_dampers(
     assert followed(trot)[1].max() > 2 * off_m.max()
 
 
+@pytest.mark.slow
 def test_the_command_says_what_it_changed(trotting, tmp_path):
     clip, out = tmp_path / "trot", tmp_path / "out"
     clip.mkdir()

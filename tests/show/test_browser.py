@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import shutil
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -161,14 +161,32 @@ def pages(small_trajectory, two_cameras, whole_results, tmp_path_factory) -> dic
         for number, (name, level) in enumerate(verdicts.items()):
             row = {"clip": name, "status": "done", "verdict": level, "pose_mm": 40 + 10 * number, "mean_speed_m_s": 9.0}
             writer.writerow(row | {"frames": 8, "reason": "why not"})
-    with pytest.MonkeyPatch.context() as patch:
-        for name in ("whole", "film", "several", "refused"):
-            if name != "whole":  # whose figures are looked at
-                patch.setattr("recon.show.plots.style.svg_of", lambda figure: "<svg></svg>")
-            chosen = PageSettings(folder=folder / name, video=video if name == "film" else None)
-            _page_of_clip(chosen, silent, whole_batch=True)
-    made = {name: folder / name / "report.html" for name in verdicts} | {"batch": write_summary_page(folder)}
-    return made | {"compare": comparison(folder, made)}
+    return Pages(folder, [*verdicts], video)
+
+
+class Pages(dict[str, Path]):
+    """Pages by their names, each of which is written when a test asks for it."""
+
+    def __init__(self, folder: Path, clips: Sequence[str], video: Path) -> None:
+        super().__init__()
+        self.folder, self.clips, self.video = folder, clips, video
+
+    def __missing__(self, name: str) -> Path:
+        if name == "batch":
+            for clip in self.clips:
+                assert self[clip].is_file()
+            self[name] = write_summary_page(self.folder)
+        elif name == "compare":
+            assert self["film"].is_file()
+            self[name] = comparison(self.folder, {clip: self.folder / clip / "report.html" for clip in self.clips})
+        else:
+            with pytest.MonkeyPatch.context() as patch:
+                if name != "whole":  # whose figures are looked at
+                    patch.setattr("recon.show.plots.style.svg_of", lambda figure: "<svg></svg>")
+                chosen = PageSettings(folder=self.folder / name, video=self.video if name == "film" else None)
+                _page_of_clip(chosen, silent, whole_batch=True)
+            self[name] = self.folder / name / "report.html"
+        return self[name]
 
 
 def comparison(folder: Path, pages: dict[str, Path]) -> Path:
@@ -196,8 +214,8 @@ def comparison(folder: Path, pages: dict[str, Path]) -> Path:
 @pytest.mark.parametrize(
     "name",
     [
-        *("film", "whole", "batch", "compare"),
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("several", "refused")),
+        *("film", "compare"),
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("several", "refused", "whole", "batch")),
     ],
 )
 def test_nothing_is_off_the_screen_or_too_pale_or_without_a_name(pages, opened, name):
@@ -261,7 +279,7 @@ def test_keys_and_buttons_move_the_cursor(pages, opened):
 
 
 def test_the_scene_is_turned_zoomed_and_seen_from_all_sides(pages, opened):
-    page = opened(pages["whole"])
+    page = opened(pages["film"])
     looks = set()
     state = f"(({{angle, tilt, zoomed, panned}}) => JSON.stringify([angle, tilt, zoomed, panned]))({PLAYER}.scene)"
     for do in ("side", "front", "top", "camera", "closer"):
@@ -323,6 +341,7 @@ def test_each_camera_has_its_detections_and_table(pages, opened):
     assert page.evaluate(f"[5, 0].map((row) => {camera}.stateOf(row, {joint}))") == [2, 0]  # an outlier, and missing
 
 
+@pytest.mark.slow
 def test_a_batch_is_sorted_and_filtered_and_leads_to_its_clips_and_back(pages, opened):
     page = opened(pages["batch"])
     clips = (
@@ -363,7 +382,7 @@ def test_a_comparison_marks_a_clip_everywhere_and_leads_to_its_page(pages, opene
 
 
 def test_a_page_prints_with_pictures_and_without_buttons(pages, opened):
-    page = opened(pages["whole"], "night")
+    page = opened(pages["film"], "night")
     page.emulate_media(media="print", color_scheme="dark")
     assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
     assert page.locator(".stills img").first.is_visible()
@@ -382,6 +401,7 @@ def test_a_page_without_scripts_has_its_pictures(pages, chromium):
     context.close()
 
 
+@pytest.mark.slow
 def test_numbers_of_the_page_are_those_of_the_result(pages, opened):
     """Read through the script, as what is drawn is."""
     page = opened(pages["whole"])

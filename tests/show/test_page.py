@@ -152,7 +152,7 @@ def test_a_page_says_what_the_report_says(page, folder):
 
 
 @pytest.mark.usefixtures("undrawn")
-@pytest.mark.parametrize("level", ["use", "check"])
+@pytest.mark.parametrize("level", ["use", pytest.param("check", marks=pytest.mark.slow)])
 def test_a_page_begins_with_the_verdict_the_error_and_what_to_do(whole_results, level):
     motion = Motion.load(whole_results)
     assert motion.verdict is not None
