@@ -28,18 +28,31 @@ from recon.io.writing import write_columns, write_rows, write_table
 WORKBOOK, LONG, DICTIONARY = "analysis.xlsx", "analysis_long.csv", "analysis_dictionary.csv"
 """Files of `recon.show.workbook`."""
 QUALITY_COLUMNS = ("frame", "flags", "alternative_m", "detections", "mean_weight", "place_sigma_m", "relative_rms_m")
-DECIMALS = 7
-"""Decimals of the numbers in tables of a fit; rounding removes the last digits, which differ between processors."""
+ANGLE, PIXEL, SHARE, LENGTH = 5, 2, 3, 7
+"""Decimals of angles in rad, pixels, fractions from 0 to 1, and an animal's lengths in metres, in tables of a fit.
+
+Further digits mean nothing, and differ between processors.
+"""
+MIN_METRE, MAX_METRE = 4, 7
+"""Fewest and most decimals of positions in metres."""
 
 
-def _rounded(values: np.ndarray) -> np.ndarray:
-    """Return floats rounded to `DECIMALS`, without the sign of a zero; other types unchanged."""
-    return np.round(values, DECIMALS) + 0.0 if values.dtype.kind == "f" else values
+def metre_decimals(motion: Motion) -> int:
+    """Return the decimals of positions in metres: 5 for a dog or a cheetah, and 6 for a mouse.
+
+    Their step is at most a thousandth of the distance of keypoints from the joints.
+    """
+    return int(np.clip(np.ceil(-np.log10(motion.body.keypoint_sigma_m / 1000)), MIN_METRE, MAX_METRE))
+
+
+def _rounded(values: np.ndarray, decimals: int) -> np.ndarray:
+    """Return floats rounded, without the sign of a zero; other types unchanged."""
+    return np.round(values, decimals) + 0.0 if values.dtype.kind == "f" else values
 
 
 def pose3d(motion: Motion, path: Path) -> None:
     """Write x, y, z of each joint in metres, by keypoint name, in the motion's frame of reference."""
-    _write_points(path, motion, ("x", "y", "z"), motion.joints_m)
+    _write_points(path, motion, ("x", "y", "z"), _rounded(motion.joints_m, metre_decimals(motion)))
 
 
 def pose3d_sigma(motion: Motion, path: Path) -> None:
@@ -48,27 +61,33 @@ def pose3d_sigma(motion: Motion, path: Path) -> None:
     Each joint has those of its position, and those of its position relative to the mean of all joints.
     """
     coords = ("x_sigma", "y_sigma", "z_sigma", "x_rel", "y_rel", "z_rel")
-    _write_points(path, motion, coords, np.concatenate((motion.joint_sigma_m, motion.relative_sigma_m), axis=2))
+    sigmas_m = np.concatenate((motion.joint_sigma_m, motion.relative_sigma_m), axis=2)
+    _write_points(path, motion, coords, _rounded(sigmas_m, metre_decimals(motion)))
 
 
 def angles(motion: Motion, path: Path) -> None:
     """Write the whole state in its order: angles in rad, positions in metres."""
     columns = [name if name.endswith("_m") else f"{name}_rad" for name in motion.state_names]
-    write_table(path, [["frame", *columns]], motion.frames, _rounded(motion.states))
+    is_angle = np.array([not name.endswith("_m") for name in motion.state_names])
+    angles_rad, positions_m = _rounded(motion.states, ANGLE), _rounded(motion.states, metre_decimals(motion))
+    write_table(path, [["frame", *columns]], motion.frames, np.where(is_angle, angles_rad, positions_m))
 
 
 def angles_sigma(motion: Motion, path: Path) -> None:
     """Write the standard deviation of each angle of angles.csv, then the information fraction of each angle."""
     columns = [f"{name}_{kind}" for kind in ("sigma_rad", "data_share") for name in motion.angle_names]
-    values = np.hstack((motion.solution.angle_sigma_rad, motion.solution.angle_data_share))
-    write_table(path, [["frame", *columns]], motion.frames, _rounded(values))
+    solution = motion.solution
+    values = (_rounded(solution.angle_sigma_rad, ANGLE), _rounded(solution.angle_data_share, SHARE))
+    write_table(path, [["frame", *columns]], motion.frames, np.hstack(values))
 
 
 def quality(motion: Motion, path: Path) -> None:
     """Write the flags of each frame, separated by semicolons, and the numbers on which they are based."""
     flags = [";".join(flags) for flags in motion.flags]
-    values = (*(getattr(motion, name) for name in QUALITY_COLUMNS[2:-1]), frame_rms_m(motion))
-    columns = (motion.frames, flags, *(_rounded(np.asarray(column)) for column in values))
+    values = {name: np.asarray(getattr(motion, name)) for name in QUALITY_COLUMNS[2:-1]}
+    values[QUALITY_COLUMNS[-1]] = frame_rms_m(motion)
+    decimals = {name: metre_decimals(motion) if name.endswith("_m") else SHARE for name in values}
+    columns = (motion.frames, flags, *(_rounded(column, decimals[name]) for name, column in values.items()))
     write_rows(path, [QUALITY_COLUMNS], zip(*columns, strict=True))
 
 
@@ -77,7 +96,7 @@ def reprojection(motion: Motion, path: Path, camera: int = 0) -> None:
 
     Without a pose, or for joints that the camera cannot see, cells are empty and the likelihood is 0.
     """
-    xy_px = motion.pictures[camera].reprojected_px
+    xy_px = _rounded(motion.pictures[camera].reprojected_px, PIXEL)
     likelihood = np.isfinite(xy_px).all(axis=-1, keepdims=True)
     values = np.concatenate([np.where(likelihood, xy_px, np.nan), likelihood], axis=-1)
     _write_points(path, motion, ("x", "y", "likelihood"), values, scorer="recon")
@@ -119,9 +138,9 @@ def shape(motion: Motion, path: Path) -> None:
     solved = getattr(motion.solution, "shape", None)
     if solved is None:
         return
-    lengths = _rounded(np.stack([solved.lengths_m, solved.lengths_sigma_m, solved.expected_lengths_m], axis=1))
+    lengths = _rounded(np.stack([solved.lengths_m, solved.lengths_sigma_m, solved.expected_lengths_m], axis=1), LENGTH)
     rows = [("length", name, "", *values) for name, values in zip(solved.names, lengths, strict=True)]
-    offsets = _rounded(np.stack([solved.offsets_m, solved.offsets_sigma_m, solved.expected_offsets_m], axis=2))
+    offsets = _rounded(np.stack([solved.offsets_m, solved.offsets_sigma_m, solved.expected_offsets_m], axis=2), LENGTH)
     for name, of_axes in zip(motion.joints, offsets, strict=True):
         rows += [("offset", name, axis, *values) for axis, values in zip("xyz", of_axes, strict=True)]
     write_rows(path, [SHAPE_COLUMNS], rows)
@@ -170,7 +189,7 @@ def _write_points(path: Path, motion: Motion, coords: Sequence[str], values: np.
     ]
     if scorer:
         header.insert(0, ["scorer"] + [scorer] * (len(header[0]) - 1))
-    write_table(path, header, motion.frames, _rounded(values).reshape(len(motion.frames), -1))
+    write_table(path, header, motion.frames, values.reshape(len(motion.frames), -1))
 
 
 # -- tables of an analysis ---------------------------------------------------------------------------------------------

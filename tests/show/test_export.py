@@ -16,7 +16,13 @@ from recon.show import tables
 from recon.show.report import build_report
 from recon.show.tables import write_tables
 
-ROUNDED = {"rtol": 0, "atol": 0.51 * 10.0**-tables.DECIMALS}
+def within(decimals: int) -> dict[str, float]:
+    """Return the tolerances of numbers with these decimals."""
+    return {"rtol": 0, "atol": 0.51 * 10.0**-decimals}
+
+
+METRES = within(5)
+"""The animals of these tests have five decimals of a metre."""
 
 
 def test_last_digits_that_differ_between_processors_are_not_written(small_motion, tmp_path):
@@ -31,12 +37,21 @@ def test_last_digits_that_differ_between_processors_are_not_written(small_motion
     assert (tmp_path / "other.csv").read_text(encoding="utf-8") == text
 
 
+@pytest.mark.parametrize(("sigma_m", "decimals"), [(0.2, 4), (0.05, 5), (0.004, 6), (1e-5, 7)])
+def test_positions_of_smaller_animals_have_more_decimals(small_trajectory, tmp_path, sigma_m, decimals):
+    body = replace(small_trajectory.body, keypoint_sigma_m=sigma_m)
+    motion = replace(small_trajectory, solution=replace(small_trajectory.solution, body=body))
+    tables.pose3d(motion, tmp_path / "pose3d.csv")
+    values = read_pose3d(tmp_path / "pose3d.csv").xyz_m
+    np.testing.assert_array_equal(values, np.round(motion.joints_m, decimals) + 0.0)
+
+
 def test_pose3d_round_trip(small_motion, tmp_path):
     path = tmp_path / "pose3d.csv"
     tables.pose3d(small_motion, path)
     pose = read_pose3d(path)
     assert pose.names == small_motion.names
-    np.testing.assert_allclose(pose.xyz_m, small_motion.joints_m, **ROUNDED)
+    np.testing.assert_allclose(pose.xyz_m, small_motion.joints_m, **METRES)
     np.testing.assert_array_equal(pose.frames, small_motion.frames)
     assert np.isnan(pose.xyz_m[3]).all()
     lines = path.read_text(encoding="utf-8").splitlines()
@@ -53,7 +68,7 @@ def test_angles_round_trip(small_motion, tmp_path):
     assert list(table.columns[:8]) == [
         *("x_m", "y_m", "z_m", "J0_yaw_rad", "J0_pitch_rad", "J0_roll_rad", "phi_6_rad", "theta_6_rad")
     ]
-    np.testing.assert_allclose(table.to_numpy(), small_motion.states, **ROUNDED)
+    np.testing.assert_allclose(table.to_numpy(), small_motion.states, **within(tables.ANGLE))
     np.testing.assert_array_equal(table.index, small_motion.frames)
 
 
@@ -62,14 +77,14 @@ def test_reprojection_is_a_deeplabcut_file(small_motion, tmp_path):
     tables.reprojection(small_motion, path)
     keypoints = read_keypoints(path)
     assert keypoints.names == small_motion.names
-    np.testing.assert_allclose(keypoints.xy_px, small_motion.pictures[0].reprojected_px, **ROUNDED)
+    np.testing.assert_allclose(keypoints.xy_px, small_motion.pictures[0].reprojected_px, **within(tables.PIXEL))
     np.testing.assert_array_equal(keypoints.frames, small_motion.frames)
     np.testing.assert_array_equal(keypoints.confidence, np.tile(small_motion.solved[:, None], (1, 9)).astype(float))
 
     table = read_csv(path, header=[0, 1, 2], index_col=0)
     assert table.columns.names == ["scorer", "bodyparts", "coords"]
     np.testing.assert_allclose(
-        table["recon", "spine", "x"], small_motion.pictures[0].reprojected_px[:, 4, 0], **ROUNDED
+        table["recon", "spine", "x"], small_motion.pictures[0].reprojected_px[:, 4, 0], **within(tables.PIXEL)
     )
     np.testing.assert_array_equal(table["recon", "spine", "likelihood"], [1, 1, 1, 0, 1, 1])
 
@@ -79,7 +94,7 @@ def test_angles_of_a_whole_animal(world_trajectory, tmp_path):
     table = read_csv(tmp_path / "angles.csv", index_col="frame")
     assert list(table.columns[:5]) == ["x_m", "y_m", "z_m", "rear_trunk_yaw_rad", "rear_trunk_pitch_rad"]
     assert table.columns[-1] == "r_hind_foot_pitch_rad"
-    np.testing.assert_allclose(table.to_numpy(), world_trajectory.states, **ROUNDED)
+    np.testing.assert_allclose(table.to_numpy(), world_trajectory.states, **within(tables.ANGLE))
 
 
 def test_pose3d_sigma_has_the_layout_of_pose3d(world_trajectory, tmp_path):
@@ -90,7 +105,7 @@ def test_pose3d_sigma_has_the_layout_of_pose3d(world_trajectory, tmp_path):
     coords = ["x_sigma", "y_sigma", "z_sigma", "x_rel", "y_rel", "z_rel"]
     assert list(table["nose"].columns) == coords
     values = np.concatenate((world_trajectory.joint_sigma_m, world_trajectory.relative_sigma_m), axis=2)
-    np.testing.assert_allclose(table.to_numpy().reshape(8, 24, 6), values, **ROUNDED)
+    np.testing.assert_allclose(table.to_numpy().reshape(8, 24, 6), values, **METRES)
     np.testing.assert_array_equal(table.index, world_trajectory.frames)
 
 
@@ -100,7 +115,7 @@ def test_angles_sigma_has_the_columns_of_the_angles(world_trajectory, tmp_path):
     motion = replace(world_trajectory, solution=replace(solution, angle_data_share=share))
     tables.angles_sigma(motion, tmp_path / "angles_sigma.csv")
     table = read_csv(tmp_path / "angles_sigma.csv", index_col="frame")
-    np.testing.assert_allclose(table["rear_trunk_pitch_data_share"], share[:, 1], **ROUNDED)
+    np.testing.assert_allclose(table["rear_trunk_pitch_data_share"], share[:, 1], **within(tables.SHARE))
     np.testing.assert_array_equal(table["r_hind_foot_pitch_sigma_rad"], 0.1)
     assert table.shape == (T, 2 * A)
 
@@ -110,10 +125,10 @@ def test_quality_names_what_is_doubtful(small_trajectory, tmp_path):
     table = read_csv(tmp_path / "quality.csv", index_col="frame")
     assert table["flags"].fillna("").tolist() == ["", "", "", "no data", "", "data poor;ambiguous depth", "", ""]
     assert table["detections"].tolist() == [23, 23, 23, 0, 23, 23, 23, 23]
-    np.testing.assert_allclose(table["alternative_m"], small_trajectory.solution.alternative_m, **ROUNDED)
-    np.testing.assert_allclose(table["mean_weight"], small_trajectory.mean_weight, **ROUNDED)
-    np.testing.assert_allclose(table["place_sigma_m"], small_trajectory.place_sigma_m, **ROUNDED)
-    np.testing.assert_allclose(table["relative_rms_m"], small_trajectory.relative_rms_m, **ROUNDED)
+    np.testing.assert_allclose(table["alternative_m"], small_trajectory.solution.alternative_m, **METRES)
+    np.testing.assert_allclose(table["mean_weight"], small_trajectory.mean_weight, **within(tables.SHARE))
+    np.testing.assert_allclose(table["place_sigma_m"], small_trajectory.place_sigma_m, **METRES)
+    np.testing.assert_allclose(table["relative_rms_m"], small_trajectory.relative_rms_m, **METRES)
 
 
 def test_quality_of_the_frame_method_has_the_same_columns(small_motion, tmp_path):
@@ -124,7 +139,8 @@ def test_quality_of_the_frame_method_has_the_same_columns(small_motion, tmp_path
     assert table["detections"].tolist() == [9, 8, 9, 0, 9, 6]
     assert table["alternative_m"].isna().all()
     for name in ("mean_weight", "place_sigma_m", "relative_rms_m"):
-        np.testing.assert_allclose(table[name], getattr(small_motion, name), **ROUNDED)
+        decimals = within(tables.SHARE) if name == "mean_weight" else METRES
+        np.testing.assert_allclose(table[name], getattr(small_motion, name), **decimals)
         assert table[name].isna().tolist() == [False, False, False, True, False, False]
     assert table["mean_weight"].iloc[4] < 0.9 < table["mean_weight"].iloc[0]
     assert table["relative_rms_m"].max() < table["place_sigma_m"].min()
@@ -166,10 +182,10 @@ def test_every_camera_has_its_table(two_cameras, tmp_path):
     assert names == {"reprojection_cam1.csv", "reprojection_cam2.csv"} == {*tables.of_any_camera(tmp_path)}
     for picture in two_cameras.pictures:
         table = read_keypoints(tmp_path / f"reprojection_{picture.name}.csv")
-        np.testing.assert_allclose(table.xy_px, picture.reprojected_px, **ROUNDED)
+        np.testing.assert_allclose(table.xy_px, picture.reprojected_px, **within(tables.PIXEL))
     quality = read_csv(tmp_path / "quality.csv")
     assert quality["detections"].tolist() == two_cameras.detections.tolist()
-    np.testing.assert_allclose(quality["mean_weight"], two_cameras.mean_weight)
+    np.testing.assert_allclose(quality["mean_weight"], two_cameras.mean_weight, **within(tables.SHARE))
 
 
 def test_files_of_cameras_with_any_names():
