@@ -16,6 +16,7 @@ from recon.show import tables
 from recon.show.report import build_report
 from recon.show.tables import write_tables
 
+
 def within(decimals: int) -> dict[str, float]:
     """Return the tolerances of numbers with these decimals."""
     return {"rtol": 0, "atol": 0.51 * 10.0**-decimals}

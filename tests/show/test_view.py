@@ -36,17 +36,11 @@ PER_FRAME = {
     "/world/skeleton/joints": "Points3D:positions",
     "/world/followed": "Points3D:positions",
     "/world/trail": "LineStrips3D:strips",
-    **{
-        f"/{root}/{entity}": component
-        for root in ("picture", "closeup")
-        for entity, component in {
-            "detections": "Points2D:positions",
-            "outliers": "Points2D:positions",
-            "reprojections": "LineStrips2D:strips",
-            "reprojections/joints": "Points2D:positions",
-            "links": "LineStrips2D:strips",
-        }.items()
-    },
+    "/picture/detections": "Points2D:positions",
+    "/picture/outliers": "Points2D:positions",
+    "/picture/reprojections": "LineStrips2D:strips",
+    "/picture/reprojections/joints": "Points2D:positions",
+    "/picture/links": "LineStrips2D:strips",
     "/speed": "Scalars:scalars",
     "/residuals": "Scalars:scalars",
     "/uncertainty": "Scalars:scalars",
@@ -56,6 +50,7 @@ PER_FRAME = {
 FLAGS = {
     f"/{flag}": "StateChange:state" for flag in ("no_data", "data_poor", "ambiguous_depth", "outliers", "few_points")
 }
+ANIMAL = "/picture/animal"
 CHAIN = {
     **PER_FRAME,
     **{f"/angles/middle/{kind}": "Scalars:scalars" for kind in ("theta", "phi", "yaw_pitch_roll")},
@@ -116,7 +111,7 @@ def recording(world_motion: Motion, tmp_path_factory: pytest.TempPathFactory) ->
 
 
 def test_holds_every_entity_at_every_frame(recording: Recording, world_motion: Motion) -> None:
-    assert set(recording.frames) - set(FLAGS) == set(CHAIN)
+    assert set(recording.frames) - set(FLAGS) == {*CHAIN, ANIMAL}
     for rows in recording.frames.values():
         assert sorted(rows) == list(world_motion.frames)
     assert {"/", "/world/path", "/world/ground", "/world/camera", "/picture/frame"} <= set(recording.static)
@@ -210,9 +205,11 @@ def test_the_outlier_is_shown_as_one(recording: Recording) -> None:
 
 
 def test_the_close_up_is_the_picture_around_the_skeletons_middle(recording: Recording, world_motion: Motion) -> None:
-    pixels = world_motion.pictures[0].reprojected_px[2]
-    shown = np.array(recording.values("/closeup/reprojections/joints", 12))
-    np.testing.assert_allclose(shown, pixels - pixels.mean(axis=0), atol=1e-3)
+    """Its view is at the middle, and stays there in the frame without a pose."""
+    rows = recording.frames[ANIMAL]
+    middle = world_motion.pictures[0].reprojected_px[2].mean(axis=0)
+    for frame in (12, 13):
+        np.testing.assert_allclose(rows[frame]["Transform3D:translation"], [[*middle, 0.0]], atol=1e-3)
 
 
 def test_series_have_the_units_of_plots(recording: Recording, world_motion: Motion) -> None:
@@ -287,7 +284,7 @@ def played(world_trajectory: Motion, tmp_path_factory: pytest.TempPathFactory) -
 
 
 def test_a_trajectory_has_every_entity_at_every_frame(played: Recording, world_trajectory: Motion) -> None:
-    assert set(played.frames) - set(FLAGS) == set(WHOLE)
+    assert set(played.frames) - set(FLAGS) == {*WHOLE, ANIMAL}
     for rows in played.frames.values():
         assert sorted(rows) == list(world_trajectory.frames)
 
@@ -416,12 +413,11 @@ def filmed_twice(two_cameras: Motion, tmp_path_factory: pytest.TempPathFactory) 
 
 
 def test_every_camera_has_its_pictures(filmed_twice: Recording, two_cameras: Motion) -> None:
-    of_pictures = {entity for entity in filmed_twice.frames if entity.split("/")[1] in ("picture", "closeup")}
+    of_pictures = {entity for entity in filmed_twice.frames if entity.split("/")[1] == "picture"}
     assert of_pictures == {
-        f"/{root}/{camera}/{entity}"
-        for root in ("picture", "closeup")
+        f"/picture/{camera}/{entity}"
         for camera in ("cam1", "cam2")
-        for entity in ("detections", "outliers", "reprojections", "reprojections/joints", "links")
+        for entity in ("animal", "detections", "outliers", "reprojections", "reprojections/joints", "links")
     }
     for number, camera in enumerate(("cam1", "cam2")):
         rows = filmed_twice.frames[f"/picture/{camera}/reprojections/joints"]

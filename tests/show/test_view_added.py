@@ -144,7 +144,6 @@ def test_every_frame_has_its_picture(small_trajectory: Motion, video: Path, tmp_
     write(small_trajectory, tmp_path / "motion.rrd", video=video, first_frame=8)
     data = rows(tmp_path / "motion.rrd")
     pictures = data.pop("/picture/video")
-    assert data.pop("/closeup/video")
     assert data.keys() == rows(tmp_path / "plain.rrd").keys()
     assert [row["frame"] for row in pictures] == FRAMES
     np.testing.assert_allclose([row["time"].total_seconds() for row in pictures], np.array(FRAMES) / 30, atol=1e-6)
@@ -154,33 +153,20 @@ def test_every_frame_has_its_picture(small_trajectory: Motion, video: Path, tmp_
         assert float(image.mean()) == pytest.approx(10 * number, abs=3)
 
 
-def test_the_close_look_has_what_lies_around_the_animal(small_trajectory: Motion, tmp_path: Path) -> None:
-    """Its middle is at (0, 0), as that of the points is; what lies beyond the picture is dark. It is in front."""
-    (wide, high), ramp = (1920, 1080), tmp_path / "ramp.avi"
-    with video_writer(ramp, (wide, high), 30.0) as write_frame:
-        for _ in FRAMES:
-            write_frame(np.broadcast_to((np.arange(wide) // 8).astype(np.uint8)[None, :, None], (high, wide, 3)).copy())
-    write(small_trajectory, tmp_path / "motion.rrd", video=ramp, first_frame=10)
-    data = rows(tmp_path / "motion.rrd")
-    ((left, _, _),) = [row["Transform3D:translation"][0] for row in data["/closeup/video"] if "frame" not in row]
-    shown = [row for row in data["/closeup/video"] if "frame" in row]
-    assert [row["frame"] for row in shown] == FRAMES
-    joints = by_frame(data["/picture/reprojections/joints"], "Points2D:positions")
-    compared = 0
-    for row in shown:
-        image = picture(row, cv2.IMREAD_GRAYSCALE)
-        assert image.shape[1] == -2 * left
-        middle = float(np.mean([x for x, _ in joints[row["frame"]]]))
-        if 20 < middle < wide - 20:
-            assert float(image[image.shape[0] // 2, image.shape[1] // 2]) == pytest.approx(middle / 8, abs=4)
-            compared += 1
-    assert compared
+def test_the_close_look_is_in_front_and_shows_the_video(small_trajectory: Motion, video: Path, tmp_path: Path) -> None:
+    """Its view is at the animal's middle, and has all of the picture but its edge."""
+    write(small_trajectory, tmp_path / "motion.rrd", video=video, first_frame=8)
     layout = rows(tmp_path / "motion.rrd", "blueprints")
     (close,) = [path for path, of in layout.items() for row in of
                 if row.get("ViewBlueprint:display_name", [""])[0].startswith("Picture, close up")]  # fmt: skip
     fronts = [row["ContainerBlueprint:active_tab"][0] for of in layout.values() for row in of
               if row.get("ContainerBlueprint:active_tab")]  # fmt: skip
     assert close.removeprefix("/") in fronts
+    (origin,) = [row["ViewBlueprint:space_origin"][0] for row in layout[close] if row.get("ViewBlueprint:space_origin")]
+    assert origin == "picture/animal"
+    contents = [row["ViewContents:query"] for path, of in layout.items() for row in of
+                if path.startswith(f"{close}/") and row.get("ViewContents:query")]  # fmt: skip
+    assert contents == [["+ /picture/**", "- /picture/frame"]]
 
 
 def test_a_video_that_is_too_short_leaves_no_file(small_trajectory: Motion, video: Path, tmp_path: Path) -> None:
@@ -190,7 +176,6 @@ def test_a_video_that_is_too_short_leaves_no_file(small_trajectory: Motion, vide
 
 
 def test_a_video_goes_into_the_picture_of_its_camera(two_cameras: Motion, video: Path, tmp_path: Path) -> None:
-    """And into its close look, of several that stand side by side."""
     write(two_cameras, tmp_path / "motion.rrd", video=video, first_frame=8, camera=1)
     videos = {entity for entity in rows(tmp_path / "motion.rrd") if entity.endswith("/video")}
-    assert videos == {"/picture/cam2/video", "/closeup/cam2/video"}
+    assert videos == {"/picture/cam2/video"}

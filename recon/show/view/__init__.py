@@ -10,10 +10,10 @@ with a flag; `world/stance`, the standing feet.
 - `picture`: pixels of the distorted picture. `picture/frame` (static), its edge; `picture/detections`,
   `picture/outliers`, `picture/reprojections` with the skeleton's lines, `picture/links` between detections and
   reprojections.
-- `closeup`: the same points, relative to the middle of the reprojected skeleton in each frame.
-- `picture/video`, `closeup/video`: the frames of a video, if given.
-- Each of several cameras has its own `world/camera/<name>`, `picture/<name>/...` and `closeup/<name>/...`, and
-  there is `world/camera_names`.
+- `picture/animal`: the middle of the reprojected skeleton in each frame, at which the close view is.
+- `picture/video`: the frames of a video, if given.
+- Each of several cameras has its own `world/camera/<name>` and `picture/<name>/...`, and there is
+  `world/camera_names`.
 - `angles/...` in degrees: `left`, `right` and `middle`, split if there are many; `speed` of the reference point in
   m/s; `residuals` in px over all cameras: the median of a frame, and the largest one without outliers.
 - `uncertainty` in m; and states over time: each flag of a frame by its name, and each foot while it stands.
@@ -148,11 +148,11 @@ def _in_space(name: str, eye: rrb.EyeControls3D) -> rrb.Spatial3DView:
 def _pictures(pictures: Sequence[Picture]) -> rrb.Tabs:
     """Return a close view and the whole picture; the pictures of several cameras are next to each other."""
     closeups, wholes = [], []
-    entities = scenes.by_camera(scenes.CLOSEUP, pictures), scenes.by_camera(scenes.PICTURE, pictures)
-    for picture, close_entity, whole_entity in zip(pictures, *entities, strict=True):
+    for picture, entity in zip(pictures, scenes.by_camera(scenes.PICTURE, pictures), strict=True):
         reach, (low, high) = scenes.CLOSE * scenes.middle_and_reach_px(picture)[1], scenes.picture_bounds(picture)
-        closeups.append(_flat(close_entity, picture.name, -reach, reach))
-        wholes.append(_flat(whole_entity, picture.name, low, high))
+        contents = [f"+ /{entity}/**", f"- /{entity}/{scenes.EDGE_OF_PICTURE}"]
+        closeups.append(_flat(f"{entity}/{scenes.ANIMAL}", picture.name, -reach, reach, contents))
+        wholes.append(_flat(entity, picture.name, low, high))
     if len(pictures) == 1:
         closeups[0].name, wholes[0].name = f"Picture, {_MARKS}", "Whole picture"
         return rrb.Tabs(closeups[0], wholes[0], active_tab=0)
@@ -163,9 +163,14 @@ def _pictures(pictures: Sequence[Picture]) -> rrb.Tabs:
 _MARKS = "close up: white detected, ● reprojected, red: outlier"
 
 
-def _flat(entity: str, name: str, low: Array, high: Array) -> rrb.Spatial2DView:
+def _flat(
+    entity: str, name: str, low: Array, high: Array, contents: Sequence[str] = ("$origin/**",)
+) -> rrb.Spatial2DView:
     bounds = rrb.VisualBounds2D(x_range=(low[0], high[0]), y_range=(low[1], high[1]))
-    return rrb.Spatial2DView(origin=entity, name=name, background=scenes.BACKGROUND, visual_bounds=bounds)
+    background = scenes.BACKGROUND
+    return rrb.Spatial2DView(
+        origin=entity, contents=[*contents], name=name, background=background, visual_bounds=bounds
+    )
 
 
 def _title(motion: Motion) -> str:

@@ -44,8 +44,10 @@ PATH, TRAIL, GRID, CAMERA, EDGE = (110, 110, 120), (240, 228, 66), (58, 64, 74),
 LINE_COLOURS: tuple[Colour, ...] = (*LIMB_COLOURS, LINK, (213, 94, 0), (200, 200, 210))
 BACKGROUND = (18, 21, 27)
 
-CAMERAS, PICTURE, CLOSEUP = "world/camera", "picture", "closeup"
+CAMERAS, PICTURE = "world/camera", "picture"
 """Entities of a camera, or the parents of several (`by_camera`)."""
+ANIMAL, EDGE_OF_PICTURE, VIDEO = "animal", "frame", "video"
+"""Children of a picture: the animal's middle, at which the close view is, the picture's edge, and the video."""
 _FRAMES_AT_ONCE = 4000
 """Number of frames to write at once of data that need much memory."""
 GRID_SPACING_M = 1.0
@@ -378,19 +380,22 @@ def write_uncertainty(motion: Motion, log: Log, standing: Bools) -> None:
 
 
 def write_pictures(motion: Motion, log: Log) -> None:
-    """Write the points twice: at their positions in the picture, and relative to the middle of the animal."""
-    wholes, closeups = by_camera(PICTURE, motion.pictures), by_camera(CLOSEUP, motion.pictures)
-    for picture, whole, closeup in zip(motion.pictures, wholes, closeups, strict=True):
+    """Write the points of each picture, and the middle of the animal, around which the close view is."""
+    for picture, root in zip(motion.pictures, by_camera(PICTURE, motion.pictures), strict=True):
         size = np.array(picture.camera.image_size_px, dtype=float)
-        log.fix(f"{whole}/frame", rr.Boxes2D(array=[-0.5, -0.5, *size], array_format=rr.Box2DFormat.XYWH, colors=EDGE))
-        _write_points(whole, np.zeros((len(motion.frames), 2)), motion, picture, log)
-        _write_points(closeup, middle_and_reach_px(picture)[0], motion, picture, log)
+        edge = rr.Boxes2D(array=[-0.5, -0.5, *size], array_format=rr.Box2DFormat.XYWH, colors=EDGE)
+        log.fix(f"{root}/{EDGE_OF_PICTURE}", edge)
+        _write_points(root, motion, picture, log)
+        has_pose = np.isfinite(picture.reprojected_px).any(axis=(1, 2))
+        if has_pose.any():  # in a frame without a pose, the view stays where it was
+            nearest = np.maximum.accumulate(np.where(has_pose, np.arange(len(has_pose)), np.argmax(has_pose)))
+            middles_px = middle_and_reach_px(picture)[0][nearest]
+            log.send(f"{root}/{ANIMAL}", rr.Transform3D.columns(translation=np.pad(middles_px, ((0, 0), (0, 1)))))
 
 
-def _write_points(root: str, origin_px: Array, motion: Motion, picture: Picture, log: Log) -> None:
-    """Write the points of a picture. origin_px (T, 2) is drawn at (0, 0)."""
-    outliers = picture.outliers
-    detected, reprojected = (xy - origin_px[:, None] for xy in (picture.detected_px, picture.reprojected_px))
+def _write_points(root: str, motion: Motion, picture: Picture, log: Log) -> None:
+    """Write the points of a picture."""
+    outliers, detected, reprojected = picture.outliers, picture.detected_px, picture.reprojected_px
     for entity, colour, selection in (("detections", DETECTION, ~outliers), ("outliers", OUTLIER, outliers)):
         is_shown = selection & np.isfinite(detected[..., 0])
         log.points(f"{root}/{entity}", detected, is_shown, colors=colour, radii=rr.Radius.ui_points(2.0))
@@ -435,46 +440,29 @@ def picture_bounds(picture: Picture) -> tuple[Array, Array]:
     return low - margin, high + margin
 
 
-ASPECT = 2.4
-"""Width to height of the part of a video that is shown around the animal."""
 JPEG_QUALITY = 85
 
 
 def write_video(motion: Motion, log: Log, video: Path, first_frame: int = 0, number: int = 0) -> None:
-    """Write the frames of a video: `picture/video`, and `closeup/video`, the part around the animal.
+    """Write the frames of a video: `picture/video`, which the close view shows, too.
 
-    If there are several cameras, the first entity is `picture/<name>/video`. first_frame: frame number, in the clip, of
-    the video's first frame. number: camera whose video it is, of the same size. Raises InputError if the video lacks
+    If there are several cameras, the entity is `picture/<name>/video`. first_frame: frame number, in the clip, of the
+    video's first frame. number: camera whose video it is, of the same size. Raises InputError if the video lacks
     frames.
 
     Each frame is a JPEG, which every viewer shows. Without ffmpeg, viewers decode only AV1 videos, and jump from key
     frame to key frame in other codecs. In rerun the corner of the top left pixel is at (0, 0), whereas keypoints have
-    the pixel's centre there: the whole picture is shifted by half a pixel to the right and down.
+    the pixel's centre there: the picture is shifted by half a pixel to the right and down.
     """
     import cv2  # slow to import, and most playbacks are without a video
 
     from recon.show.overlay import clip_frames
 
-    def jpeg(image: np.ndarray) -> rr.ComponentColumnList:
-        content = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
-        return rr.EncodedImage.columns(blob=[content], media_type=["image/jpeg"])
-
-    middles, reach = middle_and_reach_px(motion.pictures[number])
-    has_pose = np.asarray(np.isfinite(motion.pictures[number].reprojected_px).any(axis=(1, 2)))
-    width_px, height_px = 2 * CLOSE * reach
-    size_px = np.ceil([max(width_px, ASPECT * height_px), max(height_px, width_px / ASPECT)]).astype(int)
-    whole_entity, close_entity = (f"{by_camera(root, motion.pictures)[number]}/video" for root in (PICTURE, CLOSEUP))
-    log.fix(close_entity, rr.Transform3D(translation=[*(-size_px / 2), 0.0]))
+    entity = f"{by_camera(PICTURE, motion.pictures)[number]}/{VIDEO}"
     for _, t, _, image in clip_frames(motion.frames, video, first_frame):
-        if t is None:
-            continue
-        log.send(whole_entity, jpeg(image), [t])
-        if has_pose[t]:  # put the animal's middle into the middle
-            offset_px = (size_px - 1) / 2 - middles[t]
-            shift = np.hstack([np.eye(2), offset_px[:, None]])
-            log.send(
-                close_entity, jpeg(cv2.warpAffine(image, shift, size_px.tolist(), borderValue=BACKGROUND[::-1])), [t]
-            )
+        if t is not None:
+            content = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+            log.send(entity, rr.EncodedImage.columns(blob=[content], media_type=["image/jpeg"]), [t])
 
 
 # -- recordings --------------------------------------------------------------------------------------------------------
