@@ -36,8 +36,8 @@ _SAME_WORDS: dict[str, str] = {
     "stiffle": "stifle",
 }
 _LIMB_OF = {
-    **dict.fromkeys(("elbow", "carpus", "wrist"), "front"),
-    **dict.fromkeys(("stifle", "hock", "tarsus"), "back"),
+    **dict.fromkeys(("shoulder", "elbow", "carpus", "wrist"), "front"),
+    **dict.fromkeys(("hip", "stifle", "hock", "tarsus"), "back"),
 }
 """Words of joints that only the fore or only the hind limbs have."""
 _SEPARATORS = "_-. "

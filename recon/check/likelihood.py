@@ -232,6 +232,11 @@ It is 0.83 or more in 32 real views.
 """
 NEARLY_ALL = 99.0
 """Percentile of the points that have to lie in a part of the picture."""
+OPPOSITE_SHARE = 0.5
+"""Gain of a turn to the opposite side, relative to the best gain, above which no turn is named.
+
+It is 0.8 if 70 % of the detections are gross outliers, and below 0 if the picture or the world is turned by 90 degrees.
+"""
 
 _Alternative = tuple[str, dict[str, Any], View]
 """Hypothesis on a view: the finding's code and numbers, and the view that the camera has then."""
@@ -270,6 +275,11 @@ def _likeliest_finding(camera: Camera, alternatives: Sequence[_Alternative], rat
     if not ratios[best] > CLEAR:
         return None
     code, numbers, _ = alternatives[best]
+    opposites = (
+        gain for gain, other in zip(ratios, alternatives, strict=True) if _are_opposite(other, alternatives[best])
+    )
+    if max(opposites, default=-np.inf) > OPPOSITE_SHARE * ratios[best]:
+        return None  # the detections show no animal either way
     likely = [i for i in range(len(ratios)) if not exceeds_margin(ratios[best] - ratios[i], surely=True)]
     if camera.knows_up and len(likely) > 1:
         rivals = [alternatives[i] for i in sorted(likely, key=lambda i: -ratios[i])]
@@ -278,6 +288,14 @@ def _likeliest_finding(camera: Camera, alternatives: Sequence[_Alternative], rat
         causes = tuple(_WORDS[code].format(**numbers) for code, numbers, _ in rivals)
         return finding("turned_either_way", camera=camera.name, log_likelihood_ratio=ratios[best], causes=causes)
     return finding(code, camera=camera.name, log_likelihood_ratio=ratios[best], **numbers)
+
+
+def _are_opposite(first: _Alternative, second: _Alternative) -> bool:
+    """Return whether two hypotheses turn the animal by 90 degrees to opposite sides."""
+    turns = [numbers.get("degrees", 0) for _, numbers, _ in (first, second)]
+    axes = [numbers.get("axis", "z").lstrip("-") for _, numbers, _ in (first, second)]
+    is_other = first[1] != second[1]
+    return first[0] == second[0] and is_other and (sum(turns) == 360 or (axes[0] == axes[1] and axes[0] != "z"))
 
 
 _WORDS = {

@@ -316,7 +316,8 @@ def gathered(path: Path, table: Columns, individual: str | None, column_map: Map
     stored = StoredPoints(tuple(index), values[..., :-1], frames, values[..., -1], **extra)
     if "frame" not in role:
         stored = with_times(path, stored, distinct, fps)
-    return common.one_animal(path, animal or None, stored, [animal] if animal else [])
+    stored = common.one_animal(path, animal or None, stored, [animal] if animal else [])
+    return common.without_zeros(stored) if stored.in_space else stored
 
 
 # -- writing ---------------------------------------------------------------------------------------------------------

@@ -248,17 +248,22 @@ def frames_seen(stored: StoredPoints) -> np.ndarray:
 
 
 def without_zeros(stored: StoredPoints) -> StoredPoints:
-    """Return 3D points without those at exactly (0, 0, 0), which many programs write for a lost marker.
+    """Return 3D points without those that stand for a lost marker: at (0, 0, 0), or at another number three times.
 
-    A point that is at (0, 0, 0) in all frames is an origin and is kept.
+    Many programs write them, and no other number than 0 is taken for one that occurs only once. A point that is at
+    (0, 0, 0) in all frames is an origin and is kept.
     """
-    zero = (stored.values == 0).all(axis=2)
-    lost = zero & ~zero.all(axis=0)
+    first = stored.values[..., 0]
+    is_constant = (stored.values == first[..., None]).all(axis=2)
+    numbers, counts = np.unique(first[is_constant], return_counts=True)
+    lost = is_constant & np.isin(first, numbers[(numbers == 0) | (counts > 1)])
+    lost &= ~((first == 0) & is_constant).all(axis=0)
     if not lost.any():
         return stored
     named = [f"{name} in {count} frames" for name, count in zip(stored.names, lost.sum(axis=0), strict=True) if count]
     shown = ", ".join(named[:3]) + (f" and {len(named) - 3} more" if len(named) > 3 else "")
-    note = f"Points at exactly (0, 0, 0) are taken as missing: {shown}."
+    constants = " and ".join(f"({x:g}, {x:g}, {x:g})" for x in np.unique(first[lost])[:3])
+    note = f"Points at exactly {constants} are taken as missing: {shown}."
     values = np.where(lost[..., None], np.nan, stored.values)
     return replace(stored, values=values, notes=(*stored.notes, note))
 

@@ -167,6 +167,7 @@ def test_a_bundled_map_has_a_name_however_it_is_written(tmp_path):
     ("name", "marker"),
     [
         ("LF_carpi", "l_front_ankle"),
+        ("RH_Hip", "r_hip"),
         ("FR_elbow", "r_front_knee"),
         ("hock_RH", "r_back_ankle"),
         ("L_B_Stiffle", "l_back_knee"),

@@ -451,13 +451,16 @@ def test_an_animal_that_runs_upside_down(code, axis, changed):
         ({"-z": 500.0, "picture_turned": 480.0}, "turned_either_way", ["-z points up", "turned by 90 degrees"]),
         ({"-z": 500.0, "picture_turned": 460.0}, "world_not_z_up", None),
         ({"x": 5.0}, None, None),
+        ({"picture_turned": 500.0, "270": 400.0}, None, None),
+        ({"-y": 500.0, "y": 300.0, "270": 490.0}, None, None),
+        ({"y": 500.0, "-y": 100.0}, "world_not_z_up", None),
     ],
 )
 def test_a_contradiction_with_several_causes(gains, code, causes):
-    """A cause is named if its likelihood stands out, otherwise all of the likely ones."""
+    """A cause is named if its likelihood stands out, otherwise all likely ones; none if opposite turns fit."""
     posed = replace(CAMERA, rotation=POSE[:3, :3], translation_m=POSE[:3, 3])
     alternatives = [*likelihood._turned(replace(view(), camera=posed, T_camera_world=POSE))]
-    ratios = [gains.get(n.get("axis", "" if n.get("degrees") == 270 else c), -100.0) for c, n, _ in alternatives]
+    ratios = [gains.get(n.get("axis", "270" if n.get("degrees") == 270 else c), -100.0) for c, n, _ in alternatives]
     found = likelihood._likeliest_finding(posed, alternatives, ratios)
     assert (found and found.code) == code
     if causes:

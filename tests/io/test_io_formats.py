@@ -718,6 +718,16 @@ def test_lost_markers_that_are_written_as_zeros(tmp_path):
     assert "Points at exactly (0, 0, 0) are taken as missing: paw in 1 frames." in found.notes
 
 
+def test_another_number_for_lost_markers(tmp_path):
+    """A number three times counts if it occurs again; a table of positions is read as TRC is."""
+    rows = ["0,-9999,-9999,-9999,1,2,3", "1,1,2,4,-9999,-9999,-9999", "2,5,5,5,0,0,0"]
+    (tmp_path / "a.csv").write_text("\n".join(["frame,paw_x,paw_y,paw_z,nose_x,nose_y,nose_z", *rows]))
+    found = read_pose3d(tmp_path / "a.csv", unit="m", up="z")
+    np.testing.assert_array_equal(found.xyz_m[:, 0], [[np.nan] * 3, [1, 2, 4], [5, 5, 5]])
+    np.testing.assert_array_equal(found.xyz_m[:, 1], [[1, 2, 3], [np.nan] * 3, [np.nan] * 3])
+    assert "exactly (-9999, -9999, -9999) and (0, 0, 0) are taken as missing" in " ".join(found.notes)
+
+
 @pytest.mark.parametrize(("scorer", "asked"), [("DLC_3D", True), ("recon", False), (None, False)])
 def test_the_unit_of_triangulated_positions(scorer, asked, tmp_path):
     """DeepLabCut's are in units of the board; ours, and tables without a scorer, are metres."""
