@@ -161,6 +161,7 @@ def of_results(made_once, whole_results) -> Callable[[str], tuple[str, Path]]:
             with pytest.MonkeyPatch.context() as patch:
                 leave_out_drawing(patch)
                 draw_two_methods(patch)
+                remember_analyses(patch)
                 patch.chdir(folder)
                 ended = run(*shlex.split(command)[1:])
             assert (ended.code, ended.err) == (0, ""), f"{command}\n{ended.out}{ended.err}"

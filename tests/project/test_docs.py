@@ -29,7 +29,14 @@ import typer
 from command_line import carry_out_here, copy_results, run
 from docs_files import DOCS, FENCE, FILES, OF_PAGE, Block, blocks, commands
 from made_up_herd import make_herd, use_made_up_numbers
-from shortcuts import draw_two_methods, fit_demo_from, leave_out_drawing, leave_out_playback, shorten_cost_study
+from shortcuts import (
+    draw_two_methods,
+    fit_demo_from,
+    leave_out_drawing,
+    leave_out_playback,
+    remember_analyses,
+    shorten_cost_study,
+)
 
 from recon import find_clips
 from recon.cli.app import app
@@ -93,6 +100,16 @@ SLOW = {
     r"recon robot dh arm\.toml ": "test_robot_command.py",
 }
 """Steps that take many seconds, from their beginning, and which tests have the same options."""
+LONG = {
+    r"recon solver ": "test_solver_analysis.py",
+    r"recon batch ": "test_batch.py",
+    r"recon calibrate board": "test_calibrate.py",
+    r"recon climb ": "test_robot_climb.py",
+    r"recon (retarget|robot dh) ": "test_robot_retarget.py, test_robot_command.py, test_robot_trainers.py",
+    r"recon ik ": "test_ik_clip.py",
+    r"recon compare herd": "test_experiment.py",
+}
+"""The same, and all steps of their pages that come after them."""
 FIT = "recon fit clip.csv --camera camera.toml --fps 60 --out results/clip"
 """The fit of the sample, which pages begin with: `whole_results` has it, and `test_cli.py` the command."""
 
@@ -146,7 +163,13 @@ def same_pose(*results: Path) -> bool:
     return len({(folder / "pose3d.csv").read_bytes() for folder in results}) == 1
 
 
-@pytest.mark.parametrize("command", sorted(ONCE))
+@pytest.mark.parametrize(
+    "command",
+    [
+        pytest.param(command, marks=[pytest.mark.slow] * any(re.match(pattern, command) for pattern in LONG))
+        for command in sorted(ONCE)
+    ],
+)
 def test_command_of_several_pages(command, of_results):
     """By itself, so that no page takes long."""
     printed, _ = of_results(command)
@@ -207,6 +230,7 @@ def folder_after(made_once, whole_results, of_results) -> Callable[[Path, int], 
                 patch.chdir(folder)
                 leave_out_drawing(patch)
                 draw_two_methods(patch)
+                remember_analyses(patch)
                 patch.setattr("recon.api.batch.carry_out", carry_out_here)
                 leave_out_playback(patch)
                 fit_demo_from(whole_results, patch)
@@ -221,6 +245,13 @@ def folder_after(made_once, whole_results, of_results) -> Callable[[Path, int], 
     return after
 
 
+def takes_long(page: Path, number: int) -> bool:
+    before = [step.command or "" for step in steps(page)[: number + 1]]
+    return any(re.match(pattern, before[-1]) for pattern in SLOW) or any(
+        re.match(pattern, command) for pattern in LONG for command in before
+    )
+
+
 @pytest.mark.parametrize(
     ("page", "count"),
     [
@@ -228,7 +259,7 @@ def folder_after(made_once, whole_results, of_results) -> Callable[[Path, int], 
             page,
             number + 1,
             id=f"{name_of(page)}-{step.command or 'start'}",
-            marks=[pytest.mark.slow] * any(re.match(pattern, step.command or "") for pattern in SLOW),
+            marks=[pytest.mark.slow] * takes_long(page, number),
         )
         for page in PAGES
         for number, step in enumerate(steps(page))
