@@ -412,6 +412,7 @@ def test_command(body, tmp_path):
     np.testing.assert_allclose(prior.mean, expected, rtol=0, atol=0.01)
 
 
+@pytest.mark.slow
 def test_files_of_one_name_and_too_few_frames(body, tmp_path):
     files = []
     for k, (_, states, _) in enumerate(swinging(body, 2, 40, 100.0)):

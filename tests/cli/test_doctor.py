@@ -273,7 +273,8 @@ def test_there_is_colour_without_it(monkeypatch):
     assert COLOUR.search(run("fit", "no-such-file.csv", "--out", "no-such-folder").err)
 
 
-@pytest.mark.parametrize("no_color", [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("no_color", [True, False])
 def test_no_color_is_respected_by_the_help(no_color, monkeypatch):
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("TERM", "xterm-256color")
@@ -328,6 +329,7 @@ def test_completion_script(shell, monkeypatch):
     assert f"_RECON_COMPLETE=complete_{shell}" in script
 
 
+@pytest.mark.slow
 def test_completion_works_in_bash(tmp_path):
     """The script in a shell, with the command on its path."""
     bash = shutil.which("bash")

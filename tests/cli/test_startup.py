@@ -31,6 +31,7 @@ def test_the_start_imports_nothing_slow(option):
     assert modules & SLOW == set()
 
 
+@pytest.mark.slow
 def test_the_help_of_what_shows_a_result_imports_as_little_as_that_of_a_fit():
     fit, report = (imported_by(command, "--help") for command in ("fit", "report"))
     assert report - fit == {"recon.cli.look_options", "recon.cli.show"}

@@ -164,6 +164,7 @@ def test_a_camera_half_a_frame_late_is_no_worse_for_it():
     assert error < np.linalg.norm(two().joints_m - points, axis=-1).mean() + 0.003
 
 
+@pytest.mark.slow
 def test_a_camera_late_by_less_than_a_frame_is_found(monkeypatch):
     """Which nobody said: the place does not suffer, and with one camera it is as uncertain as that."""
     points = truth_m()

@@ -75,7 +75,7 @@ def test_flexion_does_not_change_with_heading_roll_and_position():
     assert flexion_rad(BODY, moved) == pytest.approx(flexion_rad(BODY, row), abs=1e-9)
 
 
-@pytest.mark.parametrize("gait", [GALLOP, TROT])
+@pytest.mark.parametrize("gait", [GALLOP, pytest.param(TROT, marks=pytest.mark.slow)])
 def test_curves_over_the_stride_are_those_of_the_gait(fitted, gait):
     fps = len(fitted.frames) / (3.5 * gait.stride_s)
     motion = with_exact_states(fitted, gait.states(BODY, fitted.frames / fps), fps)

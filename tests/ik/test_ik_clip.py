@@ -324,7 +324,7 @@ def test_the_stride_takes_as_long_as_it_does_and_can_be_followed(fit, dim, reque
         assert stride.gap_percent < 16
 
 
-@pytest.mark.parametrize("fit", ["frame_results", "chain_results"])
+@pytest.mark.parametrize("fit", ["frame_results", pytest.param("chain_results", marks=pytest.mark.slow)])
 def test_analysis_and_both_dimensions_have_one_stride_of_the_chain(fit, request, tmp_path):
     folder = request.getfixturevalue(fit)
     results = Motion.load(folder)

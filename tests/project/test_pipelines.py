@@ -152,6 +152,7 @@ def small_film(folder: Path) -> None:
             write(np.asarray(cv2.resize(picture, (160, 90), interpolation=cv2.INTER_AREA), np.uint8))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("optimiser", "undrawn")
 def test_video_to_3d(said, folder, monkeypatch):
     """With a network that learned next to nothing."""

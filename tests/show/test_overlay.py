@@ -339,6 +339,7 @@ def test_what_is_wrong_with_one_cameras_detections_is_not_said_of_anothers(filme
     assert overlay_of(result, number=0).flags == [["data poor"] if t == 2 else [] for t in range(8)]
 
 
+@pytest.mark.slow
 def test_the_camera_of_the_video_is_chosen_by_name(filmed_twice, folder, video, tmp_path):
     out = tmp_path / "o.avi"
     drawn = draw(OverlaySettings(folder=filmed_twice, video=video, out=out, first_frame=7, camera_name="cam2"))
