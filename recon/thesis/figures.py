@@ -12,7 +12,7 @@ from matplotlib.image import AxesImage
 
 from recon.base.arrays import Array, mean
 from recon.show.plots import style
-from recon.thesis.inspect import CAMERA_ANGLES, EXIT_FLAGS, SolverRecord
+from recon.thesis.inspect import CAMERA_ANGLES, EXIT_FLAGS, PUBLISHED, SolverRecord
 
 _LEAST = 1e-12
 """Smallest value drawn on a logarithmic axis."""
@@ -33,7 +33,7 @@ def solver_search(record: SolverRecord) -> Figure:
     status = record.solution.status
     title = f"{status.count('converged')} of {len(status)} frames converged, each solved by itself"
     time_s = record.motion.time_s
-    names = [str(name) if cost.sum() > 0 else f"{name}: 0" for name, cost in record.cost.items()]
+    names = [_term_label(str(name)) + ("" if cost.sum() > 0 else ": 0") for name, cost in record.cost.items()]
     with style.drawing(170 + style.legend_shape(names)[1], title=title) as figure:
         rows = figure.subplots(5, 1, sharex=True, height_ratios=(1.8, 1, 1, 1, 1))
         cost, optimality, step, evaluations, limits = rows
@@ -133,7 +133,8 @@ def solver_matrices(record: SolverRecord) -> Figure:
             _logarithmic_image(figure, axes, size, _DECADES * largest, largest, label)
             axes.set_xticks(range(len(names)), names, rotation=90, fontsize=style.SMALL)
             axes.tick_params(length=0)
-        panels[0].set_yticks(np.cumsum(counts) - counts / 2 - 0.5, [*parts], fontsize=style.SMALL)
+        labels = [_term_label(name) for name in parts]
+        panels[0].set_yticks(np.cumsum(counts) - counts / 2 - 0.5, labels, fontsize=style.SMALL)
         panels[1].set_yticks(range(len(names)), names, fontsize=style.SMALL)
     return figure
 
@@ -231,6 +232,12 @@ FIGURES = (
     reference_path,
 )
 """All figures; each is saved under the name of its function."""
+
+
+def _term_label(term: str) -> str:
+    """Return the name of a term, after its published name if it is one of f1 to f5."""
+    published = next((name for name, published_term in PUBLISHED.items() if published_term == term), None)
+    return term if published is None else f"{published} {term}"
 
 
 def _over_time(figure: Figure, rows: Sequence[Axes], labels: Sequence[str], across: str = "time (s)") -> None:

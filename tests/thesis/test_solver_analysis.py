@@ -190,7 +190,13 @@ def test_command_writes_all_of_it(frame_results, undrawn, tmp_path):
     pictures = {f"{draw.__name__}.{end}" for draw in solver_plots.FIGURES for end in ("png", "svg")}
     assert files == {*TABLES, "jacobian.npz", "solver.json", *pictures}
     assert f"{len(files)} files" in ended.out
-    assert says(" ".join(ended.out.split()), "30 of 30 frames converged", "iterations", "Share of the cost: f1")
+    assert says(
+        " ".join(ended.out.split()),
+        "30 of 30 frames converged",
+        "iterations",
+        "Shares of the cost: f1",
+        "priors and ties",
+    )
     assert json.loads((out / "solver.json").read_text(encoding="utf-8"))["frames_converged"] == 30
 
 
