@@ -73,7 +73,7 @@ class MotionPrior:
     source: str
     """Origin of the poses."""
     segments: tuple[SegmentRow, ...] = ()
-    """Pieces of motion that were available."""
+    """The continuous pieces of motion that were available for the fit of the prior."""
 
     def __post_init__(self) -> None:
         wrong = misfits({name: getattr(self, name) for name in SHAPES}, len(self.angles))

@@ -21,7 +21,7 @@ from recon.base.outputs import Output, require_suffix
 from recon.base.progress import Progress, silent
 from recon.base.settings import Integer, Number, Option, Settings
 from recon.calibrate.camera_motion.rotation import LevelMark, as_level, read_marks, tilted, up_by_marks
-from recon.calibrate.camera_motion.track import CLEARLY, Tracker, TurningMotion, panorama, thumbnail
+from recon.calibrate.camera_motion.track import CLEAR_SIGMAS, Tracker, TurningMotion, panorama, thumbnail
 from recon.clip import Keypoints
 from recon.geometry.camera import Camera
 from recon.io.calibration import read_camera
@@ -60,7 +60,7 @@ class CameraMotionSettings(Settings):
     """Name of the animal, if the keypoint file has several."""
     first_frame: Annotated[Integer, FIRST_FRAME] = 0
     tilt_deg: Annotated[Number, Field(ge=-90, le=90)] | None = None
-    """Angle in degrees by which the camera looks down in the first frame. (default: level in the mean of all frames)"""
+    """Angle in degrees by which the camera looks down in the first frame. (default: level on average)"""
     level_marks: Path | None = None
     """Instead of a tilt: a table (kind,frame,x1,y1,x2,y2) of horizons and verticals, such as level.csv."""
     zoom: bool = False
@@ -133,7 +133,7 @@ def run_camera_motion(settings: CameraMotionSettings, output: Output, progress: 
 
 def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:
     """Return a note if the rotation of the background suggests another focal length than the camera file's."""
-    if motion.focal is None or abs(motion.focal[0]) <= CLEARLY * motion.focal[1]:
+    if motion.focal is None or abs(motion.focal[0]) <= CLEAR_SIGMAS * motion.focal[1]:
         return None
     px = _focal_px(motion.focal, lens)
     wide = 2 * np.degrees(np.arctan(lens.image_size_px[0] / 2 / px["found"]))

@@ -148,7 +148,10 @@ def _design(
     for (animal, run), clips in design.groupby(["animal", "run"], sort=False):
         problems += [
             Problem(
-                source, f"{column} of run {run} of {animal}", names_text([*map(str, values)]), "one in all its rows"
+                source,
+                f"{column} of run {run} of {animal}",
+                names_text([*map(str, values)]),
+                "the same in all its rows",
             )
             for column in ("group", *covariates)
             if len(values := clips[column].unique()) > 1

@@ -167,7 +167,7 @@ def validated(model: type[_Model], table: Mapping[str, Any], source: str | Path)
 # -- arrays ---------------------------------------------------------------------------------------------------------
 
 MAX_UNPACKED, MAX_ARRAYS = 1 << 30, 1 << 16
-"""Largest archive that is unpacked, and the largest size and number of arrays that it may contain."""
+"""Largest size of an unpacked archive in bytes, and largest number of its arrays."""
 KINDS = "biuf"
 """NumPy's letters for the types that can be read: booleans, whole numbers and floats."""
 

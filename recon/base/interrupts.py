@@ -69,7 +69,7 @@ class Interrupts:
 
     def leave(self) -> NoReturn:
         """End the process at once, from any thread."""
-        while self._leaving:  # another thread is about to end it
+        while self._leaving:  # another thread is about to end the process
             time.sleep(1.0)
         self._leaving = True
         if os.isatty(2):

@@ -41,9 +41,9 @@ from recon.fit.result import Finding, TrajectorySolution
 
 MAX_LEVEL = 1.6
 """Largest level at which a camera agrees; larger if the other cameras are noisier than expected."""
-NOISIEST = 2.0
+MAX_NOISE_FACTOR = 2.0
 """Largest factor on the expected errors that is attributed to noise of the detector."""
-NOISIEST_OF_TWO = 1.1
+MAX_NOISE_FACTOR_OF_TWO = 1.1
 """Largest factor for two cameras, without a third camera to show that the errors are noise.
 
 Levels of 68 real pairs are up to 1.5. A rotation of one of two cameras is visible only across the line between them.
@@ -59,13 +59,13 @@ LARGEST_ROTATION_RAD = np.radians(45.0)
 """Largest best-fitting rotation that is attributed to the camera."""
 MIN_POINTS = 30
 """Smallest number of points, over all frames, from which a level is computed."""
-SOUGHT_OFFSET_S, LITTLE_OFFSET = 0.5, 3
+WIDE_OFFSET_S, NARROW_OFFSET = 0.5, 3
 """Largest time offset tried: in seconds for a camera that does not agree, in frames for one that agrees."""
 FRAMES = 480
 """Number of frames of a longer clip that are compared: the part with the most common detections."""
 OFFSET_S = 1.0
 """Largest time offset in seconds in the search for a camera that is out of step; at most half a clip."""
-CLEARLY = 0.9
+MAX_OFFSET_RATIO = 0.9
 """Largest ratio of the level with a time offset to the level without it at which the offset counts."""
 _OFFSET_ROWS = 200
 """Number of frames that are compared for an offset."""
@@ -83,7 +83,7 @@ _PARALLEL = 1e-4
 """Smallest ratio of the precision of a point along its rays to that across them."""
 
 
-Numbers = dict[str, float]
+Comparison = dict[str, float]
 """Comparison of one camera with the cameras that agree with each other; NaN if it cannot be determined.
 
 - points: number of points compared
@@ -130,7 +130,7 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
             offset_s = motion.sources[v].offset_s + numbers["late_frames"] / fps
             numbers = numbers | _effect_m(given_sights, v, [o for o in agreeing if o != v]) | {"offset_s": offset_s}
             item = finding(_code(numbers, limit), frames, names[v], **numbers)
-            findings.append(by_effect(item, motion.trunk_m, is_gross=numbers["level"] > MAX_LEVEL * NOISIEST))
+            findings.append(by_effect(item, motion.trunk_m, is_gross=numbers["level"] > MAX_LEVEL * MAX_NOISE_FACTOR))
     for v in exchanged:  # compared as given, with the exchange in place
         partners = [sights[o] for o in agreeing or range(len(views)) if o != v]
         comparisons[v] = _compare(given_sights[v], partners, fps, wide=False)
@@ -163,8 +163,8 @@ def _without_exchange(
     trial_levels = {pair: _levels(trial, everyone) for pair, trial in trials.items()}
     rests = [_levels(sights, rest) for rest in combinations(everyone, len(everyone) - 1) if len(rest) > 1]
     medians = [np.nanmedian(values) for values in (*rests, *trial_levels.values()) if np.isfinite(values).any()]
-    noisiest = NOISIEST if len(views) > 2 else NOISIEST_OF_TWO
-    limit = MAX_LEVEL * float(np.clip(min(medians, default=np.inf), 1.0, noisiest))
+    max_factor = MAX_NOISE_FACTOR if len(views) > 2 else MAX_NOISE_FACTOR_OF_TWO
+    limit = MAX_LEVEL * float(np.clip(min(medians, default=np.inf), 1.0, max_factor))
     exchanged = _exchanged_pair(levels, trial_levels, limit)
     return (sights, (), limit) if exchanged is None else (trials[exchanged], exchanged, limit)
 
@@ -213,7 +213,9 @@ def _effect_m(sights: Sequence[_Sight], v: int, partners: Sequence[int]) -> dict
     return dict(zip(EFFECTS, (pose_m, float(np.linalg.norm(middle_m, axis=-1).mean())), strict=True))
 
 
-def _compare_with_agreeing(sights: Sequence[_Sight], fps: float, limit: float) -> tuple[tuple[int, ...], list[Numbers]]:
+def _compare_with_agreeing(
+    sights: Sequence[_Sight], fps: float, limit: float
+) -> tuple[tuple[int, ...], list[Comparison]]:
     """Return the cameras that agree, and the comparison of each camera with them, or with all if none agree.
 
     A camera can be turned by some degrees about its line of sight while its level is still low. Agreeing cameras that a
@@ -254,7 +256,7 @@ def _exchanged_pair(levels: Array, trials: Mapping[tuple[int, int], Array], limi
     return min(explained, key=lambda pair: explained[pair], default=None)
 
 
-def _compare_each(sights: Sequence[_Sight], agreeing: Sequence[int], fps: float) -> list[Numbers]:
+def _compare_each(sights: Sequence[_Sight], agreeing: Sequence[int], fps: float) -> list[Comparison]:
     """Compare each camera with all others that agree."""
     return [
         _compare(sight, [sights[o] for o in agreeing if o != v], fps, wide=v not in agreeing)
@@ -262,7 +264,7 @@ def _compare_each(sights: Sequence[_Sight], agreeing: Sequence[int], fps: float)
     ]
 
 
-def _causes(numbers: Numbers, least_rad: float = 0.0, least_frames: float = 0.0) -> dict[str, float]:
+def _causes(numbers: Comparison, least_rad: float = 0.0, least_frames: float = 0.0) -> dict[str, float]:
     """Return the camera's level with each possible cause undone, by code, for causes of at least the given size."""
     is_turned, is_late = (
         least_rad <= numbers["turn_rad"] <= LARGEST_ROTATION_RAD,
@@ -272,13 +274,13 @@ def _causes(numbers: Numbers, least_rad: float = 0.0, least_frames: float = 0.0)
     return levels | ({"camera_turned": numbers["level_turned"]} if is_turned else {})
 
 
-def _gain(numbers: Numbers) -> float:
+def _gain(numbers: Comparison) -> float:
     """Return the factor by which the best rotation or time offset lowers a camera's level; 1 if both are small."""
     causes = _causes(numbers, CLEAR_ROTATION_RAD, CLEAR_OFFSET)
     return max((numbers["level"] / max(level, 1e-9) for level in causes.values()), default=1.0)
 
 
-def _code(numbers: Numbers, limit: float) -> str:
+def _code(numbers: Comparison, limit: float) -> str:
     """Return the code of a camera's finding: the cause that leaves the lowest level, if it explains the level."""
     likeliest = min(
         (level, code) for code, level in {**_causes(numbers), "camera_off": np.inf}.items() if not np.isnan(level)
@@ -433,7 +435,7 @@ def _levels(sights: Sequence[_Sight], agreeing: Sequence[int]) -> Array:
     return levels
 
 
-def _compare(sight: _Sight, partners: Sequence[_Sight], fps: float, wide: bool) -> Numbers:
+def _compare(sight: _Sight, partners: Sequence[_Sight], fps: float, wide: bool) -> Comparison:
     """Compare a camera with others; with `wide`, search a long range of time offsets."""
     numbers = dict.fromkeys(("turn_rad", "level_turned", "late_frames", "level_late"), np.nan)
     if len(partners) == 1:
@@ -518,7 +520,7 @@ def _best_turned(sight: _Sight, points: _Points) -> tuple[_Sight, float]:
 
 def _best_shifted(sight: _Sight, points: _Points, fps: float, wide: bool) -> tuple[_Sight, float]:
     """Return the directions with the time offset that fits best, and the offset in frames."""
-    reach = min(max(round(SOUGHT_OFFSET_S * fps), LITTLE_OFFSET) if wide else LITTLE_OFFSET, len(sight.rays) // 2)
+    reach = min(max(round(WIDE_OFFSET_S * fps), NARROW_OFFSET) if wide else NARROW_OFFSET, len(sight.rays) // 2)
     levels = {float(frames): _level(sight.later(frames), points) for frames in range(-reach, reach + 1)}
     if not np.isfinite([*levels.values()]).any():
         return sight, np.nan
@@ -569,7 +571,7 @@ def _best_offset(sight: _Sight, partner_sights: Sequence[_Sight], reach: int, ro
     sums, number = np.where(compared, levels, 0.0).sum(axis=1), compared.sum(axis=1)
     mean = np.where(number > 0, sums / np.maximum(number, 1), np.inf)
     best = int(np.argmin(mean))
-    return 0.0 if mean[best] > CLEARLY * mean[reach] else float(offsets[best])
+    return 0.0 if mean[best] > MAX_OFFSET_RATIO * mean[reach] else float(offsets[best])
 
 
 # -- camera parameters that are estimated in the fit -------------------------------------------------------------------
@@ -577,14 +579,15 @@ def _best_offset(sight: _Sight, partner_sights: Sequence[_Sight], reach: int, ro
 FIT_ROUNDS = 5
 CLOSE_FRAMES = 0.05
 """Time offsets this small are left to the solver, which treats the motion as straight over such a time."""
-WORSE, BETTER, LOST, FAR = 1.1, 1.02, 5.0, 4.0
+UNCHANGED_FACTOR, BETTER_FACTOR, OUTLIER_FACTOR, MAX_ROTATION_FACTOR = 1.1, 1.02, 5.0, 4.0
 """Limits for refined poses.
 
-- `WORSE`: factor of a camera's median reprojection error up to which it counts as unchanged, since some cameras may
-  lose a little of what one camera gains
-- `BETTER`: factor above which a camera's median reprojection error has improved
-- `LOST`: factor relative to the rig's middle camera above which a camera is an outlier all the time
-- `FAR`: factor on the expected rotation above which a camera is not at the pose in the file
+- `UNCHANGED_FACTOR`: growth of a camera's median reprojection error up to which the error counts as unchanged, since
+  some cameras may lose a little of what one camera gains
+- `BETTER_FACTOR`: ratio of the error before to the error after, above which a camera has improved
+- `OUTLIER_FACTOR`: ratio of a camera's error to the median over the cameras, above which the camera is an outlier as a
+  whole
+- `MAX_ROTATION_FACTOR`: ratio of a rotation to the expected one, above which a camera is not at the pose in the file
 """
 MAX_SIGMA_FRAMES = 1.0
 """Largest uncertainty of an estimated offset in frames.
@@ -658,7 +661,7 @@ def why_not_refined(refined: TrajectorySolution, fixed: TrajectorySolution) -> t
     """
     fixed_px, refined_px = _medians_px(fixed), _medians_px(refined)
     names, turns_rad = [v.camera.name for v in fixed.views], np.linalg.norm(refined.extrinsic_correction[:, :3], axis=1)
-    lost = (refined_px > WORSE * fixed_px) | (refined_px > LOST * np.median(refined_px))
+    lost = (refined_px > UNCHANGED_FACTOR * fixed_px) | (refined_px > OUTLIER_FACTOR * np.median(refined_px))
     worst_lost, most_turned = int(np.argmax(lost * refined_px / fixed_px)), int(np.argmax(turns_rad))
     if lost[worst_lost]:
         return (
@@ -669,13 +672,13 @@ def why_not_refined(refined: TrajectorySolution, fixed: TrajectorySolution) -> t
                 after_px=refined_px[worst_lost],
             ),
         )
-    if turns_rad[most_turned] > FAR * constants.CAMERA_ROTATION_RAD:
+    if turns_rad[most_turned] > MAX_ROTATION_FACTOR * constants.CAMERA_ROTATION_RAD:
         return (
             finding(
                 "camera_left_its_pose", camera=names[most_turned], turn_deg=float(np.degrees(turns_rad[most_turned]))
             ),
         )
-    if not (fixed_px > BETTER * refined_px).any():
+    if not (fixed_px > BETTER_FACTOR * refined_px).any():
         return (finding("cameras_as_calibrated"),)
     return ()
 

@@ -58,7 +58,7 @@ def _solver_lines(summary: dict[str, Any]) -> Iterator[str]:
     yield f"A frame took {' and '.join(effort)}, median and range."
     worst = summary["worst_joint"]
     yield (
-        f"Error in the picture: {quantity(summary['image_error_px']['mean'], 1, 'px')} in the mean, most at "
+        f"Error in the picture: {quantity(summary['image_error_px']['mean'], 1, 'px')} on average, most at "
         f"{worst['name']} ({quantity(worst['mean_px'], 1, 'px')})."
     )
     costs = summary["cost_by_term"]

@@ -469,7 +469,7 @@ def _errors(motion: Motion, xyz_m: Array, last_s: float) -> Sequence[Errors]:
         path_sigma = np.sqrt(np.diagonal(path.covariance[:, :3, :3], axis1=1, axis2=2))[:, None]
         rest = np.broadcast_to(np.maximum(path_sigma, floor), xyz_m.shape)
         return *independent_and_lasting, Errors(_by_size(motion), np.inf), Errors(rest, lasting_s)
-    # The common errors of all joints: the relative errors of a single joint can exceed its absolute errors.
+    # These are the common errors of all joints. The relative errors of one joint can exceed its absolute errors.
     position = np.sqrt(np.maximum(motion.upright_sigma_m**2 - motion.upright_relative_sigma_m**2, floor**2))
     of_pose = Errors(np.maximum(motion.upright_relative_sigma_m, floor), POSE_LASTS * last_s)
     if not isinstance(solution, TrajectorySolution) or len(solution.views) != 1:

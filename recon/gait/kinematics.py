@@ -74,7 +74,7 @@ class Errors(Brief):
     """Standard deviations of errors, and how long an error lasts."""
 
     sigma: Array
-    """Standard deviations of the values, in their shape and unit; with signs if one error lasts throughout."""
+    """Standard deviations of the values, in their shape and unit; with signs if one error lasts through the clip."""
     correlation_s: float = 0.0
     """Correlation time of the errors: 0 for independent frames, inf for one error throughout."""
 
@@ -298,7 +298,7 @@ def _spline_sigmas(t: Array, sample_s: Array, errors: Sequence[Errors], weight: 
     """Return standard deviations (3, M, d) of value, rate and acceleration of a span's splines (n,) at times (M,)."""
     variance = np.zeros((3, len(sample_s), len(lam)))
     smooth = bool(lam.any())
-    # an error that lasts throughout propagates like a value
+    # an error that lasts through the whole clip propagates like a value
     for lasting in (error for error in errors if error.correlation_s == np.inf):
         curves = [_curve(t, *column) for column in zip(lasting.sigma.T, weight.T, lam, strict=True)]
         variance += np.stack([_evaluate(curve, sample_s) for curve in curves], axis=-1) ** 2

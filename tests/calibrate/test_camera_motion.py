@@ -15,7 +15,7 @@ from command_line import refusal, refused, run, says
 from scipy.spatial.transform import Rotation
 
 from recon.calibrate.camera_motion.rotation import Orientation, as_level, rays_of, read_marks, tilted, up_by_marks
-from recon.calibrate.camera_motion.track import CLEARLY, Tracker
+from recon.calibrate.camera_motion.track import CLEAR_SIGMAS, Tracker
 from recon.geometry.camera import Camera
 from recon.io.camera_files import write_camera
 from recon.io.camera_track import read_camera_track
@@ -103,7 +103,7 @@ def test_a_pan_is_found_and_the_focal_length_beside_it(camera, by):
     assert len(error) == 12
     assert sigma < 0.05
     assert abs(found + np.log(by)) < 3 * sigma
-    assert (abs(found) > CLEARLY * sigma) == (by != 1)
+    assert (abs(found) > CLEAR_SIGMAS * sigma) == (by != 1)
     assert (error <= 0.02 + 2 * np.degrees(motion.sigma_rad)).all()
     if by == 1:
         assert np.median(error) < 0.01

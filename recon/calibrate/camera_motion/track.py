@@ -45,7 +45,7 @@ MAX_PAIRS, MIN_BACKGROUND = 60, 0.4
 """Number of pairs of pictures that determine the focal length (those turned furthest), and minimum agreement of their
 points with the background.
 """
-CLEARLY = 3.0
+CLEAR_SIGMAS = 3.0
 """Number of standard deviations beyond which a focal length differs clearly from that of the camera file."""
 MIN_STILL, MAX_TORN = 0.4, 1
 """Minimum fraction of an old keyframe's background that stays in position, and how many keyframes may have less."""
@@ -360,7 +360,7 @@ class Tracker:
         turned_only = self.torn_frames <= MAX_APART * (len(frames) + len(lost)) and torn_count <= MAX_TORN
         pairs = _furthest_turned(self.pairs)
         focal = _focal_factor(self.camera, pairs, self._limit_px)
-        if focal is not None and abs(focal[0]) > CLEARLY * focal[1]:
+        if focal is not None and abs(focal[0]) > CLEAR_SIGMAS * focal[1]:
             turns = np.stack([orientation.rotation for orientation in orientations]) @ orientations[0].rotation.T
             sigma = np.hypot(sigma, abs(focal[0]) * Rotation.from_matrix(turns).magnitude())
         return TurningMotion(
