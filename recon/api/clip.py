@@ -240,10 +240,10 @@ def _with_pair_tests(solution: TrajectorySolution, earlier: TrajectorySolution) 
 
 
 def _solve_again_without_gross_outliers(fit: _Fit, solve: Solve) -> _Fit:
-    """Leave out detections that are far from any pose, unless no frame can be solved without them."""
+    """Leave out detections that are far from any pose, unless no frame could be solved without them."""
     cleaned, outliers = without_gross_outliers(fit.sources, fit.solution)
     solution = _with_pair_tests(solve(cleaned, fit.options), fit.solution) if outliers else fit.solution
-    if not solution.posed.any() and fit.solution.posed.any():  # these detections were not outliers
+    if not solution.posed.any() and fit.solution.posed.any():  # without them no frame has a pose: no outliers
         return fit
     return replace(fit, sources=cleaned, solution=solution, findings=(*fit.findings, *outliers))
 
