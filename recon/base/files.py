@@ -275,7 +275,7 @@ class Manifest:
     files: Mapping[str, tuple[int, str]]
     """Size in bytes, and SHA-256 of the content in hexadecimal digits, by name."""
     kind: str | None = None
-    """The command that wrote them, such as fit; None in manifests of version 0.2."""
+    """The command that wrote the files, such as fit; None in manifests of version 0.2."""
 
     @property
     def paths(self) -> list[Path]:

@@ -31,7 +31,7 @@ def drifts_of(clip: ClipProblem, solution: TrajectorySolution) -> dict[int, Step
     def by_drift(detections: Detections) -> Array:
         return detections.by_frame_px * ((detections.frames - 0.5 * (frames - 1)) / frames)[:, None, None]
 
-    first = 1 if len(clip.views) == 2 else 0  # of two cameras only the difference is known
+    first = 1 if len(clip.views) == 2 else 0  # for two cameras only the difference of their clocks is known
     return one_steps(clip, solution, dict.fromkeys(range(first, len(clip.views)), by_drift))
 
 

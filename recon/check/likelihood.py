@@ -276,7 +276,9 @@ def _likeliest_finding(camera: Camera, alternatives: Sequence[_Alternative], rat
         return None
     code, numbers, _ = alternatives[best]
     opposites = (
-        gain for gain, other in zip(ratios, alternatives, strict=True) if _are_opposite(other, alternatives[best])
+        gain
+        for gain, alternative in zip(ratios, alternatives, strict=True)
+        if _are_opposite(alternative, alternatives[best])
     )
     if max(opposites, default=-np.inf) > OPPOSITE_SHARE * ratios[best]:
         return None  # the detections show no animal either way
@@ -517,7 +519,7 @@ def frame_rate_finding(
     as_stated, rescaled = (_at_rate(clip, states, by) for by in (1.0, factor))
     misfit_given, misfit_other = (prior_misfit_of(*solved) for solved in (as_stated, rescaled))
     gain = _rate_cost(*as_stated, clip.correlation_frames) - _rate_cost(*rescaled, clip.correlation_frames)
-    # unlike the motions of the prior at that rate
+    # whether the motion at that rate is unlike the motions of the prior
     is_unknown = misfit_other.unlike and misfit_other.level >= misfit_given.level
     if is_unknown or gain < (CLEAR if thin_gain > CLEAR else SURE):
         return None

@@ -311,7 +311,7 @@ def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
             distance_m = math.hypot(camera_m[0], camera_m[1])
             given_per_m = UNITS_PER_M[motion.settings.get("camera_unit") or "m"]
             for unit, per_m in UNITS_PER_M.items() if given_per_m == 1.0 else [("metres", 1 / given_per_m)]:
-                in_metres = 1.0 < distance_m < min(50.0, 0.5 * per_m)  # in that unit the camera would be at the origin
+                in_metres = 1.0 < distance_m < min(50.0, 0.5 * per_m)  # in that unit, the camera would be at the origin
                 if per_m != 1.0 and not in_metres and 1 / NEARLY_UNIT < times / per_m < NEARLY_UNIT:
                     yield finding("camera_unit", unit=unit, times=float(times))
                     return

@@ -93,7 +93,8 @@ def batch(settings: _BatchSettings, options: _FitOptions, console: Console) -> A
     plan = plan_batch(clips, settings.out, settings.overwrite)
     if settings.dry_run:
         return _dry_run_answer(plan, input_problems(clips), settings.strict)
-    shared = repeated(input_problems(clips, shared_only=True))  # raised even if each clip has a file of its own
+    # a problem of all clips is raised even if each clip has a file of its own
+    shared = repeated(input_problems(clips, shared_only=True))
     raise_problems(problem for problem, clip_indices in shared if len(clip_indices) == len(clips))
     left = sum(planned.action != "done" for planned in plan)
     if left < len(plan):

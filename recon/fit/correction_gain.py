@@ -70,7 +70,7 @@ def correction_gain_m2(
             segment_gain_m2 = _segment_gain(segment_clip, problem, estimate, solution, rows)
             gain_m2[:, rows] = np.where(np.isfinite(segment_gain_m2), segment_gain_m2, np.nan)
     gain_m2 /= max(int(solution.posed.sum()) * len(solution.body.markers), 1)
-    return gain_m2.astype(np.float32).astype(float)  # its file is half as large
+    return gain_m2.astype(np.float32).astype(float)  # with such values, the file is half as large
 
 
 def problems_at(

@@ -411,8 +411,9 @@ of the joints from their mean.
 SCALED = 2.0
 """Factor between the sizes within which no explanation is needed, since one camera hardly determines the size."""
 UNLIKE = 0.3
-"""Error relative to the size above which a motion and its truth are different clips: running cheetahs differ by 0.27 to 0.67 of their
-size, and the poorest fit in docs/benchmarks.md has an error of 0.22.
+"""Error relative to the size above which a motion and its truth are different clips.
+
+Running cheetahs differ by 0.27 to 0.67 of their size, and the poorest fit in docs/benchmarks.md has an error of 0.22.
 """
 FAR = 4.0
 """Distance between the two, in sizes, above which they are at different positions."""

@@ -248,15 +248,15 @@ def frames_seen(stored: StoredPoints) -> np.ndarray:
 
 
 def without_zeros(stored: StoredPoints) -> StoredPoints:
-    """Return 3D points without those that stand for a lost marker: at (0, 0, 0), or at another number three times.
+    """Return 3D points without those that stand for a lost marker: three equal coordinates, 0 or another number.
 
-    Many programs write them, and no other number than 0 is taken for one that occurs only once. A point that is at
-    (0, 0, 0) in all frames is an origin and is kept.
+    Many programs write such points. A number other than 0 has to occur at least twice. A point that is at (0, 0, 0) in
+    all frames is an origin and is kept.
     """
     first = stored.values[..., 0]
     is_constant = (stored.values == first[..., None]).all(axis=2)
-    numbers, counts = np.unique(first[is_constant], return_counts=True)
-    lost = is_constant & np.isin(first, numbers[(numbers == 0) | (counts > 1)])
+    coordinates, counts = np.unique(first[is_constant], return_counts=True)
+    lost = is_constant & np.isin(first, coordinates[(coordinates == 0) | (counts > 1)])
     lost &= ~((first == 0) & is_constant).all(axis=0)
     if not lost.any():
         return stored

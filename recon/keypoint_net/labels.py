@@ -433,7 +433,7 @@ def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str
         expected = f"some of: {', '.join(truth.names)}; or --rename with a file of these lines, completed"
         lines = tuple(map_to_write(guess.names, truth.names))
         problems.append(Problem(predicted, "keypoints", ", ".join(guess.names), expected, lines))
-    numbers = guess.frames + o.first_frame  # in the numbering of the labels
+    numbers = guess.frames + o.first_frame  # numbered like the labels
     rows_t = np.flatnonzero(np.isin(truth.frames, numbers))
     if not len(rows_t):
         first, last = truth.frames[[0, -1]]
