@@ -1,18 +1,25 @@
 """Predict the detections of a camera that a solution was not fitted to.
 
 **Deviations.** Skin, labels and a skeleton's rigid segments let keypoints deviate from the body's markers for a while.
-The deviation d (3,) of each keypoint follows d(t) = a d(t - 1) + noise with a constant variance, and is estimated from
-the detections of all views by a Kalman filter and smoother. The size and the duration of deviations are chosen by
-cross-validation: each view is left out in turn, and predicted from the others.
+The deviation d (3,) of each keypoint is a Gaussian process that can be differentiated once (Matern, 3/2), and is
+estimated from the detections of all views by a Kalman filter and smoother. The size and the duration of deviations, and
+the detections' noise about them, are those with the largest evidence. The noise of a fit contains deviations.
 
-**Covariance.** The errors of these predictions give a factor on all covariances, with which 90 % regions hold 90 % of
-the detections. The factor contains the tails of the detector's errors and the bias of each camera. The clock of the
-other camera is taken to be as far off as the clocks of the views.
+**Covariance.** Each view is left out in turn, and predicted from the others. The errors of these predictions give a
+factor on all covariances, with which 90 % regions hold 90 % of the detections. The factor contains the tails of the
+detector's errors and the bias of each camera. The clock of the other camera is taken to be as far off as the clocks of
+the views.
+
+References
+----------
+J. Hartikainen and S. Sarkka, "Kalman filtering and smoothing solutions to temporal Gaussian process regression models",
+IEEE International Workshop on Machine Learning for Signal Processing, 2010.
 """
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -26,12 +33,14 @@ from recon.fit.result import Solution, TrajectorySolution
 
 LEVEL = 0.9
 """Probability of the regions that are calibrated on the detections of the solution's own views."""
-DEVIATIONS = 0.25, 0.5, 1.0, 2.0, 4.0
+DEVIATIONS = 0.25, 0.5, 1.0, 2.0, 4.0, 8.0
 """Candidates for the standard deviation of deviations, relative to the detections' noise."""
-LASTING_S = 0.05, 0.25, 2.0, 20.0
+LASTING_S = 0.03, 0.08, 0.25, 1.0, 4.0
 """Candidates for the duration of deviations, in seconds, for each keypoint."""
+NOISE_SHARES = 0.35, 0.5, 0.7, 1.0
+"""Candidates for the variance of the detections' noise about deviations, relative to that of the fit."""
 OTHERS = 1.0
-"""Weight of the mean over all keypoints, relative to the keypoint itself, in the choice among the candidates."""
+"""Weight of the mean evidence of all keypoints, relative to the keypoint's own, in the choice among the candidates."""
 
 
 def predicted_keypoints(solution: Solution, view: View, fps: float | None = None) -> tuple[Array, Array]:
@@ -162,6 +171,11 @@ class _Residuals:
         weighted = self.by_point * (self.weight / self.noise_px**2)[..., None, None]
         return np.asarray((weighted.swapaxes(-1, -2) @ self.error_px[..., None])[..., 0])
 
+    @property
+    def square(self) -> Array:
+        """Return the weighted squared errors without deviations, (T, J)."""
+        return np.asarray(self.weight * np.sum(self.error_px**2, axis=-1) / self.noise_px**2)
+
     def off_px(self, deviation: Array) -> Array:
         """Return the errors (..., T, J, 2) that deviations (..., T, J, 3) leave, NaN if missing."""
         remaining_px = self.error_px - (self.by_point @ deviation[..., None])[..., 0]
@@ -172,32 +186,71 @@ def _deviations(solution: Solution, residuals: list[_Residuals], fps: float) -> 
     """Return the deviations (T, J, 3), their covariances (T, J, 3, 3), and the factor on predicted covariances."""
     information = np.array([residual.information for residual in residuals])
     pull = np.array([residual.pull for residual in residuals])
-    with warnings.catch_warnings(action="ignore"):  # averages over keypoints without a pose
-        noise_m = np.nan_to_num(np.nanmedian(_noise_m(solution), axis=0), nan=1e-3)
     total, total_pull = information.sum(axis=0), pull.sum(axis=0)
-    choices = [(0.0, LASTING_S[0]), *product(DEVIATIONS, LASTING_S)]
-    costs = np.zeros((len(choices), len(noise_m)))
-    for row, (share, lasting_s) in zip(costs, choices, strict=True):
-        for number, residual in enumerate(residuals):
-            by_rest = total - information[number], total_pull - pull[number]
-            deviation, _ = smoothed_deviations(*by_rest, share * noise_m, np.exp(-1.0 / (fps * lasting_s)))
-            square = np.sum(residual.off_px(deviation) ** 2, axis=-1) / residual.noise_px**2
-            row += np.nansum(np.log1p(square), axis=0)
-    chosen = [choices[k] for k in np.argmin(costs + OTHERS * costs.mean(axis=1, keepdims=True), axis=0)]
-    sigma_m = noise_m * [share for share, _ in chosen]
-    carried = np.exp([-1.0 / (fps * lasting_s) for _, lasting_s in chosen])
+    sigma_m, lasting_frames, noise_share = _likeliest_process(solution, residuals, total, total_pull, fps)
+    information, total = information / noise_share[:, None, None], total / noise_share[:, None, None]
+    pull, total_pull = pull / noise_share[:, None], total_pull / noise_share[:, None]
     squares = []
     for number, (residual, view) in enumerate(zip(residuals, solution.views, strict=True)):
         by_rest = total - information[number], total_pull - pull[number]
-        deviation, deviation_m2 = smoothed_deviations(*by_rest, sigma_m, carried)
+        deviation, deviation_m2 = smoothed_deviations(*by_rest, sigma_m, lasting_frames)
         _, covariance = _predicted(
             solution, view, solution.markers_m + deviation, solution.covariance_m2 + deviation_m2, 1.0
         )
         squares.append(_whitened_squares(residual.off_px(deviation), covariance))
-    return (*smoothed_deviations(total, total_pull, sigma_m, carried), _level_factor(np.concatenate(squares)))
+    return (
+        *smoothed_deviations(total, total_pull, sigma_m, lasting_frames),
+        _level_factor(np.concatenate(squares)),
+    )
 
 
-def smoothed_deviations(information: Array, pull: Array, sigma_m: Array, carried: Array | float) -> tuple[Array, Array]:
+def _likeliest_process(
+    solution: Solution, residuals: list[_Residuals], information: Array, pull: Array, fps: float
+) -> tuple[Array, Array, Array]:
+    """Return the size of deviations in metres, their duration in frames, and the share of the noise, (J,) each."""
+    with warnings.catch_warnings(action="ignore"):  # averages over keypoints without a pose
+        noise_m = np.nan_to_num(np.nanmedian(_noise_m(solution), axis=0), nan=1e-3)
+    shares, lasting_s = np.array([(0.0, LASTING_S[0]), *product(DEVIATIONS, LASTING_S)]).T
+    sigma_m, lasting_frames = shares[:, None] * noise_m, np.repeat(fps * lasting_s[:, None], len(noise_m), axis=1)
+    square = np.sum([residual.square for residual in residuals], axis=0)
+    seen = np.sum([residual.weight for residual in residuals], axis=(0, 1))
+    evidence = np.array(
+        [
+            log_evidence(information / share, pull / share, square / share, sigma_m, lasting_frames)
+            - seen * np.log(share)
+            for share in NOISE_SHARES
+        ]
+    ).reshape(-1, len(noise_m))
+    best = np.argmax(evidence + OTHERS * evidence.mean(axis=1, keepdims=True), axis=0)
+    noise_number, number = np.divmod(best, len(shares))
+    return shares[number] * noise_m, fps * lasting_s[number], np.array(NOISE_SHARES)[noise_number]
+
+
+def log_evidence(information: Array, pull: Array, square: Array, sigma_m: Array, lasting_frames: Array) -> Array:
+    """Return the log-likelihood of the detections, (..., J), without terms that are equal for all processes.
+
+    Parameters
+    ----------
+    information, pull, square
+        (T, J, 3, 3), (T, J, 3), (T, J): precision of the deviations, the precision times the deviations, and the
+        squared errors without deviations.
+    sigma_m, lasting_frames
+        (..., J), as for `smoothed_deviations`.
+    """
+    total = np.zeros(np.shape(sigma_m))
+    for t, (mean, covariance, _, _) in enumerate(_filtered(information, pull, sigma_m, lasting_frames)):
+        deviation, spread = mean[..., :3, None], covariance[..., :3, :3]
+        error = pull[t][..., None] - information[t] @ deviation
+        growth = np.eye(3) + information[t] @ spread
+        explained = error.swapaxes(-1, -2) @ spread @ np.linalg.solve(growth, error)
+        remaining = square[t][..., None, None] - deviation.swapaxes(-1, -2) @ (pull[t][..., None] + error)
+        total -= 0.5 * ((remaining - explained)[..., 0, 0] + np.linalg.slogdet(growth)[1])
+    return total
+
+
+def smoothed_deviations(
+    information: Array, pull: Array, sigma_m: Array, lasting_frames: Array | float
+) -> tuple[Array, Array]:
     """Return the smoothed deviations (T, J, 3) of keypoints, with their covariances (T, J, 3, 3).
 
     Parameters
@@ -207,26 +260,49 @@ def smoothed_deviations(information: Array, pull: Array, sigma_m: Array, carried
         the deviations.
     sigma_m
         (J,): expected standard deviation along each axis.
-    carried
-        (J,), or a number for all keypoints: share of a deviation that lasts to the next frame.
+    lasting_frames
+        (J,), or a number for all keypoints: duration of deviations. The correlation of two frames that are t durations
+        apart is (1 + t) exp(-t).
     """
-    T, J = pull.shape[:2]
-    variance = np.maximum(sigma_m, 1e-9)[:, None, None] ** 2 * np.eye(3)
-    carried_mean = np.broadcast_to(carried, J)[:, None]
-    carried_gain = carried_mean[..., None]
-    means, covariances = np.zeros((T, J, 3)), np.zeros((T, J, 3, 3))
-    predicted = np.zeros((T, J, 3, 3))
-    mean, covariance = np.zeros((J, 3)), variance
-    for t in range(T):
+    transition = _transition(np.broadcast_to(lasting_frames, pull.shape[1:2]))
+    steps = [*_filtered(information, pull, sigma_m, lasting_frames)]
+    mean, covariance = steps[-1][2:]
+    means, covariances = [mean], [covariance]
+    for (_, _, filtered, filtered_m2), (predicted, predicted_m2, _, _) in zip(steps[-2::-1], steps[:0:-1], strict=True):
+        gain = np.linalg.solve(predicted_m2, transition @ filtered_m2).swapaxes(-1, -2)
+        mean = filtered + (gain @ (mean - predicted)[..., None])[..., 0]
+        covariance = filtered_m2 + gain @ (covariance - predicted_m2) @ gain.swapaxes(-1, -2)
+        means.append(mean)
+        covariances.append(covariance)
+    return np.array(means[::-1])[..., :3], np.array(covariances[::-1])[..., :3, :3]
+
+
+def _filtered(
+    information: Array, pull: Array, sigma_m: Array, lasting_frames: Array | float
+) -> Iterator[tuple[Array, Array, Array, Array]]:
+    """Yield the mean (..., J, 6) and covariance of every frame, before and after the frame's detections.
+
+    The six numbers are the deviation, and its velocity times the duration.
+    """
+    transition = _transition(np.broadcast_to(lasting_frames, np.shape(sigma_m)))
+    stationary = np.maximum(sigma_m, 1e-9)[..., None, None] ** 2 * np.eye(6)
+    innovation = stationary - transition @ stationary @ transition.swapaxes(-1, -2)
+    mean, covariance = np.zeros(stationary.shape[:-1]), stationary
+    for t in range(len(pull)):
         if t:
-            mean, covariance = carried_mean * mean, carried_gain**2 * covariance + (1.0 - carried_gain**2) * variance
-        predicted[t] = covariance
-        precision = np.linalg.inv(covariance)
-        covariance = np.linalg.inv(precision + information[t])
-        mean = (covariance @ ((precision @ mean[..., None]) + pull[t][..., None]))[..., 0]
-        means[t], covariances[t] = mean, covariance
-    for t in range(T - 2, -1, -1):
-        gain = carried_gain * covariances[t] @ np.linalg.inv(predicted[t + 1])
-        means[t] += (gain @ (means[t + 1] - carried_mean * means[t])[..., None])[..., 0]
-        covariances[t] += gain @ (covariances[t + 1] - predicted[t + 1]) @ gain.swapaxes(-1, -2)
-    return means, covariances
+            mean = (transition @ mean[..., None])[..., 0]
+            covariance = transition @ covariance @ transition.swapaxes(-1, -2) + innovation
+        prediction = mean, covariance
+        gain = covariance[..., :3] @ np.linalg.inv(np.eye(3) + information[t] @ covariance[..., :3, :3])
+        error = pull[t][..., None] - information[t] @ mean[..., :3, None]
+        mean = mean + (gain @ error)[..., 0]
+        covariance = covariance - gain @ information[t] @ covariance[..., :3, :]
+        covariance = 0.5 * (covariance + covariance.swapaxes(-1, -2))
+        yield (*prediction, mean, covariance)
+
+
+def _transition(lasting_frames: Array) -> Array:
+    """Return the matrices (..., 6, 6) that take the state of `_filtered` to the next frame."""
+    rate = 1.0 / np.asarray(lasting_frames, dtype=float)
+    plane = np.moveaxis(np.exp(-rate) * np.array([[1.0 + rate, rate], [-rate, 1.0 - rate]]), (0, 1), (-2, -1))
+    return np.einsum("...ab,cd->...acbd", plane, np.eye(3)).reshape(*rate.shape, 6, 6)

@@ -7,23 +7,30 @@ from dataclasses import replace
 import numpy as np
 
 from recon.clip import still_view
-from recon.fit.prediction import predicted_keypoints, smoothed_deviations
+from recon.fit.prediction import log_evidence, predicted_keypoints, smoothed_deviations
 
 
 def test_deviations_are_those_of_a_gaussian_process():
-    random, T, sigma_m, carried = np.random.default_rng(0), 6, np.array([0.02, 0.05]), np.array([0.5, 0.9])
+    random, T, sigma_m, lasting = np.random.default_rng(0), 6, np.array([0.02, 0.05]), np.array([1.5, 9.0])
     rows = random.normal(0, 30, (T, 2, 2, 3))
     rows[2] = 0.0  # nothing was seen in this frame
     information, pull = rows.swapaxes(-1, -2) @ rows, random.normal(size=(T, 2, 3))
     pull[2] = 0.0
-    means, covariances = smoothed_deviations(information, pull, sigma_m, carried)
+    means, covariances = smoothed_deviations(information, pull, sigma_m, lasting)
+    evidence = log_evidence(information, pull, np.zeros((T, 2)), sigma_m, lasting)
     steps = np.abs(np.subtract.outer(np.arange(T), np.arange(T)))
     for j in range(2):
-        prior = np.kron(sigma_m[j] ** 2 * carried[j] ** steps, np.eye(3))
+        apart = steps / lasting[j]
+        prior = np.kron(sigma_m[j] ** 2 * (1 + apart) * np.exp(-apart), np.eye(3))
         precision = np.linalg.inv(prior)
         for t in range(T):
             precision[3 * t : 3 * t + 3, 3 * t : 3 * t + 3] += information[t, j]
         covariance = np.linalg.inv(precision)
+        explained, volume = (
+            pull[:, j].ravel() @ covariance @ pull[:, j].ravel(),
+            np.linalg.slogdet(precision @ prior)[1],
+        )
+        np.testing.assert_allclose(evidence[j], 0.5 * (explained - volume))
         np.testing.assert_allclose(means[:, j].ravel(), covariance @ pull[:, j].ravel(), atol=1e-10)
         blocks = [covariance[3 * t : 3 * t + 3, 3 * t : 3 * t + 3] for t in range(T)]
         np.testing.assert_allclose(covariances[:, j], blocks, atol=1e-12)
