@@ -178,8 +178,8 @@ def _solve_with(solve: Solve, options: TrajectoryOptions, sources: tuple[Source,
 def _solve_again_with_fixed_cameras(fit: _Fit, solve: Solve, lengths_known: bool) -> _Fit:
     """Undo the refinement of cameras if the poses of the camera file explain the keypoints equally well.
 
-    With two cameras, refining them keeps the animal's lengths fixed. After the undo the lengths are fixed only if
-    `lengths_known` is true.
+    With two cameras, refining them keeps the animal's lengths fixed. With the poses of the file they are fixed only
+    if `lengths_known` is true.
     """
     if not fit.options.refine_cameras:
         return fit

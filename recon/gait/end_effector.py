@@ -2,9 +2,9 @@
 
 The end effector moves relative to the body along the direction of travel, and up and down. At a boundary between two
 strides its horizontal position has a local minimum, so its horizontal velocity crosses zero upwards, near an extremum
-of its height: the foot is rearmost and begins to swing. A minimum counts if it is among the lowest `BACK` of the range,
-and if the foot has moved forwards by `AWAY` of the range since the last minimum. If there is no such movement between
-two minima, the lower one is the boundary. A stride lasts from one boundary to the next.
+of its height: the foot is rearmost and begins to swing. A minimum counts if it is in the rear `REAR_SHARE` of the
+range, and if the foot has moved forwards by `SWING_SHARE` of the range since the last minimum. If there is no such
+movement between two minima, the one further to the rear is the boundary. A stride lasts from one boundary to the next.
 
 References
 ----------
@@ -20,8 +20,8 @@ import numpy as np
 from recon.base.arrays import Array, Index
 from recon.gait.kinematics import series_kinematics
 
-BACK, AWAY = 0.25, 0.5
-"""Fractions of the range of the horizontal position."""
+REAR_SHARE, SWING_SHARE = 0.25, 0.5
+"""Fractions of the range of the horizontal position: its rear part, and the least movement between two boundaries."""
 _SHORT_M = 0.1
 """Length of the body's path below which the path has no direction."""
 
@@ -101,9 +101,9 @@ def _boundaries(forward: Array, rate: Array) -> Index:
     low, high = float(np.nanmin(forward)), float(np.nanmax(forward))
     chosen: list[int] = []
     for i in _sign_changes(rate).tolist():
-        if not (rate[i - 1] < 0 < rate[i] and forward[i] <= low + BACK * (high - low)):
+        if not (rate[i - 1] < 0 < rate[i] and forward[i] <= low + REAR_SHARE * (high - low)):
             continue
-        if not chosen or np.nanmax(forward[chosen[-1] : i]) >= low + AWAY * (high - low):
+        if not chosen or np.nanmax(forward[chosen[-1] : i]) >= low + SWING_SHARE * (high - low):
             chosen.append(i)
         elif forward[i] < forward[chosen[-1]]:
             chosen[-1] = i

@@ -20,7 +20,7 @@ MIN_FRAMES = 4
 """Smallest number of known frames for a spline."""
 MAX_GAP_FRAMES = 4
 """Longest stretch without data that the spline bridges, frames."""
-AWAY, BACK, SPAN = 0.5, 0.25, 0.8
+AWAY_SHARE, BACK_SHARE, SPAN_SHARE = 0.5, 0.25, 0.8
 """Shares of the path's diameter: how far a return leads away, how near it comes back, and how much it spans."""
 _STEPS = 100
 """Points per frame at which the end of a return is searched."""
@@ -65,10 +65,10 @@ def _best_rows(frames: Index, points: Array, shortest: float, longest: float) ->
     best, smallest = None, np.inf
     for i in range(len(points)):
         distance = np.linalg.norm(points[i:] - points[i], axis=1)
-        left = np.flatnonzero(distance >= AWAY * extent)
+        left = np.flatnonzero(distance >= AWAY_SHARE * extent)
         if not len(left):
             continue
-        back = np.flatnonzero((distance < BACK * extent) & (velocity[i:] @ velocity[i] > 0))
+        back = np.flatnonzero((distance < BACK_SHARE * extent) & (velocity[i:] @ velocity[i] > 0))
         lag = frames[i + back] - frames[i]
         back = back[(back > left[0]) & (lag >= shortest) & (lag <= longest)]
         if not len(back):
@@ -76,6 +76,6 @@ def _best_rows(frames: Index, points: Array, shortest: float, longest: float) ->
         # Look only until the limb leaves again.
         visit = back[: np.argmax(np.append(np.diff(back), 2) > 1) + 1]
         j = int(visit[np.argmin(distance[visit])])
-        if distance[j] < smallest and diameter(points[i : i + j + 1]) >= SPAN * extent:
+        if distance[j] < smallest and diameter(points[i : i + j + 1]) >= SPAN_SHARE * extent:
             best, smallest = (i, i + j), float(distance[j])
     return best

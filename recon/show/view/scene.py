@@ -500,7 +500,7 @@ def recording(path: Path, layout: rrb.Blueprint) -> Iterator[rr.RecordingStream]
                 stream.send_blueprint(layout, make_active=True, make_default=True)
                 yield stream
             except BaseException:
-                stream.disconnect()  # ends the pipe, and with it the copy
+                stream.disconnect()  # this ends the pipe, and with it the copy
                 written.exception()
                 path.unlink(missing_ok=True)
                 raise
