@@ -21,7 +21,7 @@ _OPTIONS = tuple(name for name, info in SETTINGS.items() if name != "method" and
 
 def frame(
     settings: FitRunSettings,
-    options: Annotated[dict[str, Any], OptionsOf(FitSettings, _OPTIONS, promoted=("start_angles",))],
+    options: Annotated[dict[str, Any], OptionsOf(FitSettings, _OPTIONS, promoted=("start_angles", "camera_rotation"))],
     console: Console,
     progress: Progress,
 ) -> Answer:
