@@ -23,6 +23,7 @@ from recon.check.halves import halves_finding
 from recon.check.likelihood import (
     CLEAR,
     Baseline,
+    at_an_unknown_moment,
     baseline_of,
     frame_rate_finding,
     lens_findings,
@@ -127,7 +128,7 @@ def _of_only_view(motion: Motion, clip: ClipProblem, baseline: Baseline) -> list
     assert isinstance(solution, TrajectorySolution)
     sigma_m = float(np.nanmean(motion.place_sigma_m[motion.solved]))
     lens = lens_findings(baseline, solution.noise_px[0])
-    findings = [by_effect(item, motion.trunk_m, position_sigma_m=sigma_m) for item in lens]
+    findings = [at_an_unknown_moment(by_effect(item, motion.trunk_m, position_sigma_m=sigma_m)) for item in lens]
     if all(item.severity == "note" for item in findings) and (stretched := stretch_finding(clip, solution)):
         findings.append(stretched)
     return findings

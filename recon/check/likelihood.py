@@ -463,7 +463,22 @@ def _zooms(clip: ClipProblem, view: View, states: Array, minimum: _Minimum) -> I
     zoomed = at(ZOOM * best, as_given.states)
     if exceeds_margin(ratio := as_given.cost - zoomed.cost):
         numbers = {"log_likelihood_ratio": ratio, **_effect_m(clip, as_given.states, zoomed.states)}
+        sight_m = clip.in_world(clip.markers(zoomed.states)).mean(axis=1) - view.centre_m
+        numbers |= {"zoom": ZOOM * best, "distance_m": float(np.linalg.norm(sight_m, axis=-1).mean())}
         yield finding("picture_zooms", None, None, way="in" if best > 0 else "out", **numbers)
+
+
+def at_an_unknown_moment(item: Finding) -> Finding:
+    """Return a finding on a zoom with the effect on positions if the focal length holds at the start or the end.
+
+    The zoom of the fit leaves the focal length as it is in the middle, which need not be the calibrated moment.
+    """
+    numbers = item.numbers
+    zoom, distance_m, effect_m = (numbers.get(name) for name in ("zoom", "distance_m", "position_effect_m"))
+    if not (isinstance(zoom, float) and isinstance(distance_m, float) and isinstance(effect_m, float)):
+        return item
+    off_m = distance_m * 0.5 * float(np.expm1(abs(zoom)))
+    return replace(item, numbers={**numbers, "position_effect_m": max(effect_m, off_m)})
 
 
 # -- the frame rate ----------------------------------------------------------------------------------------------------

@@ -262,8 +262,8 @@ def without_zeros(stored: StoredPoints) -> StoredPoints:
         return stored
     named = [f"{name} in {count} frames" for name, count in zip(stored.names, lost.sum(axis=0), strict=True) if count]
     shown = ", ".join(named[:3]) + (f" and {len(named) - 3} more" if len(named) > 3 else "")
-    constants = " and ".join(f"({x:g}, {x:g}, {x:g})" for x in np.unique(first[lost])[:3])
-    note = f"Points at exactly {constants} are taken as missing: {shown}."
+    shown_constants = " and ".join(f"({x:g}, {x:g}, {x:g})" for x in np.unique(first[lost])[:3])
+    note = f"Points at exactly {shown_constants} are taken as missing: {shown}."
     values = np.where(lost[..., None], np.nan, stored.values)
     return replace(stored, values=values, notes=(*stored.notes, note))
 
