@@ -297,16 +297,15 @@ FIGURES = (
 )
 
 
-DRAWN_LIKE_OTHERS = "right|left_hind|portraits_all|body_fixed_(left|spine)|field_(head|tail|trunk)|joint_flexion"
+QUICK_FIGURES = ("forces", "footfalls", "side_view", "speed")
 
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=[pytest.mark.slow] * bool(re.search(DRAWN_LIKE_OTHERS, name))) for name in FIGURES],
+    [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK_FIGURES)) for name in FIGURES],
 )
 def test_each_figure_is_drawn_with_all_its_text(name, whole):
-    """The left front leg stands for all limbs, the spine for all parts that are held still: they share their code.
-    Joint angles are drawn in `test_figure_for_print.py`."""
+    """What the others draw is looked at in `test_plots.py`, `test_configurations.py` and `test_figure_for_print.py`."""
     figure = figures_of(whole)[name]()
     assert cut_off(figure) == []
     assert figure.get_size_inches()[1] / style.MM < 275
