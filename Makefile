@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 # What `make benchmark` measures, and whether only parts that take about a minute: make benchmark QUESTIONS=gait QUICK=1
-QUESTIONS ?= accuracy cameras uncertainty wrong_inputs gait robots thesis net speed
+QUESTIONS ?= accuracy cameras peers uncertainty wrong_inputs gait robots thesis net speed
 QUICK ?=
 DEMO_OUT := demo-output
 # Where the tests' torch comes from.

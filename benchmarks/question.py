@@ -19,6 +19,8 @@ PARTS = ROOT / "benchmarks" / "parts"
 RESULTS = ROOT / "benchmarks" / "results"
 TIMES = re.compile(r"(^|[ ,])(s|ms|µs|seconds|wall|time)($|[ ,])")
 """Headers of columns of times."""
+TIMED = ("speed", "peers")
+"""Questions whose results keep times."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ def keep(question: str, name: str, part: Part, arguments: Sequence[str], output:
     path = RESULTS / f"{question}.json"
     results = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     tables, sentences = read_markdown(output)
-    if question != "speed":  # other questions keep only what does not depend on the machine
+    if question not in TIMED:  # other questions keep only what does not depend on the machine
         tables = [without_times(table) for table in tables]
     results.setdefault("runs", {})[name] = {
         "measured": datetime.date.today().isoformat(),

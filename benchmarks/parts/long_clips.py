@@ -1,4 +1,4 @@
-"""Fit long clips, each by a whole process of `recon fit`: processor time, peak memory and size of the output.
+"""Fit long clips, each by a whole process of `recon fit`: processor time, peak memory and sizes of the output.
 
 python benchmarks/parts/long_clips.py [CASE ...] [--against CHECKOUT]
 
@@ -54,16 +54,16 @@ def written(folder: Path, case: str) -> tuple[list[str], int]:
     return [*map(str, files), "--camera", str(folder / "cameras.toml"), "--fps", f"{FPS:g}"], int(seen.sum())
 
 
-def fitted(checkout: Path, arguments: list[str], out: Path) -> tuple[float, float, float]:
-    """Return the processor time of a fit in seconds, its peak memory and the size of its output, both in MB."""
+def fitted(checkout: Path, arguments: list[str], out: Path) -> tuple[float, float, dict[str, float]]:
+    """Return the processor time of a fit in seconds, its peak memory in MB, and the sizes of its files in MB."""
     command = [sys.executable, "-m", "recon", "fit", *arguments, "--out", str(out), "--overwrite", "--quiet"]
     with subprocess.Popen(command, env={**os.environ, "PYTHONPATH": str(checkout)}, cwd=out.parent) as process:
         _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
         raise SystemExit(f"{' '.join(command)}: exit code {process.returncode}")
-    size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
-    return usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024, size / 1e6
+    sizes = {file.name: file.stat().st_size / 1e6 for file in out.rglob("*") if file.is_file()}
+    return usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024, sizes
 
 
 def main() -> None:
@@ -72,15 +72,18 @@ def main() -> None:
     parser.add_argument("--against", type=Path)
     options = parser.parse_args()
     here = Path(__file__).resolve().parents[2]
-    print_header(["case", "checkout", "processor s", "ms a frame seen", "peak of memory MB", "written MB"])
+    header = ["case", "checkout", "processor s", "ms a frame seen", "peak of memory MB"]
+    print_header([*header, "written MB", "motion.npz MB", "motion.rrd MB", "tables MB"])
     for case in options.cases:
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
             arguments, seen = written(folder, case)
             for checkout in filter(None, (options.against, here)):
-                taken_s, memory_mb, size_mb = fitted(checkout, arguments, folder / "out")
-                numbers = (f"{taken_s:.1f}", f"{1000 * taken_s / seen:.1f}", f"{memory_mb:.0f}", f"{size_mb:.1f}")
-                print_row([case, checkout.name, *numbers])
+                taken_s, memory_mb, sizes = fitted(checkout, arguments, folder / "out")
+                tables_mb = sum(size for name, size in sizes.items() if name.endswith(".csv"))
+                parts_mb = (sum(sizes.values()), sizes["motion.npz"], sizes["motion.rrd"], tables_mb)
+                numbers = (f"{taken_s:.1f}", f"{1000 * taken_s / seen:.1f}", f"{memory_mb:.0f}")
+                print_row([case, checkout.name, *numbers, *(f"{size:.1f}" for size in parts_mb)])
 
 
 if __name__ == "__main__":

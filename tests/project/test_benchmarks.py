@@ -12,7 +12,10 @@ import numpy as np
 import pytest
 
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
-QUESTIONS = ("accuracy", "cameras", "uncertainty", "wrong_inputs", "gait", "robots", "thesis", "net", "speed")
+QUESTIONS = (
+    *("accuracy", "cameras", "peers", "uncertainty", "wrong_inputs"),
+    *("gait", "robots", "thesis", "net", "speed"),
+)
 
 
 def script(name: str, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
