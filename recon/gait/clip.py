@@ -249,23 +249,16 @@ class ClipAnalysis(Brief):
 
         Return None for a whole animal, and without a smoothed pose, as in a clip of four frames.
         """
-        label, points_m, names = self._effector_label, self.pose.xyz_m, self.pose.names
-        rear, front = (points_m[:, names.index(name)] for name in self.motion.forward_names)
-        if label is None or not np.isfinite(front - rear).any():
+        motion = self.motion
+        label = next((label for label in motion.foot_names if label.endswith("F")), None)
+        if motion.chain is None or label is None:
             return None
-        foot_m, body_m = self._effector_points_m(label)
-        return end_effector(label, self.motion.time_s, foot_m, body_m, np.nanmean(front - rear, axis=0))
-
-    @property
-    def _effector_label(self) -> str | None:
-        """Return the label of a chain's fore foot, or None."""
-        labels = () if self.motion.chain is None else self.motion.foot_names
-        return next((label for label in labels if label.endswith("F")), None)
-
-    def _effector_points_m(self, label: str) -> tuple[Array, Array]:
-        """Return the positions (T, 3) of a foot and of the reference joint."""
         points_m, names = self.pose.xyz_m, self.pose.names
-        return points_m[:, names.index(self.motion.foot_names[label])], points_m[:, names.index(self.reference)]
+        rear, front = (points_m[:, names.index(name)] for name in motion.forward_names)
+        if not np.isfinite(front - rear).any():
+            return None
+        foot_m, body_m = (points_m[:, names.index(name)] for name in (motion.foot_names[label], self.reference))
+        return end_effector(label, motion.time_s, foot_m, body_m, np.nanmean(front - rear, axis=0))
 
     @cached_property
     def _effector_stride(self) -> Stride | None:
@@ -278,15 +271,18 @@ class ClipAnalysis(Brief):
 
     @property
     def _effector_return(self) -> Stride | None:
-        """Return the nearest return of a chain's end effector relative to the body, or None."""
-        if (label := self._effector_label) is None:
+        """Return the nearest return of a chain's end effector relative to the body, or None.
+
+        It is searched for in the plane of travel, because a single camera hardly shows the motion across.
+        """
+        if (effector := self.end_effector) is None:
             return None
-        foot_m, body_m = self._effector_points_m(label)
-        frames = nearest_return(foot_m - body_m)
+        path_m = np.column_stack([effector.forward_m, effector.up_m])[:: effector.oversampling]
+        frames = nearest_return(np.where(self.motion.solved[:, None], path_m, np.nan))
         if frames is None:
             return None
         first_s, fps = float(self.motion.time_s[0]), self.motion.fps
-        return self._stride_over(label, (first_s + frames[0] / fps, first_s + frames[1] / fps), "return")
+        return self._stride_over(effector.foot, (first_s + frames[0] / fps, first_s + frames[1] / fps), "return")
 
     def _stride_over(self, foot: str, span_s: tuple[float, float], at: Literal["end effector", "return"]) -> Stride:
         """Return a stride between two times, with the length of the body's path."""

@@ -43,6 +43,8 @@ class EndEffector:
     """(B,): times of the boundaries between strides."""
     height_extrema_s: Array
     """(B,): time of the extremum of the height nearest to each boundary, NaN without one."""
+    oversampling: int = 10
+    """Number of times for each frame."""
 
     def stride_s(self, frames_s: Array) -> tuple[float, float] | None:
         """Return the beginning and end of the first stride that begins at one of the frames, or None."""
@@ -85,6 +87,7 @@ def end_effector(foot: str, time_s: Array, foot_m: Array, body_m: Array, heading
         forward_rate_m_s=series.rate[:, 0],
         boundaries_s=series.time_s[boundaries],
         height_extrema_s=np.array(nearest, float),
+        oversampling=series.oversampling,
     )
 
 

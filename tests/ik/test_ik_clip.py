@@ -362,6 +362,21 @@ def test_analysis_and_both_dimensions_show_the_same_frames_of_a_short_clip(frame
     assert bool(analysis.closures) == (how != "whole clip")
 
 
+def test_a_foot_that_jitters_across_the_travel_has_not_returned(frame_results, monkeypatch):
+    """One camera hardly shows the motion across: only the plane of travel counts."""
+    monkeypatch.setattr(ClipAnalysis, "gait", None)  # the jitter would be a footfall
+    motion = Motion.load(frame_results)
+    states, joints_m = (np.full_like(values, np.nan) for values in (motion.states, motion.solution.joints_m))
+    states[:13], joints_m[:13] = motion.states[:13], motion.solution.joints_m[:13]
+    expected = ClipAnalysis(replace(motion, solution=replace(motion.solution, states=states, joints_m=joints_m))).stride
+    foot = motion.names.index(motion.foot_names["RF"])
+    across = np.cross(motion.camera.up, motion.solution.joints_m[12, 0] - motion.solution.joints_m[0, 0])
+    joints_m[:13, foot] += np.where(np.arange(13)[:, None] % 4 < 2, 0.3, -0.3) * across / np.linalg.norm(across)
+    restless = ClipAnalysis(replace(motion, solution=replace(motion.solution, states=states, joints_m=joints_m))).stride
+    assert restless.at == expected.at == "return"
+    assert restless.end_s - restless.start_s == pytest.approx(expected.end_s - expected.start_s, rel=0.15)
+
+
 def test_the_nearest_return_has_the_same_sentence_in_analyse_and_ik(frame_results, tmp_path):
     folder, motion = tmp_path / "fit", Motion.load(frame_results)
     states, joints_m = motion.states.copy(), motion.solution.joints_m.copy()
