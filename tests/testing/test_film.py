@@ -48,6 +48,7 @@ def test_the_script_draws_the_film_again():
     assert np.abs(drawn.astype(float) - stored).mean() < 4
 
 
+@pytest.mark.slow
 def test_the_panning_film_shows_the_same_animal():
     """Its points are those of its truth as the track's cameras see them, in the middle, and where a picture has it."""
     still, ground_m = film_clip()

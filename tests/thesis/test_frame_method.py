@@ -76,7 +76,10 @@ def test_rank_18_from_pixels_and_20_from_joints(seed: int):
         assert np.sum(singular > 1e-9 * singular[0]) == rank
 
 
-@pytest.mark.parametrize(("direction", "heading_rad"), [("left", 0.0), ("right", 0.35), ("left", 0.6)])
+@pytest.mark.parametrize(
+    ("direction", "heading_rad"),
+    [("right", 0.35), *(pytest.param("left", heading, marks=pytest.mark.slow) for heading in (0.0, 0.6))],
+)
 def test_clean_gallop(direction, heading_rad: float):
     clip = gallop(n_frames=12, heading_rad=heading_rad, direction=direction)
     solution = fit(clip, clip.keypoints, EXACT)
@@ -85,7 +88,7 @@ def test_clean_gallop(direction, heading_rad: float):
     assert mpjpe_mm(clip, solution.chain_states) <= 50
 
 
-@pytest.mark.parametrize("camera_model", ["pinhole", "fisheye"])
+@pytest.mark.parametrize("camera_model", [pytest.param("pinhole", marks=pytest.mark.slow), "fisheye"])
 def test_noisy_gallop(camera_model):
     clip = gallop(n_frames=12, camera_model=camera_model)
     keypoints, _ = add_noise(clip.keypoints, seed=3)
