@@ -249,11 +249,15 @@ class ClipAnalysis(Brief):
 
         Return None for a whole animal, and without a smoothed pose, as in a clip of four frames.
         """
+        return self._effector_of(self.pose)
+
+    def _effector_of(self, pose: Pose3D) -> EndEffector | None:
+        """Return the path of a chain's fore foot in a pose of the motion."""
         motion = self.motion
         label = next((label for label in motion.foot_names if label.endswith("F")), None)
         if motion.chain is None or label is None:
             return None
-        points_m, names = self.pose.xyz_m, self.pose.names
+        points_m, names = pose.xyz_m, pose.names
         rear, front = (points_m[:, names.index(name)] for name in motion.forward_names)
         if not np.isfinite(front - rear).any():
             return None
@@ -273,9 +277,10 @@ class ClipAnalysis(Brief):
     def _effector_return(self) -> Stride | None:
         """Return the nearest return of a chain's end effector relative to the body, or None.
 
-        It is searched for in the plane of travel, because a single camera hardly shows the motion across.
+        It is searched for in the plane of travel, because a single camera hardly shows the motion across, and without
+        smoothing, as inverse kinematics follows the fitted poses.
         """
-        if (effector := self.end_effector) is None:
+        if (effector := self._effector_of(self.tracked)) is None:
             return None
         path_m = np.column_stack([effector.forward_m, effector.up_m])[:: effector.oversampling]
         frames = nearest_return(np.where(self.motion.solved[:, None], path_m, np.nan))
