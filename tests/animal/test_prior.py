@@ -495,6 +495,7 @@ def test_flagged_frames_and_those_without_a_pose_are_left_out(small_trajectory, 
     np.testing.assert_allclose(sound[~left_out], states[~left_out])
 
 
+@pytest.mark.slow
 def test_results_and_pose_files_together(whole_results, body, tmp_path):
     states = swinging(body, 1, 30, 100.0)[0][1]
     file = pose_csv(tmp_path / "a.csv", body, states, np.arange(30))

@@ -89,6 +89,7 @@ def test_offsets_are_found():
     assert (np.abs(fit.values - true) < 3 * fit.sigma).all()
 
 
+@pytest.mark.slow
 def test_beside_known_poses_an_offset_is_no_other_pose():
     """The keypoints of a whole fore leg four centimetres ahead of it."""
     shape = replace(Shape.of_body(body(), lengths=False, offsets=True), offset_sigma_m=0.02)

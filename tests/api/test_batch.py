@@ -1089,6 +1089,7 @@ def certificates(tmp_path) -> dict[str, str]:
     return {"distributed.comm.tls.ca-file": certificate, "distributed.comm.require-encryption": True} | own
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # Dask's own
 def test_a_cluster_with_certificates(clips, tmp_path, certificates):
     """They are those of Dask's own configuration; without them there is a message, and nothing is done."""

@@ -265,6 +265,7 @@ def test_a_pair_of_which_one_is_likelier_turned_is_refined_by_itself(runs, tmp_p
     assert as_said.sources[1].camera.to_dict() == given.to_dict()
 
 
+@pytest.mark.slow
 def test_refined_cameras_are_taken_only_where_every_camera_fits(runs, monkeypatch):
     """A refinement that throws one camera away, as the robust cost of a small rig allows, is not taken."""
 
@@ -405,6 +406,7 @@ def test_which_way_is_up_is_said_once(runs, tmp_path):
         run_extrinsics([replace(clip, refine_cameras=True)], out, level_rad=np.radians(1.0))
 
 
+@pytest.mark.slow
 def test_a_tilt_beside_poses_that_are_not_read(runs, tmp_path):
     cameras, _ = run_extrinsics(
         [settings(runs, 1, 2, frames="10:36", tilt_deg=10.0)], tmp_path / "out.toml", level_rad=np.radians(0.5)

@@ -135,7 +135,7 @@ def test_a_chain_is_fitted_and_written(tmp_path, skeleton: str, method: str):
     assert "neck_base" in motion.names
 
 
-@pytest.mark.parametrize("subject", [None, "jules"])
+@pytest.mark.parametrize("subject", [None, pytest.param("jules", marks=pytest.mark.slow)])
 def test_a_whole_animal_is_fitted_and_written(tmp_path, subject):
     settings = sample(skeleton="cheetah-24", subject=subject)
     motion = fit_clip(settings)

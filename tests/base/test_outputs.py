@@ -430,7 +430,7 @@ def commands(clip: Path, frame: Path) -> dict[str, tuple[Arguments, str]]:
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=[pytest.mark.slow] * (name in ("climb", "solver", "camera-advice")))
+        pytest.param(name, marks=[pytest.mark.slow] * (name in ("climb", "solver", "camera-advice", "retarget")))
         for name in commands(Path(), Path())
     ],
 )

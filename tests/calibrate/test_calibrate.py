@@ -314,6 +314,7 @@ def test_sharpness_falls_with_blur_and_with_motion_in_one_direction():
     assert sharpness(np.asarray(picture // 2 + 60)) == pytest.approx(sharpness(picture), rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_video_gives_some_of_its_frames(tmp_path):
     """The board glides over the picture for two seconds, then rests for one: the rest is one view."""
     camera, board = BOARD_CAMERAS["pinhole"], parse_board(CHARUCO)

@@ -139,6 +139,7 @@ def test_zoom_is_found_with_the_turn():
     assert errors_deg(motion, rotations).max() < 0.05
 
 
+@pytest.mark.slow
 def test_it_is_found_again_after_frames_without_background():
     rotations = pan(12, 8.0)
     pictures = [seen(R) for R in rotations]
@@ -270,6 +271,7 @@ def test_command_writes_a_track_that_the_fit_reads(pan_film, tmp_path):
     assert panorama.shape[1] > 1000
 
 
+@pytest.mark.slow
 def test_a_damaged_video_keeps_the_numbers_that_a_detector_gives_and_says_what_is_missing(tmp_path):
     """A detector numbers the frames that can be decoded, and so does the track: each has the pose of its picture."""
     frames = 14
@@ -304,6 +306,7 @@ def test_a_damaged_video_keeps_the_numbers_that_a_detector_gives_and_says_what_i
     assert np.degrees(Rotation.from_matrix(off).magnitude()).max() < 0.05
 
 
+@pytest.mark.slow
 def test_without_a_tilt_the_mean_frame_is_said_to_be_level(pan_film, tmp_path):
     ended = run(
         "camera-motion", pan_film / "pan.avi", "--camera", pan_film / "camera.toml", "--out", tmp_path / "track.csv"

@@ -118,6 +118,7 @@ def test_a_camera_of_another_clip():
     assert findings(judged(views)) == [("camera_off", (3,))]
 
 
+@pytest.mark.slow
 def test_two_cameras_that_are_off():
     views = run_views()
     views[1], views[3] = turned(views[1], 1), late(views[3], 8)

@@ -161,6 +161,7 @@ def test_exchanged_sides_are_found(kind, first, stop):
     assert found.clear
 
 
+@pytest.mark.slow
 def test_what_is_not_clear_is_only_to_be_looked_at():
     assert swaps(fitted(exchanged("hind", 17, 20))) == []
     trial = _SwapTrial(stretch("hind", 14, 24), Refit(plain().states, 0.0, 0.0), MARGIN + 10.0)
@@ -314,6 +315,7 @@ def test_an_untouched_clip_has_no_findings():
     assert input_findings(motion_of(plain()), PRIOR, TrajectoryOptions(), NAMED) == ()
 
 
+@pytest.mark.slow
 def test_without_a_prior_of_motions_neither_sides_nor_rates_are_judged():
     wrong = motion_of(solved(exchanged("all", 15, 25)))
     (found,) = input_findings(wrong, PRIOR, TrajectoryOptions(), NAMED)
@@ -522,6 +524,7 @@ def test_the_rate_of_a_motion_that_is_hardly_seen_is_not_judged(monkeypatch):
     assert judged == [True, False]
 
 
+@pytest.mark.slow
 def test_half_the_frame_rate_of_the_sample_is_named():
     camera = samples_folder() / "camera.toml"
     motion = fit_clip(FitSettings(keypoints=(samples_folder() / "whole.csv",), camera=camera, fps=30))

@@ -416,6 +416,7 @@ def test_a_chain_over_the_whole_clip(tmp_path):
     assert set(report["stances"]) == {"r_front_paw", "r_back_paw"}
 
 
+@pytest.mark.slow
 def test_tilted_camera(tmp_path):
     args = ("--hfov-deg", 60, "--image-size", "1920x1080", "--tilt-deg", 3, "--frames", ":6")
     assert run(*whole_args(tmp_path, *args, camera=None)).code == 0
@@ -869,6 +870,7 @@ def test_view_opens_the_recording_with_the_video_that_a_run_wrote(tmp_path, fitt
     refused(["view", out, "--web", "--out", tmp_path / "a.rrd"], ("--web", "viewer", "--out"))
 
 
+@pytest.mark.slow
 def test_view_shows_what_goes_with_the_recording(fitted, tmp_path, monkeypatch):
     """The plots of an analysis, and nothing in the results' folder changes."""
     out, seen = tmp_path / "clip", []

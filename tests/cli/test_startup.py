@@ -69,6 +69,7 @@ def test_a_fit_imports_what_it_uses(tmp_path):
     assert modules & unused == set()
 
 
+@pytest.mark.slow
 def test_the_process_that_fits_many_clips_imports_what_it_uses():
     modules = imported_by(what=("-c", "import recon.api.batch"))
     assert "recon.api.clip" in modules

@@ -63,6 +63,7 @@ def test_covariances_and_summary(clip, tmp_path):
     assert all(np.isfinite(variances))
 
 
+@pytest.mark.slow
 def test_the_result_is_evaluated_and_converted(clip, tmp_path):
     out = tmp_path / "points"
     assert command(clip, out, "--smooth").code == 0

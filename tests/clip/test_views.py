@@ -126,6 +126,7 @@ def test_a_view_that_does_not_see_the_animal_for_a_while():
     assert sigma[30:].mean() > 1.5 * sigma[:10].mean()
 
 
+@pytest.mark.slow
 def test_an_animal_that_goes_beside_where_it_looks(monkeypatch):
     """Every frame turned by 0.2 rad about its middle: two cameras see it, and say so where it goes straight on."""
     points, turn = truth_m(), 0.2

@@ -304,6 +304,7 @@ def test_a_draft_from_geometry(skeleton, alone, tmp_path):
         )
 
 
+@pytest.mark.slow
 def test_a_draft_from_a_calibration_in_millimetres(tmp_path):
     """The unit is asked for where metres make no animal; a direction up has to be known, or the first camera level."""
     true = load_skeleton("mouse-top")

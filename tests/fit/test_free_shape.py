@@ -49,6 +49,7 @@ def test_a_camera_that_was_left_out_is_predicted_better_than_by_triangulation():
     assert free_px < 0.5 * known_px
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_poses_are_better_and_their_intervals_hold(count):
     free = solved(count, False)

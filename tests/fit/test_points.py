@@ -14,8 +14,8 @@ FAINT = 1e-6
 """A pull of the angles that moves no marker by anything that shows."""
 
 
-LIKE_OTHERS = ("cheetah-8u-jules", "cheetah-8u-phantom")
-"""Other lengths of one chain."""
+LIKE_OTHERS = ("cheetah-8u", "cheetah-8u-jules", "cheetah-8u-phantom")
+"""A chain with other lengths, of which each takes a second."""
 
 
 @pytest.fixture(

@@ -114,6 +114,7 @@ def test_cameras_in_one_place_give_no_point():
     assert np.isnan(result.points_m).all()
 
 
+@pytest.mark.slow
 def test_splines_halve_the_noise_and_fill_short_gaps_only():
     views = seen(rig(3), points(), 4.0)
     views = [moved(moved(view, (slice(20, 24), 0), np.nan), (slice(20, 45), 1), np.nan) for view in views]

@@ -69,6 +69,7 @@ def test_the_belt_is_given_once_and_the_verdict_says_where(fitted):
         over_belt(replace(treadmill, settings={"belt_speed_m_s": 2.0}), 3.0)
 
 
+@pytest.mark.slow
 def test_a_fit_with_the_belt_speed_has_the_speed_over_the_belt(tmp_path):
     clip, _ = whole_gallop(fps=60, n_frames=40)
     middle_m = clip.truth_m.mean(axis=1)

@@ -51,6 +51,7 @@ def test_accelerated_straight_motion_is_exact():
     assert path.mean_speed_m_s == pytest.approx(5 + 2 * end)
 
 
+@pytest.mark.slow
 def test_a_peak_that_is_the_jitters_is_known_to_be_uncertain():
     """In straight runs that jitter in depth a peak known to a tenth is right to one, and most of those are known."""
     rng, true = np.random.default_rng(0), 5 + 4 * TIME_S[-1]

@@ -216,6 +216,7 @@ def test_a_comparison_has_a_figure_of_each_method(of_results):
         assert (ran_in / "results" / "clip" / "ik" / f"follow_phase_{name}.svg").is_file()
 
 
+@pytest.mark.slow
 def test_a_cost_of_ones_own_a_factor_and_parameters_of_each_frame(folder):
     asked = {"target": "stride-max", "compare": True, "dim": 2, "fitted": True, "figures": False}
     done = run_ik(IkSettings(folder=folder, **asked, cost="energy,pose=0.5", alpha=0.5))

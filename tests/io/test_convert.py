@@ -235,7 +235,7 @@ def test_movement_by_xarray(files_2d, files_3d, kind):
         np.testing.assert_array_equal(data["position"].to_numpy()[..., 0], values.transpose(0, 2, 1))
 
 
-@pytest.mark.parametrize("kind", ["2D", "3D"])
+@pytest.mark.parametrize("kind", ["2D", pytest.param("3D", marks=pytest.mark.slow)])
 def test_nwb_by_pynwb(files_2d, files_3d, kind):
     from ndx_pose import PoseEstimation
     from pynwb import NWBHDF5IO, validate

@@ -625,6 +625,7 @@ def test_h5_problems(tmp_path):
     refuses(path, ("content", "b'four'"))
 
 
+@pytest.mark.slow
 def test_a_long_file_is_read_to_its_last_value(tmp_path):
     columns = [(f"p{i}", c) for i in range(25) for c in ("x", "y", "likelihood")]
     values = np.arange(750_000).reshape(10_000, 75) % 997 / 1000

@@ -118,6 +118,7 @@ def test_two_stages_from_labels_to_points(clip, tmp_path):
     assert (found.xy_px < 170).all()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_report")
 def test_a_run_that_began_with_one_stage_does_not_go_on_with_two(clip, tmp_path, monkeypatch):
     monkeypatch.setattr(pictures, "NETWORK_LENGTH_PX", 30.0)
@@ -195,6 +196,7 @@ def test_the_part_of_a_picture_where_the_points_are():
     assert low.tolist() == [[84, 84]]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_report")
 def test_all_threads_are_taken_unless_given_and_kept_on_resume(clip, tmp_path, monkeypatch):
     taken = []

@@ -89,6 +89,7 @@ def test_several_cameras(said, folder):
     ]
 
 
+@pytest.mark.slow
 def test_batch(said, folder, in_process):
     text = said("batch")
     assert text.startswith("across: new\ngoing-away: new\n2 done\n")

@@ -283,7 +283,8 @@ def test_published_footfalls(height):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "found-50")) for name in bundled()]
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name in ("found-50", "published-50"))) for name in bundled()],
 )
 def test_every_bundled_climb_is_valid_in_every_frame(aibo, name):
     recipe = load_recipe(name)

@@ -96,6 +96,7 @@ def test_leg_forward_and_inverse():
     assert "knee" in run("robot", "dh", "aibo", "--tip", "LH").out
 
 
+@pytest.mark.slow
 def test_a_urdf_leg_has_the_solutions_of_the_closed_form(urdf):
     place = ("0.2", "0.14", "-0.25")
     ours = [answer("dh", robot, "--tip", "LF", "--place", ",".join(place))["inverse"] for robot in (urdf, "a1")]
@@ -105,6 +106,7 @@ def test_a_urdf_leg_has_the_solutions_of_the_closed_form(urdf):
     assert sum(s["within_limits"] for s in ours[0]["solutions"]) == 1
 
 
+@pytest.mark.slow
 def test_dh_of_a_table(puma):
     found = answer("dh", puma, "--angles", "10,20,30,40,50,60")
     assert found["dh"]["convention"] == "modified"

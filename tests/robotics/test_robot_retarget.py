@@ -128,7 +128,7 @@ def test_stride_of_a_whole_animal_is_complete_and_closes(whole):
 # -- on the robot ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("robot", ["a1", "aibo"])
+@pytest.mark.parametrize("robot", ["a1", pytest.param("aibo", marks=pytest.mark.slow)])
 def test_what_is_promised(retargeted, robot):
     solved = retargeted(robot)
     assert not [note for note in report_of(solved)["notes"] if not note.startswith(("the clip", "fore and"))]

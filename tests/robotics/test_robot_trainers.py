@@ -72,7 +72,7 @@ def aibo(retargeted) -> Retargeting:
     return retargeted("aibo")
 
 
-@pytest.mark.parametrize("robot", ["solved", "aibo"])
+@pytest.mark.parametrize("robot", ["solved", pytest.param("aibo", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("part", ["clip", "stride"])
 def test_velocities_are_the_derivatives_of_what_is_written(robot, part, request):
     found = RobotSamples(getattr(request.getfixturevalue(robot), part), 1_000)

@@ -214,8 +214,8 @@ def comparison(folder: Path, pages: dict[str, Path]) -> Path:
 @pytest.mark.parametrize(
     "name",
     [
-        *("film", "compare"),
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("several", "refused", "whole", "batch")),
+        "film",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("several", "refused", "whole", "batch", "compare")),
     ],
 )
 def test_nothing_is_off_the_screen_or_too_pale_or_without_a_name(pages, opened, name):
@@ -391,6 +391,7 @@ def test_a_page_prints_with_pictures_and_without_buttons(pages, opened):
     assert page.evaluate(CUT) == []
 
 
+@pytest.mark.slow
 def test_a_page_without_scripts_has_its_pictures(pages, chromium):
     context = chromium.new_context(java_script_enabled=False)
     page = context.new_page()

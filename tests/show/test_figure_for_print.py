@@ -25,7 +25,8 @@ def whole(whole_analysis: ClipAnalysis) -> ClipAnalysis:
 
 
 @pytest.mark.parametrize(
-    ("names", "width_mm"), [(("side_view", "joint_flexion"), 89.0), (("footfalls", "speed"), 183.0)]
+    ("names", "width_mm"),
+    [pytest.param(("side_view", "joint_flexion"), 89.0, marks=pytest.mark.slow), (("footfalls", "speed"), 183.0)],
 )
 def test_a_figure_for_a_paper_has_its_width_and_letters_of_seven_points(
     whole: ClipAnalysis, names: tuple[str, ...], width_mm: float
