@@ -122,6 +122,7 @@ def test_a_followed_subject_over_40_percent_is_not_taken_for_the_background():
     assert error.max() < 0.05
 
 
+@pytest.mark.slow
 def test_the_animal_is_masked_by_its_points():
     """It covers more than half of the picture, which would be taken for the background."""
     rotations = pan(7, 8.0)

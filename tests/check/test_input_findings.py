@@ -148,7 +148,7 @@ def test_missing_points_say_nothing_of_jumps():
     ("kind", "first", "stop"),
     [
         ("all", 0, T),
-        ("fore", 20, T),
+        pytest.param("fore", 20, T, marks=pytest.mark.slow),
         pytest.param("all", 15, 25, marks=pytest.mark.slow),
         pytest.param("hind", 20, T, marks=pytest.mark.slow),
     ],

@@ -271,6 +271,7 @@ def test_parameters_refitted_on_the_way(folder):
     assert done.summary["parameters"]["used"].startswith("refitted")
 
 
+@pytest.mark.slow
 def test_one_method_to_a_place_of_ones_own(folder):
     done = run(
         "ik", folder, "--method", "least-norm", "--target", "0.7,0.1,-0.4", "--foot", "RF", "--out", folder / "x"

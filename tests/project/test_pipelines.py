@@ -97,6 +97,7 @@ def test_batch(said, folder, in_process):
     assert (folder / "results" / "batch" / "summary.csv").is_file()
 
 
+@pytest.mark.slow
 def test_calibration(said, folder):
     """Pictures of a board in all corners make a camera; four of them are refused, with where boards are missing."""
     camera, board = BOARD_CAMERAS["radtan"], parse_board("charuco:9x6:30mm:22mm:DICT_4X4_50")
@@ -116,6 +117,7 @@ def test_calibration(said, folder):
     assert not (folder / "results" / "calibration" / "other.toml").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_analysis(said, folder, whole_results):
     shutil.copytree(whole_results, folder / "results" / "one_clip")
