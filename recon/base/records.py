@@ -2,12 +2,12 @@
 
 The archive has an array `record`, a JSON text with everything but the arrays, and one array for each larger one, named
 by the fields that lead to it, such as `solution.states`. Arrays with the same content are stored once. Floats are
-stored as planes of bytes, which compress better, and in single precision where that changes no bit (`_Layout`). Fields
-are plain values, paths, slices, tuples, mappings with
-texts as keys, arrays of numbers, tables of files (pydantic's models), and dataclasses, also of a subclass within this
-package; loaded values have the types that the fields declare. A subclass is named by its tag, `record_tag`, never by
-its module, and the caller of `load_record` lists the classes. Values that a dataclass computes from its fields are not
-in the file.
+stored as planes of bytes, which compress better, and in single precision where that changes no bit (`_Layout`).
+
+Fields are plain values, paths, slices, tuples, mappings with texts as keys, arrays of numbers, tables of files
+(pydantic's models), and dataclasses, also of a subclass within this package; loaded values have the types that the
+fields declare. A subclass is named by its tag, `record_tag`, never by its module, and the caller of `load_record` lists
+the classes. Values that a dataclass computes from its fields are not in the file.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import math
 import operator
 import zipfile
 from collections.abc import Callable, Mapping
@@ -141,9 +142,14 @@ class _Layout:
         dtypes = np.dtype(self.dtype), np.dtype(self.stored)
         if any(dtype.kind != "f" for dtype in dtypes) or planes.dtype != np.uint8 or planes.ndim != 2:
             raise ValueError(f"an array of {self.dtype}, stored as {planes.dtype}")
-        shape, (rows, columns) = self.shape, np.triu_indices(self.shape[-1] if self.symmetric else 0)
+        shape = self.shape
         if self.symmetric:
-            shape = (*shape[:-2], len(rows))
+            *outer, n, columns_count = shape
+            if n != columns_count:
+                raise ValueError(f"symmetric matrices of {n} rows and {columns_count} columns")
+            shape = (*outer, n * (n + 1) // 2)
+        if math.prod(shape) != planes.shape[1]:  # before any indices are made: a damaged file can state any shape
+            raise ValueError(f"an array of {math.prod(shape)} values, of which {planes.shape[1]} are stored")
         longest = _longest(shape)
         moved = (*shape[:longest], *shape[longest + 1 :], shape[longest])
         values = np.ascontiguousarray(planes.T).view(dtypes[1]).reshape(moved)
@@ -151,6 +157,7 @@ class _Layout:
         if not self.symmetric:
             return values
         array = np.empty(self.shape, dtypes[0])
+        rows, columns = np.triu_indices(self.shape[-1])
         array[..., rows, columns] = array[..., columns, rows] = values
         return array
 
