@@ -233,9 +233,9 @@ def _restored(value: object, arrays: Mapping[str, np.ndarray], classes: Classes)
     if value.keys() == {"array"}:
         return arrays[value["array"]]
     if value.keys() == {"array", *LAYOUT}:
-        layout = {name: item for name, item in value.items() if name != "array"}
-        shape = tuple(map(operator.index, layout["shape"]))
-        return _Layout(**(layout | {"shape": shape})).unpacked(arrays[value["array"]])
+        shape = tuple(map(operator.index, value["shape"]))
+        layout = _Layout(value["dtype"], shape, value["stored"], value["symmetric"])
+        return layout.unpacked(arrays[value["array"]])
     if value.keys() == {"slice"}:
         return slice(*value["slice"])
     if value.keys() == {"dtype", "shape", "values"}:

@@ -386,7 +386,7 @@ def write_pictures(motion: Motion, log: Log) -> None:
         edge = rr.Boxes2D(array=[-0.5, -0.5, *size], array_format=rr.Box2DFormat.XYWH, colors=EDGE)
         log.fix(f"{root}/{EDGE_OF_PICTURE}", edge)
         _write_points(root, motion, picture, log)
-        has_pose = np.isfinite(picture.reprojected_px).any(axis=(1, 2))
+        has_pose = np.asarray(np.isfinite(picture.reprojected_px).any(axis=(1, 2)))
         if has_pose.any():  # in a frame without a pose, the view stays where it was
             nearest = np.maximum.accumulate(np.where(has_pose, np.arange(len(has_pose)), np.argmax(has_pose)))
             middles_px = middle_and_reach_px(picture)[0][nearest]
