@@ -186,7 +186,7 @@ def _plain(
             raise TypeError(f"{field}: an array of {value.dtype} cannot be saved")
         if value.size <= SMALL:
             return {"dtype": value.dtype.str, "shape": value.shape, "values": value.ravel().tolist()}
-        content = value.dtype.str, value.shape, hashlib.sha256(np.ascontiguousarray(value)).digest()
+        content = value.dtype.str, value.shape, hashlib.sha256(np.ascontiguousarray(value).data).digest()
         name = name_of.setdefault(content, field)
         if name not in arrays:
             arrays[name] = value, _Layout.of_array(value) if value.dtype.kind == "f" else None
