@@ -23,6 +23,11 @@ PARTS = {
         quick=["--pairs", "1", "--cameras", "two", "--degrees", "3"],
         data="cheetah-runs",
     ),
+    "first-turned": Part(
+        "pairs.py",
+        ["--jobs", "2", "--pairs", "1", "--cameras", "two", "--degrees", "3", "--turned", "first"],
+        data="cheetah-runs",
+    ),
     "moving": Part("moving.py", data="cheetah-runs"),
     "turning": Part("camera_motion.py", data="still-videos"),
     "panning-film": Part("panning_film.py"),

@@ -195,7 +195,7 @@ def test_the_other_outputs_read_back(fitted):
     shared = [pixels.names.index(name) for name in sorted(FITTED)]
     of_file = [detected.names.index(name) for name in sorted(FITTED)]
     distance = np.linalg.norm(pixels.xy_px[:, shared] - detected.xy_px[:, of_file], axis=-1)
-    assert np.nanmedian(distance) == pytest.approx(report_of(out)["summary"]["reprojection_px"]["median"], rel=1e-6)
+    assert np.nanmedian(distance) == pytest.approx(report_of(out)["summary"]["reprojection_px"]["median"], abs=5e-3)
     assert (out / "motion.rrd").read_bytes()[:3] == b"RRF"
 
 
@@ -345,7 +345,7 @@ def test_tables_of_a_trajectory_read_back(whole):
     assert len(shared) == len(detected.names) == 15
     of_pose, of_file = ([k.names.index(name) for name in shared] for k in (pixels, detected))
     distance = np.linalg.norm(pixels.xy_px[:, of_pose] - detected.xy_px[:, of_file], axis=-1)
-    assert np.nanmedian(distance) == pytest.approx(report_of(out)["summary"]["reprojection_px"]["median"], rel=1e-6)
+    assert np.nanmedian(distance) == pytest.approx(report_of(out)["summary"]["reprojection_px"]["median"], abs=5e-3)
 
 
 def test_report_and_config_of_a_trajectory_say_what_was_done(whole):
@@ -820,8 +820,8 @@ def test_evaluate_as_json(fitted):
 
 def test_evaluate_names_what_could_not_be_compared(tmp_path):
     header = "bodyparts,a,a,a,[b],[b],[b],c,c,c\ncoords,x,y,z,x,y,z,x,y,z\n"
-    (tmp_path / "pose.csv").write_text(header + "0,0,0,0,1,1,1,,,\n1,,,,,,,,,\n2,0,0,0,1,1,1,,,\n")
-    (tmp_path / "truth.csv").write_text(header + "0,0,0,0,1,1,1,2,2,2\n1,0,0,0,1,1,1,2,2,2\n4,0,0,0,1,1,1,2,2,2\n")
+    (tmp_path / "pose.csv").write_text(header + "0,0,0,0,1,2,1,,,\n1,,,,,,,,,\n2,0,0,0,1,2,1,,,\n")
+    (tmp_path / "truth.csv").write_text(header + "0,0,0,0,1,2,1,2,3,2\n1,0,0,0,1,2,1,2,3,2\n4,0,0,0,1,2,1,2,3,2\n")
     ended = run("evaluate", tmp_path / "pose.csv", tmp_path / "truth.csv")
     assert ended.code == 0
     rows = {cells[0]: cells[1:] for cells in (re.split(r" {2,}", line.strip()) for line in ended.out.splitlines())}

@@ -17,6 +17,9 @@ from recon.io.positions import read_pose3d
 from recon.show.report import build_report
 from recon.thesis.chain import with_unknowns
 
+TABLES_M = 6e-6
+"""Half a unit of the last decimal of a cheetah's tables in metres, and a little more."""
+
 
 def copy(folder: Path, to: Path) -> Path:
     return Path(shutil.copytree(folder, to / "copy"))
@@ -31,24 +34,26 @@ def test_the_report_is_that_of_the_motion(results, request):
 def test_a_world_with_z_up_stays_as_it_is(whole_results):
     found = Motion.load(whole_results)
     pose = read_pose3d(whole_results / "pose3d.csv")
-    np.testing.assert_allclose(found.upright.xyz_m, pose.xyz_m, atol=1e-6)
+    np.testing.assert_allclose(found.upright.xyz_m, pose.xyz_m, atol=TABLES_M)
     assert found.upright.names == pose.names
     assert found.fps == 60
     assert found.method == "trajectory"
     table = pd.read_csv(whole_results / "pose3d_sigma.csv", header=[0, 1], index_col=0)
     columns = table["neck_base"]
-    np.testing.assert_allclose(found.upright_sigma_m[:, 3], columns[["x_sigma", "y_sigma", "z_sigma"]], atol=1e-6)
-    np.testing.assert_allclose(found.upright_relative_sigma_m[:, 3], columns[["x_rel", "y_rel", "z_rel"]], atol=1e-6)
+    np.testing.assert_allclose(found.upright_sigma_m[:, 3], columns[["x_sigma", "y_sigma", "z_sigma"]], atol=TABLES_M)
+    np.testing.assert_allclose(
+        found.upright_relative_sigma_m[:, 3], columns[["x_rel", "y_rel", "z_rel"]], atol=TABLES_M
+    )
 
 
 def test_shares_and_deviations_belong_to_their_angles(whole_results):
     found = Motion.load(whole_results)
     table = pd.read_csv(whole_results / "angles_sigma.csv")
     i = found.posture_names.index("head_yaw")
-    np.testing.assert_allclose(found.posture_sigma_rad[:, i], table["head_yaw_sigma_rad"], atol=1e-6)
-    np.testing.assert_allclose(found.posture_data_share[:, i], table["head_yaw_data_share"], atol=1e-6)
+    np.testing.assert_allclose(found.posture_sigma_rad[:, i], table["head_yaw_sigma_rad"], atol=6e-6)
+    np.testing.assert_allclose(found.posture_data_share[:, i], table["head_yaw_data_share"], atol=6e-4)
     for name, share in found.data_shares.items():
-        assert np.nanmedian(table[f"{name}_data_share"]) == pytest.approx(share, abs=1e-7)
+        assert np.nanmedian(table[f"{name}_data_share"]) == pytest.approx(share, abs=6e-4)
 
 
 @pytest.mark.parametrize("results", ["whole_results", "level_results"])
@@ -64,14 +69,14 @@ def test_the_camera_frame_is_turned_upright(level_results):
     assert found.frame_of_reference == "camera"
     in_camera = read_pose3d(level_results / "pose3d.csv").xyz_m
     up = np.array([0.0, -np.cos(np.radians(3)), -np.sin(np.radians(3))])
-    np.testing.assert_allclose(found.upright.xyz_m[..., 2], in_camera @ up, atol=1e-6)
-    np.testing.assert_allclose(found.upright.xyz_m[..., 0], in_camera[..., 0], atol=1e-6)
+    np.testing.assert_allclose(found.upright.xyz_m[..., 2], in_camera @ up, atol=2 * TABLES_M)
+    np.testing.assert_allclose(found.upright.xyz_m[..., 0], in_camera[..., 0], atol=TABLES_M)
     # The camera's y and z mix by the tilt; their covariances with them.
     R = found.T_reference_world[:3, :3]
     j = found.names.index("spine")
     turned = R @ found.solution.covariance_m2[:, j] @ R.T
     table = pd.read_csv(level_results / "pose3d_sigma.csv", header=[0, 1], index_col=0)["spine"]
-    np.testing.assert_allclose(np.sqrt(turned[:, 1, 1]), table["y_sigma"], atol=1e-6)
+    np.testing.assert_allclose(np.sqrt(turned[:, 1, 1]), table["y_sigma"], atol=TABLES_M)
 
 
 def test_a_chain_is_called_by_its_keypoints(frame_results):
