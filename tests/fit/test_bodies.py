@@ -83,12 +83,12 @@ def fitted(folder: Path, settings: FitSettings, truth) -> tuple[Motion, dict[str
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cameras", [2, pytest.param(4, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cameras", [2, 4])
 def test_a_person_who_walks(cameras, tmp_path):
     """1.79 m high, with keypoints 26 mm beside their markers all the time. Both feet are tracked with their stances;
     no gait has a name."""
     centres_m = np.array(OBLIQUE_M[:cameras])
-    files, truth = write_rig_clip(tmp_path, "human-25", walking_person(75, 30.0), 30.0, centres_m, 1.05, 0.9, 2.0)
+    files, truth = write_rig_clip(tmp_path, "human-25", walking_person(90, 30.0), 30.0, centres_m, 1.05, 0.9, 2.0)
     settings = settings_of(files, "human-25", 30.0)
     motion, found = fitted(tmp_path, replace(settings, fast=cameras == 4), truth)
     assert max(found["pose_mm"], found["place_mm"]) < 22
