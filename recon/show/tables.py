@@ -258,6 +258,12 @@ def joint_flexion(analysis: ClipAnalysis) -> Columns:
     return columns
 
 
+STRIDE_FLEXION_COLUMNS = (
+    *("joint", "side", "foot", "percent", "flexion_deg", "posterior_low_deg", "posterior_high_deg"),
+    *("between_strides_low_deg", "between_strides_high_deg", "strides", "duty_factor"),
+)
+
+
 def joint_flexion_stride(analysis: ClipAnalysis) -> Columns:
     """Return the mean flexion of each joint by percent of the stride, with 90 % bands, degrees.
 
@@ -274,7 +280,7 @@ def joint_flexion_stride(analysis: ClipAnalysis) -> Columns:
             part |= {f"{name}_low_deg": np.degrees(low), f"{name}_high_deg": np.degrees(high)}
         numbers = {"strides": curve.strides, "duty_factor": curve.duty_factor}
         parts.append(part | {name: np.full(len(PERCENT), number) for name, number in numbers.items()})
-    return {name: np.concatenate([part[name] for part in parts]) for name in (parts[0] if parts else ())}
+    return _stacked(parts, STRIDE_FLEXION_COLUMNS)
 
 
 def angle_rates(analysis: ClipAnalysis) -> Columns:
@@ -368,17 +374,22 @@ def gait_quantities(analysis: ClipAnalysis) -> Table:
     return ["quantity", "estimate", "sigma", "low", "high", "between_strides", "n", "source", "why_unknown"], rows
 
 
+VECTOR_COLUMNS = (
+    *("limb", "link", "parent", "frame", "time_s", "x_m", "y_m", "z_m", "dx_m_s", "dy_m_s", "dz_m_s"),
+    *("radius_m", "dr_m_s", "dtheta_rad_s", "speed_m_s", "dr_sigma_m_s", "dtheta_sigma_rad_s", "speed_sigma_m_s"),
+)
+
+
 def vector_field(analysis: ClipAnalysis) -> Columns:
     """Return each link at every frame: its tip in its parent's frame, and the tip's velocity."""
-    names = ("radius_m", "dr_m_s", "dtheta_rad_s", "speed_m_s", "dr_sigma_m_s", "dtheta_sigma_rad_s", "speed_sigma_m_s")
-    parts = []
+    names, parts = VECTOR_COLUMNS[-7:], list[Columns]()
     for limb, field in ((limb, field) for limb, fields in analysis.fields.items() for field in fields):
         texts = {"limb": limb, "link": "-".join(field.link), "parent": "-".join(field.parent)}
         part = {name: np.full(len(analysis.pose.frames), text) for name, text in texts.items()}
         part |= {"frame": analysis.pose.frames, "time_s": analysis.motion.time_s}
         part |= _axes("{}_m", field.position_m) | _axes("d{}_m_s", field.velocity_m_s)
         parts.append(part | {name: getattr(field, name) + np.zeros(len(field.speed_m_s)) for name in names})
-    return {name: np.concatenate([part[name] for part in parts]) for name in (parts[0] if parts else ())}
+    return _stacked(parts, VECTOR_COLUMNS)
 
 
 def vector_field_means(analysis: ClipAnalysis) -> Table:
@@ -474,6 +485,11 @@ def write_analysis(analysis: ClipAnalysis, folder: Path) -> None:
             write_columns(folder / name, content)
         else:
             write_rows(folder / name, [content[0]], content[1])
+
+
+def _stacked(parts: Sequence[Columns], names: Sequence[str]) -> Columns:
+    """Return tables below each other; without any, the columns without rows."""
+    return {name: np.concatenate([part[name] for part in parts]) if parts else np.empty(0) for name in names}
 
 
 def _axes(name: str, vectors: np.ndarray) -> Columns:

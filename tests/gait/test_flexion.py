@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -17,7 +18,7 @@ from recon.gait.clip import ClipAnalysis
 from recon.gait.flexion import PERCENT, flexion_rad, joint_flexions
 from recon.io.positions import read_pose3d
 from recon.show.plots.flexion import joint_flexion as draw
-from recon.show.tables import joint_flexion, joint_flexion_stride
+from recon.show.tables import joint_flexion, joint_flexion_stride, vector_field
 from recon.testing.steady_gait import GALLOP, TROT, with_exact_states
 
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"
@@ -118,6 +119,14 @@ def test_tables_have_every_frame_and_every_percent(fitted):
     assert (by_percent["posterior_low_deg"] < by_percent["flexion_deg"]).all()
     several = by_percent["strides"] > 1
     assert (by_percent["between_strides_low_deg"].isna() == ~several).all()
+
+
+def test_without_a_stride_a_table_has_its_columns(fitted):
+    """So that programs which read it find them."""
+    empty = SimpleNamespace(flexion_curves=(), fields={})
+    assert [*joint_flexion_stride(empty)] == [*joint_flexion_stride(ClipAnalysis(fitted))]
+    assert [*vector_field(empty)] == [*vector_field(ClipAnalysis(fitted))]
+    assert not len(pd.DataFrame(joint_flexion_stride(empty)))
 
 
 def test_the_figure_names_joints_strides_and_bands(fitted):
