@@ -30,8 +30,9 @@ The leg's length is the median height of the body above the ground, which is the
 Strides: an animal whose four feet all stand for half a stride or more stands still, and that time is no stride. A
 missed stance joins two strides into one, and a stance that is cut in two splits one stride. A stride counts if its
 duration is within `AGREE` of the median over all feet's strides at its time or, without such strides, over the strides
-before and after. The stride's duration is the mean over the strides that count or, in a clip without any, the period of
-the feet's motion relative to the body, if the clip holds enough of it.
+before and after; the only stride of a clip is compared with the period of the motion, if this is known. The stride's
+duration is the mean over the strides that count or, in a clip without any, the period of the feet's motion relative to
+the body, if the clip holds enough of it.
 """
 
 from __future__ import annotations
@@ -245,7 +246,9 @@ class Stride:
     at: Literal["touchdown", "lift-off", "end effector", "return", "given"]
     """Event at the beginning and the end of the stride."""
     others_s: float = np.nan
-    """Median duration of the strides of all feet around this time, for a stride that does not count."""
+    """For a stride that does not count, the median duration of all feet's strides around its time, or the period of the
+    motion.
+    """
 
     @property
     def duration_s(self) -> float:
@@ -550,7 +553,8 @@ def match_stances(first_set: Sequence[Stance], second_set: Sequence[Stance]) -> 
 def gait(tracks: Tracks) -> Gait:
     """Find stances, strides and the gait's name; each foot's strides are compared with those of all feet."""
     all_stances = stances(tracks)
-    counted, doubtful = _counted(strides(tracks, all_stances))
+    all_strides = strides(tracks, all_stances)
+    counted, doubtful = _counted(all_strides, pose_period_s(tracks) if len(all_strides) == 1 else np.nan)
     lengths, durations = [s.length_m for s in counted], [s.duration_s for s in counted]
     lasts_s, sigma_s = _stride_time(tracks, counted)
     touch_downs = sorted((s for s in all_stances if s.begins), key=lambda s: s.start_s)
@@ -614,8 +618,11 @@ def _all_stand(tracks: Tracks, all_stances: Sequence[Stance]) -> Bools:
     return np.asarray(stands.all(axis=1) & (len(tracks.feet) >= 4))
 
 
-def _counted(all_strides: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple[Stride, ...]]:
-    """Split strides, sorted by their beginnings, into those that count and those that do not."""
+def _counted(all_strides: tuple[Stride, ...], period_s: float) -> tuple[tuple[Stride, ...], tuple[Stride, ...]]:
+    """Split strides, sorted by their beginnings, into those that count and those that do not.
+
+    The only stride of a clip is compared with the period of the motion in seconds, unless this is NaN.
+    """
     counted, doubtful = [], []
     start_s, end_s, lasts_s = (
         np.array([getattr(s, field) for s in all_strides]) for field in ("start_s", "end_s", "duration_s")
@@ -626,6 +633,7 @@ def _counted(all_strides: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple
         nearby = slice(*np.searchsorted(start_s, [stride.start_s - 2 * longest_s, stride.end_s + longest_s]))
         overlapping = (start_s[nearby] < stride.end_s) & (end_s[nearby] > stride.start_s)
         others_s = median(lasts_s[nearby][overlapping] if overlapping.sum() > 1 else lasts_s[nearby])
+        others_s = others_s if np.isnan(period_s) else period_s
         if abs(others_s * stride.frequency_hz - 1) <= AGREE:
             counted.append(stride)
         else:
@@ -636,7 +644,7 @@ def _counted(all_strides: tuple[Stride, ...]) -> tuple[tuple[Stride, ...], tuple
 def doubtful_text(stride: Stride) -> str:
     """Return a sentence on why a stride does not count."""
     text = f"{stride.foot}'s stride from {stride.start_s:.3f} to {stride.end_s:.3f} s does not count"
-    return f"{text}: strides of all feet around its time last {stride.others_s:.3f} s"
+    return f"{text}: around its time the motion repeats after {stride.others_s:.3f} s"
 
 
 def _stride_time(tracks: Tracks, counted: Sequence[Stride]) -> tuple[float, float]:
