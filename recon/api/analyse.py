@@ -145,7 +145,8 @@ def summarise(analysis: ClipAnalysis, results: str) -> dict[str, Any]:
     """Return the summary of a clip, as docs/gait.md describes it; `results` is the name of its folder."""
     reference = analysis.reference_motion
     net, net_sigma = analysis.net_acceleration_m_s2
-    run, by = analysis.motion.solution.constant_velocity_m_s, _origin(analysis.stride)
+    run = analysis.motion.solution.constant_velocity_m_s
+    by = "gait" if analysis.stride is None else analysis.stride.origin
     return {
         "schema": {"name": "recon.analysis", "version": 1},
         "results": results,
@@ -172,11 +173,6 @@ def summarise(analysis: ClipAnalysis, results: str) -> dict[str, Any]:
         "stride": None if analysis.stride is None else picked(analysis.stride, "foot", "start_s", "end_s") | {"by": by},
         "notes": [*notes(analysis)],
     }
-
-
-def _origin(stride: Stride | None) -> str:
-    """Return the origin of the stride: the gait, the end effector of a chain or its nearest return, or the user."""
-    return stride.at if stride is not None and stride.at in ("given", "end effector", "return") else "gait"
 
 
 def notes(analysis: ClipAnalysis) -> Iterator[str]:
@@ -290,9 +286,8 @@ def _stride_title(stride: Stride | None) -> str:
     """Return the title of figures that show the stride, or without one the whole clip."""
     if stride is None:
         return "whole clip: no complete stride"
-    return {"given": "the stride that was given", "return": f"no complete stride: nearest return of {stride.foot}"}.get(
-        stride.at, f"one stride of {stride.foot}"
-    )
+    titles = {"given": "the stride that was given", "return": f"no complete stride: nearest return of {stride.foot}"}
+    return titles.get(stride.at, f"one stride of {stride.foot}")
 
 
 def figures_of(analysis: ClipAnalysis) -> dict[str, Callable[[], Figure]]:

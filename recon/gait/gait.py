@@ -251,6 +251,11 @@ class Stride:
     """
 
     @property
+    def origin(self) -> str:
+        """Return "gait" for a stride between two touch-downs or lift-offs, otherwise `at`."""
+        return "gait" if self.at in ("touchdown", "lift-off") else self.at
+
+    @property
     def duration_s(self) -> float:
         """Return the duration of the stride, s."""
         return self.end_s - self.start_s

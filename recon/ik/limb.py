@@ -299,8 +299,7 @@ def _path_of(motion: Motion, limb: Limb, stride: Stride | None, lasts_s: tuple[f
     try:
         if stride is not None:
             span_s = stride.start_s - limb.first_s, stride.end_s - limb.first_s
-            origin = "gait" if stride.at in ("touchdown", "lift-off") else stride.at
-            return replace(find_stride(limb.chain, limb.q, limb.fps, span_s), origin=origin)
+            return replace(find_stride(limb.chain, limb.q, limb.fps, span_s), origin=stride.origin)
         if lasts_s is None:
             return find_stride(limb.chain, limb.q, limb.fps, lasts_s=None)
         in_space = limb if limb.chain.dim == 3 else limb_of(motion, limb.foot, 3)

@@ -317,7 +317,7 @@ def gathered(path: Path, table: Columns, individual: str | None, column_map: Map
     if "frame" not in role:
         stored = with_times(path, stored, distinct, fps)
     stored = common.one_animal(path, animal or None, stored, [animal] if animal else [])
-    return common.without_zeros(stored) if stored.in_space else stored
+    return common.without_lost_markers(stored) if stored.in_space else stored
 
 
 # -- writing ---------------------------------------------------------------------------------------------------------

@@ -247,7 +247,7 @@ def frames_seen(stored: StoredPoints) -> np.ndarray:
     return stored.frames[np.asarray(known.any(axis=-1))]
 
 
-def without_zeros(stored: StoredPoints) -> StoredPoints:
+def without_lost_markers(stored: StoredPoints) -> StoredPoints:
     """Return 3D points without those that stand for a lost marker: three equal coordinates, 0 or another number.
 
     Many programs write such points. A number other than 0 has to occur at least twice. A point that is at (0, 0, 0) in

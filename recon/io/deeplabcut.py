@@ -250,7 +250,7 @@ def points_of_table(
     extra["images"] = tuple(images[i] for i in order) if images else ()
     stored = StoredPoints(names, points, frames[order], likelihood, **extra)
     stored = common.one_animal(path, animal or None, stored, [animal] if animal else [])
-    return common.without_zeros(stored) if in_space else stored
+    return common.without_lost_markers(stored) if in_space else stored
 
 
 def _equal_repeats(columns: Sequence[tuple[str, str, str]], values: np.ndarray) -> set[int]:

@@ -60,7 +60,7 @@ def read_trc(path: Path, individual: str | None = None) -> StoredPoints:
     xyz = values[:, 2:].reshape(len(values), len(names), 3)
     fps = common.rate(header.get("DataRate"))
     stored = StoredPoints(tuple(names), xyz, values[:, 0], fps=fps, notes=notes, **extra)
-    return common.without_zeros(common.one_animal(path, individual, stored))
+    return common.without_lost_markers(common.one_animal(path, individual, stored))
 
 
 def write_trc(pose: Pose3D, path: Path) -> None:
@@ -128,7 +128,7 @@ def read_c3d(path: Path, individual: str | None = None) -> StoredPoints:
     unit, screen = ("".join(point.get(name, ())[:1]) for name in ("UNITS", "Y_SCREEN"))
     up_axis = {"+Z": "z", "Z": "z", "+Y": "y", "Y": "y"}.get(screen.upper())
     stored = StoredPoints(tuple(names), xyz, frames, fps=fps, unit=UNIT_NAMES.get(unit), up=up_axis)
-    return common.without_zeros(common.one_animal(path, individual, stored))
+    return common.without_lost_markers(common.one_animal(path, individual, stored))
 
 
 def _content(content: bytes) -> tuple[Parameters, np.ndarray, int]:

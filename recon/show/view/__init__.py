@@ -391,9 +391,8 @@ def analysis_plots(analysis: ClipAnalysis) -> Iterator[TimePlot]:
         quantities.append(("spine", "Flexion of the spine (°)", bent, sigma))
     for entity, title, values, sigma in quantities:
         lines = {entity: values[::every]}
-        if (
-            np.isfinite(sigma).any() and entity != "acceleration"
-        ):  # the standard deviation of the acceleration is many times its value
+        # The standard deviation of the acceleration is many times its value.
+        if np.isfinite(sigma).any() and entity != "acceleration":
             _, low, high = interval_of(values, sigma)
             lines |= {"90 %: from": low[::every], "90 %: to": high[::every]}
         yield _plot(f"analysis/{entity}", title, lines, "Kinematics", (scenes.TRAIL, scenes.LINK, scenes.LINK))
