@@ -38,7 +38,7 @@ STAGES = {
     "_solve_flattened": "flattened mixtures of poses",
     "_solve_round": "rounds",
     "prior_misfit_of": "misfit of the prior",
-    "_with_noise_about_bias": "noise about the keypoint bias",
+    "_with_reestimated_noise": "noise about the keypoint bias",
     "posterior": "posterior",
     "normal": "normal equations (within all)",
     "cost": "cost (within all)",

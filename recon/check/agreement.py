@@ -26,6 +26,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -125,12 +126,15 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
 
     findings = []
     for v in (v for v in range(len(views)) if agreeing and v not in agreeing):
-        numbers = comparisons[v]
-        if numbers["level"] > limit or _gain(numbers) >= CLEAR_GAIN:
-            offset_s = motion.sources[v].offset_s + numbers["late_frames"] / fps
-            numbers = numbers | _effect_m(given_sights, v, [o for o in agreeing if o != v]) | {"offset_s": offset_s}
-            item = finding(_code(numbers, limit), frames, names[v], **numbers)
-            findings.append(by_effect(item, motion.trunk_m, is_gross=numbers["level"] > MAX_LEVEL * MAX_NOISE_FACTOR))
+        comparison = comparisons[v]
+        if comparison["level"] > limit or _gain(comparison) >= CLEAR_GAIN:
+            offset_s = motion.sources[v].offset_s + comparison["late_frames"] / fps
+            effect = _effect_m(given_sights, v, [o for o in agreeing if o != v])
+            numbers = comparison | effect | {"offset_s": offset_s}
+            item = finding(_code(comparison, limit), frames, names[v], **numbers)
+            findings.append(
+                by_effect(item, motion.trunk_m, is_gross=comparison["level"] > MAX_LEVEL * MAX_NOISE_FACTOR)
+            )
     for v in exchanged:  # compared as given, with the exchange in place
         partners = [sights[o] for o in agreeing or range(len(views)) if o != v]
         comparisons[v] = _compare(given_sights[v], partners, fps, wide=False)
@@ -139,10 +143,10 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
         if members:
             cameras = tuple(names[v] for v in members)
             findings.append(finding(code, frames, None, cameras=cameras, **comparisons[members[0]]))
-    if not any(numbers["points"] for numbers in comparisons):
+    if not any(comparison["points"] for comparison in comparisons):
         findings.append(finding("cameras_apart_in_time", frames))
-    for name, numbers in zip(names, comparisons, strict=True):
-        findings.append(finding("camera_agreement", frames, name, max_level=limit, **numbers))
+    for name, comparison in zip(names, comparisons, strict=True):
+        findings.append(finding("camera_agreement", frames, name, max_level=limit, **comparison))
     return tuple(findings)
 
 
@@ -264,28 +268,28 @@ def _compare_each(sights: Sequence[_Sight], agreeing: Sequence[int], fps: float)
     ]
 
 
-def _causes(numbers: Comparison, least_rad: float = 0.0, least_frames: float = 0.0) -> dict[str, float]:
+def _causes(comparison: Comparison, least_rad: float = 0.0, least_frames: float = 0.0) -> dict[str, float]:
     """Return the camera's level with each possible cause undone, by code, for causes of at least the given size."""
     is_turned, is_late = (
-        least_rad <= numbers["turn_rad"] <= LARGEST_ROTATION_RAD,
-        abs(numbers["late_frames"]) >= least_frames,
+        least_rad <= comparison["turn_rad"] <= LARGEST_ROTATION_RAD,
+        abs(comparison["late_frames"]) >= least_frames,
     )
-    levels = {"camera_late": numbers["level_late"]} if is_late else {}
-    return levels | ({"camera_turned": numbers["level_turned"]} if is_turned else {})
+    levels = {"camera_late": comparison["level_late"]} if is_late else {}
+    return levels | ({"camera_turned": comparison["level_turned"]} if is_turned else {})
 
 
-def _gain(numbers: Comparison) -> float:
+def _gain(comparison: Comparison) -> float:
     """Return the factor by which the best rotation or time offset lowers a camera's level; 1 if both are small."""
-    causes = _causes(numbers, CLEAR_ROTATION_RAD, CLEAR_OFFSET)
-    return max((numbers["level"] / max(level, 1e-9) for level in causes.values()), default=1.0)
+    causes = _causes(comparison, CLEAR_ROTATION_RAD, CLEAR_OFFSET)
+    return max((comparison["level"] / max(level, 1e-9) for level in causes.values()), default=1.0)
 
 
-def _code(numbers: Comparison, limit: float) -> str:
+def _code(comparison: Comparison, limit: float) -> str:
     """Return the code of a camera's finding: the cause that leaves the lowest level, if it explains the level."""
     likeliest = min(
-        (level, code) for code, level in {**_causes(numbers), "camera_off": np.inf}.items() if not np.isnan(level)
+        (level, code) for code, level in {**_causes(comparison), "camera_off": np.inf}.items() if not np.isnan(level)
     )
-    return likeliest[1] if _is_explained(likeliest[0], numbers["level"], limit) else "camera_off"
+    return likeliest[1] if _is_explained(likeliest[0], comparison["level"], limit) else "camera_off"
 
 
 def _with_exchanged(views: Sequence[View], a: int, b: int) -> list[View]:
@@ -308,23 +312,35 @@ def _largest_agreeing_group(sights: Sequence[_Sight], fps: float, limit: float) 
         if len(agreeing) == 2:
             return ()
         rests = combinations(agreeing, len(agreeing) - 1)
-        agreeing = min(rests, key=lambda rest: _cost_without(sights, agreeing, rest, fps, limit))
+        agreeing = min(rests, key=lambda rest: _cost_of_removal(sights, agreeing, rest, fps, limit))
     return agreeing
 
 
-def _cost_without(
+class _RemovalCost(NamedTuple):
+    """Cost of removing a camera from those that agree; the camera with the lowest cost is removed first."""
+
+    is_unexplained: bool
+    """Whether neither a rotation nor a time offset makes the camera agree."""
+    level_sum: float
+    """Sum of the levels of the cameras after the removal or the correction."""
+
+
+def _cost_of_removal(
     sights: Sequence[_Sight], agreeing: Sequence[int], rest: Sequence[int], fps: float, limit: float
-) -> tuple[bool, float]:
-    """Return the cost of removing a camera: whether a correction makes it agree, and how well the rest agrees."""
+) -> _RemovalCost:
+    """Return the cost of removing the camera that is missing in the rest.
+
+    A rotation and a time offset are tried only for one of three cameras.
+    """
     (v,) = {*agreeing} - {*rest}
     if len(rest) > 2:
-        return False, float(np.nansum(_levels(sights, rest)))
+        return _RemovalCost(is_unexplained=False, level_sum=float(np.nansum(_levels(sights, rest))))
     points = _points([sights[o] for o in rest])
     turned, _ = _best_turned(sights[v], points)
     shifted, _ = _best_shifted(sights[v], points, fps, wide=True)
     levels = [_levels([*sights[:v], sight, *sights[v + 1 :]], agreeing) for sight in (turned, shifted)]
     best = min(levels, key=np.nansum)
-    return not _are_within(best, limit), float(np.nansum(best))
+    return _RemovalCost(is_unexplained=not _are_within(best, limit), level_sum=float(np.nansum(best)))
 
 
 # -- rays and points ---------------------------------------------------------------------------------------------------
@@ -437,19 +453,19 @@ def _levels(sights: Sequence[_Sight], agreeing: Sequence[int]) -> Array:
 
 def _compare(sight: _Sight, partners: Sequence[_Sight], fps: float, wide: bool) -> Comparison:
     """Compare a camera with others; with `wide`, search a long range of time offsets."""
-    numbers = dict.fromkeys(("turn_rad", "level_turned", "late_frames", "level_late"), np.nan)
+    corrected = dict.fromkeys(("turn_rad", "level_turned", "late_frames", "level_late"), np.nan)
     if len(partners) == 1:
         level, error_rad, n = _pair_level(sight, partners[0])
-        return {"points": n, "error_px": error_rad * sight.focal_px, "level": level} | numbers
+        return {"points": n, "error_px": error_rad * sight.focal_px, "level": level} | corrected
     points = _points(partners)
     towards, squared = _errors(sight, points)
     off_rad = np.linalg.norm(towards - sight.rays, axis=-1)
     known = np.isfinite(squared)
     error_px = float(np.median(off_rad[known])) * sight.focal_px if known.sum() >= MIN_POINTS else np.nan
-    turned, numbers["turn_rad"] = _best_turned(sight, points)
-    shifted, numbers["late_frames"] = _best_shifted(sight, points, fps, wide)
-    numbers |= {"level_turned": _level(turned, points), "level_late": _level(shifted, points)}
-    return {"points": int(known.sum()), "error_px": error_px, "level": _level(sight, points)} | numbers
+    turned, corrected["turn_rad"] = _best_turned(sight, points)
+    shifted, corrected["late_frames"] = _best_shifted(sight, points, fps, wide)
+    corrected |= {"level_turned": _level(turned, points), "level_late": _level(shifted, points)}
+    return {"points": int(known.sum()), "error_px": error_px, "level": _level(sight, points)} | corrected
 
 
 def _pair_level(a: _Sight, b: _Sight) -> tuple[float, float, int]:

@@ -18,8 +18,8 @@ their means over the joints.
 **3. Errors that last.** The cost treats the errors of neighbouring frames as independent, but they are correlated: all
 variances are multiplied by `variance_factor`, the correlation length in frames. A keypoint bias lasts for the whole
 clip. The bias is not an unknown of the solution but of the posterior; its expected variance is widened if the
-detections show more (`_bias_scale`). The noise about the bias is estimated again (`with_noise_about_bias`), because
-otherwise the bias would count twice.
+detections show more (`_bias_scale`). The noise of the detections is then estimated again
+(`with_reestimated_noise`), because otherwise the bias would count twice.
 
 **4. Information fraction.** The precision of a joint or an angle with the pixels is compared with its precision without
 them, from the other terms alone: 1 - variance / variance without pixels.
@@ -236,20 +236,20 @@ def _bias_scale(S: Array, g: Array, columns: slice, variance: Array, variance_fa
     return max(scale, 1.0)
 
 
-def with_noise_about_bias(problem: LeastSquares, estimate: Estimate, variance_factor: float) -> LeastSquares:
-    """Return the problem of several cameras with the noise of detections about their keypoint bias.
+def with_reestimated_noise(problem: LeastSquares, estimate: Estimate, variance_factor: float) -> LeastSquares:
+    """Estimate the noise of detections again, without their keypoint bias, and return the problem with this noise.
 
     A solution assumes a bias of 0, so its residuals contain bias and noise. If all of the residuals counted as noise,
     the bias would count twice. The variance of the noise is the likeliest one: the squared residuals that remain after
     the best bias, divided by the number of detections less those that determine the bias.
     """
-    return _with_noise_about_bias(problem, estimate, variance_factor)[0]
+    return _with_reestimated_noise(problem, estimate, variance_factor)[0]
 
 
-def _with_noise_about_bias(
+def _with_reestimated_noise(
     problem: LeastSquares, estimate: Estimate, variance_factor: float
 ) -> tuple[LeastSquares, Normal | None]:
-    """Return `with_noise_about_bias`, and for a short clip the normal equations with the nuisance unknowns."""
+    """Return `with_reestimated_noise`, and for a short clip the normal equations with the nuisance unknowns."""
     if COMMON_KEYPOINT_BIAS not in [unknown.name for unknown in (*problem.shared, *problem.nuisance)]:
         return problem, None
     equations = _EquationsByNoise.of_problem(problem, estimate)
@@ -313,9 +313,11 @@ class _EquationsByNoise:
         return Normal(*(scaled(field.name) for field in fields(Normal)))
 
 
-def posterior_about_bias(problem: LeastSquares, body: Body, estimate: Estimate, variance_factor: float) -> Posterior:
-    """Return the posterior at a minimum, for the noise of detections about their keypoint bias."""
-    problem, normal = _with_noise_about_bias(problem, estimate, variance_factor)
+def posterior_with_reestimated_noise(
+    problem: LeastSquares, body: Body, estimate: Estimate, variance_factor: float
+) -> Posterior:
+    """Return the posterior at a minimum after the noise of detections is estimated again."""
+    problem, normal = _with_reestimated_noise(problem, estimate, variance_factor)
     return posterior(problem, body, estimate, variance_factor, normal)
 
 

@@ -18,7 +18,7 @@ from recon.base.errors import InputError, Problem
 from recon.clip import Source, views_of
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts, focal_sigma_of
 from recon.fit.least_squares import Estimate
-from recon.fit.posterior import curvature, with_noise_about_bias
+from recon.fit.posterior import curvature, with_reestimated_noise
 from recon.fit.result import TrajectorySolution
 from recon.fit.terms import SIDESLIP, SIZE, time_offset
 from recon.geometry.kinematics import ROOT
@@ -68,7 +68,7 @@ def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int
         shared = {name: (problem.expected() | shared_values)[name] for name in problem.columns}
         estimate, variance_factor = Estimate(states, 0.0, 0, True, shared), clip.correlation_frames
         problem_curvature = curvature(
-            with_noise_about_bias(problem, estimate, variance_factor), estimate, variance_factor
+            with_reestimated_noise(problem, estimate, variance_factor), estimate, variance_factor
         )
         white = rng.normal(size=(*states.shape, count))
         common_steps = problem_curvature.covariance_root @ rng.normal(

@@ -42,7 +42,7 @@ from recon.fit.banded import eliminated
 from recon.fit.body_shape import FreeShape
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
 from recon.fit.least_squares import Estimate, LeastSquares, SharedUnknown
-from recon.fit.posterior import Posterior, PriorMisfit, posterior_about_bias, prior_misfit_of, with_size
+from recon.fit.posterior import Posterior, PriorMisfit, posterior_with_reestimated_noise, prior_misfit_of, with_size
 from recon.fit.result import SHAPES, SINGLE, Ground, MotionSegment, SecondCamera, SolvedShape, TrajectorySolution
 from recon.fit.smoothness import likely_scale
 from recon.fit.starts import ALTERNATIVE_COST, APPROACH_HZ, approach, interpolate_states
@@ -494,7 +494,7 @@ def _solution(clip: ClipProblem, segments: Sequence[SegmentFit], expected: Body,
     correlation_frames, unshaped = clip.correlation_frames, clip
     clip = with_solved_shape(clip, segments[0]) if segments else clip
     posteriors = [
-        posterior_about_bias(
+        posterior_with_reestimated_noise(
             _with_expected_shape_spread(unshaped, segment.problem), clip.body, segment.estimate, correlation_frames
         )
         for segment in segments

@@ -36,7 +36,7 @@ from recon.api.skeleton_draft import SkeletonDraftSettings, draft_skeleton, draf
 from recon.cli.models import skeleton_from_keypoints
 from recon.clip import View, camera_poses, still_view
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
-from recon.fit.posterior import with_noise_about_bias
+from recon.fit.posterior import with_reestimated_noise
 from recon.fit.result import TrajectorySolution
 from recon.fit.trajectory import solve_segments, solve_trajectory
 from recon.gait.evaluation import LEVELS, aligned
@@ -186,7 +186,7 @@ def test_keypoint_bias_is_no_noise(cameras):
     views, _ = rigs.random_clip(body, 0.0, cameras, 0)
     setting = ClipProblem.from_views(views, body, prior_from_body(body), rigs.FPS, TrajectoryOptions(fast=True))
     (one,) = solve_segments(setting)
-    counted = with_noise_about_bias(one.problem, one.estimate, setting.correlation_frames)
+    counted = with_reestimated_noise(one.problem, one.estimate, setting.correlation_frames)
     seen, noise_px = views[0].present, float(np.median(one.noise_px[0]))
     given, now = (problem.terms[0].view.confidence[seen].mean() for problem in (one.problem, counted))
     assert noise_px > 1.8 * rigs.SIGMA_PX
