@@ -93,7 +93,7 @@ def foot_problems(feet: dict[str, str], source: str) -> Iterator[Problem]:
         side = side_of(foot)
         if side is not None and position in FOOT_LABELS and not position.startswith(side):
             yield Problem(
-                source, f"feet.{position}", repr(foot), f"a {position.split('_')[0]} one: by its name it is {side}"
+                source, f"feet.{position}", repr(foot), f"a {position.split('_')[0]} foot: this name says {side}"
             )
     if len({*feet.values()}) < len(feet):
         yield Problem(source, "feet", ", ".join(feet.values()), "every foot once")

@@ -191,7 +191,7 @@ def notes(analysis: ClipAnalysis) -> Iterator[str]:
     doubtful = [] if gait is None else [doubtful_text(stride) for stride in gait.doubtful]
     yield from doubtful[:SHOWN]
     if (count_more := len(doubtful) - SHOWN) > 0:
-        yield f"{count_more} more strides do not count, for reasons of the same kind"
+        yield f"{count_more} more strides do not count, for similar reasons"
     if analysis.dynamics is not None:
         yield f"Source of the masses in forces and energies: {motion.body.mass_source}."
         yield "Forces were validated on galloping cheetahs on level ground."

@@ -222,7 +222,7 @@ def _files_in(folder: Path, recursive: bool = False) -> tuple[list[Path], list[s
             chosen.setdefault(str(clip), path.absolute())
         else:
             if path.stem in chosen:
-                left_out.setdefault("beside a file of the same name", []).append(chosen[path.stem].name)
+                left_out.setdefault("next to a file of the same name", []).append(chosen[path.stem].name)
             chosen[path.stem] = path.absolute()
     notes = [f"Left out of {folder}, {reason}: {names_text(names)}" for reason, names in sorted(left_out.items())]
     files = [*chosen.values()]
@@ -387,7 +387,7 @@ def _drafts_of_manifest(path: Path) -> list[_Draft]:
         values = {name: setting_in_folder(path.parent, name, value) for name, value in (row | lists).items()}
         files = [file for pattern in values.pop("keypoints") for file in _matching_files(Path(pattern))]
         if not files:
-            problems.append(Problem(path, f"{line}, keypoints", f"no files that match {row['keypoints']}", "some"))
+            problems.append(Problem(path, f"{line}, keypoints", f"no files that match {row['keypoints']}", "a file"))
             continue
         drafts.append(_Draft(tuple(files), values, out, (path, line)))
     if not drafts and not problems:

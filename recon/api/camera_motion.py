@@ -154,7 +154,7 @@ def _require_turning(s: CameraMotionSettings, motion: TurningMotion, lens: Camer
         grows, zoom = ("", "") if s.zoom else (", or it grows", " (--zoom if its focal length changes)")
         actual = f"a background that no turn explains: its parts move relative to each other{grows}"
         actual += f"; {note}" if note else ""
-        expected = f"a calibrated camera that turns about a fixed point{zoom}; of one that is carried or driven, "
+        expected = f"a calibrated camera that turns about a fixed point{zoom}; for a camera that is carried or driven, "
         expected += "make the track with COLMAP, and give that to --camera-track"
         raise InputError(Problem(s.video, "motion", actual, expected))
     if motion.focal is not None and abs(motion.focal[0]) > MAX_FOCAL_OFF and note:
@@ -164,7 +164,7 @@ def _require_turning(s: CameraMotionSettings, motion: TurningMotion, lens: Camer
     if not len(motion.frames) or len(motion.lost) > MAX_LOST * number:
         actual = f"too little background that can be followed in {len(motion.lost)} of {number} frames: blurred, "
         actual += "without structure, or hidden"
-        raise InputError(Problem(s.video, "background", actual, f"such frames to be {percent(MAX_LOST)} or less"))
+        raise InputError(Problem(s.video, "background", actual, f"{percent(MAX_LOST)} of the frames at most"))
 
 
 def _require_same_frames(s: CameraMotionSettings, points: dict[int, Array], times_s: Array) -> None:

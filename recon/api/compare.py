@@ -205,7 +205,9 @@ def _result_folders(paths: Sequence[Path]) -> dict[str, Path]:
         folders += [path.parent for path in inside]
     names = [folder.absolute().name for folder in folders]
     raise_problems(
-        Problem(n, "clip", f"{names.count(n)} folders of that name", "one") for n in {*names} if names.count(n) > 1
+        Problem(n, "clip", f"{names.count(n)} folders of that name", "one folder")
+        for n in {*names}
+        if names.count(n) > 1
     )
     return dict(zip(names, folders, strict=True))
 

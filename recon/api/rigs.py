@@ -47,7 +47,7 @@ def problems_of_several(file: str, cameras: Sequence[Camera], owners: Mapping[Pa
             yield Problem(track, "name", actual, f"the name of one of {', '.join(names)} in it")
     moving = [of_track[0] for of_track in owners.values() if len(of_track) == 1]
     for name in sorted({name for name in moving if moving.count(name) > 1}):
-        yield Problem("--camera-track", name, f"{moving.count(name)} tracks of it", "one")
+        yield Problem("--camera-track", name, f"{moving.count(name)} tracks of this camera", "one track")
     for camera in (camera for camera in cameras if camera.name not in moving):
         if not camera.has_extrinsics:
             yield Problem(file, f"camera {camera.name}", "no pose", "a rotation and translation, as the others have")

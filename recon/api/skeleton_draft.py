@@ -191,7 +191,7 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDr
     known = _understood(names, body.markers)
     options, count = fitting_skeleton(names)
     if count > len(known):
-        expected = f"a four-legged animal's: a draft is one; recon fit {options} takes {count} of these {len(names)}"
+        expected = f"those of a four-legged animal, or recon fit {options}, which has {count} of these {len(names)}"
         raise InputError(Problem(source, "bodyparts", f"another animal's: {', '.join(names)}", expected))
     name_of_marker = {marker: name for name, marker in known.items()}
     rear, front = (next((name_of_marker[m] for m in ends if m in name_of_marker), None) for ends in (REAR, FRONT))
@@ -204,9 +204,9 @@ def draft_skeleton(names: Sequence[str], title: str, source: Path) -> SkeletonDr
         raise InputError(Problem(source, "bodyparts", actual, expected))
     unplaced = tuple(name for name in names if name not in known)
     comments = [
-        f"A draft for the keypoints of {toml_text(source.name)}: proportions and expectations are of the skeleton",
-        f"{BASE}, which are no animal's, and its markers are called as the keypoints. Look at it with recon skeleton",
-        "check, and replace the lengths by those of your animal. The fields are explained in docs/skeletons.md.",
+        f"A draft for the keypoints of {toml_text(source.name)}: proportions and expected angles are those of",
+        f"the skeleton {BASE}, of no particular animal; markers have the keypoints' names. Look at it with recon",
+        "skeleton check, and replace the lengths by those of your animal. docs/skeletons.md explains the fields.",
         *([f"Keypoints not yet on the skeleton: {', '.join(unplaced)}"] if unplaced else []),
     ]
     labels = {label: position for position, label in FOOT_LABELS.items()}
@@ -371,9 +371,7 @@ def _distances(points_m: Array, source: Path) -> _Distances:
     if same_m > TOO_MUCH * length_m:
         noise_mm = quantity(1000 * same_m / NOISE, 1, "mm")
         actual = f"distances between neighbours change by {noise_mm} in an animal of {length_m:.3g} m"
-        expected = (
-            f"by {percent(TOO_MUCH / NOISE)} or less of its length; more or nearer cameras tell what bends from noise"
-        )
+        expected = f"by {percent(TOO_MUCH / NOISE)} or less of its length; more or nearer cameras reduce the noise"
         raise InputError(Problem(source, "keypoints", actual, expected))
     return _Distances(usual_m, changes_m, same_m, length_m, float(longest_m.max()))
 
@@ -453,8 +451,8 @@ def _directions_ahead(
         return steps_m
     ends = [[k for k, label in enumerate(labels) if word.search(label)] for word in (_REAR_WORDS, _FRONT_WORDS)]
     if body_count == 1 or not any(ends):
-        actual = f"an animal of {length_m:.3g} m that goes {path_m:.3g} m, with {body_count} bodies that turn"
-        expected = "half its length, or keypoints named after head or tail, to know its front, and two bodies or more"
+        actual = f"an animal of {length_m:.3g} m that moves by {path_m:.3g} m, with {body_count} rigid bodies"
+        expected = "two bodies or more; for the front a path of half its length, or points named after head or tail"
         raise InputError(Problem(source, "motion", actual, expected))
     rear_m, front_m = (mean_along(points_m[:, end], 1) if end else mean_along(points_m, 1) for end in ends)
     return (front_m - rear_m)[:, :2]

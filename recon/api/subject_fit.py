@@ -163,7 +163,7 @@ def clip_problem(settings: FitSettings, path: Path, pose: Pose3D | None) -> Clip
         raise InputError(Problem(path, "method", settings.method, "the trajectory method"))
     inputs = prepare(settings)
     if inputs.body.one_sided:
-        expected = "a whole animal: a chain's lengths stand in its own skeleton file"
+        expected = "a whole animal: a chain's lengths are in its own skeleton file"
         raise InputError(Problem(path, "skeleton", inputs.body.name, expected))
     views, options = views_of(inputs.sources), settings.trajectory_options()
     problem = ClipProblem.from_views(views, inputs.body, inputs.prior, inputs.fps, options)

@@ -337,7 +337,9 @@ class Output:
         if names:
             listed, count = names[1 : 1 + NAMED], len(names) - 1
             rest = (
-                f"; the same of {', '.join(listed)}{f' and {count - NAMED} more' * (count > NAMED)}" if listed else ""
+                f"; the same holds for {', '.join(listed)}{f' and {count - NAMED} more' * (count > NAMED)}"
+                if listed
+                else ""
             )
             way_out = f"another {self.option}, or " if self.option else ""
             expected = f"{way_out}the file moved away: recon would have to replace it"

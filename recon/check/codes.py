@@ -29,7 +29,7 @@ FLAG_OF: Mapping[str, str] = {"left_right_swap": SWAPPED, "gross_outliers": OUTL
 FLAGS: Mapping[str, str] = {
     "no data": "nothing was detected: the pose, if there is one, comes from the frames around",
     "diverged": "the best pose was outside the camera's view, and the frame has no pose",
-    "data poor": "few joints were seen and trusted: the pose comes mostly from what is usual",
+    "data poor": "few joints were seen and trusted: the pose is mostly the expected one",
     "ambiguous depth": (
         "seen from the front or the back, or nearly as well explained by another pose: depths in the pose may be wrong"
     ),

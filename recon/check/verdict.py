@@ -46,7 +46,7 @@ WHY = {
     "posterior": "The detections leave the poses too uncertain.",
     "distance": "The animal is far away, which makes the poses uncertain.",
     "end_on": "The animal is seen from the front or the back, which hides its pose: a camera at its side helps.",
-    "unseen": "Much of the animal is hardly ever detected, and its pose there is only what is usual.",
+    "unseen": "Much of the animal is hardly ever detected, and its pose there is only the expected one.",
     "rate": "The frame rate is low, so the pose between the frames is hardly known.",
 }
 """Reasons, by the factor that raises the expected error most."""

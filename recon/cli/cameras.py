@@ -147,7 +147,7 @@ def lines_of(cameras: Sequence[Camera], report: Mapping[str, Any]) -> Iterator[s
         name = max(largest, key=largest.__getitem__)
         yield f"The clips disagree on the cameras' positions, most of all on {name}: was a camera moved between them?"
     if not report["converged"]:
-        yield "The search stopped before it had converged: add clips of other ways through the view."
+        yield "The search stopped before it had converged: add clips in which the animal crosses the view elsewhere."
 
 
 # -- a camera that turns -----------------------------------------------------------------------------------------------
@@ -167,7 +167,7 @@ def camera_motion_answer(settings: CameraMotionSettings, output: Output, progres
     report = run_camera_motion(settings, output, progress)
     paths = [settings.out.with_name(name) for name in motion_files(settings.out)]
     lost_count, keyframes = len(report["frames_without_background"]), counted(len(report["keyframes"]), "keyframe")
-    lines = [f"{report['frames'] - lost_count} of {report['frames']} frames placed, {keyframes}."]
+    lines = [f"{report['frames'] - lost_count} of {report['frames']} frames have a pose, {keyframes}."]
     lines += [f"Too little background in {counted(lost_count, 'frame')}: no pose there."] if lost_count else []
     residual, sigma = quantity(report["residual_px"], 2, "px"), quantity(report["sigma_deg"], 3, "°")
     lines.append(f"The background fits to {residual}; the camera's direction is known to ±{sigma}.")

@@ -105,7 +105,7 @@ def _model_lines(experiment: Experiment) -> Iterator[str | Table]:
     )
     shared = max(model.shared for model in experiment.models)
     if shared:
-        yield f"Intervals contain an error of ± {percent(shared)} (size, lens) that all clips share, however many."
+        yield f"Intervals contain an error of ± {percent(shared)} (size, lens), which more clips do not reduce."
     yield f"The mixed model's numbers are in {MODEL} and {VARIANCES}."
 
 
@@ -184,4 +184,4 @@ def _plan_lines(table: PlanTable, sigmas: dict[str, float]) -> Iterator[str | Ta
         yield f"These variances come from {table.animals_known} animals, which is few: plan with a margin."
     if plan.animals:
         yield f"Smallest effect: the one that these animals show with a power of {percent(plan.power)}."
-    yield "An error that all clips share (size, lens) changes every difference by the same factor, and no power."
+    yield "An error that all clips share (size, lens) changes every difference by the same factor, but not the power."

@@ -271,7 +271,7 @@ def _require_readable(dataset: h5py.Dataset) -> None:
     Rejected are items that are not datasets, other types, data in other files, and more data than the file has.
     """
     if not isinstance(dataset, h5py.Dataset):
-        raise ValueError(f"{getattr(dataset, 'name', 'something')} is no dataset")
+        raise ValueError(f"{getattr(dataset, 'name', 'something')} is not a dataset")
     kind, layout = dataset.id.get_type(), dataset.id.get_create_plist()
     if not _is_readable(kind):
         raise ValueError(f"{dataset.name} has neither numbers nor texts")

@@ -85,7 +85,7 @@ def summary_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
     if "solve_s" in timing:
         times = median(frame_solution(motion).reported("solve_s"))
         per_frame = f", {1000 * times:.0f} ms a frame (median)" if np.isfinite(times) else ""
-        text += f"{per_frame}; {timing['solve_s']:.1f} s with reading"
+        text += f"{per_frame}; {timing['solve_s']:.1f} s in all"
     yield "effort", text
 
 
@@ -109,10 +109,10 @@ def travel_lines(motion: Motion, data: dict[str, Any]) -> Iterator[Line]:
         peak = interval_text(path.peak_speed_m_s, path.peak_speed_sigma_m_s, "m/s")
         yield "speed", f"at most {peak}, over a path of {number(path.distance_m, '.1f')} m"
     elif run_m_s is None:
-        yield "speed", f"one camera does not tell it here: {reason}"
+        yield "speed", f"unknown from this camera: {reason}"
     else:
         run = f"about {number(run_m_s, '.0f')} m/s, if the animal ran straight on"
-        yield "speed", f"{run}; one camera does not tell more here: {reason}"
+        yield "speed", f"{run}; no more is known from this camera: {reason}"
     yield "heading", heading_text(data["heading_to_picture_rad"])
 
 

@@ -67,7 +67,7 @@ def test_a_changed_file_is_refused_and_an_obsolete_one_that_was_changed_stays(tm
 
 def test_another_command_s_files_are_not_replaced(tmp_path):
     written(tmp_path, "fit", a="1")
-    with refusal((tmp_path / "a.csv", "file", f"; the same of {MANIFEST}", "another --out")):
+    with refusal((tmp_path / "a.csv", "file", f"; the same holds for {MANIFEST}", "another --out")):
         written(tmp_path, "retarget", a="2")
     assert (tmp_path / "a.csv").read_text() == "1"
 

@@ -253,7 +253,7 @@ def test_command_writes_a_track_that_the_fit_reads(pan_film, tmp_path):
         "--keypoints", tmp_path / "points.csv", "--first-frame", 5, "--tilt-deg", 10, "--zoom",
     )  # fmt: skip
     assert ended.code == 0, ended.err
-    assert "8 of 8 frames placed" in ended.out
+    assert "8 of 8 frames have a pose" in ended.out
     track = read_camera_track(tmp_path / "track.csv")
     assert track.frames.tolist() == list(range(5, 13))
     found = track.T_camera_world[:, :3, :3]

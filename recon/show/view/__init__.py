@@ -259,13 +259,13 @@ def open_viewer(path: Path) -> None:
     Raises InputError if the viewer cannot run.
     """
     if sys.platform == "linux" and not any(os.environ.get(name) for name in DISPLAYS):
-        expected = "a screen; without one: a page, by recon report DIR, or a recording, by --out FILE.rrd, for rerun"
+        expected = "a display; without one, make a page (recon report DIR) or a recording (--out FILE.rrd)"
         raise InputError(Problem("recon view", "viewer", "no display", expected))
     command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(path)]
     code = subprocess.run(command, check=False).returncode
     if code:
         ending = f"rerun ended with exit code {code}"
-        expected = "a display; or, by --out FILE.rrd, a recording of it all for a machine with one (rerun FILE.rrd)"
+        expected = "a display; without one, make a recording (--out FILE.rrd) for rerun on another machine"
         raise InputError(Problem("recon view", "viewer", ending, expected))
 
 

@@ -135,7 +135,7 @@ def _wait_for(process: subprocess.Popen[bytes], ports: tuple[int, ...]) -> None:
         while not _listens(port):
             if process.poll() is not None or time.monotonic() > until_s:
                 ending = "no answer" if process.poll() is None else f"exit code {process.returncode}"
-                expected = "a page instead, by recon report DIR, or a recording, by --out FILE.rrd"
+                expected = "an answer; otherwise make a page (recon report DIR) or a recording (--out FILE.rrd)"
                 raise InputError(Problem("recon view --web", "rerun's server", ending, expected))
             time.sleep(TICK_S)
 
