@@ -64,7 +64,7 @@ def _require_memory() -> None:
 
 
 def _flush() -> None:
-    """Report standard output that cannot be written here, before Python reports it at exit."""
+    """Report that standard output cannot be written, before Python does so at exit."""
     try:
         sys.stdout.flush()
     except OSError as error:

@@ -515,7 +515,7 @@ class View(Brief):
     # -- projection of points in all T frames -----------------------------------------------------------------------
 
     def to_camera(self, points_m: Array) -> Array:
-        """Return points (T, J, 3) of the world frame in the camera frame."""
+        """Transform points (T, J, 3) from the world frame to the camera frame."""
         if self.is_still:
             rotated = points_m.reshape(-1, 3) @ self.T_camera_world[:3, :3].T  # one product instead of T
             return rotated.reshape(points_m.shape) + self.T_camera_world[:3, 3]

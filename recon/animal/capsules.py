@@ -29,9 +29,9 @@ class Capsule:
 def capsules(tree: Tree, names: Sequence[str]) -> tuple[Capsule, ...]:
     """Return the capsules of a tree.
 
-    The capsules lie in the middle plane of a segment. They lead from its origin to the origins of the next segments and
-    to its markers. A capsule is as thick as these points are far apart. Between two other segments of the trunk it is
-    at least as thick as the thinner of them. `names` (J,) are the keypoint names of the markers, which give the sides
+    The capsules lie in the middle plane of a segment. They run from its origin to the origins of the next segments and
+    to its markers, and their thickness is the spread of these points. Between two other segments of the trunk it is at
+    least as thick as the thinner of them. `names` (J,) are the keypoint names of the markers, which give the sides
     together with the segments' names.
     """
     segments = tree.segments

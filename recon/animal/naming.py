@@ -45,7 +45,7 @@ _FILLERS = {"of", "the", "limb"}
 ANATOMICAL = "anatomical"
 """The built-in map of veterinary names."""
 _NEAR = 0.8
-"""Share of their letters that two names have in common if they are similar."""
+"""Fraction of common letters above which two names are similar."""
 _MOST_OF_FILE = 0.8
 """Share of a file's keypoints above which the skeleton that has them is probably the right one."""
 
@@ -80,7 +80,7 @@ class NameMap:
         return {_written(name): new for name, new in self.names.items() if self.source in builtin_maps()}
 
     def common(self, names: Iterable[str], wanted: Iterable[str]) -> int:
-        """Return how many of the wanted names a file with these names has after renaming."""
+        """Return the number of wanted names that a file with these names has after renaming."""
         return len({self.get(name, name) for name in names} & {*wanted})
 
 

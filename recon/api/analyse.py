@@ -58,7 +58,7 @@ class AnalyseSettings(Settings):
     body_mass_kg: Positive | None = None
     """Body mass of the animal, kg; with it, forces are also given in newtons."""
     belt_speed_m_s: Annotated[Positive | None, Option(name="--belt-speed")] = None
-    """Speed of the treadmill's belt in m/s, such as 1.4, if the fit was not given it."""
+    """Speed of the treadmill's belt in m/s, such as 1.4, if the fit did not use it."""
     figures: bool = True
     """Write figures (PNG and SVG) next to the tables: side view, joint angles, footfalls, speed."""
     all_figures: bool = False

@@ -243,7 +243,7 @@ def _solve_again_without_gross_outliers(fit: _Fit, solve: Solve) -> _Fit:
     """Leave out detections that are far from any pose, unless no frame could be solved without them."""
     cleaned, outliers = without_gross_outliers(fit.sources, fit.solution)
     solution = _with_pair_tests(solve(cleaned, fit.options), fit.solution) if outliers else fit.solution
-    if not solution.posed.any() and fit.solution.posed.any():  # without them no frame has a pose: no outliers
+    if not solution.posed.any() and fit.solution.posed.any():  # no frame has a pose without them, so they are kept
         return fit
     return replace(fit, sources=cleaned, solution=solution, findings=(*fit.findings, *outliers))
 

@@ -74,7 +74,7 @@ class ClipInputs:
     """Side whose limbs are fitted; None for a whole animal."""
     side_reason: str
     findings: tuple[Finding, ...] = ()
-    """Findings on the cameras from before the fit."""
+    """Findings on the cameras, made before the fit."""
 
     @cached_property
     def sources(self) -> tuple[Source, ...]:

@@ -81,7 +81,7 @@ class CompareSettings(Settings):
     """Column of the table or the design to group the clips by, such as sex (with --design: group)."""
     design: Annotated[Path | None, Option(panel=_EXPERIMENT)] = None
     """CSV table with the columns clip, animal, and as needed run, camera, group and covariates; or a batch's manifest
-    with the columns animal, run and group. Results of the cameras of a run become one, and a mixed model separates the
+    with the columns animal, run and group. The results of a run's cameras are joined, and a mixed model separates the
     variation between animals, runs, strides and measurements.
     """
     names: Annotated[str | None, Option(panel=_EXPERIMENT, metavar="PATTERN")] = None

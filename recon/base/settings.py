@@ -188,7 +188,7 @@ _CONFIG = pydantic.ConfigDict(extra="forbid", use_attribute_docstrings=True)
 
 
 class _ReadableSignature:
-    """Signature of a class of settings with the kind and the unit of each value, made when it is asked for."""
+    """Signature of a class of settings with the kind and the unit of each value, made on request."""
 
     def __get__(self, instance: object, cls: type[Settings]) -> Signature:
         by_name = Parameter.KEYWORD_ONLY

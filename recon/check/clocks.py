@@ -1,4 +1,4 @@
-"""Test whether the clocks of cameras drift apart, as if a camera took 59 pictures a second and its file stated 60."""
+"""Test whether the cameras' clocks drift apart, as if one took 59 pictures a second and its file stated 60."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from recon.fit.result import Finding, TrajectorySolution
 DRIFT_SIGMAS = 3.5
 """Drift, in standard deviations, from which it is reported.
 
-It is 1.3 at most in right pairs, and 0.0 to 1.4 (median 0.5) with a camera that takes a picture a second less
+It is 1.3 at most in correct pairs, and 0.0 to 1.4 (median 0.5) if one camera takes one picture a second fewer
 (`benchmarks/wrong_inputs.py --only limits`).
 """
 

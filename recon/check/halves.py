@@ -17,16 +17,15 @@ from recon.fit.result import Finding, TrajectorySolution
 LIMITS = -1.4, 3.3
 """Time offsets of the hind half, in standard deviations, below which it is late and above which it is early.
 
-They are 0.2 to 1.4 in right views, and -2.2 to -1.2 (median -1.4) with the hind half of an animal that runs a tenth of
-a second behind (`benchmarks/wrong_inputs.py --only limits`, five views each).
+They are 0.2 to 1.4 in correct views, and -2.2 to -1.2 (median -1.4) with the hind half of an animal that runs a tenth
+of a second behind (`benchmarks/wrong_inputs.py --only limits`, five views each).
 """
 LEAST_FRAMES = 3
 """Smallest number of frames of a segment whose motion is tested."""
 DISAGREES, TIMES = 3.0, 2.0
 """Distance from its marker beyond which a detection disagrees with the pose, in standard deviations of the noise, and
-the ratio of the shares of such detections from which the half with more of them is the foreign one.
-
-A foreign hind half has 3 to 8 times the other half's share, a late foreign fore half 1.7 to 3 times (three views each).
+the ratio between the halves' fractions of such detections above which the half with more of them is another animal's.
+The ratio is 3 to 8 if the hind half is another animal's, and 1.7 to 3 if the fore half is (three views each).
 """
 
 

@@ -123,7 +123,7 @@ def input_findings(
 
 
 def _of_only_view(motion: Motion, clip: ClipProblem, baseline: Baseline) -> list[Finding]:
-    """Return findings on a clip of one camera whose lens or picture is another one."""
+    """Return findings on a clip of one camera if its lens or picture is not that of the camera file."""
     solution = motion.solution
     assert isinstance(solution, TrajectorySolution)
     sigma_m = float(np.nanmean(motion.place_sigma_m[motion.solved]))
@@ -182,7 +182,7 @@ CURVED_PX = 0.1
 Points on a straight line are on a cubic, too.
 """
 LONG, SHORT, SHARE_LONG = 1.45, 0.5, 0.13
-"""Ratios above and below which a step is long or short for the steps around it, and the usual share of long steps.
+"""Ratios above and below which a step is long or short relative to those around it, and the usual share of long steps.
 
 If more steps are long, and less than half as many are short, frames were left out. In 32 real views at most 0.12 of the
 steps are long, also with half of their points missing, a side hidden, or an animal that comes into the picture. The
@@ -345,7 +345,7 @@ m/s.
 JOLTS = {"root acceleration": 1.0, "heading": 0.55, "climb": 1.1}
 """Costs per 1/90 s, half squared standard deviations, from which the body's path is not that of an animal.
 
-They are up to 0.5, 0.35 and 0.7 in real views, and 0.8 of the first in the drawn film (benchmarks/wrong_inputs.py).
+They are up to 0.5, 0.35 and 0.7 in real views, and the first is 0.8 in the rendered film (benchmarks/wrong_inputs.py).
 """
 
 

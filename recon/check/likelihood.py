@@ -239,7 +239,7 @@ It is 0.8 if 70 % of the detections are gross outliers, and below 0 if the pictu
 """
 
 _Alternative = tuple[str, dict[str, Any], View]
-"""Hypothesis on a view: the finding's code and numbers, and the view that the camera has then."""
+"""Hypothesis on a view: the finding's code and numbers, and the view under the hypothesis."""
 
 
 def unit_square_finding(baseline: Baseline) -> Finding | None:
@@ -456,7 +456,7 @@ def _zooms(clip: ClipProblem, view: View, states: Array, minimum: _Minimum) -> I
     slope, bend = (
         0.5 * (nearer - farther),
         nearer + farther,
-    )  # slope and curvature of the parabola through the three costs, in zooms
+    )  # slope and curvature of the parabola through the three costs, by the log zoom
     best = float(np.clip(-slope / bend if bend < 0 else np.sign(slope), -LARGEST, LARGEST))
     if abs(best) < 1.0:
         return
@@ -489,9 +489,9 @@ NEARLY, ANOTHER, SPEEDS = 1.02, 1.3, 1.25
 """Factors of frame rates.
 
 Stated rates within `NEARLY` are the same. The rate at which angles swing counts as another one from `ANOTHER` on:
-animals of one gait swing up to 1.21 times faster or slower than the prior's (32 real views; 1.22 in a drawn clip), with
-a standard deviation of a tenth. At its true rate an animal is not faster or slower than all animals of the prior by
-more than `SPEEDS`, so that an animal that stands or turns does not count as slow motion.
+animals of one gait swing up to 1.21 times faster or slower than the prior's (32 real views; 1.22 in a rendered clip),
+with a standard deviation of a tenth. At its true rate an animal is not faster or slower than all animals of the prior
+by more than `SPEEDS`, so that an animal that stands or turns does not count as slow motion.
 """
 FAR = 1.5
 """Factor from which a different frame rate is an error, because speeds are wrong by this factor whatever the poses are.

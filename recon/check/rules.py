@@ -41,8 +41,7 @@ EXPLAINED_DETECTORS = 3.0
 """Median deviation of detections, in units of the detectors' usual errors, above which the fit does not explain them.
 
 A fit's own noise estimate can hide a misfit. Correct views have 0.5 to 1.4, also with half of the points or a side
-missing, and the largest of the other runs is 1.4 whichever run is left out; frames in random order have 5 to 9. The
-limit is about twice the largest.
+missing; frames in random order have 5 to 9. The limit is about twice the largest.
 """
 UNEXPLAINED_SHARE = 0.1
 """Share of outliers above which a motion that the prior does not know is not that of an animal.

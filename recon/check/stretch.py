@@ -24,7 +24,7 @@ deviation, which is twice as large as the estimates vary.
 LIMITS = -1.6, 3.3
 """Deviations, in standard deviations, beyond which a picture is compressed or stretched along x.
 
-They are -1.0 to 2.5 in right views, -2.4 to -0.3 (median -2.1) where x is scaled by 0.75, and 2.1 to 4.7 (median 3.7)
+They are -1.0 to 2.5 in correct views, -2.4 to -0.3 (median -2.1) where x is scaled by 0.75, and 2.1 to 4.7 (median 3.7)
 by 1.33 (`benchmarks/wrong_inputs.py --only limits`).
 """
 SEEN = 0.25

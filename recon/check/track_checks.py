@@ -29,7 +29,7 @@ Examples are hips and spine.
 APART = 10.0
 """Smallest usual distance or movement, in steps of the resolution, at which two points count as different."""
 BENT = 5.0
-"""Usual bend of a track, in roundings, above which it is tested for straight parts."""
+"""Usual bend of a track, in units of rounding, above which it is tested for straight parts."""
 STRAIGHT = 0.02
 """Largest deviation from a line, relative to the track's usual deviation."""
 MOVING, STANCE = 0.01, 1.0

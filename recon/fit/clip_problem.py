@@ -237,7 +237,7 @@ class ClipProblem:
         return self.body.detected.pose(states).points_m
 
     def in_world(self, points_m: Array, size: float = 1.0) -> Array:
-        """Return points (..., 3), given at nominal size about the origin, in the world."""
+        """Transform points (..., 3) of the nominal body, relative to the origin, to the world."""
         return self.origin_m + size * points_m
 
     # -- the problem ----------------------------------------------------------------------------------------------

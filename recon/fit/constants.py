@@ -54,7 +54,7 @@ It is 3 degrees: with 2 degrees, errors in the benchmark's real runs are larger 
 degrees, and equal if it is turned by 3 degrees.
 """
 OTHER_ROTATION = 1.4
-"""Factor on the usual rotation from which a pose is refined again with the rotation that the refined pose shows."""
+"""Ratio of the likely rotation, given a refined pose, to the expected one above which the pose is refined again."""
 MISPLACED = 12.0
 """Factor on the usual errors for a camera that was moved after its calibration, or whose clock is wrong.
 

@@ -264,7 +264,7 @@ class LeastSquares:
         return None, damping
 
     def _moved(self, current: Estimate, states_step: Array, shared_step: Array, share: float) -> Estimate:
-        """Return the point at a share of a step, with its cost."""
+        """Return the point at a fraction of a step, with its cost."""
         states = current.states + share * states_step
         shared = {name: current.shared[name] + share * shared_step[columns] for name, columns in self.columns.items()}
         return replace(current, states=states, cost=self.cost(states, shared), shared=shared)
@@ -290,7 +290,7 @@ class LeastSquares:
                 return
 
     def _cameras_in_step(self, span: Span) -> list[Reprojection]:
-        """Return the cameras without a time offset; their detections are summed before the state's derivatives."""
+        """Return the cameras without a time offset; the derivatives by the state apply to the sum of their rows."""
         cameras = [term for term in self.terms if isinstance(term, Reprojection) and len(term.stencil) == 1]
         return cameras if len(cameras) > 1 and len(span.pose.points_m[span.own_rows]) else []
 

@@ -506,7 +506,7 @@ class Motion:
         return np.eye(4) if self.camera_moves else inverse(world_from_reference(self.camera))
 
     def in_reference(self, world_m: Array) -> Array:
-        """Return points (..., 3) of the solution's world in the frame of reference."""
+        """Transform points (..., 3) from the solution's world to the frame of reference."""
         return moved(self.T_reference_world, world_m)
 
     @cached_property

@@ -75,7 +75,7 @@ def predicted_keypoints(solution: Solution, view: View, fps: float | None = None
 
 
 def _time_offset_frames(solution: Solution) -> float:
-    """Return how far the clocks of a solution's views are off, one standard deviation."""
+    """Return the standard deviation of the clocks of a solution's views, in frames."""
     if not isinstance(solution, TrajectorySolution):
         return 0.0
     return float(np.sqrt(np.mean(solution.time_offset_frames**2 + solution.time_offset_sigma_frames**2)))

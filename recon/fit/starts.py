@@ -206,7 +206,7 @@ def approach(clip: ClipProblem) -> list[Estimate]:
     """Return the starts of one window after the approach with decreasing noise, best first.
 
     Only the first two starts (one in a fast fit) are solved to the end, at all frames of the window: the second only
-    until it comes to the first one's minimum or costs more than a solution that is reported.
+    until it reaches the first one's minimum or costs too much to be reported.
     """
     fast, no_factor = clip.options.fast, np.ones((len(clip.views), len(clip.body.markers)))
     step = max(1, round(clip.fps / APPROACH_HZ))

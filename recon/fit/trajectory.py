@@ -676,7 +676,7 @@ def _estimate_size(
     precision, pull, sources = prior_precision, prior_precision, ["prior"]
     for segment, segment_posterior in zip(segments, posteriors, strict=True):
         if segment_posterior.size_precision > 0:
-            # The estimate from the views alone, because the prior draws the minimum towards 1.
+            # Use the estimate from the views alone, because the prior draws the minimum towards 1.
             view_precision = segment_posterior.size_precision * clip.correlation_frames
             seen_precision = 1.0 / (1.0 / segment_posterior.size_precision + bias_variance)
             precision += seen_precision

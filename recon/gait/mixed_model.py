@@ -158,7 +158,7 @@ def _block(values: Array, design: Array, runs: Array, sigma: Array) -> _Block:
 
 
 def _grouped(single: Sequence[_Block]) -> list[_Block]:
-    """Return the blocks of animals joined where their covariances are equal, and stacked where their shapes are."""
+    """Return the animals' blocks: those with equal covariances are joined, those of equal shape are stacked."""
     by_covariance: dict[tuple[bytes, bytes], list[_Block]] = {}
     for block in single:
         by_covariance.setdefault((block.same_run.tobytes(), block.known.tobytes()), []).append(block)

@@ -266,12 +266,12 @@ class Camera(Brief):
         return self.camera_to_world(np.zeros(3))
 
     def world_to_camera(self, points_m: npt.ArrayLike) -> Array:
-        """Return points (..., 3), metres, of the world frame in the camera frame. Raises ValueError without a pose."""
+        """Transform points (..., 3), metres, from the world to the camera frame. Raises ValueError without a pose."""
         rotation, translation = self._pose()
         return np.asarray(points_m, dtype=float) @ rotation.T + translation
 
     def camera_to_world(self, points_m: npt.ArrayLike) -> Array:
-        """Return points (..., 3), metres, of the camera frame in the world frame. Raises ValueError without a pose."""
+        """Transform points (..., 3), metres, from the camera to the world frame. Raises ValueError without a pose."""
         rotation, translation = self._pose()
         return (np.asarray(points_m, dtype=float) - translation) @ rotation
 

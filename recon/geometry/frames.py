@@ -56,7 +56,7 @@ def inverse(T: Array) -> Array:
 
 
 def moved(T: Array, points_m: Array) -> Array:
-    """Return points (..., 3) of frame b in frame a; T (4, 4) is T_a_b."""
+    """Transform points (..., 3) from frame b to frame a by T (4, 4), which is T_a_b."""
     return points_m @ T[:3, :3].T + T[:3, 3]
 
 

@@ -133,7 +133,7 @@ class SerialChain:
         return np.concatenate([jacobian[0, :, self.columns].T, axes.T * ~self.sliding])
 
     def _moved(self, q: Array) -> Moved:
-        """Return the tree's `moved` for q (n,); that of the latest q is kept, as a step ends where the next begins."""
+        """Return the tree's `moved` for q (n,); the latest is cached, because a step ends where the next begins."""
         key = q.tobytes()
         moved = self._latest.get(key)
         if moved is None:

@@ -56,7 +56,7 @@ class JointRates(NamedTuple):
     singular: bool = False
     """Whether the rates are damped because motion in a direction is lost."""
     note: str = ""
-    """What was held back or damped, in words; empty if nothing was."""
+    """Rates that were reduced or damped, in words; empty if none were."""
     along: Array | float = 0.0
     """Further motion along the null space, to be added within the limits."""
 

@@ -87,7 +87,7 @@ def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool)
 
 
 def _back_home(chain: SerialChain, q: Array, home: Array, free: Bools) -> Array | None:
-    """Return q after least-norm steps that bring the end effector back home, or None if they do not lead there."""
+    """Return q after least-norm steps of the end effector back to its position, or None if they do not reach it."""
     for _ in range(12):
         miss = home - chain.end(q)
         if float(np.linalg.norm(miss)) <= 1e-13:

@@ -415,7 +415,7 @@ def text_rows(path: Path, separator: str | None = None) -> Iterator[tuple[int, l
             for row in rows:
                 line = rows.line_num + skipped
                 if any(cell.strip() for cell in row):
-                    # numbers below 1 in quotes, such as "0,93", are no thousands
+                    # a quoted number below 1, such as "0,93", cannot have a thousands separator
                     if not has_decimal_commas and "," in "".join(row):
                         has_decimal_commas = any(map(_BELOW_ONE.fullmatch, row))
                     yield line, _with_decimal_points(row) if has_decimal_commas else row

@@ -154,7 +154,7 @@ class _File:
             position += step
 
     def matrix(self, body: memoryview, depth: int) -> tuple[str, Any]:
-        """Return a matrix' name and value."""
+        """Return a matrix's name and value."""
         self.items -= 1
         if depth > MAX_DEPTH or self.items < 0:
             raise ValueError("elements nested deeper than a file of poses has them")

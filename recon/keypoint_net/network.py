@@ -282,7 +282,7 @@ def decode(probability: torch.Tensor, tolerance: float) -> tuple[torch.Tensor, t
     x = refined(column, w, [blurred[n, row, (column + d).clamp(0, w - 1)] for d in (-1, 0, 1)])
     y = refined(row, h, [blurred[n, (row + d).clamp(0, h - 1), column] for d in (-1, 0, 1)])
     xy = torch.stack([x, y], dim=1).view(b, k, 2)
-    # A cell that the tolerance's circle cuts counts in part.
+    # A cell on the edge of the tolerance's circle counts partly.
     share = (tolerance + 0.5 - _distance2(xy, (h, w)).sqrt()).clamp(0, 1)
     return xy, (probability * share).sum(dim=(2, 3)).clamp(0, 1)
 

@@ -169,7 +169,7 @@ class PoseSettings(Settings):
     """Settings of `recon robot pose`."""
 
     robot: Annotated[str, Option(argument="ROBOT")]
-    """a1, go2, aibo, or a file .toml, .urdf or .xml (MJCF)."""
+    """a1, go2, aibo, or a .toml, .urdf or .xml (MJCF) file."""
     move: Annotated[_Three | None, _THREE] = None
     """Shift of the body forwards, left and up from standing, metres, as in 0,0,-0.02. (default: 0,0,0)"""
     roll: Annotated[Number, Option(expected="degrees, as in 10")] = 0.0

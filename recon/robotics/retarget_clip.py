@@ -65,7 +65,7 @@ class RetargetSettings(Settings):
     folder: Annotated[Path, Option(argument="DIR")]
     """Results folder of a fit, such as results/clip."""
     robot: str
-    """a1, go2, aibo, or a file .toml, .urdf or .xml (MJCF)."""
+    """a1, go2, aibo, or a .toml, .urdf or .xml (MJCF) file."""
     out: Path
     """Folder for tables, report and playback."""
     scale: Annotated[Positive | None, Option(expected="a number above 0")] = None

@@ -223,7 +223,8 @@ class AgreedOrientation:
     """An orientation, and the evidence for it.
 
     weights: (N,), 0 for points that do not agree. residual_px: (N, 2), seen minus expected. jacobian: (N, 2, 4), of the
-    expected pixels by a small rotation (rad) in the camera frame and by log zoom. spread: covered area times spread.
+    expected pixels by a small rotation (rad) in the camera frame and by log zoom. spread: covered fraction of the
+    picture times the points' spread, as `spread` returns it.
     """
 
     orientation: Orientation

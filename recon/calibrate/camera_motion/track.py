@@ -38,8 +38,8 @@ MAX_PICTURES = 120
 """Maximum number of keyframes whose pictures stay in memory: those used last."""
 LEARNING = 0.15
 SETTLED, COME_APART, MAX_APART = 0.75, 0.6, 0.25
-"""Agreement above which a point counts as background; fraction of agreeing background points below which the background
-has come apart; and fraction of such frames above which the camera has not only turned.
+"""Agreement above which a point counts as background; fraction of agreeing background points below which no single
+rotation explains the background; and fraction of such frames above which the camera has not only turned.
 """
 MAX_PAIRS, MIN_BACKGROUND = 60, 0.4
 """Number of pairs of pictures that determine the focal length (those turned furthest), and minimum agreement of their
@@ -93,7 +93,7 @@ class TurningMotion:
     frames: (N,) frame numbers from 0. inliers, residual_px, sigma_rad, sigma_zoom: (N,). focal: log factor on the
     camera file's focal length, measured from the rotations, and its standard deviation; if the factor is clearly not 0,
     sigma_rad includes its effect on the orientations. lost: numbers of the frames without enough background. keys: (K,)
-    indices of keyframes among the N frames. turned_only: whether the background stayed together. cut: number of the
+    indices of keyframes among the N frames. turned_only: whether rotations explain the background. cut: number of the
     frame in which another take begins, or None.
     """
 
@@ -116,9 +116,9 @@ class Tracker:
 
     masked: function from a frame's number to the animal's pixels (K, 2), or None. The other fields are the state:
     frames with their orientations, supports (number of agreeing points, and their root mean square error in px) and
-    links; lost frames; torn_frames, the number of frames in which the background came apart; still_shares, the
-    fractions of old keyframes' backgrounds that stayed in position; support, the best spread since the last keyframe;
-    last, the last frame that was aligned.
+    links; lost frames; torn_frames, the number of frames whose background no single rotation explains; still_shares,
+    the fractions of old keyframes' backgrounds that stayed in position; support, the best spread since the last
+    keyframe; last, the last frame that was aligned.
     """
 
     camera: Camera
@@ -257,7 +257,7 @@ class Tracker:
     # -- learning the background --
 
     def _learn(self, agreement: AgreedOrientation, seen: _Seen) -> bool:
-        """Update which points are background, and return whether the background has come apart."""
+        """Update which points are background, and return whether no single rotation explains them."""
         settled = still_agreeing = 0
         for k, key in enumerate(seen.keys):
             is_own = seen.of_key == k

@@ -93,7 +93,7 @@ def _data(kind: str, content: bytes) -> str:
 SECTION_CHARACTERS = 600_000
 """Largest size of a section's vector graphics, so that three sections and the stills together stay below 3 MB."""
 SHOWN = 100
-"""Number of rows shown in the table of doubtful frames."""
+"""Number of rows shown in the table of flagged frames."""
 SPEED_MM = 100.0
 LENGTHS, POSES, STRETCHES = 2.5, 5, 3
 """Number of body lengths that an animal runs in one figure, of poses in the figure, and largest number of figures."""

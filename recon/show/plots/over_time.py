@@ -42,11 +42,11 @@ _BAR = 0.76
 
 
 def footfall(gaits: Mapping[str, Gait], fps: float, title: str = "") -> Figure:
-    """Draw the stances by foot; the stances of several gaits, by name, are above each other.
+    """Draw the stances of each foot; those of several gaits, by name, are stacked.
 
     The second axis counts frames, and frame 0 is at 0 s. Left feet are blue and right feet orange, or each gait has a
     colour. A stance that is cut by the clip has an arrow instead of an edge: it lasts at least as long as its bar.
-    Lines across the edges are 90 % intervals, of touch-downs in the upper half and of lift-offs in the lower half. Thin
+    Lines across the edges are 90 % intervals: of touch-downs in the upper half, of lift-offs in the lower half. Thin
     lines with ticks are complete strides. The name of each gait and its criterion are at the bottom.
     """
     captions = [] if style.is_printing() else [_caption(name, gait) for name, gait in gaits.items()]
@@ -176,8 +176,8 @@ def forces(d: Dynamics, gait: Gait) -> Figure:
 # -- speed -------------------------------------------------------------------------------------------------------------
 
 BAND_ROOM = 3.0
-"""Largest height of the axis relative to the highest curve, so that the curve has at least a third of the panel: the
-band of an acceleration from one camera, and any band at a spline's ends, is often higher.
+"""Largest height of the axis relative to the highest curve, so that the curve fills at least a third of the panel.
+Bands are often higher: those of accelerations from one camera, and those at the ends of a spline.
 """
 
 
@@ -265,7 +265,7 @@ _ALONG = 0.25
 
 
 TELLING = 6
-"""Number of portraits that a figure for a paper has room for."""
+"""Largest number of portraits in a figure for a paper."""
 _EXACT_RAD = 1e-6
 """Smallest standard deviation by which portraits are compared."""
 
