@@ -91,7 +91,7 @@ def write_robot(
         if companion is not None:
             points, animal = companion
             colours = [scene.SIDE_COLOURS[animal.limb_sides[limb]] for limb in animal.limbs]
-            columns = scene.limb_strips(points, animal.limbs, np.ones(len(motion.time_s), bool))
+            columns = scene.limb_strips(points, animal.limbs, np.ones(points.shape[:2], bool))
             log.draw("world/animal", rr.LineStrips3D, columns, colors=colours, radii=0.02 * size)
             log.follow("world/animal/followed", animal_middle, half)
         for s in [*plots, *series]:

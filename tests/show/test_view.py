@@ -21,7 +21,7 @@ from recon.clip import Source, views_of
 from recon.fit.motion import Motion
 from recon.fit.result import MotionSegment, Solution
 from recon.show.view import DISPLAYS, OVERVIEW_ASPECT, VIEW_RAD, fitting_eye, open_viewer, time_view, write
-from recon.show.view.scene import TimePlot
+from recon.show.view.scene import CLOSE, HIDDEN_LINK, TimePlot, limb_strips, middle_and_reach_px
 from recon.show.view.web import served
 from recon.thesis.objectives import FrameOptions
 from recon.thesis.solution import FrameSolution
@@ -64,6 +64,10 @@ WHOLE = {
 }
 
 
+CHANGES = {"/picture/outliers", "/world/stance", *(f"/{foot}" for foot in FEET)}
+"""Entities with rows only where they change."""
+
+
 class Recording:
     """Rows of every entity: `static` by entity and component, `frames` by entity, frame number and component."""
 
@@ -82,11 +86,15 @@ class Recording:
                 if chunk.is_static:
                     self.static.setdefault(chunk.entity_path, {}).update(row)
                 else:
-                    self.frames.setdefault(chunk.entity_path, {})[row["frame"]] = row
+                    self.frames.setdefault(chunk.entity_path, {}).setdefault(row["frame"], {}).update(row)
                     self.time_s[row["frame"]] = row["time"].total_seconds()
 
-    def values(self, entity: str, frame: int) -> list[Any]:
-        return self.frames[entity][frame][{**CHAIN, **WHOLE, **FLAGS}[entity]] or []
+    def values(self, entity: str, frame: int, component: str = "") -> list[Any]:
+        """Return what the viewer shows: the component's newest value up to a frame."""
+        component = component or {**CHAIN, **WHOLE, **FLAGS}[entity]
+        rows = self.frames[entity]
+        newest = max((n for n, row in rows.items() if n <= frame and component in row), default=None)
+        return [] if newest is None else rows[newest][component] or []
 
 
 @pytest.fixture(scope="module")
@@ -112,8 +120,8 @@ def recording(world_motion: Motion, tmp_path_factory: pytest.TempPathFactory) ->
 
 def test_holds_every_entity_at_every_frame(recording: Recording, world_motion: Motion) -> None:
     assert set(recording.frames) - set(FLAGS) == {*CHAIN, ANIMAL}
-    for rows in recording.frames.values():
-        assert sorted(rows) == list(world_motion.frames)
+    for entity in {*CHAIN, ANIMAL} - CHANGES:
+        assert sorted(recording.frames[entity]) == list(world_motion.frames), entity
     assert {"/", "/world/path", "/world/ground", "/world/camera", "/picture/frame"} <= set(recording.static)
     assert recording.blueprints == 1
 
@@ -187,6 +195,7 @@ def test_camera_stands_where_its_extrinsics_say(recording: Recording, world_moti
 
 def test_picture_has_the_pixels_of_the_motion(recording: Recording, world_motion: Motion) -> None:
     (picture,) = world_motion.pictures
+    reach_px = middle_and_reach_px(picture)[1].max()
     for row, frame in enumerate(world_motion.frames):
         seen = np.isfinite(picture.detected_px[row, :, 0])
         outlier = picture.outliers[row]
@@ -196,8 +205,10 @@ def test_picture_has_the_pixels_of_the_motion(recording: Recording, world_motion
         if world_motion.solved[row]:
             pixels = recording.values("/picture/reprojections/joints", frame)
             np.testing.assert_allclose(pixels, picture.reprojected_px[row], atol=1e-3)
-            ends = np.stack((picture.detected_px[row, seen], picture.reprojected_px[row, seen]), axis=1)
-            np.testing.assert_allclose(recording.values("/picture/links", frame), ends, atol=1e-3)
+            ends = np.stack((picture.detected_px[row], picture.reprojected_px[row]), axis=1)
+            linked = outlier | (picture.distance_px[row] >= HIDDEN_LINK * 2 * CLOSE * reach_px)
+            links = np.reshape(recording.values("/picture/links", frame), (-1, 2, 2))
+            np.testing.assert_allclose(links, ends[linked], atol=1e-3)
 
 
 def test_the_outlier_is_shown_as_one(recording: Recording) -> None:
@@ -285,8 +296,8 @@ def played(world_trajectory: Motion, tmp_path_factory: pytest.TempPathFactory) -
 
 def test_a_trajectory_has_every_entity_at_every_frame(played: Recording, world_trajectory: Motion) -> None:
     assert set(played.frames) - set(FLAGS) == {*WHOLE, ANIMAL}
-    for rows in played.frames.values():
-        assert sorted(rows) == list(world_trajectory.frames)
+    for entity in {*WHOLE, ANIMAL} - CHANGES:
+        assert sorted(played.frames[entity]) == list(world_trajectory.frames), entity
 
 
 def test_limbs_of_a_whole_animal_are_coloured_by_side(played: Recording, world_trajectory: Motion) -> None:
@@ -313,6 +324,36 @@ def test_shells_are_one_sigma_of_the_pose(played: Recording, world_trajectory: M
     half = np.array(row["Ellipsoids3D:half_sizes"])
     covariance = np.einsum("jab,jb,jcb->jac", axes, half**2, axes)
     np.testing.assert_allclose(covariance, world_trajectory.relative_covariance_m2()[2], atol=1e-7)
+
+
+def test_shells_of_a_fast_camera_change_25_times_a_second(world_trajectory: Motion, tmp_path: Path) -> None:
+    """At 75 frames a second, ellipsoids have a new shape in every third frame, and vanish where they are not known."""
+    source = world_trajectory.sources[0]
+    relative_m2 = world_trajectory.solution.relative_covariance_m2.copy()
+    relative_m2[3] = np.nan
+    fast = replace(
+        world_trajectory,
+        sources=(replace(source, keypoints=replace(source.keypoints, fps=75.0)),),
+        solution=replace(world_trajectory.solution, relative_covariance_m2=relative_m2),
+    )
+    write(fast, tmp_path / "motion.rrd")
+    recording = Recording(tmp_path / "motion.rrd")
+    rows = recording.frames["/world/uncertainty"]
+    assert [n for n, row in sorted(rows.items()) if "Ellipsoids3D:half_sizes" in row] == [10, 13, 14, 16]
+    for component in ("centers", "half_sizes", "quaternions", "colors"):
+        counts = [len(recording.values("/world/uncertainty", n, f"Ellipsoids3D:{component}")) for n in range(10, 18)]
+        assert counts == [24, 24, 24, 0, 24, 24, 24, 24], component
+
+
+def test_limbs_are_interrupted_by_joints_that_are_not_seen() -> None:
+    """A leg of four joints, of which the second is not seen in frame 1, and a tail, whose end is not seen."""
+    points = np.arange(20.0).reshape(2, 5, 2)
+    seen = np.array([[True] * 5, [True, False, True, True, False]])
+    columns = limb_strips(points, {"leg": (0, 1, 2, 3), "tail": (0, 4)}, seen, with_classes=True)
+    strips, classes = (column.as_arrow_array().to_pylist() for column in columns)
+    frame = points.tolist()
+    assert strips == [[frame[0][:4], [frame[0][0], frame[0][4]]], [frame[1][2:4]]]
+    assert classes == [[0, 1], [0]]
 
 
 def test_doubtful_frames_are_marked(played: Recording, world_trajectory: Motion) -> None:

@@ -1,6 +1,8 @@
 """Write a motion as a rerun recording for playback, and open the viewer on such a file.
 
-Entities of the recording; entities without "(static)" have a row per frame, which is empty if the frame has no pose:
+Entities of the recording; entities without "(static)" have a row per frame, which is empty if the frame has no pose.
+States, and points that are often absent, have rows where they change, and ellipsoids have a new shape at most 25 times
+a second:
 
 - `world`: metres, in the motion's frame of reference. `world/skeleton` and its joints; `world/path` (static) and
 `world/trail` of the reference point; `world/ground` (static; in a clip with several segments, the ground of each
@@ -9,7 +11,7 @@ invisible; `world/uncertainty`, one standard deviation of the joints' positions 
 with a flag; `world/stance`, the standing feet.
 - `picture`: pixels of the distorted picture. `picture/frame` (static), its edge; `picture/detections`,
   `picture/outliers`, `picture/reprojections` with the skeleton's lines, `picture/links` between detections and
-  reprojections.
+  reprojections, except those that their dots would hide.
 - `picture/animal`: the middle of the reprojected skeleton in each frame, at which the close view is.
 - `picture/video`: the frames of a video, if given.
 - Each of several cameras has its own `world/camera/<name>` and `picture/<name>/...`, and there is

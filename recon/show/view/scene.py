@@ -7,12 +7,12 @@ pipe into the file, without keeping a long recording in memory.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -53,6 +53,10 @@ _FRAMES_AT_ONCE = 4000
 GRID_SPACING_M = 1.0
 CLOSE = 1.1
 """Size of the close view relative to the animal's reach."""
+HIDDEN_LINK = 0.01
+"""Length of a link, relative to the close view's width, below which the dots at its ends hide it."""
+MAX_SHAPES_HZ = 25.0
+"""Largest number of shapes of an ellipsoid per second of a clip; the eye sees no faster changes."""
 GRID_MARGIN_M, MAX_GRID_LINES = 1.5, 200
 
 
@@ -100,8 +104,10 @@ class Log:
 
     def points(self, entity: str, positions: Array, is_shown: Bools, **style: Any) -> None:
         """Write points (T, N, 2 or 3), in each frame only those that are shown (T, N)."""
-        kind = rr.Points2D if positions.shape[-1] == 2 else rr.Points3D
-        self.draw(entity, kind, kind.columns(positions=positions[is_shown]).partition(is_shown.sum(axis=1)), **style)
+        kind, counts = rr.Points2D if positions.shape[-1] == 2 else rr.Points3D, is_shown.sum(axis=1)
+        rows = np.flatnonzero((counts > 0) | changes(counts > 0))
+        self.send(entity, kind.columns(positions=positions[is_shown]).partition(counts[rows]), rows)
+        self.fix(entity, kind.from_fields(**style))
 
     def plot(self, plot: TimePlot) -> None:
         """Write a plot. A NaN breaks its line; a row is empty if all its values are NaN."""
@@ -111,12 +117,13 @@ class Log:
         self.draw(plot.entity, rr.SeriesLines, columns.partition(np.where(is_known, count, 0)), **style)
 
     def state(self, entity: str, text: str, colour: Colour, holds: Bools) -> None:
-        """Write a row of states (T,).
+        """Write the changes of a state (T,).
 
         Its text is blank because the row has a name. Without a text the viewer would write the value.
         """
-        columns = rr.StateChange.columns(state=[text] * int(holds.sum()))
-        self.send(entity, columns.partition(holds.astype(int)))
+        rows = np.flatnonzero(changes(holds))
+        columns = rr.StateChange.columns(state=[text] * int(holds[rows].sum()))
+        self.send(entity, columns.partition(holds[rows].astype(int)), rows)
         self.fix(entity, rr.StateConfiguration(values=[text], labels=[" "], colors=[colour]))
 
     def follow(self, entity: str, middle_m: Array, half_m: float, rows: Bools | None = None) -> None:
@@ -165,6 +172,11 @@ class Scene:
         return (self.low_m + self.high_m) / 2 @ self.axes
 
 
+def changes(values: Bools) -> Bools:
+    """Return the rows (T,) in which values (T,) differ from those of the row before; the first row is one."""
+    return np.append(True, values[1:] != values[:-1])[: len(values)]
+
+
 def bounds(joints_m: Array) -> tuple[Array, Array]:
     """Return the box around joints (N, J, 3), without single stray poses."""
     low, high = np.percentile(joints_m.reshape(-1, 3), (1, 99), axis=0)
@@ -206,11 +218,24 @@ def joint_limbs(motion: Motion) -> Integers:
 # -- lines --------------------------------------------------------------------------------------------------------
 
 
-def limb_strips(points: Array, limbs: Mapping[str, Sequence[int]], is_shown: Bools) -> rr.ComponentColumnList:
-    """Return lines along the limbs of joints (T, J, 3), in the frames that are shown (T,)."""
-    points_along = points[is_shown][:, [joint for limb in limbs.values() for joint in limb]]
-    counts = np.tile([len(limb) for limb in limbs.values()], len(points_along))
-    return _strips(points_along.reshape(-1, 3), counts).partition(np.where(is_shown, len(limbs), 0))
+def limb_strips(
+    points: Array, limbs: Mapping[str, Sequence[int]], is_shown: Bools, with_classes: bool = False
+) -> rr.ComponentColumnList:
+    """Return lines along the limbs of joints (T, J, 2 or 3), interrupted by joints that are not shown (T, J).
+
+    with_classes: whether each line has its limb's number as class.
+    """
+    along = [joint for limb in limbs.values() for joint in limb]
+    limb_along = np.repeat(np.arange(len(limbs)), [len(limb) for limb in limbs.values()])
+    shown_along = is_shown[:, along]
+    is_bone = shown_along[:, 1:] & shown_along[:, :-1] & (limb_along[1:] == limb_along[:-1])
+    joins_previous = np.pad(is_bone, ((0, 0), (1, 0)))
+    is_on_strip = joins_previous | np.pad(is_bone, ((0, 0), (0, 1)))
+    begins = is_on_strip & ~joins_previous
+    first_points = np.flatnonzero(begins[is_on_strip])
+    counts = np.diff(first_points, append=int(is_on_strip.sum()))
+    classes = {"class_ids": np.broadcast_to(limb_along, begins.shape)[begins]} if with_classes else {}
+    return _strips(points[:, along][is_on_strip], counts, **classes).partition(begins.sum(axis=1))
 
 
 def strips(frames: Sequence[Sequence[Array]]) -> rr.ComponentColumnList:
@@ -276,10 +301,11 @@ def write_world(motion: Motion, scene: Scene, log: Log) -> None:
     elif motion.camera.world_z_up:
         log.fix("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
 
+    is_solved = np.broadcast_to(solved[:, None], joints.shape[:2])
     style = {"class_ids": range(len(motion.limbs)), "radii": 0.017, "show_labels": False}
-    log.draw("world/skeleton", rr.LineStrips3D, limb_strips(joints, motion.limbs, solved), **style)
+    log.draw("world/skeleton", rr.LineStrips3D, limb_strips(joints, motion.limbs, is_solved), **style)
     style = {"class_ids": joint_limbs(motion), "radii": 0.028, "labels": motion.names, "show_labels": False}
-    log.points("world/skeleton/joints", joints, np.broadcast_to(solved[:, None], joints.shape[:2]), **style)
+    log.points("world/skeleton/joints", joints, is_solved, **style)
     # The camera of the view follows a point that does not move with the legs, and shows some room around the animal.
     log.follow("world/followed", joints.mean(axis=1), 0.65 * scene.size_m, solved)
 
@@ -353,23 +379,31 @@ def _grid(motion: Motion, scene: Scene, segment: MotionSegment) -> list[Array]:
 
 
 def write_uncertainty(motion: Motion, log: Log, standing: Bools) -> None:
-    """Write an ellipsoid around every joint, red in frames with a flag, and the standing feet (T, F)."""
+    """Write an ellipsoid around every joint, red in frames with a flag, and the standing feet (T, F).
+
+    Ellipsoids move in every frame, and have a new shape at most 25 times a second.
+    """
     joints, has_flag = motion.joints_m, np.array([bool(flags) for flags in motion.flags])
     solved = motion.solved & np.isfinite(motion.relative_rms_m)  # the frame method has poses without uncertainty
     of_limb = np.array(limb_colours(motion))[joint_limbs(motion)]
+    counts = np.where(solved, joints.shape[1], 0)
+    colours = np.where(has_flag[solved][:, None, None], OUTLIER, of_limb).reshape(-1, 3)
+    columns = rr.Ellipsoids3D.columns(
+        centers=joints[solved].reshape(-1, 3),
+        colors=np.column_stack((colours, np.full(len(colours), 70))).astype(np.uint8),
+    )
+    log.send("world/uncertainty", columns.partition(counts))
+    every = max(1, math.ceil(motion.fps / MAX_SHAPES_HZ - 1e-9))
+    has_shape = changes(solved) | (solved & (np.arange(len(joints)) % every == 0))
     for first in range(0, len(joints), _FRAMES_AT_ONCE):
-        rows = slice(first, first + _FRAMES_AT_ONCE)
-        is_shown = solved[rows]
-        variance, axes = np.linalg.eigh(motion.relative_covariance_m2(rows)[is_shown].reshape(-1, 3, 3))
+        rows = first + np.flatnonzero(has_shape[first : first + _FRAMES_AT_ONCE])
+        covariance = motion.relative_covariance_m2(slice(first, first + _FRAMES_AT_ONCE))[rows - first][solved[rows]]
+        variance, axes = np.linalg.eigh(covariance.reshape(-1, 3, 3))
         axes[np.linalg.det(axes) < 0, :, 0] *= -1
-        colours = np.where(has_flag[rows][is_shown][:, None, None], OUTLIER, of_limb).reshape(-1, 3)
         columns = rr.Ellipsoids3D.columns(
-            centers=joints[rows][is_shown].reshape(-1, 3),
-            half_sizes=np.sqrt(np.maximum(variance, 1e-8)),
-            quaternions=Rotation.from_matrix(axes).as_quat(),
-            colors=np.column_stack((colours, np.full(len(colours), 70))).astype(np.uint8),
+            half_sizes=np.sqrt(np.maximum(variance, 1e-8)), quaternions=Rotation.from_matrix(axes).as_quat()
         )
-        log.send("world/uncertainty", columns.partition(np.where(is_shown, joints.shape[1], 0)), rows)
+        log.send("world/uncertainty", columns.partition(counts[rows]), rows)
     style = {"fill_mode": FillMode.MajorWireframe, "line_radii": rr.Radius.ui_points(0.8), "show_labels": False}
     log.fix("world/uncertainty", rr.Ellipsoids3D.from_fields(**style))
 
@@ -400,22 +434,19 @@ def _write_points(root: str, motion: Motion, picture: Picture, log: Log) -> None
         is_shown = selection & np.isfinite(detected[..., 0])
         log.points(f"{root}/{entity}", detected, is_shown, colors=colour, radii=rr.Radius.ui_points(2.0))
 
-    bone_list = [(c, *bone) for c, limb in enumerate(motion.limbs.values()) for bone in pairwise(limb)]
-    pairs = np.array(bone_list, dtype=int).reshape(-1, 3)
-    bones = reprojected[:, pairs[:, 1:]]
-    is_drawn = np.isfinite(bones[..., 0]).all(axis=2)
-    classes = np.broadcast_to(pairs[:, 0], is_drawn.shape)[is_drawn]
-    columns, fixed_style = lines(bones[is_drawn], is_drawn.sum(axis=1), class_ids=classes), {"show_labels": False}
-    log.draw(f"{root}/reprojections", rr.LineStrips2D, columns, radii=rr.Radius.ui_points(1.5), **fixed_style)
+    fixed_style = {"show_labels": False}
     is_seen = np.isfinite(reprojected[..., 0])
+    columns = limb_strips(reprojected, motion.limbs, is_seen, with_classes=True)
+    log.draw(f"{root}/reprojections", rr.LineStrips2D, columns, radii=rr.Radius.ui_points(1.5), **fixed_style)
     classes = np.broadcast_to(joint_limbs(motion), is_seen.shape)[is_seen]
     columns = rr.Points2D.columns(positions=reprojected[is_seen], class_ids=classes).partition(is_seen.sum(axis=1))
     log.draw(f"{root}/reprojections/joints", rr.Points2D, columns, radii=rr.Radius.ui_points(3.5), **fixed_style)
 
-    has_both = np.isfinite(picture.distance_px)
+    hidden_px = HIDDEN_LINK * 2 * CLOSE * middle_and_reach_px(picture)[1].max()
+    is_linked = outliers | (picture.distance_px >= hidden_px)
     ends = np.stack((detected, reprojected), axis=2)
-    colours = np.where(outliers[has_both][:, None], OUTLIER, LINK).astype(np.uint8)
-    columns = lines(ends[has_both], has_both.sum(axis=1), colors=colours)
+    colours = np.where(outliers[is_linked][:, None], OUTLIER, LINK).astype(np.uint8)
+    columns = lines(ends[is_linked], is_linked.sum(axis=1), colors=colours)
     log.draw(f"{root}/links", rr.LineStrips2D, columns, radii=rr.Radius.ui_points(1.5))
 
 
