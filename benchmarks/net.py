@@ -11,6 +11,7 @@ from question import Part, main
 
 PARTS = {
     "circle": Part("net.py", ["circle"]),
+    "labels": Part("net.py", ["labels", "--steps", "1000"]),
     "large": Part("net.py", ["large"]),
     "horse": Part("net.py", ["horse"], data="horse-side"),
     "speed": Part("net.py", ["speed"]),

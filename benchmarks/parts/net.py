@@ -2,10 +2,12 @@
 
     python benchmarks/parts/net.py circle [--minutes 15 | --steps N]
     python benchmarks/parts/net.py large [--minutes 15 | --steps N] [--seeds 0 1 2]
+    python benchmarks/parts/net.py labels [--steps N] [--counts 5 10 20 40]
     python benchmarks/parts/net.py speed [--model DIR]
     python benchmarks/parts/net.py horse [--minutes 15 | --steps N] [--seeds 0 1 2] [--random-half]
 
-`circle` goes from labels of the rendered sample to its 3D motion. Tables are in Markdown, as in docs/net.md. `horse`
+`labels` trains on 5, 10, 20 and 40 labelled pictures of the rendered sample, with the same number of steps. `circle`
+goes from labels of the rendered sample to its 3D motion. Tables are in Markdown, as in docs/net.md. `horse`
 needs horse-side in $RECON_SHARED_DATA, or in ../shared/data: it trains on the labelled frames 0-149 of the video, of
 which 110-149 are first for validation, and tests on 150-199. With --random-half it trains on a random half of all
 labels, and compares with interpolation of the labels in time.
@@ -30,8 +32,10 @@ from markdown_table import print_header, print_row
 from net_circle import run_circle
 from net_large import run_large, write_large_film
 
+from recon.api.samples import samples_folder
+from recon.io.formats import read_keypoints
 from recon.io.video import video_writer
-from recon.keypoint_net.labels import LabelSource, evaluate_2d_files, read_label_file
+from recon.keypoint_net.labels import LabelSource, body_length_px, evaluate_2d, evaluate_2d_files, read_label_file
 from recon.keypoint_net.network import (
     PredictSettings,
     Spec,
@@ -52,10 +56,11 @@ FIRST = 50
 
 def main() -> None:
     parser = parser_of(__doc__)
-    parser.add_argument("what", choices=("circle", "large", "speed", "horse"))
+    parser.add_argument("what", choices=("circle", "labels", "large", "speed", "horse"))
     parser.add_argument("--minutes", type=float, default=15.0)
     parser.add_argument("--steps", type=int)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--counts", type=int, nargs="+", default=[5, 10, 20, 40])
     parser.add_argument("--random-half", action="store_true")
     parser.add_argument("--model", type=Path)
     parser.add_argument("--device", default="auto")
@@ -65,7 +70,7 @@ def main() -> None:
     require_torch()
     with tempfile.TemporaryDirectory() as temporary:
         out = args.out or Path(temporary)
-        {"circle": circle, "large": large, "speed": speed, "horse": horse}[args.what](args, out)
+        {"circle": circle, "labels": labels, "large": large, "speed": speed, "horse": horse}[args.what](args, out)
 
 
 def settings(args: argparse.Namespace, seed: int) -> TrainSettings:
@@ -81,6 +86,35 @@ def circle(args: argparse.Namespace, out: Path) -> None:
             seed, found.training["steps"], round(found.training["seconds"]), f"{score['median_px']:.2f}",
             f"{score['pck_px']['5.0']:.2f}", f"{1000 * found.predicted_m:.1f}", f"{1000 * found.noisy_m:.1f}",
             f"{found.ratio:.2f}",
+        ))  # fmt: skip
+
+
+def labels(args: argparse.Namespace, out: Path) -> None:
+    """Train on some labelled pictures of the rendered sample, evenly spaced, and test in its frames without labels."""
+    film, labels = samples_folder() / "rendered.mp4", samples_folder() / "rendered_labels.csv"
+    truth, labelled = read_keypoints(samples_folder() / "rendered_points.csv"), read_label_file(labels)[0]
+    others, length_px = ~np.isin(truth.frames, labelled.frames), body_length_px(truth.xy_px)
+    rows = labels.read_text(encoding="utf-8").splitlines()
+    out.mkdir(parents=True, exist_ok=True)
+    print_header(("labelled pictures", "steps", "s", "median, px", "median, % of body", "PCK@2.5/5/10px"))
+    for count in args.counts:
+        chosen = np.linspace(0, len(rows) - 4, count).round().astype(int)
+        file, network = out / f"labels{count}.csv", out / f"labels{count}"
+        file.write_text("\n".join(rows[:3] + [rows[3 + i] for i in chosen]) + "\n", encoding="utf-8")
+        source = LabelSource(data=film, labels=file)
+        report = run_training(
+            source, settings(args, args.seeds[0]), network, device=args.device, threads=args.threads, overwrite=True
+        )
+        points = run_prediction(
+            film, network, network / "points.csv", device=args.device, threads=args.threads, overwrite=True
+        )
+        score = evaluate_2d(
+            truth.names, points.xy_px[others], points.confidence[others], truth.xy_px[others], length_px
+        )["all"]
+        print_row((
+            count, report["steps"], round(report["seconds"]), f"{score['median_px']:.2f}",
+            f"{100 * score['median_px'] / length_px:.1f}",
+            "/".join(f"{share:.2f}" for share in score["pck_px"].values()),
         ))  # fmt: skip
 
 

@@ -398,6 +398,14 @@ USUAL_MINUTES, USUAL_STEPS, USUAL_PICTURES = 15.0, 1000, 40
 """Time on two cores, number of steps and number of labelled pictures of a useful network (`python benchmarks/net.py
 --only circle`: 1.1 px after 1,000 steps with 40 pictures).
 """
+MEASURED_ERRORS = (
+    (40, "on a made-up film, of an animal 101 px long", "1.1 px"),
+    (40, "on a made-up film, of an animal 440 px long", "0.8 px"),
+    (150, "on a video of a horse, in other light than that of the labels", "3.1 px"),
+)
+"""Numbers of labelled pictures, what they were of, and the median errors in pictures without labels, in order of the
+numbers (the table of docs/net.md, `python benchmarks/net.py --only circle large horse`).
+"""
 USUAL = 0.95
 """Quantile of the distance between two keypoints up to which the distance counts as usual."""
 MOST = 30
@@ -496,7 +504,8 @@ def expectations(run: TrainingRun) -> list[str]:
     sentences = [
         f"{labelled_count} labelled pictures of {len(labels.names)} keypoints; {planned} on {run.device}. "
         f"A useful network takes about {USUAL_MINUTES:g} minutes on two cores (about {USUAL_STEPS} steps; less on a "
-        f"graphics card) and {USUAL_PICTURES} labelled pictures or more."
+        f"graphics card) and {USUAL_PICTURES} labelled pictures or more.",
+        measured_errors(labelled_count),
     ]
     is_short = settings.steps < USUAL_STEPS if settings.steps else settings.minutes < USUAL_MINUTES
     if is_short and run.device.type == "cpu":
@@ -504,6 +513,15 @@ def expectations(run: TrainingRun) -> list[str]:
     if labelled_count < USUAL_PICTURES:
         sentences.append(f"{labelled_count} pictures may be too few: label more for real use.")
     return sentences
+
+
+def measured_errors(labelled_count: int) -> str:
+    """Return a sentence on the accuracy that so many labelled pictures gave, or the fewest that were measured."""
+    fewest = min(count for count, _, _ in MEASURED_ERRORS)
+    count = max((count for count, _, _ in MEASURED_ERRORS if count <= labelled_count), default=fewest)
+    errors = ", and ".join(f"{error} {film}" for number, film, error in MEASURED_ERRORS if number == count)
+    expected = "" if labelled_count >= count else " Expect larger errors of fewer pictures."
+    return f"{count} labelled pictures gave a median error of {errors}.{expected}"
 
 
 def _write_worst(labels: data.Labels, errors: Array, xy_px: Array, indices: Integers, path: Path) -> None:

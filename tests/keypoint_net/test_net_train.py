@@ -25,7 +25,14 @@ from recon.keypoint_net import network as predict_module
 from recon.keypoint_net import train as train_module
 from recon.keypoint_net.labels import LabelSource
 from recon.keypoint_net.network import load_torch, run_prediction
-from recon.keypoint_net.train import TrainSettings, run_training, schedule, training_figure
+from recon.keypoint_net.train import (
+    MEASURED_ERRORS,
+    TrainSettings,
+    measured_errors,
+    run_training,
+    schedule,
+    training_figure,
+)
 
 SIZE, FRAMES = (96, 64), 20
 NAMES = ("nose", "l_paw", "r_paw")
@@ -251,6 +258,34 @@ def test_a_network_that_does_not_fit_judges_no_label_and_the_run_says_so_before(
     assert report["learned_median_px"] > 2 * report["tolerance_px"]
     assert "15 minutes on two cores" in said[0]
     assert any("2 steps may be too few" in sentence for sentence in said)
+    assert any(sentence == measured_errors(0) for sentence in said)
+
+
+@pytest.mark.parametrize(
+    ("count", "sentence"),
+    [
+        (
+            12,
+            "40 labelled pictures gave a median error of 1.1 px on a made-up film, of an animal 101 px long, and 0.8",
+        ),
+        (12, "Expect larger errors of fewer pictures."),
+        (120, "40 labelled pictures gave a median error of 1.1 px on a made-up film"),
+        (200, "150 labelled pictures gave a median error of 3.1 px on a video of a horse"),
+    ],
+)
+def test_training_states_the_accuracy_that_so_many_labels_gave(count: int, sentence: str) -> None:
+    assert sentence in measured_errors(count)
+    assert ("Expect larger errors" in measured_errors(count)) == (count < 40)
+
+
+def test_the_stated_accuracy_is_the_measured_one() -> None:
+    """The rows of benchmarks/results/net.json give the errors, as ranges over seeds or one value."""
+    path = Path(__file__).parents[2] / "benchmarks" / "results" / "net.json"
+    rows = json.loads(path.read_text(encoding="utf-8"))["tables"]["accuracy"]["rows"]
+    measured = [[float(value) for value in row[2].removesuffix(" px").split(" to ")] for row in rows]
+    (horse, film, large) = measured
+    stated = [float(error.removesuffix(" px")) for _, _, error in MEASURED_ERRORS]
+    assert stated == [pytest.approx(film[0], abs=0.05), large[0], pytest.approx(np.mean(horse), abs=0.05)]
 
 
 @pytest.mark.slow
