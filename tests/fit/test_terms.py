@@ -5,6 +5,7 @@ A new term is one line in `terms` of tests/term_cases.py.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -14,6 +15,7 @@ from term_cases import (
     FPS,
     PRIOR,
     T,
+    detections,
     gradient,
     pixels,
     some_states,
@@ -21,6 +23,7 @@ from term_cases import (
     view,
 )
 
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
 from recon.fit.least_squares import LeastSquares
 from recon.fit.terms import (
     MARKER_TERMS,
@@ -37,6 +40,18 @@ from recon.geometry.kinematics import TreePose
 def cost(term, states: np.ndarray) -> float:
     problem = LeastSquares(BODY.tree, [term], []) if isinstance(term, Linear) else LeastSquares(BODY.tree, [], [term])
     return problem.cost(states)
+
+
+def test_every_term_of_a_fit_is_tried_here():
+    states = some_states()
+    options = TrajectoryOptions()
+    clip = ClipProblem.from_views([view(detections(states))], BODY, PRIOR, FPS, options, ground_near_zero=True)
+    clip = replace(clip, known_states=states, prior_weight=0.5)
+    points_m = clip.markers(states)
+    problems = (clip.problem(np.ones((1, T, len(BODY.markers))), temperature) for temperature in (None, 1.0))
+    of_fit = {term.name for problem in problems for term in (*problem.linear, *problem.terms)}
+    of_fit |= {term.name for term in contacts(clip, points_m, 1.0)[2]}
+    assert {"reprojection", "climb", "stance", "known angles"} <= of_fit <= {term.name for term in terms()}
 
 
 @pytest.mark.parametrize("term", terms(), ids=lambda t: t.name)

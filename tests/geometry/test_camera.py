@@ -1,5 +1,6 @@
 import pickle
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -160,8 +161,10 @@ def without_tangential(camera: Camera) -> np.ndarray:
     return distortion
 
 
-def test_every_lens_model_is_tested():
+def test_every_lens_model_is_tested_and_on_the_page_of_formats():
     assert {model for model, _, _ in LENSES.values()} == {*LENS_MODELS}
+    page = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
+    assert all(model in page for model in LENS_MODELS)
 
 
 def test_some_lenses_have_a_limit():
