@@ -33,6 +33,8 @@ ANGLE, PIXEL, SHARE, LENGTH = 5, 2, 3, 7
 
 Further digits mean nothing, and differ between processors.
 """
+SIGMA_DIGITS = 3
+"""Significant digits of standard deviations in the tables of joints and angles, which are known to a few per cent."""
 MIN_METRE, MAX_METRE = 4, 7
 """Fewest and most decimals of positions in metres."""
 
@@ -50,6 +52,14 @@ def _rounded(values: np.ndarray, decimals: int) -> np.ndarray:
     return np.round(values, decimals) + 0.0 if values.dtype.kind == "f" else values
 
 
+def _rounded_sigma(sigma: np.ndarray, decimals: int) -> np.ndarray:
+    """Return standard deviations with three significant digits, and at most so many decimals."""
+    with np.errstate(divide="ignore"):
+        exponent = np.floor(np.log10(sigma))
+    step = 10.0 ** np.clip(SIGMA_DIGITS - 1 - exponent, 0, decimals)
+    return np.round(sigma * step) / step
+
+
 def pose3d(motion: Motion, path: Path) -> None:
     """Write x, y, z of each joint in metres, by keypoint name, in the motion's frame of reference."""
     _write_points(path, motion, ("x", "y", "z"), _rounded(motion.joints_m, metre_decimals(motion)))
@@ -62,7 +72,7 @@ def pose3d_sigma(motion: Motion, path: Path) -> None:
     """
     coords = ("x_sigma", "y_sigma", "z_sigma", "x_rel", "y_rel", "z_rel")
     sigmas_m = np.concatenate((motion.joint_sigma_m, motion.relative_sigma_m), axis=2)
-    _write_points(path, motion, coords, _rounded(sigmas_m, metre_decimals(motion)))
+    _write_points(path, motion, coords, _rounded_sigma(sigmas_m, metre_decimals(motion)))
 
 
 def angles(motion: Motion, path: Path) -> None:
@@ -77,7 +87,7 @@ def angles_sigma(motion: Motion, path: Path) -> None:
     """Write the standard deviation of each angle of angles.csv, then the information fraction of each angle."""
     columns = [f"{name}_{kind}" for kind in ("sigma_rad", "data_share") for name in motion.angle_names]
     solution = motion.solution
-    values = (_rounded(solution.angle_sigma_rad, ANGLE), _rounded(solution.angle_data_share, SHARE))
+    values = (_rounded_sigma(solution.angle_sigma_rad, ANGLE), _rounded(solution.angle_data_share, SHARE))
     write_table(path, [["frame", *columns]], motion.frames, np.hstack(values))
 
 

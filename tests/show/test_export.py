@@ -106,8 +106,18 @@ def test_pose3d_sigma_has_the_layout_of_pose3d(world_trajectory, tmp_path):
     coords = ["x_sigma", "y_sigma", "z_sigma", "x_rel", "y_rel", "z_rel"]
     assert list(table["nose"].columns) == coords
     values = np.concatenate((world_trajectory.joint_sigma_m, world_trajectory.relative_sigma_m), axis=2)
-    np.testing.assert_allclose(table.to_numpy().reshape(8, 24, 6), values, **METRES)
+    np.testing.assert_allclose(table.to_numpy().reshape(8, 24, 6), values, rtol=0.006)
     np.testing.assert_array_equal(table.index, world_trajectory.frames)
+
+
+def test_standard_deviations_have_three_significant_digits(world_trajectory, tmp_path):
+    sigma_m = np.array([1.78724, 0.0466051, 12.3456, 1234.5, 0.000123456, 0.0, np.nan, 0.1])
+    covariance_m2 = np.zeros((8, 24, 3, 3))
+    covariance_m2[:, 0, 0, 0] = sigma_m**2
+    motion = replace(world_trajectory, solution=replace(world_trajectory.solution, covariance_m2=covariance_m2))
+    tables.pose3d_sigma(motion, tmp_path / "pose3d_sigma.csv")
+    column = [line.split(",")[1] for line in (tmp_path / "pose3d_sigma.csv").read_text().splitlines()[2:]]
+    assert column == ["1.79", "0.0466", "12.3", "1234.0", "0.00012", "0.0", "", "0.1"]
 
 
 def test_angles_sigma_has_the_columns_of_the_angles(world_trajectory, tmp_path):
