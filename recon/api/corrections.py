@@ -18,6 +18,7 @@ from recon.api.clip_results import CONFIG, digest, read_config
 from recon.api.epipolar import epipolar_lines_px
 from recon.api.settings import FitSettings
 from recon.base.errors import InputError, Problem
+from recon.base.file_names import encodable
 from recon.base.files import staged_file
 from recon.check.to_correct import to_correct
 from recon.check.verdict import verdict_lines
@@ -172,7 +173,7 @@ class CorrectionSession:
         source = self.motion.sources[cameras.index(row["camera"])]
         if not isinstance(frame, int) or frame + source.later_frames not in self.motion.frames:
             raise fault
-        if keypoint not in self.motion.names or not isinstance(reason, str) or len(reason) > 200:
+        if keypoint not in self.motion.names or not isinstance(reason, str) or not _is_text(reason):
             raise fault
         points = [row.get("was_px"), row.get("now_px")]
         if not all(point is None or _is_point(point) for point in points):
@@ -208,10 +209,15 @@ def _key(correction: Correction) -> tuple[int, str, str]:
     return correction.frame, correction.camera, correction.keypoint
 
 
+def _is_text(reason: str) -> bool:
+    """Return whether a reason is short and can be written to a file: JSON can have half of a pair of surrogates."""
+    return len(reason) <= 200 and encodable(reason) == reason
+
+
 def _is_point(value: object) -> bool:
     if not isinstance(value, list) or len(value) != 2:
         return False
-    return all(isinstance(x, int | float) and math.isfinite(x) and abs(x) < 1e6 for x in value)
+    return all(isinstance(x, int | float) and abs(x) < 1e6 for x in value)
 
 
 def _summary(motion: Motion) -> dict[str, object]:

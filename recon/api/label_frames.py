@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import warnings
 from collections.abc import Mapping, Sequence
@@ -246,7 +245,7 @@ class LabelSession:
         return points_px
 
     def _is_inside(self, point: Sequence[float]) -> bool:
-        return all(math.isfinite(x) and -0.5 <= x <= size - 0.5 for x, size in zip(point, self._size_px, strict=True))
+        return all(-0.5 <= x <= size - 0.5 for x, size in zip(point, self._size_px, strict=True))
 
     def _labels(self) -> LabelledFrames:
         """Return the labels of the frames that have labels."""

@@ -45,6 +45,11 @@ def json_reply(value: object, status: HTTPStatus = HTTPStatus.OK) -> Reply:
     return Reply(json.dumps(value).encode(), status=status)
 
 
+def number_in(rest: str) -> int | None:
+    """Return the number that the rest of an address is, or None; int() itself refuses thousands of digits."""
+    return int(rest) if rest.isdecimal() and len(rest) < 10 else None
+
+
 class LocalServer(ThreadingHTTPServer):
     """Server that answers requests by the first part of their path.
 

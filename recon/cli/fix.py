@@ -17,7 +17,7 @@ from recon.api.clip_results import CONFIG, CORRECTIONS, read_config
 from recon.api.corrections import CorrectionSession
 from recon.api.label_export import CorrectedClip, labels_output, write_labels
 from recon.base.errors import InputError, Problem
-from recon.base.local_server import LocalServer, Reply, json_reply
+from recon.base.local_server import LocalServer, Reply, json_reply, number_in
 from recon.base.locks import sole_editor
 from recon.base.numbers import counted
 from recon.base.outputs import Output, ReadResults, output_file, require_suffix
@@ -175,20 +175,19 @@ def _server(session: CorrectionSession, pictures: Path, has_video: bool) -> Loca
         return Reply(html.encode(), "text/html")
 
     def state(rest: str, _data: object) -> Reply:
-        version = int(rest) if rest.isdecimal() else -1
-        is_new = session.changed(version)
+        version = number_in(rest)
+        is_new = session.changed(-1 if version is None else version)
         return json_reply(session.state() if is_new else None)
 
     def picture(rest: str, _data: object) -> Reply:
-        path = pictures / f"{int(rest)}.jpg" if rest.isdecimal() else None
-        if path is None or not path.is_file():
+        path = pictures / f"{number_in(rest)}.jpg"
+        if not path.is_file():
             return json_reply(None, HTTPStatus.NOT_FOUND)
         return Reply(path.read_bytes(), "image/jpeg")
 
     def lines(rest: str, _data: object) -> Reply:
-        numbers = rest.split("/")
-        is_cell = len(numbers) == 3 and all(number.isdecimal() and len(number) < 9 for number in numbers)
-        return json_reply(session.lines_px(*map(int, numbers)) if is_cell else {})
+        numbers = [number for part in rest.split("/")[:4] if (number := number_in(part)) is not None]
+        return json_reply(session.lines_px(*numbers) if len(numbers) == rest.count("/") + 1 == 3 else {})
 
     return LocalServer(
         {"": page, "state": state, "picture": picture, "lines": lines},

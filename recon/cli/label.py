@@ -14,7 +14,7 @@ from recon.animal.skeleton_file import load_skeleton
 from recon.api.label_frames import LabelSession, frames_by_gain
 from recon.api.settings import FIRST_FRAME
 from recon.base.errors import Problem
-from recon.base.local_server import LocalServer, Reply, json_reply
+from recon.base.local_server import LocalServer, Reply, json_reply, number_in
 from recon.base.locks import sole_editor
 from recon.base.numbers import counted
 from recon.base.settings import Count, Integer, NameOrFile, Option, Settings
@@ -121,7 +121,8 @@ def label_server(session: LabelSession) -> LocalServer:
         return Reply(html.encode(), "text/html")
 
     def picture(rest: str, _data: object) -> Reply:
-        path = session.picture(int(rest)) if rest.isdecimal() and len(rest) < 10 else None
+        number = number_in(rest)
+        path = None if number is None else session.picture(number)
         return json_reply(None, HTTPStatus.NOT_FOUND) if path is None else Reply(path.read_bytes(), "image/png")
 
     return LocalServer({"": page, "picture": picture}, {"labels": saving(session.save, session.output.folder)})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from recon import InputError, Motion
 from recon.api.clip import refit_clip
 from recon.api.corrections import CorrectionSession
 from recon.base.locks import sole_editor
+from recon.cli.fix import _server
 from recon.io.corrections import Correction, read_corrections, write_corrections
 from recon.show.sections.keypoints import counts
 
@@ -93,6 +95,11 @@ def test_an_unchanged_correction_keeps_its_date(session: CorrectionSession, monk
         {"now_px": [1.0]},
         {"now_px": [float("nan"), 1.0]},
         {"now_px": ["1", "2"]},
+        {"now_px": [10**400, 1]},
+        {"frame": 10**30},
+        {"keypoint": []},
+        {"camera": {}},
+        {"reason": "\ud800"},
         {"reason": "x" * 1000},
     ],
 )
@@ -100,6 +107,30 @@ def test_what_is_no_correction_of_the_clip_is_not_saved(session: CorrectionSessi
     with pytest.raises(InputError, match="row 1"):
         session.save([a_row(session.motion, **changes)])
     assert not session.out.exists()
+
+
+@pytest.mark.parametrize("rest", ["9" * 5000, "-1", "1.jpg", "../corrections.csv", "%2e%2e/corrections.csv", "", "²"])
+def test_hostile_addresses_are_answered_without_a_file(session: CorrectionSession, tmp_path: Path, rest: str):
+    (tmp_path / "pictures").mkdir()
+    (tmp_path / "pictures" / "2.jpg").write_bytes(b"jpeg")
+    server = _server(session, tmp_path / "pictures", has_video=True)
+    server.server_close()
+    assert server.pages["picture"]("2", None).content == b"jpeg"
+    assert server.pages["picture"](rest, None).status == 404
+    assert json.loads(server.pages["lines"](f"0/{rest}/1", None).content) == {}
+    session.version = 1
+    assert json.loads(server.pages["state"](rest, None).content)["version"] == 1
+
+
+def test_names_of_files_are_text_on_the_page(session: CorrectionSession, tmp_path: Path):
+    session.folder = tmp_path / "<img src=x onerror=alert(1)>"
+    session.problem = "</script><script>alert(2)</script>"
+    server = _server(session, tmp_path, has_video=False)
+    server.server_close()
+    page = server.pages[""]("", None).content.decode()
+    assert "<img src=x" not in page
+    assert "<script>alert" not in page
+    assert "Correct &lt;img" in page
 
 
 def test_a_file_that_another_program_changed_stays(session: CorrectionSession, monkeypatch: pytest.MonkeyPatch):

@@ -103,7 +103,16 @@ def test_labels_that_somebody_else_made_are_not_replaced(session: LabelSession, 
 
 @pytest.mark.parametrize(
     "row",
-    [[-1, 0, 1.0, 1.0], ["0", 0, 1.0, 1.0], [0, 2, 1.0, 1.0], [0, 0, 64.0, 1.0], [0, 0, float("nan"), 1.0], [0], "x"],
+    [
+        [-1, 0, 1.0, 1.0],
+        ["0", 0, 1.0, 1.0],
+        [0, 2, 1.0, 1.0],
+        [0, 0, 64.0, 1.0],
+        [0, 0, float("nan"), 1.0],
+        [0, 0, 10**400, 1.0],
+        [0],
+        "x",
+    ],
 )
 def test_what_is_no_label_is_not_saved(session: LabelSession, row: object):
     if isinstance(row, list) and row[0] == 0:
