@@ -1,7 +1,8 @@
 """Write the tables of a fit (docs/report.md) and of `recon analyse` (docs/gait.md).
 
 A fit's tables are functions of a motion and a path. An analysis's tables are functions of a `ClipAnalysis`, and return
-the table. `recon.base.files.staged_folder` makes a folder of tables appear whole or not at all.
+the table, which `table_content` rounds. `recon.base.files.staged_folder` makes a folder of tables appear whole or not
+at all.
 """
 
 from __future__ import annotations
@@ -203,6 +204,47 @@ def _write_points(path: Path, motion: Motion, coords: Sequence[str], values: np.
 
 
 # -- tables of an analysis ---------------------------------------------------------------------------------------------
+
+UNITS = {
+    "m_s2": "m/s²",
+    "rad_s2": "rad/s²",
+    "m_s": "m/s",
+    "rad_s": "rad/s",
+    "j_kg": "J/kg",
+    "w_kg": "W/kg",
+    "bw_s": "body weight × s",
+    "n_s": "N s",
+    "bw": "body weight",
+    "deg": "°",
+    "rad": "rad",
+    "hz": "Hz",
+    "m": "m",
+    "s": "s",
+    "n": "N",
+}
+"""Units by the ending of a column's name."""
+_DECIMALS = {
+    "m/s": 4,
+    "m/s²": 3,
+    "rad": ANGLE,
+    "rad/s": 4,
+    "rad/s²": 3,
+    "°": 3,
+    "s": 6,
+    "Hz": 4,
+    "J/kg": 4,
+    "W/kg": 4,
+    "body weight": 4,
+    "body weight × s": 5,
+    "N": 2,
+    "N s": 3,
+}
+"""Decimals by unit in tables of an analysis; lengths have those of a fit's tables (`metre_decimals`).
+
+They are finer than a hundredth of the standard deviations of a clip of several cameras.
+"""
+WITHOUT_UNIT = 5
+"""Decimals of shares, phases, and quantities whose unit is not in the column's name."""
 
 Rows = Iterable[Sequence[Any]]
 Table = tuple[Sequence[str], Rows]
@@ -487,10 +529,36 @@ TABLES: dict[str, Callable[[ClipAnalysis], Table | Columns]] = {
 """Functions of the tables by file name."""
 
 
+def unit_of(column: str) -> str:
+    """Return the unit at the end of a column's name, or an empty text for shares, counts and texts."""
+    for end, unit in UNITS.items():
+        if column == end or column.endswith(f"_{end}"):
+            return unit
+    return ""
+
+
+def table_content(analysis: ClipAnalysis, name: str) -> Table | Columns:
+    """Return a table by its file name, with the decimals of each column's unit."""
+    content, metres = TABLES[name](analysis), metre_decimals(analysis.motion)
+
+    def decimals(column: str) -> int:
+        unit = unit_of(column)
+        return metres if unit == "m" else _DECIMALS.get(unit, WITHOUT_UNIT)
+
+    if isinstance(content, dict):
+        return {column: _rounded(np.asarray(values), decimals(column)) for column, values in content.items()}
+    columns, rows = content
+    digits = [decimals(column) for column in columns]
+    return columns, [
+        [round(cell, n) + 0.0 if isinstance(cell, float) else cell for cell, n in zip(row, digits, strict=True)]
+        for row in rows
+    ]
+
+
 def write_analysis(analysis: ClipAnalysis, folder: Path) -> None:
     """Write every table into an existing folder."""
-    for name, table in TABLES.items():
-        content = table(analysis)
+    for name in TABLES:
+        content = table_content(analysis, name)
         if isinstance(content, dict):
             write_columns(folder / name, content)
         else:

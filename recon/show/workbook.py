@@ -19,28 +19,10 @@ from recon.base.package import version
 from recon.base.tables import guarded
 from recon.gait.clip import ClipAnalysis
 from recon.io.writing import formats_extra
-from recon.show.tables import DICTIONARY, LONG, TABLES
+from recon.show.tables import DICTIONARY, LONG, TABLES, UNITS, table_content, unit_of
 
 KEYS = ("time_s", "frame", "percent", "start_s")
 """Numeric columns that identify a value, in addition to all columns of text."""
-UNITS = {
-    "m_s2": "m/s²",
-    "rad_s2": "rad/s²",
-    "m_s": "m/s",
-    "rad_s": "rad/s",
-    "j_kg": "J/kg",
-    "w_kg": "W/kg",
-    "bw_s": "body weight × s",
-    "n_s": "N s",
-    "bw": "body weight",
-    "deg": "°",
-    "rad": "rad",
-    "hz": "Hz",
-    "m": "m",
-    "s": "s",
-    "n": "N",
-}
-"""Units by the ending of a column's name."""
 _PARTS = (
     (r"_?sigma$", "one standard deviation of {}"),
     (r"_?low$", "lower end of the 90 % interval of {}"),
@@ -53,8 +35,8 @@ MOST_ROWS, MOST_COLUMNS = 1_000_000, 30
 def analysis_tables(analysis: ClipAnalysis) -> dict[str, pd.DataFrame]:
     """Return every table of an analysis by name, with the content of its CSV file."""
     frames = {}
-    for file_name, make in TABLES.items():
-        content = make(analysis)
+    for file_name in TABLES:
+        content = table_content(analysis, file_name)
         if isinstance(content, dict):
             frame = pd.DataFrame(content)
         else:
@@ -62,14 +44,6 @@ def analysis_tables(analysis: ClipAnalysis) -> dict[str, pd.DataFrame]:
             frame = pd.DataFrame([*rows], columns=[*columns])
         frames[file_name.removesuffix(".csv")] = frame
     return frames
-
-
-def unit_of(column: str) -> str:
-    """Return the unit at the end of a column's name, or an empty text for shares, counts and texts."""
-    for end, unit in UNITS.items():
-        if column == end or column.endswith(f"_{end}"):
-            return unit
-    return ""
 
 
 def meaning_of(column: str) -> str:

@@ -63,11 +63,19 @@ def test_velocities_are_central_differences_but_for_their_third_order(whole, tab
     path = tables["reference"][["x_m", "y_m", "z_m"]].to_numpy()
     row = tables["joints"].set_index("joint").loc["spine"]
     assert row["distance_m"] == pytest.approx(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
-    assert row["mean_speed_m_s"] == pytest.approx(row["distance_m"] / (59 / 60))
+    assert row["mean_speed_m_s"] == pytest.approx(row["distance_m"] / (59 / 60), abs=1e-4)
     peak = tables["reference"]["speed_m_s"].idxmax()
     assert row["peak_speed_m_s"] == tables["reference"]["speed_m_s"][peak]
     assert row["peak_speed_sigma_m_s"] == tables["reference"]["speed_sigma_m_s"][peak]
     assert row["peak_speed_time_s"] == pytest.approx(tables["reference"]["time_s"][peak])
+
+
+def test_tables_have_the_decimals_of_their_units(whole, tables):
+    exact = {**TABLES["reference.csv"](whole)}
+    for column, digits in {"speed_m_s": 4, "x_m": 5, "time_s": 6, "ax_m_s2": 3}.items():
+        np.testing.assert_array_equal(tables["reference"][column], np.round(exact[column], digits))
+    flexion = tables["joint_flexion"].filter(like="_deg").to_numpy()
+    np.testing.assert_array_equal(flexion, np.round(flexion, 3))
 
 
 def test_stated_velocity_errors_have_the_size_of_the_true_ones(whole):
@@ -128,8 +136,8 @@ def test_events_are_near_those_of_the_true_joints(whole, tables):
     table = tables["stances"]
     ground = table[(table.begins == "yes") & (table.ends == "yes")]
     assert len(ground) >= 10
-    np.testing.assert_allclose(ground["start_frame"], 60 * ground["start_s"], atol=1e-9)
-    np.testing.assert_allclose(ground["duration_s"], ground["end_s"] - ground["start_s"])
+    np.testing.assert_allclose(ground["start_frame"], 60 * ground["start_s"], atol=4e-5)
+    np.testing.assert_allclose(ground["duration_s"], ground["end_s"] - ground["start_s"], atol=2e-6)
     # A foot that stands goes slowly: less than a quarter of the body's speed at the middle of its stance.
     tracks = whole.gait.tracks
     for row in ground.to_dict("records"):
@@ -140,11 +148,11 @@ def test_events_are_near_those_of_the_true_joints(whole, tables):
 
 def test_strides_and_closures(whole, tables):
     strides = tables["strides"]
-    assert (strides["frequency_hz"] * strides["duration_s"]).to_numpy() == pytest.approx(1.0)
+    assert (strides["frequency_hz"] * strides["duration_s"]).to_numpy() == pytest.approx(1.0, abs=1e-4)
     row = tables["gait"].iloc[0]
     of_method = strides
     assert row["strides"] == len(of_method)
-    assert row["stride_length_m"] == pytest.approx(of_method["length_m"].mean())
+    assert row["stride_length_m"] == pytest.approx(of_method["length_m"].mean(), abs=1e-5)
     assert whole.stride is not None
     closures = tables["closures"].set_index("angle")
     assert {*closures.index} == {*whole.motion.posture_names}
@@ -152,12 +160,12 @@ def test_strides_and_closures(whole, tables):
     inside = (angle.time_s >= whole.stride.start_s - 1e-9) & (angle.time_s <= whole.stride.end_s + 1e-9)
     path = angle.value[inside, 0]
     expected = 100 * (1 - abs(path[-1] - path[0]) / np.ptp(path))
-    assert closures.loc["l_hind_thigh_pitch", "closure_angle_percent"] == pytest.approx(expected)
+    assert closures.loc["l_hind_thigh_pitch", "closure_angle_percent"] == pytest.approx(expected, abs=1e-5)
 
 
 def test_every_closure_has_a_deviation_and_the_share_of_its_angle(whole, tables):
     closures = tables["closures"].set_index("angle")
-    assert dict(closures["data_share"]) == pytest.approx(whole.motion.data_shares)
+    assert dict(closures["data_share"]) == pytest.approx(whole.motion.data_shares, abs=1e-5)
     assert closures["closure_angle_sigma_percent"].between(5, 35).all()
     assert closures["closure_plane_sigma_percent"].between(5, 35).all()
     angles = tables["joint_angles"].set_index("angle")
@@ -211,9 +219,9 @@ def test_vector_field_of_a_knee(whole, tables):
     field = tables["vector_field"]
     rows = field[(field.limb == "left hind leg") & (field.link == "l_back_knee-l_back_ankle")]
     radius, dtheta, dr = (rows[name].to_numpy() for name in ("radius_m", "dtheta_rad_s", "dr_m_s"))
-    np.testing.assert_allclose(rows["speed_m_s"], np.hypot(dr, radius * dtheta), rtol=1e-9)
+    np.testing.assert_allclose(rows["speed_m_s"], np.hypot(dr, radius * dtheta), atol=2e-4)
     means = tables["vector_field_means"].set_index("link")
-    assert means.loc["l_back_knee-l_back_ankle", "speed_m_s"] == pytest.approx(rows["speed_m_s"].mean())
+    assert means.loc["l_back_knee-l_back_ankle", "speed_m_s"] == pytest.approx(rows["speed_m_s"].mean(), abs=1e-4)
     assert means.loc["l_back_knee-l_back_ankle", "frames"] == 60
     # Rigid links in the plane: the speed errs by the radius times what the rate does.
     about = rows["speed_sigma_m_s"] / (radius * rows["dtheta_sigma_rad_s"])
