@@ -47,7 +47,7 @@ from recon.check.verdict import usable
 from recon.fit.motion import Motion
 from recon.fit.motion_forms import MOTION
 from recon.gait.clip import ClipAnalysis, analyse
-from recon.gait.quantities import GaitQuantity, event_sigma_s, path_speed_sigma, shared_sigma
+from recon.gait.quantities import GaitQuantity, event_sigma_s, path_speed_sigma, shared_sigmas
 from recon.show.page.compare_page import compare_page
 from recon.show.page.own_page import COMPARE_PAGE, PAGE
 from recon.show.page.pages import median_error_px
@@ -412,7 +412,7 @@ def _clip_row(analysis: ClipAnalysis, strides: Sequence[dict]) -> dict:
     `_measurement_sigma` also leaves out the scatter of the strides.
     """
     quantities, row = analysis.quantities, dict[str, object]({"strides": len(strides)})
-    row["size_sigma"] = shared_sigma(analysis.motion)
+    row |= shared_sigmas(analysis.motion)
     for name in QUANTITIES:
         quantity = quantities.get(name)
         value, sigma, unshared = (
@@ -453,14 +453,13 @@ def _group_rows(clips: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for group, group_clips in clips.groupby("group"):
         row: dict[str, object] = {"group": group, "clips": len(group_clips), "strides": group_clips["strides"].sum()}
-        size = group_clips["size_sigma"].to_numpy(float)
-        common = float(np.nanmin(size)) if np.isfinite(size).any() else 0.0
         for name, (_, with_size) in QUANTITIES.items():
-            shared = common if with_size else 0.0
+            of_run = f"{name}_shared_sigma"
+            size = group_clips[of_run if of_run in group_clips else "size_sigma"].to_numpy(float) * with_size
+            shared = float(np.nanmin(size)) if np.isfinite(size).any() else 0.0
             means, own_sigmas = (group_clips[f"{name}{field}"].to_numpy(float) for field in ("", "_own_sigma"))
-            excess = (
-                means**2 * np.maximum(size**2 - common**2, 0.0) * with_size
-            )  # additional variance of clips whose size is less certain
+            # Clips whose size is less certain have an additional variance.
+            excess = means**2 * np.maximum(size**2 - shared**2, 0.0)
             values = _mean_of(means, np.sqrt(own_sigmas**2 + excess), shared)
             row |= zip((name, f"{name}_sigma", f"{name}_spread"), values, strict=True)
         rows.append(row)

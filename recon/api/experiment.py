@@ -1,9 +1,10 @@
 """Group the clips of an experiment by camera, run, animal and group, and model the variation between them.
 
-The results of all cameras of a run become one clip. A quantity's mean weighs each camera by 1 / s^2, where s is its
-standard deviation. Errors that the cameras share, such as that of the animal's size, are not averaged away; if the
-cameras disagree by more than their stated errors, their errors are scaled up (Birge 1932). Strides are those of the
-camera that measures the quantity best, shifted to the mean: several cameras see the same strides, and count once.
+The results of all cameras of a run become one clip, by the joint posterior of its quantities: the errors of the
+pictures are independent, those of the lens and of the expected size are shared, and the expectation of the size, which
+is part of every result, counts once. If the cameras disagree by more than their stated errors, the independent errors
+are scaled up (Birge 1932). Strides are those of the camera that measures the quantity best, shifted to the mean:
+several cameras see the same strides, and count once.
 
 Each quantity then has a mixed model (`recon.gait.mixed_model`) with groups and covariates as fixed effects. The
 measurement's standard deviation of a run is the one that the fits state, without the scatter of the strides.
@@ -169,8 +170,9 @@ def runs_of_clips(clips: pd.DataFrame, quantities: Mapping[str, bool]) -> pd.Dat
     Parameters
     ----------
     clips : DataFrame
-        The columns clip, camera, run, animal, group, verdict, strides and size_sigma; of each quantity the value,
-        `_sigma`, `_own_sigma`, `_measurement_sigma` and `_source`. Other columns are taken from the first camera.
+        The columns clip, camera, run, animal, group, verdict, strides, size_sigma, and if known size_prior_sigma and
+        focal_sigma (`recon.gait.quantities.shared_sigmas`); of each quantity the value, `_sigma`, `_own_sigma`,
+        `_measurement_sigma` and `_source`. Other columns are taken from the first camera.
     quantities : mapping
         Whether each quantity is proportional to the animal's size.
 
@@ -178,13 +180,16 @@ def runs_of_clips(clips: pd.DataFrame, quantities: Mapping[str, bool]) -> pd.Dat
     -------
     DataFrame
         The same columns. `clip` is the name of the run, `clips` the number of its results, `first_clip` the result that
-        measures the speed best; `NAME_strides_of` names the clip whose strides stand for the run.
+        measures the speed best; `NAME_strides_of` names the clip whose strides stand for the run, and
+        `NAME_shared_sigma` is the relative standard deviation of the errors that other clips share.
     """
     used, rows = {*clips["clip"]}, []
     for (animal, run), of_run in clips.groupby(["animal", "run"], sort=False):
         if len(of_run) == 1:
             row = of_run.iloc[0].to_dict() | {"clips": 1, "first_clip": of_run["clip"].iloc[0]}
-            rows.append(row | {f"{name}_strides_of": row["clip"] for name in quantities})
+            row |= {f"{name}_strides_of": row["clip"] for name in quantities}
+            shared = {f"{name}_shared_sigma": row["size_sigma"] * scales for name, scales in quantities.items()}
+            rows.append(row | shared)
             continue
         names = chain((f"{animal} {run}",), (f"{animal} {run} ({number})" for number in counting(2)))
         name = next(name for name in names if name not in used)
@@ -206,42 +211,75 @@ def _joined(name: str, clips: pd.DataFrame, with_size: bool) -> dict[str, object
     known = clips[np.isfinite(clips[name]) & np.isfinite(clips[f"{name}_measurement_sigma"])]
     if known.empty:
         unknown: dict[str, object] = {f"{name}_source": "", f"{name}_strides_of": ""}
-        fields = ("", "_sigma", "_own_sigma", "_measurement_sigma")
+        fields = ("", "_sigma", "_own_sigma", "_measurement_sigma", "_shared_sigma")
         return unknown | {f"{name}{field}": np.nan for field in fields}
     values, sigmas = known[name].to_numpy(float), known[f"{name}_measurement_sigma"].to_numpy(float)
-    common = known["size_sigma"].to_numpy(float) * with_size
-    mean, sigma, shared = joined_value(values, sigmas, common)
+    mean, sigma, shared = joint_posterior(values, sigmas, *_shared_errors(known, with_size))
     best = known.iloc[int(np.argmin(sigmas))]
     scatter = np.sqrt(max(float(best[f"{name}_own_sigma"]) ** 2 - float(best[f"{name}_measurement_sigma"]) ** 2, 0.0))
     own_sigma = float(np.hypot(sigma, scatter))
     row: dict[str, object] = {name: mean, f"{name}_sigma": float(np.hypot(own_sigma, shared * mean))}
-    row |= {f"{name}_own_sigma": own_sigma, f"{name}_measurement_sigma": sigma}
+    row |= {f"{name}_own_sigma": own_sigma, f"{name}_measurement_sigma": sigma, f"{name}_shared_sigma": shared}
     return row | {f"{name}_source": best[f"{name}_source"], f"{name}_strides_of": best["clip"]}
 
 
-def joined_value(values: Array, sigmas: Array, common: Array) -> tuple[float, float, float]:
-    """Return the mean of C cameras, its standard deviation, and the relative standard deviation of the shared error.
+def _shared_errors(clips: pd.DataFrame, with_size: bool) -> tuple[Array, Array, Array]:
+    """Return the relative standard deviations (C,) of the size, of its expectation, and of the lens's effect."""
+    total = clips["size_sigma"].to_numpy(float) * with_size
+    zeros = np.zeros(len(clips))
+    focal = clips["focal_sigma"].to_numpy(float) * with_size if "focal_sigma" in clips else zeros
+    size = np.sqrt(np.maximum(total**2 - focal**2, 0.0))
+    prior = clips["size_prior_sigma"].to_numpy(float) if "size_prior_sigma" in clips else size
+    return size, np.fmax(prior, size), focal
+
+
+def joint_posterior(
+    values: Array, sigmas: Array, size_sigmas: Array, prior_sigmas: Array, focal_sigmas: Array
+) -> tuple[float, float, float]:
+    """Return a quantity of a run from C cameras, its standard deviation, and the relative one of its shared errors.
 
     Parameters
     ----------
     values, sigmas : ndarray
-        Value of each camera and its standard deviation without the shared error, shape (C,).
-    common : ndarray
-        Relative standard deviation of the shared error, shape (C,).
+        Value of each camera, and its standard deviation without the errors of size and lens, shape (C,).
+    size_sigmas, prior_sigmas : ndarray
+        Relative standard deviation of the animal's size in each result and before it, shape (C,); 0 if the size does
+        not matter.
+    focal_sigmas : ndarray
+        Relative standard deviation from the focal length, shape (C,). The cameras may have the same lens, so that this
+        error counts as shared.
+
+    Returns
+    -------
+    tuple of float
+        The most likely value, its standard deviation without shared errors, and the relative standard deviation of
+        the errors that other clips share.
+
+    Notes
+    -----
+    A size with the standard deviation s, p before the pictures were seen, has the error -(s^2 / p^2) d from the
+    deviation d of the animal from the expected size, which all cameras share, and an independent error of the variance
+    s^2 (1 - s^2 / p^2) from the pictures. With the covariance of all errors, the generalised mean is the mode of the
+    joint posterior in which the expectation of the size counts once.
 
     References
     ----------
     R. T. Birge, The calculation of errors by the method of least squares, Phys. Rev. 40, 1932: the standard deviation
     grows by the square root of chi^2 / (C - 1) if this is above 1.
     """
-    sigmas = np.maximum(sigmas, _LEAST_SIGMA)
-    weights = 1 / (sigmas**2 + (common * values) ** 2)
-    weights /= weights.sum()
+    of_prior = np.divide(size_sigmas**2, prior_sigmas, out=np.zeros(len(values)), where=prior_sigmas > 0)
+    of_pictures = np.maximum(size_sigmas**2 - of_prior**2, 0.0)
+    independent = np.maximum(sigmas, _LEAST_SIGMA) ** 2
+    usual = float(np.average(values, weights=1 / independent))
+    independent = independent + of_pictures * usual**2
+    shared = np.stack([of_prior, focal_sigmas]) * abs(usual)
+    precision = np.linalg.inv(np.diag(independent) + shared.T @ shared)
+    weights = precision.sum(axis=0) / precision.sum()
     mean = float(weights @ values)
-    chi_squared = float(np.sum(((values - mean) / sigmas) ** 2))
+    chi_squared = float((values - mean) @ precision @ (values - mean))
     scale = max(1.0, chi_squared / max(len(values) - 1, 1))
-    sigma = float(np.sqrt(scale * np.sum((weights * sigmas) ** 2)))
-    return mean, sigma, float(weights @ common)
+    sigma = float(np.sqrt(scale * np.sum(weights**2 * independent)))
+    return mean, sigma, float(np.linalg.norm(shared @ weights)) / max(abs(usual), _LEAST_SIGMA)
 
 
 # -- the mixed model ----------------------------------------------------------------------------------------------
@@ -321,7 +359,7 @@ def fit_experiment(
         The models, and notes on those that were not possible.
     """
     models, notes = [], []
-    for name, with_size in quantities.items():
+    for name in quantities:
         used = [covariate for covariate in covariates if covariate != name]
         is_known = np.isfinite(runs[[name, f"{name}_measurement_sigma", *used]].to_numpy(float)).all(axis=1)
         known = runs.iloc[np.flatnonzero(is_known)]
@@ -334,7 +372,7 @@ def fit_experiment(
             enough = f"{counted(animals, 'animal')} for {needed}; at least one more is needed"
             notes.append(f"No mixed model of {_title(name)}: {enough}.")
             continue
-        model = _fit(name, known, strides, groups, used, with_size)
+        model = _fit(name, known, strides, groups, used)
         if model is None:
             notes.append(f"No mixed model of {_title(name)}: {names_text(used)} cannot be told from the groups.")
         else:
@@ -363,10 +401,9 @@ def _fit(
     strides: pd.DataFrame,
     groups: tuple[str, ...],
     covariates: list[str],
-    with_size: bool,
 ) -> QuantityModel | None:
     """Return the model of a quantity; None if the design matrix does not have full rank."""
-    size = runs["size_sigma"].to_numpy(float) * with_size
+    size = runs[f"{name}_shared_sigma"].to_numpy(float)
     shared = float(size.min())
     unshared = (size**2 - shared**2) * runs[name].to_numpy(float) ** 2
     run_sigmas = np.sqrt(runs[f"{name}_measurement_sigma"].to_numpy(float) ** 2 + unshared)

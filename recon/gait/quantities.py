@@ -110,6 +110,16 @@ def shared_sigma(motion: Motion) -> float:
     return float(np.hypot(_size_sigma(motion), _focal_sigma(motion)))
 
 
+def shared_sigmas(motion: Motion) -> dict[str, float]:
+    """Return the parts of `shared_sigma`, and the size's before the fit: all relative standard deviations."""
+    size_sigma, prior_sigma = _size_sigma(motion), getattr(motion.solution, "size_prior_sigma", None) or 0.0
+    return {
+        "size_sigma": shared_sigma(motion),
+        "size_prior_sigma": max(prior_sigma / motion.solution.size, size_sigma) if size_sigma else 0.0,
+        "focal_sigma": _focal_sigma(motion),
+    }
+
+
 def _size_sigma(motion: Motion) -> float:
     """Return the relative standard deviation of the size, which scales all lengths; 0 with several cameras."""
     solution = motion.solution

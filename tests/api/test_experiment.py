@@ -18,7 +18,7 @@ from recon.api.experiment import (
     Experiment,
     design_of_names,
     design_of_table,
-    joined_value,
+    joint_posterior,
     model_experiment,
 )
 from recon.api.experiment_plan import plan_experiment, read_plan
@@ -100,16 +100,38 @@ def test_a_wrong_design_is_refused(tmp_path: Path):
 # -- the cameras of a run -----------------------------------------------------------------------------------------
 
 
+def joined(values, sigmas, size=0.0, prior=0.0, focal=0.0) -> tuple[float, float, float]:
+    """Return the joint posterior of two cameras."""
+    shared = (np.broadcast_to(np.asarray(sigma, dtype=float), 2) for sigma in (size, prior, focal))
+    return joint_posterior(np.array(values), np.array(sigmas), *shared)
+
+
 def test_cameras_of_a_run_weigh_by_their_uncertainty_and_share_the_size():
-    mean, sigma, shared = joined_value(np.array([4.0, 4.1]), np.array([0.1, 0.2]), np.zeros(2))
-    assert (mean, sigma, shared) == pytest.approx((4.02, 1 / np.sqrt(125), 0.0))
-    _, sigma, shared = joined_value(np.array([4.0, 4.0]), np.array([0.1, 0.1]), np.array([0.1, 0.1]))
-    assert (sigma, shared) == pytest.approx((0.1 / np.sqrt(2), 0.1))  # not averaged away
-    _, apart, _ = joined_value(np.array([3.5, 4.5]), np.array([0.1, 0.1]), np.zeros(2))
-    assert apart == pytest.approx(0.5)  # cameras that disagree know what their difference says
-    rng = np.random.default_rng(0)
-    means = [joined_value(rng.normal(4, [0.1, 0.3]), np.array([0.1, 0.3]), np.zeros(2))[:2] for _ in range(400)]
-    assert np.mean([abs(mean - 4) < 1.645 * sigma for mean, sigma in means]) > 0.88
+    assert joined([4.0, 4.1], [0.1, 0.2]) == pytest.approx((4.02, 1 / np.sqrt(125), 0.0))
+    # An expected size and a focal length are not averaged away; the size that the pictures show is.
+    assert joined([4.0, 4.0], [0.1, 0.1], size=0.1, prior=0.1)[1:] == pytest.approx((0.1 / np.sqrt(2), 0.1))
+    assert joined([4.0, 4.0], [0.1, 0.1], focal=0.02)[1:] == pytest.approx((0.1 / np.sqrt(2), 0.02))
+    _, sigma, shared = joined([4.0, 4.0], [0.1, 0.1], size=0.05, prior=0.1)
+    assert shared == pytest.approx(0.025)
+    assert sigma == pytest.approx(np.sqrt((0.1**2 + (4 * 0.05) ** 2 * 0.75) / 2))
+    # A camera that the lens's error does not reach weighs more.
+    assert joined([4.0, 4.4], [0.1, 0.1], focal=[0.0, 0.1])[0] < 4.1
+    # Cameras that disagree know what their difference says.
+    assert joined([3.5, 4.5], [0.1, 0.1])[1] == pytest.approx(0.5)
+
+
+def test_joint_posteriors_of_simulated_cameras_hold_the_truth():
+    rng, prior, pictures = np.random.default_rng(0), 0.1, np.array([0.08, 0.15])
+    size = (prior**-2 + pictures**-2) ** -0.5
+    errors = []
+    for _ in range(400):
+        animal = prior * rng.normal()  # relative to the expected size
+        measured = animal + pictures * rng.normal(size=2)
+        estimated = measured * (size / pictures) ** 2
+        values = 4 * (1 + estimated - animal) + rng.normal(0, [0.1, 0.3])
+        mean, sigma, shared = joined(values, [0.1, 0.3], size, prior)
+        errors.append((mean - 4) / np.hypot(sigma, shared * mean))
+    assert 0.86 < np.mean(np.abs(errors) < 1.645) < 0.96
 
 
 def test_the_cameras_of_a_run_count_once(experiment: Experiment, tables: tuple[pd.DataFrame, pd.DataFrame]):
