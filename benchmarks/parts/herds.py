@@ -4,21 +4,28 @@
 
 There are two groups of animals, two runs of each, and six strides per run; known standard deviations of animals, runs,
 strides and measurement; and a lens error that all clips share. Components: the mean over herds, relative to the truth.
-Intervals: how often 90 % intervals contain the effect. Power: planned, and how often the effect is found in as many
-herds.
+Intervals: how often 90 % intervals contain the effect and the mean of the first group. Power: the effect is the one
+that a plan finds in 80 % of such herds, and `reached` is how often it was found.
+
+The designs are balanced, so the interval of the effect is exact without the lens error: its coverage differs from 90 %
+by the chance of the drawn herds only, which is 1 % (one standard deviation) for 1000 herds.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from arguments import parser_of
 from markdown_table import print_table
 from scipy.stats import t
 
-from recon.gait.mixed_model import MixedModel, Variances, fit_mixed_model, power
+from recon.gait.mixed_model import MixedModel, Variances, fit_mixed_model, smallest_effect
 
 TRUE = Variances(animal=0.30, run=0.20, stride=0.25, measurement=0.15)
 RUNS, STRIDES, SHARED = 2, 6, 0.05
+MEAN, POWER = 4.0, 0.8
+LEVELS_SHOWN = "animal", "run", "stride"
 
 
 def herd(rng: np.random.Generator, animals: int, effect: float) -> MixedModel:
@@ -27,7 +34,7 @@ def herd(rng: np.random.Generator, animals: int, effect: float) -> MixedModel:
     values, groups, names, runs = [], [], [], []
     for k in range(animals):
         group = k % 2
-        animal = 4.0 + effect * group + rng.normal(0, TRUE.animal)
+        animal = MEAN + effect * group + rng.normal(0, TRUE.animal)
         for j in range(RUNS):
             run = animal + rng.normal(0, TRUE.run) + rng.normal(0, TRUE.measurement)
             values += [*(lens * (run + rng.normal(0, TRUE.stride, STRIDES)))]
@@ -42,30 +49,31 @@ def herd(rng: np.random.Generator, animals: int, effect: float) -> MixedModel:
 def rows(herds: int) -> list[dict]:
     table = []
     for animals in (10, 20, 40, 60):
-        rng, effect = np.random.default_rng(animals), 0.5
+        effect = smallest_effect(TRUE, animals // 2, RUNS, STRIDES, wanted=POWER)
+        rng = np.random.default_rng(animals)
         models = [herd(rng, animals, effect) for _ in range(herds)]
-        squares = {level: np.mean([getattr(m.variances, level) ** 2 for m in models]) for level in LEVELS_SHOWN}
-        intervals = [m.contrast(np.array([0.0, 1.0]), SHARED) for m in models]
-        held = np.mean([low <= effect <= high for *_, low, high in intervals])
-        freedom = animals - 2
-        reached = np.mean([abs(m.effects[1]) / m.covariance[1, 1] ** 0.5 > t.ppf(0.975, freedom) for m in models])
-        row = {"animals": animals, "herds": herds}
-        row |= {
-            f"{level}, variance / true": f"{square / getattr(TRUE, level) ** 2:.2f}"
-            for level, square in squares.items()
-        }
-        row |= {"effect in 90 % interval": f"{held:.0%}"}
-        row |= {"power planned": f"{power(effect, TRUE, animals // 2, RUNS, STRIDES):.0%}", "reached": f"{reached:.0%}"}
+        limit = t.ppf(0.975, animals - 2)
+        reached = np.mean([abs(model.effects[1]) / model.covariance[1, 1] ** 0.5 > limit for model in models])
+        row: dict[str, object] = {"animals": animals, "herds": herds}
+        for level in LEVELS_SHOWN:
+            square = np.mean([getattr(model.variances, level) ** 2 for model in models])
+            row[f"{level}, variance / true"] = f"{square / getattr(TRUE, level) ** 2:.2f}"
+        row["effect in 90 % interval"] = f"{coverage(models, [0, 1], effect):.0%}"
+        row["mean in 90 % interval"] = f"{coverage(models, [1, 0], MEAN):.0%}"
+        row |= {"effect": f"{effect:.2f}", "power planned": f"{POWER:.0%}", "reached": f"{reached:.0%}"}
         table.append(row)
     return table
 
 
-LEVELS_SHOWN = "animal", "run", "stride"
+def coverage(models: Sequence[MixedModel], weights: Sequence[float], truth: float) -> float:
+    """Return the fraction of the models whose 90 % interval of a sum of effects contains the truth."""
+    intervals = [model.contrast(weights, SHARED) for model in models]
+    return float(np.mean([low <= truth <= high for *_, low, high in intervals]))
 
 
 def main() -> None:
     arguments = parser_of(__doc__, "--quick").parse_args()
-    table = rows(40 if arguments.quick else 300)
+    table = rows(40 if arguments.quick else 1000)
     print("### Made-up herds\n")
     print_table(list(table[0]), [row.values() for row in table])
 

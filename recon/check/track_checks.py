@@ -8,13 +8,14 @@ reversed.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import gamma
 
 import numpy as np
 
 from recon.animal.body import opposites, side_of
 from recon.base.arrays import Array, Bools, Index
 from recon.check.audited import AuditedPoints, Measure
-from recon.check.inputs import FEWEST, SHARE_LONG, repeats_of, step_ratios, steps_are_missing
+from recon.check.inputs import FEWEST, repeats_of
 from recon.clip import frame_ranges
 
 DIGITS = 1e-9
@@ -32,9 +33,9 @@ BENT = 5.0
 """Usual bend of a track, in units of rounding, above which it is tested for straight parts."""
 STRAIGHT = 0.02
 """Largest deviation from a line, relative to the track's usual deviation."""
-MOVING, STANCE = 0.01, 1.0
-"""Distances, relative to the animal's size, that the other points can move at most while a point, or a foot, stays
-still.
+MOVING, STANCE, COARSE = 0.0005, 1.0, 1e-4
+"""Distances, relative to the animal's size, that the other points can move at most while a point, or a foot whose
+coordinates have a coarser resolution than `COARSE`, stays still. With finer coordinates a standing foot moves, too.
 """
 JUMP, JUMP_SPREADS = 0.2, 10.0
 """Smallest jump of a point: relative to the animal's size, and as a number of its usual deviations."""
@@ -50,6 +51,16 @@ LEAST_PAIRS = 2
 """Smallest number of point pairs that show a swap together."""
 PX_OF_EXTENT = 1000.0
 """Size in pixels to which 3D points are scaled for limits in pixels."""
+STEP_PX, ONWARDS, LEAST_CHANGES = 2.0, 0.5, 8
+"""Length of a step, in pixels, that shows a speed, smallest cosine between two such steps, and smallest number of
+changes of the speed.
+"""
+CHANGE_SIGMAS = np.array([0.03, 0.05, 0.08, 0.12, 0.18, 0.25, 0.35, 0.5])
+"""Scales of the change of the logarithm of the speed from frame to frame that are tried."""
+FREEDOM, OUTLIERS, OUTLIER_RANGE = 3, np.array([0.02, 0.1, 0.25]), 5.0
+"""Degrees of freedom of these changes, shares of outliers that are tried, and the outliers' range."""
+MISSING, MOST_INTERVALS = np.array([0.1, 0.2, 0.3, 0.4]), 3
+"""Shares of missing frames that are tried, and most intervals of a step."""
 NORMALISED = 1.5
 """Largest coordinate of keypoints given as fractions of the picture."""
 
@@ -120,8 +131,9 @@ def _frozen_points(points: AuditedPoints) -> Iterator[Measure]:
             moved = np.linalg.norm(values[stop - 1] - values[first - 1], axis=1)
             moved_others = np.delete(moved, k)
             typical = float(np.nanmedian(moved_others)) if np.isfinite(moved_others).any() else 0.0
-            # A foot stands still until the body has passed over it.
-            least = max(APART * points.resolution, (STANCE if points.stands[k] else MOVING) * points.extent)
+            # In coarse coordinates, a foot stands still until the body has passed over it.
+            share = STANCE if points.stands[k] and points.resolution > COARSE * points.extent else MOVING
+            least = max(APART * points.resolution, share * points.extent)
             if typical > least and stop - first > worst[0]:
                 worst, point = (stop - first, first - 1, stop), k
     if point >= 0:
@@ -226,12 +238,90 @@ def _path(positions: Array) -> Array:
 
 
 def _missing_frames(points: AuditedPoints) -> Iterator[Measure]:
-    """Yield the fraction of steps twice as long as those around them, relative to the limit for real tracks."""
+    """Yield the log Bayes factor of missing frames over none, from the changes of the points' speed."""
     scale = PX_OF_EXTENT / points.extent if points.in_space else 1.0
-    ratios = step_ratios(points.positions * scale)
-    if ratios is not None and steps_are_missing(ratios):
-        share = float((ratios > 1.45).mean())
-        yield Measure("frames_dropped", share / SHARE_LONG, None, {"share": share})
+    changes = _speed_changes(points.positions * scale, points.follows)
+    if np.isfinite(changes).sum() >= LEAST_CHANGES:
+        gain, share = missing_gain(changes)
+        yield Measure("frames_dropped", gain, None, {"share": share})
+
+
+def _speed_changes(tracks: Array, follows: Bools) -> Array:
+    """Return the logarithm of each step's length relative to the step before, the median over the points (T - 2,).
+
+    Parameters
+    ----------
+    tracks : ndarray
+        Points (T, K, 2 or 3), in pixels.
+    follows : ndarray
+        Mask of the frames (T,) that follow the frame before.
+
+    Returns
+    -------
+    ndarray
+        NaN where fewer than `FEWEST` points move on in about the same direction.
+    """
+    steps = np.where(follows[1:, None, None], np.diff(tracks, axis=0), np.nan)
+    lengths = np.maximum(np.linalg.norm(steps, axis=2), 1e-9)
+    earlier, later = lengths[:-1], lengths[1:]
+    cosine = np.sum(steps[1:] * steps[:-1], axis=2) / (earlier * later)
+    is_moving = (np.maximum(earlier, later) > 2 * STEP_PX) & (np.minimum(earlier, later) > 0.5 * STEP_PX)
+    changes = np.where(is_moving & (cosine > ONWARDS), np.log(later / earlier), np.nan)
+    is_enough = np.isfinite(changes).sum(axis=1) >= FEWEST
+    medians = np.full(len(changes), np.nan)
+    medians[is_enough] = np.nanmedian(changes[is_enough], axis=1)
+    return medians
+
+
+def missing_gain(changes: Array) -> tuple[float, float]:
+    """Return the logarithm of the Bayes factor of missing frames over none, and the expected share of longer steps.
+
+    Parameters
+    ----------
+    changes : ndarray
+        Logarithm of each step's length relative to the step before, NaN = unknown.
+
+    Notes
+    -----
+    If no frames are missing, the speed changes by errors of Student's t with `FREEDOM` degrees of freedom, and by
+    outliers. If each frame is missing with probability p, a step takes n = 1, 2, 3 intervals with a probability
+    proportional to p^(n - 1), and a change also has the logarithm of n over the n before. The sum over all n is that
+    of a hidden Markov chain (forward algorithm; Rabiner 1989). Both likelihoods are means over the errors' scale, the
+    share of outliers, and p, each of whose values is as likely as the others.
+    """
+    known = changes[np.isfinite(changes)]
+    sigma, outliers = np.meshgrid(CHANGE_SIGMAS, OUTLIERS)
+    of_none = _change_density(known[:, None, None], sigma, outliers)
+    without = np.log(of_none).sum(axis=0)
+
+    sigma, outliers, missing = (grid.ravel() for grid in np.meshgrid(CHANGE_SIGMAS, OUTLIERS, MISSING))
+    intervals = np.arange(1, MOST_INTERVALS + 1)
+    prior = missing[:, None] ** (intervals - 1)
+    prior = prior / prior.sum(axis=1, keepdims=True)
+    shift = np.log(intervals[:, None] / intervals)
+    spread = sigma[:, None, None] * np.sqrt(0.5 * (intervals[:, None] + intervals))
+    state, log_likelihood = prior, np.zeros(len(sigma))
+    for change in changes:
+        if np.isfinite(change):
+            density = _change_density(change - shift, spread, outliers[:, None, None])
+            state = prior * np.einsum("gij,gj->gi", density, state)
+        else:
+            state = prior * state.sum(axis=1, keepdims=True)
+        total = state.sum(axis=1)
+        log_likelihood += np.log(total)
+        state = state / total[:, None]
+    gain = np.logaddexp.reduce(log_likelihood) - np.log(log_likelihood.size)
+    gain -= np.logaddexp.reduce(without, axis=None) - np.log(without.size)
+    weights = np.exp(log_likelihood - log_likelihood.max())
+    return float(gain), float(np.average(1 - prior[:, 0], weights=weights))
+
+
+def _change_density(change: Array, sigma: Array, outliers: Array) -> Array:
+    """Return the density of changes of the logarithm of the speed."""
+    z_squared = (change / sigma) ** 2
+    scale = gamma((FREEDOM + 1) / 2) / (gamma(FREEDOM / 2) * np.sqrt(FREEDOM * np.pi))
+    density = scale / sigma * (1 + z_squared / FREEDOM) ** (-(FREEDOM + 1) / 2)
+    return np.asarray((1 - outliers) * density + outliers / OUTLIER_RANGE, dtype=float)
 
 
 # -- left and right ---------------------------------------------------------------------------------------------------

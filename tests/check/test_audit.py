@@ -18,7 +18,7 @@ from recon.api.audit import Audit, audit_file
 from recon.check.audit import LIMITS, audit, measures_of
 from recon.check.audited import AuditedPoints, resolution_of, roles_of
 from recon.check.codes import sentence
-from recon.check.track_checks import jumps_of
+from recon.check.track_checks import jumps_of, missing_gain
 from recon.io.calibration import read_camera
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"
@@ -169,6 +169,34 @@ def test_a_fault_of_3d_poses_is_named(code: str, poses: AuditedPoints):
 def test_every_frame_twice_and_missing_frames_are_named(keypoints: AuditedPoints):
     twice = np.repeat(keypoints.positions, 2, axis=0)
     assert list(codes(keypoints, positions=twice, frames=np.arange(len(twice)))) == ["detections_repeated"]
+    rows = np.flatnonzero(np.random.default_rng(0).random(len(keypoints.frames)) > 0.3)
+    kept = replace(keypoints, positions=keypoints.positions[rows], frames=np.arange(len(rows)))
+    (finding,) = audit(kept)
+    assert finding.code == "frames_dropped"
+    assert 0.1 < finding.numbers["share"] < 0.4
+    assert codes(replace(kept, frames=rows)) == {}  # the file says which frames are missing
+
+
+def test_steps_over_missing_frames_are_likelier_than_a_change_of_speed():
+    rng = np.random.default_rng(1)
+    intervals = rng.choice([1, 2, 3], 60, p=[0.7, 0.22, 0.08])
+    errors = rng.normal(0, 0.05, 59)
+    gain, share = missing_gain(np.diff(np.log(intervals)) + errors)
+    assert gain > 40
+    assert share == pytest.approx((intervals > 1).mean(), abs=0.1)
+    assert missing_gain(errors)[0] < 0
+    gait = 0.5 * np.sin(np.arange(60))  # a speed that changes smoothly, by 2.7 in three frames
+    assert missing_gain(np.diff(gait) + errors)[0] < 0
+
+
+def test_a_standing_foot_stays_still_only_in_coarse_coordinates(poses: AuditedPoints):
+    foot = poses.names.index("l_back_paw")
+    values = poses.positions.copy()
+    values[20:27, foot] = values[20, foot]
+    assert codes(poses, positions=values) == {"point_frozen": (20, 27)}
+    cells = poses.extent / 500
+    coarse = np.round(values / cells) * cells
+    assert "point_frozen" not in codes(poses, positions=coarse, resolution=cells)
 
 
 def test_a_leap_is_no_fault_and_shows_a_wrong_frame_rate(poses: AuditedPoints):
