@@ -25,7 +25,7 @@ from recon.io.positions import read_pose3d
 from recon.show.plots import style
 from recon.show.report import build_report
 from recon.show.sentences import result_sentences
-from recon.show.tables import TABLES, angle_rates, joints, write_analysis
+from recon.show.tables import TABLES, angle_rates, joints, reference, write_analysis
 
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"
 
@@ -71,7 +71,7 @@ def test_velocities_are_central_differences_but_for_their_third_order(whole, tab
 
 
 def test_tables_have_the_decimals_of_their_units(whole, tables):
-    exact = {**TABLES["reference.csv"](whole)}
+    exact = reference(whole)
     for column, digits in {"speed_m_s": 4, "x_m": 5, "time_s": 6, "ax_m_s2": 3}.items():
         np.testing.assert_array_equal(tables["reference"][column], np.round(exact[column], digits))
     flexion = tables["joint_flexion"].filter(like="_deg").to_numpy()

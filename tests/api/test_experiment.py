@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from command_line import refusal, refused, run, says
 from made_up_herd import CLIPS, DESIGN, clip_row, make_herd, stride_rows, use_made_up_numbers
+from numpy.typing import ArrayLike
 from shortcuts import leave_out_drawing
 
 from recon.api.batch_inputs import _drafts_of_manifest
@@ -100,10 +101,12 @@ def test_a_wrong_design_is_refused(tmp_path: Path):
 # -- the cameras of a run -----------------------------------------------------------------------------------------
 
 
-def joined(values, sigmas, size=0.0, prior=0.0, focal=0.0) -> tuple[float, float, float]:
+def joined(
+    values: ArrayLike, sigmas: ArrayLike, size: ArrayLike = 0.0, prior: ArrayLike = 0.0, focal: ArrayLike = 0.0
+) -> tuple[float, float, float]:
     """Return the joint posterior of two cameras."""
-    shared = (np.broadcast_to(np.asarray(sigma, dtype=float), 2) for sigma in (size, prior, focal))
-    return joint_posterior(np.array(values), np.array(sigmas), *shared)
+    arrays = (np.broadcast_to(np.asarray(value, dtype=float), 2) for value in (values, sigmas, size, prior, focal))
+    return joint_posterior(*arrays)
 
 
 def test_cameras_of_a_run_weigh_by_their_uncertainty_and_share_the_size():
