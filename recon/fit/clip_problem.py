@@ -295,47 +295,70 @@ class ClipProblem:
         (V,) is the expected shift of refined cameras. Standard deviations are those of lasting errors, which more
         frames do not reduce.
         """
-        options, V, root_correlation = self.options, len(self.views), np.sqrt(self.correlation_frames)
-
-        def lasting(name: str, sigma: Array | float) -> SharedUnknown:  # counted once, whatever the number of frames
-            sigmas = np.asarray(np.atleast_1d(sigma) / root_correlation, dtype=float)
-            return SharedUnknown(name, np.zeros(len(sigmas)), sigmas)
-
+        options, V = self.options, len(self.views)
         size = [SharedUnknown(terms.SIZE, np.ones(1), np.array([self.size_sigma]))] if self.shows_size else []
-        first_view, sigma_frames = (
-            (1, constants.SOUGHT_OFFSET_FRAMES) if options.find_offsets else (0, self.time_offset_frames)
-        )
-        time_offsets = [lasting(terms.time_offset(i), sigma_frames) for i in range(first_view, V)]
-        common = constants.COMMON_BIAS_SHARE if V > 1 else 0.0
-        bias_m = np.array([self.body.keypoint_spread_m.get(m, self.keypoint_bias_m) for m in self.body.markers])
-        own_m, common_m = np.repeat(bias_m * (1 - common) ** 0.5, 2), np.repeat(bias_m * common**0.5, 3)
-        biases = [lasting(terms.keypoint_bias(i), own_m) for i in range(V)] if own_m.all() else []
-        common_biases = [lasting(terms.COMMON_KEYPOINT_BIAS, common_m)] if common_m.all() else []
-        focals = (
-            []
-            if options.focal_sigma is None
-            else [lasting(terms.focal_scale(i), options.focal_sigma) for i in range(V)]
-        )
+        time_offsets, focals = self._time_offset_unknowns(), self._focal_unknowns()
+        biases, common_biases = self._bias_unknowns()
         if V == 1:
-            lengths = [] if self.shape is None else [lasting(terms.LENGTHS, self._single_length_sigmas)]
+            lengths = [] if self.shape is None else [self._lasting(terms.LENGTHS, self._single_length_sigmas)]
             return size, [*time_offsets, *focals, *biases, *common_biases, *lengths]
-        shapes = []
-        if self.shape is not None:
-            length_scale, offset_scale = self.shape_scale
-            sigma = constants.LENGTH_SHARE * length_scale * self.body.size_sigma
-            offset_share = constants.OFFSET_SHARE * offset_scale if self.solves_shape else 1.0
-            shapes = [lasting(terms.LENGTHS, np.full(len(self.shape.lengths), sigma))]
-            shapes += [lasting(u, offset_share * common_m) for u in [terms.COMMON_KEYPOINT_BIAS] if common_m.all()]
-        if not self.solves_shape or self.shape is None:
+        shapes = self._shape_unknowns()
+        if not self.solves_shape or self.shape is None:  # the shape only adds to the uncertainty
             shapes, biases = [], [*biases, *(shapes or common_biases)]
-        sideslip = [lasting(terms.SIDESLIP, constants.SIDESLIP_RAD)] if len(self) > 1 else []
-        shifts = [] if shifts_m is None or not options.refine_cameras else [*enumerate(shifts_m.tolist())][1:]
-        rotation = [options.camera_rotation_rad] * 3
-        corrections = [lasting(terms.extrinsic_correction(i), np.array([*rotation, *[m] * 3])) for i, m in shifts]
-        if V == 2 and shifts_m is not None and not (shifts or options.cameras_known):
-            usual = [*[constants.CALIBRATED_RAD] * 3, *[float(shifts_m[1])] * 3]
-            biases = [*biases, lasting(terms.extrinsic_correction(1), np.array(usual))]
+        sideslip = [self._lasting(terms.SIDESLIP, constants.SIDESLIP_RAD)] if len(self) > 1 else []
+        corrections: list[SharedUnknown] = []
+        if shifts_m is not None and options.refine_cameras:
+            refined = [*enumerate(shifts_m.tolist())][1:]
+            corrections = [self._pose_correction(i, options.camera_rotation_rad, shift) for i, shift in refined]
+        elif shifts_m is not None and V == 2 and not options.cameras_known:
+            biases = [*biases, self._pose_correction(1, constants.CALIBRATED_RAD, float(shifts_m[1]))]
         return [*size, *sideslip, *time_offsets, *corrections, *focals, *shapes], biases
+
+    def _lasting(self, name: str, sigma: Array | float) -> SharedUnknown:
+        """Return unknowns of mean 0 whose errors last, so that they count once for any number of frames."""
+        sigmas = np.asarray(np.atleast_1d(sigma) / np.sqrt(self.correlation_frames), dtype=float)
+        return SharedUnknown(name, np.zeros(len(sigmas)), sigmas)
+
+    def _time_offset_unknowns(self) -> list[SharedUnknown]:
+        """Return the cameras' time offsets; if they are estimated, the first camera's is 0 by definition."""
+        first_view, sigma_frames = 0, self.time_offset_frames
+        if self.options.find_offsets:
+            first_view, sigma_frames = 1, constants.SOUGHT_OFFSET_FRAMES
+        return [self._lasting(terms.time_offset(i), sigma_frames) for i in range(first_view, len(self.views))]
+
+    def _focal_unknowns(self) -> list[SharedUnknown]:
+        """Return the factors on the cameras' focal lengths, if these are not exact."""
+        sigma = self.options.focal_sigma
+        return [] if sigma is None else [self._lasting(terms.focal_scale(i), sigma) for i in range(len(self.views))]
+
+    def _bias_sigmas_m(self) -> tuple[Array, Array]:
+        """Return the standard deviations of each view's own keypoint bias, (2J,), and of the common one, (3J,)."""
+        common = constants.COMMON_BIAS_SHARE if len(self.views) > 1 else 0.0
+        bias_m = np.array([self.body.keypoint_spread_m.get(m, self.keypoint_bias_m) for m in self.body.markers])
+        return np.repeat(bias_m * (1 - common) ** 0.5, 2), np.repeat(bias_m * common**0.5, 3)
+
+    def _bias_unknowns(self) -> tuple[list[SharedUnknown], list[SharedUnknown]]:
+        """Return the keypoint bias of each view, and the bias that the views share; none if it is exactly 0."""
+        own_m, common_m = self._bias_sigmas_m()
+        biases = [self._lasting(terms.keypoint_bias(i), own_m) for i in range(len(self.views))] if own_m.all() else []
+        return biases, [self._lasting(terms.COMMON_KEYPOINT_BIAS, common_m)] if common_m.all() else []
+
+    def _shape_unknowns(self) -> list[SharedUnknown]:
+        """Return the lengths, and the keypoint offsets if there are any, of a body of unknown shape."""
+        if self.shape is None:
+            return []
+        length_scale, offset_scale = self.shape_scale
+        sigma = constants.LENGTH_SHARE * length_scale * self.body.size_sigma
+        lengths = self._lasting(terms.LENGTHS, np.full(len(self.shape.lengths), sigma))
+        _, common_m = self._bias_sigmas_m()
+        if not common_m.all():
+            return [lengths]
+        offset_share = constants.OFFSET_SHARE * offset_scale if self.solves_shape else 1.0
+        return [lengths, self._lasting(terms.COMMON_KEYPOINT_BIAS, offset_share * common_m)]
+
+    def _pose_correction(self, camera: int, rotation_rad: float, shift_m: float) -> SharedUnknown:
+        """Return the correction of a camera's pose with the expected rotation and shift along each axis."""
+        return self._lasting(terms.extrinsic_correction(camera), np.array([*[rotation_rad] * 3, *[shift_m] * 3]))
 
     @property
     def _single_length_sigmas(self) -> Array:

@@ -16,7 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
-from recon.base.arrays import Array, Integers
+from recon.base.arrays import Array, Index, Integers
 from recon.fit.banded import Normal, add_normal, step
 from recon.fit.body_shape import FreeShape
 from recon.fit.terms import (
@@ -171,7 +171,7 @@ class LeastSquares:
         `stops` are the ends of the pieces; all but the last are multiples of `_FRAMES_AT_ONCE`.
         """
         shared = self.expected() if shared is None else shared
-        (T, D), columns, empty = states.shape, self.columns, np.zeros(0)
+        (T, D), empty = states.shape, np.zeros(0)
         precision = np.concatenate([empty, *(unknown.sigma**-2.0 for unknown in self.shared)])
         deviation = np.concatenate([empty, *(shared[unknown.name] - unknown.mean for unknown in self.shared)])
         linear = [(term, term.residual(states)) for term in self.linear]
@@ -190,33 +190,32 @@ class LeastSquares:
                 gradient[0] += overlap[1]
                 border[0] += overlap[2]
             for term, residual in linear:
-                at = term.frames(T)
-                for offset, slot in zip(term.stencil, term.slots, strict=True):
-                    first, last = np.searchsorted(at + offset, [start, stop])
-                    if first < last:
-                        row = at[first] + offset - start
-                        gradient[row : row + last - first] += residual[first:last] @ slot
+                _add_linear_gradient(gradient, term, residual, term.frames(T), start, stop)
+            sums = _Sums(blocks, gradient, border, corner, shared_gradient)
             while span is not None and span.first < stop:
-                by_shape, first = self._by_shape(span), span.first - start
-                with_shape = None if by_shape is None else _moved_by_shape(span, by_shape)
-                merged = self._cameras_in_step(span)
-                if merged:
-                    sums = _Sums(blocks, gradient, border, corner, shared_gradient)
-                    _add_detections(sums, columns, merged, span, start, by_shape)
-                for term in self.terms:
-                    if any(term is camera for camera in merged):
-                        continue
-                    if isinstance(term, PoseMixture):
-                        frames = slice(first, first + span.own_rows.stop)
-                        term.add_normal(span, blocks[frames, 0], gradient[frames])
-                        continue
-                    rows = _with_shape(term, span, with_shape)
-                    add_normal(blocks, gradient, first, term.stencil, rows.residual, rows.jacobian)
-                    _add_shared(columns, border, corner, shared_gradient, first, term.stencil, rows)
+                self._add_span(sums, span, start)
                 span = next(spans, None)
             overlap = (blocks[n], gradient[n], border[n]) if has_next else None
             yield Normal(blocks[:n], gradient[:n], border[:n], corner, shared_gradient)
             start = stop
+
+    def _add_span(self, sums: _Sums, span: Span, start: int) -> None:
+        """Add the normal equations of a span's non-linear terms, in place; `start` is the frame of the first row."""
+        by_shape, first = self._by_shape(span), span.first - start
+        with_shape = None if by_shape is None else _moved_by_shape(span, by_shape)
+        merged = self._cameras_in_step(span)
+        if merged:
+            _add_detections(sums, self.columns, merged, span, start, by_shape)
+        for term in self.terms:
+            if any(term is camera for camera in merged):
+                continue
+            if isinstance(term, PoseMixture):
+                frames = slice(first, first + span.own_rows.stop)
+                term.add_normal(span, sums.blocks[frames, 0], sums.gradient[frames])
+                continue
+            rows = _with_shape(term, span, with_shape)
+            add_normal(sums.blocks, sums.gradient, first, term.stencil, rows.residual, rows.jacobian)
+            _add_shared(self.columns, sums.border, sums.corner, sums.shared_gradient, first, term.stencil, rows)
 
     def minimise(
         self, states: Array, tolerance: float, max_iterations: int, shared: Mapping[str, Array] | None = None
@@ -346,6 +345,15 @@ class _Sums:
     border: Array
     corner: Array
     shared_gradient: Array
+
+
+def _add_linear_gradient(gradient: Array, term: Linear, residual: Array, frames: Index, start: int, stop: int) -> None:
+    """Add a linear term's gradient of the frames from start up to stop, in place; its residuals are those of frames."""
+    for offset, slot in zip(term.stencil, term.slots, strict=True):
+        first, last = np.searchsorted(frames + offset, [start, stop])
+        if first < last:
+            row = frames[first] + offset - start
+            gradient[row : row + last - first] += residual[first:last] @ slot
 
 
 def _add_detections(
