@@ -256,60 +256,33 @@ def gathered(path: Path, table: Columns, individual: str | None, column_map: Map
     owners = [str(cell).strip() for cell in table[role["individual"]]] if "individual" in role else []
     animals = list(dict.fromkeys(owners)) or [""]
     animal = animals[common.choose(path, animals, individual)]
-    problems: list[Problem] = []
     rows = np.flatnonzero([owner == animal for owner in owners] or np.ones(len(table[next(iter(role.values()))])))
-
-    def cells_of(column: str) -> np.ndarray:
-        """Return cells as floats; cells that are infinite or not numbers become problems."""
-        cells, expected = table[column], "a number or an empty cell"
-        values, wrong = common.numbers(cells[row] for row in rows)
-        detail = [(f"line {row + 2}, {column}", f"'{str(cells[row]).strip()}'") for row in rows[wrong]]
-        problems.extend(Problem(path, *fault, expected) for fault in detail)
-        return values
-
-    rates = {*cells_of(role["fps"]).tolist()} if "fps" in role else {None}
+    cells = _Cells(path, table, rows)
+    rates = {*cells.numbers(role["fps"]).tolist()} if "fps" in role else {None}
     fps = common.rate(rates.pop()) if len(rates) == 1 else None
-    clock = role.get("frame", role.get("time", ""))
-    stamps = seconds(table[clock][row] for row in rows) if "frame" not in role else None
-    if stamps is None:
-        ticks = cells_of(clock)
-        time_unit = None if column_map is not None else (_by_name(clock) or ("", "", None))[2]
-        ticks = ticks if "frame" in role else since_first(ticks, time_unit)
-    else:
-        ticks = stamps
-    for i in np.flatnonzero(np.isnan(ticks)):
-        problems.append(Problem(path, f"line {rows[i] + 2}, {clock}", "nothing", "a frame number, or seconds"))
-    raise_problems(common.first_problems(problems, path))
+    ticks = _ticks_of(cells, role, column_map is None)
     distinct, row_of = np.unique(ticks, return_inverse=True)
     if not {"frame", "bodypart"} & role.keys() and (np.diff(ticks) >= 0).all():  # rounded times can repeat
         distinct, row_of = ticks, np.arange(len(ticks))
     if "bodypart" in role:
-        labels = table[role["bodypart"]]
-        stripped = {label: str(label).strip() for label in {*labels}}
-        points = [stripped[labels[row]] for row in rows.tolist()]
-        index = {name: k for k, name in enumerate(dict.fromkeys(points))}
-        point_of = np.array([index[point] for point in points], dtype=int)
+        index, point_of = _points_of_rows(cells, role["bodypart"])
         repeated = row_of * len(index) + point_of
     else:
-        index = {
-            bodypart: k for k, bodypart in enumerate(dict.fromkeys(bodypart for bodypart, _ in columns if bodypart))
-        }
+        parts = dict.fromkeys(bodypart for bodypart, _ in columns if bodypart)
+        index = {bodypart: k for k, bodypart in enumerate(parts)}
         point_of, repeated = row_of, row_of
-    if len(first := np.unique(repeated, return_index=True)[1]) < len(rows):
-        line = rows[np.setdiff1d(np.arange(len(rows)), first)[0]] + 2
-        problems.append(Problem(path, f"line {line}", "a second row for the same frame and point", "one"))
+    cells.require_unique(repeated)
     common.require_span(len(distinct), len(index), path)
     coords = ("x", "y", "z") if any(role == "z" for _, role in columns) else ("x", "y")
     values = np.full((len(distinct), len(index), len(coords) + 1), np.nan)
     for (bodypart, kind), column in columns.items():
         if kind in OF_POINTS:
             point: Any = index[bodypart] if bodypart else point_of
-            values[row_of, point, (*coords, "likelihood").index(kind)] = cells_of(column)
-    flat = [
-        bodypart for bodypart in index if "z" in coords and "bodypart" not in role and (bodypart, "z") not in columns
-    ]
-    problems += [Problem(path, f"bodypart {bodypart}", "no z", ", ".join(coords)) for bodypart in flat]
-    raise_problems(common.first_problems(problems, path))
+            values[row_of, point, (*coords, "likelihood").index(kind)] = cells.numbers(column)
+    if "z" in coords and "bodypart" not in role:
+        flat = [bodypart for bodypart in index if (bodypart, "z") not in columns]
+        cells.problems += [Problem(path, f"bodypart {bodypart}", "no z", ", ".join(coords)) for bodypart in flat]
+    cells.raise_problems()
     notes = (f"Columns left out: {', '.join(ignored)}.",) if ignored and column_map is None else ()
     extra: dict[str, Any] = {"fps": fps, "unit": unit if unit != "px" else None, "notes": notes}
     frames = distinct if "frame" in role else np.arange(len(distinct))
@@ -318,6 +291,62 @@ def gathered(path: Path, table: Columns, individual: str | None, column_map: Map
         stored = with_times(path, stored, distinct, fps)
     stored = common.one_animal(path, animal or None, stored, [animal] if animal else [])
     return common.without_lost_markers(stored) if stored.in_space else stored
+
+
+class _Cells:
+    """Cells in some rows of a table; those that cannot be used become problems, which `raise_problems` raises."""
+
+    def __init__(self, path: Path, table: Columns, rows: np.ndarray) -> None:
+        self.path = path
+        self.table = table
+        self.rows = rows
+        self.problems: list[Problem] = []
+
+    def numbers(self, column: str) -> np.ndarray:
+        """Return the cells of a column as floats; cells that are infinite or not numbers become problems."""
+        cells, expected = self.table[column], "a number or an empty cell"
+        values, wrong = common.numbers(cells[row] for row in self.rows)
+        detail = [(f"line {row + 2}, {column}", f"'{str(cells[row]).strip()}'") for row in self.rows[wrong]]
+        self.problems.extend(Problem(self.path, *fault, expected) for fault in detail)
+        return values
+
+    def require_unique(self, cell_of_row: np.ndarray) -> None:
+        """Add a problem if two rows are for the same frame and point, whose number is `cell_of_row` (N,)."""
+        first = np.unique(cell_of_row, return_index=True)[1]
+        if len(first) < len(self.rows):
+            line = self.rows[np.setdiff1d(np.arange(len(self.rows)), first)[0]] + 2
+            actual = "a second row for the same frame and point"
+            self.problems.append(Problem(self.path, f"line {line}", actual, "one"))
+
+    def raise_problems(self) -> None:
+        """Raise InputError with the problems so far, if there are any."""
+        raise_problems(common.first_problems(self.problems, self.path))
+
+
+def _ticks_of(cells: _Cells, role: Mapping[str, str], is_by_name: bool) -> np.ndarray:
+    """Return the frame number or the time in seconds of each row; raise InputError for rows without one.
+
+    `is_by_name` states whether columns were recognised by their names, which can state the unit of a time.
+    """
+    clock = role.get("frame", role.get("time", ""))
+    stamps = seconds(cells.table[clock][row] for row in cells.rows) if "frame" not in role else None
+    ticks = cells.numbers(clock) if stamps is None else stamps
+    if stamps is None and "frame" not in role:
+        ticks = since_first(ticks, (_by_name(clock) or ("", "", None))[2] if is_by_name else None)
+    for i in np.flatnonzero(np.isnan(ticks)):
+        location = f"line {cells.rows[i] + 2}, {clock}"
+        cells.problems.append(Problem(cells.path, location, "nothing", "a frame number, or seconds"))
+    cells.raise_problems()
+    return ticks
+
+
+def _points_of_rows(cells: _Cells, column: str) -> tuple[dict[str, int], np.ndarray]:
+    """Return the index of each point by its name, and the point of each row, (N,)."""
+    labels = cells.table[column]
+    stripped = {label: str(label).strip() for label in {*labels}}
+    points = [stripped[labels[row]] for row in cells.rows.tolist()]
+    index = {name: k for k, name in enumerate(dict.fromkeys(points))}
+    return index, np.array([index[point] for point in points], dtype=int)
 
 
 # -- writing ---------------------------------------------------------------------------------------------------------

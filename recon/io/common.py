@@ -198,26 +198,17 @@ def one_animal(
         entries = f"an array of the shape {values.shape}" if len(values) else "no frames"
         raise InputError(Problem(path, "points", entries, "frames x animals x points x 2 or 3, each at least one"))
     T, N, K, _ = values.shape
-    problems = []
-    for field, entries, count in (("names of points", names, K), ("names of animals", animals, N)):
-        faulty = [name for name, times in Counter(entries).items() if not name or not name.isprintable() or times > 1]
-        problems += [Problem(path, field, f"'{name}'", "unique, printable names") for name in faulty]
-        if len(entries) not in (0, count):
-            problems.append(Problem(path, field, str(len(entries)), f"{count}, as in the data"))
-    for field, block, shape in (("likelihoods", likelihood, (T, N, K)), ("occupied frames", occupied, (T, N))):
-        if block is not None and block.shape != shape:
-            problems.append(Problem(path, field, f"an array of the shape {block.shape}", f"{shape}, as the points"))
-    if len(frames) != T:
-        problems.append(Problem(path, "frames", f"{len(frames)} numbers", f"{T}, one for each frame"))
-    else:
-        with np.errstate(invalid="ignore"):  # some numbers are infinite
-            wrong = ~(np.abs(frames) <= MAX_FRAME) | (frames % 1 != 0) | (np.diff(frames, prepend=-np.inf) <= 0)
-        if wrong.any():
-            first = int(np.argmax(wrong))
-            detail = " after ".join(f"{frame:.15g}" for frame in frames[max(first - 1, 0) : first + 1][::-1])
-            problems.append(
-                Problem(path, "frames", detail, f"increasing whole numbers up to {MAX_FRAME}, not time stamps")
-            )
+    blocks = (("likelihoods", likelihood, (T, N, K)), ("occupied frames", occupied, (T, N)))
+    problems = [
+        *_name_problems(path, "names of points", names, K),
+        *_name_problems(path, "names of animals", animals, N),
+    ]
+    problems += [
+        Problem(path, field, f"an array of the shape {block.shape}", f"{shape}, as the points")
+        for field, block, shape in blocks
+        if block is not None and block.shape != shape
+    ]
+    problems += _frame_problems(path, frames, T)
     raise_problems(problems)
     animal_names = list(animals) or ([""] if N == 1 else [f"track_{n}" for n in range(N)])
     present = np.ones((T, N), dtype=bool) if occupied is None else occupied > 0
@@ -239,6 +230,28 @@ def one_animal(
         individual=animal_names[chosen] if named else None,
         notes=stored.notes if names else (*stored.notes, unnamed),
     )
+
+
+def _name_problems(path: Path, field: str, names: Sequence[str], count: int) -> Iterator[Problem]:
+    """Yield problems of names that are empty, repeated or not printable, and of a wrong number of names."""
+    for name, times in Counter(names).items():
+        if not name or not name.isprintable() or times > 1:
+            yield Problem(path, field, f"'{name}'", "unique, printable names")
+    if len(names) not in (0, count):
+        yield Problem(path, field, str(len(names)), f"{count}, as in the data")
+
+
+def _frame_problems(path: Path, frames: np.ndarray, count: int) -> Iterator[Problem]:
+    """Yield the problem of frame numbers that are not increasing whole numbers, one for each of `count` frames."""
+    if len(frames) != count:
+        yield Problem(path, "frames", f"{len(frames)} numbers", f"{count}, one for each frame")
+        return
+    with np.errstate(invalid="ignore"):  # some numbers are infinite
+        is_wrong = ~(np.abs(frames) <= MAX_FRAME) | (frames % 1 != 0) | (np.diff(frames, prepend=-np.inf) <= 0)
+    if is_wrong.any():
+        first = int(np.argmax(is_wrong))
+        detail = " after ".join(f"{frame:.15g}" for frame in frames[max(first - 1, 0) : first + 1][::-1])
+        yield Problem(path, "frames", detail, f"increasing whole numbers up to {MAX_FRAME}, not time stamps")
 
 
 def frames_seen(stored: StoredPoints) -> np.ndarray:

@@ -160,6 +160,10 @@ def _without_fps(scorer: str) -> tuple[str, float | None]:
     return (scorer, None) if match is None or fps is None else (match[1] or SCORER, fps)
 
 
+Column = tuple[str, str, str]
+"""Individual, bodypart and coordinate of a column."""
+
+
 def points_of_table(
     path: Path,
     individual: str | None,
@@ -201,33 +205,17 @@ def points_of_table(
     raise_problems(common.first_problems([*_column_problems(path, columns), *problems, *frame_problems], path))
     if {animal for animal, _, _ in columns} == {""} and _prefixes(bodypart for _, bodypart, _ in columns):
         columns = [(bodypart.partition("_")[0], bodypart.partition("_")[2], coord) for _, bodypart, coord in columns]
-    scorers = list(dict.fromkeys(n.get("scorer", "").strip() for n in named))
-    if len(scorers) > 1 and len({*columns}) < len(columns):
-        detail = f"points of {len(scorers)} scorers: {', '.join(scorers)[:120]}"
-        raise InputError(Problem(path, "scorer", detail, "points of one scorer: delete the columns of the others"))
-    repeats = _equal_repeats(columns, values)
-    if repeats:
-        twice = ", ".join(dict.fromkeys(columns[j][1] for j in repeats))
-        notes += (f"Columns of {twice} are in the table more than once, with the same numbers: the first are read.",)
-        distinct = [j for j in range(len(columns)) if j not in repeats]
-        columns, values = [columns[j] for j in distinct], values[:, distinct]
-    everyone = list(dict.fromkeys(animal for animal, _, _ in columns))
-    animals = [name for name in everyone if name != UNIQUE_BODYPARTS] or everyone
-    of_animal = {name: [j for j, column in enumerate(columns) if column[0] == name] for name in everyone}
-    # DeepLabCut writes these values for animals that it never detected.
-    coordinates = (values[:, [j for j in of_animal[name] if columns[j][2] != "likelihood"]] for name in animals)
-    seen = (not np.isin(np.nan_to_num(cells), (0.0, PADDING)).all() for cells in coordinates)
-    animal = animals[common.choose(path, animals, individual, seen)]
-    if animal != UNIQUE_BODYPARTS and UNIQUE_BODYPARTS in everyone:
-        left_out = dict.fromkeys(columns[j][1] for j in of_animal[UNIQUE_BODYPARTS])
-        notes += (f"Left out, because they belong to no animal: {', '.join(left_out)}.",)
+    _require_one_scorer(path, [n.get("scorer", "").strip() for n in named], columns)
+    columns, values, repeat_notes = _without_repeats(columns, values)
+    animal, animal_columns, choice_notes = _choose_animal(path, columns, values, individual)
+    notes += (*repeat_notes, *choice_notes)
     order = np.argsort(frames, kind="stable")
     if (np.diff(order) < 0).any():
         values = values[order]
         notes += ("The rows were not in the order of their frame numbers and have been sorted.",)
-    names, points = _points(path, [(j, *columns[j][1:]) for j in of_animal[animal]], values)
+    names, points = _points(path, [(j, *columns[j][1:]) for j in animal_columns], values)
     scorer, fps = _without_fps(named[0]["scorer"]) if "scorer" in named[0] else (None, None)
-    likelihood, in_space = None, any(columns[j][2] == "z" for j in of_animal[animal])
+    likelihood, in_space = None, any(columns[j][2] == "z" for j in animal_columns)
     if not in_space:
         points[(points == PADDING).all(axis=2)] = np.nan, np.nan, 0.0
         points, likelihood = points[..., :2], points[..., 2]
@@ -251,6 +239,43 @@ def points_of_table(
     stored = StoredPoints(names, points, frames[order], likelihood, **extra)
     stored = common.one_animal(path, animal or None, stored, [animal] if animal else [])
     return common.without_lost_markers(stored) if in_space else stored
+
+
+def _require_one_scorer(path: Path, scorers: Sequence[str], columns: Sequence[Column]) -> None:
+    """Raise InputError if several scorers have points of the same name."""
+    distinct = list(dict.fromkeys(scorers))
+    if len(distinct) > 1 and len({*columns}) < len(columns):
+        detail = f"points of {len(distinct)} scorers: {', '.join(distinct)[:120]}"
+        raise InputError(Problem(path, "scorer", detail, "points of one scorer: delete the columns of the others"))
+
+
+def _without_repeats(columns: list[Column], values: np.ndarray) -> tuple[list[Column], np.ndarray, tuple[str, ...]]:
+    """Return the columns and their values without those that repeat an earlier one, and a note on them."""
+    repeats = _equal_repeats(columns, values)
+    if not repeats:
+        return columns, values, ()
+    twice = ", ".join(dict.fromkeys(columns[j][1] for j in repeats))
+    note = f"Columns of {twice} are in the table more than once, with the same numbers: the first are read."
+    distinct = [j for j in range(len(columns)) if j not in repeats]
+    return [columns[j] for j in distinct], values[:, distinct], (note,)
+
+
+def _choose_animal(
+    path: Path, columns: Sequence[Column], values: np.ndarray, individual: str | None
+) -> tuple[str, list[int], tuple[str, ...]]:
+    """Return the chosen animal, the indices of its columns, and a note on points that belong to no animal."""
+    everyone = list(dict.fromkeys(animal for animal, _, _ in columns))
+    animals = [name for name in everyone if name != UNIQUE_BODYPARTS] or everyone
+    columns_by_animal = {name: [j for j, column in enumerate(columns) if column[0] == name] for name in everyone}
+    # DeepLabCut writes these values for animals that it never detected.
+    coordinates = (values[:, [j for j in columns_by_animal[name] if columns[j][2] != "likelihood"]] for name in animals)
+    seen = (not np.isin(np.nan_to_num(cells), (0.0, PADDING)).all() for cells in coordinates)
+    animal = animals[common.choose(path, animals, individual, seen)]
+    if animal == UNIQUE_BODYPARTS or UNIQUE_BODYPARTS not in everyone:
+        return animal, columns_by_animal[animal], ()
+    left_out = dict.fromkeys(columns[j][1] for j in columns_by_animal[UNIQUE_BODYPARTS])
+    note = f"Left out, because they belong to no animal: {', '.join(left_out)}."
+    return animal, columns_by_animal[animal], (note,)
 
 
 def _equal_repeats(columns: Sequence[tuple[str, str, str]], values: np.ndarray) -> set[int]:
