@@ -543,7 +543,7 @@ def _add_shared(
         return
     shared_columns = np.concatenate([np.r_[columns[name]] for name in by_shared])
     K = np.concatenate([*by_shared.values()], axis=2)
-    is_read = K.any(axis=(0, 1))  # a foot moves by few of the lengths and by its own bias
+    is_read = K.any(axis=(0, 1))  # a foot depends on few of the lengths, and on no bias but its own
     K, shared_columns = K[..., is_read], shared_columns[is_read]
     for slot, offset in enumerate(stencil):
         frames = slice(first + offset, first + offset + len(K))

@@ -455,7 +455,7 @@ class Motion:
 
     @property
     def posture_data_share(self) -> Array:
-        """Return the information fraction of the posture, its precision due to the pixels, (T, P), 0 to 1."""
+        """Return the information fraction of the posture: the part of its precision due to pixels, (T, P), 0 to 1."""
         return self.solution.angle_data_share[:, PITCH - YAW :]
 
     @cached_property

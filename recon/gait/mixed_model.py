@@ -241,7 +241,7 @@ def animals_needed(
     wanted: float = 0.8,
     paired: bool = False,
 ) -> int | None:
-    """Return the animals in each group that find an effect with a power; None if 1000 are too few."""
+    """Return the number of animals per group with which an effect is found with a power; None if 1000 are too few."""
 
     def is_enough(animals: int) -> bool:
         return power(effect, variances, animals, runs, strides, cameras, paired) >= wanted
@@ -264,7 +264,7 @@ def smallest_effect(
     wanted: float = 0.8,
     paired: bool = False,
 ) -> float:
-    """Return the smallest difference that some animals in each group show with a power; NaN for fewer than 2."""
+    """Return the smallest difference that some animals per group show with a power; NaN for fewer than two animals."""
     if animals < 2:
         return float("nan")
 

@@ -348,7 +348,7 @@ def _within_limits(chain: SerialChain, free: Free, solved: JointRates) -> JointR
 
 
 def _share_within(rates: Array, along: Array, limit: Array) -> float:
-    """Return the largest share of `along`, up to 1, that brings no rate beyond its limit."""
+    """Return the largest fraction of `along`, up to 1, with which no rate exceeds its limit."""
     with np.errstate(divide="ignore", invalid="ignore"):
         room = (np.copysign(limit, along) - rates) / along
         shares = np.where(along != 0, room, np.abs(rates) <= limit)

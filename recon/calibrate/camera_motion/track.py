@@ -534,7 +534,9 @@ def _left_px(camera: Camera, pair: _TurnedPair, log_factor: float, rounds: int =
     zoom = float(np.exp(log_factor))
     (a, is_known), (b, is_seen) = (turning.rays_of(camera, points_px, zoom) for points_px in (pair.a_px, pair.b_px))
     is_known &= is_seen
-    turn = Rotation.from_rotvec(Rotation.from_matrix(pair.turn).as_rotvec() / zoom)  # the same shift in the picture
+    turn = Rotation.from_rotvec(
+        Rotation.from_matrix(pair.turn).as_rotvec() / zoom
+    )  # by an angle with the same shift in the picture
     residual_px = np.full(pair.a_px.shape, 1e9)
     for number in range(rounds):
         if number:
