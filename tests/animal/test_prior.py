@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import Refusal, refusal, run, says
-from scipy.stats import multivariate_normal
 from typer.testing import CliRunner
 
 from recon import FitSettings, InputError, PriorFitSettings, run_prior_fit, write_clip
@@ -144,6 +143,8 @@ def test_is_its_own_mirror_image(body, prior):
 
 
 def test_two_kinds_of_pose_are_two_components(body):
+    from scipy.stats import multivariate_normal  # slow to import
+
     rng = np.random.default_rng(3)
     at = np.where(np.arange(600) < 200, -0.8, 0.8)[:, None]
     symmetric = body.mirror[1][4:] > 0  # a shift of all of these is its own mirror image
@@ -205,6 +206,8 @@ def test_too_little_to_fit(body):
 
 
 def test_prior_from_body(body):
+    from scipy.stats import multivariate_normal  # slow to import
+
     prior = prior_from_body(body)
     states = swinging(body, 1, 30, 100.0)[0][1]
     expected = multivariate_normal(body.mean_rad, np.diag(body.sigma_rad**2)).logpdf(states[:, 4:]).mean()

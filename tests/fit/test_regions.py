@@ -1,12 +1,13 @@
 import numpy as np
 import pytest
-from scipy.stats import chi2, t
 
 from recon.fit.posterior import DEGREES_OF_FREEDOM, radius, sigmas
 from recon.testing.coverage import coverage, cumulative
 
 
 def test_intervals_are_those_of_students_t_with_the_stated_variance():
+    from scipy.stats import chi2, t  # slow to import
+
     for level in (0.5, 0.9, 0.99):
         scaled = float(t.ppf((1 + level) / 2, DEGREES_OF_FREEDOM) / t.std(DEGREES_OF_FREEDOM))
         assert radius(level) == pytest.approx(scaled)

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-import tables
 from command_line import refusal, refused, says
 from exact_tables import read_csv
 from typer.testing import CliRunner
@@ -203,6 +202,8 @@ def test_deeplabcut_by_pandas(files_2d, files_3d, name):
 
 def test_deeplabcut_h5_for_every_pandas(files_2d):
     """pandas 2 reads a table format that says it is of an old version, and whose header is of plain text."""
+    import tables  # slow to import
+
     with tables.open_file(str(files_2d["deeplabcut.h5"])) as file:
         attributes = file.root.df_with_missing._v_attrs
         assert attributes.pandas_version == "0.15.2"

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
-
-torch = pytest.importorskip("torch")
+from later import needs_torch, torch
 
 from recon.keypoint_net.network import SIGMA, decode, loss, new_network, probabilities, variance
 
+pytestmark = needs_torch
 
-def gaussian_scores(xy: np.ndarray, size: tuple[int, int], sigma: float) -> torch.Tensor:
+
+def gaussian_scores(xy: np.ndarray, size: tuple[int, int], sigma: float) -> Any:
     """Logarithms of Gaussians (1, K, h, w)."""
     y, x = np.mgrid[: size[0], : size[1]]
     d2 = (x - xy[:, 0, None, None]) ** 2 + (y - xy[:, 1, None, None]) ** 2

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import refusal
+from later import needs_torch, torch
 from networks import narrow_networks
-
-torch = pytest.importorskip("torch")
 
 from recon.io.video import video_writer
 from recon.keypoint_net import network, pictures
@@ -28,6 +27,8 @@ from recon.keypoint_net.network import (
 )
 from recon.keypoint_net.pictures import network_scales
 from recon.keypoint_net.train import CHECKPOINT_FILE, TrainSettings, run_training
+
+pytestmark = needs_torch
 
 SIZE, FRAMES = (160, 96), 12
 NAMES = ("nose", "l_paw", "r_paw")
@@ -147,7 +148,7 @@ def test_a_network_of_before_is_read(clip, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        ("names", torch.zeros(1).expand(10**10)),
+        ("names", "tensor"),
         ("names", ["a"] * 1001),
         ("scale", -1.0),
         ("scale", 1e9),
@@ -155,21 +156,21 @@ def test_a_network_of_before_is_read(clip, tmp_path, monkeypatch):
     ],
 )
 def test_a_network_whose_description_cannot_be(field, value, tmp_path):
+    value = torch.zeros(1).expand(10**10) if value == "tensor" else value
     spec = {"names": ["nose"], "scale": 0.5, "body_length_px": 300.0, "tolerance_px": 9.0, field: value}
     torch.save({"format": FORMAT, "spec": spec, "weights": {}}, tmp_path / MODEL_FILE)
     with refusal((tmp_path / MODEL_FILE, field)):
         load_model(tmp_path, torch.device("cpu"))
 
 
-class Stage(torch.nn.Module):
-    """Sure of what is bright."""
+def bright_stage() -> Any:
+    """A stage that is sure of what is bright."""
 
-    def __init__(self, weight: float) -> None:
-        super().__init__()
-        self.weight = weight
+    class Stage(torch.nn.Module):
+        def forward(self, x: Any) -> Any:
+            return 60.0 * x[:, :1, ::4, ::4]
 
-    def forward(self, x: Any) -> Any:
-        return self.weight * x[:, :1, ::4, ::4]
+    return Stage()
 
 
 def test_the_second_stage_looks_near_the_first_ones_points():
@@ -179,7 +180,7 @@ def test_the_second_stage_looks_near_the_first_ones_points():
     for at, level, radius in (((305.5, 97.5), 210, 6), ((60, 50), 250, 3)):
         picture[(x - at[0]) ** 2 + (y - at[1]) ** 2 <= radius**2] = level
     spec = Spec(("point",), 1.0, 400.0, 16.0, 0.25)
-    network = torch.nn.ModuleDict({"first": Stage(60.0), "second": Stage(60.0)})
+    network = torch.nn.ModuleDict({"first": bright_stage(), "second": bright_stage()})
     xy, _ = TrainedNetwork(spec, network, torch.device("cpu")).points([picture, picture], None)
     np.testing.assert_allclose(xy[:, 0], [[305.5, 97.5]] * 2, atol=2.0)
 
@@ -200,8 +201,8 @@ def test_the_part_of_a_picture_where_the_points_are():
 @pytest.mark.usefixtures("no_report")
 def test_all_threads_are_taken_unless_given_and_kept_on_resume(clip, tmp_path, monkeypatch):
     taken = []
-    monkeypatch.setattr(torch, "set_num_threads", taken.append)  # several make tests that run beside each other slow
-    monkeypatch.setattr(torch, "get_num_threads", lambda: taken[-1])
+    monkeypatch.setattr("torch.set_num_threads", taken.append)  # several make tests that run beside each other slow
+    monkeypatch.setattr("torch.get_num_threads", lambda: taken[-1])
     monkeypatch.setattr(network, "available_cores", lambda: 2)
     assert train_in(tmp_path, clip, threads=None, settings=BRIEF)["threads"] == 2
     monkeypatch.setattr(network, "available_cores", lambda: 1)

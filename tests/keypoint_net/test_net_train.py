@@ -11,12 +11,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import refusal, refused, run, says
+from later import needs_torch, torch
 from networks import EVALUATIONS, narrow_networks
 from users_files import require_untouched
-
-from recon.testing.files import write_damaged_video
-
-torch = pytest.importorskip("torch")
 
 from recon.base.package import install_command
 from recon.io.formats import read_keypoints
@@ -33,6 +30,9 @@ from recon.keypoint_net.train import (
     schedule,
     training_figure,
 )
+from recon.testing.files import write_damaged_video
+
+pytestmark = needs_torch
 
 SIZE, FRAMES = (96, 64), 20
 NAMES = ("nose", "l_paw", "r_paw")
@@ -199,9 +199,10 @@ def test_ctrl_c_says_how_to_go_on(clip, tmp_path, monkeypatch):
     assert (ended.code, ended.err) == (0, "")
 
 
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
 def test_training_and_prediction_on_cuda(clip, tmp_path):
     """The blobs are learned there, too, a stopped run ends in the same weights, and a CPU reads the network."""
+    if not torch.cuda.is_available():
+        pytest.skip("no CUDA device")
     settings = TrainSettings(steps=110, batch=4, seed=1)
 
     def stop(stage: str, share: float) -> None:

@@ -7,9 +7,12 @@ from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
-import nbformat
 import pytest
+from later import Later
+
+nbformat = Later("nbformat")
 
 FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
@@ -104,16 +107,16 @@ def test_texts_are_compared_by_words_and_rounded_numbers(was: str, now: str, sam
     assert (difference(was, now) == "") == same
 
 
-def figures(outputs: list[nbformat.NotebookNode]) -> int:
+def figures(outputs: list[Any]) -> int:
     return sum("image/png" in output.get("data", {}) for output in outputs)
 
 
-def kinds(cell: nbformat.NotebookNode) -> list[tuple[str, ...]]:
+def kinds(cell: Any) -> list[tuple[str, ...]]:
     """What each output is: text, a table, a figure."""
     return [tuple(sorted(output.get("data", {"text": ""}))) for output in cell.outputs]
 
 
-def text_of(cell: nbformat.NotebookNode) -> str:
+def text_of(cell: Any) -> str:
     texts = [o["text"] if "text" in o else o["data"].get("text/plain", "") for o in cell.outputs]
     return "\n".join(text for text in texts if not text.startswith("<Figure"))
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 from command_line import refusal, refused, run, says
@@ -29,6 +28,8 @@ def a1(retargeted):
 @pytest.mark.parametrize("part", ["clip", "stride"])
 def test_bodies_velocities_and_contacts_are_those_of_mujoco(a1, part, tmp_path):
     """MuJoCo has the robot from its URDF, we from its dimensions."""
+    import mujoco  # slow to import
+
     path = tmp_path / "a1.urdf"
     path.write_text(a1_urdf())
     model = read_model(path, free=True)

@@ -1,0 +1,25 @@
+"""Modules that are imported when a test first uses them, because each process of the tests collects every test file."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
+
+import pytest
+
+
+class Later:
+    """A module that is imported when something of it is first used."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __getattr__(self, attribute: str) -> Any:
+        if attribute.startswith("_"):  # pytest asks everything whether it is a test or a mock
+            raise AttributeError(attribute)
+        return getattr(import_module(self._name), attribute)
+
+
+torch = Later("torch")
+needs_torch = pytest.mark.skipif(find_spec("torch") is None, reason="without the package torch")
