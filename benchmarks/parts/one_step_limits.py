@@ -1,11 +1,12 @@
-"""Measure how far right and wrong clips are from the limits of the checks of stretch, halves and clocks.
+"""Measure how far right and wrong clips are from the limits of the checks of stretch, halves, focal length and clocks.
 
     python benchmarks/parts/one_step_limits.py [FOLDER] [--views 8]
 
-Every n-th view of the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data, is fitted as it is, with x scaled, and
-with the hind half of a second animal; every n-th pair as it is, and with a second camera that takes a picture a second
-less than its file says. Stretch: `recon.check.stretch.deviation`. Halves and drift: `recon.check.halves.offset_of`, and
-the largest of `recon.check.clocks.drifts_of`, in their standard deviations.
+Every n-th view of the cheetah-runs of $RECON_SHARED_DATA, or of ../shared/data, is fitted as it is, with x scaled, with
+the hind half of a second animal, and with another focal length; every n-th pair as it is, and with a second camera that
+takes a picture a second less than its file says. Stretch: `recon.check.stretch.deviation`. Halves and drift:
+`recon.check.halves.offset_of`, and the largest of `recon.check.clocks.drifts_of`, in their standard deviations. Focal
+length: `recon.check.focal.FocalTest.deviation`.
 """
 
 from __future__ import annotations
@@ -23,11 +24,14 @@ from unittest.mock import patch
 import numpy as np
 from arguments import parser_of, runs_of
 from markdown_table import print_table
-from wrong_inputs import Case, Clip, Given, cameras_of, fitted, hind_of_second, scaled
+from wrong_inputs import Case, Clip, Given, cameras_of, fitted, focal, hind_of_second, scaled
 
 from recon import InputError
+from recon.base.arrays import Array
+from recon.check import focal as focal_check
 from recon.check import halves, inputs
 from recon.check.clocks import DRIFT_SIGMAS, drifts_of
+from recon.check.likelihood import Baseline
 from recon.check.stretch import LIMITS, deviation, stretch_of
 from recon.fit.clip_problem import ClipProblem
 from recon.fit.result import TrajectorySolution
@@ -50,12 +54,17 @@ ROWS = (
     ("stretch", "x scaled by 1.33", Case(scaled(4 / 3, 1.0))),
     ("halves", "untouched", UNTOUCHED),
     ("halves", "hind half of a second animal", Case(hind_of_second)),
+    ("focal length", "untouched", UNTOUCHED),
+    ("focal length", "focal length x 1.5", Case(focal(1.5))),
+    ("focal length", "focal length x 0.7", Case(focal(0.7))),
+    ("focal length", "letterboxed", Case(scaled(0.75, 0.75))),
     ("drift", "two cameras", Case(lambda clip, given: given, two=True)),
     ("drift", "two, one a frame a second slow", Case(slow_clock, two=True)),
 )
 LIMIT_TEXTS = {
     "stretch": f"{LIMITS[0]} to {LIMITS[1]}",
     "halves": f"{halves.LIMITS[0]} to {halves.LIMITS[1]}",
+    "focal length": "{} to {}".format(*focal_check.POSSIBLE),
     "drift": f"0 to {DRIFT_SIGMAS}",
 }
 
@@ -72,6 +81,10 @@ def deviation_of(clip: Clip, case: Case, check: str) -> list[float]:
         step = halves.offset_of(problem, solution)
         seen.extend([step.value / step.sigma] if check == "halves" and step is not None else [])
 
+    def focal_length(baseline: Baseline, noise_px: Array) -> None:
+        test = focal_check.focal_test(baseline, noise_px) if check == "focal length" else None
+        seen.extend([] if test is None else [test.deviation])
+
     def drift(problem: ClipProblem, solution: TrajectorySolution, *_: object) -> tuple[()]:
         steps = drifts_of(problem, solution).values()
         seen.extend([max(abs(step.value / step.sigma) for step in steps)] if steps else [])
@@ -81,6 +94,7 @@ def deviation_of(clip: Clip, case: Case, check: str) -> list[float]:
         tempfile.TemporaryDirectory() as folder,
         patch.object(inputs, "stretch_finding", stretch if check == "stretch" else lambda *_: None),
         patch.object(inputs, "halves_finding", late_half),
+        patch.object(inputs, "focal_finding", focal_length),
         patch.object(inputs, "drift_findings", drift),
         suppress(InputError),  # a clip whose scaled picture is refused has no check
     ):

@@ -68,7 +68,15 @@ CAUSES = {
         "subject_unlike_species",
     ),
     *("cameras_apart_in_time", "cameras_exchanged", "cameras_disagree", "camera_turned", "camera_late", "camera_off"),
-    *("picture_zooms", "keypoints_undistorted", "halves_apart", "picture_stretched", *EITHER, "pose_inverted"),
+    *(
+        "picture_zooms",
+        "keypoints_undistorted",
+        "halves_apart",
+        "picture_stretched",
+        "focal_length",
+        *EITHER,
+        "pose_inverted",
+    ),
 }
 """Codes that state the cause of a wrong input."""
 SWAPS = ("left_right_swap", "left_right_swap_possible")
@@ -491,10 +499,10 @@ CASES = {
     "only camera is another": Case(other_only_camera, ("other_camera_named",)),
     "the same, called as this one": Case(other_renamed, ("ground_elsewhere",)),
     "cropped video": Case(cropped, ("smaller_video", "ground_elsewhere")),
-    **{f"focal length x {by:g}": Case(focal(by)) for by in (1.5, 0.7, 0.85, 1.1)},
+    **{f"focal length x {by:g}": Case(focal(by), ("focal_length",)) for by in (1.5, 0.7, 0.85, 1.1)},
     "anamorphic, x scaled by 0.75": Case(scaled(0.75, 1.0), ("picture_stretched",)),
     "anamorphic, x scaled by 1.33": Case(scaled(4 / 3, 1.0), ("picture_stretched",)),
-    "letterboxed": Case(scaled(0.75, 0.75), ("smaller_video",)),
+    "letterboxed": Case(scaled(0.75, 0.75), ("smaller_video", "focal_length")),
     "stabiliser's crop": Case(stabilised),
     "turned 10 degrees sideways": Case(lambda c, g: g.turned(about("y", 10))),
     "labels 15 % too large": Case(labels_larger, ("size_unexpected", "ground_elsewhere")),

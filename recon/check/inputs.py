@@ -19,6 +19,7 @@ from recon.animal.prior import NONE, MotionPrior, mean_speed_m_s
 from recon.base.arrays import Array, Bools
 from recon.check.clocks import drift_findings
 from recon.check.codes import FLAG_OF, by_effect, finding
+from recon.check.focal import focal_finding
 from recon.check.halves import halves_finding
 from recon.check.likelihood import (
     CLEAR,
@@ -131,6 +132,8 @@ def _of_only_view(motion: Motion, clip: ClipProblem, baseline: Baseline) -> list
     findings = [at_an_unknown_moment(by_effect(item, motion.trunk_m, position_sigma_m=sigma_m)) for item in lens]
     if all(item.severity == "note" for item in findings) and (stretched := stretch_finding(clip, solution)):
         findings.append(stretched)
+    if all(item.severity == "note" for item in findings) and (focal := focal_finding(baseline, solution.noise_px[0])):
+        findings.append(by_effect(focal, motion.trunk_m, position_sigma_m=sigma_m))
     return findings
 
 

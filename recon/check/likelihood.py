@@ -462,7 +462,7 @@ def _zooms(clip: ClipProblem, view: View, states: Array, minimum: _Minimum) -> I
         return
     zoomed = at(ZOOM * best, as_given.states)
     if exceeds_margin(ratio := as_given.cost - zoomed.cost):
-        numbers = {"log_likelihood_ratio": ratio, **_effect_m(clip, as_given.states, zoomed.states)}
+        numbers = {"log_likelihood_ratio": ratio, **effects_m(clip, as_given.states, zoomed.states)}
         sight_m = clip.in_world(clip.markers(zoomed.states)).mean(axis=1) - view.centre_m
         numbers |= {"zoom": ZOOM * best, "distance_m": float(np.linalg.norm(sight_m, axis=-1).mean())}
         yield finding("picture_zooms", None, None, way="in" if best > 0 else "out", **numbers)
@@ -539,7 +539,7 @@ def frame_rate_finding(
     if is_unknown or gain < (CLEAR if thin_gain > CLEAR else SURE):
         return None
     numbers: dict[str, Any] = {"given_hz": clip.fps, "other_hz": clip.fps * factor, "log_likelihood_ratio": gain}
-    numbers |= _effect_m(clip, as_stated[1].states, rescaled[1].states)
+    numbers |= effects_m(clip, as_stated[1].states, rescaled[1].states)
     rear, front = (clip.markers(states)[:, clip.body.markers.index(marker)] for marker in clip.body.forward)
     trunk_m = float(np.linalg.norm(front - rear, axis=-1).mean())
     item = finding("frame_rate", **numbers)
@@ -548,7 +548,7 @@ def frame_rate_finding(
     return by_effect(item, trunk_m, is_gross=True)
 
 
-def _effect_m(clip: ClipProblem, states: Array, other_states: Array) -> dict[str, float]:
+def effects_m(clip: ClipProblem, states: Array, other_states: Array) -> dict[str, float]:
     """Return the mean difference of two motions over the frames: of poses about their middle, and of the middle."""
     apart_m = clip.markers(states) - clip.markers(other_states)
     middle_m = apart_m.mean(axis=1, keepdims=True)

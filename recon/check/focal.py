@@ -1,0 +1,139 @@
+"""Test one camera's focal length: the animal's perspective, its motion in depth and the ground depend on it.
+
+Through a lens of 1.5 times the focal length, an animal 1.5 times as far away looks as large, but flatter, and moves 1.5
+times as far in depth. The clip is solved again with other focal lengths, from the solution moved along the optical
+axis. A parabola through the costs, taken as log-likelihoods of errors that last, estimates the focal length.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from recon.base.arrays import Array
+from recon.base.numbers import NORMAL_90
+from recon.check.codes import finding
+from recon.check.likelihood import Baseline, best_seen, effects_m
+from recon.fit import constants
+from recon.fit.clip_problem import ClipProblem, contacts, sigmas_above_ground
+from recon.fit.result import Finding
+from recon.geometry.kinematics import ROOT
+
+SHORTER, LONGER = (-0.4, -0.6), (0.2, 0.4)
+"""Logarithms of the factors on the focal length that are tried; the second if the first fits better than none.
+
+A much shorter lens would move the animal behind the nearest cameras.
+"""
+USUAL, SPREAD = -0.12, 0.15
+"""Mean and least standard deviation of the logarithms of the estimated factors in right views."""
+POSSIBLE, LIKELY = (-0.9, 0.55), (-1.6, 1.1)
+"""Standard deviations beyond which another focal length is possible, or likely.
+
+Right views are from -1.6 to 1.0, views of 1.5 and 0.7 times the focal length at -1.1 and 1.1 in the middle
+(`benchmarks/wrong_inputs.py --only limits`).
+"""
+BEYOND = 0.2
+"""Distance beyond the values that were tried, in logarithms, at which the least cost may be."""
+_UNKNOWN_SIGMA = 0.3
+"""Standard deviation of an estimate without a minimum, as is usual."""
+_TOLERANCE, _ITERATIONS = 1e-3, 12
+
+
+@dataclass(frozen=True, eq=False)
+class FocalTest:
+    """An estimate of the focal length."""
+
+    log_factor: float
+    """Logarithm of the likeliest focal length relative to the given one."""
+    sigma: float
+    """Standard deviation of `log_factor` due to the errors of the detections."""
+    effects_m: dict[str, float]
+    """Effects on poses and positions of the farthest focal length on that side that fits no worse than the given one,
+    or of the nearest one that was tried.
+    """
+
+    @property
+    def deviation(self) -> float:
+        """Return the deviation from the usual estimate, in standard deviations, negative for a shorter lens."""
+        return (self.log_factor - USUAL) / math.hypot(SPREAD, self.sigma)
+
+
+def focal_finding(baseline: Baseline, noise_px: Array) -> Finding | None:
+    """Return a finding if another focal length is likely; a note if it is possible.
+
+    The effects of both widen the intervals of the verdict.
+    """
+    test = focal_test(baseline, noise_px)
+    if test is None or POSSIBLE[0] <= test.deviation <= POSSIBLE[1]:
+        return None
+    stated_sigma = baseline.clip.options.focal_sigma or 0.0
+    if abs(test.log_factor) < NORMAL_90 * stated_sigma:  # the intervals contain it
+        return None
+    numbers = {"factor": math.exp(test.log_factor - USUAL), "sigmas": abs(test.deviation), **test.effects_m}
+    item = finding("focal_length", **numbers)
+    return replace(item, severity="note") if LIKELY[0] <= test.deviation <= LIKELY[1] else item
+
+
+def focal_test(baseline: Baseline, noise_px: Array) -> FocalTest | None:
+    """Return the test of the focal length of a still camera, or None without enough frames.
+
+    `noise_px` (T, J) is the noise of the fit. The second with the most detections is tested.
+    """
+    rows = best_seen(baseline.view, baseline.clip.fps)
+    clip, states = baseline.clip.part(rows), baseline.states[rows]
+    if not baseline.view.is_still or len(states) < 3 or not np.isfinite(states).all():
+        return None
+    refits = {0.0: _refit(clip, states, noise_px[None, rows], 0.0)}
+    for nearer, farther in (SHORTER, LONGER):
+        refits[nearer] = _refit(clip, states, noise_px[None, rows], nearer)
+        if refits[nearer].cost < refits[0.0].cost:
+            refits[farther] = _refit(clip, states, noise_px[None, rows], farther)
+    log_factor, sigma = _lowest({tried: refit.cost for tried, refit in refits.items()})
+    side = SHORTER if log_factor < USUAL else LONGER
+    better = [tried for tried in side if tried in refits and refits[tried].cost < refits[0.0].cost]
+    farthest = max(better, key=abs, default=side[0])
+    return FocalTest(log_factor, sigma, effects_m(clip, refits[0.0].states, refits[farthest].states))
+
+
+@dataclass(frozen=True, eq=False)
+class _Refit:
+    cost: float
+    """Cost, where errors within the correlation time count once."""
+    states: Array
+
+
+def _refit(clip: ClipProblem, states: Array, noise_px: Array, log_factor: float) -> _Refit:
+    """Return the solution with another focal length, with the contacts and the ground of that scene."""
+    (view,) = clip.views
+    scaled = replace(clip, views=(view.with_focal_scale(log_factor),))
+    axis = view.T_camera_world.reshape(-1, 4, 4)[0, 2, :3]
+    start = states.copy()  # about the camera's centre
+    start[:, ROOT] += math.expm1(log_factor) * (start[:, ROOT] @ axis)[:, None] * axis
+    *_, contact_terms = contacts(scaled, scaled.markers(start), 1.0)
+    estimate = scaled.problem(noise_px, 1.0, contact_terms).minimise(start, _TOLERANCE, _ITERATIONS)
+    cost = estimate.cost / clip.correlation_frames + _ground_cost(scaled, scaled.markers(estimate.states))
+    return _Refit(cost, estimate.states)
+
+
+def _ground_cost(clip: ClipProblem, markers_m: Array) -> float:
+    """Return the cost of a ground that is not level, and not near z = 0 if it is known to be there."""
+    if not clip.finds_ground:
+        return 0.0
+    _, ground, _ = contacts(clip, markers_m, 1.0)
+    slope = 0.0 if ground is None else 0.5 * float(np.sum((ground.slope / constants.GROUND_SLOPE) ** 2))
+    return slope + (0.5 * sigmas_above_ground(clip, markers_m) ** 2 if clip.ground_known else 0.0)
+
+
+def _lowest(costs: Mapping[float, float]) -> tuple[float, float]:
+    """Return where a parabola through the least cost and its neighbours is lowest, and its standard deviation."""
+    values = sorted(costs)
+    least = min(values, key=costs.__getitem__)
+    middle = min(max(values.index(least), 1), len(values) - 2)
+    x = np.array(values[middle - 1 : middle + 2])
+    bend, slope, _ = np.polyfit(x, [costs[value] for value in x], 2)
+    if bend <= 0:
+        return least, _UNKNOWN_SIGMA
+    return float(np.clip(-0.5 * slope / bend, values[0] - BEYOND, values[-1] + BEYOND)), float((2 * bend) ** -0.5)

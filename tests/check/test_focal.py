@@ -1,0 +1,55 @@
+"""Another focal length is told by the animal's perspective, its motion in depth and the ground."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+from recon.animal.prior import load_prior
+from recon.check.focal import focal_finding
+from recon.check.likelihood import Baseline, baseline_of
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
+from recon.fit.motion import Motion
+from recon.fit.result import TrajectorySolution
+
+
+@pytest.fixture(scope="module")
+def solved(whole_results) -> tuple[Baseline, np.ndarray]:
+    """The sample, and the noise of its detections."""
+    motion = Motion.load(whole_results)
+    solution = motion.solution
+    assert isinstance(solution, TrajectorySolution)
+    prior = load_prior(solution.prior, motion.body)
+    clip = ClipProblem.from_views(solution.views, motion.body, prior, motion.fps, TrajectoryOptions())
+    return baseline_of(clip, 0, solution.states, solution.size), solution.noise_px[0]
+
+
+def with_focal_scale(baseline: Baseline, log_factor: float, **options: float) -> Baseline:
+    """The same pictures by a lens that is said to be longer, and the animal as much farther away."""
+    (view,) = baseline.clip.views
+    axis, states = view.T_camera_world[2, :3], baseline.states.copy()
+    states[:, :3] += np.expm1(log_factor) * (states[:, :3] @ axis)[:, None] * axis
+    clip = replace(baseline.clip, views=(view.with_focal_scale(log_factor),))
+    return Baseline(replace(clip, options=replace(clip.options, **options)), states)
+
+
+@pytest.mark.parametrize(("log_factor", "severity"), [(0.4, "warning"), (-0.4, "note"), (-0.2, None)])
+def test_the_focal_length_of_another_lens_is_named_with_its_factor(solved, log_factor, severity):
+    baseline, noise_px = solved
+    with threadpool_limits(1, user_api="blas"):
+        item = focal_finding(with_focal_scale(baseline, log_factor), noise_px)
+    assert (None if item is None else item.severity) == severity
+    if item is not None:
+        assert item.code == "focal_length"
+        assert (item.numbers["factor"] > 1) == (log_factor < 0)
+        assert item.numbers["position_effect_m"] > 1
+        assert item.numbers["pose_effect_m"] < 0.05
+
+
+def test_a_focal_length_within_the_stated_uncertainty_is_not_named(solved):
+    baseline, noise_px = solved
+    with threadpool_limits(1, user_api="blas"):
+        assert focal_finding(with_focal_scale(baseline, -0.4, focal_sigma=0.3), noise_px) is None
