@@ -219,6 +219,10 @@ def focal(factor: float) -> Change:
     )
 
 
+def transposed(clip: Clip, given: Given) -> Given:
+    return replace(given, camera=replace(given.camera, rotation=np.asarray(given.camera.rotation).T))
+
+
 def scaled(x: float, y: float) -> Change:
     """Return a change that scales the picture about its middle."""
 
@@ -530,6 +534,9 @@ CASES = {
         ("picture_turned", "turned_either_way", "refused"),
     ),
     "y-up world": Case(lambda c, g: g.moved(R=UP), ("world_not_z_up", "turned_either_way")),
+    "R transposed, T kept": Case(
+        transposed, ("rotation_transposed", "pose_inverted", "turned_either_way", "upside_down", "refused")
+    ),
     "still animal": Case(still, ("animal_still",)),
     "time reversed": Case(backwards, ("time_reversed",)),
     "unit mm": Case(in_unit(1000.0), ("camera_unit",)),

@@ -72,8 +72,8 @@ def focal_finding(baseline: Baseline, noise_px: Array) -> Finding | None:
     stated_sigma = baseline.clip.options.focal_sigma or 0.0
     if abs(test.log_factor) < NORMAL_90 * stated_sigma:  # the intervals contain it
         return None
-    numbers = {"factor": math.exp(test.log_factor - USUAL), "sigmas": abs(test.deviation), **test.effects_m}
-    item = finding("focal_length", **numbers)
+    factor = math.exp(test.log_factor - USUAL)
+    item = finding("focal_length", None, None, factor=factor, sigmas=abs(test.deviation), **test.effects_m)
     return replace(item, severity="note") if LIKELY[0] <= test.deviation <= LIKELY[1] else item
 
 

@@ -238,6 +238,8 @@ OPPOSITE_SHARE = 0.5
 It is 0.8 if 70 % of the detections are gross outliers, and below 0 if the picture or the world is turned by 90 degrees.
 """
 
+_CAMERA_TO_WORLD = {"pose_inverted", "rotation_transposed"}
+"""Codes of poses, or their rotations only, that are given from camera to world."""
 _Alternative = tuple[str, dict[str, Any], View]
 """Hypothesis on a view: the finding's code and numbers, and the view under the hypothesis."""
 
@@ -285,7 +287,8 @@ def _likeliest_finding(camera: Camera, alternatives: Sequence[_Alternative], rat
     likely = [i for i in range(len(ratios)) if not exceeds_margin(ratios[best] - ratios[i], surely=True)]
     if camera.knows_up and len(likely) > 1:
         rivals = [alternatives[i] for i in sorted(likely, key=lambda i: -ratios[i])]
-        if all(map(_is_upside_down, rivals)):
+        codes = {rival_code for rival_code, *_ in rivals}
+        if all(map(_is_upside_down, rivals)) and not codes <= _CAMERA_TO_WORLD:
             return finding("upside_down", camera=camera.name, log_likelihood_ratio=ratios[best])
         causes = tuple(_WORDS[code].format(**numbers) for code, numbers, _ in rivals)
         return finding("turned_either_way", camera=camera.name, log_likelihood_ratio=ratios[best], causes=causes)
@@ -306,6 +309,7 @@ _WORDS = {
     "picture_turned": "the picture is turned by {degrees} degrees",
     "world_not_z_up": "{axis} points up in the camera file's world (--set up={axis})",
     "pose_inverted": "the camera file's pose is from camera to world",
+    "rotation_transposed": "only the camera file's rotation is from camera to world",
     "smaller_video": "the video is {times} times smaller than the camera's picture",
 }
 """Causes in words, by the code of their finding."""
@@ -314,7 +318,7 @@ _WORDS = {
 def _is_upside_down(alternative: _Alternative) -> bool:
     """Return whether a hypothesis explains an animal that runs upside down."""
     code, numbers, _ = alternative
-    return code in ("picture_upside_down", "keypoints_y_up", "pose_inverted") or numbers.get("axis") == "-z"
+    return code in {"picture_upside_down", "keypoints_y_up", *_CAMERA_TO_WORLD} or numbers.get("axis") == "-z"
 
 
 def _turned(view: View) -> Iterator[_Alternative]:
@@ -331,11 +335,19 @@ def _turned(view: View) -> Iterator[_Alternative]:
         turned_over = view.T_camera_world @ np.diag([1.0, -1.0, -1.0, 1.0])
         yield "world_not_z_up", {"axis": "-z"}, replace(view, T_camera_world=turned_over)
         yield "pose_inverted", {}, replace(view, T_camera_world=inverse(view.T_camera_world))
+        yield "rotation_transposed", {}, replace(view, T_camera_world=_with_transposed_rotation(view.T_camera_world))
     upward = {"y": (0, 1, 0), "-y": (0, -1, 0)} | ({"x": (1, 0, 0), "-x": (-1, 0, 0)} if view.camera.knows_up else {})
     for axis, up in upward.items():
         turn = np.eye(4)
         turn[:3, :3] = _raising(np.array(up, dtype=float))
         yield "world_not_z_up", {"axis": axis}, replace(view, T_camera_world=view.T_camera_world @ turn.T)
+
+
+def _with_transposed_rotation(transform: Array) -> Array:
+    """Return transforms (..., 4, 4) with the same translation and the transposed rotation."""
+    transposed = transform.copy()
+    transposed[..., :3, :3] = np.swapaxes(transform[..., :3, :3], -1, -2)
+    return transposed
 
 
 def _raising(up: Array) -> Array:

@@ -83,6 +83,7 @@ SENTENCES = {
         "equally well: x points up, the picture is turned. Correct",
         {"causes": ("x points up", "the picture is turned")},
     ),
+    "rotation_transposed": ("likely if the camera file's rotation is transposed", {}),
     "pose_inverted": ("from the camera to the world", {}),
     "picture_upside_down": ("upside down in the picture", {}),
     "smaller_video": ("a video 2 times smaller than", {"times": 2}),

@@ -13,7 +13,7 @@ from recon.check.focal import focal_finding
 from recon.check.likelihood import Baseline, baseline_of
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.motion import Motion
-from recon.fit.result import TrajectorySolution
+from recon.fit.result import Finding, TrajectorySolution
 
 
 @pytest.fixture(scope="module")
@@ -27,13 +27,19 @@ def solved(whole_results) -> tuple[Baseline, np.ndarray]:
     return baseline_of(clip, 0, solution.states, solution.size), solution.noise_px[0]
 
 
-def with_focal_scale(baseline: Baseline, log_factor: float, **options: float) -> Baseline:
+def number(item: Finding, name: str) -> float:
+    value = item.numbers[name]
+    assert isinstance(value, float)
+    return value
+
+
+def with_focal_scale(baseline: Baseline, log_factor: float, focal_sigma: float | None = None) -> Baseline:
     """The same pictures by a lens that is said to be longer, and the animal as much farther away."""
     (view,) = baseline.clip.views
     axis, states = view.T_camera_world[2, :3], baseline.states.copy()
     states[:, :3] += np.expm1(log_factor) * (states[:, :3] @ axis)[:, None] * axis
     clip = replace(baseline.clip, views=(view.with_focal_scale(log_factor),))
-    return Baseline(replace(clip, options=replace(clip.options, **options)), states)
+    return Baseline(replace(clip, options=replace(clip.options, focal_sigma=focal_sigma)), states)
 
 
 @pytest.mark.parametrize(("log_factor", "severity"), [(0.4, "warning"), (-0.4, "note"), (-0.2, None)])
@@ -44,9 +50,9 @@ def test_the_focal_length_of_another_lens_is_named_with_its_factor(solved, log_f
     assert (None if item is None else item.severity) == severity
     if item is not None:
         assert item.code == "focal_length"
-        assert (item.numbers["factor"] > 1) == (log_factor < 0)
-        assert item.numbers["position_effect_m"] > 1
-        assert item.numbers["pose_effect_m"] < 0.05
+        factor, pose_m, position_m = (number(item, name) for name in ("factor", "pose_effect_m", "position_effect_m"))
+        assert (factor > 1) == (log_factor < 0)
+        assert pose_m < 0.05 < 1 < position_m
 
 
 def test_a_focal_length_within_the_stated_uncertainty_is_not_named(solved):

@@ -450,6 +450,13 @@ def test_an_animal_that_runs_upside_down(code, axis, changed):
         ({"x": 500.0}, "world_not_z_up", None),
         ({"x": 500.0, "picture_turned": 480.0}, "turned_either_way", ["x points up", "turned by 90 degrees"]),
         ({"-z": 500.0, "keypoints_y_up": 480.0}, "upside_down", None),
+        ({"rotation_transposed": 500.0}, "rotation_transposed", None),
+        ({"rotation_transposed": 500.0, "keypoints_y_up": 480.0}, "upside_down", None),
+        (
+            {"pose_inverted": 500.0, "rotation_transposed": 480.0},
+            "turned_either_way",
+            ["pose is from camera to world", "only the camera file's rotation"],
+        ),
         ({"-z": 500.0, "picture_turned": 480.0}, "turned_either_way", ["-z points up", "turned by 90 degrees"]),
         ({"-z": 500.0, "picture_turned": 460.0}, "world_not_z_up", None),
         ({"x": 5.0}, None, None),
