@@ -24,6 +24,7 @@ import tempfile
 import tokenize
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -263,10 +264,36 @@ def check(where: bool) -> bool:
 # -- circles ----------------------------------------------------------------------------------------------------------
 
 
-def imported_by(module: str, tree: ast.Module, is_package: bool, modules: Mapping[str, object]) -> set[str]:
+@cache
+def parsed(source: str) -> ast.Module:
+    """Return the syntax tree of a source text, which is parsed once."""
+    return ast.parse(source)
+
+
+@cache
+def nodes_that_import(source: str) -> list[ast.stmt | ast.Call]:
+    """Return the imports in a source text, in functions too, and its calls, if one of them may import by a string.
+
+    An import is a statement: otherwise expressions, which are most of a syntax tree, need not be walked.
+    """
+    tree = parsed(source)
+    if "import_module" in source or "__import__" in source:
+        return [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom | ast.Call)]
+    imports, nodes = list[ast.stmt | ast.Call](), list[ast.AST](tree.body)
+    while nodes:
+        node = nodes.pop()
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            imports.append(node)
+        for branch in ("body", "orelse", "handlers", "finalbody", "cases"):
+            children = getattr(node, branch, ())
+            nodes += children if isinstance(children, list) else ()
+    return imports
+
+
+def imported_by(module: str, source: str, is_package: bool, modules: Mapping[str, object]) -> set[str]:
     """Return the package's modules that a module imports: at its top, inside functions, or by `import_module`."""
     found = set()
-    for node in ast.walk(tree):
+    for node in nodes_that_import(source):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -294,8 +321,8 @@ def _called(function: ast.expr) -> str:
 
 def imports() -> dict[str, set[str]]:
     """Return, for each module of the package, the package's modules that it imports, without those of `UPWARD`."""
-    trees = sources()
-    graph = {name: imported_by(name, tree, is_package(name), trees) for name, tree in trees.items()}
+    texts = {module_of(path): path.read_text(encoding="utf-8") for path in sorted(PACKAGE.rglob("*.py"))}
+    graph = {name: imported_by(name, text, is_package(name), texts) for name, text in texts.items()}
     return {name: {target for target in targets if not is_upward(name, target)} for name, targets in graph.items()}
 
 

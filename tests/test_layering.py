@@ -47,12 +47,26 @@ IMPORT_NAMES = {"opencv-python-headless": "cv2", "rerun-sdk": "rerun"}
 """Distributions whose modules have another name."""
 
 
-@pytest.fixture(scope="module")
-def house() -> SimpleNamespace:
-    """The script that draws the graph of imports."""
+@cache
+def loaded_house() -> SimpleNamespace:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(ROOT / "benchmarks"))
         return SimpleNamespace(**runpy.run_path(str(ROOT / "benchmarks" / "house.py")))
+
+
+@pytest.fixture(scope="module")
+def house() -> SimpleNamespace:
+    """The script that draws the graph of imports."""
+    return loaded_house()
+
+
+def parsed(source: str) -> ast.Module:
+    """What is read more than once is parsed once."""
+    return loaded_house().parsed(source)
+
+
+def nodes_that_import(source: str) -> list[ast.stmt | ast.Call]:
+    return loaded_house().nodes_that_import(source)
 
 
 @cache
@@ -61,18 +75,6 @@ def base_imports() -> set[str]:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     names = [re.split(r"[^\w.-]", requirement)[0] for requirement in project["dependencies"]]
     return {"recon", *sys.stdlib_module_names} | {IMPORT_NAMES.get(n, n.replace("-", "_")) for n in names}
-
-
-@cache
-def parsed(source: str) -> ast.Module:
-    """What is read more than once is parsed once."""
-    return ast.parse(source)
-
-
-@cache
-def nodes_that_import(tree: ast.Module) -> tuple[ast.Import | ast.ImportFrom | ast.Call, ...]:
-    """Imports and calls, in functions too: a tree is walked once."""
-    return tuple(node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom | ast.Call))
 
 
 def module_name(path: Path) -> str:
@@ -97,12 +99,12 @@ def violations(
         allowed = {*before, *(WINGS if layer in TOPS else ()), layer}
         wrong_way = [
             (line, t)
-            for line, t in all_imports(module, tree)
+            for line, t in all_imports(module, source)
             if t[0] == "recon" and room(t) not in allowed and not is_upward(module, ".".join(t))
         ]
         found += [
             f"{module}:{line} imports {name} from {origin}, which does not define it"
-            for line, origin, name in imported_names(module, tree)
+            for line, origin, name in imported_names(module, source)
             if not defines(origin, name)
         ]
     found += [
@@ -116,9 +118,9 @@ def violations(
     return found
 
 
-def imported_names(module: str, tree: ast.Module) -> Iterator[tuple[int, str, str]]:
+def imported_names(module: str, source: str) -> Iterator[tuple[int, str, str]]:
     """Line, module and name of every name that is imported from a module of the package."""
-    for node in nodes_that_import(tree):
+    for node in nodes_that_import(source):
         if isinstance(node, ast.ImportFrom):
             package = module.split(".")[: -node.level] if node.level else []
             origin = ".".join((*package, *(node.module.split(".") if node.module else ())))
@@ -161,13 +163,13 @@ def room(parts: tuple[str, ...]) -> str:
     return parts[1] if len(parts) > 1 else ""
 
 
-def all_imports(module: str, tree: ast.Module) -> Iterator[tuple[int, tuple[str, ...]]]:
+def all_imports(module: str, source: str) -> Iterator[tuple[int, tuple[str, ...]]]:
     """Line and dotted name (as parts) of every import, those inside functions and by `import_module` included.
 
     `from recon import x` is recon.x where that is a module, and otherwise the public API, recon; `__version__` and its
     like are no API.
     """
-    for node in nodes_that_import(tree):
+    for node in nodes_that_import(source):
         if isinstance(node, ast.Import):
             yield from ((node.lineno, tuple(alias.name.split("."))) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -344,4 +346,4 @@ def test_finds_circles(house):
 )
 def test_finds_what_a_module_imports(source, found, house):
     modules = dict.fromkeys(("recon", "recon.io", "recon.io.npz", "recon.io.trc", "recon.fit"))
-    assert house.imported_by("recon.io.trc", ast.parse(source), False, modules) == found
+    assert house.imported_by("recon.io.trc", source, False, modules) == found
