@@ -24,7 +24,7 @@ from rerun.components import FillMode
 from scipy.spatial.transform import Rotation
 
 from recon.animal.body import Side
-from recon.base.arrays import Array, Bools, Integers, mean_along
+from recon.base.arrays import Array, Bools, Index, Integers, mean_along
 from recon.base.files import write_bytes
 from recon.clip import frame_ranges
 from recon.fit.motion import Motion, Picture
@@ -85,7 +85,9 @@ class Log:
     time_s: Array
     """(T,): times of the frames."""
 
-    def send(self, entity: str, columns: rr.ComponentColumnList, rows: Sequence[int] | slice = slice(None)) -> None:
+    def send(
+        self, entity: str, columns: rr.ComponentColumnList, rows: Index | Sequence[int] | slice = slice(None)
+    ) -> None:
         """Write columns of an entity with a row for each of the given rows of the clip."""
         times = [
             rr.TimeColumn("frame", sequence=self.frames[rows]),
