@@ -35,8 +35,6 @@ if TYPE_CHECKING:
 SUMMARY = "analysis.json"
 FOLDER = "analysis"
 """Name of the analysis folder inside the results folder, by default."""
-PLAYBACK = "motion.rrd"
-"""The playback that the fit has written."""
 FIGURES_BEGIN = 0.5
 """Progress, as a fraction of the whole, at which the figures begin."""
 SHOWN = 3

@@ -52,7 +52,8 @@ SCHEMA = {"name": "recon.record", "version": 1}
 AS_THEY_WERE = "the prior and settings with which the clip was fitted: fit the clip again"
 REFINED_CAMERAS = "cameras.toml"
 """Camera file with the poses that a fit refined."""
-OUTPUT_FILES = (*CLIP_OUTPUTS, REPROJECTION, MOTION, "report.json", "motion.rrd", CONFIG, MANIFEST)
+PLAYBACK = "motion.rrd"
+OUTPUT_FILES = (*CLIP_OUTPUTS, REPROJECTION, MOTION, "report.json", PLAYBACK, CONFIG, MANIFEST)
 """Every output file for a clip with one camera; with several cameras there is one `REPROJECTION` per camera."""
 
 
@@ -64,7 +65,8 @@ def output_files(settings: FitSettings, out: Path) -> list[str]:
             tables = camera_files([camera.name for camera, _ in read_clip_cameras(settings)])
     refined = [REFINED_CAMERAS] if settings.seeks_cameras else []
     shape = [SHAPE] if len(settings.keypoints) > 1 and not settings.lengths_known else []
-    return [*(name for name in OUTPUT_FILES if name != REPROJECTION), *tables, *refined, *shape]
+    absent = {REPROJECTION} if settings.playback else {REPROJECTION, PLAYBACK}
+    return [*(name for name in OUTPUT_FILES if name not in absent), *tables, *refined, *shape]
 
 
 def output_of(settings: FitSettings, out: Path, overwrite: bool) -> Output:
@@ -105,8 +107,6 @@ def write_clip(
     InputError
         If a file to be written exists and no fit wrote it, or it was changed after the fit.
     """
-    from recon.show import view  # rerun is slow to import
-
     if sha256 is None:
         sha256 = input_digests(settings)
     known = {role: sha256_hex for role, sha256_hex in sha256.items() if sha256_hex is not None}
@@ -118,7 +118,10 @@ def write_clip(
         write_tables(motion, folder)
         write_report(report, folder / "report.json")
         (folder / CONFIG).write_text(settings.to_toml(out, known), encoding="utf-8")
-        view.write(motion, folder / "motion.rrd")
+        if settings.playback:
+            from recon.show import view  # rerun is slow to import
+
+            view.write(motion, folder / PLAYBACK)
         if settings.seeks_cameras or any(item.code in PAIR_REFINED for item in motion.findings):
             from recon.io.camera_files import write_cameras
 

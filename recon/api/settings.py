@@ -169,6 +169,10 @@ class FitSettings(Settings):
     """
     camera_fps: Annotated[OneOrMore[Positive] | None, _RARE_TRAJECTORY] = None
     """Frame rates of the cameras if they differ, once per keypoint file; the result has the first camera's rate."""
+    playback: Annotated[bool, _RARE] = True
+    """Write the playback. Without it, the results take a third less space, and a short clip a third less time; recon
+    view then makes the playback when it is opened.
+    """
     method: Annotated[Method, _RARE] = "trajectory"
     """trajectory: the whole animal over the whole clip; frame: one side of the animal, frame by frame."""
     detector: Annotated[NameOrFile | None, _RARE_TRAJECTORY] = None

@@ -9,7 +9,8 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from recon.api.analyse import FOLDER, PLAYBACK, AnalyseSettings, run_analysis
+from recon.api.analyse import FOLDER, AnalyseSettings, run_analysis
+from recon.api.clip_results import PLAYBACK
 from recon.base.numbers import quantity
 from recon.base.progress import Progress, silent
 from recon.cli.answers import Answer, table_of, verdict_texts

@@ -13,11 +13,12 @@ import cv2
 import numpy as np
 from rich.console import Console
 
-from recon.api.analyse import FOLDER, PLAYBACK
+from recon.api.analyse import FOLDER
 from recon.api.analyse import SUMMARY as ANALYSIS
 from recon.api.batch import read_rows, write_summary_page
 from recon.api.batch_inputs import SUMMARY
 from recon.api.clip_cameras import cameras_in
+from recon.api.clip_results import PLAYBACK
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import MANIFEST, read_manifest, staged_file
@@ -31,6 +32,7 @@ from recon.check.verdict import usable
 from recon.cli.answers import Answer, say, verdict_texts, wait_for_ctrl_c
 from recon.cli.look_options import OverlaySettings, PageSettings, ResultSettings, ViewSettings
 from recon.fit.motion import Motion
+from recon.fit.motion_forms import MOTION
 from recon.gait.clip import analyse
 from recon.io.video import Image, missing_note, probe, require_codec, size_problems, video_writer
 from recon.show.overlay import SIDE_COLOURS, Overlay, canvas_size, clip_frames, draw_frame, draw_tiles
@@ -350,9 +352,10 @@ def show_playback(settings: ViewSettings, console: Console) -> Answer:
     """Open the playback of a result in the viewer, serve it to a browser, or write it to a recording."""
     folder, out = settings.folder, settings.out
     playback = folder / PLAYBACK
-    if not playback.is_file():
+    if playback.is_file():
+        read_manifest(folder).require(PLAYBACK)
+    elif not (folder / MOTION).is_file():
         raise InputError(Problem(playback, "file", "no such file", "a recording (.rrd) that `recon fit` has written"))
-    read_manifest(folder).require(PLAYBACK)
     if out is not None:
         answer = write_recording(settings)
         for note in answer.notes:
@@ -361,7 +364,7 @@ def show_playback(settings: ViewSettings, console: Console) -> Answer:
     with_video = folder / VIDEO_PLAYBACK
     if settings.video is None and with_video.is_file() and is_current(with_video, folder):
         _show(with_video, settings, console)
-    elif settings.video is not None or (folder / FOLDER / ANALYSIS).is_file():
+    elif settings.video is not None or (folder / FOLDER / ANALYSIS).is_file() or not playback.is_file():
         with TemporaryDirectory() as temporary:
             playback = Path(temporary) / PLAYBACK
             if note := _write(settings, playback):

@@ -26,7 +26,7 @@ import recon.show.tables
 import recon.show.view
 from recon import FitSettings, Motion, evaluate_files, read_settings
 from recon.animal.body import MIN_JOINTS
-from recon.api.clip_results import OUTPUT_FILES
+from recon.api.clip_results import CONFIG, OUTPUT_FILES, output_files, read_config, write_clip
 from recon.base.arrays import to_plain
 from recon.base.numbers import percent
 from recon.base.outputs import RECORD, Output
@@ -856,6 +856,22 @@ def test_view_opens_the_recording(fitted, monkeypatch):
     monkeypatch.setattr("recon.show.view.open_viewer", opened.append)
     assert run("view", fitted[0]).code == 0
     assert opened == [fitted[0] / "motion.rrd"]
+
+
+def test_view_makes_a_playback_that_the_fit_left_out(tmp_path, fitted, monkeypatch):
+    """With playback=false, a fit writes all files but motion.rrd, also in place of results that have one."""
+    out, opened = tmp_path / "clip", []
+    monkeypatch.setattr("recon.show.view.open_viewer", lambda path: opened.append((path.name, path.read_bytes()[:4])))
+    settings, motion = read_config(fitted[0] / CONFIG, {}), Motion.load(fitted[0])
+    for playback in (True, False):
+        write_clip(motion, replace(settings, playback=playback), out)
+    names = {*output_files(replace(settings, playback=False), out)}
+    assert {path.name for path in out.iterdir()} == {*names, RECORD}
+    assert {*OUTPUT_FILES} - names == {"motion.rrd"}
+    assert not read_config(out / CONFIG, {}).playback
+    assert run("view", out).code == 0
+    assert opened == [("motion.rrd", b"RRF2")]
+    assert not (out / "motion.rrd").exists()
 
 
 def test_view_opens_the_recording_with_the_video_that_a_run_wrote(tmp_path, fitted, monkeypatch):
