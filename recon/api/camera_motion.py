@@ -214,10 +214,8 @@ def _write_track(path: Path, s: CameraMotionSettings, motion: TurningMotion, cam
     q = turns.as_quat(canonical=True, scalar_first=True)
     poses = np.round(np.concatenate([q, np.zeros((len(q), 3))], axis=1), 9)
     if s.zoom:
-        camera_matrix, zooms = (
-            camera.matrix,
-            np.array([orientation.zoom for orientation in motion.orientations])[:, None],
-        )
+        camera_matrix = camera.matrix
+        zooms = np.array([orientation.zoom for orientation in motion.orientations])[:, None]
         lens = [zooms * [camera_matrix[0, 0], camera_matrix[1, 1]], np.tile(camera_matrix[:2, 2], (len(q), 1))]
         poses = np.concatenate([poses, np.round(np.concatenate(lens, axis=1), 4)], axis=1)
     poses = np.concatenate([poses, np.round(np.degrees(motion.sigma_rad)[:, None], 5)], axis=1)

@@ -108,10 +108,8 @@ def run_prior_fit(settings: PriorFitSettings) -> dict[str, Any]:
     segments = [*result_segments, *file_segments]
     frames = sum(_count(states) for _, states, fps in segments if mean_speed_m_s(states, fps) >= settings.min_speed_m_s)
     components = min(settings.components, max(frames // FRAMES_PER_COMPONENT, 1))
-    name_and_source, options = (
-        (settings.name or settings.out.stem, settings.source),
-        picked(settings, "min_speed_m_s", "apart"),
-    )
+    name_and_source = (settings.name or settings.out.stem, settings.source)
+    options = picked(settings, "min_speed_m_s", "apart")
     prior = fit_prior(body, segments, *name_and_source, components, **options)
     held_out = _held_out(body, segments, prior) if settings.check else None
     with output.staged_file() as staged:

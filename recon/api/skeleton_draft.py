@@ -79,10 +79,8 @@ _REAR_WORDS = re.compile("tail|rump|croup|hip|pelvis", re.IGNORECASE)
 _FEET_WORDS = re.compile("paw|foot|feet|hand|hoof|toe", re.IGNORECASE)
 _NO_FEET = re.compile("tail|nose|snout|muzzle|beak|head", re.IGNORECASE)
 """Names of keypoints at feet, and of keypoints that reach the ground although they are not feet."""
-_FORE_WORDS, _HIND_WORDS = (
-    re.compile("front|fore|thoracic", re.IGNORECASE),
-    re.compile("back|hind|rear|pelvic", re.IGNORECASE),
-)
+_FORE_WORDS = re.compile("front|fore|thoracic", re.IGNORECASE)
+_HIND_WORDS = re.compile("back|hind|rear|pelvic", re.IGNORECASE)
 _LEG_WORDS = re.compile("knee|ankle|elbow|wrist|stifle|hock|carp|tars|paw|foot|hand|hoof|toe", re.IGNORECASE)
 
 SkeletonDraft = tuple[dict[str, str], tuple[str, ...], str]

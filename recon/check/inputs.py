@@ -334,10 +334,10 @@ BACKWARDS_M_S, BACKWARDS = 1.0, 0.9
 SLOWEST = 0.1
 """Fraction of the feet, over all frames, that move at the speed of standing feet or more slowly."""
 SLIDE_SHARE, SLIDE_LEGS_S = 0.25, 0.5
-"""Backward speed that standing feet do not reach, relative to the body's speed over them.
+"""Backward speed of standing feet relative to the body's speed over them, above which they slide, and the least speed
+of the body over the feet, in leg lengths per second, at which this is tested.
 
-It counts if the body moves over the feet at that number of leg lengths per second. It is 0.06 at most in real views of
-cheetahs and dogs, and 0.9 to 1.0 on a treadmill at any speed.
+The first is 0.06 at most in real views of cheetahs and dogs, and 0.9 to 1.0 on a treadmill at any speed.
 """
 STAYS_SHARE = 0.3
 """Speed of the body relative to the feet below which the body stays where it is, as on a treadmill."""

@@ -121,10 +121,8 @@ def negative_log_density(view: View, projected: Array, sigma_px: Array, correlat
     The noise is (T, J). Part of each error is carried over from the frame before, so that correlated neighbouring
     frames count only once.
     """
-    errors, autocorrelation = (
-        (projected - view.xy_px) / sigma_px[..., None],
-        (correlation_frames - 1) / (correlation_frames + 1),
-    )
+    errors = (projected - view.xy_px) / sigma_px[..., None]
+    autocorrelation = (correlation_frames - 1) / (correlation_frames + 1)
     innovations = errors.copy()
     innovations[1:] = np.where(
         np.isfinite(errors[:-1]),
@@ -411,9 +409,8 @@ def whole_fit_gain(alternative: TrajectorySolution, original: TrajectorySolution
     """Return the log-likelihood gain of a whole fit over another of the same detections, each with its own noise."""
     original_cost, alternative_cost = (sum(solution.cost_by_term.values()) for solution in (original, alternative))
     weight = np.array([np.where(view.present, view.confidence, 0.0) for view in original.views])
-    log_noise = 2.0 * np.nansum(
-        weight * np.log(original.noise_px / alternative.noise_px)
-    )  # both coordinates of each detection
+    # twice, for the two coordinates of each detection
+    log_noise = 2.0 * np.nansum(weight * np.log(original.noise_px / alternative.noise_px))
     return original_cost - alternative_cost + float(log_noise)
 
 
@@ -465,10 +462,8 @@ def _zooms(clip: ClipProblem, view: View, states: Array, minimum: _Minimum) -> I
 
     as_given = at(0.0, states)
     nearer, farther = (as_given.cost - at(zoom, as_given.states).cost for zoom in (ZOOM, -ZOOM))
-    slope, bend = (
-        0.5 * (nearer - farther),
-        nearer + farther,
-    )  # slope and curvature of the parabola through the three costs, by the log zoom
+    # slope and curvature, by the log zoom, of the parabola through the three costs
+    slope, bend = 0.5 * (nearer - farther), nearer + farther
     best = float(np.clip(-slope / bend if bend < 0 else np.sign(slope), -LARGEST, LARGEST))
     if abs(best) < 1.0:
         return

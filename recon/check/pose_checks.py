@@ -316,10 +316,8 @@ def _ranges(points: AuditedPoints) -> Iterator[Measure]:
         joint = joint_and_side(name)[0]
         if joint not in RANGE_DEG:
             continue
-        proximal, distal = (
-            points.positions[:, middle] - points.positions[:, above],
-            points.positions[:, below] - points.positions[:, middle],
-        )
+        proximal = points.positions[:, middle] - points.positions[:, above]
+        distal = points.positions[:, below] - points.positions[:, middle]
         angle_deg = np.degrees(flexion_about(proximal, distal, left)) * FLEXES_CAUDALLY[joint]
         low, high = RANGE_DEG[joint]
         centre = 0.5 * (low + high)

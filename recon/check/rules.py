@@ -255,9 +255,8 @@ def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
     ends = [int(np.argmin(delays)), int(np.argmax(delays))]
     apart_frames = delays[ends[1]] - delays[ends[0]]
     expected, remaining = constants.TIME_OFFSET_FRAMES**2, solution.time_offset_sigma_frames[ends] ** 2
-    explained = (
-        np.sum(expected - remaining) * len(delays) / (len(delays) - 1)
-    )  # a delay common to all cameras is not visible
+    # a delay common to all cameras is not visible
+    explained = np.sum(expected - remaining) * len(delays) / (len(delays) - 1)
     variance = explained if 0.0 < explained < 2.0 * expected else 2.0 * expected
     likely_late = [test for test in solution.second_cameras if test.late > max(test.misplaced, 0.0)]
     if likely_late or apart_frames > OUT_OF_STEP_SIGMAS * math.sqrt(variance):

@@ -44,8 +44,7 @@ def without_swaps(
         )
         mended[number] = replace(mended[number], keypoints=replace(keypoints, **exchanged_back))
         is_most_of_clip = swap.numbers["part"] == PARTS["all"] and 2 * (rows.stop - rows.start) > len(keypoints.frames)
-        code = (
-            "clip_swapped_back" if is_most_of_clip else "left_right_swap_mended"
-        )  # a mirrored video looks like a swapped clip
+        # a mirrored video looks like a swapped clip
+        code = "clip_swapped_back" if is_most_of_clip else "left_right_swap_mended"
         marked[i] = finding(code, swap.frames, swap.camera, **swap.numbers)
     return tuple(mended), tuple(marked)

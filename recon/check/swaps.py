@@ -238,7 +238,8 @@ def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str,
     low, high = sums - gain, sums + gain
     best_ahead, best_behind = np.full(len(ends), -np.inf), np.full(len(ends), np.inf)
     best_ahead[:-1], best_behind[1:] = np.maximum.accumulate(high[:0:-1])[::-1], np.minimum.accumulate(low[:-1])
-    is_candidate = (best_ahead - low > LIKELY) | (high - best_behind > LIKELY)  # a long clip has few rows left
+    # Only these ends can bound a likely stretch; a long clip has too many ends for the pairs below.
+    is_candidate = (best_ahead - low > LIKELY) | (high - best_behind > LIKELY)
     ends, low, high = ends[is_candidate], low[is_candidate], high[is_candidate]
     first, stop = ends[:, None], ends[None]
     score = np.where((stop > first) & (stop - first < T), high[None] - low[:, None], -np.inf)

@@ -154,10 +154,8 @@ def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary],
     parts += [Text(f"{n} {status}", style) for status, n in counts.items() if (style := _STYLES.get(status))]
     seconds = time.monotonic() - began
     status_text = Text.assemble(Text(", ").join(parts), f" in {quantity(seconds, 0, 's')}. Summary: {summary.path}")
-    out, lines = (
-        summary.path.parent,
-        [*_table(summary), status_text, f"Open {summary.path.with_name(SUMMARY_PAGE)} in a browser."],
-    )
+    out = summary.path.parent
+    lines = [*_table(summary), status_text, f"Open {summary.path.with_name(SUMMARY_PAGE)} in a browser."]
     if summary.verdicts():
         lines.append(f"Next: {clip_command.format(out=out)}recon compare {out} --out FOLDER, all of them.")
     return Answer({"summary": summary.path, "counts": counts, "clips": [*summary.rows.values()]}, lines)

@@ -322,11 +322,9 @@ def _stages(job: _Job) -> dict[str, _Stage]:
     """Return the stages of a job by name."""
     run_settings, fit_settings, out = job.run, job.settings, job.run.out
     keypoints = fit_settings.keypoints[0]
-    manifest_file, video_file, first_frame = (
-        {"fit": out / MANIFEST},
-        {"video": run_settings.video},
-        {"first_frame": run_settings.first_frame},
-    )
+    manifest_file = {"fit": out / MANIFEST}
+    video_file = {"video": run_settings.video}
+    first_frame = {"first_frame": run_settings.first_frame}
     view_options: dict[str, Any] = {"folder": out, **video_file, **first_frame}
 
     def output(kind: str, folder: Path = out) -> Output:
@@ -369,10 +367,8 @@ def _stages(job: _Job) -> dict[str, _Stage]:
         stages["camera-motion"] = _Stage(work, made_from, track, motion_files(run_settings.track))
     analysis = AnalyseSettings(folder=out, overwrite=True)
     overlay_settings = OverlaySettings(out=out / OVERLAY, overwrite=True, **view_options)
-    from_fit, from_video = (
-        partial(identity_of, manifest_file, {}),
-        partial(identity_of, manifest_file | video_file, first_frame),
-    )
+    from_fit = partial(identity_of, manifest_file, {})
+    from_video = partial(identity_of, manifest_file | video_file, first_frame)
     fit_output = output_of(job.fit, out, overwrite=True)
     tables = (ANALYSIS, *TABLES)
     recording = ViewSettings(out=out / VIDEO_PLAYBACK, overwrite=True, **view_options)

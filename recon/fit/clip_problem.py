@@ -493,9 +493,8 @@ def _stance_by_size(clip: ClipProblem, points_m: Array, size: float, slow: Array
     them get more weight.
     """
     camera = np.diff(clip.views[0].centre_m, axis=0)[:, None]
-    body = (
-        np.diff(points_m.mean(axis=1), axis=0)[:, None] + (1.0 - 1.0 / size) * camera
-    )  # for an animal of the expected size
+    # for an animal of the expected size
+    body = np.diff(points_m.mean(axis=1), axis=0)[:, None] + (1.0 - 1.0 / size) * camera
     co_movement = np.clip(np.sum(body * camera) / max(np.sum(body**2), 1e-12), 0.0, 1.0)
     seen_velocity = (1.0 - co_movement) * np.where(slow[..., None] > 0.5, 0.0, camera) / size
     return (seen_velocity + co_movement * np.diff(points_m[:, clip.feet], axis=0)) * clip.fps

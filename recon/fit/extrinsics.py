@@ -168,10 +168,8 @@ def _best_offset(reference: Array, shifted: Array, max_frames: int) -> float:
     size_m = np.nanmedian(np.linalg.norm(reference - reference.mean(axis=1, keepdims=True), axis=-1)) if seen else 0.0
     least_m = _MATCHING * size_m / np.sqrt(max(seen, 1))
     for offset_frames in range(-min(max_frames, T - 1), min(max_frames, T - 1) + 1):
-        a, b = (
-            reference[max(offset_frames, 0) : T + min(offset_frames, 0)],
-            shifted[max(-offset_frames, 0) : T - max(offset_frames, 0)],
-        )
+        a = reference[max(offset_frames, 0) : T + min(offset_frames, 0)]
+        b = shifted[max(-offset_frames, 0) : T - max(offset_frames, 0)]
         common = np.isfinite(a[:, 0, 0]) & np.isfinite(b[:, 0, 0])
         if common.sum() < max(_MIN_FRAMES, seen / 2):
             continue

@@ -52,10 +52,8 @@ def draws(clip: ClipProblem, solution: TrajectorySolution, count: int, seed: int
     shared_values |= {SIZE: np.array([size]), SIDESLIP: np.array([solution.sideslip_rad])}
     nominal, drawn = clip.nominal(solution.states, solution.size), np.full((count, *solution.states.shape), np.nan)
     for segment in solution.segments:
-        segment_clip, states = (
-            replace(clip.part(segment.rows), prior_weight=segment.prior_weight),
-            nominal[segment.rows],
-        )
+        segment_clip = replace(clip.part(segment.rows), prior_weight=segment.prior_weight)
+        states = nominal[segment.rows]
         if not np.isfinite(states).all():
             continue
         points = segment_clip.markers(states)

@@ -413,18 +413,20 @@ def _shared_fields(
         values, sigmas = (shares * np.reshape(parts, (len(segments), len(V), count)) for parts in (values, sigmas))
         return values.sum(axis=0), np.linalg.norm(sigmas, axis=0)
 
-    offsets, focals, sideslip = (
-        of_views(time_offset),
-        of_views(focal_scale),
-        of_views(lambda _: SIDESLIP),
-    )  # (means, sigmas)
-    corrections = of_views(extrinsic_correction, 6)
-    return (
-        {"time_offset_frames": offsets[0][:, 0], "time_offset_sigma_frames": offsets[1][:, 0]}
-        | {"extrinsic_correction": corrections[0], "extrinsic_correction_sigma": corrections[1]}
-        | {"focal": focals[0][:, 0], "focal_sigma": focals[1][:, 0]}
-        | {"sideslip_rad": float(sideslip[0][0, 0]), "sideslip_sigma_rad": float(sideslip[1][0, 0])}
-    )
+    offsets, offset_sigmas = of_views(time_offset)
+    focals, focal_sigmas = of_views(focal_scale)
+    sideslip, sideslip_sigma = of_views(lambda _: SIDESLIP)
+    corrections, correction_sigmas = of_views(extrinsic_correction, 6)
+    return {
+        "time_offset_frames": offsets[:, 0],
+        "time_offset_sigma_frames": offset_sigmas[:, 0],
+        "extrinsic_correction": corrections,
+        "extrinsic_correction_sigma": correction_sigmas,
+        "focal": focals[:, 0],
+        "focal_sigma": focal_sigmas[:, 0],
+        "sideslip_rad": float(sideslip[0, 0]),
+        "sideslip_sigma_rad": float(sideslip_sigma[0, 0]),
+    }
 
 
 def with_solved_cameras(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
@@ -432,12 +434,8 @@ def with_solved_cameras(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
     V = range(len(clip.views))
     offsets = [float(segment.shared_values(time_offset(i))[0]) for i in V]
     corrections = [segment.shared_values(extrinsic_correction(i), 6) for i in V]
-    return replace(
-        clip,
-        views=_solved_views(
-            clip.views, offsets, corrections, [float(segment.shared_values(focal_scale(i))[0]) for i in V]
-        ),
-    )
+    focal_scales = [float(segment.shared_values(focal_scale(i))[0]) for i in V]
+    return replace(clip, views=_solved_views(clip.views, offsets, corrections, focal_scales))
 
 
 def _solved_views(

@@ -282,11 +282,9 @@ def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
     period = np.maximum(stride_s + stride_sigma_s * normal(1), 0.2 * stride_s)
     foot_rows = np.array([feet.index(s.foot) for s in stances], dtype=int)
     # The duration of a stance is known from its ends, and from the other stances of the foot.
-    is_whole, drawn_s, noise = (
-        np.array([s.begins and s.ends for s in stances], dtype=bool),
-        ends - starts,
-        normal(count),
-    )
+    is_whole = np.array([s.begins and s.ends for s in stances], dtype=bool)
+    drawn_s = ends - starts
+    noise = normal(count)
     variance = start_sigma**2 + end_sigma**2
     for i in np.flatnonzero(is_whole & np.isfinite(stride_s)):
         is_near = is_whole & (start < end[i] + stride_s[i]) & (end > start[i] - stride_s[i])
@@ -407,10 +405,8 @@ def over_stride(result: Dynamics, start_s: float, end_s: float) -> dict[str, tup
     direction = path_m / max(float(np.linalg.norm(path_m)), 1e-9)
     duration_s, work = end_s - start_s, np.diff(energy["total"][ends] - energy["internal"][ends])[0]
     work_sigma = np.sqrt(np.sum(sigma["total"][ends] ** 2 - sigma["internal"][ends] ** 2))
-    speed_gain, speed_gain_sigma = (
-        np.diff(series.rate[ends] @ direction)[0],
-        np.linalg.norm(series.rate_sigma[ends] * direction),
-    )
+    speed_gain = np.diff(series.rate[ends] @ direction)[0]
+    speed_gain_sigma = np.linalg.norm(series.rate_sigma[ends] * direction)
     exchange_sigma = np.hypot(total_sigma, total_rise / sum_of_rises * np.hypot(high_sigma, level_sigma)) / sum_of_rises
     changes = {
         "net_work": (work, work_sigma),

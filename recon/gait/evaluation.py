@@ -340,9 +340,8 @@ def evaluate(pose: Pose3D, truth: Pose3D, sigmas_m: tuple[np.ndarray, np.ndarray
 def _thresholds_m(truth_m: np.ndarray) -> tuple[float, ...]:
     """Return the PCK thresholds for the median extent of joints (T, J, 3) over the frames."""
     size_m = float(np.median(np.linalg.norm(np.nanmax(truth_m, axis=1) - np.nanmin(truth_m, axis=1), axis=1)))
-    tens = (
-        np.ceil(np.log10(PCK_THRESHOLDS_M[-1] / (PCK_LARGEST * size_m))) if size_m else 0.0
-    )  # a single joint has no extent
+    # a single joint has no extent
+    tens = np.ceil(np.log10(PCK_THRESHOLDS_M[-1] / (PCK_LARGEST * size_m))) if size_m else 0.0
     return tuple(float(threshold_m / 10.0 ** max(tens, 0.0)) for threshold_m in PCK_THRESHOLDS_M)
 
 
@@ -431,10 +430,8 @@ def mismatches(pose_m: Array, truth_m: Array, names: Sequence[str]) -> tuple[Fin
     explanation, error_left = None, error
     for code, remaining, numbers in _explanations(pose_m, truth_m, names):
         if error_left > SMALL * size and remaining <= SHARE * error_left:
-            explanation, error_left = (
-                finding(code, error_mm=1000 * error, left_mm=1000 * remaining, **numbers),
-                remaining,
-            )
+            explanation = finding(code, error_mm=1000 * error, left_mm=1000 * remaining, **numbers)
+            error_left = remaining
     if error_left > UNLIKE * size:  # different clips, even if a motion removes part of the error
         error_left = min(error_left, _error(_turned(pose, truth)[0], truth))
     if error_left > UNLIKE * size:

@@ -508,10 +508,8 @@ def _stances_of(tracks: Tracks, k: int) -> list[Stance]:
         if np.any((certain_rows >= first) & (certain_rows < end)):
             stance_speed = speed[first:end]
             has_landed = stance_speed < (landing_speed if stance_speed.min() < landing_speed else certain_speed)
-            landing, lift_off = (
-                first + int(has_landed.argmax()),
-                end - 1 - int((stance_speed < lifting_speed)[::-1].argmax()),
-            )
+            landing = first + int(has_landed.argmax())
+            lift_off = end - 1 - int((stance_speed < lifting_speed)[::-1].argmax())
             is_seen = bool(landing > first or is_known[first]), bool(lift_off < end - 1 or is_known[end + 1])
             start_s, end_s = (float(tracks.time_s[i]) for i in (landing, lift_off))
             sigmas = [

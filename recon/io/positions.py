@@ -82,8 +82,8 @@ def in_metres(path: Path, reader: Format, stored: StoredPoints, unit: str | None
 def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
     """Return several pieces of motion in one CSV file, by name.
 
-    The file has a first header row `segment, frame, <joints>`, a second with x, y, z, and metres. Any other file that
-    `read_pose3d` takes is one piece with the file's name. Raises InputError.
+    The file has a first header row `segment, frame, <joints>` and a second with x, y, z; positions are in metres. Any
+    other file that `read_pose3d` takes is one piece with the file's name. Raises InputError.
     """
     path = Path(path)
     if not read_head(path).removeprefix(b"\xef\xbb\xbf").startswith(b"segment,frame,"):

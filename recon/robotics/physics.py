@@ -153,11 +153,9 @@ def _demand_of(robot: Quadruped, model: MjModel, states: Array, rates: Array, be
     order = [*range(6), *(joint.dofadr[0] for joint in joints)]
     bodies = [model.joint(leg.joints[-1]).bodyid[0] for leg in robot.legs.values()]
     data, n = mujoco.MjData(model), len(states)
-    coordinates, velocities, accelerations = (
-        _places(model, robot, states),
-        np.zeros((n, model.nv)),
-        np.zeros((n, model.nv)),
-    )
+    coordinates = _places(model, robot, states)
+    velocities = np.zeros((n, model.nv))
+    accelerations = np.zeros((n, model.nv))
     velocities[:, order], accelerations[:, order] = rates, bends
     following, present, previous = (
         Rotation.from_euler("ZYX", (states + step * rates + step**2 / 2 * bends)[:, 3:6])
@@ -361,14 +359,12 @@ def carried(motion: RobotMotion, model: MjModel, hopeless: float = HOPELESS) -> 
         else:
             break
         stalled_steps = stalled_steps + 1 if tried_cost > 0.98 * cost else 0
-        current, moved, pushes, demand, values, damping = (
-            tried,
-            tried_moved,
-            tried_pushes,
-            tried_demand,
-            tried_values,
-            damping / 5,
-        )
+        current = tried
+        moved = tried_moved
+        pushes = tried_pushes
+        demand = tried_demand
+        values = tried_values
+        damping /= 5
         shifts = problem.everywhere @ moved
         best = moved_by(motion, shifts)
     return best, shifts
@@ -450,10 +446,8 @@ class _Carrying:
         # Derivatives of the states by the base's pose: the joints of a leg move with the base so that its foot stays
         # planted.
         moves = motion.robot.tree.pose_with_jacobian(states[0]).jacobian[:, motion.robot.foot_markers]
-        state_rates, ends = (
-            np.zeros((K, 6 + J, 6)),
-            np.cumsum([6, *(len(leg.joints) for leg in motion.robot.legs.values())]),
-        )
+        state_rates = np.zeros((K, 6 + J, 6))
+        ends = np.cumsum([6, *(len(leg.joints) for leg in motion.robot.legs.values())])
         state_rates[:, range(6), range(6)] = 1.0
         for index, columns in enumerate(map(slice, ends[:-1], ends[1:])):
             follow = np.linalg.pinv(moves[:, index, :, columns], rcond=STRETCHED)

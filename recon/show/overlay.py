@@ -166,11 +166,8 @@ def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tup
     the clip.
     """
     rows = {int(frame): t for t, frame in enumerate(frames)}
-    first, last, frames_read = (
-        max(min(rows), first_frame),
-        max(rows),
-        0,
-    )  # a camera that started later lacks the first frames
+    # a camera that started later lacks the first frames
+    first, last, frames_read = max(min(rows), first_frame), max(rows), 0
     for index, stamp_s, picture in timed_frames(video, first - first_frame, last + 2 - first_frame):
         frames_read += 1
         yield index + first_frame, rows.get(index + first_frame), stamp_s, picture

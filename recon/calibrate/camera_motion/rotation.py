@@ -352,9 +352,8 @@ def _linearised(camera: Camera, rays: Array, seen_px: Array, orientation: Orient
     from_focus = orientation.zoom * (pixels - focus_px(camera))
     x, y, z = camera_rays.T
     zero = np.zeros_like(x)
-    by_turn = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(
-        -1, 3, 3
-    )  # derivative of exp(w) p by w, from w x p
+    # derivative of exp(w) p by w, from w x p
+    by_turn = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)
     jacobian = np.concatenate([orientation.zoom * by_point @ by_turn, from_focus[:, :, None]], axis=2)
     is_known = np.isfinite(from_focus[:, :1])
     return np.where(is_known, seen_px - focus_px(camera) - from_focus, 1e9), np.where(

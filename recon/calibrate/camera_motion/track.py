@@ -263,10 +263,8 @@ class Tracker:
             is_own = seen.of_key == k
             point_rows, agree = seen.place[is_own], agreement.agree[is_own]
             was_settled = key.settled[point_rows]
-            settled, still_agreeing = (
-                settled + int(was_settled.sum()),
-                still_agreeing + int((was_settled & agree).sum()),
-            )
+            settled = settled + int(was_settled.sum())
+            still_agreeing = still_agreeing + int((was_settled & agree).sum())
             key.background[point_rows] += LEARNING * (np.where(agree, 1.0, 0.05) - key.background[point_rows])
             key.settled |= key.background > SETTLED
         return settled >= MIN_CORNERS and still_agreeing < COME_APART * settled
@@ -534,9 +532,8 @@ def _left_px(camera: Camera, pair: _TurnedPair, log_factor: float, rounds: int =
     zoom = float(np.exp(log_factor))
     (a, is_known), (b, is_seen) = (turning.rays_of(camera, points_px, zoom) for points_px in (pair.a_px, pair.b_px))
     is_known &= is_seen
-    turn = Rotation.from_rotvec(
-        Rotation.from_matrix(pair.turn).as_rotvec() / zoom
-    )  # by an angle with the same shift in the picture
+    # the angle that shifts the picture as far at this focal length
+    turn = Rotation.from_rotvec(Rotation.from_matrix(pair.turn).as_rotvec() / zoom)
     residual_px = np.full(pair.a_px.shape, 1e9)
     for number in range(rounds):
         if number:

@@ -349,10 +349,8 @@ def _name(axes: Axes, points: Array, labels: Sequence[tuple[float, float, str]],
 def _scale(axes: Axes, points: Array, length_of_animal_m: float) -> None:
     """Draw a scale bar below the animal, at most half as long as the animal."""
     length = style.round_below(0.5 * length_of_animal_m)
-    x, y = (
-        float(points[:, 0].min() + points[:, 0].max() - length) / 2,
-        float(points[:, 1].min() - 0.08 * length_of_animal_m),
-    )
+    x = float(points[:, 0].min() + points[:, 0].max() - length) / 2
+    y = float(points[:, 1].min() - 0.08 * length_of_animal_m)
     axes.plot([x, x + length], [y, y], color=style.GREY, linewidth=2, solid_capstyle="butt")
     text_style = {"ha": "center", "va": "top", "fontsize": style.SMALL, "color": style.GREY}
     axes.text(x + length / 2, y - 0.02 * length_of_animal_m, f"{length:g} m", **text_style)
@@ -489,10 +487,8 @@ def calibration(result: Calibration) -> Figure:
         step = min(float(np.nanmax(np.abs(ideal[0]))), 3.0) / 8
         for values in ideal:
             axes.contour(x, y, values, step * np.arange(-24, 25), colors=style.PALE, linewidths=0.7, linestyles="solid")
-        corners_px, errors = (
-            np.concatenate([view.xy_px for view in used]),
-            [np.full(len(v.ids), v.rms_px) for v in used],
-        )
+        corners_px = np.concatenate([view.xy_px for view in used])
+        errors = [np.full(len(v.ids), v.rms_px) for v in used]
         dots = axes.scatter(*corners_px.T, c=np.concatenate(errors), s=4, vmin=0.0, linewidths=0)
         for view in left_out:
             axes.plot(*view.xy_px.T, "rx", markersize=3)
