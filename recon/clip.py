@@ -165,7 +165,7 @@ class LeftOut(Brief):
         """Return the number of detections that were left out for a reason."""
         return int((self.reason == self.reasons.index(reason)).sum()) if reason in self.reasons else 0
 
-    def and_points(self, keypoints: Keypoints, points: np.ndarray, reason: str, later_frames: int = 0) -> LeftOut:
+    def with_points(self, keypoints: Keypoints, points: np.ndarray, reason: str, later_frames: int = 0) -> LeftOut:
         """Return these detections and further ones, given by the mask `points` (T, K).
 
         `later_frames` is the clip's frame number minus that of the file.
@@ -279,7 +279,7 @@ def clean(
         keypoints=counts,
         notes=keypoints.notes,
         constant_px=constant_px(selected),
-        left_out=LeftOut().and_points(known, unlikely, UNLIKELY),
+        left_out=LeftOut().with_points(known, unlikely, UNLIKELY),
     )
     return cleaned, report
 
@@ -304,7 +304,7 @@ def leave_out(
         f"{points.sum()} points are {reason}, and left out: {keypoints.names[first]} in frame {keypoints.frames[frame]}"
     )
     note += ", ..." if points.sum() > 1 else ""
-    left_out = report.left_out.and_points(keypoints, points, reason, later_frames)
+    left_out = report.left_out.with_points(keypoints, points, reason, later_frames)
     report = replace(report, keypoints=counts, notes=(*report.notes, note), left_out=left_out)
     return _without_points(keypoints, points), report
 

@@ -292,7 +292,7 @@ def figures_of(analysis: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
     """Return the functions that draw the figures, by file name."""
     from recon.show.plots.configurations import body_fixed, composites, in_body, observability
     from recon.show.plots.flexion import joint_flexion
-    from recon.show.plots.over_time import footfall, forces, phase_portraits, speeds, telling_portraits, vector_fields
+    from recon.show.plots.over_time import clearest_portraits, footfall, forces, phase_portraits, speeds, vector_fields
     from recon.show.plots.side_view import side_view
 
     motion, time_s, during, gait = analysis.motion, analysis.motion.time_s, analysis.during_stride, analysis.gait
@@ -308,7 +308,7 @@ def figures_of(analysis: ClipAnalysis) -> dict[str, Callable[[], Figure]]:
         "composites": partial(composites, analysis.pose.xyz_m, limbs, time_s, ground, sides=sides),
         "speed": partial(speeds, speed_by_joint, why_not, unknown=unknown, acceleration=not why_not),
         "phase_portraits": lambda: phase_portraits(
-            telling_portraits(analysis.portraits, motion.data_shares), analysis.closures, title, motion.data_shares
+            clearest_portraits(analysis.portraits, motion.data_shares), analysis.closures, title, motion.data_shares
         ),
         "phase_portraits_all": lambda: phase_portraits(
             analysis.portraits, analysis.closures, title, motion.data_shares

@@ -177,19 +177,19 @@ def is_current(path: Path, results: Path) -> bool:
     except InputError:
         return False
     current_sha256 = _manifest_sha256(results)
-    return any(_is_of(entry, path.parent, results) and entry.manifest == current_sha256 for entry in entries)
+    return any(_is_made_from(entry, path.parent, results) and entry.manifest == current_sha256 for entry in entries)
 
 
-def _is_of(entry: WrittenFile, folder: Path, results: Path) -> bool:
+def _is_made_from(entry: WrittenFile, folder: Path, results: Path) -> bool:
     """Return whether a file in a folder was made from the present results in another folder."""
     if entry.results is None:
         return False
     return os.path.realpath(folder / entry.results) == os.path.realpath(results)
 
 
-def _goes(entry: WrittenFile, folder: Path, results: Path) -> bool:
+def _is_removed_with(entry: WrittenFile, folder: Path, results: Path) -> bool:
     """Return whether a file is removed together with the results from which it was made."""
-    return _is_of(entry, folder, results) and not entry.is_named
+    return _is_made_from(entry, folder, results) and not entry.is_named
 
 
 # -- files that may be written -----------------------------------------------------------------------------------------
@@ -354,7 +354,7 @@ class Output:
         self._require_replaceable(names, written, adds)
         leaving = [name for name in names if os.path.lexists(folder / name)]
         if not adds:
-            leaving += [name for name in written if name not in names and self._may_go(name, written)]
+            leaving += [name for name in written if name not in names and self._is_removable(name, written)]
         states = {name: FileState.read(folder / name) for name in leaving}
         new = {name: self._entry(staging / NEW / name) for name in names}
         known = {name: (*record.get(name, ()), *written.get(name, ()), entry) for name, entry in new.items()}
@@ -371,7 +371,7 @@ class Output:
         if self.has_manifest:
             _remove_made_from(folder)
 
-    def _may_go(self, name: str, written: _Written) -> bool:
+    def _is_removable(self, name: str, written: _Written) -> bool:
         """Return whether a file that is not written again is removed.
 
         Earlier files of this kind are removed, and files that were made from them.
@@ -380,7 +380,9 @@ class Output:
         if self._is_input(name) or not os.path.lexists(self.folder / name):
             return False
         own_entries = [
-            e for e in entries if e.kind == self.kind or (self.has_manifest and _goes(e, self.folder, self.folder))
+            entry
+            for entry in entries
+            if entry.kind == self.kind or (self.has_manifest and _is_removed_with(entry, self.folder, self.folder))
         ]
         return _is_as_written(self.folder / name, own_entries)
 
@@ -430,7 +432,7 @@ def _remove_made_from(results: Path) -> None:
         with suppress(InputError, OSError), committing(folder):
             written = read_record(folder)
             for name, entries in [*written.items()]:
-                made = [entry for entry in entries if _goes(entry, folder, results)]
+                made = [entry for entry in entries if _is_removed_with(entry, folder, results)]
                 if made and _is_as_written(folder / name, made):
                     (folder / name).unlink()
                     del written[name]

@@ -141,15 +141,15 @@ def carry_out(work: Work[_Task], tasks: Tasks[_Task], tell: Tell, jobs: int | No
             while underway:
                 for channel in wait(list(underway), TICK_S):
                     process, name, task, attempt = underway[channel]
-                    heard = process.heard()
-                    if isinstance(heard, tuple):
-                        tell(Event("progress", name, process.pid, *heard))
+                    message = process.receive()
+                    if isinstance(message, tuple):
+                        tell(Event("progress", name, process.pid, *message))
                         continue
                     del underway[channel]
-                    if "log" in heard and attempt <= retries:
+                    if "log" in message and attempt <= retries:
                         begin(process, name, task, attempt + 1)
                         continue
-                    tell(Event("ended", name, outcome={**heard, "attempts": attempt}))
+                    tell(Event("ended", name, outcome={**message, "attempts": attempt}))
                     if waiting:
                         begin(process, *waiting.popleft())
         finally:
@@ -159,10 +159,10 @@ def carry_out(work: Work[_Task], tasks: Tasks[_Task], tell: Tell, jobs: int | No
             for process in processes:
                 process.join(until_s)
             for process, name, _, attempt in underway.values():
-                while isinstance(heard := process.heard(), tuple):
+                while isinstance(message := process.receive(), tuple):
                     pass
-                if "log" not in heard:
-                    tell(Event("ended", name, outcome={**heard, "attempts": attempt}))
+                if "log" not in message:
+                    tell(Event("ended", name, outcome={**message, "attempts": attempt}))
 
 
 class _Process:
@@ -173,7 +173,7 @@ class _Process:
         self.channel, theirs = context.Pipe()
         self._process, self._log = context.Process(target=_work_off, args=(theirs, log)), log
         try:
-            with _alone():
+            with _isolated_start():
                 self._process.start()
         except OSError as error:
             raise InputError(
@@ -188,7 +188,7 @@ class _Process:
         with suppress(OSError):  # the process is dead, as its channel reports
             self.channel.send((work, task))
 
-    def heard(self) -> tuple[str, float] | dict[str, Any]:
+    def receive(self) -> tuple[str, float] | dict[str, Any]:
         """Return the task's next progress, or its outcome, also if the process died."""
         with suppress(EOFError, OSError):
             return self.channel.recv()
@@ -216,7 +216,7 @@ def _failure(reason: str, log: str) -> dict[str, Any]:
 
 
 @contextmanager
-def _alone() -> Iterator[None]:
+def _isolated_start() -> Iterator[None]:
     """Start processes that neither import the caller's script nor receive the terminal's Ctrl-C.
 
     The script would begin the same work again, and the parent stops the processes itself.

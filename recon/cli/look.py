@@ -50,7 +50,7 @@ MIN_WIDTH_PX = 640
 STILLS = 9
 VIDEO_PLAYBACK = "playback.rrd"
 """Recording with the video, which `recon run` writes and `recon view` then opens."""
-BESIDE = ("overlay.mp4", "analysis/analysis.json", VIDEO_PLAYBACK)
+LINKED_FILES = ("overlay.mp4", "analysis/analysis.json", VIDEO_PLAYBACK)
 """Files that a page links to, in addition to those of the fit, if they exist when the page is made."""
 
 
@@ -254,7 +254,7 @@ def _page_of_clip(settings: PageSettings, progress: Progress, whole_batch: bool 
     progress("figures", 0.4)
     written = read_manifest(folder) if (folder / MANIFEST).is_file() else None
     changed = [Path(problem.file).name for problem in written.changed()] if written else []
-    companions = [name for name in BESIDE if (folder / name).is_file()]
+    companions = [name for name in LINKED_FILES if (folder / name).is_file()]
     stale = [name for name in companions if not is_current(folder / name, folder)]
     names = [*companions, *sorted(written.files if written else ())]
     files = [name for name in names if name not in [*changed, *stale] and (folder / name).is_file()]

@@ -33,7 +33,7 @@ of the lengths (`benchmarks/parts/bone_lengths.py`).
 """
 POSED_OFFSET_SIGMA_M = 0.02
 """Expected offset if the poses are known, when no change of pose can replace an offset."""
-SIZE_HELD = 1e-4
+FIXED_SIZE_SIGMA = 1e-4
 """Standard deviation of the size, which is fixed because the lengths replace it."""
 _PRIOR_COUNT = 8
 """Number of views that the expected spread of a keypoint counts as."""
@@ -118,7 +118,7 @@ def fit_shape(shape: Shape, clips: Sequence[ClipProblem]) -> ShapeFit:
         If no clip can be solved.
     """
     expected = shape.expected_precision(clips[0].size_sigma)
-    fixed_size_clips = [replace(clip, options=replace(clip.options, size_sigma=SIZE_HELD)) for clip in clips]
+    fixed_size_clips = [replace(clip, options=replace(clip.options, size_sigma=FIXED_SIZE_SIGMA)) for clip in clips]
     values, converged, total = np.zeros(len(shape)), False, expected
     with threadpool_limits(1, user_api="blas"):
         solved = [(clip, segment) for clip in fixed_size_clips for segment in solve_segments(clip)]

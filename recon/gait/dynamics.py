@@ -60,7 +60,7 @@ fastest, J. Exp. Biol. 215:2425), 0.43 (accelerating dogs) and 0.60 (dogs at con
 """
 FOOT = 0.4
 """Standard deviation of the logarithm of a foot's impulse relative to its pair's mean."""
-STANCES_ALIKE = 0.2
+STANCE_SPREAD = 0.2
 """Standard deviation of a stance's duration relative to the strides around it: 0.07 to 0.21 from the markers of a dog
 that walks, trots and gallops; the fore and hind feet of galloping racehorses differ by 9 to 20 % (J. Exp. Biol.
 209:4389).
@@ -289,7 +289,7 @@ def _drawn(gait: Gait) -> tuple[Array, Array, Array]:
     for i in np.flatnonzero(is_whole & np.isfinite(stride_s)):
         is_near = is_whole & (start < end[i] + stride_s[i]) & (end > start[i] - stride_s[i])
         typical = np.median(drawn_s[:, is_near], axis=1)
-        spread = STANCES_ALIKE * typical[0]
+        spread = STANCE_SPREAD * typical[0]
         # The uncertainty inside a stance is larger than the ends of the stance suggest.
         inflation = max(1.0, (typical[0] - drawn_s[0, i]) ** 2 / (variance[i] + spread**2))
         change = inflation * (typical + spread * noise[:, i] - drawn_s[:, i]) / (inflation * variance[i] + spread**2)

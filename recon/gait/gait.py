@@ -20,7 +20,7 @@ own. If no foot is slow, or if the slow feet are `LOW[0]` of the leg away from a
 are no stances.
 
 Standard deviations of events: the uncertainty of a foot's speed has two parts. One is the path's error, scaled to the
-speed below which standing feet seem to move in nine of ten instants (`Tracks.unrest`). The other is the landing or
+speed below which standing feet seem to move in nine of ten instants (`Tracks.rest_sigmas`). The other is the landing or
 lift-off threshold itself, `EVENT_SIGMAS` of the speed in the swing. Divided by the foot's acceleration at the event,
 their sum is a time. No event is further off than the middle of the stance. `benchmarks/gait.py` compares stances and
 intervals with force plates and motion capture.
@@ -210,7 +210,7 @@ class Tracks(Brief):
     leg_m: float
 
     @cached_property
-    def unrest(self) -> float:
+    def rest_sigmas(self) -> float:
         """Return the speed that standing feet stay below in nine of ten instants, relative to its standard deviation.
 
         The value is 1 if no foot stands.
@@ -534,7 +534,8 @@ def _event_sigma_s(tracks: Tracks, k: int, i: int, most_s: float, threshold_sigm
     speed, time = tracks.foot_speed_m_s[nearby, k], tracks.time_s[nearby]
     known = np.isfinite(speed)
     acceleration = np.ptp(speed[known]) / np.ptp(time[known])
-    sigma = float(np.hypot(tracks.unrest * tracks.foot_speed_sigma_m_s[i, k], threshold_sigma * tracks.swing_m_s[k]))
+    path_sigma_m_s = tracks.rest_sigmas * tracks.foot_speed_sigma_m_s[i, k]
+    sigma = float(np.hypot(path_sigma_m_s, threshold_sigma * tracks.swing_m_s[k]))
     return min(sigma / max(acceleration, 1e-9), most_s / radius(INTERVAL))
 
 

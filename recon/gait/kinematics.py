@@ -307,7 +307,7 @@ def _spline_sigmas(t: Array, sample_s: Array, errors: Sequence[Errors], weight: 
     if not smooth and len(t) > 4 * _REACH and np.allclose(np.diff(t), t[1] - t[0], rtol=1e-6, atol=0):
         per_frame = (len(sample_s) - 1) // (len(t) - 1)
         first, last = _REACH * per_frame, (len(t) - 1 - _REACH) * per_frame
-        _fill_amid(variance[:, first:last], t, errors, per_frame)
+        _fill_interior(variance[:, first:last], t, errors, per_frame)
         pieces = [(slice(2 * _REACH), slice(first)), (slice(len(t) - 2 * _REACH, None), slice(last, None))]
     for values, samples in pieces:
         unit, operator = np.eye(len(t[values])), np.empty(0)
@@ -319,7 +319,7 @@ def _spline_sigmas(t: Array, sample_s: Array, errors: Sequence[Errors], weight: 
     return np.sqrt(variance, out=variance)
 
 
-def _fill_amid(variance: Array, t: Array, errors: Sequence[Errors], per_frame: int) -> None:
+def _fill_interior(variance: Array, t: Array, errors: Sequence[Errors], per_frame: int) -> None:
     """Fill the variances (3, M, d) of an exact spline through evenly spaced values (n,), away from its ends.
 
     There are `per_frame` samples per frame. The `_REACH` frames at either end are left out: elsewhere the samples of

@@ -69,7 +69,7 @@ def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool)
         step *= min(1.0, _NULL_STEP_RAD / max(float(np.linalg.norm(step)), 1e-300))
         moved, height, share = q, cost.value(q), 1.0
         for _ in range(30):
-            moved = _back_home(chain, q + share * step, home, free)
+            moved = _return_to_position(chain, q + share * step, home, free)
             if moved is not None and (not descend or cost.value(moved) <= height + 1e-14 * (1 + abs(height))):
                 break
             share /= 2
@@ -86,7 +86,7 @@ def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool)
     return q, "no progress: out of iterations"
 
 
-def _back_home(chain: SerialChain, q: Array, home: Array, free: Bools) -> Array | None:
+def _return_to_position(chain: SerialChain, q: Array, home: Array, free: Bools) -> Array | None:
     """Return q after least-norm steps of the end effector back to its position, or None if they do not reach it."""
     for _ in range(12):
         miss = home - chain.end(q)

@@ -511,7 +511,7 @@ def _quadruped_of_model(path: Path) -> Quadruped:
     model = read_model(path)
     names, chain_of_leaf = body_names(model), {}
     for leaf in leaves_of(model):
-        joints = tuple(moving(model, way_to(model, leaf)))
+        joints = tuple(moving(model, bodies_to(model, leaf)))
         if len(joints) >= 3:
             chain = model_chain(model, path, names[leaf - 1], end_m=foot_of(model, leaf))
             low = chain.end(_turns(chain).mean(axis=0))[2]
@@ -644,7 +644,7 @@ def foot_of(model: MjModel, leaf: int) -> Array:
     return np.array(max((model.geom_pos[g] for g in shapes), key=np.linalg.norm))
 
 
-def way_to(model: MjModel, tip: int) -> list[int]:
+def bodies_to(model: MjModel, tip: int) -> list[int]:
     """Return the bodies from the root (not included) to `tip`; none if `tip` is not a descendant of the root."""
     bodies, root = [], root_of(model)
     while tip not in (root, 0):
@@ -668,7 +668,7 @@ def model_chain(model: MjModel, path: Path, tip: str, end_m: ArrayLike = (0.0, 0
     names, start = body_names(model), root_of(model)
     if tip not in names:
         raise InputError(Problem(path, "link", repr(tip), ", ".join(names)))
-    way = way_to(model, last := names.index(tip) + 1)
+    way = bodies_to(model, last := names.index(tip) + 1)
     joints = moving(model, way)
     if not joints:
         detail = f"no moving joint from {names[start - 1]} to {tip}"

@@ -534,14 +534,14 @@ def posed(robot: Quadruped, time_s: Array, pose: RigidTransform, feet_m: Array, 
     pose: T_world_body (N). feet_m: (N, 4, 3), in the world. standing: (N, 4). Feet out of reach are moved into reach.
     """
     targets = leg_targets(pose, np.zeros(3), feet_m)
-    solved = [drawn_in(leg, targets[:, k]) for k, leg in enumerate(robot.legs.values())]
+    solved = [within_reach(leg, targets[:, k]) for k, leg in enumerate(robot.legs.values())]
     angles = np.concatenate([angles for angles, _ in solved], axis=1)
     short = np.stack([short for _, short in solved], axis=1)
     position, quaternion = pose.translation, pose.rotation.as_quat()
     return RobotMotion(1.0, 1.0, time_s, angles, position, quaternion, feet_m, standing, short, robot=robot)
 
 
-def drawn_in(leg: RobotLeg, feet_m: Array) -> tuple[Array, Bools]:
+def within_reach(leg: RobotLeg, feet_m: Array) -> tuple[Array, Bools]:
     """Return angles (T, n) for feet (T, 3) in body axes, and which feet (T,) are out of reach.
 
     A foot out of reach is moved towards its neutral position by as little as possible.

@@ -347,7 +347,7 @@ class FrameSolver:
         if self.path is not None and self.starts is not None and np.isfinite(self.starts[frame, 0]):
             starts = [self._on_path(frame)]
         else:
-            starts = [self._carried_on(frame, earlier)] if earlier else self._first_starts(rays, heading)
+            starts = [self._extrapolated(frame, earlier)] if earlier else self._first_starts(rays, heading)
         problem = self.problem(frame, self._noise_px(starts[0]))
         searches = [self._solve_from(start, problem) for start in starts]
         # Converged, and no detection further off than c sigma, so no point is unexplained.
@@ -380,7 +380,7 @@ class FrameSolver:
         size = state[self.chain.base_index] / self.chain.nominal_base_length_m
         return self._moved_to(state, size * self.path.position_m[frame])
 
-    def _carried_on(self, frame: int, earlier: Sequence[int]) -> Array:
+    def _extrapolated(self, frame: int, earlier: Sequence[int]) -> Array:
         """Return the state before with its root extrapolated along its path.
 
         The point R p0 is moved instead of p0, because R turns p0 with a long lever arm.

@@ -20,7 +20,6 @@ from recon.robotics.playback import write_robot
 from recon.robotics.quadruped import LEGS, feet_in_world, load_robot
 from recon.robotics.retarget import (
     closed_stride,
-    drawn_in,
     on_robot,
     place,
     planted,
@@ -29,6 +28,7 @@ from recon.robotics.retarget import (
     retarget,
     stances,
     stride_window,
+    within_reach,
 )
 from recon.robotics.retarget_clip import RetargetSettings, companion, repeated, report_of, run_retarget
 from recon.show.view.scene import LEFT, MIDDLE, RIGHT
@@ -171,7 +171,7 @@ def test_given_factors_are_kept_and_what_they_break_is_said(whole):
 def test_drawn_in_as_little_as_needed():
     leg = load_robot("a1").legs["LF"]
     far = leg.neutral_m + np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -0.2]])
-    angles, short = drawn_in(leg, far)
+    angles, short = within_reach(leg, far)
     assert short.tolist() == [False, True, True]
     feet = leg.chain.end(angles)
     assert feet[0] == pytest.approx(leg.neutral_m)

@@ -412,8 +412,8 @@ def test_portraits_that_say_something_move_more_than_their_uncertainty_and_are_s
     ranges = {"still": 0.01, "knee": 0.5, "hidden": 0.9, "hip": 0.4, "tail": 0.2}
     portraits = {name: phase_portrait(angle_kinematics(t, x * np.sin(9 * t), errors)) for name, x in ranges.items()}
     shares = dict.fromkeys(ranges, 0.8) | {"hidden": 0.2}
-    assert [*plots.telling_portraits(portraits, shares, 3)] == ["knee", "hip", "tail"]
-    assert [*plots.telling_portraits(portraits, dict.fromkeys(ranges, 0.1), 2)] == ["knee", "hidden"]
+    assert [*plots.clearest_portraits(portraits, shares, 3)] == ["knee", "hip", "tail"]
+    assert [*plots.clearest_portraits(portraits, dict.fromkeys(ranges, 0.1), 2)] == ["knee", "hidden"]
 
 
 def test_a_portrait_with_its_deviations_and_of_an_angle_that_is_not_seen():

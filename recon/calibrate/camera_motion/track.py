@@ -37,7 +37,7 @@ KEYS_AT_ONCE, KEYS_TO_LINK = 3, 5
 MAX_PICTURES = 120
 """Maximum number of keyframes whose pictures stay in memory: those used last."""
 LEARNING = 0.15
-SETTLED, COME_APART, MAX_APART = 0.75, 0.6, 0.25
+SETTLED, LEAST_AGREEING, MAX_APART = 0.75, 0.6, 0.25
 """Agreement above which a point counts as background; fraction of agreeing background points below which no single
 rotation explains the background; and fraction of such frames above which the camera has not only turned.
 """
@@ -267,7 +267,7 @@ class Tracker:
             still_agreeing = still_agreeing + int((was_settled & agree).sum())
             key.background[point_rows] += LEARNING * (np.where(agree, 1.0, 0.05) - key.background[point_rows])
             key.settled |= key.background > SETTLED
-        return settled >= MIN_CORNERS and still_agreeing < COME_APART * settled
+        return settled >= MIN_CORNERS and still_agreeing < LEAST_AGREEING * settled
 
     def _look_back(self, agreement: AgreedOrientation, seen: _Seen) -> None:
         """Record how much of an old keyframe's settled background is still in position.

@@ -6,11 +6,11 @@ from .configurations import in_body as in_body
 from .configurations import observability as observability
 from .end_effector import stride_boundaries as stride_boundaries
 from .flexion import joint_flexion as joint_flexion
+from .over_time import clearest_portraits as clearest_portraits
 from .over_time import footfall as footfall
 from .over_time import forces as forces
 from .over_time import phase_portraits as phase_portraits
 from .over_time import speeds as speeds
-from .over_time import telling_portraits as telling_portraits
 from .over_time import vector_fields as vector_fields
 from .style import COLUMN_MM as COLUMN_MM
 from .style import WIDTH_MM as WIDTH_MM

@@ -179,7 +179,7 @@ def _handles(sides: set[Side | None], ground: bool) -> list[Line2D]:
 
 SIDE_COLOURS: Mapping[Side | None, str] = {"left": style.COLOURS[0], "right": style.COLOURS[1], None: style.COLOURS[-1]}
 LABELS = ("U, forwards (m)", "V, down (m)", "W, to the left (m)")
-_SAYS = "left blue, right orange; pale: first, full colour: last configuration; +: the reference joint"
+_COLOUR_KEY = "left blue, right orange; pale: first, full colour: last configuration; +: the reference joint"
 """Key to the colours and marks."""
 _PALEST = 0.25
 """Fraction of a side's colour in the first, palest configuration."""
@@ -232,7 +232,7 @@ def body_fixed(
             axes.set_title(name, loc="left", fontsize=style.SMALL, color=style.GREY, pad=2)
             axes.set(xlim=box[i], ylim=box[j][:: -1 if j == 1 else 1], aspect="equal")  # V is down
             axes.set(xlabel=LABELS[i], ylabel=LABELS[j])
-        says = f"{_SAYS}; {time_s[rows[0]]:.2f} to {quantity(float(time_s[rows[-1]]), 2, 's')}"
+        says = f"{_COLOUR_KEY}; {time_s[rows[0]]:.2f} to {quantity(float(time_s[rows[-1]]), 2, 's')}"
         figure.supxlabel(says, fontsize=style.SMALL, color=style.GREY)
     return figure
 

@@ -264,7 +264,7 @@ _ALONG = 0.25
 """Distance between the ellipses of a band, in half axes."""
 
 
-TELLING = 6
+CLEAREST = 6
 """Largest number of portraits in a figure for a paper."""
 _EXACT_RAD = 1e-6
 """Smallest standard deviation by which portraits are compared."""
@@ -316,8 +316,8 @@ def phase_portraits(
     return figure
 
 
-def telling_portraits(
-    portraits: Mapping[str, Portrait], shares: Mapping[str, float], count: int = TELLING
+def clearest_portraits(
+    portraits: Mapping[str, Portrait], shares: Mapping[str, float], count: int = CLEAREST
 ) -> dict[str, Portrait]:
     """Return the portraits of the angles whose range is largest relative to their uncertainty, in the given order.
 
