@@ -120,7 +120,7 @@ def _refit(clip: ClipProblem, states: Array, noise_px: Array, log_factor: float)
 
 def _ground_cost(clip: ClipProblem, markers_m: Array) -> float:
     """Return the cost of a ground that is not level, and not near z = 0 if it is known to be there."""
-    if not clip.finds_ground:
+    if not (clip.finds_ground and clip.views[0].camera.knows_up):
         return 0.0
     _, ground, _ = contacts(clip, markers_m, 1.0)
     slope = 0.0 if ground is None else 0.5 * float(np.sum((ground.slope / constants.GROUND_SLOPE) ** 2))
