@@ -34,7 +34,10 @@ def put_foreign(folder: Path, names: Iterable[str]) -> None:
 
 
 def require_untouched(arguments: Sequence[object], folder: Path, names: Sequence[str]) -> None:
-    """Run a command that writes these names: it refuses, and all stays, also where only one of the names is taken."""
+    """Run a command that writes these names: it refuses, and all stays, also where only one of the names is taken.
+
+    Without `--overwrite`, which is the easier case, only the first of the names is tried alone.
+    """
     put_foreign(folder, names)
     _require_refused(arguments, folder)
     for name in names:
@@ -42,12 +45,14 @@ def require_untouched(arguments: Sequence[object], folder: Path, names: Sequence
             (folder / other).unlink(missing_ok=True)
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text("mine", encoding="utf-8")
-        _require_refused(arguments, folder)
+        _require_refused(arguments, folder, options=((), ("--overwrite",)) if name == names[0] else (("--overwrite",),))
 
 
-def _require_refused(arguments: Sequence[object], folder: Path) -> None:
+def _require_refused(
+    arguments: Sequence[object], folder: Path, options: Sequence[tuple[str, ...]] = ((), ("--overwrite",))
+) -> None:
     before, everything = contents(folder), sorted(folder.rglob("*"))
-    for option in ((), ("--overwrite",)):
+    for option in options:
         ended = run(*arguments, *option)
         assert ended.code == 2, ended
         assert REFUSED in ended.err, ended

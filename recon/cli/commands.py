@@ -90,10 +90,13 @@ class SettingsCommand(TyperCommand):
 
     def format_help(self, ctx: Context, formatter: HelpFormatter) -> None:
         """Write the help, which marks required settings."""
+        as_parsed = [parameter.required for parameter in self.params]
         for parameter in self.params:  # the parser does not know which settings are required, so the help states it
             info = self.infos.get(str(parameter.name))
             parameter.required = info is not None and info.default is MISSING
         super().format_help(ctx, formatter)
+        for parameter, is_required in zip(self.params, as_parsed, strict=True):
+            parameter.required = is_required
 
 
 def make_command(name: str, function: Callable[..., Answer]) -> SettingsCommand:
