@@ -154,7 +154,7 @@ def _solved_segments(
     for path, pieces in files.items():
         points_m = np.concatenate([pose.of_joints(body.markers) for pose in pieces.values()])
         if not (np.isfinite(points_m).all(axis=2).sum(axis=1) >= MIN_MARKERS).any():
-            raise InputError(Problem(path, "frames", "too few points in each", f"{MIN_MARKERS} markers in some frame"))
+            raise InputError(Problem(path, "frames", "too few markers in each", f"a frame with at least {MIN_MARKERS}"))
         states, rms_m, sizes[path] = solve_points(body, points_m, None if estimate_size else 1.0)
         first = 0
         for piece, pose in pieces.items():

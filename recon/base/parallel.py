@@ -58,7 +58,7 @@ LOG_BYTES = 20_000
 
 @dataclass(frozen=True)
 class Event:
-    """Progress or end of a task; on a cluster, the only progress reported is the beginning."""
+    """Progress or end of a task; on a cluster, a task reports only its beginning and its end."""
 
     kind: Literal["progress", "ended"]
     name: str

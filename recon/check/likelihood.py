@@ -495,10 +495,11 @@ RATE_STEP, RATE_STEPS = 2**0.5, 8
 NEARLY, ANOTHER, SPEEDS = 1.02, 1.3, 1.25
 """Factors of frame rates.
 
-Stated rates within `NEARLY` are the same. The rate at which angles swing counts as another one from `ANOTHER` on:
-animals of one gait swing up to 1.21 times faster or slower than the prior's (32 real views; 1.22 in a rendered clip),
-with a standard deviation of a tenth. At its true rate an animal is not faster or slower than all animals of the prior
-by more than `SPEEDS`, so that an animal that stands or turns does not count as slow motion.
+Stated rates within the factor `NEARLY` are the same. The rate at which angles swing suggests a different frame rate
+only if it differs by a factor of `ANOTHER` or more: animals of one gait swing up to 1.21 times faster or slower than
+the prior's (32 real views; 1.22 in a rendered clip), with a standard deviation of a tenth. At its true rate an animal
+is not faster or slower than all animals of the prior by more than `SPEEDS`, so that an animal that stands or turns does
+not count as slow motion.
 """
 FAR = 1.5
 """Factor from which a different frame rate is an error, because speeds are wrong by this factor whatever the poses are.

@@ -30,7 +30,7 @@ Examples are hips and spine.
 APART = 10.0
 """Smallest usual distance or movement, in steps of the resolution, at which two points count as different."""
 BENT = 5.0
-"""Usual bend of a track, in units of rounding, above which it is tested for straight parts."""
+"""Median bend of a track, relative to its rounding, above which it is tested for straight parts."""
 STRAIGHT = 0.02
 """Largest deviation from a line, relative to the track's usual deviation."""
 MOVING, STANCE, COARSE = 0.0005, 1.0, 1e-4
@@ -60,7 +60,7 @@ CHANGE_SIGMAS = np.array([0.03, 0.05, 0.08, 0.12, 0.18, 0.25, 0.35, 0.5])
 FREEDOM, OUTLIERS, OUTLIER_RANGE = 3, np.array([0.02, 0.1, 0.25]), 5.0
 """Degrees of freedom of these changes, shares of outliers that are tried, and the outliers' range."""
 MISSING, MOST_INTERVALS = np.array([0.1, 0.2, 0.3, 0.4]), 3
-"""Shares of missing frames that are tried, and most intervals of a step."""
+"""Shares of missing frames that are tried, and largest number of frame intervals of one step."""
 NORMALISED = 1.5
 """Largest coordinate of keypoints given as fractions of the picture."""
 

@@ -260,7 +260,7 @@ class PoseMixture:
     def add_normal(self, span: Span, blocks: Array, gradient: Array) -> None:
         """Add the curvature to a span's blocks (N, D, D) and the gradient to its gradient (N, D), in place.
 
-        They are J'J and J'r of `evaluate`, without the root that makes rows of them.
+        They are J'J and J'r of the rows of `evaluate`, which need a Cholesky root; this needs none.
         """
         _, by_angles, precision = self._expanded(span, jacobian=True)
         gradient[:, ANGLES] += by_angles

@@ -73,7 +73,7 @@ class CameraTrack(FramePoses):
     frames: Integers
     """(N,): increasing frame numbers."""
     camera: Camera | None = None
-    """The lens, if the track has one, without a pose."""
+    """The camera's lens, without a pose; None if the file of the track has no lens."""
 
     def at(self, frames: Integers, fps: float) -> tuple[FramePoses, Bools]:
         """Return the poses in T increasing frames, and which of them are interpolated, (T,).

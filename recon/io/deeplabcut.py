@@ -401,7 +401,7 @@ def _prefixes(bodyparts: Iterable[str]) -> tuple[str, ...]:
 
 
 def write_csv(data: Keypoints | Pose3D, path: Path) -> None:
-    """Write x, y and likelihood, or x, y, z in metres with z up."""
+    """Write keypoints as x, y and likelihood, or 3D points as x, y and z in metres with z up."""
     from recon.io.writing import deeplabcut_layout, write_table
 
     header, frames, values = deeplabcut_layout(data)

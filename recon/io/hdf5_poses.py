@@ -180,7 +180,7 @@ def _attribute_value(holder: h5py.Group | h5py.Dataset, name: str) -> Any:
 
 
 def write_deeplabcut(data: Keypoints | Pose3D, path: Path) -> None:
-    """Write x, y and likelihood, or x, y, z in metres with z up, by pandas, as DeepLabCut does."""
+    """Write x, y and likelihood, or for 3D x, y and z in metres with z up, by pandas, as DeepLabCut does."""
     import pandas as pd
 
     with writing.formats_extra("DeepLabCut H5"):
@@ -375,7 +375,7 @@ def _axes(dataset: h5py.Dataset, name: str, scales: Mapping[str, Any]) -> tuple[
 
 
 def write_movement(data: Keypoints | Pose3D, path: Path) -> None:
-    """Write x, y in pixels, or x, y, z in metres with z up.
+    """Write keypoints as x and y in pixels, or 3D points as x, y and z in metres with z up.
 
     The format requires a confidence; it is NaN for 3D.
     """
@@ -496,7 +496,7 @@ def _series(path: Path, group: h5py.Group) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def write_nwb(data: Keypoints | Pose3D, path: Path) -> None:
-    """Write x, y in pixels, or x, y, z in metres with z up and linked joints as the skeleton's edges.
+    """Write points in pixels or in metres with z up, and pairs of linked joints as the skeleton's edges.
 
     Raises InputError without a frame rate, or for names that NWB cannot hold.
     """

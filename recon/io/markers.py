@@ -64,7 +64,7 @@ def read_trc(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def write_trc(pose: Pose3D, path: Path) -> None:
-    """Write metres, y up (x forwards, y up, z right), as OpenSim takes it; gaps are empty cells.
+    """Write a trial in metres with x forwards, y up and z to the right, as OpenSim reads it; gaps are empty cells.
 
     Raises InputError without a frame rate, or for names with tabs or line breaks.
     """
@@ -215,7 +215,7 @@ def _text(data: bytes) -> str:
 
 
 def write_c3d(pose: Pose3D, path: Path) -> None:
-    """Write millimetres, z up.
+    """Write a trial in millimetres, with z up.
 
     Raises InputError without a frame rate, and for names, numbers of frames or gaps that C3D cannot hold.
     """

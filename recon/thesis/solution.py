@@ -78,7 +78,7 @@ class _FrameReport:
     solve_s: float
     """Time spent on the frame, for all starts."""
     in_view: bool
-    """Whether the camera can see the pose, and it has an animal's size.
+    """Whether the camera can see the pose, and the pose has the size of an animal.
 
     A pose that diverged counts as not converged, is left out of the solution, and has no shares and no covariance
     (NaN).
