@@ -207,6 +207,7 @@ def _write_points(path: Path, motion: Motion, coords: Sequence[str], values: np.
 
 UNITS = {
     "m_s2": "m/s²",
+    "m2_s": "m²/s",
     "rad_s2": "rad/s²",
     "m_s": "m/s",
     "rad_s": "rad/s",
@@ -221,11 +222,13 @@ UNITS = {
     "m": "m",
     "s": "s",
     "n": "N",
+    "percent": "%",
 }
 """Units by the ending of a column's name."""
 _DECIMALS = {
     "m/s": 4,
     "m/s²": 3,
+    "m²/s": 5,
     "rad": ANGLE,
     "rad/s": 4,
     "rad/s²": 3,
@@ -531,10 +534,7 @@ TABLES: dict[str, Callable[[ClipAnalysis], Table | Columns]] = {
 
 def unit_of(column: str) -> str:
     """Return the unit at the end of a column's name, or an empty text for shares, counts and texts."""
-    for end, unit in UNITS.items():
-        if column == end or column.endswith(f"_{end}"):
-            return unit
-    return ""
+    return next((unit for end, unit in UNITS.items() if column.endswith(f"_{end}")), "")
 
 
 def table_content(analysis: ClipAnalysis, name: str) -> Table | Columns:

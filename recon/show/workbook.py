@@ -28,6 +28,10 @@ _PARTS = (
     (r"_?low$", "lower end of the 90 % interval of {}"),
     (r"_?high$", "upper end of the 90 % interval of {}"),
 )
+_REMARKS = "known", "begins", "ends", "criterion", "source", "why_unknown", "footfalls"
+"""Columns of text that do not identify a value."""
+_OF_QUANTITY = "estimate", "sigma", "low", "high", "between_strides"
+"""Columns of numbers whose unit is in the name of the row's quantity."""
 MOST_ROWS, MOST_COLUMNS = 1_000_000, 30
 """Largest number of rows of an Excel sheet, and of columns of a table with a sheet of its own."""
 
@@ -59,11 +63,15 @@ def meaning_of(column: str) -> str:
 def dictionary(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
     """Return the data dictionary: a row for each column of each table, with unit and meaning."""
     rows = [
-        (name, column, unit_of(column), meaning_of(column), f"{name}.csv")
+        (name, column, _unit_in_words(table, column), meaning_of(column), f"{name}.csv")
         for name, table in tables.items()
         for column in table.columns
     ]
     return pd.DataFrame(rows, columns=["table", "variable", "unit", "meaning", "file"])
+
+
+def _unit_in_words(table: pd.DataFrame, column: str) -> str:
+    return "that of the quantity" if "quantity" in table and column in _OF_QUANTITY else unit_of(column)
 
 
 def long_table(tables: dict[str, pd.DataFrame]) -> pd.DataFrame:
@@ -83,10 +91,14 @@ def _melted(name: str, table: pd.DataFrame) -> Iterator[pd.DataFrame]:
     numbers = [column for column in table.columns if column not in (*texts, *keys)]
     if not numbers:
         return
-    labels = table[texts].astype(str).agg(" ".join, axis=1) if texts else pd.Series("", index=table.index)
+    names = [column for column in texts if column not in _REMARKS]
+    labels = table[names].astype(str).agg(" ".join, axis=1) if names else pd.Series("", index=table.index)
     selected = table[[*keys, *numbers]].assign(of=labels)
     part = selected.melt(id_vars=["of", *keys], value_vars=numbers, var_name="variable", value_name="value")
-    part = part.assign(table=name, unit=part["variable"].map(unit_of))
+    units = part["variable"].map(unit_of)
+    if "quantity" in texts:
+        units = units.where(~part["variable"].isin(_OF_QUANTITY), part["of"].map(unit_of))
+    part = part.assign(table=name, unit=units)
     for key in KEYS:
         if key not in part:
             part[key] = np.nan

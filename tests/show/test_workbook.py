@@ -13,17 +13,10 @@ import pytest
 from command_line import refused
 
 from recon.gait.clip import ClipAnalysis
-from recon.show.tables import DICTIONARY, LONG, TABLES, Columns, Table
-from recon.show.workbook import (
-    analysis_tables,
-    long_table,
-    meaning_of,
-    unit_of,
-    write_long,
-    write_workbook,
-)
+from recon.show.tables import DICTIONARY, LONG, TABLES, Columns, Table, unit_of
+from recon.show.workbook import analysis_tables, dictionary, long_table, meaning_of, write_long, write_workbook
 
-FEW = ("joints", "stances", "strides", "gait", "joint_flexion_stride", "closures", "centre_of_mass")
+FEW = ("joints", "stances", "strides", "gait", "gait_quantities", "joint_flexion_stride", "closures", "centre_of_mass")
 ROWS = 12
 
 
@@ -39,6 +32,7 @@ def few_tables(monkeypatch: pytest.MonkeyPatch) -> None:
 
     few = {f"{name}.csv": partial(begun, TABLES[f"{name}.csv"]) for name in FEW}
     monkeypatch.setattr("recon.show.workbook.TABLES", few)
+    monkeypatch.setattr("recon.show.tables.TABLES", few)
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +66,20 @@ def test_the_long_table_has_every_number_with_its_unit(whole: ClipAnalysis):
     assert lengths["start_s"].tolist() == strides["start_s"].tolist()
     assert lengths["of"].tolist() == [f"{foot} {at}" for foot, at in zip(strides["foot"], strides["at"], strict=True)]
     assert not long["value"].isna().any()
+    speed = long[(long["table"] == "gait_quantities") & (long["of"] == "speed_m_s")].set_index("variable")
+    assert (
+        speed.loc["estimate", "value"] == tables["gait_quantities"].set_index("quantity").loc["speed_m_s", "estimate"]
+    )
+    assert (speed.loc["sigma", "unit"], speed.loc["n", "unit"]) == ("m/s", "")
+    assert "spine" in {*long.loc[long["table"] == "joints", "of"]}
+
+
+def test_the_dictionary_states_units_of_every_kind(whole: ClipAnalysis):
+    listed = dictionary(analysis_tables(whole)).set_index(["table", "variable"])["unit"]
+    assert listed["centre_of_mass", "angular_momentum_x_m2_s"] == "m²/s"
+    assert listed["gait_quantities", "estimate"] == "that of the quantity"
+    assert listed["gait_quantities", "n"] == ""
+    assert listed["closures", "closure_angle_percent"] == "%"
 
 
 def test_decimal_commas_are_read_again(whole: ClipAnalysis, tmp_path: Path):
