@@ -409,7 +409,7 @@ def _clip_row(analysis: ClipAnalysis, strides: Sequence[dict]) -> dict:
     """Return the quantities of a clip with the standard deviations that `recon analyse` gives.
 
     `_sigma` contains all errors. `_own_sigma` leaves out the error of the animal's size, which other clips share.
-    `_measurement_sigma` also leaves out the scatter of the strides.
+    `_measurement_sigma` also leaves out the scatter of the strides; `_run_sigma` is its part that all cameras share.
     """
     quantities, row = analysis.quantities, dict[str, object]({"strides": len(strides)})
     row |= shared_sigmas(analysis.motion)
@@ -420,6 +420,7 @@ def _clip_row(analysis: ClipAnalysis, strides: Sequence[dict]) -> dict:
         )
         row |= {name: value, f"{name}_sigma": sigma, f"{name}_own_sigma": unshared}
         row[f"{name}_measurement_sigma"] = np.nan if quantity is None else measurement_sigma(quantity)
+        row[f"{name}_run_sigma"] = 0.0 if quantity is None else _run_sigma(quantity, quantities.get("stride_s"))
         row[f"{name}_source"] = "" if quantity is None or np.isnan(value) else quantity.source
     return row
 
@@ -428,6 +429,13 @@ def measurement_sigma(quantity: GaitQuantity) -> float:
     """Return the standard deviation of a clip's mean without the errors that clips share and the scatter of strides."""
     scatter = quantity.between_sigma / quantity.count**0.5 if quantity.count > 1 else 0.0
     return float(np.sqrt(max(quantity.own_sigma**2 - scatter**2, 0.0)))
+
+
+def _run_sigma(quantity: GaitQuantity, period: GaitQuantity | None) -> float:
+    """Return the standard deviation from a period that less than a stride shows, which all cameras of a run share."""
+    if quantity.source != "period of the motion" or period is None or not period.value > 0:
+        return 0.0
+    return abs(quantity.value) * period.sigma / period.value
 
 
 def _mean_of(values: Array, sigmas: Array, shared: float) -> tuple[float, float, float]:

@@ -2,9 +2,10 @@
 
 The results of all cameras of a run become one clip, by the joint posterior of its quantities: the errors of the
 pictures are independent, those of the lens and of the expected size are shared, and the expectation of the size, which
-is part of every result, counts once. If the cameras disagree by more than their stated errors, the independent errors
-are scaled up (Birge 1932). Strides are those of the camera that measures the quantity best, shifted to the mean:
-several cameras see the same strides, and count once.
+is part of every result, counts once. The cameras also share the error of a period that less than a stride shows. If the
+cameras disagree by more than their stated errors, the independent errors are scaled up (Birge 1932). Strides are those
+of the camera that measures the quantity best, shifted to the mean: several cameras see the same strides, and count
+once.
 
 Each quantity then has a mixed model (`recon.gait.mixed_model`) with groups and covariates as fixed effects. The
 measurement's standard deviation of a run is the one that the fits state, without the scatter of the strides.
@@ -36,7 +37,8 @@ SPEED = "speed_m_s"
 MODEL, VARIANCES, RUNS = "mixed_model.csv", "variances.csv", "runs.csv"
 _UNIT = {SPEED: "per m/s of speed"}
 """Name of a covariate's slope."""
-_LEAST_SIGMA = 1e-9
+_LEAST_SIGMA, _LEAST_SHARE = 1e-9, 0.01
+"""Smallest standard deviation of a camera's independent error, and smallest relative to that of all its errors."""
 _FIELD = re.compile(r"\{(\w*)\}")
 
 
@@ -172,7 +174,8 @@ def runs_of_clips(clips: pd.DataFrame, quantities: Mapping[str, bool]) -> pd.Dat
     clips : DataFrame
         The columns clip, camera, run, animal, group, verdict, strides, size_sigma, and if known size_prior_sigma and
         focal_sigma (`recon.gait.quantities.shared_sigmas`); of each quantity the value, `_sigma`, `_own_sigma`,
-        `_measurement_sigma` and `_source`. Other columns are taken from the first camera.
+        `_measurement_sigma`, `_source`, and if known `_run_sigma`, the part of `_measurement_sigma` that the cameras
+        of a run share. Other columns are taken from the first camera.
     quantities : mapping
         Whether each quantity is proportional to the animal's size.
 
@@ -214,7 +217,8 @@ def _joined(name: str, clips: pd.DataFrame, with_size: bool) -> dict[str, object
         fields = ("", "_sigma", "_own_sigma", "_measurement_sigma", "_shared_sigma")
         return unknown | {f"{name}{field}": np.nan for field in fields}
     values, sigmas = known[name].to_numpy(float), known[f"{name}_measurement_sigma"].to_numpy(float)
-    mean, sigma, shared = joint_posterior(values, sigmas, *_shared_errors(known, with_size))
+    in_run = known[f"{name}_run_sigma"].to_numpy(float) if f"{name}_run_sigma" in known else np.zeros(len(known))
+    mean, sigma, shared = joint_posterior(values, sigmas, in_run, *_shared_errors(known, with_size))
     best = known.iloc[int(np.argmin(sigmas))]
     scatter = np.sqrt(max(float(best[f"{name}_own_sigma"]) ** 2 - float(best[f"{name}_measurement_sigma"]) ** 2, 0.0))
     own_sigma = float(np.hypot(sigma, scatter))
@@ -234,7 +238,7 @@ def _shared_errors(clips: pd.DataFrame, with_size: bool) -> tuple[Array, Array, 
 
 
 def joint_posterior(
-    values: Array, sigmas: Array, size_sigmas: Array, prior_sigmas: Array, focal_sigmas: Array
+    values: Array, sigmas: Array, run_sigmas: Array, size_sigmas: Array, prior_sigmas: Array, focal_sigmas: Array
 ) -> tuple[float, float, float]:
     """Return a quantity of a run from C cameras, its standard deviation, and the relative one of its shared errors.
 
@@ -242,6 +246,8 @@ def joint_posterior(
     ----------
     values, sigmas : ndarray
         Value of each camera, and its standard deviation without the errors of size and lens, shape (C,).
+    run_sigmas : ndarray
+        The part of `sigmas` that all cameras of the run share, shape (C,).
     size_sigmas, prior_sigmas : ndarray
         Relative standard deviation of the animal's size in each result and before it, shape (C,); 0 if the size does
         not matter.
@@ -260,7 +266,8 @@ def joint_posterior(
     A size with the standard deviation s, p before the pictures were seen, has the error -(s^2 / p^2) d from the
     deviation d of the animal from the expected size, which all cameras share, and an independent error of the variance
     s^2 (1 - s^2 / p^2) from the pictures. With the covariance of all errors, the generalised mean is the mode of the
-    joint posterior in which the expectation of the size counts once.
+    joint posterior in which the expectation of the size counts once. Negative weights, which would extrapolate from
+    errors that are shared only in part, are 0.
 
     References
     ----------
@@ -269,16 +276,20 @@ def joint_posterior(
     """
     of_prior = np.divide(size_sigmas**2, prior_sigmas, out=np.zeros(len(values)), where=prior_sigmas > 0)
     of_pictures = np.maximum(size_sigmas**2 - of_prior**2, 0.0)
-    independent = np.maximum(sigmas, _LEAST_SIGMA) ** 2
+    least = np.maximum(_LEAST_SHARE * sigmas, _LEAST_SIGMA)
+    independent = np.maximum(sigmas**2 - run_sigmas**2, least**2)
     usual = float(np.average(values, weights=1 / independent))
     independent = independent + of_pictures * usual**2
     shared = np.stack([of_prior, focal_sigmas]) * abs(usual)
-    precision = np.linalg.inv(np.diag(independent) + shared.T @ shared)
-    weights = precision.sum(axis=0) / precision.sum()
+    # A shared error in proportion to each camera's own value would favour the smaller values.
+    in_run = run_sigmas * abs(usual) / np.maximum(np.abs(values), _LEAST_SIGMA)
+    precision = np.linalg.inv(np.diag(independent) + shared.T @ shared + np.multiply.outer(in_run, in_run))
+    weights = np.maximum(precision.sum(axis=0), 0.0)
+    weights = weights / weights.sum()
     mean = float(weights @ values)
     chi_squared = float((values - mean) @ precision @ (values - mean))
     scale = max(1.0, chi_squared / max(len(values) - 1, 1))
-    sigma = float(np.sqrt(scale * np.sum(weights**2 * independent)))
+    sigma = float(np.sqrt(scale * np.sum(weights**2 * independent) + (weights @ in_run) ** 2))
     return mean, sigma, float(np.linalg.norm(shared @ weights)) / max(abs(usual), _LEAST_SIGMA)
 
 

@@ -102,10 +102,17 @@ def test_a_wrong_design_is_refused(tmp_path: Path):
 
 
 def joined(
-    values: ArrayLike, sigmas: ArrayLike, size: ArrayLike = 0.0, prior: ArrayLike = 0.0, focal: ArrayLike = 0.0
+    values: ArrayLike,
+    sigmas: ArrayLike,
+    size: ArrayLike = 0.0,
+    prior: ArrayLike = 0.0,
+    focal: ArrayLike = 0.0,
+    in_run: ArrayLike = 0.0,
 ) -> tuple[float, float, float]:
     """Return the joint posterior of two cameras."""
-    arrays = (np.broadcast_to(np.asarray(value, dtype=float), 2) for value in (values, sigmas, size, prior, focal))
+    arrays = (
+        np.broadcast_to(np.asarray(value, dtype=float), 2) for value in (values, sigmas, in_run, size, prior, focal)
+    )
     return joint_posterior(*arrays)
 
 
@@ -119,6 +126,10 @@ def test_cameras_of_a_run_weigh_by_their_uncertainty_and_share_the_size():
     assert sigma == pytest.approx(np.sqrt((0.1**2 + (4 * 0.05) ** 2 * 0.75) / 2))
     # A camera that the lens's error does not reach weighs more.
     assert joined([4.0, 4.4], [0.1, 0.1], focal=[0.0, 0.1])[0] < 4.1
+    # A period that all cameras see alike is no more certain with two of them.
+    assert joined([4.0, 4.0], [0.1, 0.1], in_run=0.08)[1] == pytest.approx(np.sqrt(0.06**2 / 2 + 0.08**2))
+    assert joined([4.0, 4.2], [0.1, 0.105], in_run=[0.1, 0.105])[0] == pytest.approx(4.1, abs=0.01)
+    assert joined([4.0, 4.2], [0.1, 0.1], focal=[0.0, 0.5])[0] == pytest.approx(4.0, abs=0.01)
     # Cameras that disagree know what their difference says.
     assert joined([3.5, 4.5], [0.1, 0.1])[1] == pytest.approx(0.5)
 
