@@ -17,6 +17,7 @@ PARTS = {
         "strides.py", ["--only", "asymmetry"], quick=["--only", "asymmetry", "--quick"], data="dog-mocap"
     ),
     "speeds": Part("speeds.py", data="cheetah-runs"),
+    "joined": Part("joined_cameras.py", data="cheetah-runs"),
     "rates": Part("trajectory.py", ["--only", "rates"], data="cheetah-runs"),
     "forces": Part("dynamics.py", data="dog-mocap"),
 }

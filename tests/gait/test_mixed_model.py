@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import ttest_ind
 
 from recon.gait.mixed_model import Variances, animals_needed, fit_mixed_model, power
 
@@ -33,6 +34,19 @@ def test_components_and_effect_of_a_made_up_herd():
     assert sigma == pytest.approx(np.sqrt(2 * TRUE.of_mean(3, 4) / 30), rel=0.25)
     # An error that all clips share is not spread over the animals.
     assert model.contrast(np.array([0.0, 1.0]), 0.5)[1] == pytest.approx(np.hypot(sigma, 0.5 * value))
+
+
+@pytest.mark.parametrize("animals", [10, 60])
+def test_the_interval_of_a_balanced_herd_is_that_of_the_animals_means(animals: int):
+    rng = np.random.default_rng(animals)
+    of_animals = rng.normal(4, 0.3, animals)[:, None, None] + rng.normal(0, 0.2, (animals, 2, 1))
+    values = of_animals + rng.normal(0, 0.25, (animals, 2, 6))
+    names, runs = np.repeat(np.arange(animals), 12).astype(str), np.tile(np.repeat(["1", "2"], 6), animals)
+    design = np.column_stack([np.ones(12 * animals), np.repeat(np.arange(animals) % 2, 12)])
+    model = fit_mixed_model(values.ravel(), design, ("all", "group"), names, runs, np.full(12 * animals, 0.1))
+    means = values.mean(axis=(1, 2))
+    expected = ttest_ind(means[1::2], means[::2]).confidence_interval(0.9)
+    assert model.contrast([0, 1])[2:] == pytest.approx((expected.low, expected.high), abs=1e-4)
 
 
 def test_a_plan_knows_what_more_animals_and_cameras_do():

@@ -1,0 +1,78 @@
+"""Join the mean speeds of single views of real runs, and compare them with the speed from all cameras.
+
+    python benchmarks/parts/joined_cameras.py [FOLDER]
+
+The runs are those of FOLDER, by default the cheetah-runs of $RECON_SHARED_DATA. Each view is fitted by itself, and the
+views of a run become one clip as in `recon compare --design`. The true speed is that of the reference joint in the
+reconstruction of all cameras. Intervals are those of 90 %; the size of these animals is that of their species.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from arguments import parser_of, runs_or_exit
+from markdown_table import print_table
+
+from recon import FitSettings, fit_clip, read_pose3d
+from recon.api.compare import measurement_sigma
+from recon.api.experiment import SPEED, runs_of_clips
+from recon.fit.posterior import radius
+from recon.gait.clip import analyse
+from recon.gait.gait import INTERVAL
+from recon.gait.kinematics import frame_times, series_kinematics
+from recon.gait.quantities import shared_sigmas
+
+
+def view_row(run: Path, camera: int, fps: float) -> dict[str, object]:
+    """Return the row of one view, as in `clips.csv` of `recon compare`."""
+    files = {"keypoints": (run / f"cam{camera}.csv",), "camera": (run / "scene.json",)}
+    motion = fit_clip(FitSettings(camera_name=(f"cam{camera}",), fps=fps, **files))
+    speed = analyse(motion).quantities[SPEED]
+    labels = {
+        "clip": f"{run.name} {camera}",
+        "camera": str(camera),
+        "run": run.name,
+        "animal": run.name,
+        "group": "all",
+    }
+    row = labels | {"verdict": "", "strides": 0, "reference": motion.reference} | shared_sigmas(motion)
+    row |= {SPEED: speed.value, f"{SPEED}_sigma": speed.sigma, f"{SPEED}_own_sigma": speed.own_sigma}
+    return row | {f"{SPEED}_measurement_sigma": measurement_sigma(speed), f"{SPEED}_source": speed.source}
+
+
+def main() -> None:
+    parser = parser_of(__doc__, kind="cheetah-runs")
+    rows, errors, joint_errors = [], [], []
+    for run in runs_or_exit(parser, parser.parse_args().folder):
+        meta, truth = json.loads((run / "meta.json").read_text()), read_pose3d(run / "truth.csv")
+        clips = pd.DataFrame([view_row(run, camera, meta["fps"]) for camera in meta["cameras"]])
+        xyz_m = truth.xyz_m[:, truth.names.index(clips["reference"][0])]
+        velocity = series_kinematics(frame_times(truth.frames, meta["fps"]), xyz_m, oversampling=1).rate
+        true = float(np.nanmean(np.linalg.norm(velocity, axis=1)))
+        (joint,) = runs_of_clips(clips, {SPEED: True}).to_dict("records")
+        z = ((clips[SPEED] - true) / clips[f"{SPEED}_sigma"]).to_numpy(float)
+        z_joint = (joint[SPEED] - true) / joint[f"{SPEED}_sigma"]
+        errors += [*z]
+        joint_errors.append(z_joint)
+        rms = np.sqrt(np.mean((clips[SPEED] - true) ** 2))
+        rows.append(
+            [
+                *(run.name, str(len(clips)), f"{true:.2f}", f"{rms:.2f}", f"{clips[f'{SPEED}_sigma'].mean():.2f}"),
+                *(f"{joint[SPEED]:.2f}", f"{joint[f'{SPEED}_sigma']:.2f}", f"{joint[f'{SPEED}_own_sigma']:.2f}"),
+                str(bool(abs(z_joint) < radius(INTERVAL))),
+            ]
+        )
+    columns = "run, views, true m/s, error of views, ± of views, joined m/s, ±, ± without the size, in 90 %"
+    print_table(columns.split(", "), rows)
+    share = np.mean(np.abs(errors) < radius(INTERVAL))
+    ratio = np.sqrt(np.mean(np.square(joint_errors)))
+    print(f"\nThe intervals of {share:.0%} of the {len(errors)} views contain the true speed.")
+    print(f"The root mean square of error / stated of the joined speeds is {ratio:.2f}.")
+
+
+if __name__ == "__main__":
+    main()
