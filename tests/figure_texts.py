@@ -1,9 +1,10 @@
-"""The texts of a figure, and those of them that its edges cut off."""
+"""The texts and lines of a figure, and those of them that its edges, or those of their axes, cut off."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 from matplotlib.text import Text
@@ -41,3 +42,17 @@ def cut_off(figure: Figure) -> list[str]:
             or box.x1 > edge.x1 + 1
             or box.y1 > edge.y1 + 1
         ]
+
+
+def beyond_axes(figure: Figure) -> list[str]:
+    """The labels of lines and markers whose data reach out of their axes, which hide that part."""
+    labels = []
+    for axes in figure.axes:
+        for line in axes.lines:
+            if line.get_transform() != axes.transData or not line.get_visible():
+                continue
+            xy = np.asarray(line.get_xydata(), dtype=float)
+            xy = axes.transAxes.inverted().transform(axes.transData.transform(xy[np.isfinite(xy).all(axis=1)]))
+            if len(xy) and (xy.min() < -0.01 or xy.max() > 1.01):
+                labels.append(f"{axes.get_title() or axes.get_ylabel()}: {line.get_label()}")
+    return labels

@@ -480,7 +480,10 @@ def known_quantities(clips: pd.DataFrame) -> list[str]:
 
 
 def _figure(clips: pd.DataFrame, groups: pd.DataFrame) -> Figure:
-    """Draw the mean of each clip and of each group, with standard deviations, one panel per quantity."""
+    """Draw the mean of each clip or run, and of each group of several, with standard deviations.
+
+    There is one panel for each quantity.
+    """
     with drawing(62.0) as figure:
         quantities = known_quantities(clips)
         panels = figure.subplots(1, max(len(quantities), 1), squeeze=False)[0]
@@ -501,12 +504,13 @@ def _figure(clips: pd.DataFrame, groups: pd.DataFrame) -> Figure:
                     alpha=0.7,
                 )
                 mean, sigma = groups.loc[groups["group"] == group, [name, f"{name}_sigma"]].to_numpy(float)[0]
-                if np.isfinite(mean):
+                if np.isfinite(mean) and len(group_clips) > 1:
                     line = [x - 0.32, x + 0.32]
                     axes.fill_between(line, mean - sigma, mean + sigma, color=colour, alpha=0.25, lw=0)
                     axes.plot(line, [mean, mean], color=colour, lw=1.4)
             labels = [fill(name, 14) for name in groups["group"]]
             axes.set_xticks(range(len(labels)), labels, rotation=30 if len(labels) > 3 else 0)
             axes.set_title(QUANTITIES[name][0])
-        figure.supxlabel("dots: clips; lines: the groups' means; each ± one standard deviation", fontsize=SMALL)
+        dots = "runs" if "first_clip" in clips else "clips"
+        figure.supxlabel(f"dots: {dots}; lines: the groups' means; each ± one standard deviation", fontsize=SMALL)
     return figure

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import refusal, refused, run, says
-from figure_texts import cut_off
+from figure_texts import beyond_axes, cut_off
 from scipy.spatial.transform import Rotation
 
 from recon import ClipAnalysis, analyse
@@ -318,6 +318,14 @@ def test_each_figure_is_drawn_with_all_its_text(name, whole):
     assert cut_off(figure) == []
     assert figure.get_size_inches()[1] / style.MM < 275
     assert all(axes.has_data() or axes.texts for axes in figure.axes if axes.axison)  # a panel without data says why
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fit", ["one_sided", "chain", "whole"])
+def test_axes_show_all_data_and_text_of_each_figure(fit, request):
+    figures = {name: draw() for name, draw in figures_of(request.getfixturevalue(fit)).items()}
+    assert {name: texts for name, figure in figures.items() if (texts := cut_off(figure))} == {}
+    assert {name: lines for name, figure in figures.items() if (lines := beyond_axes(figure))} == {}
 
 
 @pytest.mark.parametrize("name", ["speed", *(pytest.param(n, marks=pytest.mark.slow) for n in FIGURES if n != "speed")])

@@ -179,7 +179,8 @@ def _handles(sides: set[Side | None], ground: bool) -> list[Line2D]:
 
 SIDE_COLOURS: Mapping[Side | None, str] = {"left": style.COLOURS[0], "right": style.COLOURS[1], None: style.COLOURS[-1]}
 LABELS = ("U, forwards (m)", "V, down (m)", "W, to the left (m)")
-_COLOUR_KEY = "left blue, right orange; pale: first, full colour: last configuration; +: the reference joint"
+_COLOUR_KEY = "left blue, right orange; pale: first, full colour: last configuration"
+_REFERENCE_KEY = "; +: the reference joint"
 """Key to the colours and marks."""
 _PALEST = 0.25
 """Fraction of a side's colour in the first, palest configuration."""
@@ -220,6 +221,7 @@ def body_fixed(
     low, high = np.nanmin(flat, axis=0), np.nanmax(flat, axis=0)
     room = np.maximum(_ROOM * np.max(high - low), 0.5 * (0.3 * np.max(high - low) - (high - low)))
     box = np.stack([low - room, high + room], axis=1)
+    has_reference = bool(((box[:, 0] < 0) & (box[:, 1] > 0)).all())
     u, v, w = np.ptp(box, axis=1)
     mm_per_m = min((style.WIDTH_MM - _LABELS_MM) / (u + w), (style.PAGE_MM - _LABELS_MM) / (v + w))
     with style.drawing(mm_per_m * (v + w) + _LABELS_MM, title=title) as figure:
@@ -228,12 +230,14 @@ def body_fixed(
         for axes, name, i, j in ((side, "UV, side", 0, 1), (front, "WV, front", 2, 1), (top, "UW, top", 0, 2)):
             for limb, along in limbs.items():
                 _draw(axes, shown[:, list(along)][..., [i, j]], sides.get(limb))
-            axes.plot(0, 0, "+", color=style.GREY, ms=7, zorder=0, gid="reference")
+            if has_reference:
+                axes.plot(0, 0, "+", color=style.GREY, ms=7, zorder=0, gid="reference")
             axes.set_title(name, loc="left", fontsize=style.SMALL, color=style.GREY, pad=2)
             axes.set(xlim=box[i], ylim=box[j][:: -1 if j == 1 else 1], aspect="equal")  # V is down
             axes.set(xlabel=LABELS[i], ylabel=LABELS[j])
-        says = f"{_COLOUR_KEY}; {time_s[rows[0]]:.2f} to {quantity(float(time_s[rows[-1]]), 2, 's')}"
-        figure.supxlabel(says, fontsize=style.SMALL, color=style.GREY)
+        key = _COLOUR_KEY + _REFERENCE_KEY if has_reference else _COLOUR_KEY
+        text = f"{key}; {time_s[rows[0]]:.2f} to {quantity(float(time_s[rows[-1]]), 2, 's')}"
+        figure.supxlabel(text, fontsize=style.SMALL, color=style.GREY)
     return figure
 
 
