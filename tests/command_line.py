@@ -9,7 +9,6 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,7 +21,6 @@ from recon.base.files import write_manifest
 from recon.base.parallel import STARTING, Event, Work, outcome_of
 from recon.base.progress import silent
 from recon.cli.app import main
-from recon.cli.commands import make_command
 
 
 class Ended(NamedTuple):
@@ -31,16 +29,11 @@ class Ended(NamedTuple):
     err: str
 
 
-command_of = cache(make_command)
-"""The command of a function, made once in each process: that takes 20 ms, and tests call it a thousand times."""
-
-
 def run(*args: object) -> Ended:
     """`recon ARGS` in this process: `main()` with its handling of errors."""
     out, err = io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
         patch.setattr(sys, "argv", ["recon", *map(str, args)])
-        patch.setattr(cli, "make_command", command_of)
         patch.setenv("COLUMNS", "80")
         with pytest.raises(SystemExit) as caught:
             main()

@@ -6,7 +6,7 @@ import json
 import os
 import re
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache
@@ -29,6 +29,7 @@ from shortcuts import (
 from recon import FitSettings
 from recon.animal.skeleton_file import load_skeleton
 from recon.api.clip_results import run_clip
+from recon.cli.commands import make_command
 from recon.clip import Keypoints, Source, View, camera_poses, clean, still_view, views_of
 from recon.fit.motion import Motion
 from recon.fit.result import Ground, MotionSegment, TrajectorySolution
@@ -83,6 +84,14 @@ def whole_results(made_once) -> Path:
     """Folder of `recon fit` on the whole-animal sample, all options by default. Not to be written to."""
     settings = FitSettings(keypoints=SAMPLES / "whole.csv", camera=SAMPLES / "camera.toml", fps=60)
     return made_once("whole", lambda out: run_clip(settings, out))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def commands_made_once() -> Iterator[None]:
+    """To make a command of its function takes 20 ms, and tests call commands a thousand times."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("recon.cli.app.make_command", cache(make_command))
+        yield
 
 
 @pytest.fixture
