@@ -91,10 +91,10 @@ def circle(args: argparse.Namespace, out: Path) -> None:
 
 def labels(args: argparse.Namespace, out: Path) -> None:
     """Train on some labelled pictures of the rendered sample, evenly spaced, and test in its frames without labels."""
-    film, labels = samples_folder() / "rendered.mp4", samples_folder() / "rendered_labels.csv"
-    truth, labelled = read_keypoints(samples_folder() / "rendered_points.csv"), read_label_file(labels)[0]
+    film, label_file = samples_folder() / "rendered.mp4", samples_folder() / "rendered_labels.csv"
+    truth, labelled = read_keypoints(samples_folder() / "rendered_points.csv"), read_label_file(label_file)[0]
     others, length_px = ~np.isin(truth.frames, labelled.frames), body_length_px(truth.xy_px)
-    rows = labels.read_text(encoding="utf-8").splitlines()
+    rows = label_file.read_text(encoding="utf-8").splitlines()
     out.mkdir(parents=True, exist_ok=True)
     print_header(("labelled pictures", "steps", "s", "median, px", "median, % of body", "PCK@2.5/5/10px"))
     for count in args.counts:

@@ -517,11 +517,11 @@ def expectations(run: TrainingRun) -> list[str]:
 
 def measured_errors(labelled_count: int) -> str:
     """Return a sentence on the accuracy that so many labelled pictures gave, or the fewest that were measured."""
-    fewest = min(count for count, _, _ in MEASURED_ERRORS)
-    count = max((count for count, _, _ in MEASURED_ERRORS if count <= labelled_count), default=fewest)
-    errors = ", and ".join(f"{error} {film}" for number, film, error in MEASURED_ERRORS if number == count)
-    expected = "" if labelled_count >= count else " Expect larger errors of fewer pictures."
-    return f"{count} labelled pictures gave a median error of {errors}.{expected}"
+    measured_counts = sorted(number for number, _, _ in MEASURED_ERRORS)
+    nearest = max((number for number in measured_counts if number <= labelled_count), default=measured_counts[0])
+    errors = ", and ".join(f"{error} {film}" for number, film, error in MEASURED_ERRORS if number == nearest)
+    expected = "" if labelled_count >= nearest else " Expect larger errors of fewer pictures."
+    return f"{nearest} labelled pictures gave a median error of {errors}.{expected}"
 
 
 def _write_worst(labels: data.Labels, errors: Array, xy_px: Array, indices: Integers, path: Path) -> None:
