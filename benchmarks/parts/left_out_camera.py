@@ -8,8 +8,8 @@ pixels, over the points that all methods give, and the fraction of detections in
 % of them.
 
 The methods are the fit; robust triangulation (`recon triangulate`); triangulation with smoothing splines; and
-aniposelib (`triangulate_optim` with its defaults), if it is installed. "Two" means the cameras with the most different
-directions. With one camera, only the fit is measured.
+aniposelib's optimiser, as in `peers.py`, if it can be installed (`peer_runs.py`). "Two" means the cameras with the most
+different directions. With one camera, only the fit is measured.
 
 The clips are the real runs (a folder as in `cheetah_runs.py`, by default the cheetah-runs of $RECON_SHARED_DATA),
 without keypoint bias ("none"), with the bias measured in the other runs ("others"), or with the shipped detector file
@@ -43,6 +43,7 @@ import pandas as pd
 from arguments import parser_of, runs_of
 from cameras import as_seen, run_of
 from markdown_table import print_header, print_row, print_table
+from peer_runs import PeerClip, by_peers, peer_python
 from recordings import recordings
 from trajectory import PRIOR, SKELETON, prior_of
 
@@ -82,6 +83,18 @@ class Clip:
 
 
 @dataclass(frozen=True, eq=False)
+class Task:
+    """Cameras of a clip to leave out, one at a time."""
+
+    clip: Clip
+    cameras: str
+    """Which of the other cameras are used: all, two or one."""
+    outs: tuple[int, ...]
+    peer_m: dict[int, np.ndarray] = field(default_factory=dict)
+    """Positions (T, J, 3) by aniposelib, by the camera that is left out."""
+
+
+@dataclass(frozen=True, eq=False)
 class Prediction:
     """Predicted keypoints (T, J, 2) of a view, with covariances (T, J, 2, 2) or None."""
 
@@ -98,45 +111,10 @@ def triangulated_prediction(result: Triangulation, view: View) -> Prediction:
     return Prediction(np.where(is_known[..., None], projected, np.nan), covariance)
 
 
-def aniposelib_prediction(views: Sequence[View], out: View) -> Prediction | None:
-    """Return points from aniposelib, for undistorted keypoints in cameras of focal length 1."""
-    try:
-        from aniposelib.cameras import Camera as AniposeCamera  # pyright: ignore[reportMissingImports]
-        from aniposelib.cameras import CameraGroup  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        return None
-    cameras, points = [], []
-    for view in views:
-        rays = view.rays() @ view.rotation.T
-        with np.errstate(invalid="ignore", divide="ignore"):
-            plane = rays[..., :2] / rays[..., 2:]
-        focal_px = float(np.mean(view.focal_px))
-        from cv2 import Rodrigues
-
-        cameras.append(
-            AniposeCamera(
-                matrix=np.diag([focal_px, focal_px, 1.0]),
-                dist=np.zeros(5),
-                rvec=Rodrigues(view.T_camera_world[:3, :3])[0].ravel(),
-                tvec=view.T_camera_world[:3, 3],
-            )
-        )
-        points.append(focal_px * plane)
-    group = CameraGroup(cameras)
-    try:
-        points_m = group.triangulate_optim(np.array(points), init_progress=False)
-    except Exception as error:  # raised by scipy if too few points are seen
-        print(f"aniposelib: {error}")
-        return None
-    projected, valid = out.project(np.nan_to_num(out.shift_to_exposure(points_m)))
-    is_known = valid & np.isfinite(points_m[..., 0])
-    return Prediction(np.where(is_known[..., None], projected, np.nan))
-
-
 def predictions(
-    clip: Clip, seen: Sequence[int], out: int, anipose: bool, kept: Path | None
+    clip: Clip, seen: Sequence[int], out: int, peer_m: np.ndarray | None, kept: Path | None
 ) -> tuple[dict[str, Prediction], float]:
-    """Return the predictions of each method, and how long the fit took."""
+    """Return the predictions of each method, and how long the fit took; peer_m has aniposelib's positions."""
     views, view, made = [clip.views[c] for c in seen], clip.views[out], {}
     solution = solved(clip, views, kept)
     seconds = solution.stage_s["all"]
@@ -145,9 +123,10 @@ def predictions(
         result = triangulate_views(views)
         made["triangulated"] = triangulated_prediction(result, view)
         made["with splines"] = triangulated_prediction(smoothed(result, clip.fps), view)
-        other = aniposelib_prediction(views, view) if anipose else None
-        if other is not None:
-            made["aniposelib"] = other
+        if peer_m is not None:
+            projected, valid = view.project(view.shift_to_exposure(np.nan_to_num(peer_m)))
+            is_known = valid & np.isfinite(peer_m[..., 0])
+            made["aniposelib"] = Prediction(np.where(is_known[..., None], projected, np.nan))
     return made, seconds
 
 
@@ -215,13 +194,14 @@ def number_text(value: float, digits: int = 2) -> str:
     return f"{value:.{digits}f}" if np.isfinite(value) else ""
 
 
-def scored(clip: Clip, cameras: str, outs: Sequence[int], anipose: bool, solutions: Path | None) -> Score:
-    """Leave some cameras of a clip out, one at a time, and return the errors."""
+def scored(task: Task, solutions: Path | None) -> Score:
+    """Leave the cameras of a task out, one at a time, and return the errors."""
+    clip, cameras = task.clip, task.cameras
     score = Score()
-    for out in outs:
+    for out in task.outs:
         view = clip.views[out].mask_outside_image()
         kept = None if solutions is None else solutions / f"{clip.kind}, {clip.name}, {out}, {cameras}.pkl"
-        made, seconds = predictions(clip, choices(clip, out, cameras), out, anipose, kept)
+        made, seconds = predictions(clip, choices(clip, out, cameras), out, task.peer_m.get(out), kept)
         score.seconds.append(seconds)
         off = {name: prediction.xy_px - view.xy_px for name, prediction in made.items()}
         common = np.all([np.isfinite(e[..., 0]) for e in off.values()], axis=0)
@@ -314,12 +294,27 @@ def clips_of(options: argparse.Namespace) -> Iterator[Clip]:
         yield from rat_clips(options.quick)
 
 
-def score_of(options: argparse.Namespace, task: tuple[Clip, str]) -> Score:
-    """Leave the cameras of a clip out that the command line asks for."""
-    clip, cameras = task
-    outs = [out for out, view in enumerate(clip.views) if view.present.sum() > 100]
-    chosen = [out for out in outs if options.outs is None or out in options.outs]
-    return scored(clip, cameras, chosen, not options.no_anipose, options.solutions)
+def tasks_of(options: argparse.Namespace) -> list[Task]:
+    """Return the tasks that the command line asks for, with aniposelib's positions if it can be installed."""
+    tasks = []
+    for clip in clips_of(options):
+        outs = [out for out, view in enumerate(clip.views) if view.present.sum() > 100]
+        chosen = tuple(out for out in outs if options.outs is None or out in options.outs)
+        tasks += [Task(clip, cameras, chosen) for cameras in options.cameras]
+    python = None if options.no_anipose else peer_python()
+    if python is None:
+        return tasks
+    parts = [(number, out) for number, task in enumerate(tasks) if task.cameras != "one" for out in task.outs]
+    clips = [peer_clip(tasks[number], out) for number, out in parts]
+    for (number, out), results in zip(parts, by_peers(python, clips, ["aniposelib"]), strict=True):
+        tasks[number].peer_m[out] = results["aniposelib"][0]
+    return tasks
+
+
+def peer_clip(task: Task, out: int) -> PeerClip:
+    """Return what other programs get of a clip without one of its cameras."""
+    views = [task.clip.views[c].mask_outside_image() for c in choices(task.clip, out, task.cameras)]
+    return PeerClip(views, task.clip.fps, task.clip.body)
 
 
 def main() -> None:
@@ -333,9 +328,10 @@ def main() -> None:
     options = parser.parse_args()
     scores: dict[tuple[str, str], list[Score]] = {}
     print_header(("clip", "cameras", *COLUMNS, "fit, s"))
-    tasks = [(clip, cameras) for clip in clips_of(options) for cameras in options.cameras]
+    tasks = tasks_of(options)
     with ProcessPoolExecutor(options.jobs) as pool:
-        for (clip, cameras), score in zip(tasks, pool.map(partial(score_of, options), tasks), strict=True):
+        for task, score in zip(tasks, pool.map(partial(scored, solutions=options.solutions), tasks), strict=True):
+            clip, cameras = task.clip, task.cameras
             scores.setdefault((clip.kind, cameras), []).append(score)
             print_row((f"{clip.kind}: {clip.name}", cameras, *score.cells, f"{np.mean(score.seconds):.1f}"))
     rows = [

@@ -1,8 +1,8 @@
 """Triangulate keypoints by aniposelib and Pose2Sim, in an environment of their own.
 
-    build/peers/bin/python benchmarks/parts/peer_programs.py FOLDER
+    build/peers/bin/python benchmarks/parts/peer_programs.py FOLDER [aniposelib] [pose2sim]
 
-`peers.py` makes the environment and runs this script with its Python, so nothing of recon is imported here. Each
+`peer_runs.py` makes the environment and runs this script with its Python, so nothing of recon is imported here. Each
 in_NUMBER.npz in FOLDER has pixels without lens distortion (C, T, K, 2), the cameras' focal lengths (C,) and poses as
 rotation vectors and translations (C, 3), the frame rate, pairs of keypoints with a constant distance (N, 2), and
 recon's triangulation: positions (T, K, 3), and which detections they come from (C, T, K). out_NUMBER.npz gets the
@@ -84,9 +84,9 @@ def main() -> None:
             short = {name: given[name][:, :12] for name in ("points", "is_used")} | {"start_m": given["start_m"][:12]}
             by_aniposelib({**given, **short})
         results = {}
-        for name, program in PROGRAMS.items():
+        for name in sys.argv[2:] or PROGRAMS:
             began = time.process_time()
-            results[name] = program(given)
+            results[name] = PROGRAMS[name](given)
             results[f"{name}_s"] = np.array(time.process_time() - began)
         np.savez(folder / path.name.replace("in_", "out_"), **results)
 

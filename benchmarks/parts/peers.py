@@ -2,8 +2,8 @@
 
     python benchmarks/parts/peers.py [FOLDER] [--cases clean late ...] [--quick]
 
-The other programs are aniposelib and Pose2Sim (`peer_programs.py`). They are installed, with the versions of `PINNED`,
-into an environment of their own in build/peers; without a network there is a sentence and no table. Each run is a
+The other programs are aniposelib and Pose2Sim, in an environment of their own (`peer_runs.py`); without a network there
+is a sentence and no table. Each run is a
 folder as in `cheetah_runs.py`, and each case changes its detections or its second camera. All programs get the same
 detections, lenses and poses. The other programs get pixels without lens distortion. aniposelib also gets the pairs of
 keypoints whose distance is constant, and the robust subsets of `recon triangulate`. recon fits as `recon fit` does,
@@ -24,50 +24,27 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import subprocess
-import sys
 import tempfile
 import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from arguments import parser_of, runs_or_exit
 from cameras import Run, most_different, run_of
 from markdown_table import print_table
-from scipy.spatial.transform import Rotation
+from peer_runs import ENVIRONMENT, PeerClip, Result, by_peers, peer_python
 from trajectory import body_of
 
 import recon
 from recon import FitSettings, fit_clip
 from recon.clip import Keypoints, View
-from recon.fit.triangulation import triangulate_views
 from recon.gait.evaluation import aligned, joint_errors, score
 from recon.io.deeplabcut import write_csv
 
-ROOT = Path(__file__).resolve().parents[2]
-ENVIRONMENT = ROOT / "build" / "peers"
-PINNED = (
-    "aniposelib==0.7.2",
-    "anytree==2.13.0",
-    "c3d==0.6.0",
-    "filterpy==2.0.0",
-    "matplotlib==3.11.2",
-    "numba==0.68.1",
-    "numpy==2.4.6",
-    "opencv-contrib-python==5.1.0.95",
-    "pandas==3.1.1",
-    "rtoml==0.14.0",
-    "scipy==1.17.1",
-    "statsmodels==0.15.0",
-)
-PINNED_ALONE = ("pose2sim==0.10.49",)
-"""Installed without the packages that it needs only for videos, detection and OpenSim."""
 LABELS = {"recon": "recon", "aniposelib": "aniposelib 0.7.2", "pose2sim": "Pose2Sim 0.10.49"}
-OTHERS = "aniposelib", "pose2sim"
 HIDDEN_FRAMES, LATE_FRAMES, TURN_DEG = 15, 2, 2.0
 HIDDEN, WITHOUT_LIMB = "a fore leg hidden for 15 frames", ("knee", "ankle", "paw")
 
@@ -78,8 +55,6 @@ MEASURES = (
 """Columns of numbers; in the last table each has those of recon, aniposelib and Pose2Sim."""
 
 Change = Callable[[Sequence[View]], list[View]]
-Result = tuple[np.ndarray, float, str]
-"""Positions (T, J, 3), processor time in seconds, and recon's verdict."""
 
 
 # -- cases -------------------------------------------------------------------------------------------------------------
@@ -157,72 +132,6 @@ CASES: dict[str, tuple[str, Change]] = {
 
 
 # -- programs ----------------------------------------------------------------------------------------------------------
-
-
-def peer_python() -> Path | None:
-    """Return the Python of the other programs, installed if they are not; None if they cannot be."""
-    python = ENVIRONMENT / "bin" / "python"
-    if works(python):
-        return python
-    environment = outside()
-    if not python.is_file():
-        subprocess.run([sys.executable, "-m", "venv", str(ENVIRONMENT)], check=True, env=environment)
-    for arguments in (PINNED, ("--no-deps", *PINNED_ALONE)):
-        command = [str(python), "-m", "pip", "install", "--quiet", "--no-input", "--timeout", "10", *arguments]
-        if subprocess.run(command, check=False, env=environment, stdout=sys.stderr).returncode:
-            return None
-    return python if works(python) else None
-
-
-def works(python: Path) -> bool:
-    """Return whether a Python has the other programs in the pinned versions."""
-    if not python.is_file():
-        return False
-    pairs = [requirement.split("==") for requirement in (*PINNED, *PINNED_ALONE)]
-    code = f"from importlib.metadata import version; assert all(version(n) == v for n, v in {pairs})"
-    return not subprocess.run([str(python), "-c", code], capture_output=True, check=False, env=outside()).returncode
-
-
-def outside() -> dict[str, str]:
-    """Return an environment in which Python finds nothing of the project."""
-    return {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
-
-
-def write_clip(path: Path, views: Sequence[View], fps: float) -> None:
-    """Write what the other programs read of a clip."""
-    points, focal_px = [], [float(np.mean(view.focal_px)) for view in views]
-    for view, f in zip(views, focal_px, strict=True):
-        rays, _ = view.camera.rays(view.xy_px)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            points.append(f * rays[..., :2] / rays[..., 2:])
-    rvecs = [Rotation.from_matrix(view.T_camera_world[:3, :3]).as_rotvec() for view in views]
-    tvecs = [view.T_camera_world[:3, 3] for view in views]
-    cameras = {"focal_px": focal_px, "rvecs": rvecs, "tvecs": tvecs, "fps": fps}
-    start = triangulate_views(views)
-    np.savez(path, points=points, bones=bones(), start_m=start.points_m, is_used=start.is_used, **cameras)
-
-
-def by_peers(python: Path, clips: Sequence[tuple[list[View], float]]) -> list[dict[str, Result]]:
-    """Return the results of the other programs for clips: views and a frame rate each."""
-    script = Path(__file__).with_name("peer_programs.py")
-    with tempfile.TemporaryDirectory() as folder:
-        for number, (views, fps) in enumerate(clips):
-            write_clip(Path(folder) / f"in_{number:03}.npz", views, fps)
-        command = [str(python), "-W", "ignore", str(script), folder]
-        done = subprocess.run(command, check=False, capture_output=True, text=True, env=outside(), cwd=folder)
-        if done.returncode:
-            raise SystemExit(f"{script.name}: {done.stderr}")
-        by_clip = []
-        for number in range(len(clips)):
-            with np.load(Path(folder) / f"out_{number:03}.npz") as results:
-                by_clip.append({name: (results[name], float(results[f"{name}_s"]), "") for name in OTHERS})
-    return by_clip
-
-
-def bones() -> np.ndarray:
-    """Return the pairs of keypoints with a constant distance, (N, 2)."""
-    index = body_of().markers.index
-    return np.array([(index(a), index(b)) for limb in body_of().limbs.values() for a, b in pairwise(limb)])
 
 
 def by_recon(views: Sequence[View], fps: float) -> Result:
@@ -321,12 +230,12 @@ def main() -> None:
         return
     warnings.simplefilter("ignore", RuntimeWarning)  # means of joints that a program never delivers
     jobs = [(count, case, run) for count in options.cameras for case in options.cases for run in map(run_of, runs)]
-    clips = [(CASES[case][1](chosen(run, count)), run.fps) for count, case, run in jobs]
+    clips = [PeerClip(CASES[case][1](chosen(run, count)), run.fps, body_of()) for count, case, run in jobs]
     table: dict[tuple[str, str, str], list[list[float]]] = {}
     hidden_table: dict[tuple[str, str], list[tuple[float, float]]] = {}
     verdicts: dict[tuple[str, str], list[str]] = {}
-    for (count, case, run), (views, fps), others in zip(jobs, clips, by_peers(python, clips), strict=True):
-        results = {"recon": by_recon(views, fps), **others}
+    for (count, case, run), clip, others in zip(jobs, clips, by_peers(python, clips), strict=True):
+        results = {"recon": by_recon(clip.views, clip.fps), **others}
         verdicts.setdefault((count, case), []).append(results["recon"][2])
         for name, (points_m, taken_s, _) in results.items():
             ms = 1000 * taken_s / len(points_m)

@@ -197,33 +197,23 @@ def _solve_again_with_fixed_cameras(fit: _Fit, solve: Solve, lengths_known: bool
 
 
 def _refine_pair(fit: _Fit, inputs: ClipInputs, settings: FitSettings) -> _Fit:
-    """Refine the pose of the second of two cameras, unless the poses are known or the refined pose fits no better.
+    """Refine the poses of two cameras, unless they are known or the refined poses fit no better.
 
     The animal's lengths have to be known roughly, because only lengths can contradict the poses of a pair whose rays
-    meet. The search begins at the solution with the poses as calibrated. The expected rotation is larger if one of the
-    cameras is more likely turned or moved than well calibrated. The rotation of the first refined pose shows how much
-    rotation is to be expected; a pose that is probably off is refined again with that value.
+    meet. The search begins at the solution with the poses as calibrated.
     """
     is_fixed = settings.cameras_known or settings.camera_track is not None or settings.belt_speed_m_s is not None
     if is_fixed or fit.options.refine_cameras or len(fit.sources) != 2 or inputs.body.size_sigma > ROUGH_SIZE_SIGMA:
         return fit
     if settings.refine_cameras or not fit.solution.posed.any():  # refined poses were refused, or there is no pose
         return fit
-    from recon.check.agreement import likely_rotation_rad, pair_refined, why_not_refined
+    from recon.check.agreement import is_turned, pair_refined, why_not_refined
 
-    is_misplaced = any(test.is_misplaced for test in fit.solution.second_cameras)
-    rotation_rad = constants.MISPLACED_RAD if is_misplaced else constants.CALIBRATED_RAD
-    options = replace(fit.options, refine_cameras=True, lengths_known=True, camera_rotation_rad=rotation_rad)
+    options = replace(fit.options, refine_cameras=True, refine_first=True, lengths_known=True)
     refined = _solve_near(inputs, fit.solution, fit.sources, options)
-    if not refined.posed.any():
-        return fit
-    likely_rad = likely_rotation_rad(refined, rotation_rad)
-    if is_misplaced or likely_rad > constants.OTHER_ROTATION * rotation_rad:
-        options = replace(options, camera_rotation_rad=likely_rad)
-        refined = _solve_near(inputs, refined, fit.sources, options)
-        is_misplaced = is_misplaced or likely_rad > 2 * constants.CALIBRATED_RAD
     if not refined.posed.any() or why_not_refined(refined, fit.solution):
         return fit
+    is_misplaced = any(test.is_misplaced for test in fit.solution.second_cameras) or is_turned(refined)
     solution = refined if is_misplaced else _with_pair_tests(refined, fit.solution)
     findings = (*fit.findings, pair_refined(refined, is_misplaced))
     return replace(fit, options=options, solution=solution, findings=findings)

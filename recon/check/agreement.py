@@ -692,29 +692,14 @@ def why_not_refined(refined: TrajectorySolution, fixed: TrajectorySolution) -> t
                 "camera_left_its_pose", camera=names[most_turned], turn_deg=float(np.degrees(turns_rad[most_turned]))
             ),
         )
-    if not (fixed_px > BETTER_FACTOR * refined_px).any():
+    if not (fixed_px > BETTER_FACTOR * refined_px).any() and turns_rad[most_turned] < constants.CALIBRATED_RAD:
         return (finding("cameras_as_calibrated"),)
     return ()
 
 
-def likely_rotation_rad(refined: TrajectorySolution, rotation_rad: float) -> float:
-    """Return the expected rotation of the second of two cameras about each axis, given a refined pose.
-
-    It is the root of the posterior mean of the variance, if the variance has an inverse gamma prior with two degrees of
-    freedom and the scale of usual calibrations: s^2 = (2 c^2 + |m|^2) / g. m is the refined rotation, and g the number
-    of its components that the detections determine, 3 - sum(v) / s0^2, with their variances v for the expectation s0.
-
-    Parameters
-    ----------
-    refined
-        The solution with a refined pose.
-    rotation_rad
-        The rotation that this solution expected.
-    """
-    turn_rad, sigma_rad = refined.extrinsic_correction[1, :3], refined.extrinsic_correction_sigma[1, :3]
-    determined = max(3.0 - float(sigma_rad @ sigma_rad) / rotation_rad**2, 1.0)
-    variance = (2.0 * constants.CALIBRATED_RAD**2 + float(turn_rad @ turn_rad)) / determined
-    return max(float(np.sqrt(variance)), constants.CALIBRATED_RAD)
+def is_turned(refined: TrajectorySolution) -> bool:
+    """Return whether one of two refined cameras is turned by more than usual errors of calibrations."""
+    return bool(np.linalg.norm(refined.extrinsic_correction[:, :3], axis=1).max() > 2.0 * constants.CALIBRATED_RAD)
 
 
 def pair_refined(refined: TrajectorySolution, is_misplaced: bool) -> Finding:

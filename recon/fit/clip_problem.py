@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from recon.animal.body import Body
+from recon.animal.body import ROUGH_SIZE_SIGMA, Body
 from recon.animal.prior import ANGLES, NONE, MotionPrior, prior_from_body
 from recon.base.arrays import Array, Bools, Index
 from recon.clip import View
@@ -46,8 +46,8 @@ class TrajectoryOptions:
     """Whether the time offsets of all cameras but the first are unknowns."""
     refine_cameras: bool = False
     """Whether the poses of all cameras but the first are unknowns."""
-    camera_rotation_rad: float = constants.CAMERA_ROTATION_RAD
-    """Standard deviation of the rotations of refined cameras about each axis."""
+    refine_first: bool = False
+    """Whether the first of two cameras is refined as well, so that errors of both poses are usual ones or turns."""
     focal_sigma: float | None = None
     """Relative standard deviation of all cameras' focal lengths; None if they are exact.
 
@@ -106,6 +106,8 @@ class ClipProblem:
 
     They make the expected spread as wide as that of the animal.
     """
+    rotations_rad: Array | None = None
+    """Expected rotations of two refined cameras about each axis, (2, 3), standard deviations; None for usual ones."""
     acceleration_scale: Array | None = None
     """Factors on the expected standard deviations of the states' accelerations, (D,); None for 1."""
 
@@ -306,12 +308,10 @@ class ClipProblem:
         if not self.solves_shape or self.shape is None:  # the shape only adds to the uncertainty
             shapes, biases = [], [*biases, *(shapes or common_biases)]
         sideslip = [self._lasting(terms.SIDESLIP, constants.SIDESLIP_RAD)] if len(self) > 1 else []
-        corrections: list[SharedUnknown] = []
-        if shifts_m is not None and options.refine_cameras:
-            refined = [*enumerate(shifts_m.tolist())][1:]
-            corrections = [self._pose_correction(i, options.camera_rotation_rad, shift) for i, shift in refined]
-        elif shifts_m is not None and V == 2 and not options.cameras_known:
-            biases = [*biases, self._pose_correction(1, constants.CALIBRATED_RAD, float(shifts_m[1]))]
+        poses = {} if shifts_m is None else self._pose_sigmas(shifts_m)
+        corrections = [self._lasting(terms.extrinsic_correction(i), sigmas) for i, sigmas in poses.items()]
+        if not options.refine_cameras:
+            corrections, biases = [], [*biases, *corrections]
         return [*size, *sideslip, *time_offsets, *corrections, *focals, *shapes], biases
 
     def _lasting(self, name: str, sigma: Array | float) -> SharedUnknown:
@@ -356,9 +356,23 @@ class ClipProblem:
         offset_share = constants.OFFSET_SHARE * offset_scale if self.solves_shape else 1.0
         return [lengths, self._lasting(terms.COMMON_KEYPOINT_BIAS, offset_share * common_m)]
 
-    def _pose_correction(self, camera: int, rotation_rad: float, shift_m: float) -> SharedUnknown:
-        """Return the correction of a camera's pose with the expected rotation and shift along each axis."""
-        return self._lasting(terms.extrinsic_correction(camera), np.array([*[rotation_rad] * 3, *[shift_m] * 3]))
+    def _pose_sigmas(self, shifts_m: Array) -> dict[int, Array]:
+        """Return the standard deviations of the errors (6,) of each camera whose pose is uncertain.
+
+        The poses of two cameras are uncertain even if they are not refined, unless they are known to be exact. shifts_m
+        (V,) is the expected shift between a camera and the first one.
+        """
+        options, V = self.options, len(self.views)
+        if options.refine_cameras and not options.refine_first:
+            rotation_rad = constants.CAMERA_ROTATION_RAD
+            return {i: np.repeat([rotation_rad, shifts_m[i]], 3) for i in range(1, V)}
+        if V != 2 or options.cameras_known:
+            return {}
+        if self.size_sigma > ROUGH_SIZE_SIGMA:
+            return {1: np.repeat([constants.CALIBRATED_RAD, shifts_m[1]], 3)}
+        usual_rad = np.full((2, 3), constants.SHARE_OF_PAIR * constants.CALIBRATED_RAD)
+        rotations_rad = usual_rad if self.rotations_rad is None else self.rotations_rad
+        return {i: np.append(rotations_rad[i], np.full(3, constants.SHARE_OF_PAIR * shifts_m[1])) for i in range(2)}
 
     @property
     def _single_length_sigmas(self) -> Array:

@@ -46,15 +46,19 @@ The rotation about each axis is 2 degrees; the shift along each axis is in metre
 animal, whichever is less.
 """
 CALIBRATED_RAD = 0.008726646259971648
-"""Rotation about each axis of a camera whose pose is not to be refined (half a degree)."""
+"""Rotation about each axis between two cameras as calibrated (half a degree)."""
+SHARE_OF_PAIR = 2**-0.5
+"""Share of the error between two cameras that each of them has."""
 MISPLACED_RAD = 0.05235987755982988
-"""Rotation about each axis of the second of two cameras that is more likely turned or moved than well calibrated.
+"""Rotation about an axis of one of two cameras that was turned after its calibration.
 
 It is 3 degrees: with 2 degrees, errors in the benchmark's real runs are larger if a second camera is turned by 6
 degrees, and equal if it is turned by 3 degrees.
 """
-OTHER_ROTATION = 1.4
-"""Ratio of the likely rotation, given a refined pose, to the expected one above which the pose is refined again."""
+TURNED_SHARE = 0.1
+"""Prior probability that one of two cameras was turned about one of its axes."""
+FIRST_TURNED = 0.9
+"""Probability above which the first of two cameras is taken to be turned, and no longer defines the world."""
 MISPLACED = 12.0
 """Factor on the usual errors for a camera that was moved after its calibration, or whose clock is wrong.
 

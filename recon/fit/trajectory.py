@@ -42,7 +42,14 @@ from recon.fit.banded import eliminated
 from recon.fit.body_shape import FreeShape
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions, contacts
 from recon.fit.least_squares import Estimate, LeastSquares, SharedUnknown
-from recon.fit.posterior import Posterior, PriorMisfit, posterior_with_reestimated_noise, prior_misfit_of, with_size
+from recon.fit.posterior import (
+    Posterior,
+    PriorMisfit,
+    pair_poses_of,
+    posterior_with_reestimated_noise,
+    prior_misfit_of,
+    with_size,
+)
 from recon.fit.result import SHAPES, SINGLE, Ground, MotionSegment, SecondCamera, SolvedShape, TrajectorySolution
 from recon.fit.smoothness import likely_scale
 from recon.fit.starts import ALTERNATIVE_COST, APPROACH_HZ, approach, interpolate_states
@@ -224,7 +231,8 @@ def _solve_segments_from(clip: ClipProblem, start: TrajectorySolution) -> list[S
     states = clip.nominal(start.states, start.size)
     shared = {SIZE: np.array([start.size])} if clip.shows_size else {}
     if clip.options.refine_cameras:
-        shared |= {extrinsic_correction(i): start.extrinsic_correction[i] for i in range(1, len(clip.views))}
+        refined_views = range(0 if clip.options.refine_first else 1, len(clip.views))
+        shared |= {extrinsic_correction(i): start.extrinsic_correction[i] for i in refined_views}
     weights = {(part.rows.start, part.rows.stop): part.prior_weight for part in start.segments}
     segments = []
     for rows in _segments(clip.present().sum(axis=1) >= MIN_JOINTS, clip.fps):
@@ -236,7 +244,11 @@ def _solve_segments_from(clip: ClipProblem, start: TrajectorySolution) -> list[S
         part = replace(part, prior_weight=weight)
         segment = replace(SegmentFit.unsolved(part, rows, estimate), noise_px=start.noise_px[:, rows])
         if part.options.refine_cameras:
-            segment = _solve_round(part, _solve_with_noise(part.without_ground(), segment))
+            segment = _solve_with_noise(part.without_ground(), segment)
+            if part.options.refine_first:
+                part = _with_likely_rotations(part, segment)
+                segment = _solve_with_noise(part.without_ground(), segment)
+            segment = _solve_round(part, segment)
         else:
             segment = _solve_with_noise(part, segment)
         segments.append(replace(segment, prior_weight=weight))
@@ -254,6 +266,12 @@ def _solve_with_noise(clip: ClipProblem, segment: SegmentFit) -> SegmentFit:
     estimate = problem.minimise(segment.estimate.states, constants.TOLERANCE, constants.MAX_ITERATIONS, shared)
     fit = replace(segment, contact=contact, ground=ground, estimate=estimate, problem=problem)
     return replace(fit, iterations=estimate.iterations)
+
+
+def _with_likely_rotations(clip: ClipProblem, segment: SegmentFit) -> ClipProblem:
+    """Return the problem with the rotations of two cameras that a solution with usual rotations makes likely."""
+    poses = pair_poses_of(segment.problem, segment.estimate, clip.correlation_frames)
+    return clip if poses is None else replace(clip, rotations_rad=poses.rotations_rad())
 
 
 def _with_misfit_of(start: TrajectorySolution, solution: TrajectorySolution) -> TrajectorySolution:
@@ -493,7 +511,10 @@ def _solution(clip: ClipProblem, segments: Sequence[SegmentFit], expected: Body,
     clip = with_solved_shape(clip, segments[0]) if segments else clip
     posteriors = [
         posterior_with_reestimated_noise(
-            _with_expected_shape_spread(unshaped, segment.problem), clip.body, segment.estimate, correlation_frames
+            _with_free_world(_with_expected_shape_spread(unshaped, segment.problem)),
+            clip.body,
+            segment.estimate,
+            correlation_frames,
         )
         for segment in segments
     ]
@@ -628,6 +649,14 @@ def _with_expected_shape_spread(clip: ClipProblem, problem: LeastSquares) -> Lea
     return replace(problem, shared=shared)
 
 
+def _with_free_world(problem: LeastSquares) -> LeastSquares:
+    """Return the problem without the ground, if all cameras' poses are uncertain: a fixed plane would fix the world."""
+    names = [unknown.name for unknown in (*problem.shared, *problem.nuisance)]
+    if extrinsic_correction(0) not in names:
+        return problem
+    return replace(problem, terms=[term for term in problem.terms if not isinstance(term, OnGround)])
+
+
 def _segment_arrays(
     clip: ClipProblem, segment: SegmentFit, segment_posterior: Posterior, size: float, size_sigma: float
 ) -> Iterator[tuple[str, Array]]:
@@ -747,6 +776,7 @@ def _pair_problem(clip: ClipProblem, segment: SegmentFit) -> tuple[LeastSquares,
     size = SharedUnknown(SIZE, np.ones(1), size_sigma)
     terms = [term for term in segment.problem.terms if not isinstance(term, OnGround)]
     unknowns = free | shared | free | {SIZE: size}  # the camera's errors come first
+    unknowns.pop(extrinsic_correction(0), None)  # a turn of the first camera counts as one of the second
     return replace(segment.problem, terms=terms, shared=[*unknowns.values()], nuisance=()), usual_sigma
 
 
