@@ -703,17 +703,20 @@ def is_turned(refined: TrajectorySolution) -> bool:
 
 
 def pair_refined(refined: TrajectorySolution, is_misplaced: bool) -> Finding:
-    """Return the finding on the second of two cameras, whose pose was refined although nobody requested it.
+    """Return the finding on two cameras whose poses were refined although nobody requested it.
 
-    It is a warning if the camera is more likely turned or moved than well calibrated.
+    It names the camera that was turned more. It is a warning if one of the cameras is more likely turned or moved than
+    well calibrated.
     """
-    turn, shift = refined.extrinsic_correction[1, :3], refined.extrinsic_correction[1, 3:]
+    turns_rad, shifts_m = np.linalg.norm(refined.extrinsic_correction.reshape(-1, 2, 3), axis=-1).T
+    most_turned = int(np.argmax(turns_rad))
     cameras = tuple(view.camera.name for view in refined.views)
     return finding(
         "pair_refined" if is_misplaced else "pair_adjusted",
+        camera=cameras[most_turned],
         cameras=cameras,
-        turn_rad=float(np.linalg.norm(turn)),
-        shift_m=float(np.linalg.norm(shift)),
+        turn_rad=float(turns_rad[most_turned]),
+        shift_m=float(shifts_m[most_turned]),
     )
 
 

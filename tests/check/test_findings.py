@@ -156,7 +156,7 @@ SENTENCES = {
         {"cameras": ("cam1", "cam2"), "turn_rad": 0.0524, "shift_m": 0.05},
     ),
     "pair_adjusted": (
-        "with the second camera turned by 0.3 degrees and moved by 20 mm, within the usual errors of calibrations",
+        "with cam1 turned by 0.3 degrees and moved by 20 mm, within the usual errors of calibrations",
         {"cameras": ("cam1", "cam2"), "turn_rad": 0.00524, "shift_m": 0.02},
     ),
     "pair_or_lengths": ("cam1, cam2 do not fit the lengths of this skeleton", {"cameras": ("cam1", "cam2")}),
