@@ -207,13 +207,13 @@ def _refine_pair(fit: _Fit, inputs: ClipInputs, settings: FitSettings) -> _Fit:
         return fit
     if settings.refine_cameras or not fit.solution.posed.any():  # refined poses were refused, or there is no pose
         return fit
-    from recon.check.agreement import is_turned, pair_refined, why_not_refined
+    from recon.check.agreement import pair_is_turned, pair_refined, why_not_refined
 
     options = replace(fit.options, refine_cameras=True, refine_first=True, lengths_known=True)
     refined = _solve_near(inputs, fit.solution, fit.sources, options)
-    if not refined.posed.any() or why_not_refined(refined, fit.solution):
+    if not refined.posed.any() or why_not_refined(refined, fit.solution, constants.CALIBRATED_RAD):
         return fit
-    is_misplaced = any(test.is_misplaced for test in fit.solution.second_cameras) or is_turned(refined)
+    is_misplaced = any(test.is_misplaced for test in fit.solution.second_cameras) or pair_is_turned(refined)
     solution = refined if is_misplaced else _with_pair_tests(refined, fit.solution)
     findings = (*fit.findings, pair_refined(refined, is_misplaced))
     return replace(fit, options=options, solution=solution, findings=findings)

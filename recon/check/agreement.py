@@ -667,11 +667,14 @@ def _problems(names: Sequence[str], offsets: Array, rest_frames: Array, sigmas: 
             yield Problem("--set find-offsets", f"camera {name}", lag_text, expected)
 
 
-def why_not_refined(refined: TrajectorySolution, fixed: TrajectorySolution) -> tuple[Finding, ...]:
+def why_not_refined(
+    refined: TrajectorySolution, fixed: TrajectorySolution, better_below_rad: float = np.inf
+) -> tuple[Finding, ...]:
     """Return the reasons to keep the calibrated cameras, or nothing if the refined poses are to be used.
 
     A camera that leaves its pose becomes an outlier as a whole, which a robust cost rewards. If no camera fits better,
-    the refined poses are only less certain.
+    the refined poses are only less certain. Rotations above `better_below_rad` are used even then, because a wrong size
+    of the animal can hide them.
     """
     fixed_px, refined_px = _medians_px(fixed), _medians_px(refined)
     names, turns_rad = [v.camera.name for v in fixed.views], np.linalg.norm(refined.extrinsic_correction[:, :3], axis=1)
@@ -692,12 +695,12 @@ def why_not_refined(refined: TrajectorySolution, fixed: TrajectorySolution) -> t
                 "camera_left_its_pose", camera=names[most_turned], turn_deg=float(np.degrees(turns_rad[most_turned]))
             ),
         )
-    if not (fixed_px > BETTER_FACTOR * refined_px).any() and turns_rad[most_turned] < constants.CALIBRATED_RAD:
+    if turns_rad[most_turned] <= better_below_rad and not (fixed_px > BETTER_FACTOR * refined_px).any():
         return (finding("cameras_as_calibrated"),)
     return ()
 
 
-def is_turned(refined: TrajectorySolution) -> bool:
+def pair_is_turned(refined: TrajectorySolution) -> bool:
     """Return whether one of two refined cameras is turned by more than usual errors of calibrations."""
     return bool(np.linalg.norm(refined.extrinsic_correction[:, :3], axis=1).max() > 2.0 * constants.CALIBRATED_RAD)
 

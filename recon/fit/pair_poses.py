@@ -1,10 +1,11 @@
 """Weigh explanations of the poses of two cameras: as calibrated, or turned about some of their axes.
 
 The detections of two cameras leave some errors of their poses open. A turn of one camera about the vertical is visible
-only in the animal's apparent size, and it is often open which of the two cameras is turned. The errors have heavy tails:
-about each axis of each camera, the rotation is that of usual calibrations or, with probability `constants.TURNED_SHARE`,
-much larger. Under each explanation, which says about which axes the cameras are turned, the likelihood of the errors and
-their expectation are Gaussian, so that the explanation's evidence, and the errors under it, have a closed form.
+only in the animal's apparent size, and it is often open which of the two cameras is turned. The errors have heavy
+tails: about each axis of each camera, the rotation is that of usual calibrations or, with probability
+`constants.TURNED_SHARE`, much larger. An explanation says about which axes the cameras are turned. Under each, the
+likelihood of the errors and their expectation are Gaussian, so that its evidence, and the errors under it, have a
+closed form.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from itertools import product
 
 import numpy as np
 
-from recon.base.arrays import Array, Bools
+from recon.base.arrays import Array, Bools, Index
 from recon.fit import constants
 from recon.fit.least_squares import LeastSquares
 from recon.fit.terms import extrinsic_correction
@@ -51,7 +52,7 @@ class PairPoses:
         is_turned = np.array([*product([False, True], repeat=6)]).reshape(-1, 2, 3)
         sigma = np.repeat(usual_sigma[None], len(is_turned), axis=0)
         sigma[:, _ROTATIONS] = np.where(is_turned.reshape(-1, 6), constants.MISPLACED_RAD, sigma[:, _ROTATIONS])
-        covariance = np.linalg.inv(precision + np.eye(12) * sigma[:, None] ** -2.0)
+        covariance: Array = np.linalg.inv(precision + np.eye(12) * sigma[:, None] ** -2.0)
         mean = -covariance @ pull
         log_det = np.linalg.slogdet(np.eye(12) + precision * sigma[:, None] ** 2)[1]
         share = np.where(is_turned, constants.TURNED_SHARE, 1.0 - constants.TURNED_SHARE)
@@ -85,7 +86,7 @@ class PairPoses:
 
 def pair_poses(
     problem: LeastSquares, shared: Mapping[str, Array], normal: tuple[Array, Array], variance_factor: float
-) -> tuple[PairPoses, Array, Array] | None:
+) -> tuple[PairPoses, Index, Array] | None:
     """Return the weighed explanations of two cameras' poses, the poses' columns, and their marginal precision.
 
     Parameters
@@ -103,7 +104,7 @@ def pair_poses(
     if not all(name in problem.columns for name in names):
         return None
     S, gradient = normal
-    columns = np.concatenate([np.arange(len(S))[problem.columns[name]] for name in names])
+    columns = np.concatenate([np.arange(len(S), dtype=np.intp)[problem.columns[name]] for name in names])
     rest = np.delete(np.arange(len(S)), columns)
     by_rest = np.linalg.solve(S[np.ix_(rest, rest)], S[np.ix_(rest, columns)]).T
     precision = S[np.ix_(columns, columns)] - by_rest @ S[np.ix_(rest, columns)]

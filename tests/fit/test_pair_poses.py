@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from pytest import approx
+import pytest
 
 from recon.fit import constants
 from recon.fit.least_squares import LeastSquares, SharedUnknown
@@ -28,22 +28,22 @@ def likelihood(measured: dict[int, float], sigma_rad: float) -> tuple[np.ndarray
 def test_poses_that_nothing_shows_are_as_likely_turned_as_expected():
     poses = PairPoses.weigh(np.zeros((12, 12)), np.zeros(12), USUAL)
     shares = np.tensordot(poses.weight, poses.is_turned, axes=1)
-    assert shares == approx(np.full((2, 3), constants.TURNED_SHARE))
+    assert shares == pytest.approx(np.full((2, 3), constants.TURNED_SHARE))
     variance = constants.TURNED_SHARE * constants.MISPLACED_RAD**2 + (1 - constants.TURNED_SHARE) * USUAL_RAD**2
-    assert np.diagonal(poses.covariance_about(np.zeros(12)))[[0, 1, 8]] == approx(np.full(3, variance))
+    assert np.diagonal(poses.covariance_about(np.zeros(12)))[[0, 1, 8]] == pytest.approx(np.full(3, variance))
     assert not poses.first_is_turned
     turned, usual = poses.rotations_rad()[1], poses.rotations_rad()[0]
-    assert usual == approx(np.full(3, USUAL_RAD))
-    assert turned == approx(np.full(3, np.sqrt(2 * variance - USUAL_RAD**2)))
+    assert usual == pytest.approx(np.full(3, USUAL_RAD))
+    assert turned == pytest.approx(np.full(3, np.sqrt(2 * variance - USUAL_RAD**2)))
 
 
 def test_a_turn_that_the_detections_show_is_that_of_its_camera():
-    measured = {index: 0.0 for index in range(12)}
+    measured = dict.fromkeys(range(12), 0.0)
     for index, is_first in ((PAN, True), (SECOND_PAN, False)):
         poses = PairPoses.weigh(*likelihood(measured | {index: np.radians(3.0)}, np.radians(0.1)), USUAL)
         expected = poses.weight @ poses.mean
-        assert np.degrees(expected[index]) == approx(3.0, abs=0.01)
-        assert np.degrees(expected[PAN + SECOND_PAN - index]) == approx(0.0, abs=0.01)
+        assert np.degrees(expected[index]) == pytest.approx(3.0, abs=0.01)
+        assert np.degrees(expected[PAN + SECOND_PAN - index]) == pytest.approx(0.0, abs=0.01)
         assert poses.first_is_turned is is_first
         assert poses.rotations_rad()[0 if is_first else 1, 1] > 0.99 * constants.MISPLACED_RAD
 
@@ -56,11 +56,11 @@ def test_if_it_is_open_which_camera_is_turned_the_first_defines_the_world_and_bo
     poses = PairPoses.weigh(precision, -angle_rad * difference * np.radians(0.1) ** -2, USUAL)
     first_rad, second_rad = poses.rotations_rad()
     assert not poses.first_is_turned
-    assert first_rad[1] == approx(USUAL_RAD)
-    assert second_rad[1] == approx(constants.MISPLACED_RAD, rel=0.01)
+    assert first_rad[1] == pytest.approx(USUAL_RAD)
+    assert second_rad[1] == pytest.approx(constants.MISPLACED_RAD, rel=0.01)
     value = angle_rad * np.eye(12)[SECOND_PAN]
     sigma_deg = np.degrees(np.sqrt(np.diagonal(poses.covariance_about(value))))
-    assert sigma_deg[PAN] == approx(sigma_deg[SECOND_PAN], rel=0.05)
+    assert sigma_deg[PAN] == pytest.approx(sigma_deg[SECOND_PAN], rel=0.05)
     assert 1.8 < sigma_deg[PAN] < 2.3  # 3 degrees or 0, as likely
 
 
