@@ -13,7 +13,7 @@ PARTS = {
     "several": Part("cameras.py", data="cheetah-runs"),
     "left-out": Part(
         "left_out_camera.py",
-        ["--quick", "--outs", "1", "--jobs", "2", "--no-anipose"],
+        ["--quick", "--outs", "1", "--jobs", "2"],
         quick=["--only", "rat", "--quick", "--outs", "1", "--no-anipose"],
         data="cheetah-runs",
     ),

@@ -7,8 +7,8 @@ the detections' noise about them, are those with the largest evidence. The noise
 
 **Covariance.** Each view is left out in turn, and predicted from the others. The errors of these predictions give a
 factor on all covariances, with which 90 % regions hold 90 % of the detections. The factor contains the tails of the
-detector's errors. The clock of the other camera is taken to be as far off as the clocks of the views, and its pose as
-far as those of the views: by the median errors of their predictions, which a wrong pose gives to all keypoints.
+detector's errors and the bias of each camera. The clock of the other camera is taken to be as far off as the clocks of
+the views.
 
 References
 ----------
@@ -68,12 +68,10 @@ def predicted_keypoints(solution: Solution, view: View, fps: float | None = None
         scale = max(1.0, np.sqrt(_tail_factor(solution)))
         return _predicted(solution, view, markers_m, covariance_m2, scale)
     residuals = [_Residuals.of_view(solution, number) for number in range(len(solution.views))]
-    deviation, deviation_m2, factor, pose_rad = _deviations(solution, residuals, fps)
+    deviation, deviation_m2, factor = _deviations(solution, residuals, fps)
     xy_px, covariance_px2 = _predicted(solution, view, markers_m + deviation, covariance_m2 + deviation_m2, 1.0)
     late_px = _time_offset_frames(solution) * _change_per_frame(xy_px)
-    pose_px = pose_rad * float(np.mean(view.focal_px))
-    covariance_px2 = factor * covariance_px2 + late_px[..., :, None] * late_px[..., None, :]
-    return xy_px, covariance_px2 + pose_px**2 * np.eye(2)
+    return xy_px, factor * covariance_px2 + late_px[..., :, None] * late_px[..., None, :]
 
 
 def _time_offset_frames(solution: Solution) -> float:
@@ -184,42 +182,26 @@ class _Residuals:
         return np.where(self.weight[..., None] > 0, remaining_px, np.nan)
 
 
-def _deviations(solution: Solution, residuals: list[_Residuals], fps: float) -> tuple[Array, Array, float, float]:
-    """Return the deviations (T, J, 3) and their covariances (T, J, 3, 3).
-
-    The last two results are the factor on predicted covariances, and how far a camera's pose is off, as an angle.
-    """
+def _deviations(solution: Solution, residuals: list[_Residuals], fps: float) -> tuple[Array, Array, float]:
+    """Return the deviations (T, J, 3), their covariances (T, J, 3, 3), and the factor on predicted covariances."""
     information = np.array([residual.information for residual in residuals])
     pull = np.array([residual.pull for residual in residuals])
     total, total_pull = information.sum(axis=0), pull.sum(axis=0)
     sigma_m, lasting_frames, noise_share = _likeliest_process(solution, residuals, total, total_pull, fps)
     information, total = information / noise_share[:, None, None], total / noise_share[:, None, None]
     pull, total_pull = pull / noise_share[:, None], total_pull / noise_share[:, None]
-    squares, shifts_rad = [], []
+    squares = []
     for number, (residual, view) in enumerate(zip(residuals, solution.views, strict=True)):
         by_rest = total - information[number], total_pull - pull[number]
         deviation, deviation_m2 = smoothed_deviations(*by_rest, sigma_m, lasting_frames)
         _, covariance = _predicted(
             solution, view, solution.markers_m + deviation, solution.covariance_m2 + deviation_m2, 1.0
         )
-        off_px = residual.off_px(deviation)
-        shift_px = np.nan_to_num(_median_px(off_px))
-        shifts_rad.append(shift_px / np.mean(view.focal_px))
-        squares.append(_whitened_squares(off_px - shift_px, covariance))
-    V = len(residuals)
-    # the motion follows each of its own views, so that their errors appear smaller than those of another view
-    pose_rad = float(np.sqrt(np.mean(np.square(shifts_rad)) * (V + 1) / (V - 1)))
+        squares.append(_whitened_squares(residual.off_px(deviation), covariance))
     return (
         *smoothed_deviations(total, total_pull, sigma_m, lasting_frames),
         _level_factor(np.concatenate(squares)),
-        pose_rad,
     )
-
-
-def _median_px(off_px: Array) -> Array:
-    """Return the median (2,) of known errors (..., 2), NaN if none is known."""
-    with warnings.catch_warnings(action="ignore"):  # a view without detections
-        return np.asarray(np.nanmedian(off_px.reshape(-1, 2), axis=0))
 
 
 def _likeliest_process(

@@ -49,23 +49,3 @@ def test_keypoints_that_leave_their_markers_are_followed(two_cameras):
         for fps in (None, 30.0)
     ]
     assert errors_px[1] < 0.5 * errors_px[0]
-
-
-def test_a_further_camera_is_taken_to_be_off_as_far_as_the_others(two_cameras):
-    """All detections of the second camera are 12 px to the right of where the body is seen."""
-    solution = two_cameras.solution
-    solution = replace(solution, noise_px=np.full_like(solution.noise_px, 4.0))
-    markers_m = solution.markers_m
-
-    def sigma_px(shift_px: float) -> float:
-        pixels = [view.project(markers_m)[0] for view in solution.views]
-        pixels[1] = pixels[1] + np.array([shift_px, 0.0])
-        views = [
-            replace(view, xy_px=xy_px, confidence=np.ones(xy_px.shape[:2]))
-            for view, xy_px in zip(solution.views, pixels, strict=True)
-        ]
-        view = replace(solution.views[0], offset_frames=0.0)
-        _, covariance_px2 = predicted_keypoints(replace(solution, views=tuple(views)), view, 30.0)
-        return float(np.nanmedian(np.sqrt(covariance_px2[..., 0, 0])))
-
-    assert sigma_px(12.0) > np.hypot(sigma_px(0.0), 5.0)
