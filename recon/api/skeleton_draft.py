@@ -45,17 +45,19 @@ BASE = "quadruped"
 REAR, FRONT = ("tail_base", "l_hip", "spine"), ("neck_base", "withers", "l_shoulder", "nose")
 """Markers of the quadruped at which `forward` may begin and end, the preferred ones first."""
 FEWEST_FRAMES = 20
-RIGID, TOO_MUCH, NOISE = 0.01, 0.02, 2.0
-"""Limits below which the distance between two keypoints counts as constant.
-
-The limit of the standard deviation is RIGID times the animal's length. If keypoints are noisy, the limit is NOISE times
-the variation between steady neighbours, but at most TOO_MUCH times the animal's length.
-"""
-TAIL, TAIL_SIGMAS = 0.05, 3.29
-"""Fraction of frames at either end of a distance's range that may be errors, and range of the rest in sigmas.
+RIGID = 0.01
+"""Standard deviation of the distance between two keypoints, in lengths of the animal, up to which it is constant."""
+NOISE = 2.0
+"""Factor on the variation between steady neighbours, which gives a larger limit if keypoints are noisy."""
+TOO_MUCH = 0.02
+"""Limit, in lengths of the animal, above which keypoints are too noisy for a draft."""
+TAIL = 0.05
+"""Fraction of frames at either end of a distance's range that may be errors.
 
 A median deviation would call every distance constant in an animal that stands for half of the clip.
 """
+TAIL_SIGMAS = 3.29
+"""Range of the rest, in standard deviations."""
 KEYPOINT_SHARE, MARKER_SHARE, SIZE_SIGMA = 0.03, 0.025, 0.05
 """Values for the skeleton file: keypoint_sigma_m and marker_sigma_m as fractions of the animal's length, and size_sigma
 of a measured animal.
@@ -64,10 +66,16 @@ A draft has its markers where the detector sees them, which is a little off the 
 observed changes of their lengths are added to marker_sigma_m.
 """
 HEAD = ("keypoint_sigma_m", "marker_sigma_m", "size_sigma")
-SWING_RAD, SWING_HZ, WIDER = (0.3, 1.2), (0.5, 8.0), 1.5
-"""Limits of a segment's swing and of its frequency, and a factor on the observed swing to allow for other clips."""
-LOW, FLAT = 0.3, 0.12
-"""Fraction of the animal's height below which no trunk lies, and of its length within which feet reach the ground."""
+SWING_RAD = (0.3, 1.2)
+"""Limits of a segment's swing."""
+SWING_HZ = (0.5, 8.0)
+"""Limits of the swing's frequency."""
+WIDER = 1.5
+"""Factor on the observed swing, to allow for other clips."""
+LOW = 0.3
+"""Fraction of the animal's height below which no trunk lies."""
+FLAT = 0.12
+"""Height, in lengths of the animal, within which feet reach the ground."""
 
 
 _ROUGHLY = {"croup": "tail_base", "rump": "tail_base"}

@@ -51,17 +51,20 @@ Levels of 68 real pairs are up to 1.5. A rotation of one of two cameras is visib
 """
 EXPLAINED = 0.25
 """A cause that reduces a camera's level to this fraction or less also explains it."""
-CLEAR_ROTATION_RAD, CLEAR_OFFSET, CLEAR_GAIN = np.radians(3.0), 3.0, 1.5
-"""Limits for a camera that agrees but is still reported.
-
-It is reported if a rotation or a time offset (frames) of at least this size reduces its level by at least this factor.
-"""
+CLEAR_ROTATION_RAD = np.radians(3.0)
+"""Rotation from which a camera that agrees is still reported, if its level improves by `CLEAR_GAIN`."""
+CLEAR_OFFSET = 3.0
+"""Time offset, in frames, from which a camera that agrees is still reported, if its level improves by `CLEAR_GAIN`."""
+CLEAR_GAIN = 1.5
+"""Smallest factor by which such a rotation or time offset reduces the camera's level."""
 LARGEST_ROTATION_RAD = np.radians(45.0)
 """Largest best-fitting rotation that is attributed to the camera."""
 MIN_POINTS = 30
 """Smallest number of points, over all frames, from which a level is computed."""
-WIDE_OFFSET_S, NARROW_OFFSET = 0.5, 3
-"""Largest time offset tried: in seconds for a camera that does not agree, in frames for one that agrees."""
+WIDE_OFFSET_S = 0.5
+"""Largest time offset, in seconds, that is tried for a camera that does not agree."""
+NARROW_OFFSET = 3
+"""Largest time offset, in frames, that is tried for a camera that agrees."""
 FRAMES = 480
 """Number of frames of a longer clip that are compared: the part with the most common detections."""
 OFFSET_S = 1.0
@@ -593,16 +596,17 @@ def _best_offset(sight: _Sight, partner_sights: Sequence[_Sight], reach: int, ro
 FIT_ROUNDS = 5
 CLOSE_FRAMES = 0.05
 """Time offsets this small are left to the solver, which treats the motion as straight over such a time."""
-UNCHANGED_FACTOR, BETTER_FACTOR, OUTLIER_FACTOR, MAX_ROTATION_FACTOR = 1.1, 1.02, 5.0, 4.0
-"""Limits for refined poses.
+UNCHANGED_FACTOR = 1.1
+"""Growth of a camera's median reprojection error up to which refined poses count as no worse for it.
 
-- `UNCHANGED_FACTOR`: growth of a camera's median reprojection error up to which the error counts as unchanged, since
-  some cameras may lose a little of what one camera gains
-- `BETTER_FACTOR`: ratio of the error before to the error after, above which a camera has improved
-- `OUTLIER_FACTOR`: ratio of a camera's error to the median over the cameras, above which the camera is an outlier as a
-  whole
-- `MAX_ROTATION_FACTOR`: ratio of a rotation to the expected one, above which a camera is not at the pose in the file
+Some cameras may lose a little of what one camera gains.
 """
+BETTER_FACTOR = 1.02
+"""Ratio of a camera's error before the refinement to the error after it, above which the camera has improved."""
+OUTLIER_FACTOR = 5.0
+"""Ratio of a camera's error to the median over the cameras, above which the camera is an outlier as a whole."""
+MAX_ROTATION_FACTOR = 4.0
+"""Ratio of a rotation to the expected one, above which a camera is not at the pose in the file."""
 MAX_SIGMA_FRAMES = 1.0
 """Largest uncertainty of an estimated offset in frames.
 

@@ -22,17 +22,23 @@ from recon.fit.clip_problem import ClipProblem, contacts, sigmas_above_ground
 from recon.fit.result import Finding
 from recon.geometry.kinematics import ROOT
 
-SHORTER, LONGER = (-0.4, -0.6), (0.2, 0.4)
-"""Logarithms of the factors on the focal length that are tried; the second if the first fits better than none.
+SHORTER = (-0.4, -0.6)
+"""Logarithms of the factors below 1 on the focal length that are tried, the second if the first fits better than none.
 
 A much shorter lens would move the animal behind the nearest cameras.
 """
-USUAL, SPREAD = -0.12, 0.15
-"""Mean and least standard deviation of the logarithms of the estimated factors in right views."""
-POSSIBLE, LIKELY = (-0.9, 0.55), (-1.6, 1.1)
-"""Standard deviations beyond which another focal length is possible, or likely.
+LONGER = (0.2, 0.4)
+"""Logarithms of the factors above 1 that are tried, the second if the first fits better than none."""
+USUAL = -0.12
+"""Mean of the logarithms of the estimated factors in correct views."""
+SPREAD = 0.15
+"""Smallest standard deviation of these logarithms."""
+POSSIBLE = (-0.9, 0.55)
+"""Deviations, in standard deviations, beyond which another focal length is possible."""
+LIKELY = (-1.6, 1.1)
+"""Deviations beyond which another focal length is likely.
 
-Right views are from -1.6 to 1.0, views of 1.5 and 0.7 times the focal length at -1.1 and 1.1 in the middle
+Correct views are from -1.6 to 1.0, views of 1.5 and 0.7 times the focal length at -1.1 and 1.1 in the middle
 (`benchmarks/wrong_inputs.py --only limits`).
 """
 BEYOND = 0.2

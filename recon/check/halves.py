@@ -22,10 +22,12 @@ of a second behind (`benchmarks/wrong_inputs.py --only limits`, five views each)
 """
 LEAST_FRAMES = 3
 """Smallest number of frames of a segment whose motion is tested."""
-DISAGREES, TIMES = 3.0, 2.0
-"""Distance from its marker beyond which a detection disagrees with the pose, in standard deviations of the noise, and
-the ratio between the halves' fractions of such detections above which the half with more of them is another animal's.
-The ratio is 3 to 8 if the hind half is another animal's, and 1.7 to 3 if the fore half is (three views each).
+DISAGREES = 3.0
+"""Distance from its marker, in standard deviations of the noise, beyond which a detection disagrees with the pose."""
+TIMES = 2.0
+"""Ratio of the halves' fractions of such detections, above which the half with more of them is another animal's.
+
+It is 3 to 8 if the hind half is another animal's, and 1.7 to 3 if the fore half is (three views each).
 """
 
 

@@ -172,11 +172,13 @@ FRAMES = 0.05
 """Smallest relevant fraction of a clip's frames that repeat the frame before; cameras sometimes repeat a few frames."""
 FEWEST = 4
 """Smallest number of identical keypoints in a frame; fewer may be chance."""
-STRAIGHT_PX, STRAIGHT = 0.01, 0.02
-"""Largest deviation of an interpolated point from the line between its neighbours, in pixels and relative to its path.
+STRAIGHT_PX = 0.01
+"""Largest deviation, in pixels, of an interpolated point from the line between its neighbours.
 
 A point on a cubic has a fourth difference as small as that.
 """
+STRAIGHT = 0.02
+"""Largest such deviation relative to the point's path."""
 _CUBIC_FRAMES = 5
 """Number of frames that lie on one cubic if their fourth difference is 0."""
 CURVED_PX = 0.1
@@ -184,21 +186,30 @@ CURVED_PX = 0.1
 
 Points on a straight line are on a cubic, too.
 """
-LONG, SHORT, SHARE_LONG = 1.45, 0.5, 0.13
-"""Ratios above and below which a step is long or short relative to those around it, and the usual share of long steps.
+LONG = 1.45
+"""Ratio to the steps around it above which a step is long.
 
-If more steps are long, and less than half as many are short, frames were left out. In 32 real views at most 0.12 of the
-steps are long, also with half of their points missing, a side hidden, or an animal that comes into the picture. The
-share is 0.2 if a quarter of the frames is left out.
+In 32 real views at most 0.12 of the steps are long, also with half of their points missing, a side hidden, or an animal
+that comes into the picture. The share is 0.2 if a quarter of the frames is left out.
 """
-ALONE, SHARE_ALONE = 1.3, 0.4
-"""Ratio of a long step to both its neighbours, and the share of long steps that have it.
+SHORT = 0.5
+"""Ratio to the steps around it below which a step is short."""
+SHARE_LONG = 0.13
+"""Share of long steps above which frames were left out, if less than half as many steps are short."""
+ALONE = 1.3
+"""Smallest ratio of a long step to both its neighbours if a frame was left out.
 
-Swinging legs, seen on their own or by a camera that follows, are fast for several frames. The values were chosen on
-simulated cameras and noise (cheetahs, dogs).
+Swinging legs, seen on their own or by a camera that follows, are fast for several frames. This value and the next were
+chosen on simulated cameras and noise (cheetahs, dogs).
 """
-AROUND, LEAST_STEP_PX, LEAST_STEPS = 7, 5.0, 20
-"""Number of steps of a keypoint that are compared, smallest length of a step, and smallest number of steps."""
+SHARE_ALONE = 0.4
+"""Smallest share of long steps that have this ratio."""
+AROUND = 7
+"""Number of steps of a keypoint that are compared."""
+LEAST_STEP_PX = 5.0
+"""Smallest length of a step that is compared."""
+LEAST_STEPS = 20
+"""Smallest number of frames from which the ratios are computed."""
 
 
 def copies(sources: Sequence[Source], resampled: bool = False) -> Iterator[Finding]:
@@ -323,28 +334,31 @@ def _copied_sides(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
 
 LEAST_S = 0.25
 """Shortest motion that is tested, in seconds."""
-STILL, STILL_M_S, STILL_RAD_S, STILL_TRUNKS = 0.95, 0.3, 0.6, 0.5
-"""Limits of an animal that stands still.
-
-They are the share of frames in which its speed is below the limits in m/s and in trunk lengths per second, the median
-of its joints' angular speeds, and its distance from its mean position in trunk lengths.
-"""
+STILL = 0.95
+"""Smallest share of frames in which an animal that stands still is slower than `STILL_M_S`."""
+STILL_M_S = 0.3
+"""Speed of an animal that stands still, in m/s and in trunk lengths per second."""
+STILL_RAD_S = 0.6
+"""Largest median angular speed of the joints of an animal that stands still."""
+STILL_TRUNKS = 0.5
+"""Extent of the path of an animal that stands still, in trunk lengths."""
 BACKWARDS_M_S, BACKWARDS = 1.0, 0.9
 """Speed above which no animal runs backwards, and the fraction of the frames above which the clip is reversed."""
 SLOWEST = 0.1
 """Fraction of the feet, over all frames, that move at the speed of standing feet or more slowly."""
-SLIDE_SHARE, SLIDE_LEGS_S = 0.25, 0.5
-"""Backward speed of standing feet relative to the body's speed over them, above which they slide, and the least speed
-of the body over the feet, in leg lengths per second, at which this is tested.
+SLIDE_SHARE = 0.25
+"""Backward speed of standing feet, relative to the body's speed over them, above which they slide.
 
-The first is 0.06 at most in real views of cheetahs and dogs, and 0.9 to 1.0 on a treadmill at any speed.
+It is 0.06 at most in real views of cheetahs and dogs, and 0.9 to 1.0 on a treadmill at any speed.
 """
+SLIDE_LEGS_S = 0.5
+"""Smallest speed of the body over the feet, in leg lengths per second, at which this is tested."""
 STAYS_SHARE = 0.3
 """Speed of the body relative to the feet below which the body stays where it is, as on a treadmill."""
-SLIDE_M_S, GLIDE_M_S = -2.5, 8.0
-"""Speeds that standing feet do not reach, backwards and forwards; 32 real views of running cheetahs have -0.7 to 4.1
-m/s.
-"""
+SLIDE_M_S = -2.5
+"""Backward speed that standing feet do not reach; in 32 real views of running cheetahs the lowest is -0.7 m/s."""
+GLIDE_M_S = 8.0
+"""Forward speed that standing feet do not reach; in these views the highest is 4.1 m/s."""
 JOLTS = {"root acceleration": 1.0, "heading": 0.55, "climb": 1.1}
 """Costs per 1/90 s, half squared standard deviations, from which the body's path is not that of an animal.
 

@@ -38,12 +38,14 @@ _TOLERANCE, _ITERATIONS = 3e-3, 12
 """Relative tolerance and largest number of iterations of a minimum in this module."""
 CLEAR = float(np.log(1000.0))
 """Log-likelihood gain above which a hypothesis is examined further."""
-MARGIN, SURE = 25.0, 30.0
+MARGIN = 25.0
 """Log-likelihood gain above which a swap or a zoom is reported.
 
-The second limit is for a swap that contradicts another, for the whole clip with all swaps undone, and for another frame
-rate. The values were chosen on real clips (docs/benchmarks.md, left-right swaps) and allow for errors of the model.
+This value and the next were chosen on real clips (docs/benchmarks.md, left-right swaps) and allow for errors of the
+model.
 """
+SURE = 30.0
+"""The same for a swap that contradicts another, the whole clip with all swaps undone, and another frame rate."""
 OWN_SHARE = 0.4
 """Fraction of the information of a limb's keypoints that is independent.
 
@@ -388,13 +390,14 @@ def smaller(camera: Camera, times: float) -> Camera:
 
 # -- the lens ----------------------------------------------------------------------------------------------------------
 
-ZOOM, LARGEST, _ROUNDS = 0.2, 5.0, 6
-"""Limits for zooms.
+ZOOM = 0.2
+"""Logarithm of the zoom per second that is tried first, and the smallest that is reported.
 
-They are the logarithm of the zoom per second that is tried first, which is also the smallest that is reported; the
-largest factor on it; and the number of rounds. Smaller zooms also fit better if an animal of other proportions comes
-nearer. The values were chosen by leaving runs out.
+Smaller zooms also fit better if an animal of other proportions comes nearer. The value was chosen by leaving runs out.
 """
+LARGEST = 5.0
+"""Largest factor on `ZOOM` that is tried."""
+_ROUNDS = 6
 LASTING = 0.25
 """Fraction of the first and of the last third of a second in which a lasting keypoint is seen.
 
@@ -492,14 +495,18 @@ def at_an_unknown_moment(item: Finding) -> Finding:
 
 RATE_STEP, RATE_STEPS = 2**0.5, 8
 """Factor between the rates that are tried, and the largest number of steps upwards or downwards."""
-NEARLY, ANOTHER, SPEEDS = 1.02, 1.3, 1.25
-"""Factors of frame rates.
+NEARLY = 1.02
+"""Factor within which stated frame rates are the same."""
+ANOTHER = 1.3
+"""Factor from which the rate at which angles swing suggests a different frame rate.
 
-Stated rates within the factor `NEARLY` are the same. The rate at which angles swing suggests a different frame rate
-only if it differs by a factor of `ANOTHER` or more: animals of one gait swing up to 1.21 times faster or slower than
-the prior's (32 real views; 1.22 in a rendered clip), with a standard deviation of a tenth. At its true rate an animal
-is not faster or slower than all animals of the prior by more than `SPEEDS`, so that an animal that stands or turns does
-not count as slow motion.
+Animals of one gait swing up to 1.21 times faster or slower than the prior's (32 real views; 1.22 in a rendered clip),
+with a standard deviation of a tenth.
+"""
+SPEEDS = 1.25
+"""Largest factor by which an animal, at its true frame rate, is faster or slower than all animals of the prior.
+
+An animal that stands or turns therefore does not count as slow motion.
 """
 FAR = 1.5
 """Factor from which a different frame rate is an error, because speeds are wrong by this factor whatever the poses are.

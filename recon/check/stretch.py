@@ -17,10 +17,12 @@ from recon.fit.clip_problem import ClipProblem
 from recon.fit.result import Finding, TrajectorySolution
 from recon.fit.terms import focal_scale
 
-USUAL, SPREAD, SIGMA_SHARE = 0.05, 0.04, 0.5
-"""Mean and least standard deviation of the estimates in unstretched pictures, and a factor on the posterior's standard
-deviation, which is twice as large as the estimates vary.
-"""
+USUAL = 0.05
+"""Mean of the estimates in pictures that are not stretched."""
+SPREAD = 0.04
+"""Smallest standard deviation of these estimates."""
+SIGMA_SHARE = 0.5
+"""Factor on the posterior's standard deviation, which is twice as large as the estimates vary."""
 LIMITS = -1.6, 3.3
 """Deviations, in standard deviations, beyond which a picture is compressed or stretched along x.
 

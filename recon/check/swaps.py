@@ -26,12 +26,12 @@ from recon.fit.result import Finding
 
 JUMP = -3.0
 """Log-likelihood gain above which a swap may begin or end; crossing legs hardly jump."""
-LIKELY, REFITTED, STRETCHES = 15.0, 3, 4
-"""Limits of the search.
-
-They are the log-likelihood gain above which a stretch is tried, the number of stretches tried at a time, and the
-largest number of swaps in a clip.
-"""
+LIKELY = 15.0
+"""Log-likelihood gain above which the search tries a swap of a stretch of frames."""
+REFITTED = 3
+"""Number of stretches that are tried at a time."""
+STRETCHES = 4
+"""Largest number of swaps that the search finds in a clip."""
 LOOKS = -10.0
 """Smallest log-likelihood gain at which a swap of the whole clip is tried.
 

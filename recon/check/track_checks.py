@@ -33,10 +33,12 @@ BENT = 5.0
 """Median bend of a track, relative to its rounding, above which it is tested for straight parts."""
 STRAIGHT = 0.02
 """Largest deviation from a line, relative to the track's usual deviation."""
-MOVING, STANCE, COARSE = 0.0005, 1.0, 1e-4
-"""Distances, relative to the animal's size, that the other points can move at most while a point, or a foot whose
-coordinates have a coarser resolution than `COARSE`, stays still. With finer coordinates a standing foot moves, too.
-"""
+MOVING = 0.0005
+"""Smallest distance, relative to the animal's size, that the other points move while a point is frozen."""
+STANCE = 1.0
+"""The same distance for a foot whose coordinates have a coarser resolution than `COARSE`, since feet stand still."""
+COARSE = 1e-4
+"""Resolution, relative to the animal's size. With finer coordinates a standing foot moves, too."""
 JUMP, JUMP_SPREADS = 0.2, 10.0
 """Smallest jump of a point: relative to the animal's size, and as a number of its usual deviations."""
 JUMP_FRAMES = 2
@@ -51,16 +53,24 @@ LEAST_PAIRS = 2
 """Smallest number of point pairs that show a swap together."""
 PX_OF_EXTENT = 1000.0
 """Size in pixels to which 3D points are scaled for limits in pixels."""
-STEP_PX, ONWARDS, LEAST_CHANGES = 2.0, 0.5, 8
-"""Length of a step, in pixels, that shows a speed, smallest cosine between two such steps, and smallest number of
-changes of the speed.
-"""
+STEP_PX = 2.0
+"""Length of a step, in pixels, that shows a speed."""
+ONWARDS = 0.5
+"""Smallest cosine of the angle between two such steps."""
+LEAST_CHANGES = 8
+"""Smallest number of changes of the speed."""
 CHANGE_SIGMAS = np.array([0.03, 0.05, 0.08, 0.12, 0.18, 0.25, 0.35, 0.5])
 """Scales of the change of the logarithm of the speed from frame to frame that are tried."""
-FREEDOM, OUTLIERS, OUTLIER_RANGE = 3, np.array([0.02, 0.1, 0.25]), 5.0
-"""Degrees of freedom of these changes, shares of outliers that are tried, and the outliers' range."""
-MISSING, MOST_INTERVALS = np.array([0.1, 0.2, 0.3, 0.4]), 3
-"""Shares of missing frames that are tried, and largest number of frame intervals of one step."""
+FREEDOM = 3
+"""Degrees of freedom of the distribution of these changes."""
+OUTLIERS = np.array([0.02, 0.1, 0.25])
+"""Shares of outliers that are tried."""
+OUTLIER_RANGE = 5.0
+"""Range in which outliers are equally likely."""
+MISSING = np.array([0.1, 0.2, 0.3, 0.4])
+"""Shares of missing frames that are tried."""
+MOST_INTERVALS = 3
+"""Largest number of frame intervals of one step."""
 NORMALISED = 1.5
 """Largest coordinate of keypoints given as fractions of the picture."""
 

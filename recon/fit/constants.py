@@ -39,12 +39,12 @@ TIME_OFFSET_FRAMES = 12**-0.5
 """Standard deviation of a camera's time offset in frames, for pictures taken at any time within a frame."""
 SOUGHT_OFFSET_FRAMES = 2.0
 """Standard deviation of the time offset, in frames, of a camera whose offset is estimated."""
-CAMERA_ROTATION_RAD, CAMERA_SHIFT_M, CAMERA_SHIFT_SHARE = 0.03490658503988659, 0.05, 0.02
-"""Errors of a camera pose that is to be refined.
-
-The rotation about each axis is 2 degrees; the shift along each axis is in metres or a share of the distance from the
-animal, whichever is less.
-"""
+CAMERA_ROTATION_RAD = 0.03490658503988659
+"""Rotation about each axis of a camera pose that is to be refined (2 degrees)."""
+CAMERA_SHIFT_M = 0.05
+"""Shift along each axis of a camera pose that is to be refined, or less, see `CAMERA_SHIFT_SHARE`."""
+CAMERA_SHIFT_SHARE = 0.02
+"""Largest shift of such a camera as a share of its distance from the animal."""
 CALIBRATED_RAD = 0.008726646259971648
 """Rotation about each axis between two cameras as calibrated (half a degree)."""
 SHARE_OF_PAIR = 2**-0.5
@@ -67,26 +67,32 @@ It gives 6 degrees, 0.6 m and 3.5 frames. It is a round number.
 SIZE_OF_TWO_CAMERAS = 0.03
 """Relative standard deviation of a size measured by two cameras."""
 
-LEAST_NOISE, NOISE_COUNT = 0.02, 1.0
-"""Least variance of a joint's detections relative to the expected variance, and the number of detections it counts as.
+LEAST_NOISE = 0.02
+"""Least variance of a joint's detections relative to the expected variance.
 
-They apply if several cameras solve for the body's shape and the detector was not measured.
+It applies if several cameras solve for the body's shape and the detector was not measured.
 """
-LENGTH_SHARE, OFFSET_SHARE = 0.3, 0.4
-"""Factors that give the standard deviations with which several cameras solve for the shape.
+NOISE_COUNT = 1.0
+"""Number of detections that the expected variance counts as in this case."""
+LENGTH_SHARE = 0.3
+"""Standard deviation of a single length, relative to that of the size, if several cameras solve for the shape.
 
-A single length has the first factor times the standard deviation of the size, and a keypoint offset has the second
-factor times that of the common bias. Both are widened if the animal's lengths and offsets vary more.
+It is wider if the animal's lengths vary more.
+"""
+OFFSET_SHARE = 0.4
+"""Standard deviation of a keypoint offset, relative to that of the common bias, if several cameras solve for the shape.
+
+It is wider if the animal's offsets vary more.
 """
 LENGTH_SIGMA = 0.1
 """Least relative standard deviation of single lengths of a skeleton without a prior, for one camera."""
-FIRST_SHAPE_SCALE, KNOWN_SHAPE_SCALE = (3.0, 2.5), (1 / 3, 1 / 2)
-"""Factors on the standard deviations of lengths and offsets: in the first round, and for a detector that was measured
-with the skeleton.
+FIRST_SHAPE_SCALE = (3.0, 2.5)
+"""Factors on the standard deviations of lengths and offsets in the first round, which shows how widely they spread."""
+KNOWN_SHAPE_SCALE = (1 / 3, 1 / 2)
+"""Factors on the standard deviations of lengths and offsets for a detector that was measured with the skeleton.
 
-The lengths and offsets of the first round show how widely they spread. A detector and a skeleton that were measured
-together fit each other; in the benchmark's real runs, each with a detector measured in the others, poses are then
-within 1 % of those with exact lengths and offsets.
+A detector and a skeleton that were measured together fit each other; in the benchmark's real runs, each with a detector
+measured in the others, poses are then within 1 % of those with exact lengths and offsets.
 """
 SHAPE_COUNT = 8.0
 """Number of lengths, or coordinates of offsets, that the expected spread counts as."""
@@ -114,18 +120,21 @@ MISFIT_USUAL = 3.6
 
 It is 2.3 to 4.6 in 32 real views at 90 to 200 Hz, 2.0 to 4.4 with every second frame.
 """
-MISFIT_LEVEL, MISFIT_SIGMAS = 2.0, 2.33
-"""Smallest misfit of a motion that is unlike those of the prior, and a number of sigmas.
-
-A motion that fits the prior exceeds this number of sigmas in 1 of 100 clips.
-"""
+MISFIT_LEVEL = 2.0
+"""Smallest misfit of a motion that is unlike those of the prior."""
+MISFIT_SIGMAS = 2.33
+"""Number of sigmas that a motion that fits the prior exceeds in 1 of 100 clips."""
 
 # -- feet and ground ----------------------------------------------------------------------------------------------
 
-SLIP_M_S, SLIP_C = 2.5, 2.0
-"""Velocity of a standing foot, and the number of standard deviations at which its loss saturates."""
-GROUND_HEIGHT_M, GROUND_SLOPE = 0.12, 0.02
-"""Height and slopes of the ground, if it is known to be near z = 0."""
+SLIP_M_S = 2.5
+"""Velocity of a standing foot."""
+SLIP_C = 2.0
+"""Number of standard deviations at which the loss of that velocity saturates."""
+GROUND_HEIGHT_M = 0.12
+"""Height of the ground about z = 0, if the ground is known to be near it."""
+GROUND_SLOPE = 0.02
+"""Slopes of the ground, if it is known to be near z = 0."""
 GROUND_FOOT_M = 0.04
 """Height of a standing foot above the ground."""
 

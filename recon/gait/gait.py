@@ -59,14 +59,20 @@ BODY = ("neck_base", "tail_base")
 OVERSAMPLING = 10
 MAX_GAP_S = 0.05
 """Longest gap of a foot or the body that is interpolated. A longer gap could hide a touch-down."""
-SLOW, SWING = (0.16, 0.32), 1.3
-"""Speed of a foot over the ground, relative to its speed in the swing, below which it certainly stands, and below which
-it may stand; and smallest speed in the swing relative to the body's speed.
+SLOW = (0.16, 0.32)
+"""Speed of a foot over the ground, relative to its speed in the swing: it certainly stands below the first value, and
+may stand below the second.
 """
+SWING = 1.3
+"""Smallest speed of a foot in the swing relative to the body's speed."""
 REST = 0.5
 """Largest speed at which feet stand in poses that jitter, relative to the body's speed."""
-LANDS, LIFTS, EVENT_SIGMAS = 0.12, 0.22, (0.05, 0.1)
-"""Relative speed at touch-down and at lift-off, fitted to force plates, and the standard deviation of each."""
+LANDS = 0.12
+"""Relative speed of a foot at touch-down, fitted to force plates."""
+LIFTS = 0.22
+"""Relative speed of a foot at lift-off, fitted to force plates."""
+EVENT_SIGMAS = (0.05, 0.1)
+"""Standard deviations of these two speeds."""
 SPEED_ERROR = 0.6
 """Apparent speed of a standing foot, in standard deviations of its speed. `benchmarks/parts/gait.py --held-out` chooses
 the value on two of three kinds of recordings, and times the stances of the third with this value.
@@ -80,11 +86,12 @@ MIN_STANCE_S = 0.02
 SLOPE_SIGMA, HEIGHT_SIGMA_M = 0.1, 0.03
 """Standard deviation of the ground's slopes, and of a standing foot's marker about the plane."""
 
-PERIOD_OF_CLIP, PERIOD_SIGMA, PERIODIC = (0.5, 1 / 0.6), 0.08, 0.9
-"""Shortest and longest period that is searched for in a clip without a complete stride, relative to the clip's
-duration; relative standard deviation of the result, measured on a dog's strides cut to 0.7 to 1.2 of their duration;
-and smallest fraction of the feet's motion that the period has to explain.
-"""
+PERIOD_OF_CLIP = (0.5, 1 / 0.6)
+"""Shortest and longest period that is searched for in a clip without a complete stride, in durations of the clip."""
+PERIOD_SIGMA = 0.08
+"""Relative standard deviation of that period, measured on a dog's strides cut to 0.7 to 1.2 of their duration."""
+PERIODIC = 0.9
+"""Smallest fraction of the feet's motion that the period has to explain."""
 AGREE = 0.2
 """Relative tolerance of a stride's duration. A stride with a missed stance in it is twice as long, and the ends of a
 correct stride are off by at most two of about ten frames.
@@ -96,10 +103,10 @@ ALTERNATE = 0.4
 """Smallest difference, in strides, between feet of a pair that alternate (0.5 is exact), as in symmetrical gaits."""
 IN_PHASE = 0.125
 """Largest phase of a fore foot relative to its diagonal (trot) or same-sided (pace) hind foot: Hildebrand's eighths."""
-STEADY, MOST = 0.5, 2 / 3
-"""Smallest mean resultant length of a steady phase; and the fraction of strides with a duty factor above one half that
-makes a walk, or below one half that makes a run.
-"""
+STEADY = 0.5
+"""Smallest mean resultant length of a steady phase."""
+MOST = 2 / 3
+"""Fraction of strides with a duty factor above one half that makes a walk, or below one half that makes a run."""
 
 
 WHOLE_CLIP = "whole clip"

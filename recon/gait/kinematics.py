@@ -54,16 +54,19 @@ that time. With these values the standard deviations of speeds are right to 25 %
 benchmarks/gait.py --only speeds`).
 """
 
-_WINDOW, _MARGIN = 200, 40
-"""Number of frames of an exact spline whose standard deviations are computed at once, and number of frames on either
-side that contribute. The influence of a value on the spline falls by the factor 2 - sqrt(3) from frame to frame, to
-1e-23 over the margin.
+_WINDOW = 200
+"""Number of frames of an exact spline whose standard deviations are computed at once."""
+_MARGIN = 40
+"""Number of frames on either side that contribute.
+
+The influence of a value on the spline falls by the factor 2 - sqrt(3) from frame to frame, to 1e-23 over the margin.
 """
-_REACH, _LEAST_PRODUCT, _AT_ONCE = 20, 1e-11, 1000
-"""Limits for evenly spaced frames away from the ends: number of frames on either side that contribute (their influence
-falls to 1e-11 over this reach), smallest product of two influences that contributes, relative to the largest, and
-number of frames computed at once.
-"""
+_REACH = 20
+"""Number of evenly spaced frames on either side that contribute, away from the ends; their influence falls to 1e-11."""
+_LEAST_PRODUCT = 1e-11
+"""Smallest product of two influences that contributes, relative to the largest."""
+_AT_ONCE = 1000
+"""Number of evenly spaced frames computed at once."""
 
 STRAIGHT_SIGMAS = 2.0
 """Deviation from straight, in standard deviations, below which a joint may be bent to either side."""

@@ -45,10 +45,12 @@ if TYPE_CHECKING:
 
 FORWARD = ("tail_base", "neck_base")
 CHUNK = 1000
-DRAWN, _WAVES, _DIRECTIONS = 100, 50, 32
-"""Number of paths drawn for a closure's standard deviation, of waves in each path, and of directions in which the
-paths' extent is measured.
-"""
+DRAWN = 100
+"""Number of paths drawn for a closure's standard deviation."""
+_WAVES = 50
+"""Number of waves in each of these paths."""
+_DIRECTIONS = 32
+"""Number of directions in which the paths' extent is measured."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

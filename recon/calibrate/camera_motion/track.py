@@ -27,28 +27,32 @@ LIMIT = 1 / 320
 """Largest error of a point that agrees with a rotation, as a fraction of the picture's longer side."""
 MIN_CORNERS = 40
 NEW_KEY_LIKENESS, MIN_LIKENESS = 0.7, 0.25
-NEW_KEY_SUPPORT, MIN_SUPPORT = 0.6, 0.25
-"""Fractions of the best support of a rotation since the last keyframe. Below the first, the frame becomes a keyframe;
-below the second, the frame is lost.
-"""
+NEW_KEY_SUPPORT = 0.6
+"""Fraction of the best support of a rotation since the last keyframe below which a frame becomes a keyframe."""
+MIN_SUPPORT = 0.25
+"""The same fraction below which the frame is lost."""
 BY_ZOOM = 5.0
 """Reduction of the likeness of two pictures per unit of difference in log zoom."""
 KEYS_AT_ONCE, KEYS_TO_LINK = 3, 5
 MAX_PICTURES = 120
 """Maximum number of keyframes whose pictures stay in memory: those used last."""
 LEARNING = 0.15
-SETTLED, LEAST_AGREEING, MAX_APART = 0.75, 0.6, 0.25
-"""Agreement above which a point counts as background; fraction of agreeing background points below which no single
-rotation explains the background; and fraction of such frames above which the camera has not only turned.
-"""
-MAX_PAIRS, MIN_BACKGROUND = 60, 0.4
-"""Number of pairs of pictures that determine the focal length (those turned furthest), and minimum agreement of their
-points with the background.
-"""
+SETTLED = 0.75
+"""Agreement above which a point counts as background."""
+LEAST_AGREEING = 0.6
+"""Fraction of agreeing background points below which no single rotation explains the background."""
+MAX_APART = 0.25
+"""Fraction of such frames above which the camera has not only turned."""
+MAX_PAIRS = 60
+"""Number of pairs of pictures, those turned furthest, that determine the focal length."""
+MIN_BACKGROUND = 0.4
+"""Smallest agreement of their points with the background."""
 CLEAR_SIGMAS = 3.0
 """Number of standard deviations beyond which a focal length differs clearly from that of the camera file."""
-MIN_STILL, MAX_TORN = 0.4, 1
-"""Minimum fraction of an old keyframe's background that stays in position, and how many keyframes may have less."""
+MIN_STILL = 0.4
+"""Smallest fraction of an old keyframe's background that stays in position."""
+MAX_TORN = 1
+"""Number of keyframes that may have less."""
 ADJUST_STEPS = 4
 PICTURE_FLOOR_PX = 0.1
 """Error that all points of a picture have in common, in pixels, and that their scatter does not show."""
