@@ -18,6 +18,9 @@ PARTS = {
     ),
     "speeds": Part("speeds.py", data="cheetah-runs"),
     "joined": Part("joined_cameras.py", data="cheetah-runs"),
+    "flexion": Part("flexion.py", data="dog-mocap"),
+    "flexion-two": Part("flexion.py", ["--cameras", "2"], data="dog-mocap"),
+    "bones": Part("bone_lengths.py", data="cheetah-runs"),
     "rates": Part("trajectory.py", ["--only", "rates"], data="cheetah-runs"),
     "forces": Part("dynamics.py", data="dog-mocap"),
 }

@@ -29,8 +29,8 @@ from recon.gait.quantities import shared_sigmas
 
 def view_row(run: Path, camera: int, fps: float) -> dict[str, object]:
     """Return the row of one view, as in `clips.csv` of `recon compare`."""
-    files = {"keypoints": (run / f"cam{camera}.csv",), "camera": (run / "scene.json",)}
-    motion = fit_clip(FitSettings(camera_name=(f"cam{camera}",), fps=fps, **files))
+    keypoints, cameras = (run / f"cam{camera}.csv",), (run / "scene.json",)
+    motion = fit_clip(FitSettings(keypoints=keypoints, camera=cameras, camera_name=(f"cam{camera}",), fps=fps))
     speed = analyse(motion).quantities[SPEED]
     labels = {
         "clip": f"{run.name} {camera}",

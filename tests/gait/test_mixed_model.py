@@ -41,8 +41,10 @@ def test_the_interval_of_a_balanced_herd_is_that_of_the_animals_means(animals: i
     rng = np.random.default_rng(animals)
     of_animals = rng.normal(4, 0.3, animals)[:, None, None] + rng.normal(0, 0.2, (animals, 2, 1))
     values = of_animals + rng.normal(0, 0.25, (animals, 2, 6))
-    names, runs = np.repeat(np.arange(animals), 12).astype(str), np.tile(np.repeat(["1", "2"], 6), animals)
-    design = np.column_stack([np.ones(12 * animals), np.repeat(np.arange(animals) % 2, 12)])
+    names = [str(animal) for animal in range(animals) for _ in range(12)]
+    runs = [run for _ in range(animals) for run in ("1", "2") for _ in range(6)]
+    groups = np.repeat(np.arange(animals) % 2, 12)
+    design = np.stack([np.ones(12 * animals), groups.astype(float)], axis=1)
     model = fit_mixed_model(values.ravel(), design, ("all", "group"), names, runs, np.full(12 * animals, 0.1))
     means = values.mean(axis=(1, 2))
     expected = ttest_ind(means[1::2], means[::2]).confidence_interval(0.9)

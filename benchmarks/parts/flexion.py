@@ -1,11 +1,12 @@
-"""Measure joint angles by anatomy on simulated gallops and a dog's motion capture, each seen by one camera.
+"""Measure joint angles by anatomy on simulated gallops and a dog's motion capture, each seen by one camera or two.
 
-    python benchmarks/flexion.py [FOLDER] [--seeds 4] [--only gallops|dogs]
+    python benchmarks/parts/flexion.py [FOLDER] [--cameras 1] [--seeds 4] [--only gallops|dogs]
 
 FOLDER: the dog-mocap, by default that of $RECON_SHARED_DATA, or of ../shared/data; without it, the gallops only. The
-gallops have the noise that the skeleton states: each keypoint has a bias over the whole clip, and jitters. The dog's
-clips have a detector's noise and the dog's own proportions. The script prints, for each joint and for all joints, the
-RMS error, the stated standard deviation (root mean square) and the fraction of frames inside the 90 % band.
+second camera is 40 degrees to the side of the first. The gallops have the noise that the skeleton states: each keypoint
+has a bias over the whole clip, and jitters. The dog's clips have a detector's noise and the dog's own proportions. The
+script prints, for each joint and for all joints, the RMS error, the stated standard deviation (root mean square) and
+the fraction of frames inside the 90 % band.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from dog import SKELETON, read_clips, write_view
+from dog import SKELETON, read_clips, side_view, write_view
 from markdown_table import print_table
 from recordings import recordings
 
@@ -30,14 +31,18 @@ from recon.fit.motion import Motion
 from recon.fit.posterior import radius
 from recon.gait.flexion import joint_flexions
 from recon.gait.gait import INTERVAL
+from recon.geometry.camera import Camera
 from recon.io.camera_files import write_camera
 from recon.testing.files import write_keypoints
 from recon.testing.gallop import project_clip, whole_gallop
 
 JITTER_PX = 3.0
+DEG = np.pi / 180
 DOG_CLIPS = (("walk00", 250), ("walk01", 800), ("walk02", 660), ("walk03", 300), ("walk04", 300), ("run00", 340))
 """Clips, and the first of `DOG_FRAMES` frames in each, in which the dog moves."""
 DOG_FRAMES = 200
+TURN = np.array([[np.cos(40 * DEG), -np.sin(40 * DEG), 0], [np.sin(40 * DEG), np.cos(40 * DEG), 0], [0, 0, 1]])
+"""Rotation of the world about the vertical between the first camera and the second."""
 PAIRS = {"cheetah-24": ("l_hip", "l_shoulder"), "dog-27": ("LeftUpLeg", "LeftArm")}
 """Left markers of the hind and the fore girdle. With the right markers they give the true sagittal plane."""
 
@@ -62,29 +67,46 @@ def true_flexion(body: Body, points_m: np.ndarray) -> np.ndarray:
     return np.array(angles)
 
 
-def gallops(seeds: int, folder: Path) -> Iterator[tuple[Motion, np.ndarray]]:
+def beside(camera: Camera, middle_m: np.ndarray, turn: np.ndarray = TURN) -> Camera:
+    """Return a camera that sees the world turned (3, 3) about a point (3,) as the given camera sees it unturned."""
+    assert camera.rotation is not None
+    assert camera.translation_m is not None
+    offset_m = camera.rotation @ (middle_m - turn @ middle_m)
+    return replace(camera, rotation=camera.rotation @ turn, translation_m=camera.translation_m + offset_m)
+
+
+def gallops(seeds: int, folder: Path, cameras: int) -> Iterator[tuple[Motion, np.ndarray]]:
     """Yield fits of the simulated gallop with different noise, and its markers (T, J, 3)."""
     clip, _ = whole_gallop()
-    exact = project_clip(clip.camera, clip)
+    middle_m = clip.truth_m.mean(axis=(0, 1))
+    views = [clip.camera, beside(clip.camera, middle_m)][:cameras]
+    keypoints, files = (tuple(folder / f"{view}.{ending}" for view in range(cameras)) for ending in ("csv", "toml"))
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
-        settings = FitSettings(keypoints=(folder / "run.csv",), camera=(folder / "camera.toml",), fps=60)
-        distance_m = float(np.linalg.norm(clip.camera.centre_world - clip.truth_m.mean(axis=(0, 1))))
-        per_m = clip.camera.matrix[0, 0] / distance_m
-        offsets = rng.normal(0, 0.04 * per_m, exact.xy_px.shape[1:])
-        xy_px = exact.xy_px + offsets + rng.normal(0, JITTER_PX, exact.xy_px.shape)
-        write_keypoints(replace(exact, xy_px=xy_px), folder / "run.csv", decimals=2)
-        write_camera(clip.camera, folder / "camera.toml")
-        motion = fit_clip(settings)
-        yield motion, clip.truth_m
+        for camera, csv, toml in zip(views, keypoints, files, strict=True):
+            exact = project_clip(camera, clip)
+            per_m = camera.matrix[0, 0] / float(np.linalg.norm(camera.centre_world - middle_m))
+            offsets = rng.normal(0, 0.04 * per_m, exact.xy_px.shape[1:])
+            xy_px = exact.xy_px + offsets + rng.normal(0, JITTER_PX, exact.xy_px.shape)
+            write_keypoints(replace(exact, xy_px=xy_px), csv, decimals=2)
+            write_camera(camera, toml)
+        yield fit_clip(FitSettings(keypoints=keypoints, camera=files, fps=60)), clip.truth_m
 
 
-def dogs(recorded: Path, folder: Path) -> Iterator[tuple[Motion, np.ndarray]]:
-    """Yield fits of the dog's clips from the side, and its markers (T, J, 3)."""
+def dogs(recorded: Path, folder: Path, cameras: int) -> Iterator[tuple[Motion, np.ndarray]]:
+    """Yield fits of the dog's clips from the side, or also from a second direction, and its markers (T, J, 3)."""
     clips = {clip.name: clip for clip in read_clips(recorded)}
     for name, first in DOG_CLIPS:
         clip = replace(clips[name], points_m=clips[name].points_m[first : first + DOG_FRAMES])
         settings, _ = write_view(clip, folder, 0, SKELETON)
+        if cameras == 2:
+            middle_m = np.nanmean(clip.points_m, axis=(0, 1))
+            turned = replace(clip, name=f"{name}-2", points_m=(clip.points_m - middle_m) @ TURN.T + middle_m)
+            write_view(turned, folder, 1, SKELETON)
+            write_camera(beside(side_view(turned)[0], middle_m), folder / f"{turned.name}.toml")
+            names = clip.name, turned.name
+            keypoints, files = (tuple(folder / f"{view}.{ending}" for view in names) for ending in ("csv", "toml"))
+            settings = replace(settings, keypoints=keypoints, camera=files, camera_name=names)
         motion = fit_clip(settings)
         yield motion, clip.markers(motion.body)
 
@@ -112,17 +134,19 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", nargs="?", type=Path, default=recordings("dog-mocap"))
+    parser.add_argument("--cameras", type=int, choices=(1, 2), default=1)
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--only", choices=("gallops", "dogs"))
     given = parser.parse_args()
     head = ("joint", "RMS error °", "stated °", "inside 90 % band, %")
+    seen = "one camera" if given.cameras == 1 else "two cameras"
     with tempfile.TemporaryDirectory() as name:
         if given.only != "dogs":
-            print(f"\n{given.seeds} simulated gallops, one camera:\n")
-            print_table(head, rows_of(gallops(given.seeds, Path(name))))
+            print(f"\n### {given.seeds} simulated gallops, {seen}\n")
+            print_table(head, rows_of(gallops(given.seeds, Path(name), given.cameras)))
         if given.only != "gallops" and given.folder is not None:
-            print(f"\nA dog, {len(DOG_CLIPS)} clips, one camera:\n")
-            print_table(head, rows_of(dogs(given.folder, Path(name))))
+            print(f"\n### A dog, {len(DOG_CLIPS)} clips, {seen}\n")
+            print_table(head, rows_of(dogs(given.folder, Path(name), given.cameras)))
 
 
 if __name__ == "__main__":
