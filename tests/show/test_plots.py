@@ -13,6 +13,7 @@ from matplotlib.colors import to_rgb, to_rgba
 from matplotlib.patches import PathPatch
 from matplotlib.quiver import Quiver
 from PIL import Image
+from shortcuts import leave_out_layout
 
 from recon.animal.body import Side
 from recon.animal.skeleton_file import load_skeleton
@@ -39,6 +40,18 @@ LEVEL = [(slice(None), Plane((0.0, 0.0), 0.0, (0.0, 0.0), 0.0, 10))]
 def _without_pyplot(monkeypatch):
     """Its figures stay in memory for good, and it asks for a display."""
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
+
+
+@pytest.fixture
+def laid_out() -> None:
+    """For tests that look at where things are on the page."""
+
+
+@pytest.fixture(autouse=True)
+def _laid_out_where_looked_at(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The layout of a figure takes half of its time."""
+    if "laid_out" not in request.fixturenames:
+        leave_out_layout(monkeypatch)
 
 
 def times(T):
@@ -147,6 +160,7 @@ def figures():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("laid_out")
 def test_everything_is_on_the_page_and_no_text_covers_another(figures, monkeypatch):
     draw, drawn = mpl.text.Text.draw, []
     monkeypatch.setattr(mpl.text.Text, "draw", lambda text, *options: (drawn.append(text), draw(text, *options)))
@@ -171,6 +185,7 @@ def test_everything_is_on_the_page_and_no_text_covers_another(figures, monkeypat
 # -- writing ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("laid_out")
 def test_files_are_reproducible_whatever_the_users_settings(tmp_path):
     def written(folder):
         figure = plots.speeds({"fit": point_kinematics(times(21), path())}, "peak at the end")
@@ -189,6 +204,7 @@ def test_files_are_reproducible_whatever_the_users_settings(tmp_path):
     assert sorted(p.name for p in (tmp_path / "c").iterdir()) == ["speed.png", "speed.svg"]
 
 
+@pytest.mark.usefixtures("laid_out")
 def test_resolution_and_text(tmp_path):
     png, svg = plots.save(ik_plots.joint_space({"way & aim": drives()[2]["a"]}, ("a", "b", "c")), tmp_path, "d")
     with Image.open(png) as image:
@@ -269,6 +285,7 @@ def test_composites_colours_are_the_times_of_the_bar():
     assert lightness[-1] < 0.8
 
 
+@pytest.mark.usefixtures("laid_out")
 def test_composites_have_equal_axes():
     figure = plots.composites(running(), LIMBS, times(31))
     figure.draw_without_rendering()
@@ -492,6 +509,7 @@ def test_an_angle_that_is_held_is_shown_as_still():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("laid_out")
 def test_portraits_fit_on_a_page(figures):
     (figure, single, four) = (figures[name] for name in ("portraits", "one portrait", "four portraits"))
     assert [f.axes[0].get_gridspec().get_geometry() for f in (figure, single, four)] == [(6, 5), (1, 1), (2, 2)]
@@ -502,6 +520,7 @@ def test_portraits_fit_on_a_page(figures):
 # -- footfall --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("laid_out")
 def test_bars_stand_where_feet_do():
     figure = plots.footfall(gaits(), FPS)
     (axes,) = figure.axes
