@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import brentq, minimize
-from scipy.stats import nct, t
 
 from recon.base.arrays import Array
 
@@ -74,6 +73,8 @@ class MixedModel:
         shared : float
             Relative error that all clips share, such as that of the size; more animals do not reduce it.
         """
+        from scipy.stats import t  # slow to import
+
         row = np.asarray(weights, dtype=float)
         value = float(row @ self.effects)
         sigma = float(np.sqrt(row @ self.covariance @ row + (shared * value) ** 2))
@@ -220,6 +221,8 @@ def power(
     paired : bool
         Whether both groups are the same animals, as before and after a treatment.
     """
+    from scipy.stats import nct, t  # slow to import
+
     if animals < 2:
         return 0.0
     variance = variances.of_mean(runs, strides, cameras) - (variances.animal**2 if paired else 0.0)

@@ -20,7 +20,7 @@ from command_line import run, run_process, says
 
 import recon.cli.doctor as module
 from recon.base.package import install_command, pip_command
-from recon.cli.app import GROUPS, app, commands
+from recon.cli.app import COMMANDS, GROUPS, app
 from recon.cli.doctor import _Check, packages, run_doctor, self_test, versions, viewer
 
 pytestmark = pytest.mark.usefixtures("no_playback")
@@ -284,7 +284,7 @@ def test_no_color_is_respected_by_the_help(no_color, monkeypatch):
 
 # -- shell completion ---------------------------------------------------------------------------------------------
 
-COMMANDS = {name for name in commands() if name.split()[0] not in GROUPS}
+NAMES = {name for panel in COMMANDS.values() for name in panel if name.split()[0] not in GROUPS}
 
 
 def called(monkeypatch: pytest.MonkeyPatch, *args: str, **environment: str) -> str:
@@ -301,7 +301,7 @@ def called(monkeypatch: pytest.MonkeyPatch, *args: str, **environment: str) -> s
 @pytest.mark.parametrize(
     ("words", "offered"),
     [
-        ("recon ", COMMANDS | {*GROUPS}),
+        ("recon ", NAMES | {*GROUPS}),
         ("recon ana", {"analyse"}),
         (
             "recon fit --camera",

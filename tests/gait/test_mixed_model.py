@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.stats import ttest_ind
 
 from recon.gait.mixed_model import Variances, animals_needed, fit_mixed_model, power
 
@@ -38,6 +37,8 @@ def test_components_and_effect_of_a_made_up_herd():
 
 @pytest.mark.parametrize("animals", [10, 60])
 def test_the_interval_of_a_balanced_herd_is_that_of_the_animals_means(animals: int):
+    from scipy.stats import ttest_ind  # slow to import
+
     rng = np.random.default_rng(animals)
     of_animals = rng.normal(4, 0.3, animals)[:, None, None] + rng.normal(0, 0.2, (animals, 2, 1))
     values = of_animals + rng.normal(0, 0.25, (animals, 2, 6))

@@ -20,6 +20,7 @@ import sys
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import redirect_stdout
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import unquote, urlsplit
@@ -81,9 +82,8 @@ def name_of(page: Path) -> str:
 
 
 def reason_not_to_run(command: str) -> str | None:
-    return next(
-        (why for pattern, why in NOT_RUN.items() if re.match(pattern, shlex.join(shlex.split(command)) + " ")), None
-    )
+    text = shlex.join(shlex.split(command)) + " "
+    return next((why for pattern, why in NOT_RUN.items() if re.match(pattern, text)), None)
 
 
 ONCE = {
@@ -183,6 +183,7 @@ class Step(NamedTuple):
     blocks: list[Block]
 
 
+@cache
 def steps(page: Path) -> list[Step]:
     found = [Step(None, [])]
     for block in blocks(page):
