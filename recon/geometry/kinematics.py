@@ -22,7 +22,7 @@ by the inner angle.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -30,7 +30,7 @@ from typing import Literal, TypeVar
 
 import numpy as np
 
-from recon.base.arrays import Array, Brief
+from recon.base.arrays import Array, Brief, Index
 
 Joint = Literal["free", "ball", "universal", "hinge", "fixed", "summed", "turn", "slide"]
 
@@ -107,27 +107,15 @@ class _Plan:
         segments, markers, rotations = tree.segments, tree.markers, tree.rotations
         S, K, J = len(segments), len(rotations), len(markers)
         index_of = {segment.name: i for i, segment in enumerate(segments)}
-        summed = [segment.joint == "summed" for segment in segments]
-        paths: list[list[int]] = []
-        """(S,): the segments from the root to each segment."""
-        for i, segment in enumerate(segments):
-            paths.append([i] if segment.parent is None else [*paths[index_of[segment.parent]], i])
-        base_segments = [0 if summed[path[-1]] else path[-2] for path in paths[1:]]
+        paths = _paths_of(segments)
+        base_segments = [0 if segments[path[-1]].joint == "summed" else path[-2] for path in paths[1:]]
         """(S - 1,): for each segment but the root, the segment whose frame it turns from: the root if summed."""
         carriers = [path[-2] for path in paths[1:]] + [index_of[marker.segment] for marker in markers]
 
-        self.sums = np.eye(K + 1, K)
+        self.sums = _sums_of(tree, paths)
         """(K + 1, K): 1 where an angle of the state is part of a rotation's angle; the last row is 0."""
-        for k, (i, axis) in enumerate(rotations):
-            for j in paths[i][:-1]:
-                if summed[i] and summed[j]:
-                    self.sums[k, rotations.index((j, axis))] = 1.0
-
-        depth, base_frame = [0], np.array([0, *(base + 1 for base in base_segments)], dtype=np.intp)
-        for base in base_segments:
-            depth.append(depth[base] + 1)
-        levels = [np.flatnonzero(np.equal(depth, level)) for level in range(max(depth) + 1)]
-        self.levels = [(1 + level, base_frame[level]) for level in levels]
+        base_frame = np.array([0, *(base + 1 for base in base_segments)], dtype=np.intp)
+        self.levels = [(1 + level, base_frame[level]) for level in _levels_of(base_segments)]
         """By level, the frames that depend on earlier levels only, and the frames that they turn from."""
 
         self.carriers = carriers
@@ -154,21 +142,12 @@ class _Plan:
         self.rolls = self.pitched + 1
         self.z_axes = 2 * (S + 1) + axes[pitched, 1]
 
-        # The arm ends at the marker, or at the first summed joint on the path to the marker, because a summed joint is
-        # not turned by its ancestors. The root turns everything.
-        pairs = []
-        for j, path in enumerate(paths[i] for i in carriers[S - 1 :]):
-            for k, (i, axis) in enumerate(rotations):
-                later = path[path.index(i) + 1 :] if i in path and i > 0 else []
-                arm = next((s for s in later if summed[s]), S + j)
-                slides = axis == "s" or any(segments[s].joint == "slide" for s in later)
-                if i in path and (slides or (points[arm] != points[i]).any()):
-                    pairs.append((j, k, arm, i))
-        self.marker, self.turning, self.arm, self.centre = np.array(pairs, dtype=np.intp).reshape(-1, 4).T.copy()
+        pairs = _pairs_of(tree, paths, carriers, points)
+        self.marker, self.turning, self.arm, self.centre = pairs.T.copy()
         """(M,) each: marker and rotation of each pair. The marker moves by axis x (arm - centre), two points."""
         marker, moving_angle, self.merge = self.marker, self.turning, None
         """(P, M): sums the M pairs to the P pairs of a marker and an angle of the state. None: identity."""
-        if any(summed):
+        if any(segment.joint == "summed" for segment in segments):
             moving = (marker == np.arange(J)[:, None])[:, None] * self.sums[self.turning].T  # (J, K, M)
             marker, moving_angle = np.nonzero(moving.any(axis=2))
             self.merge = moving[marker, moving_angle]
@@ -188,15 +167,8 @@ class _Plan:
         self.sliding = np.flatnonzero(np.isin(self.turning, slides))
         """The pairs whose rotation is a slide."""
 
-        # A segment is turned by all segments whose frames it turns from, and by its own earlier angles.
-        self.outer = np.zeros((K, K))
+        self.outer = _outer_of(tree, base_segments)
         """(K, K): 1 where the first of two rotations turns what the second moves, otherwise 0."""
-        for k, (inner, _) in enumerate(rotations):
-            turned_by = [inner]
-            while turned_by[-1] != 0:
-                turned_by.append(base_segments[turned_by[-1] - 1])
-            for i, (segment, axis) in enumerate(rotations[: k + 1]):
-                self.outer[i, k] = axis != "s" and segment in turned_by
         self.gathered = (np.arange(K)[:, None] == self.turning).astype(float)
         """(K, M): 1 for the pairs of each rotation, otherwise 0."""
 
@@ -216,6 +188,65 @@ class _Plan:
         plan = copy(self)
         plan.points = self._points_of(tree)
         return plan
+
+
+def _paths_of(segments: Sequence[Segment]) -> list[list[int]]:
+    """Return the segments from the root to each of the S segments."""
+    index_of = {segment.name: i for i, segment in enumerate(segments)}
+    paths: list[list[int]] = []
+    for i, segment in enumerate(segments):
+        paths.append([i] if segment.parent is None else [*paths[index_of[segment.parent]], i])
+    return paths
+
+
+def _sums_of(tree: Tree, paths: Sequence[Sequence[int]]) -> Array:
+    """Return a mask (K + 1, K) of the angles of the state that are part of each rotation's angle, see `_Plan.sums`."""
+    sums = np.eye(len(tree.rotations) + 1, len(tree.rotations))
+    for k, (i, axis) in enumerate(tree.rotations):
+        for j in paths[i][:-1]:
+            if tree.segments[i].joint == tree.segments[j].joint == "summed":
+                sums[k, tree.rotations.index((j, axis))] = 1.0
+    return sums
+
+
+def _levels_of(base_segments: Sequence[int]) -> list[Index]:
+    """Return the segments by their depth: the number of frames between theirs and the root's."""
+    depth = [0]
+    for base in base_segments:
+        depth.append(depth[base] + 1)
+    return [np.flatnonzero(np.equal(depth, level)) for level in range(max(depth) + 1)]
+
+
+def _pairs_of(tree: Tree, paths: Sequence[Sequence[int]], carriers: Sequence[int], points: Array) -> Index:
+    """Return marker, rotation, end and start of the arm of each pair (M, 4) of a marker and a rotation that moves it.
+
+    The arm ends at the marker, or at the first summed joint on the path to the marker, because a summed joint is not
+    turned by its ancestors. The root turns everything.
+    """
+    S, pairs = len(tree.segments), []
+    for j, path in enumerate(paths[i] for i in carriers[S - 1 :]):
+        for k, (i, axis) in enumerate(tree.rotations):
+            later = path[path.index(i) + 1 :] if i in path and i > 0 else []
+            arm = next((s for s in later if tree.segments[s].joint == "summed"), S + j)
+            slides = axis == "s" or any(tree.segments[s].joint == "slide" for s in later)
+            if i in path and (slides or (points[arm] != points[i]).any()):
+                pairs.append((j, k, arm, i))
+    return np.array(pairs, dtype=np.intp).reshape(-1, 4)
+
+
+def _outer_of(tree: Tree, base_segments: Sequence[int]) -> Array:
+    """Return a mask (K, K): whether the first of two rotations turns what the second moves.
+
+    A segment is turned by all segments whose frames it turns from, and by its own earlier angles.
+    """
+    outer = np.zeros((len(tree.rotations), len(tree.rotations)))
+    for k, (inner, _) in enumerate(tree.rotations):
+        turned_by = [inner]
+        while turned_by[-1] != 0:
+            turned_by.append(base_segments[turned_by[-1] - 1])
+        for i, (segment, axis) in enumerate(tree.rotations[: k + 1]):
+            outer[i, k] = axis != "s" and segment in turned_by
+    return outer
 
 
 _Placed = TypeVar("_Placed", Segment, Marker)
