@@ -6,7 +6,8 @@ FOLDER: the dog-mocap, by default that of $RECON_SHARED_DATA, or of ../shared/da
 second camera is 40 degrees to the side of the first. The gallops have the noise that the skeleton states: each keypoint
 has a bias over the whole clip, and jitters. The dog's clips have a detector's noise and the dog's own proportions. The
 script prints, for each joint and for all joints, the RMS error, the stated standard deviation (root mean square) and
-the fraction of frames inside the 90 % band.
+the fraction of frames inside the 90 % band; and how often the intervals of the greatest and the least angle over the
+stride, and of their phases, contain the true ones.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,7 +30,8 @@ from recon.api.clip import fit_clip
 from recon.api.settings import FitSettings
 from recon.fit.motion import Motion
 from recon.fit.posterior import radius
-from recon.gait.flexion import joint_flexions
+from recon.gait.clip import ClipAnalysis
+from recon.gait.flexion import JointFlexion, extreme, joint_flexions, stride_curves
 from recon.gait.gait import INTERVAL
 from recon.geometry.camera import Camera
 from recon.io.camera_files import write_camera
@@ -111,23 +113,41 @@ def dogs(recorded: Path, folder: Path, cameras: int) -> Iterator[tuple[Motion, n
         yield motion, clip.markers(motion.body)
 
 
-def rows_of(fits: Iterator[tuple[Motion, np.ndarray]]) -> list[Sequence[str]]:
-    """Return a row for each joint, and a row for all joints."""
+def print_errors(fits: Iterator[tuple[Motion, np.ndarray]]) -> None:
+    """Print a row for each joint, one for all joints, and how often intervals of the curves' extremes hold."""
     errors, sigmas = defaultdict[str, list[np.ndarray]](list), defaultdict[str, list[np.ndarray]](list)
+    values, phases = list[bool](), list[bool]()
     for motion, truth_m in fits:
-        for flexion, truth in zip(joint_flexions(motion), true_flexion(motion.body, truth_m), strict=True):
+        flexions, true_flexions = joint_flexions(motion), list[JointFlexion]()
+        for flexion, truth in zip(flexions, true_flexion(motion.body, truth_m), strict=True):
             known = np.isfinite(flexion.angle_rad)
             off = np.mod(flexion.angle_rad - truth + np.pi, 2 * np.pi) - np.pi
+            true_flexions.append(replace(flexion, angle_rad=flexion.angle_rad - off))
             for joint in (flexion.joint, "all"):
                 errors[joint].append(np.degrees(off[known]))
                 sigmas[joint].append(np.degrees(flexion.sigma_rad[known]))
+        gait = ClipAnalysis(motion).gait
+        pairs = (stride_curves(angles, gait, motion.time_s) for angles in (flexions, true_flexions))
+        for curve, true_curve in zip(*pairs, strict=True):
+            for sign in (1, -1):
+                stated, true = extreme(curve, sign), extreme(true_curve, sign)
+                values.append(abs(stated.value_rad - true.value_rad) < radius(INTERVAL) * stated.sigma_rad)
+                if np.isfinite(stated.percent_high):
+                    turns = true.percent + np.array([-100, 0, 100])
+                    phases.append(bool(((stated.percent_low <= turns) & (turns <= stated.percent_high)).any()))
     rows = []
     for joint in errors:
         error, sigma = np.concatenate(errors[joint]), np.concatenate(sigmas[joint])
         inside = np.mean(np.abs(error) < radius(INTERVAL) * sigma)
-        rms = (f"{np.sqrt(np.mean(values**2)):.1f}" for values in (error, sigma))
+        rms = (f"{np.sqrt(np.mean(values_deg**2)):.1f}" for values_deg in (error, sigma))
         rows.append((joint, *rms, f"{100 * inside:.0f}"))
-    return sorted(rows, key=lambda row: row[0] == "all")
+    head = ("joint", "RMS error °", "stated °", "inside 90 % band, %")
+    print_table(head, sorted(rows, key=lambda row: row[0] == "all"))
+    if values:
+        held = f"{np.mean(values):.0%} of {len(values)} greatest and least angles over the stride"
+        print(
+            f"\nThe 90 % intervals hold {held}, and {np.mean(phases):.0%} of the {len(phases)} phases that are known."
+        )
 
 
 def main() -> None:
@@ -138,15 +158,14 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--only", choices=("gallops", "dogs"))
     given = parser.parse_args()
-    head = ("joint", "RMS error °", "stated °", "inside 90 % band, %")
     seen = "one camera" if given.cameras == 1 else "two cameras"
     with tempfile.TemporaryDirectory() as name:
         if given.only != "dogs":
             print(f"\n### {given.seeds} simulated gallops, {seen}\n")
-            print_table(head, rows_of(gallops(given.seeds, Path(name), given.cameras)))
+            print_errors(gallops(given.seeds, Path(name), given.cameras))
         if given.only != "gallops" and given.folder is not None:
             print(f"\n### A dog, {len(DOG_CLIPS)} clips, {seen}\n")
-            print_table(head, rows_of(dogs(given.folder, Path(name), given.cameras)))
+            print_errors(dogs(given.folder, Path(name), given.cameras))
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ import numpy as np
 from recon.animal.anatomy import FLEXES_CAUDALLY, GIRDLE, joint_and_side
 from recon.animal.body import Body, Side
 from recon.base.arrays import Array, Brief, Index
+from recon.base.numbers import NORMAL_90
 from recon.fit.motion import Motion
 from recon.gait.gait import Gait, Stride
 
@@ -75,6 +76,21 @@ class StrideCurve(Brief):
     def name(self) -> str:
         """Return the joint with its side, such as left_elbow."""
         return self.joint if self.side is None else f"{self.side}_{self.joint}"
+
+
+@dataclass(frozen=True)
+class Extreme:
+    """Greatest or least flexion of a mean curve over the stride, and its phase."""
+
+    value_rad: float
+    sigma_rad: float
+    """Standard deviation: the fit's uncertainty and the scatter of the strides."""
+    percent: float
+    percent_low: float
+    """Lower end of the 90 % interval of the phase, percent of the stride; below 0 if it begins before touch-down. NaN
+    if the phase is not known.
+    """
+    percent_high: float
 
 
 def flexion_rad(body: Body, states: Array, size: float = 1.0) -> Array:
@@ -200,3 +216,25 @@ def _curve_over(flexion: JointFlexion, foot: str, strides: Sequence[Stride], tim
         strides=len(values),
         duty_factor=float(np.median(duties)),
     )
+
+
+def extreme(curve: StrideCurve, sign: int = 1) -> Extreme:
+    """Return the greatest flexion of a curve (`sign` 1), or the least (-1).
+
+    The interval of the phase contains the percents at which the mean differs from the extreme by less than 1.645
+    standard deviations of a difference whose two errors are independent. Errors of neighbouring frames are correlated,
+    so the interval contains the phase at least as often.
+    """
+    values = sign * curve.mean_rad
+    scatter = np.nan_to_num(curve.between_sigma_rad) / curve.strides**0.5
+    sigmas = np.hypot(curve.posterior_sigma_rad, scatter)
+    peak, size = int(np.argmax(values)), len(values) - 1
+    is_near = values >= values[peak] - NORMAL_90 * np.hypot(sigmas, sigmas[peak])
+    ends = []
+    for step in (-1, 1):
+        offsets = np.arange(size) * step
+        is_far = ~is_near[np.mod(peak + offsets, size)]
+        is_far[0] = False
+        ends.append(float(peak + offsets[int(np.argmax(is_far))] - step) if is_far.any() else np.nan)
+    low, high = ends
+    return Extreme(float(curve.mean_rad[peak]), float(sigmas[peak]), float(PERCENT[peak]), low, high)

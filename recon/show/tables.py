@@ -20,7 +20,7 @@ from recon.check.verdict import frame_rms_m
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
 from recon.gait.dynamics import FORCE_COLUMNS, G_M_S2, OVER_STRIDE, over_stride
-from recon.gait.flexion import PERCENT
+from recon.gait.flexion import PERCENT, extreme
 from recon.gait.gait import interval_of
 from recon.gait.kinematics import AngleKinematics
 from recon.gait.phase import field_means
@@ -338,6 +338,28 @@ def joint_flexion_stride(analysis: ClipAnalysis) -> Columns:
     return _stacked(parts, STRIDE_FLEXION_COLUMNS)
 
 
+def joint_flexion_peaks(analysis: ClipAnalysis) -> Table:
+    """Return the range, the greatest and the least flexion over the stride of each joint, with 90 % intervals.
+
+    The phase is the percent of the stride, with its interval; cells are empty if it is not known.
+    """
+    columns = ["joint", "side", "foot", "strides", "range_deg", "range_low_deg", "range_high_deg"]
+    for name in ("greatest", "least"):
+        columns += [f"{name}_deg", f"{name}_low_deg", f"{name}_high_deg"]
+        columns += [f"{name}_percent", f"{name}_low_percent", f"{name}_high_percent"]
+    rows = []
+    for curve in analysis.flexion_curves:
+        greatest, least = extreme(curve), extreme(curve, -1)
+        range_sigma = np.hypot(greatest.sigma_rad, least.sigma_rad)
+        angles_deg = np.degrees(interval_of(greatest.value_rad - least.value_rad, range_sigma)).tolist()
+        cells = [max(0.0, angle) for angle in angles_deg]
+        for item in (greatest, least):
+            cells += np.degrees(interval_of(item.value_rad, item.sigma_rad)).tolist()
+            cells += [item.percent, item.percent_low, item.percent_high]
+        rows.append((curve.joint, curve.side or "middle", curve.foot, curve.strides, *cells))
+    return columns, rows
+
+
 def angle_rates(analysis: ClipAnalysis) -> Columns:
     """Return each angle, its rate and its acceleration at every frame, with standard deviations if known."""
     columns, has_sigma = {"frame": analysis.pose.frames, "time_s": analysis.motion.time_s}, not analysis.motion.jitters
@@ -524,7 +546,7 @@ def force_over_time(analysis: ClipAnalysis) -> Columns:
 
 
 _MOTION = joints, reference, velocities, vector_field, vector_field_means
-_ANGLES = joint_angles, joint_flexion, joint_flexion_stride, angle_rates, closures
+_ANGLES = joint_angles, joint_flexion, joint_flexion_stride, joint_flexion_peaks, angle_rates, closures
 _GAIT = stances, strides, gait, gait_quantities, centre_of_mass, forces, force_over_time
 TABLES: dict[str, Callable[[ClipAnalysis], Table | Columns]] = {
     f"{table.__name__}.csv": table for table in (*_MOTION, *_ANGLES, *_GAIT)

@@ -15,7 +15,7 @@ from recon.animal.skeleton_file import builtin_names, load_skeleton
 from recon.base.errors import InputError
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis
-from recon.gait.flexion import PERCENT, flexion_rad, joint_flexions
+from recon.gait.flexion import PERCENT, StrideCurve, extreme, flexion_rad, joint_flexions
 from recon.io.positions import read_pose3d
 from recon.show.plots.flexion import joint_flexion as draw
 from recon.show.tables import joint_flexion, joint_flexion_stride, vector_field
@@ -91,6 +91,25 @@ def test_curves_over_the_stride_are_those_of_the_gait(fitted, gait):
         assert curve.duty_factor == pytest.approx(gait.duty_factor, abs=0.05)
         assert np.degrees(np.nanmax(curve.between_sigma_rad)) < 6.0
         assert np.degrees(curve.posterior_sigma_rad).max() == pytest.approx(5.0, abs=0.1)
+        greatest = extreme(curve)
+        true = truth[[*BODY.anatomy].index(name)]
+        assert abs(greatest.value_rad - true.max()) < 1.645 * greatest.sigma_rad
+        if np.isfinite(greatest.percent_high):
+            before, after = greatest.percent_low - 1, greatest.percent_high + 1
+            assert any(before <= np.argmax(true) + turn <= after for turn in (-100, 0, 100))
+
+
+def test_the_phase_of_a_peak_may_lie_around_touch_down():
+    phase = 2 * np.pi * (PERCENT - 2) / 100
+    sigma = np.full(101, 0.01)
+    curve = StrideCurve("elbow", "left", "LF", np.cos(phase), sigma, np.full(101, np.nan), 1, 0.3)
+    greatest, least = extreme(curve), extreme(curve, -1)
+    assert (greatest.percent, least.percent) == (2, 52)
+    reach = np.arccos(1 - 1.645 * np.sqrt(2) * 0.01) / (2 * np.pi) * 100
+    assert (greatest.percent_low, greatest.percent_high) == (np.ceil(2 - reach), np.floor(2 + reach))
+    assert greatest.percent_low < 0
+    flat = extreme(replace(curve, mean_rad=0.01 * np.cos(phase)))
+    assert np.isnan(flat.percent_low)
 
 
 def test_bands_hold_the_truth_of_the_sample(fitted):
