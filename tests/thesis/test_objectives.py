@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
 from recon.geometry.camera import Camera
-from recon.thesis.chain import load_chain
+from recon.thesis.chain import ChainPose, load_chain
 from recon.thesis.objectives import (
     AngleRange,
     DirectionPrior,
@@ -62,11 +63,15 @@ TERMS: list[Objective] = [
 ]
 
 
+@cache
+def posed(state: bytes) -> ChainPose:
+    """The pose at a state: all terms are evaluated at the same states."""
+    return SK.pose_with_jacobian(np.frombuffer(state)[None])
+
+
 def evaluate(term: Objective, now: np.ndarray, before: np.ndarray = BEFORE, dt: float = 1 / 90):
     """Residuals (N, M) and Jacobians (N, M, D) of N frames."""
-    found = [
-        term.evaluate(SK.pose_with_jacobian(now[t][None]), SK.pose(before[t][None]), t, dt) for t in range(len(now))
-    ]
+    found = [term.evaluate(posed(now[t].tobytes()), posed(before[t].tobytes()), t, dt) for t in range(len(now))]
     residuals, jacobians = zip(*found, strict=True)
     return np.stack(residuals), np.stack(jacobians)
 

@@ -7,6 +7,7 @@ import pytest
 
 from recon import FitSettings, fit_clip
 from recon.api.samples import samples_folder
+from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, over_belt
 from recon.gait.kinematics import path_kinematics
 from recon.thesis.chain import load_chain, mean_pose
@@ -75,11 +76,11 @@ def test_the_motion_model_is_a_bounded_acceleration():
 
 
 @pytest.fixture(scope="module")
-def fits():
+def fits(frame_results):
     """A real fit of the noisy sample with and without the path."""
     samples = samples_folder()
     given = {"keypoints": samples / "noisy.csv", "camera": samples / "camera.toml", "fps": 30.0, "method": "frame"}
-    return {path: fit_clip(FitSettings(**given, path=path)) for path in ("smooth", "free")}
+    return {"smooth": Motion.load(frame_results), "free": fit_clip(FitSettings(**given, path="free"))}
 
 
 def test_the_path_is_a_term_with_a_name_and_can_be_switched_off(fits):
