@@ -37,7 +37,12 @@ from recon.gait.quantities import PAIRS, asymmetry_values
 LEVELS = 0.0, 0.02, 0.05, 0.10
 MOVING = "run02", "walk00", "walk01", "walk03", "walk04"
 """Clips with straight motion at a constant speed."""
-CHECKED = "stride_length_m", "stride_frequency_hz", "duty_factor"
+CHECKED = {
+    "stride_length_m": "stride length, m",
+    "stride_frequency_hz": "stride frequency, Hz",
+    "duty_factor": "duty factor",
+}
+"""Heading of each quantity that is compared with the plates."""
 
 
 def plate_rows() -> list[dict]:
@@ -53,9 +58,10 @@ def plate_rows() -> list[dict]:
             for name, true in zip(CHECKED, truth, strict=True):
                 quantity = quantities[name]
                 low, high = quantity.interval
-                row = {"run": run.name, "camera": camera, "quantity": name, "true": round(float(true), 3)}
-                row |= {"value": round(quantity.value, 3), "90 %": f"{low:.3g} to {high:.3g}"}
-                rows.append(row | {"source": quantity.source, "holds": low <= true <= high})
+                row = {"run": run.name, "camera": camera, "quantity": CHECKED[name]}
+                row |= {"true value": round(float(true), 3), "estimated": round(quantity.value, 3)}
+                row |= {"90 % interval": f"{low:.3g} to {high:.3g}", "estimated from": quantity.source}
+                rows.append(row | {"true value in interval": "yes" if low <= true <= high else "no"})
     return rows
 
 
@@ -124,16 +130,19 @@ def asymmetry_table(rows: list[dict]) -> list[dict]:
             is_found = np.abs([row["value"] for row in known]) > reach
             is_right = np.sign([row["value"] for row in known]) == np.sign([row["true"] for row in known])
             is_real = np.abs([row["true"] for row in known]) > 1.645 * np.array([row["true_sigma"] for row in known])
-            row = {"kind": kind, "put in": f"{level:.0%}", "asymmetries": len(group)}
+            row = {"kind": kind, "asymmetry added": f"{level:.0%}", "asymmetries": len(group)}
             row |= {"refused": f"{1 - len(known) / len(group):.0%}"}
             if known:
                 row |= {
-                    "error, rms": f"{np.sqrt(np.mean(error**2)):.1%}",
-                    "± stated": f"{np.median(reach) / 1.645:.1%}",
+                    "RMS error": f"{np.sqrt(np.mean(error**2)):.1%}",
+                    "stated, ±": f"{np.median(reach) / 1.645:.1%}",
                 }
-                row |= {"in 90 % interval": f"{np.mean(np.abs(error) < reach):.0%}", "found": f"{is_found.mean():.0%}"}
-                row |= {"found by the markers": f"{is_real.mean():.0%}"}
-                row |= {"false": f"{np.mean(is_found & ~(is_right & is_real)):.0%}"}
+                row |= {
+                    "in 90 % interval": f"{np.mean(np.abs(error) < reach):.0%}",
+                    "reported": f"{is_found.mean():.0%}",
+                }
+                row |= {"reported by the markers": f"{is_real.mean():.0%}"}
+                row |= {"reported falsely": f"{np.mean(is_found & ~(is_right & is_real)):.0%}"}
             table.append(row)
     return table
 

@@ -388,6 +388,7 @@ def test_command_writes_a_camera_that_can_be_read(radtan_folder, tmp_path):
     assert re.search(r"07\.png +\d\d +0\.\d\d", table.stdout)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_command_refuses_and_can_be_forced(radtan_folder, tmp_path):
     """A pinhole does not explain these pictures."""
     pictures = sorted(map(str, radtan_folder.iterdir()))[:12]
