@@ -73,7 +73,7 @@ LEAST_NOISE = 0.02
 It applies if several cameras solve for the body's shape and the detector was not measured.
 """
 NOISE_COUNT = 1.0
-"""Number of detections that the expected variance counts as in this case."""
+"""Number of detections as which the expected variance counts in the estimate of a joint's noise."""
 LENGTH_SHARE = 0.3
 """Standard deviation of a single length, relative to that of the size, if several cameras solve for the shape.
 

@@ -45,7 +45,7 @@ from recon.base.errors import InputError, Problem
 from recon.clip import frame_ranges
 from recon.fit.motion import Motion
 from recon.gait.clip import ClipAnalysis, analyse
-from recon.gait.gait import Gait
+from recon.gait.gait import Gait, Tracks
 from recon.robotics.quadruped import LEGS, Quadruped, RobotLeg, body_pose, feet_in_world, leg_targets
 
 # -- an animal's motion as a reference -------------------------------------------------------------------------------
@@ -132,14 +132,9 @@ def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) ->
         detail = ", ".join(sorted(motion.foot_names)) or "none"
         expected = "all four feet: fit the whole animal, not the chain of one side"
         raise InputError(Problem(motion.file, "feet", detail, expected))
-    tracks, n = gait.tracks, len(gait.tracks.time_s)
+    tracks = gait.tracks
     rear, front = (analysis.moved(name).series.value for name in motion.forward_names)
-    columns = np.column_stack([tracks.foot_m.reshape(n, -1), tracks.body_m, front - rear])
-    ranges = frame_ranges(np.flatnonzero(np.isfinite(columns).all(axis=1)))
-    rows = np.arange(*max(ranges, key=lambda stretch: stretch[1] - stretch[0], default=(0, 0)))
-    if len(rows) < MIN_SAMPLES:
-        detail = f"{len(rows) // 10} consecutive frames with all feet and the trunk"
-        raise InputError(Problem(motion.file, "frames", detail, f"at least {MIN_SAMPLES // 10}"))
+    rows = _longest_complete(motion, tracks, front - rear)
     time, body, trunk = tracks.time_s[rows], tracks.body_m[rows], (front - rear)[rows]
     chord = body[-1] - body[0]
     if np.hypot(*chord[:2]) < tracks.leg_m / 2:
@@ -158,14 +153,8 @@ def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) ->
     heading = Rotation.from_euler("z", -smoothed[:, 3:])
     order = [tracks.feet.index(foot) for foot in LEGS]
     feet = np.stack([heading.apply(to_world.apply(tracks.foot_m[rows, k] - body)) for k in order], axis=1)
-    standing, heights = np.zeros((len(time), len(LEGS)), bool), tracks.height_m[rows][:, order]
-    for stance in gait.stances:
-        is_stance = (time >= stance.start_s - 1e-9) & (time <= stance.end_s + 1e-9)
-        standing[is_stance, LEGS.index(stance.foot)] = True
-    feet[..., 0] -= (feet[..., 0].min(axis=0) + feet[..., 0].max(axis=0)) / 2
-    feet[..., 1] -= feet[..., 1].mean(axis=0)
-    for k, stands in enumerate(standing.T):
-        feet[:, k, 2] = heights[:, k] - (heights[stands, k].mean() if stands.any() else heights[:, k].min())
+    standing = _standing(gait, time)
+    _centre_feet(feet, tracks.height_m[rows][:, order], standing)
     reference = Reference(
         time_s=time,
         base_m=np.column_stack([to_world.apply(body - origin)[:, :2], smoothed[:, 0]]),
@@ -175,6 +164,37 @@ def reference_of(motion: Motion, stride_s: tuple[float, float] | None = None) ->
         leg_m=tracks.leg_m,
     )
     return Animal(reference, analysis, gait, to_world, origin, rows)
+
+
+def _longest_complete(motion: Motion, tracks: Tracks, trunk: Array) -> Index:
+    """Return the rows of the longest stretch in which all feet and the trunk are known; raise InputError if short."""
+    columns = np.column_stack([tracks.foot_m.reshape(len(tracks.time_s), -1), tracks.body_m, trunk])
+    ranges = frame_ranges(np.flatnonzero(np.isfinite(columns).all(axis=1)))
+    rows = np.arange(*max(ranges, key=lambda stretch: stretch[1] - stretch[0], default=(0, 0)))
+    if len(rows) < MIN_SAMPLES:
+        detail = f"{len(rows) // 10} consecutive frames with all feet and the trunk"
+        raise InputError(Problem(motion.file, "frames", detail, f"at least {MIN_SAMPLES // 10}"))
+    return rows
+
+
+def _standing(gait: Gait, time_s: Array) -> Bools:
+    """Return a mask (N, 4) of the times at which each foot stands, in the order of `LEGS`."""
+    standing = np.zeros((len(time_s), len(LEGS)), bool)
+    for stance in gait.stances:
+        is_stance = (time_s >= stance.start_s - 1e-9) & (time_s <= stance.end_s + 1e-9)
+        standing[is_stance, LEGS.index(stance.foot)] = True
+    return standing
+
+
+def _centre_feet(feet_m: Array, heights_m: Array, standing: Bools) -> None:
+    """Move the path of each foot, feet_m (N, 4, 3), in place: its middle to 0, and its stances to height 0.
+
+    heights_m (N, 4) are above the ground.
+    """
+    feet_m[..., 0] -= (feet_m[..., 0].min(axis=0) + feet_m[..., 0].max(axis=0)) / 2
+    feet_m[..., 1] -= feet_m[..., 1].mean(axis=0)
+    for k, (heights, stands) in enumerate(zip(heights_m.T, standing.T, strict=True)):
+        feet_m[:, k, 2] = heights - (heights[stands].mean() if stands.any() else heights.min())
 
 
 def _angles(analysis: ClipAnalysis, rows: Index, to_world: Rotation, trunk: Array) -> Array:

@@ -317,7 +317,7 @@ def panning_film(clip: SyntheticClip, camera_at: Callable[[float], Camera]) -> P
 
 
 def _project_moving(clip: SyntheticClip, camera_at: Callable[[float], Camera]) -> SyntheticClip:
-    """Return the clip with detections by each frame's camera."""
+    """Return the clip with detections made with the camera of each frame."""
     keypoints = clip.keypoints
     xy_px = np.empty(keypoints.xy_px.shape)
     for t, points_m in enumerate(clip.truth_m):

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from scipy.sparse import bsr_array, diags_array
-from scipy.sparse.linalg import splu
+from scipy.sparse import bsr_array, csc_array, diags_array
+from scipy.sparse.linalg import SuperLU, splu
 from scipy.spatial.transform import Rotation
 
 from recon.base.arrays import Array, Bools, Integers
@@ -457,20 +457,27 @@ def _adjust(
             log_zoom = log_zoom + step[:, 3]
     assert information is not None
     assert factor is not None
-    # A keyframe's variance comes from the inverse. Other frames have their own variance plus the mean of their
-    # keyframes'.
+    sigma = np.sqrt(np.maximum(_variances(information, factor, frame, key, n), 0))
+    adjusted = tuple(Orientation(r, float(z)) for r, z in zip(rotation, np.exp(log_zoom), strict=True))
+    sigma_zoom = sigma[:, 3] if solve_zoom else np.zeros(n)
+    return adjusted, np.hypot(np.sqrt((sigma[:, :3] ** 2).mean(axis=1)), floor_rad), sigma_zoom
+
+
+def _variances(information: csc_array, factor: SuperLU, frame: Integers, key: Integers, n: int) -> Array:
+    """Return the variances (n, P) of the unknowns of n frames.
+
+    A keyframe's variance comes from the inverse of the information (n P, n P), whose factor is given. Other frames have
+    their own variance plus the mean of their keyframes'. frame, key: the two ends of each link.
+    """
+    p = information.shape[0] // n
     variance = np.full((n, p), np.nan)
     for k in np.unique(key).tolist():
         variance[k] = np.diag(factor.solve(np.eye(n * p, p, -k * p))[k * p : (k + 1) * p])
     for t in np.flatnonzero(np.isnan(variance[:, 0])).tolist():
         own_rows = slice(t * p, (t + 1) * p)
-        variance[t] = variance[key[frame == t]].mean(axis=0) + np.diag(
-            np.linalg.inv(information[own_rows, own_rows].toarray())
-        )
-    sigma = np.sqrt(np.maximum(variance, 0))
-    adjusted = tuple(Orientation(r, float(z)) for r, z in zip(rotation, np.exp(log_zoom), strict=True))
-    sigma_zoom = sigma[:, 3] if solve_zoom else np.zeros(n)
-    return adjusted, np.hypot(np.sqrt((sigma[:, :3] ** 2).mean(axis=1)), floor_rad), sigma_zoom
+        own_variance = np.diag(np.linalg.inv(information[own_rows, own_rows].toarray()))
+        variance[t] = variance[key[frame == t]].mean(axis=0) + own_variance
+    return variance
 
 
 # -- the focal length: points keep their angles under rotations across the picture only for the right focal length -----

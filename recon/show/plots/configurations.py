@@ -190,7 +190,7 @@ _ROOM = 0.04
 def in_body(body: Body, states: Array, size: Array | float, reference: str) -> Array:
     """Return joints (T, J, 3) in the frame of the root segment, relative to the marker `reference`, metres.
 
-    U forwards, V down, W to the left; for states (T, D) and sizes.
+    The axes are U forwards, V down and W to the left. `states` are (T, D).
     """
     turned = states.copy()
     turned[:, ROOT] = 0.0

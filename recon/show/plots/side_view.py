@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.typing import LineStyleType
 
 from recon.animal.body import Side
 from recon.base.arrays import Array, Bools, Index
@@ -71,11 +72,7 @@ def side_view(
             for column in range(per_line):
                 i = line * per_line + column
                 shift = np.array([column * step_m - 0.5 * (low_x[i] + high_x[i]), -ground_m[i]])
-                for limb, joints in limbs.items():
-                    side = sides.get(limb)
-                    look = {"color": SIDE_COLOURS[side], "lw": _WIDTHS[side], "zorder": 2 if side == "left" else 3}
-                    points = poses[i][list(joints)][:, [0, 2]] + shift
-                    axes.plot(*points.T, linestyle=(0, (3, 1)) if side == "left" else "-", **look)
+                _draw_pose(axes, poses[i][:, [0, 2]] + shift, limbs, sides)
                 text = f"{100 * i / POSES:.0f} %"
                 axes.text(column * step_m, -0.06 * tall_m, text, ha="center", va="top", fontsize=style.SMALL)
             axes.axhline(0, color=style.GREY, lw=0.8, zorder=1)
@@ -84,15 +81,31 @@ def side_view(
             axes.set_aspect("equal")
             axes.axis("off")
         _scale_bar(panels[-1], step_m, per_line, tall_m)
-        present = {sides.get(limb) for limb in limbs}
-        names: dict[Side | None, str] = {"left": "left", "right": "right", None: "trunk, head and tail"}
-        handles = [
-            Line2D([], [], color=SIDE_COLOURS[side], lw=_WIDTHS[side], label=label, linestyle=dashes)
-            for (side, label), dashes in zip(names.items(), ((0, (3, 1)), "-", "-"), strict=True)
-            if side in present
-        ]
-        style.add_legend(figure, handles, [str(handle.get_label()) for handle in handles])
+        _add_sides(figure, {sides.get(limb) for limb in limbs})
     return figure
+
+
+def _draw_pose(axes: Axes, points: Array, limbs: Mapping[str, Sequence[int]], sides: Mapping[str, Side | None]) -> None:
+    """Draw the limbs of one pose from its joints (J, 2)."""
+    for limb, joints in limbs.items():
+        side = sides.get(limb)
+        look = {"color": SIDE_COLOURS[side], "lw": _WIDTHS[side], "zorder": 2 if side == "left" else 3}
+        axes.plot(*points[list(joints)].T, linestyle=_dashes(side), **look)
+
+
+def _add_sides(figure: Figure, present: set[Side | None]) -> None:
+    """Add a legend of the sides of the limbs that are present."""
+    names: dict[Side | None, str] = {"left": "left", "right": "right", None: "trunk, head and tail"}
+    handles = [
+        Line2D([], [], color=SIDE_COLOURS[side], lw=_WIDTHS[side], label=label, linestyle=_dashes(side))
+        for side, label in names.items()
+        if side in present
+    ]
+    style.add_legend(figure, handles, [str(handle.get_label()) for handle in handles])
+
+
+def _dashes(side: Side | None) -> LineStyleType:
+    return (0, (3, 1)) if side == "left" else "-"
 
 
 def _ground_m(
