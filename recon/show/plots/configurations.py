@@ -101,11 +101,12 @@ def composites(
         panels = (cells["side"], 0, 2), (cells["top"], 0, 1), (cells["front"], 1, 2)
         cells["top"].sharex(cells["side"])
         cmap, norm = style.time_colours(time_s[rows])
+        colours = [cmap(norm(instant_s)) for instant_s in time_s[rows]]
         for axes, horizontal, vertical in panels:
-            for pose, instant_s in zip(points, time_s[rows], strict=True):
+            for pose, colour in zip(points, colours, strict=True):
                 for limb, joints in limbs.items():
                     dashes, line_width, _ = STYLES[sides.get(limb)]
-                    line_style = {"color": cmap(norm(instant_s)), "lw": line_width, "linestyle": dashes, "zorder": 2}
+                    line_style = {"color": colour, "lw": line_width, "linestyle": dashes, "zorder": 2}
                     axes.plot(*pose[list(joints)][:, [horizontal, vertical]].T, **line_style)
             axes.set_aspect("equal", adjustable="datalim")
             axes.locator_params(axis="y", nbins=2 if axes is cells["top"] else 4)
