@@ -135,12 +135,12 @@ def print_errors(fits: Iterator[tuple[Motion, np.ndarray]]) -> None:
                 if np.isfinite(stated.percent_high):
                     turns = true.percent + np.array([-100, 0, 100])
                     phases.append(bool(((stated.percent_low <= turns) & (turns <= stated.percent_high)).any()))
-    rows = []
+    rows = list[list[str]]()
     for joint in errors:
         error, sigma = np.concatenate(errors[joint]), np.concatenate(sigmas[joint])
         inside = np.mean(np.abs(error) < radius(INTERVAL) * sigma)
         rms = (f"{np.sqrt(np.mean(values_deg**2)):.1f}" for values_deg in (error, sigma))
-        rows.append((joint, *rms, f"{100 * inside:.0f}"))
+        rows.append([joint, *rms, f"{100 * inside:.0f}"])
     head = ("joint", "RMS error °", "stated °", "inside 90 % band, %")
     print_table(head, sorted(rows, key=lambda row: row[0] == "all"))
     if values:
