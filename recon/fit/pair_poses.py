@@ -52,7 +52,7 @@ class PairPoses:
         is_turned = np.array([*product([False, True], repeat=6)]).reshape(-1, 2, 3)
         sigma = np.repeat(usual_sigma[None], len(is_turned), axis=0)
         sigma[:, _ROTATIONS] = np.where(is_turned.reshape(-1, 6), constants.MISPLACED_RAD, sigma[:, _ROTATIONS])
-        covariance: Array = np.linalg.inv(precision + np.eye(12) * sigma[:, None] ** -2.0)
+        covariance = np.asarray(np.linalg.inv(precision + np.eye(12) * sigma[:, None] ** -2.0), dtype=float)
         mean = -covariance @ pull
         log_det = np.linalg.slogdet(np.eye(12) + precision * sigma[:, None] ** 2)[1]
         share = np.where(is_turned, constants.TURNED_SHARE, 1.0 - constants.TURNED_SHARE)

@@ -109,8 +109,9 @@ def test_one_camera_keeps_the_lengths_and_is_less_sure_of_poses():
 
 def test_the_second_of_two_cameras_is_as_uncertain_as_calibrations_are():
     """It counts in the uncertainty of a pair, unless its pose is known or an unknown of the fit."""
-    for options, is_uncertain in (({}, True), ({"cameras_known": True}, False), ({"refine_cameras": True}, False)):
-        clip = ClipProblem.from_views(VIEWS[:2], BODY, prior_from_body(BODY), FPS, TrajectoryOptions(**options))
+    known, refined = TrajectoryOptions(cameras_known=True), TrajectoryOptions(refine_cameras=True)
+    for options, is_uncertain in ((TrajectoryOptions(), True), (known, False), (refined, False)):
+        clip = ClipProblem.from_views(VIEWS[:2], BODY, prior_from_body(BODY), FPS, options)
         _, nuisance = clip.shared_unknowns(np.array([0.05, 0.02]))
         sigmas = {unknown.name: unknown.sigma * np.sqrt(clip.correlation_frames) for unknown in nuisance}
         assert (extrinsic_correction(1) in sigmas) == is_uncertain
