@@ -142,7 +142,8 @@ def print_errors(fits: Iterator[tuple[Motion, np.ndarray]]) -> None:
         rms = (f"{np.sqrt(np.mean(values_deg**2)):.1f}" for values_deg in (error, sigma))
         rows.append([joint, *rms, f"{100 * inside:.0f}"])
     head = ("joint", "RMS error °", "stated °", "inside 90 % band, %")
-    print_table(head, sorted(rows, key=lambda row: row[0] == "all"))
+    rows.sort(key=lambda row: row[0] == "all")
+    print_table(head, rows)
     if values:
         held = f"{np.mean(values):.0%} of {len(values)} greatest and least angles over the stride"
         print(
