@@ -220,7 +220,7 @@ def test_mirrored_segments_expect_the_mirror_image(tmp_path: Path):
         ('left_fore = "l_', 'left_fore = "x_', "feet", "one of l_front_knee"),
         ("[feet]", "[foot]", "feet", "left_fore = "),
         ("left_fore =", "front_left =", "feet", "left_fore = "),
-        ("left_fore =", "right_hind =", "feet.right_hind", ["a right one", "left"]),
+        ("left_fore =", "right_hind =", "feet.right_hind", ["a right foot", "left"]),
         ('"r_front_paw"\n', '"l_front_paw"\n', "feet", "every foot once"),
         ('trunk = ["tail_base"', 'trunk = ["tail"', "limbs.trunk", "one of l_front_knee"),
         ('name = "spine"', 'name = "spine"\nmirrored = true', "markers[0].mirrored", "left side"),

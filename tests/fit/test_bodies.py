@@ -257,13 +257,13 @@ def test_a_person_of_coco(tmp_path):
 @pytest.mark.parametrize(
     ("names", "options"),
     [
-        (LISTS[17], "--skeleton human-25 takes 17 of these 17"),
-        (LISTS[25], "--skeleton human-25 takes 25 of these 25"),
-        (LISTS[26], "--skeleton human-25 --rename coco-17 takes 25 of these 26"),
-        (COCO_17, "--skeleton human-25 --rename coco-17 takes 17 of these 17"),
-        (MOUSE_15, "--skeleton mouse-top --rename mouse-15 takes 13 of these 15"),
-        (load_skeleton("mouse-top").markers, "--skeleton mouse-top takes 27 of these 27"),
-        (HORSE_10, "--skeleton horse-22 takes 22 of these 22"),
+        (LISTS[17], "--skeleton human-25, which has 17 of these 17"),
+        (LISTS[25], "--skeleton human-25, which has 25 of these 25"),
+        (LISTS[26], "--skeleton human-25 --rename coco-17, which has 25 of these 26"),
+        (COCO_17, "--skeleton human-25 --rename coco-17, which has 17 of these 17"),
+        (MOUSE_15, "--skeleton mouse-top --rename mouse-15, which has 13 of these 15"),
+        (load_skeleton("mouse-top").markers, "--skeleton mouse-top, which has 27 of these 27"),
+        (HORSE_10, "--skeleton horse-22, which has 22 of these 22"),
     ],
 )
 def test_no_quadruped_is_drafted_of_another_skeletons_points(names: Iterable[str], options):
@@ -341,8 +341,8 @@ def test_a_draft_from_a_calibration_in_millimetres(tmp_path):
 @pytest.mark.parametrize(
     ("path_m", "bends", "noise_m", "expected"),
     [
-        (0.0, True, 0.0, ("motion", ["1.5 m", "0 m", "2 bodies"], ["half its length", "two bodies"])),
-        (2.0, False, 0.0, ("motion", ["1.48 m", "2.03 m", "1 bodies"], ["half its length", "two bodies"])),
+        (0.0, True, 0.0, ("motion", ["1.5 m", "0 m", "2 rigid bodies"], ["half its length", "two bodies"])),
+        (2.0, False, 0.0, ("motion", ["1.48 m", "2.03 m", "1 rigid bodies"], ["half its length", "two bodies"])),
         (2.0, True, 0.03, ("keypoints", ["32.6 mm", "1.5 m"], "1 % or less")),
     ],
 )
