@@ -38,8 +38,9 @@ POSSIBLE = (-0.9, 0.55)
 LIKELY = (-1.6, 1.6)
 """Deviations beyond which another focal length is likely.
 
-Correct views are from -1.6 to 1.0, or to 1.5 if they are short or partly hidden. Views of 1.5 and 0.7 times the focal
-length are at -1.1 and 1.1 in the middle (`benchmarks/wrong_inputs.py --only limits`).
+Correct views are from -0.5 to 0.9, views of 1.5 times the focal length from -1.3 to 0.2 and of 0.7 times from 0.7 to
+1.6 (every sixth view, `benchmarks/wrong_inputs.py --only limits`). Some correct clips that are short or partly hidden
+are at 1.5.
 """
 SEEN = 0.25
 """Least share of the frames in which each foot is detected: without legs, size and distance are hardly known."""
