@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import ast
+import io
 import re
 from collections.abc import Iterator
+from contextlib import redirect_stdout
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import pandas as pd
 import pytest
 from later import Later
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 nbformat = Later("nbformat")
 
 FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 RECORDED = FOLDER / "8_a_real_clip.ipynb"
-QUICK = {"7_the_8u_chain_in_motion"}
-"""Notebooks that take a few seconds."""
+QUICK = FOLDER / "7_the_8u_chain_in_motion.ipynb"
+"""A notebook that takes a few seconds."""
 NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?!\w)")
 
 
@@ -27,11 +33,16 @@ def script() -> Iterator[ModuleType]:
     """notebooks/run.py, where also the processes that it starts find it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(FOLDER)
-        module = import_module("run")
-        first = module.FORKS.Process(target=int)  # so that what processes are forked from is there
-        first.start()
-        first.join()
-        yield module
+        yield import_module("run")
+
+
+@pytest.fixture(scope="module")
+def forked(script: ModuleType) -> ModuleType:
+    """The same, with the process that kernels are forked from."""
+    first = script.FORKS.Process(target=int)
+    first.start()
+    first.join()
+    return script
 
 
 def test_the_readme_names_them_all_in_their_order() -> None:
@@ -54,13 +65,29 @@ def test_saved_as_run_from_top_to_bottom_with_figures(path: Path) -> None:
     assert path.stat().st_size < 600_000
 
 
-@pytest.mark.parametrize(
-    "path",
-    [pytest.param(path, id=path.stem, marks=[] if path.stem in QUICK else pytest.mark.slow) for path in NOTEBOOKS],
-)
-def test_runs_without_a_warning_and_gives_what_is_saved(path: Path, script: ModuleType, tmp_path: Path, monkeypatch):
+@pytest.mark.usefixtures("undrawn", "no_playback")
+def test_the_cells_give_what_is_saved(monkeypatch: pytest.MonkeyPatch):
+    """In this process and without drawing, which takes a third of the time of a kernel."""
     monkeypatch.setenv("RECON_SHARED_DATA", "")
-    assert script.main(["--out", str(tmp_path), path.stem]) == 0
+    monkeypatch.chdir(FOLDER)
+    names: dict[str, Any] = {"__name__": "notebook"}
+    compared = 0
+    with pd.option_context("display.max_columns", 20):
+        for number, cell in enumerate(nbformat.read(QUICK, as_version=4).cells):
+            if cell.cell_type == "code":
+                now = printed_by(cell.source, names)
+                if "varies" not in cell.metadata.get("tags", ()):
+                    assert not difference(text_of(cell), now), f"cell {number}"
+                    compared += bool(now)
+    assert compared >= 6
+    names["plt"].close("all")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_runs_without_a_warning_and_gives_what_is_saved(path: Path, forked: ModuleType, tmp_path: Path, monkeypatch):
+    monkeypatch.setenv("RECON_SHARED_DATA", "")
+    assert forked.main(["--out", str(tmp_path), path.stem]) == 0
     written = tmp_path / path.name
     before, after = (nbformat.read(p, as_version=4).cells for p in (path, written))
     assert [cell.source for cell in before] == [cell.source for cell in after]
@@ -72,9 +99,9 @@ def test_runs_without_a_warning_and_gives_what_is_saved(path: Path, script: Modu
 
 
 @pytest.mark.slow
-def test_a_recording_goes_through(shared_data: Path, script: ModuleType, tmp_path: Path, monkeypatch) -> None:
+def test_a_recording_goes_through(shared_data: Path, forked: ModuleType, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setenv("RECON_SHARED_DATA", str(shared_data))
-    assert script.main(["--out", str(tmp_path), "8"]) == 0
+    assert forked.main(["--out", str(tmp_path), "8"]) == 0
     cells = nbformat.read(tmp_path / RECORDED.name, as_version=4).cells
     assert figures([output for cell in cells for output in cell.get("outputs", ())]) >= 8
 
@@ -105,6 +132,17 @@ def test_a_recording_is_never_saved_in_the_project(script: ModuleType, tmp_path:
 )
 def test_texts_are_compared_by_words_and_rounded_numbers(was: str, now: str, same: bool) -> None:
     assert (difference(was, now) == "") == same
+
+
+def printed_by(source: str, names: dict[str, Any]) -> str:
+    """What a cell prints, with its last value unless that is a figure."""
+    tree = ast.parse(re.sub(r"^%.*$", "", source, flags=re.MULTILINE))
+    shown = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
+    out = io.StringIO()
+    with redirect_stdout(out):
+        exec(compile(tree, "cell", "exec"), names)
+        value = eval(compile(ast.Expression(shown.value), "cell", "eval"), names) if shown else None
+    return out.getvalue() + ("" if value is None or isinstance(value, Figure | Axes) else repr(value))
 
 
 def figures(outputs: list[Any]) -> int:
