@@ -137,11 +137,14 @@ def test_texts_are_compared_by_words_and_rounded_numbers(was: str, now: str, sam
 def printed_by(source: str, names: dict[str, Any]) -> str:
     """What a cell prints, with its last value unless that is a figure."""
     tree = ast.parse(re.sub(r"^%.*$", "", source, flags=re.MULTILINE))
-    shown = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
+    last = tree.body[-1] if tree.body else None
+    shown = last.value if isinstance(last, ast.Expr) else None
+    if shown:
+        tree.body.pop()
     out = io.StringIO()
     with redirect_stdout(out):
         exec(compile(tree, "cell", "exec"), names)
-        value = eval(compile(ast.Expression(shown.value), "cell", "eval"), names) if shown else None
+        value = eval(compile(ast.Expression(shown), "cell", "eval"), names) if shown else None
     return out.getvalue() + ("" if value is None or isinstance(value, Figure | Axes) else repr(value))
 
 
