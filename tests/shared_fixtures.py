@@ -24,6 +24,7 @@ from shortcuts import (
     leave_out_drawing,
     leave_out_playback,
     remember_analyses,
+    solve_frames_once,
 )
 
 from recon import FitSettings
@@ -122,6 +123,12 @@ def no_playback(monkeypatch: pytest.MonkeyPatch) -> None:
 def remembered_analyses(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of commands that analyse the same results as others."""
     remember_analyses(monkeypatch)
+
+
+@pytest.fixture
+def frames_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests of what is done with the results of many equal fits by the frame method."""
+    solve_frames_once(monkeypatch)
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from base64 import b64decode
 from dataclasses import replace
 from functools import partial
@@ -20,6 +21,7 @@ from recon.cli.answers import Answer
 from recon.gait import clip as gait_clip
 from recon.ik import clip as ik_clip
 from recon.show.plots import style
+from recon.thesis import clip as frame_clip
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -100,6 +102,25 @@ def _remembered_analysis(motion: Motion, stride_s: tuple[float, float] | None = 
 
 
 _ANALYSES: dict[tuple[object, ...], gait_clip.ClipAnalysis] = {}
+
+
+def solve_frames_once(patch: pytest.MonkeyPatch) -> None:
+    """The frame method solves equal problems once in a process; each fit has a copy of the solution."""
+    solve = frame_clip.solve_frames
+
+    def remembered(*problem: Any) -> Any:
+        *data, progress = problem
+        key = pickle.dumps(data)
+        if key not in _FRAME_SOLUTIONS:
+            _FRAME_SOLUTIONS[key] = pickle.dumps(solve(*problem))
+        solution = pickle.loads(_FRAME_SOLUTIONS[key])
+        progress(len(solution.reports))
+        return solution
+
+    patch.setattr(frame_clip, "solve_frames", remembered)
+
+
+_FRAME_SOLUTIONS: dict[bytes, bytes] = {}
 
 
 def leave_out_playback(patch: pytest.MonkeyPatch) -> None:

@@ -37,7 +37,7 @@ from recon.io.calibration import read_cameras
 SAMPLES = Path(__file__).parents[2] / "data" / "samples"
 CAMERA = SAMPLES / "camera.toml"
 QUICK = {"camera": CAMERA, "fps": 30, "method": "frame", "frames": "0:4"}
-pytestmark = pytest.mark.usefixtures("no_playback", "undrawn")
+pytestmark = pytest.mark.usefixtures("no_playback", "undrawn", "frames_solved_once")
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks at processes in /proc")
 
 

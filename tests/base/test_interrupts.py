@@ -106,7 +106,9 @@ def test_the_command_cleans_up(moment):
 
 
 @posix
-@pytest.mark.parametrize("module", ["typer", "rich.markup", "recon.cli.app"])
+@pytest.mark.parametrize(
+    "module", ["typer", *(pytest.param(name, marks=pytest.mark.slow) for name in ("rich.markup", "recon.cli.app"))]
+)
 def test_within_an_import(module):
     """There, libraries print exceptions that are not theirs."""
     code = f"""
@@ -133,7 +135,13 @@ def work():
 
 
 @posix
-@pytest.mark.parametrize("again", ["ctrl_c(); time.sleep(60)", f"interrupts.CLEAN_UP_S = 0.1; {IN_A_LIBRARY}"])
+@pytest.mark.parametrize(
+    "again",
+    [
+        pytest.param("ctrl_c(); time.sleep(60)", marks=pytest.mark.slow),
+        f"interrupts.CLEAN_UP_S = 0.1; {IN_A_LIBRARY}",
+    ],
+)
 def test_cleaning_up_takes_no_longer_than_the_user_waits(again):
     code = f"""
 def work():
@@ -188,7 +196,11 @@ def test_where_it_is_ignored_it_stays_so():
 
 @posix
 @pytest.mark.parametrize(
-    ("end", "code", "said"), [("sys.exit(5)", 5, ""), ("raise ArithmeticError", 1, "ArithmeticError\n")]
+    ("end", "code", "said"),
+    [
+        pytest.param("sys.exit(5)", 5, "", marks=pytest.mark.slow),
+        ("raise ArithmeticError", 1, "ArithmeticError\n"),
+    ],
 )
 def test_the_process_ends_with_its_own_code(end, code, said):
     """What is registered for the exit is done, and what is printed there is not lost."""
@@ -199,7 +211,10 @@ def test_the_process_ends_with_its_own_code(end, code, said):
 
 
 @posix
-@pytest.mark.parametrize(("where", "code", "said"), [("/dev/full", 2, "No space left on device"), ("|", 1, "")])
+@pytest.mark.parametrize(
+    ("where", "code", "said"),
+    [("/dev/full", 2, "No space left on device"), pytest.param("|", 1, "", marks=pytest.mark.slow)],
+)
 def test_output_that_goes_nowhere(where, code, said):
     """A full disk is said; a reader that had enough is none of the user's mistakes."""
     if where == "|":

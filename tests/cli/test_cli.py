@@ -252,7 +252,7 @@ def test_results_can_be_moved_with_what_they_were_made_from(tmp_path, monkeypatc
     assert (settings.keypoints, settings.camera) == ((moved / "noisy.csv",), (moved / "camera.toml",))
 
 
-@pytest.mark.usefixtures("no_playback")
+@pytest.mark.usefixtures("no_playback", "frames_solved_once")
 def test_a_config_away_from_its_files_or_beside_others_says_so(tmp_path):
     for path in (CLIP, CAMERA):
         shutil.copy(path, tmp_path / path.name)
@@ -297,13 +297,14 @@ def test_choice_of_camera_and_animal(inputs, tmp_path):
     assert report_of(tmp_path)["settings"]["camera_name"] == "cam_b"
 
 
-@pytest.mark.usefixtures("fitted_demo")
+@pytest.mark.usefixtures("fitted_demo", "no_playback", "frames_solved_once")
 @pytest.mark.parametrize("command", ["fit", "demo"])
 def test_quiet_prints_nothing(command, tmp_path):
     args = fit_args(tmp_path / "a", "--frames", ":3") if command == "fit" else ["demo", "--out", tmp_path / "a"]
     assert run(*args, "--quiet") == Ended(0, "", "")
 
 
+@pytest.mark.usefixtures("no_playback", "frames_solved_once")
 def test_brackets_in_names_are_printed_as_they_are(tmp_path):
     out = tmp_path / "[red]run [1]"
     ended = run(*fit_args(out, "--frames", ":3"))
@@ -405,6 +406,7 @@ def test_options_of_a_trajectory(tmp_path):
     assert replace(mine, fast=True) == theirs
 
 
+@pytest.mark.usefixtures("no_playback")
 def test_a_chain_over_the_whole_clip(tmp_path):
     assert run(*whole_args(tmp_path, "--skeleton", "cheetah-8u")).code == 0
     table = pd.read_csv(tmp_path / "pose3d.csv", header=[0, 1], index_col=0)
@@ -575,6 +577,7 @@ def test_everything_that_is_needed_and_not_given_is_named():
     refused(["fit"], ("KEYPOINTS", "keypoints", "nothing"), ("--camera", "camera", "nothing"), NO_OUT)
 
 
+@pytest.mark.usefixtures("no_playback", "frames_solved_once")
 def test_the_frame_rate_comes_from_the_file_or_has_to_be_given(tmp_path):
     args = ["fit", CLIP, "--camera", tmp_path / "none.toml", "--out", tmp_path / "a"]
     refused(args, ("--fps", "fps", ["nothing", "noisy.csv"]), (tmp_path / "none.toml", "file", "no such file"))
@@ -662,6 +665,7 @@ def test_bad_input_in_a_process_of_its_own_is_one_line(tmp_path, monkeypatch):
 # ---- clips that cannot be solved ----
 
 
+@pytest.mark.usefixtures("no_playback")
 def test_exit_code_1_when_no_pose_can_be_found(tmp_path):
     few = ("spine", "neck_base", "tail_base", "r_front_knee")
     clip = rewrite(tmp_path / "few.csv", keep_only(*few))
@@ -763,6 +767,7 @@ def test_killed_overwriting_leaves_the_earlier_results(tmp_path):
     assert (partial[:15], writing) == (".recon-partial-", ".recon-writing")
 
 
+@pytest.mark.usefixtures("frames_solved_once")
 @pytest.mark.parametrize("full", ["motion.rrd", "quality.csv"])
 def test_failing_writer_leaves_nothing(full, tmp_path, monkeypatch):
     def write(motion, path):

@@ -46,13 +46,17 @@ def folder(whole_results, tmp_path) -> Path:
     return Path(shutil.copytree(whole_results, tmp_path / "fit"))
 
 
-@pytest.fixture(scope="module")
-def compared(whole_results, tmp_path_factory) -> Path:
-    """Results of the whole animal with both jobs of all methods. Not to be written to."""
-    folder = Path(shutil.copytree(whole_results, tmp_path_factory.mktemp("compared") / "fit"))
-    done = run("ik", folder, "--compare", "--no-limits", "--no-figures")
+def compared_in(dim: int, whole_results: Path, folder: Path) -> Path:
+    shutil.copytree(whole_results, folder)
+    done = run("ik", folder, "--compare", "--dim", dim, "--no-limits", "--no-figures")
     assert (done.code, done.err) == (0, "")
     return folder
+
+
+@pytest.fixture(scope="module")
+def compared(whole_results, tmp_path_factory) -> Path:
+    """Results of the whole animal with both jobs of all methods in the plane. Not to be written to."""
+    return compared_in(2, whole_results, tmp_path_factory.mktemp("compared") / "fit")
 
 
 def ends(limb) -> np.ndarray:
@@ -159,8 +163,9 @@ def test_fitted_parameters_explain_more_than_nothing(whole_results):
     assert methods_of(limb, METHODS, parameters)["damped"] != fitted["damped"]
 
 
-def test_both_jobs_with_all_methods(compared):
-    folder = compared
+@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
+def test_both_jobs_with_all_methods(dim, whole_results, request, tmp_path):
+    folder = request.getfixturevalue("compared") if dim == 2 else compared_in(3, whole_results, tmp_path / "fit")
     summary = json.loads((folder / "ik" / "ik.json").read_text(encoding="utf-8"))
     assert summary["stride"]["how"] == "gait"  # the sample holds complete strides
     assert {*summary["to_target"]} == {*summary["along_stride"]} == {*METHODS}
@@ -169,7 +174,7 @@ def test_both_jobs_with_all_methods(compared):
         row = summary["to_target"][name]
         table = pd.read_csv(folder / "ik" / f"target_{name}.csv")
         assert len(table) == row["iterations"] + 1
-        end = table[["end_x_m", "end_y_m", "end_z_m"]].to_numpy()
+        end = table[[f"end_{axis}_m" for axis in ("UV" if dim == 2 else "xyz")]].to_numpy()
         np.testing.assert_allclose(np.linalg.norm(end - target, axis=1), table["distance_m"], atol=1e-9)
         assert (table["distance_m"].iloc[-1] <= 0.003) == row["reached"]
     assert sum(row["reached"] for row in summary["to_target"].values()) >= 8
@@ -183,17 +188,17 @@ def test_both_jobs_with_all_methods(compared):
     assert pd.read_csv(folder / "ik" / "target.csv").set_index("method").loc["damped", "reached"] == "yes"
 
 
-@pytest.mark.slow
-def test_rates_for_control(folder, tmp_path):
+def test_rates_for_control(compared):
     """Every method and joint has rates over the animal's time; on a path that closes they meet at its ends."""
-    options = {"compare": True, "dim": 2, "limits": False, "figures": False, "out": tmp_path / "a"}
-    done = run_ik(IkSettings(folder=folder, **options))
-    begins_s, stride = done.limb.first_s + done.stride.start_s, done.stride
+    motion = Motion.load(compared)
+    limb = limb_of(motion, dim=2)
+    stride = stride_of(motion, limb)
+    begins_s = limb.first_s + stride.start_s
     for name in METHODS:
-        table = pd.read_csv(tmp_path / "a" / f"follow_{name}.csv")
+        table = pd.read_csv(compared / "ik" / f"follow_{name}.csv")
         time_s = table["time_s"].to_numpy()
         assert time_s[[0, -1]] == pytest.approx([begins_s, begins_s + stride.end_s - stride.start_s])
-        for joint in done.limb.chain.names:
+        for joint in limb.chain.names:
             angle, rate, acceleration = (
                 table[f"{joint}_{what}"].to_numpy() for what in ("rad", "rate_rad_s", "acceleration_rad_s2")
             )
@@ -203,9 +208,9 @@ def test_rates_for_control(folder, tmp_path):
             if name == "extended-energy":
                 assert abs(rate[0] - rate[-1]) < 0.01 * np.ptp(rate)
                 assert abs(acceleration[0] - acceleration[-1]) < 0.1 * np.abs(acceleration).max()
-    drive = done.runs["target"]["damped"]
-    target = pd.read_csv(tmp_path / "a" / "target_damped.csv")
-    assert target["time_s"].iloc[-1] == pytest.approx(drive.iterations / 90)
+    drive = json.loads((compared / "ik" / "ik.json").read_text(encoding="utf-8"))["to_target"]["damped"]
+    target = pd.read_csv(compared / "ik" / "target_damped.csv")
+    assert target["time_s"].iloc[-1] == pytest.approx(drive["iterations"] / 90)
 
 
 @pytest.mark.slow
