@@ -22,6 +22,7 @@ from recon.gait import clip as gait_clip
 from recon.ik import clip as ik_clip
 from recon.show.plots import style
 from recon.thesis import clip as frame_clip
+from recon.thesis import inspect as frame_record
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -109,15 +110,17 @@ def solve_frames_once(patch: pytest.MonkeyPatch) -> None:
     solve = frame_clip.solve_frames
 
     def remembered(*problem: Any) -> Any:
-        *data, progress = problem
+        data, progress = problem[:4], problem[4:]
         key = pickle.dumps(data)
         if key not in _FRAME_SOLUTIONS:
             _FRAME_SOLUTIONS[key] = pickle.dumps(solve(*problem))
         solution = pickle.loads(_FRAME_SOLUTIONS[key])
-        progress(len(solution.reports))
+        for tell in progress:
+            tell(len(solution.reports))
         return solution
 
-    patch.setattr(frame_clip, "solve_frames", remembered)
+    for module in (frame_clip, frame_record):
+        patch.setattr(module, "solve_frames", remembered)
 
 
 _FRAME_SOLUTIONS: dict[bytes, bytes] = {}

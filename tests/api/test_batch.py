@@ -1016,6 +1016,7 @@ def test_ctrl_c_keeps_what_is_done(clips, in_the_middle, in_process):
     assert finished(out).items() >= done.items()
 
 
+@pytest.mark.slow
 @linux
 def test_after_a_kill_nothing_that_is_finished_is_done_again(clips, in_the_middle, in_process):
     process, out, command = in_the_middle

@@ -145,13 +145,18 @@ def test_a_manifest_with_a_null_byte_is_refused(tmp_path):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell of POSIX")
-def test_standard_output_may_be_closed_or_of_ascii(tmp_path):
+@pytest.mark.slow
+def test_standard_output_may_be_closed(tmp_path):
+    """A quick test of an output that nothing can be written to is in `test_interrupts.py`."""
     clip = tmp_path / "Läufer.csv"
     shutil.copy(SAMPLES / "whole.csv", clip)
     closed = process("convert", clip, tmp_path / "closed.csv", "--to", "long", "--quiet", shell=">&-")
     assert (closed.returncode, closed.stderr) == (0, b"")
     header, *rows = (tmp_path / "closed.csv").read_text().splitlines()
     assert (header, len(rows)) == ("frame,bodypart,x,y,likelihood", 60 * 24)
+
+
+def test_standard_output_may_be_of_ascii(tmp_path):
     no = ("convert", tmp_path / "Löwe.csv", tmp_path / "no.csv")
     commands = [*map(str, ("skeleton", "list", "--json", "then", *no, "then", "fit", "--help"))]
     env = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "ascii", "LANG": "C", "PYTHONUTF8": "0"}

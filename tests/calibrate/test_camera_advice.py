@@ -98,14 +98,19 @@ def test_places_in_words():
     assert direction_text(np.radians(120), np.radians(80)) == "behind to the animal's left, almost above it (120°)"
 
 
-def test_command(tmp_path):
+@pytest.mark.parametrize("directions", [2, pytest.param(12, marks=pytest.mark.slow)])
+def test_command(directions, tmp_path, monkeypatch):
+    """All directions, or the best one and the one ahead."""
     out = tmp_path / "advice"
+    if directions == 2:
+        for module in ("recon.api.camera_advice", "recon.calibrate.camera_advice", "recon.show.plots.configurations"):
+            monkeypatch.setattr(f"{module}.AZIMUTHS_RAD", np.radians([0.0, 120.0]), raising=False)
     done = run("camera-advice", "--skeleton", "cheetah-8u", "--angle", "theta_6", "--out", out)
     assert done.code == 0
     assert says(done.out, f"Put the camera {direction_text(np.radians(120), 0.5)}", "1.8 m above")
     assert says(done.out, "worst position", "ahead of the animal")
     table, report = pd.read_csv(out / "camera_advice.csv"), json.loads((out / "camera_advice.json").read_text())
-    assert len(table) == 48
+    assert len(table) == 4 * directions
     (camera,) = report["cameras"]
     assert camera["sigma_rad"] == pytest.approx(table["sigma_rad"].min(), rel=1e-8)
     assert camera["data_share"] > 0.85

@@ -745,6 +745,7 @@ recon.show.view.write = half
 """
 
 
+@pytest.mark.slow
 @needs_sigkill
 def test_killed_run_leaves_no_output_and_the_next_works(tmp_path):
     out = tmp_path / "out"

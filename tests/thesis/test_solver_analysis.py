@@ -12,6 +12,7 @@ from command_line import refusal, refused, run, says
 from figure_texts import cut_off
 from matplotlib.figure import Figure
 from scipy.sparse import load_npz
+from shortcuts import solve_frames_once
 
 from recon.base.outputs import RECORD
 from recon.fit.motion import Motion
@@ -23,7 +24,9 @@ from recon.thesis.solver import FrameSolver
 
 @pytest.fixture(scope="module")
 def frame(frame_results) -> SolverRecord:
-    return read_solver(Motion.load(frame_results), frame_results)
+    with pytest.MonkeyPatch.context() as patch:
+        solve_frames_once(patch)
+        return read_solver(Motion.load(frame_results), frame_results)
 
 
 def test_the_frame_methods_problem_is_the_reports(frame):
@@ -145,6 +148,7 @@ def test_the_search_of_the_first_frame_is_damped(frame):
     assert search.damping.max() > 1e-5
 
 
+@pytest.mark.usefixtures("frames_solved_once")
 def test_the_frame_that_is_looked_into_has_a_pose(frame_results, whole_results):
     motion = Motion.load(frame_results)
     assert read_solver(motion, frame_results, int(motion.frames[4])).search.problem.frame == 4
@@ -182,6 +186,7 @@ def test_figures_of_the_frame_method(frame, figures):
     assert shown == pytest.approx(np.nanmean([np.nanmean(of_frame) for of_frame in frame.image_error_px]))
 
 
+@pytest.mark.usefixtures("frames_solved_once")
 def test_command_writes_all_of_it(frame_results, undrawn, tmp_path):
     out = tmp_path / "solver"
     ended = run("solver", frame_results, "--out", out)
