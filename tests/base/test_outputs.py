@@ -560,7 +560,10 @@ def test_no_page_replaces_one_of_a_user_s(whole_results, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     "name",
-    ["skeleton check", *(pytest.param(name, marks=pytest.mark.slow) for name in ("analyse", "retarget", "solver"))],
+    [
+        "compare",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("skeleton check", "analyse", "retarget", "solver")),
+    ],
 )
 @pytest.mark.usefixtures("no_playback", "undrawn")
 def test_a_command_replaces_its_own(whole_results, frame_results, tmp_path, name):

@@ -118,7 +118,13 @@ def test_pairs_of_3d_formats(files_3d, start, end, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "frames", [np.array([0]), np.array([120]), np.arange(3), np.arange(70_000, 70_004)], ids=["0", "120", "0-2", "7e4"]
+    "frames",
+    [
+        pytest.param(np.array([0]), id="0", marks=pytest.mark.slow),
+        pytest.param(np.array([120]), id="120"),
+        pytest.param(np.arange(3), id="0-2", marks=pytest.mark.slow),
+        pytest.param(np.arange(70_000, 70_004), id="7e4"),
+    ],
 )
 @pytest.mark.parametrize("target", OF_POINTS, ids=label)
 def test_one_frame_and_other_beginnings(target, frames, tmp_path):
