@@ -16,6 +16,7 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import tempfile
+from collections.abc import Sequence
 from contextlib import suppress
 from itertools import combinations
 from pathlib import Path
@@ -64,7 +65,7 @@ ROWS = (
 LIMIT_TEXTS = {
     "stretch": f"{LIMITS[0]} to {LIMITS[1]}",
     "halves": f"{halves.LIMITS[0]} to {halves.LIMITS[1]}",
-    "focal length": "{} to {}".format(*focal_check.POSSIBLE),
+    "focal length": f"-{focal_check.POSSIBLE} to {focal_check.POSSIBLE}",
     "drift": f"0 to {DRIFT_SIGMAS}",
 }
 
@@ -102,6 +103,17 @@ def deviation_of(clip: Clip, case: Case, check: str) -> list[float]:
     return seen[-1:]
 
 
+def beyond_usual(deviations: Sequence[tuple[str, float]], untouched: Sequence[tuple[str, float]]) -> int:
+    """Return how many deviations are beyond the middle three quarters of those of other runs' untouched clips."""
+    beyond = 0
+    for run, value in deviations:
+        usual = [usual_value for usual_run, usual_value in untouched if usual_run != run]
+        if usual:
+            low, high = np.quantile(usual, [0.125, 0.875])
+            beyond += not low <= value <= high
+    return beyond
+
+
 def main() -> None:
     parser = parser_of(__doc__, kind="cheetah-runs")
     parser.add_argument("--views", type=int, default=8, help="every so many views and pairs")
@@ -111,13 +123,17 @@ def main() -> None:
     pairs = [Clip(run, pair) for run in runs for pair in combinations(cameras_of(run), 2)][:: arguments.views]
     if not views:
         parser.exit(message=f"no runs in {arguments.folder}: nothing measured\n")
-    rows = []
+    rows, untouched = [], {}
     for check, name, case in ROWS:
-        sigmas = [value for clip in (pairs if case.two else views) for value in deviation_of(clip, case, check)]
+        clips = pairs if case.two else views
+        deviations = [(clip.run.name, value) for clip in clips for value in deviation_of(clip, case, check)]
+        untouched.setdefault(check, deviations)
+        sigmas = [value for _, value in deviations]
         ends = [f"{value:.1f}" for value in np.quantile(sigmas, [0.0, 0.5, 1.0])] if sigmas else ["", "", ""]
-        rows.append([check, name, len(sigmas), *ends, LIMIT_TEXTS[check]])
+        rows.append([check, name, len(sigmas), *ends, LIMIT_TEXTS[check], beyond_usual(deviations, untouched[check])])
         print(" ".join(map(str, rows[-1])), flush=True)
-    print_table(["check", "case", "clips", "least deviation", "median", "largest", "not named"], rows)
+    header = ["check", "case", "clips", "least deviation", "median", "largest", "not named"]
+    print_table([*header, "beyond three quarters of the other runs"], rows)
 
 
 if __name__ == "__main__":
