@@ -153,11 +153,18 @@ class Curvature:
 
 
 def curvature(
-    problem: LeastSquares, estimate: Estimate, variance_factor: float, normal: Normal | None = None
+    problem: LeastSquares,
+    estimate: Estimate,
+    variance_factor: float,
+    normal: Normal | None = None,
+    *,
+    turned_poses: bool = True,
 ) -> Curvature:
     """Return the curvature with nuisance unknowns free and the common bias as wide as the detections show.
 
-    `normal` holds the problem's normal equations with the nuisance unknowns, if they are known.
+    `normal` holds the problem's normal equations with the nuisance unknowns, if they are known. With `turned_poses`,
+    either of two cameras may be turned, which makes their poses more uncertain (`recon.fit.pair_poses`);
+    `expected_precision` does not contain that.
     """
     problem = _with_free_nuisance(problem)
     shared = problem.expected() | dict(estimate.shared)
@@ -174,7 +181,8 @@ def curvature(
 
     reduced = np.sum([window.reduced() for window in windows()], axis=0)
     S, expected_precision, excess_bias_m2 = _with_likely_bias(problem, estimate, reduced, variance_factor)
-    S = with_uncertain_poses(problem, shared, (S, reduced[:, -1]), variance_factor)
+    if turned_poses:
+        S = with_uncertain_poses(problem, shared, (S, reduced[:, -1]), variance_factor)
     n_size = int(SIZE in problem.columns)
     others_covariance, size_precision = np.linalg.inv(S[n_size:, n_size:]), 0.0
     others_by_size = np.zeros(len(others_covariance))
@@ -272,7 +280,7 @@ def _with_reestimated_noise(
     detections = 2 * sum(int(term.view.present.sum()) for term in reprojections)
     factor, scaled = 1.0, problem
     for _ in range(_NOISE_ROUNDS):
-        problem_curvature = curvature(scaled, estimate, variance_factor, equations.normal(factor))
+        problem_curvature = curvature(scaled, estimate, variance_factor, equations.normal(factor), turned_poses=False)
         covariance = np.linalg.inv(problem_curvature.shared_precision)
         gradient, expected = problem_curvature.shared_gradient, problem_curvature.expected_precision
         step = covariance @ gradient  # of the shared unknowns, to the best bias

@@ -5,10 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from recon.animal.prior import load_prior
 from recon.fit import constants
+from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
 from recon.fit.least_squares import LeastSquares, SharedUnknown
 from recon.fit.pair_poses import PairPoses, with_uncertain_poses
-from recon.fit.terms import SIZE, extrinsic_correction
+from recon.fit.posterior import pair_poses_of, with_reestimated_noise
+from recon.fit.terms import SIZE, Reprojection, extrinsic_correction
+from recon.fit.trajectory import solve_segments
 
 USUAL_RAD = constants.SHARE_OF_PAIR * constants.CALIBRATED_RAD
 USUAL = np.tile([*[USUAL_RAD] * 3, *[0.03] * 3], 2)
@@ -88,3 +92,19 @@ def test_a_first_camera_that_defines_the_world_stays_certain():
     problem = LeastSquares(None, [], [], [unknown])  # pyright: ignore[reportArgumentType]
     S = np.diag(unknown.sigma**-2.0)
     assert with_uncertain_poses(problem, problem.expected(), (S, np.zeros(6)), 1.0) is S
+
+
+def test_the_noise_of_detections_does_not_depend_on_how_far_a_camera_may_be_turned(two_cameras, monkeypatch):
+    solution, body = two_cameras.solution, two_cameras.body
+    prior = load_prior(solution.prior, body)
+    clip = ClipProblem.from_views(solution.views, body, prior, two_cameras.fps, TrajectoryOptions(fast=True))
+    (segment,) = solve_segments(clip)
+    assert pair_poses_of(segment.problem, segment.estimate, clip.correlation_frames) is not None
+
+    def confidence() -> np.ndarray:
+        problem = with_reestimated_noise(segment.problem, segment.estimate, clip.correlation_frames)
+        return next(term.view.confidence for term in problem.terms if isinstance(term, Reprojection))
+
+    usual = confidence()
+    monkeypatch.setattr(constants, "MISPLACED_RAD", 0.3)
+    np.testing.assert_array_equal(confidence(), usual)
