@@ -180,14 +180,16 @@ def _server(session: CorrectionSession, pictures: Path, has_video: bool) -> Loca
         return json_reply(session.state() if is_new else None)
 
     def picture(rest: str, _data: object) -> Reply:
-        path = pictures / f"{number_in(rest)}.jpg"
-        if not path.is_file():
+        number = number_in(rest)
+        path = None if number is None else pictures / f"{number}.jpg"
+        if path is None or not path.is_file():
             return json_reply(None, HTTPStatus.NOT_FOUND)
         return Reply(path.read_bytes(), "image/jpeg")
 
     def lines(rest: str, _data: object) -> Reply:
-        numbers = [number for part in rest.split("/")[:4] if (number := number_in(part)) is not None]
-        return json_reply(session.lines_px(*numbers) if len(numbers) == rest.count("/") + 1 == 3 else {})
+        parts = rest.split("/")
+        numbers = [number for part in parts if (number := number_in(part)) is not None]
+        return json_reply(session.lines_px(*numbers) if len(numbers) == len(parts) == 3 else {})
 
     return LocalServer(
         {"": page, "state": state, "picture": picture, "lines": lines},
