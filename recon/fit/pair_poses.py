@@ -3,9 +3,9 @@
 The detections of two cameras leave some errors of their poses open. A turn of one camera about the vertical is visible
 only in the animal's apparent size, and it is often open which of the two cameras is turned. The errors have heavy
 tails: about each axis of each camera, the rotation is that of usual calibrations or, with probability
-`constants.TURNED_SHARE`, much larger. An explanation says about which axes the cameras are turned. Under each, the
-likelihood of the errors and their expectation are Gaussian, so that its evidence, and the errors under it, have a
-closed form.
+`constants.TURNED_SHARE`, much larger. An explanation says about which axes the cameras are turned. Under each
+explanation the likelihood and the prior of the errors are Gaussian, so the marginal likelihood and the posterior of the
+errors have a closed form.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class PairPoses:
     mean: Array
     """(E, 12): expected errors."""
     covariance: Array
-    """(E, 12, 12)."""
+    """(E, 12, 12): covariances of the errors."""
 
     @classmethod
     def weigh(cls, precision: Array, pull: Array, usual_sigma: Array) -> PairPoses:
@@ -68,14 +68,14 @@ class PairPoses:
 
     @property
     def first_is_turned(self) -> bool:
-        """Return whether it is the first camera that is turned, and hardly the second alone."""
+        """Return whether the first camera is turned with a probability above `constants.FIRST_TURNED`."""
         return float(self.weight @ self.is_turned[:, 0].any(axis=1)) > constants.FIRST_TURNED
 
     def rotations_rad(self) -> Array:
-        """Return the expected rotations of the two cameras about each axis, (2, 3), standard deviations.
+        """Return the standard deviations (2, 3) of the two cameras' rotations about each axis, rad.
 
         The first camera defines the world unless it is turned. If it is open which of the two is turned, the second one
-        is taken to be.
+        is assumed to be.
         """
         turned = np.einsum("e,eca->ca", self.weight, self.is_turned)
         if not self.first_is_turned:
