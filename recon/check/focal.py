@@ -1,8 +1,9 @@
 """Test one camera's focal length: the animal's perspective, its motion in depth and the ground depend on it.
 
 Through a lens of 1.5 times the focal length, an animal 1.5 times as far away looks as large, but flatter, and moves 1.5
-times as far in depth. The clip is solved again with other focal lengths, from the solution moved along the optical
-axis. A parabola through the costs, taken as log-likelihoods of errors that last, estimates the focal length.
+times as far in depth. One second of the clip is solved again with other focal lengths, from the solution moved along
+the optical axis. A parabola through the costs, taken as negative log-likelihoods of errors that last, estimates the
+focal length.
 """
 
 from __future__ import annotations
@@ -23,12 +24,13 @@ from recon.fit.result import Finding
 from recon.geometry.kinematics import ROOT
 
 SHORTER = (-0.4, -0.6)
-"""Logarithms of the factors below 1 on the focal length that are tried, the second if the first fits better than none.
+"""Logarithms of the factors below 1 that are tried on the focal length.
 
-A much shorter lens would move the animal behind the nearest cameras.
+The second is tried if the first fits better than the given focal length. A much shorter lens would move the animal
+behind the nearest cameras.
 """
 LONGER = (0.2, 0.4)
-"""Logarithms of the factors above 1 that are tried, the second if the first fits better than none."""
+"""Logarithms of the factors above 1 that are tried, in the same way."""
 USUAL = -0.12
 """Mean of the logarithms of the estimated factors in correct views."""
 SPREAD = 0.15
@@ -48,9 +50,9 @@ Correct views are from -1.2 to 0.9, views of 1.5 times the focal length from -2.
 SEEN = 0.25
 """Least share of the frames in which each foot is detected: without legs, size and distance are hardly known."""
 BEYOND = 0.2
-"""Distance beyond the values that were tried, in logarithms, at which the least cost may be."""
+"""Largest distance of the estimate from the values that were tried, in logarithms."""
 _UNKNOWN_SIGMA = 0.3
-"""Standard deviation of an estimate without a minimum, as is usual."""
+"""Standard deviation of an estimate if the parabola has no minimum."""
 _TOLERANCE, _ITERATIONS = 1e-3, 12
 
 
@@ -63,8 +65,9 @@ class FocalTest:
     sigma: float
     """Standard deviation of `log_factor` due to the errors of the detections."""
     effects_m: dict[str, float]
-    """Effects on poses and positions of the farthest focal length on that side that fits no worse than the given one,
-    or of the nearest one that was tried.
+    """Effects on poses and positions (`EFFECTS`) of a focal length that was tried on the side of the estimate.
+
+    It is the farthest one that fits better than the given focal length, or the nearest one if none does.
     """
 
     @property
@@ -74,9 +77,9 @@ class FocalTest:
 
 
 def focal_finding(baseline: Baseline, noise_px: Array) -> Finding | None:
-    """Return a finding if another focal length is likely; a note if it is possible.
+    """Return a warning if another focal length is likely, a note if it is possible, and None otherwise.
 
-    The effects of both widen the intervals of the verdict.
+    The effects of both widen the intervals of the verdict. `noise_px` (T, J) is the noise of the fit.
     """
     test = focal_test(baseline, noise_px)
     if test is None or abs(test.deviation) <= POSSIBLE:
@@ -90,9 +93,10 @@ def focal_finding(baseline: Baseline, noise_px: Array) -> Finding | None:
 
 
 def focal_test(baseline: Baseline, noise_px: Array) -> FocalTest | None:
-    """Return the test of the focal length of a still camera, or None without enough frames.
+    """Return the test of the focal length on the one second of the clip with the most detections.
 
-    `noise_px` (T, J) is the noise of the fit. The second with the most detections is tested.
+    It is None if the camera moves, if a foot is seldom seen, or if this second has fewer than three frames or a frame
+    without a pose. `noise_px` (T, J) is the noise of the fit.
     """
     rows = best_seen(baseline.view, baseline.clip.fps)
     clip, states = baseline.clip.part(rows), baseline.states[rows]
@@ -142,7 +146,7 @@ def _ground_cost(clip: ClipProblem, markers_m: Array) -> float:
 
 
 def _lowest(costs: Mapping[float, float]) -> tuple[float, float]:
-    """Return where a parabola through the least cost and its neighbours is lowest, and its standard deviation."""
+    """Return the minimum of a parabola through the least cost and its neighbours, and its standard deviation."""
     values = sorted(costs)
     least = min(values, key=costs.__getitem__)
     middle = min(max(values.index(least), 1), len(values) - 2)

@@ -24,13 +24,13 @@ from recon.check.halves import halves_finding
 from recon.check.likelihood import (
     CLEAR,
     Baseline,
-    at_an_unknown_moment,
     baseline_of,
     frame_rate_finding,
     lens_findings,
     log_tail,
     other_picture_finding,
     unit_square_finding,
+    with_calibration_at_either_end,
 )
 from recon.check.stretch import stretch_finding
 from recon.check.swaps import swap_finding, swaps
@@ -107,7 +107,9 @@ def input_findings(
                 is_only_jolting = all(item.code == "path_jolts" for item in moves)
                 if len(motion.sources) == 1 and is_only_jolting and not found_swaps:
                     hind = halves_finding(ground_clip, solution)
-                    moves = [hind] if hind is not None else moves or _of_only_view(motion, ground_clip, baseline)
+                    moves = (
+                        [hind] if hind is not None else moves or _single_view_findings(motion, ground_clip, baseline)
+                    )
         findings += pictures
         if len(motion.sources) > 1 and not (pictures or is_certain):
             names = [source.camera.name for source in motion.sources]
@@ -116,20 +118,22 @@ def input_findings(
         # such gliding also appears if the rate is too high
         is_gliding = any(isinstance(item, float) and item > 0 for item in slides)
         if is_gliding or not (is_explained or pictures):
-            findings += _of_rate(clip, solution, stated_hz, bool(motion.settings.get("fps_known")))
+            findings += _rate_findings(clip, solution, stated_hz, bool(motion.settings.get("fps_known")))
     rates = [item for item in findings if item.code.startswith("frame_rate")]
     if not pictures and not any(item.severity == "error" for item in rates):
         findings += moves
     return tuple(findings)
 
 
-def _of_only_view(motion: Motion, clip: ClipProblem, baseline: Baseline) -> list[Finding]:
-    """Return findings on a clip of one camera if its lens or picture is not that of the camera file."""
+def _single_view_findings(motion: Motion, clip: ClipProblem, baseline: Baseline) -> list[Finding]:
+    """Return findings on a clip of one camera whose lens, focal length or picture is not that of the camera file."""
     solution = motion.solution
     assert isinstance(solution, TrajectorySolution)
     sigma_m = float(np.nanmean(motion.place_sigma_m[motion.solved]))
     lens = lens_findings(baseline, solution.noise_px[0])
-    findings = [at_an_unknown_moment(by_effect(item, motion.trunk_m, position_sigma_m=sigma_m)) for item in lens]
+    findings = [
+        with_calibration_at_either_end(by_effect(item, motion.trunk_m, position_sigma_m=sigma_m)) for item in lens
+    ]
     if all(item.severity == "note" for item in findings) and (stretched := stretch_finding(clip, solution)):
         findings.append(stretched)
     if all(item.severity == "note" for item in findings) and (focal := focal_finding(baseline, solution.noise_px[0])):
@@ -137,7 +141,7 @@ def _of_only_view(motion: Motion, clip: ClipProblem, baseline: Baseline) -> list
     return findings
 
 
-def _of_rate(
+def _rate_findings(
     clip: ClipProblem, solution: TrajectorySolution, stated_hz: float | None, is_known: bool
 ) -> Sequence[Finding]:
     """Return the finding on the frame rate, if any; only a note if the user knows the rate."""
@@ -209,7 +213,7 @@ AROUND = 7
 LEAST_STEP_PX = 5.0
 """Smallest length of a step that is compared."""
 LEAST_STEPS = 20
-"""Smallest number of frames from which the ratios are computed."""
+"""Smallest number of steps from which the ratios are computed."""
 
 
 def copies(sources: Sequence[Source], resampled: bool = False) -> Iterator[Finding]:
@@ -221,12 +225,14 @@ def copies(sources: Sequence[Source], resampled: bool = False) -> Iterator[Findi
         keypoints, camera = source.keypoints, source.camera.name
         if not resampled:
             yield from (
-                _interpolated(keypoints, camera) or [*_repeated(keypoints, camera)] or _left_out(keypoints, camera)
+                _interpolated(keypoints, camera)
+                or [*_repeated(keypoints, camera)]
+                or _dropped_frames(keypoints, camera)
             )
         yield from _copied_sides(keypoints, camera)
     for a, b in combinations(sources, 2):
         identical, in_both = _identical(a.keypoints.xy_px, b.keypoints.xy_px)
-        if _many(identical, in_both):
+        if _exceeds_chance(identical, in_both):
             names, share = (a.camera.name, b.camera.name), float(identical.sum() / in_both.sum())
             yield finding("same_keypoints", cameras=names, share=share)
 
@@ -237,7 +243,8 @@ def _identical(a: np.ndarray, b: np.ndarray) -> tuple[Bools, Bools]:
     return in_both & np.asarray((a == b).all(axis=-1)), in_both
 
 
-def _many(identical: Bools, is_seen: Bools) -> bool:
+def _exceeds_chance(identical: Bools, is_seen: Bools) -> bool:
+    """Return whether more of the seen points are identical than happens by chance."""
     return bool(identical.sum() > SHARE * is_seen.sum() and identical.sum() >= FEWEST)
 
 
@@ -272,23 +279,24 @@ def _interpolated(keypoints: Keypoints, camera: str) -> list[Finding]:
     travel = 0.5 * np.linalg.norm(xy_px[2:] - xy_px[:-2], axis=-1)
     is_moving = travel > 0
     is_straight = is_moving & (bend < np.minimum(STRAIGHT_PX, STRAIGHT * travel))
-    if _many(is_straight, is_moving):
+    if _exceeds_chance(is_straight, is_moving):
         share = float(is_straight.sum() / is_moving.sum())
         return [finding("detections_interpolated", camera=camera, share=share)]
     is_curved, is_cubic = bend[1:-1] > CURVED_PX, np.zeros_like(is_moving[1:-1])
     if len(xy_px) > _CUBIC_FRAMES:
         fourth_px = np.linalg.norm(np.diff(xy_px, 4, axis=0), axis=-1)
         is_cubic = is_curved & (fourth_px < np.minimum(STRAIGHT_PX, STRAIGHT * travel[1:-1]))
-    if not _many(is_cubic, is_curved):
+    if not _exceeds_chance(is_cubic, is_curved):
         return []
     return [finding("detections_curved", camera=camera, share=float(is_cubic.sum() / is_curved.sum()))]
 
 
 def step_ratios(tracks: Array) -> Array | None:
-    """Return the lengths of steps between frames, relative to those around, or None if too few steps can be compared.
+    """Return the lengths (N,) of steps between frames, relative to the steps around them.
 
     Each keypoint of the tracks (T, K, 2 or 3), in pixels, is compared with itself, because visibility changes and paws
-    are faster than the trunk. The ratio of a frame is the median over its keypoints.
+    are faster than the trunk. The ratio of a step is the median over its keypoints. Steps with too few keypoints are
+    left out, and the result is None if fewer than `LEAST_STEPS` remain.
     """
     from scipy.ndimage import median_filter  # slow to import
 
@@ -305,7 +313,7 @@ def step_ratios(tracks: Array) -> Array | None:
 
 
 def steps_are_missing(ratios: Array) -> bool:
-    """Return whether so many steps are twice as long as those around that frames must be missing."""
+    """Return whether so many steps are twice as long as the steps around them that frames must be missing."""
     is_long, is_short = ratios > LONG, ratios < SHORT
     is_alone = is_long[1:-1] & (ratios[1:-1] > ALONE * np.maximum(ratios[:-2], ratios[2:]))
     return bool(
@@ -315,7 +323,7 @@ def steps_are_missing(ratios: Array) -> bool:
     )
 
 
-def _left_out(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
+def _dropped_frames(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
     """Yield a finding on steps between frames that are twice as long as the steps around them."""
     ratios = step_ratios(keypoints.xy_px)
     if ratios is not None and steps_are_missing(ratios):
@@ -326,7 +334,7 @@ def _copied_sides(keypoints: Keypoints, camera: str) -> Iterator[Finding]:
     opposite = opposites(keypoints.names)
     left = np.flatnonzero(np.arange(len(opposite)) < opposite)
     identical, in_both = _identical(keypoints.xy_px[:, left], keypoints.xy_px[:, opposite[left]])
-    if _many(identical, in_both):
+    if _exceeds_chance(identical, in_both):
         yield finding("far_side_copied", camera=camera, share=float(identical.sum() / in_both.sum()))
 
 
@@ -337,11 +345,11 @@ LEAST_S = 0.25
 STILL = 0.95
 """Smallest share of frames in which an animal that stands still is slower than `STILL_M_S`."""
 STILL_M_S = 0.3
-"""Speed of an animal that stands still, in m/s and in trunk lengths per second."""
+"""Largest speed of an animal that stands still; a trunk length per second if its trunk is shorter than 0.3 m."""
 STILL_RAD_S = 0.6
 """Largest median angular speed of the joints of an animal that stands still."""
 STILL_TRUNKS = 0.5
-"""Extent of the path of an animal that stands still, in trunk lengths."""
+"""Largest extent of the path of an animal that stands still, in trunk lengths."""
 BACKWARDS_M_S, BACKWARDS = 1.0, 0.9
 """Speed above which no animal runs backwards, and the fraction of the frames above which the clip is reversed."""
 SLOWEST = 0.1
@@ -367,7 +375,7 @@ They are up to 0.5, 0.35 and 0.7 in real views, and the first is 0.8 in the rend
 
 
 def movement(motion: Motion) -> Iterator[Finding]:
-    """Yield at most one finding on the motion, the clearest."""
+    """Yield a finding if no animal moves like this over the ground, or if the animal stands still; at most one."""
     solution, posed = motion.solution, motion.solved
     assert isinstance(solution, TrajectorySolution)
     if posed.sum() < max(LEAST_S * motion.fps, 3):

@@ -478,10 +478,10 @@ def _zooms(clip: ClipProblem, view: View, states: Array, minimum: _Minimum) -> I
         yield finding("picture_zooms", None, None, way="in" if best > 0 else "out", **numbers)
 
 
-def at_an_unknown_moment(item: Finding) -> Finding:
-    """Return a finding on a zoom with the effect on positions if the focal length holds at the start or the end.
+def with_calibration_at_either_end(item: Finding) -> Finding:
+    """Return a finding on a zoom with the effect on positions if the camera was calibrated at the start or the end.
 
-    The zoom of the fit leaves the focal length as it is in the middle, which need not be the calibrated moment.
+    The fit assumes that the focal length is as calibrated in the middle of the second that was tested.
     """
     numbers = item.numbers
     zoom, distance_m, effect_m = (numbers.get(name) for name in ("zoom", "distance_m", "position_effect_m"))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from recon.check.codes import by_effect, finding, sentence
-from recon.check.inputs import GROSS, _of_rate
+from recon.check.inputs import GROSS, _rate_findings
 from recon.check.rules import frames_flagged, likelihoods_low, many_left_out, many_outliers, pair_disagrees
 from recon.check.verdict import add_verdict, frame_rms_m
 from recon.clip import leave_out
@@ -74,8 +74,8 @@ def test_evidence_against_a_known_frame_rate_is_a_note(small_trajectory, monkeyp
 
     body, solution = small_trajectory.body, small_trajectory.solution
     clip = ClipProblem.from_views(solution.views, body, prior_from_body(body), 120.0, TrajectoryOptions())
-    assert [item.severity for item in _of_rate(clip, solution, None, is_known=False)] == ["error"]
-    assert [item.severity for item in _of_rate(clip, solution, None, is_known=True)] == ["note"]
+    assert [item.severity for item in _rate_findings(clip, solution, None, is_known=False)] == ["error"]
+    assert [item.severity for item in _rate_findings(clip, solution, None, is_known=True)] == ["note"]
 
 
 def test_a_pair_is_not_blamed_for_the_lengths_of_a_rough_skeleton(small_trajectory):

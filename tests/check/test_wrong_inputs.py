@@ -30,7 +30,7 @@ from recon.api.clip_cameras import other_camera_in
 from recon.base.errors import InputError
 from recon.check.codes import finding
 from recon.check.inputs import copies, movement
-from recon.check.likelihood import at_an_unknown_moment, baseline_of, lens_findings
+from recon.check.likelihood import baseline_of, lens_findings, with_calibration_at_either_end
 from recon.check.rules import ground_elsewhere, pair_disagrees, subject_unlike_species
 from recon.clip import Keypoints, Source, clean
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
@@ -181,11 +181,11 @@ def test_a_zoom_moves_the_animal_by_as_much_as_its_moment_is_unknown():
     """A picture that is a quarter larger at the end, calibrated at the start: distances are off by an eighth."""
     numbers = {"zoom": -float(np.log(1.25)), "distance_m": 8.0, "pose_effect_m": 0.1, "position_effect_m": 0.2}
     item = finding("picture_zooms", way="out", **numbers)
-    assert at_an_unknown_moment(item).numbers == item.numbers | {"position_effect_m": pytest.approx(1.0)}
+    assert with_calibration_at_either_end(item).numbers == item.numbers | {"position_effect_m": pytest.approx(1.0)}
     larger = replace(item, numbers=item.numbers | {"position_effect_m": 3.0})
-    assert at_an_unknown_moment(larger).numbers["position_effect_m"] == 3.0
+    assert with_calibration_at_either_end(larger).numbers["position_effect_m"] == 3.0
     other = finding("keypoints_undistorted", log_likelihood_ratio=40.0)
-    assert at_an_unknown_moment(other) == other
+    assert with_calibration_at_either_end(other) == other
 
 
 @pytest.mark.parametrize(("kept", "codes"), [(False, ["keypoints_undistorted"]), (True, [])])
