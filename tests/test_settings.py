@@ -513,3 +513,12 @@ def test_the_height_at_the_withers_is_a_size():
 def test_every_help_has_an_example_in_a_paragraph_of_its_own():
     without = [name for name, command in commands().items() if "\n\nExample: recon " not in (command.help or "")]
     assert without == []
+
+
+@pytest.mark.parametrize("value", ["auto", True, False])
+def test_a_playback_is_written_for_short_clips_always_or_never(tmp_path, value):
+    """As an option, where all values are texts, in config.toml and in Python."""
+    text = str(value).lower()
+    assert read_settings(None, {**GIVEN, "playback": text}) == FitSettings(**GIVEN, playback=value)
+    assert read_settings(saved(tmp_path, playback=value), {}).playback is value
+    refuses({**GIVEN, "playback": "maybe"}, ("playback", "'maybe'", "auto, true or false"))

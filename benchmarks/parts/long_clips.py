@@ -81,7 +81,7 @@ def main() -> None:
             for checkout in filter(None, (options.against, here)):
                 taken_s, memory_mb, sizes = fitted(checkout, arguments, folder / "out")
                 tables_mb = sum(size for name, size in sizes.items() if name.endswith(".csv"))
-                parts_mb = (sum(sizes.values()), sizes["motion.npz"], sizes["motion.rrd"], tables_mb)
+                parts_mb = (sum(sizes.values()), sizes["motion.npz"], sizes.get("motion.rrd", 0.0), tables_mb)
                 numbers = (f"{taken_s:.1f}", f"{1000 * taken_s / seen:.1f}", f"{memory_mb:.0f}")
                 print_row([case, checkout.name, *numbers, *(f"{size:.1f}" for size in parts_mb)])
 

@@ -53,12 +53,16 @@ AS_THEY_WERE = "the prior and settings with which the clip was fitted: fit the c
 REFINED_CAMERAS = "cameras.toml"
 """Camera file with the poses that a fit refined."""
 PLAYBACK = "motion.rrd"
+VIDEO_PLAYBACK = "playback.rrd"
+"""Recording with the video, which `recon run` writes and `recon view` then opens."""
+MAX_PLAYED_FRAMES = 2000
+"""Largest number of frames for which a fit writes the playback by default: a minute at the viewer's usual speed."""
 OUTPUT_FILES = (*CLIP_OUTPUTS, REPROJECTION, MOTION, "report.json", PLAYBACK, CONFIG, MANIFEST)
 """Every output file for a clip with one camera; with several cameras there is one `REPROJECTION` per camera."""
 
 
 def output_files(settings: FitSettings, out: Path) -> list[str]:
-    """Return the names of the files that a fit with these settings writes, including existing tables by camera."""
+    """Return the names of the files that a fit with these settings may write, including existing tables by camera."""
     tables: list[str] = []
     if of_any_camera(out) or (out / REPROJECTION).exists():
         with suppress(InputError):  # the fit raises this error too
@@ -118,7 +122,7 @@ def write_clip(
         write_tables(motion, folder)
         write_report(report, folder / "report.json")
         (folder / CONFIG).write_text(settings.to_toml(out, known), encoding="utf-8")
-        if settings.playback:
+        if len(motion.frames) <= MAX_PLAYED_FRAMES if settings.playback == "auto" else settings.playback:
             from recon.show import view  # rerun is slow to import
 
             view.write(motion, folder / PLAYBACK)

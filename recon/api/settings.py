@@ -169,9 +169,10 @@ class FitSettings(Settings):
     """
     camera_fps: Annotated[OneOrMore[Positive] | None, _RARE_TRAJECTORY] = None
     """Frame rates of the cameras if they differ, once per keypoint file; the result has the first camera's rate."""
-    playback: Annotated[bool, _RARE] = True
-    """Write the playback. Without it, the results take a third less space, and a short clip a third less time; recon
-    view then makes the playback when it is opened.
+    playback: Annotated[bool | Literal["auto"], Option(expected="auto, true or false", common=False)] = "auto"
+    """Write the playback, motion.rrd. auto: for clips of at most 2000 frames; the playback of a longer one takes more
+    than a third of its results' space, and is rarely watched to its end. recon view makes a missing playback when it is
+    opened.
     """
     method: Annotated[Method, _RARE] = "trajectory"
     """trajectory: the whole animal over the whole clip; frame: one side of the animal, frame by frame."""

@@ -150,7 +150,8 @@ class SettingInfo:
     def kind(self) -> str:
         """Return the kind of value in words, with its unit: "float, m/s", "path or list of paths"."""
         words = {bool: "bool", Path: "path", float: "float", int: "int", str: "str"}
-        word = " | ".join(map(repr, self.choices)) or next(
+        also_flag = ["bool"] if self.is_flag and self.choices else []
+        word = " | ".join([*also_flag, *map(repr, self.choices)]) or next(
             (w for part, w in words.items() if part in self.parts), "str"
         )
         if self.is_many:

@@ -10,7 +10,6 @@ from rich.table import Table
 from rich.text import Text
 
 from recon.api.analyse import FOLDER, AnalyseSettings, run_analysis
-from recon.api.clip_results import PLAYBACK
 from recon.base.numbers import quantity
 from recon.base.progress import Progress, silent
 from recon.cli.answers import Answer, table_of, verdict_texts
@@ -31,7 +30,7 @@ def analyse_command(settings: AnalyseSettings, progress: Progress = silent) -> A
     """
     written, out = run_analysis(settings, progress), settings.out_folder
     lines = [*_lines(written.analysis, written.summary), f"{len(written.files)} files are in {out}."]
-    if out == settings.folder / FOLDER and (settings.folder / PLAYBACK).is_file():
+    if out == settings.folder / FOLDER:
         lines.append(f"See them with the playback: recon view {settings.folder}")
     return Answer(written.summary, lines, files=written.files)
 

@@ -221,6 +221,7 @@ def duration_text(seconds: float) -> str:
 
 def answer_of_fit(report: dict[str, Any], out: Path, page: Path | None = None, **fields: Any) -> Answer:
     """Return the answer of a fit; `page` is its page, if there is one, and `fields` are added to the JSON."""
+    from recon.api.clip_results import PLAYBACK, VIDEO_PLAYBACK
     from recon.show.console import console_summary
     from recon.show.report import is_unsolved
 
@@ -229,6 +230,9 @@ def answer_of_fit(report: dict[str, Any], out: Path, page: Path | None = None, *
     if is_unsolved(report):
         return Answer(data, [console_summary(report)], [f"no frame could be solved: see {out / 'report.json'}"])
     folder, contents = shlex.quote(str(out)), "pictures, figures and all numbers"
-    playback = f"Results are in {out}. Watch them with: recon view {folder}"
-    more_to_see = f"Open {page} in a browser: {contents}." if page else f"A page with {contents}: recon report {folder}"
-    return Answer(data, [console_summary(report), playback, more_to_see])
+    lines = [f"Results are in {out}. Watch them with: recon view {folder}"]
+    if not any((out / name).is_file() for name in (PLAYBACK, VIDEO_PLAYBACK)):
+        kept = shlex.quote(str(out / VIDEO_PLAYBACK))
+        lines.append(f"It makes the playback, which takes seconds. To keep that file: recon view {folder} --out {kept}")
+    lines.append(f"Open {page} in a browser: {contents}." if page else f"A page with {contents}: recon report {folder}")
+    return Answer(data, [console_summary(report), *lines])

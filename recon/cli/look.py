@@ -18,7 +18,7 @@ from recon.api.analyse import SUMMARY as ANALYSIS
 from recon.api.batch import read_rows, write_summary_page
 from recon.api.batch_inputs import SUMMARY
 from recon.api.clip_cameras import cameras_in
-from recon.api.clip_results import PLAYBACK
+from recon.api.clip_results import PLAYBACK, VIDEO_PLAYBACK
 from recon.base.arrays import Array, Index
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
 from recon.base.files import MANIFEST, read_manifest, staged_file
@@ -48,8 +48,6 @@ RATE_SAME = 0.01
 MIN_WIDTH_PX = 640
 """Width below which videos are enlarged by a whole factor, so that their text is readable."""
 STILLS = 9
-VIDEO_PLAYBACK = "playback.rrd"
-"""Recording with the video, which `recon run` writes and `recon view` then opens."""
 LINKED_FILES = ("overlay.mp4", "analysis/analysis.json", VIDEO_PLAYBACK)
 """Files that a page links to, in addition to those of the fit, if they exist when the page is made."""
 
@@ -363,16 +361,16 @@ def show_playback(settings: ViewSettings, console: Console) -> Answer:
         return replace(answer, notes=())
     with_video = folder / VIDEO_PLAYBACK
     if settings.video is None and with_video.is_file() and is_current(with_video, folder):
-        _show(with_video, settings, console)
+        playback = with_video
     elif settings.video is not None or (folder / FOLDER / ANALYSIS).is_file() or not playback.is_file():
         with TemporaryDirectory() as temporary:
-            playback = Path(temporary) / PLAYBACK
-            if note := _write(settings, playback):
+            path = Path(temporary) / PLAYBACK
+            if note := _write(settings, path):
                 say(console, f"note: {note}")
-            _show(playback, settings, console)
-    else:
-        _show(playback, settings, console)
-    return Answer({"recording": folder / PLAYBACK})
+            _show(path, settings, console)
+        return Answer({"recording": None})
+    _show(playback, settings, console)
+    return Answer({"recording": playback})
 
 
 def write_recording(settings: ViewSettings, progress: Progress = silent) -> Answer:

@@ -25,6 +25,7 @@ from recon.api.clip_inputs import read_model_and_cameras
 from recon.api.clip_results import (
     CORRECTIONS,
     FIT,
+    VIDEO_PLAYBACK,
     Record,
     digests,
     fit_into,
@@ -49,7 +50,7 @@ from recon.cli.answers import Answer, answer_of_fit, progress_bar, say
 from recon.cli.batch import shown_batch
 from recon.cli.cameras import camera_motion_answer
 from recon.cli.commands import OptionsOf
-from recon.cli.look import VIDEO_PLAYBACK, bars_note, rate_note, write_recording
+from recon.cli.look import bars_note, rate_note, write_recording
 from recon.cli.look_options import OverlaySettings, PageSettings, ViewSettings
 from recon.cli.show import overlay, report
 from recon.fit.motion import Motion

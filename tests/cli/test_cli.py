@@ -31,7 +31,7 @@ from recon.base.arrays import to_plain
 from recon.base.numbers import percent
 from recon.base.outputs import RECORD, Output
 from recon.check.verdict import verdict_lines
-from recon.cli.answers import error_text, say, table_of, terminal
+from recon.cli.answers import answer_of_fit, error_text, say, table_of, terminal
 from recon.cli.commands import help_of
 from recon.io.formats import read_keypoints
 
@@ -878,6 +878,30 @@ def test_view_makes_a_playback_that_the_fit_left_out(tmp_path, fitted, monkeypat
     assert run("view", out).code == 0
     assert opened == [("motion.rrd", b"RRF2")]
     assert not (out / "motion.rrd").exists()
+
+
+def test_only_short_clips_have_a_playback_by_default(tmp_path, fitted, monkeypatch):
+    """That of a longer clip is made when it is opened; an earlier one in its folder is gone."""
+    out, opened = tmp_path / "clip", []
+    monkeypatch.setattr("recon.show.view.open_viewer", lambda path: opened.append((path.parent, path.name)))
+    settings, motion = replace(read_config(fitted[0] / CONFIG, {}), playback="auto"), Motion.load(fitted[0])
+    n = len(motion.frames)
+    for longest, setting, is_written in ((n, "auto", True), (n - 1, "auto", False), (n - 1, True, True)):
+        monkeypatch.setattr("recon.api.clip_results.MAX_PLAYED_FRAMES", longest)
+        report = write_clip(motion, replace(settings, playback=setting), out, solve_s=1.0)
+        assert (out / "motion.rrd").exists() == is_written
+        lines = [str(line) for line in answer_of_fit(report, out).lines]
+        assert [line for line in lines if "playback.rrd" in line] == ([] if is_written else lines[2:3])
+
+    write_clip(motion, replace(settings, playback="auto"), out)
+    assert read_config(out / CONFIG, {}).playback == "auto"
+    assert json.loads(run("view", out, "--json").out) == {"recording": None}
+    assert run("view", out, "--out", out / "playback.rrd").code == 0  # as the answer of the fit says
+    assert json.loads(run("view", out, "--json").out) == {"recording": str(out / "playback.rrd")}
+    write_clip(motion, settings, out, solve_s=2.0)  # other results: the playback is stale
+    assert json.loads(run("view", out, "--json").out) == {"recording": None}
+    assert [name for parent, name in opened if parent == out] == ["playback.rrd"]
+    assert [name for parent, name in opened if parent != out] == ["motion.rrd", "motion.rrd"]
 
 
 def test_view_opens_the_recording_with_the_video_that_a_run_wrote(tmp_path, fitted, monkeypatch):

@@ -56,3 +56,4 @@ def test_settings_have_a_signature_with_kinds_and_units():
     assert parameters["camera"].annotation == "path or list of paths"
     assert parameters["ground"].annotation == "'auto' | 'none'"
     assert parameters["ground"].default == "auto"
+    assert parameters["playback"].annotation == "bool | 'auto'"
