@@ -138,7 +138,7 @@ def agreement_findings(motion: Motion, sigma_px: float, keypoint_sigma_m: float)
             findings.append(
                 by_effect(item, motion.trunk_m, is_gross=comparison["level"] > MAX_LEVEL * MAX_NOISE_FACTOR)
             )
-    for v in exchanged:  # compared as given, with the exchange in place
+    for v in exchanged:  # as given, so that the levels show the exchange
         partners = [sights[o] for o in agreeing or range(len(views)) if o != v]
         comparisons[v] = _compare(given_sights[v], partners, fps, wide=False)
     disagreeing = () if agreeing else tuple(range(len(views)))
@@ -594,6 +594,7 @@ def _best_offset(sight: _Sight, partner_sights: Sequence[_Sight], reach: int, ro
 # -- camera parameters that are estimated in the fit -------------------------------------------------------------------
 
 FIT_ROUNDS = 5
+"""Largest number of solutions in the search for time offsets."""
 CLOSE_FRAMES = 0.05
 """Time offsets this small are left to the solver, which treats the motion as straight over such a time."""
 UNCHANGED_FACTOR = 1.1
@@ -610,7 +611,7 @@ MAX_ROTATION_FACTOR = 4.0
 MAX_SIGMA_FRAMES = 1.0
 """Largest uncertainty of an estimated offset in frames.
 
-A less certain offset, or an offset that does not converge to this, is refused.
+A less certain offset is refused, and so is an offset that would still change by more.
 """
 
 SolveSources = Callable[[tuple[Source, ...]], TrajectorySolution]
@@ -630,9 +631,9 @@ def solve_time_offsets(
     sources_apart
         Sources on their own frames.
     later_frames
-        Offsets at which the search begins.
+        Offset of each camera at which the search begins, (V,).
     solve
-        Solves sources with `find_offsets`.
+        Function that solves sources with the option `find_offsets`.
     sigma_px, keypoint_sigma_m
         Noise, as in `agreement_findings`.
 
@@ -728,7 +729,10 @@ def pair_refined(refined: TrajectorySolution, is_misplaced: bool) -> Finding:
 
 
 def _medians_px(solution: TrajectorySolution) -> np.ndarray:
-    """Return the median distance between detections and reprojected markers, (V,), infinite without a pose."""
+    """Return the median distance between detections and reprojected markers, (V,).
+
+    It is infinite if most detections have no pose, and 1 without detections.
+    """
     medians = []
     for view in solution.views:
         pixels, _ = view.project(view.shift_to_exposure(solution.markers_m))

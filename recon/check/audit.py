@@ -40,8 +40,14 @@ LIMITS: Mapping[str, float] = {
 TRACKS_ONLY = ("keypoints_normalised", "keypoints_y_up")
 """Checks of 2D keypoints."""
 POSES_ONLY = (
-    *("sides_exchanged", "lengths_change", "lengths_drift", "unit_unlikely", "up_unlikely", "gravity_unlikely"),
-    *("feet_slide", "joint_beyond_range"),
+    "sides_exchanged",
+    "lengths_change",
+    "lengths_drift",
+    "unit_unlikely",
+    "up_unlikely",
+    "gravity_unlikely",
+    "feet_slide",
+    "joint_beyond_range",
 )
 """Checks of 3D poses."""
 CONSEQUENCES: Mapping[str, tuple[str, ...]] = {
@@ -57,7 +63,7 @@ CONSEQUENCES: Mapping[str, tuple[str, ...]] = {
     "points_identical": ("lengths_change", "joint_beyond_range"),
     "point_frozen": ("lengths_change", "joint_beyond_range"),
 }
-"""Findings that follow from another finding; only the cause is reported."""
+"""Findings that follow from another finding, by the code of their cause; only the cause is reported."""
 LEAST_FRAMES = 5
 """Smallest number of frames that can be audited."""
 
@@ -70,7 +76,7 @@ def audit(points: AuditedPoints) -> tuple[Finding, ...]:
 
 
 def measures_of(points: AuditedPoints) -> list[Measure]:
-    """Return the measures of all checks that apply to such points."""
+    """Return the measures of all checks that apply to the points, without those that cannot be computed."""
     if len(points.frames) < LEAST_FRAMES or not points.known.any():
         return []
     with np.errstate(invalid="ignore"):

@@ -28,6 +28,7 @@ _TRUNK = re.compile(
 )
 _WORD = re.compile(r"[A-Za-z]{3}")
 DECIMALS = 6
+"""Largest number of decimals to which a file's numbers may be rounded."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class Roles:
     """Joints of `[anatomy]`: the points above, at and below each joint."""
     limbs: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     bones_m: Mapping[tuple[int, int], float] = field(default_factory=dict)
-    """Distances of successive points of the limbs in the skeleton's middle pose, by pair."""
+    """Distances between successive points of the limbs in the skeleton's expected pose, by pair."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

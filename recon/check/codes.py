@@ -48,7 +48,19 @@ _SERIOUS: tuple[Severity, ...] = ("error", "warning", "note")
 
 
 def finding(code: str, frames: tuple[int, int] | None = None, camera: str | None = None, **numbers: Any) -> Finding:
-    """Return a finding with a known code, and its severity."""
+    """Return a finding with a code of `CODES` and that code's severity.
+
+    Parameters
+    ----------
+    code
+        The code.
+    frames
+        First frame number, and the one after the last; None means the whole clip.
+    camera
+        Name of the camera that the finding is about; None means all cameras, or the clip.
+    numbers
+        The numbers and names that the code's text states.
+    """
     return Finding(code, CODES[code][0], frames, camera, numbers)
 
 
@@ -56,9 +68,9 @@ def by_effect(item: Finding, trunk_m: float, is_gross: bool = False, position_si
     """Return a finding whose severity follows from its effect, if it has the numbers of `EFFECTS`.
 
     The severity does not change if an effect is unknown (NaN), or as large as an error that spoils most uses. Below
-    that the finding is at most a warning. It is a note if the effect is no larger than the fit's own error, unless it
-    is gross. An effect on positions below the standard deviation `position_sigma_m`, which the fit states for them, is
-    no larger than the fit's own error either.
+    that the finding is at most a warning. It is a note if the effect is no larger than the fit's own error, unless
+    `is_gross` says that the inputs contradict each other grossly. An effect on positions below the standard deviation
+    `position_sigma_m`, which the fit states for them, is no larger than the fit's own error either.
     """
     effects_m = [item.numbers.get(name) for name in EFFECTS]
     known_m = [value for value in effects_m if isinstance(value, float) and math.isfinite(value)]
@@ -76,7 +88,7 @@ def by_effect(item: Finding, trunk_m: float, is_gross: bool = False, position_si
 def sort_findings(findings: Sequence[Finding]) -> tuple[Finding, ...]:
     """Return findings sorted by severity, then in the order of `CODES`; findings of one code keep their order.
 
-    If an error is no consequence itself, findings that may be consequences are left out.
+    If there is an error that is not itself a possible consequence, findings that may be consequences are left out.
     """
     caused = any(item.severity == "error" and item.code not in FOLLOWS for item in findings)
     kept, order = (item for item in findings if not (caused and item.code in FOLLOWS)), [*CODES]

@@ -38,7 +38,7 @@ SPREAD = 0.15
 POSSIBLE = 0.65
 """Deviation, in standard deviations, beyond which another focal length is possible.
 
-With limits chosen on the other runs, 6 of 28 correct views are beyond them, 15 of 23 views of 1.5 times the focal
+If the limit is chosen on the other runs, 6 of 28 correct views are beyond it, 15 of 23 views of 1.5 times the focal
 length, 18 of 25 of 0.7 times, and 15 of 26 that are letterboxed (`benchmarks/parts/one_step_limits.py --views 1`).
 """
 LIKELY = 1.6

@@ -219,7 +219,7 @@ LEAST_STEPS = 20
 def copies(sources: Sequence[Source], resampled: bool = False) -> Iterator[Finding]:
     """Yield findings on points that are copies of others.
 
-    With `resampled`, points were interpolated between frames, so straight lines are no evidence.
+    If the points are `resampled`, they were interpolated between frames, so straight lines are no evidence.
     """
     for source in sources:
         keypoints, camera = source.keypoints, source.camera.name

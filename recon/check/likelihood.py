@@ -6,7 +6,7 @@ evidence. Errors of a detector last, and the keypoints of one limb have similar 
 and an error that jumps is not (`negative_log_density`).
 
 The hypotheses in this module are: a different picture (keypoints from 0 to 1, turned over, of a smaller video, without
-lens distortion), a picture that zooms, and a different frame rate, at which angles do not swing as in the prior.
+lens distortion), a picture that zooms, and a different frame rate, at which angles swing as in the prior.
 Left-right swaps are in `swaps`.
 """
 
@@ -45,7 +45,9 @@ This value and the next were chosen on real clips (docs/benchmarks.md, left-righ
 model.
 """
 SURE = 30.0
-"""The same for a swap that contradicts another, the whole clip with all swaps undone, and another frame rate."""
+"""Log-likelihood gain that is required of a swap over one that contradicts it, of a whole clip with all swaps undone,
+and of another frame rate.
+"""
 OWN_SHARE = 0.4
 """Fraction of the information of a limb's keypoints that is independent.
 
@@ -60,7 +62,7 @@ LOOSE = 2.0
 
 
 def exceeds_margin(ratio: float, surely: bool = False) -> bool:
-    """Return whether a log-likelihood gain exceeds the margin of a hypothesis: see `MARGIN`."""
+    """Return whether a log-likelihood gain exceeds `MARGIN`, or with `surely` exceeds `SURE`."""
     return ratio > (SURE if surely else MARGIN)
 
 
@@ -175,14 +177,15 @@ class Baseline:
 
     @cached_property
     def points_elsewhere_m(self) -> Array | None:
-        """The markers (T, J, 3) in the world where at least two other cameras see them; None if there are not two."""
+        """Markers (T, J, 3) in the world, triangulated from the other views; None without at least two of them."""
         return triangulate_views(self.other_views).points_m if len(self.other_views) > 1 else None
 
 
 def project_either_side(baseline: Baseline, mirrored: View, is_exchanged: Bools) -> tuple[Array, Array]:
-    """Fit half of each of two views, and project its markers into the picture, (T, J, 2), with their noise (T, J).
+    """Fit a view and its mirrored version together, and return the projected markers (T, J, 2) and their noise (T, J).
 
-    NaN in frames without states. `is_exchanged` (J,) marks the markers that the views have on different sides.
+    Markers for which the versions differ, `is_exchanged` (J,), count half in each of them. Both results are in pixels,
+    NaN in frames without states.
     """
     clip, posed = baseline.clip, np.flatnonzero(np.isfinite(baseline.states[:, 0]))
     shares = (np.where(is_exchanged, 0.5, 1.0), np.where(is_exchanged, 0.5, 0.0))
@@ -257,7 +260,7 @@ def unit_square_finding(baseline: Baseline) -> Finding | None:
 
 
 def other_picture_finding(baseline: Baseline) -> Finding | None:
-    """Return a finding if another picture than the camera's makes the keypoints clearly more likely."""
+    """Return a finding if a picture other than the camera's makes the keypoints clearly more likely."""
     view, part = baseline.view, best_seen(baseline.view, baseline.clip.fps)
     alternatives = (
         [*_turned(view), *_smaller(view)] if _feet_below(baseline.clip, view) < UPRIGHT else [*_smaller(view)]
@@ -357,7 +360,7 @@ def _raising(up: Array) -> Array:
 
 
 def _smaller(view: View) -> Iterator[_Alternative]:
-    """Yield possible factors by which the video may be smaller."""
+    """Yield the hypotheses of a smaller video, for the factors at which its picture contains the keypoints."""
     points, size = view.xy_px[view.present], np.array(view.camera.image_size_px)
     for times in SMALLER:
         if len(points) and (np.percentile(points, NEARLY_ALL, axis=0) < size / times).all():
@@ -365,7 +368,7 @@ def _smaller(view: View) -> Iterator[_Alternative]:
 
 
 def _feet_below(clip: ClipProblem, view: View) -> float:
-    """Return how far the feet are below the trunk's ends, as a part of their distance in the picture.
+    """Return how far the feet are below the trunk's ends, as a fraction of their distance in the picture.
 
     The value is 1 for a standing animal and -1 for one that is upside down.
     """
@@ -379,7 +382,7 @@ def _feet_below(clip: ClipProblem, view: View) -> float:
 
 
 def smaller(camera: Camera, times: float) -> Camera:
-    """Return the camera for the same video reduced in size."""
+    """Return the camera of the same video reduced in size by the factor `times`."""
     scale = np.array([[1.0 / times], [1.0 / times], [1.0]])
     # pixel coordinates are 0 in the middle of the first pixel
     shift = np.array([[0, 0, 0.5 / times - 0.5], [0, 0, 0.5 / times - 0.5], [0, 0, 0]])
@@ -405,7 +408,7 @@ A zoom is tested with these keypoints, and only if all feet are among them: an a
 grow, and feet that are not seen do not slide.
 """
 _Minimum = Callable[[View, Array], Estimate]
-"""Function that minimises another view of a second of a clip, from states."""
+"""Function that fits a view of one second of a clip, starting from states (T, D)."""
 
 
 def whole_fit_gain(alternative: TrajectorySolution, original: TrajectorySolution) -> float:

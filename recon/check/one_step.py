@@ -36,11 +36,11 @@ class Detections:
     projected_px: Array
     """(N, J, 2): the projected markers."""
     by_frame_px: Array
-    """(N, J, 2): derivatives by the time offset, in pixels per frame."""
+    """(N, J, 2): derivatives with respect to the time offset, in pixels per frame."""
 
 
 ByUnknown = Callable[[Detections], Array]
-"""Function that returns the derivatives (N, J, 2) of the projected markers of a camera by an unknown."""
+"""Function that returns the derivatives (N, J, 2) of a camera's projected markers with respect to an unknown."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class _ExtendedReprojection(Reprojection):
     by_unknown: ByUnknown | None = None
 
     def point_rows(self, span: Span) -> PointRows:
-        """Return the rows of `Reprojection` with the derivatives by the unknown."""
+        """Return the rows of `Reprojection` with the derivatives with respect to the unknown."""
         rows, scene = super().point_rows(span), self._scene(span)
         if self.by_unknown is None:
             return rows
@@ -77,7 +77,7 @@ class _ExtendedReprojection(Reprojection):
 def one_steps(
     clip: ClipProblem, solution: TrajectorySolution, unknowns: Mapping[int, ByUnknown], fixed: Sequence[str] = ()
 ) -> dict[int, Step]:
-    """Return the estimates of unknowns, each of one camera and with the others at 0, in the longest stretch of a clip.
+    """Return the estimates of unknowns, each of one camera and with the others at 0, in a clip's longest segment.
 
     Parameters
     ----------
@@ -86,14 +86,14 @@ def one_steps(
     solution
         The solution.
     unknowns
-        The derivatives by the unknown, by the number of the camera whose detections depend on it.
+        The derivatives with respect to each unknown, by the number of the camera whose detections depend on it.
     fixed
         Names of shared unknowns that are taken as known.
 
     Returns
     -------
     dict[int, Step]
-        The estimate for each camera; empty without a stretch all of whose frames have poses.
+        The estimate for each camera; empty if no segment has a pose in every frame.
     """
     segment = solution.longest_segment
     if segment is None:

@@ -24,8 +24,9 @@ LENGTH_SHARE, LENGTH_SPREADS = 0.1, 5.0
 DRIFT_SHARE, DRIFT_FRAMES = 0.08, 5
 """Smallest relevant common change of all lengths, and number of frames over which it is smoothed."""
 NEAR = 0.02
-"""Weight of a pair's length against its variation, so that close points are connected, but not feet standing side by
-side.
+"""Weight of a pair's length relative to its variation in the search for bones.
+
+It connects close points, but not feet that stand side by side.
 """
 LEAST_KNOWN = 0.3
 """Fraction of frames in which a pair must be known to count as a bone."""
@@ -51,8 +52,6 @@ RANGE_DEG: Mapping[str, tuple[float, float]] = {
 """Range of flexion, 0 for a straight joint, of joints that bend to one side only, in mammals from mice to horses."""
 BEYOND_DEG, BEYOND_FRAMES = 15.0, 2
 """Smallest relevant angle beyond the range, and smallest number of frames."""
-LEVEL_DEG = 60.0
-"""Largest angle between the direction from the feet to the trunk and the vertical."""
 
 
 def measure_poses(points: AuditedPoints) -> Iterator[Measure]:

@@ -84,7 +84,7 @@ def findings_of(motion: Motion) -> tuple[Finding, ...]:
 
 
 def many_outliers(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if many detections are outliers, with those of frames that were left out as a whole."""
+    """Yield a finding if many detections are outliers, including those of frames that were left out as a whole."""
     used = sum(int(picture.present.sum()) for picture in motion.pictures)
     gross = sum(source.cleaning.left_out.count(GROSS) for source in motion.sources)
     count = _outliers(motion)[0] + gross
@@ -102,7 +102,10 @@ def detections_not_explained(motion: Motion) -> Iterator[Finding]:
 
 
 def _median_deviation(motion: Motion, sigmas_px: Sequence[Array]) -> float:
-    """Return the median deviation of the detections from sigmas (T, J) for each camera, or 0 without any."""
+    """Return the median distance of the detections from the pose, in the standard deviations (T, J) of each camera.
+
+    It is 0 without detections.
+    """
     deviations = np.concatenate(
         [
             (picture.distance_px / sigma_px)[picture.present]
@@ -246,7 +249,7 @@ def cameras_out_of_step(motion: Motion) -> Iterator[Finding]:
 
     A time offset is expected to be a fraction of a frame, so a larger offset is underestimated. Offsets that the
     pictures hardly determine come out small, because estimates vary by the expected variance minus the posterior
-    variance. Two cameras also count as out of step if that is more likely than not.
+    variance. Two cameras also count as out of step if a wrong clock is the likeliest explanation of their errors.
     """
     if len(motion.sources) < 2:
         return
@@ -318,7 +321,7 @@ def ground_elsewhere(motion: Motion) -> Iterator[Finding]:
 
 
 def solution_unusual(motion: Motion) -> Iterator[Finding]:
-    """Yield findings on single numbers of the solution: its minimum and its size."""
+    """Yield findings on a search that did not converge, and on an animal of unexpected size."""
     solution = _solution(motion)
     if solution.status != "converged":
         yield finding("not_converged")

@@ -22,12 +22,12 @@ USUAL = 0.05
 SPREAD = 0.04
 """Smallest standard deviation of these estimates."""
 SIGMA_SHARE = 0.5
-"""Factor on the posterior's standard deviation, which is twice as large as the estimates vary."""
+"""Factor on the posterior's standard deviation, which is twice the spread of the estimates."""
 LIMITS = -1.6, 3.3
 """Deviations, in standard deviations, beyond which a picture is compressed or stretched along x.
 
-They are -1.0 to 2.5 in correct views, -2.4 to -0.3 (median -2.1) where x is scaled by 0.75, and 2.1 to 4.7 (median 3.7)
-by 1.33 (`benchmarks/wrong_inputs.py --only limits`).
+They are -1.0 to 2.5 in correct views, -2.4 to -0.3 (median -2.1) if x is scaled by 0.75, and 2.1 to 4.7 (median 3.7) if
+x is scaled by 1.33 (`benchmarks/wrong_inputs.py --only limits`).
 """
 SEEN = 0.25
 """Least share of the frames in which each foot is detected: without legs an animal's height is not known."""

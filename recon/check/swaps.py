@@ -87,7 +87,7 @@ def exchanged_rows(seen: View | Keypoints, rows: slice, permutation: Index) -> d
 
 
 def pairs_of(body: Body) -> dict[str, Index]:
-    """Return the permutation (J,) of the exchanged markers by kind: of all, of the fore and of the hind legs."""
+    """Return the permutations (J,) that exchange the sides, by kind: all markers, the fore legs, the hind legs."""
     permutation, none = opposites(body.markers), np.arange(len(body.markers))
     kinds = {"all": permutation}
     for name, end in (("fore", "F"), ("hind", "H")):
@@ -235,6 +235,7 @@ def _suspects(jump: Array, evidence: Array, name: str) -> list[tuple[float, str,
     ends = np.concatenate([[0], 1 + np.flatnonzero(jump[1:] > JUMP), [T]])
     gain = np.concatenate([[0.0], jump[ends[1:-1]], [0.0]])
     sums = np.concatenate([[0.0], np.cumsum(evidence)])[ends]
+    # The gain of a stretch from end a to end b is high[b] - low[a]: its evidence, and the jumps at both ends.
     low, high = sums - gain, sums + gain
     best_ahead, best_behind = np.full(len(ends), -np.inf), np.full(len(ends), np.inf)
     best_ahead[:-1], best_behind[1:] = np.maximum.accumulate(high[:0:-1])[::-1], np.minimum.accumulate(low[:-1])

@@ -2,9 +2,9 @@
 
 The first detections are far from their expected positions or were left out: either they or the pose are wrong. Missing
 and uncertain detections follow. Both groups are sorted by how much the expected error of the pose would fall if they
-were corrected (`recon.fit.correction_gain`), the first group after those that are almost certainly wrong
-(`GROSS_SIGMAS`). In the second group a correction also improves the neighbouring frames, because errors last for about
-`ERROR_TIME_S`: each listed detection lowers the remaining gain of the same keypoint nearby.
+were corrected (`recon.fit.correction_gain`); in the first group, detections that are almost certainly wrong
+(`GROSS_SIGMAS`) come before the others. In the second group a correction also improves the neighbouring frames, because
+errors last for about `ERROR_TIME_S`: each listed detection lowers the remaining gain of the same keypoint nearby.
 """
 
 from __future__ import annotations
@@ -67,7 +67,9 @@ def to_correct(motion: Motion, limit: int = MOST_LISTED) -> list[ToCorrect]:
     limit
         Largest number of detections.
     """
-    found_px, likelihood, reason_code = (np.array(arrays) for arrays in zip(*map(_found, motion.sources), strict=True))
+    found_px, likelihood, reason_code = (
+        np.array(arrays) for arrays in zip(*map(_all_detections, motion.sources), strict=True)
+    )
     pictures = motion.pictures
     gain_m2 = motion.correction_gain_m2
     if gain_m2 is None:
@@ -114,7 +116,7 @@ def _reason(code: int, is_outlier: bool, is_found: bool) -> Reason:
     return "uncertain" if is_found else "missing"
 
 
-def _found(source: Source) -> tuple[Array, Array, Array]:
+def _all_detections(source: Source) -> tuple[Array, Array, Array]:
     """Return all detections, used or left out: (T, J, 2) pixels, (T, J) likelihood, and a code for their use."""
     keypoints = source.keypoints
     found_px, likelihood = keypoints.xy_px.copy(), np.where(keypoints.present, keypoints.confidence, np.nan)
@@ -141,7 +143,7 @@ def _inside(picture: Picture) -> Bools:
 def _by_gain(
     gain_m2: Array, distance_px: Array, is_gross: Bools, chosen: Bools, limit: int
 ) -> list[tuple[int, int, int]]:
-    """Return the chosen cells (V, T, J): first those that are gross errors, each part by gain, the largest first.
+    """Return the chosen cells (v, t, j): gross errors first, and both parts sorted by gain, the largest first.
 
     Cells of equal or unknown gain are in order of distance. Distance alone is a poor order, because the robust loss
     ignores what is very far, so that its correction changes the pose little.
@@ -152,7 +154,7 @@ def _by_gain(
 
 
 def _spread(gain_m2: Array, chosen: Bools, tau: float, limit: int) -> list[tuple[int, int, int]]:
-    """Return the chosen cells (V, T, J), sorted by the gain that remains after those before them."""
+    """Return the chosen cells (v, t, j), sorted by the gain that remains after those before them."""
     left_m2 = np.where(chosen, gain_m2, -np.inf)
     frames, cells = np.arange(gain_m2.shape[1]), []
     for _ in range(min(limit, int(chosen.sum()))):
@@ -176,9 +178,9 @@ def _error_fall_m(motion: Motion, gain_m2: Array) -> Array:
 
 
 def _ellipses(motion: Motion, cells: list[tuple[int, int, int]]) -> list[tuple[float, float, float]]:
-    """Return the ellipses of one standard deviation about expected keypoints, for cells of (V, T, J).
+    """Return the ellipses of one standard deviation about expected keypoints, for cells (v, t, j).
 
-    They are half axes in pixels, and the angle of the longer one in degrees.
+    Each consists of the longer and the shorter half axis in pixels, and the angle of the longer one in degrees.
     """
     solution = motion.solution
     ellipses = np.empty((len(cells), 3))

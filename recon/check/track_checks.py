@@ -36,9 +36,12 @@ STRAIGHT = 0.02
 MOVING = 0.0005
 """Smallest distance, relative to the animal's size, that the other points move while a point is frozen."""
 STANCE = 1.0
-"""The same distance for a foot whose coordinates have a coarser resolution than `COARSE`, since feet stand still."""
+"""Smallest such distance while a foot is frozen, if the resolution of the coordinates is coarser than `COARSE`.
+
+Feet stand still, and such coordinates do not show small movements.
+"""
 COARSE = 1e-4
-"""Resolution, relative to the animal's size. With finer coordinates a standing foot moves, too."""
+"""Resolution, relative to the animal's size; in finer coordinates, a standing foot moves, too."""
 JUMP, JUMP_SPREADS = 0.2, 10.0
 """Smallest jump of a point: relative to the animal's size, and as a number of its usual deviations."""
 JUMP_FRAMES = 2
@@ -200,15 +203,15 @@ def jumps_of(points: AuditedPoints) -> Array:
 
     Parameters
     ----------
-    points : AuditedPoints
+    points
         K points in T frames.
 
     Returns
     -------
-    array (T, K)
-        Distance, relative to the path of the animal, divided by the limit. The limit is the larger of `JUMP` of the
-        animal's size and `JUMP_SPREADS` of the point's median distance. NaN where the point is unknown, where there is
-        a gap around it, and where it does not come back.
+    ndarray
+        Distances (T, K), relative to the path of the animal, divided by the limit. The limit is `JUMP` times the
+        animal's size, or `JUMP_SPREADS` times the point's median distance if that is larger. NaN where the point is
+        unknown, where there is a gap around it, and where it does not come back.
     """
     jumps = np.full(points.known.shape, np.nan)
     relative = points.positions - _path(points.positions)[:, None]
@@ -261,9 +264,9 @@ def _speed_changes(tracks: Array, follows: Bools) -> Array:
 
     Parameters
     ----------
-    tracks : ndarray
+    tracks
         Points (T, K, 2 or 3), in pixels.
-    follows : ndarray
+    follows
         Mask of the frames (T,) that follow the frame before.
 
     Returns
@@ -288,16 +291,16 @@ def missing_gain(changes: Array) -> tuple[float, float]:
 
     Parameters
     ----------
-    changes : ndarray
-        Logarithm of each step's length relative to the step before, NaN = unknown.
+    changes
+        Logarithm (N,) of each step's length relative to the step before; NaN if unknown.
 
     Notes
     -----
     If no frames are missing, the speed changes by errors of Student's t with `FREEDOM` degrees of freedom, and by
     outliers. If each frame is missing with probability p, a step takes n = 1, 2, 3 intervals with a probability
     proportional to p^(n - 1), and a change also has the logarithm of n over the n before. The sum over all n is that
-    of a hidden Markov chain (forward algorithm; Rabiner 1989). Both likelihoods are means over the errors' scale, the
-    share of outliers, and p, each of whose values is as likely as the others.
+    of a hidden Markov chain (forward algorithm; L. Rabiner, *A tutorial on hidden Markov models*, Proc. IEEE 77, 1989).
+    Both likelihoods are means over the errors' scale, the share of outliers, and p, with all values equally likely.
     """
     known = changes[np.isfinite(changes)]
     sigma, outliers = np.meshgrid(CHANGE_SIGMAS, OUTLIERS)
@@ -354,7 +357,6 @@ def _swapped_sides(points: AuditedPoints) -> Iterator[Measure]:
             best = float(total[t]), part, pairs, t, total
     assert best is not None
     value, part, pairs, t, total = best
-    stop = len(total)
     rivals = np.flatnonzero(total > 0.5 * value)
     rivals = rivals[rivals != t]
     if len(rivals):

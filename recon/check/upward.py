@@ -24,7 +24,7 @@ POSTURE_RAD = np.radians(15.0)
 FOOT_SHARE = 1 / 15
 """Height of standing feet above the ground as a fraction of the body's height above them.
 
-It is `GROUND_FOOT_M` of a cheetah.
+It gives `GROUND_FOOT_M` for a cheetah.
 """
 MIN_STANDING = 3
 """Smallest number of standing feet, over all frames, as in `recon.fit.clip_problem`."""
@@ -98,8 +98,8 @@ def _fit_tilted_plane(
 ) -> tuple[Array, Array, float]:
     """Fit a plane to feet (N, 3), height first, with weights (N,) for how slow each foot is.
 
-    The width within which feet count narrows from the body's height tall_m to `FOOT_SHARE` of it. Returns the plane
-    (3,): height and slopes; its curvature (3, 3); and how many feet stand on it.
+    The width within which feet count narrows from the body's height `tall_m` to `FOOT_SHARE` of it. The result is the
+    plane (3,), its height and slopes; the curvature of the cost (3, 3); and how many feet stand on the plane.
     """
     height, *across = feet_m.T
     rows = np.stack([np.ones_like(height), *across], axis=-1)

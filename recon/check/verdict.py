@@ -206,7 +206,7 @@ def add_verdict(motion: Motion) -> Motion:
 def _verdict(motion: Motion) -> Verdict:
     if errors := [finding for finding in motion.findings if finding.severity == "error"]:
         # expected errors do not hold for data of another animal, camera or time
-        return Verdict("do not use", _said(motion, errors[0]))
+        return Verdict("do not use", _sentence_of(motion, errors[0]))
     if not motion.solved.any():
         return Verdict("do not use", "No frame has a pose.")
     evidence = evidence_of(motion)
@@ -221,10 +221,10 @@ def _verdict(motion: Motion) -> Verdict:
     strongest = WHY[max(WHY, key=lambda name: POWERS[name] * (evidence.factors[name] - USUAL[name]))]
     reason = strongest if pose.high > LIMIT_OF_TRUNK else _nothing_against(motion)
     if level == "use" and (notes := [finding for finding in motion.findings if finding.code == "keypoints_do_not_fit"]):
-        reason = f"Good except for this: {_said(motion, notes[0])}"
+        reason = f"Good except for this: {_sentence_of(motion, notes[0])}"
     warned = bool(warnings) and level != "do not use"
     if warned:
-        reason = _said(motion, warnings[0])
+        reason = _sentence_of(motion, warnings[0])
     return Verdict(level, reason, pose.times(evidence.trunk_m), pose, position, warned)
 
 
@@ -262,7 +262,16 @@ class _UnusableClip(Problem):
 
 
 def usable(motion: Motion, folder: Path | str, anyway: bool) -> Motion:
-    """Return the motion of a folder.
+    """Return a motion if its verdict allows its use.
+
+    Parameters
+    ----------
+    motion
+        The motion.
+    folder
+        Its folder, which the error names.
+    anyway
+        Whether to return the motion whatever its verdict is.
 
     Raises
     ------
@@ -286,5 +295,5 @@ def verdict_lines(verdict: Verdict | None) -> tuple[str, ...]:
     return () if verdict is None else verdict.lines
 
 
-def _said(motion: Motion, item: Finding) -> str:
+def _sentence_of(motion: Motion, item: Finding) -> str:
     return sentence(item, named=len(motion.sources) > 1)
