@@ -443,6 +443,50 @@ def _points(sights: Sequence[_Sight]) -> _Points:
 # -- one camera against others -----------------------------------------------------------------------------------------
 
 
+def drift_by_rays(views: Sequence[View], markers_m: Array, v: int) -> tuple[float, float]:
+    """Return the drift of a camera's clock over the clip that rays alone show, in frames, and its standard deviation.
+
+    The drift that best moves the camera's rays into the epipolar planes of the other cameras' rays is estimated
+    together with a time offset and a constant angle. Lengths of the animal do not count, which a rough skeleton has
+    wrong. The values are NaN for fewer than `MIN_POINTS` points.
+
+    Parameters
+    ----------
+    views
+        Views of the same T frames.
+    markers_m : (T, J, 3)
+        Markers of a fit in the world frame. Only the speeds of their pictures are used.
+    v
+        Number of the camera.
+    """
+    sights = _sights(views, sigma_px=1.0, keypoint_sigma_m=0.0)  # the spread of the errors replaces this noise
+    sight, T = sights[v], len(markers_m)
+    towards = markers_m - sight.centre_m[:, None]
+    speed = np.gradient(towards / np.linalg.norm(towards, axis=-1, keepdims=True), axis=0)
+    time = ((np.arange(T) - 0.5 * (T - 1)) / T)[:, None]
+    columns, errors = [], []
+    for partner in sights[:v] + sights[v + 1 :]:
+        normal = np.cross((sight.centre_m - partner.centre_m)[:, None], partner.rays)
+        normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
+        error, by_frame = (np.sum(vectors * normal, axis=-1) for vectors in (sight.rays, speed))
+        is_known = np.isfinite(error) & np.isfinite(by_frame)
+        derivatives = (by_frame * time, by_frame, np.ones_like(by_frame))
+        columns.append(np.stack(derivatives, axis=-1)[is_known])
+        errors.append(error[is_known])
+    A, error = np.concatenate(columns), np.concatenate(errors)
+    if len(error) < MIN_POINTS:
+        return np.nan, np.nan
+    weight, rest, scale = np.ones(len(error)), error, 1.0
+    estimate = covariance = np.full((3, 3), np.nan)
+    for _ in range(_POINT_ROUNDS):
+        covariance = np.linalg.pinv((A * weight[:, None]).T @ A)
+        estimate = covariance @ (A * weight[:, None]).T @ error
+        rest = error - A @ estimate
+        scale = max(float(np.median(np.abs(rest))) / np.sqrt(_MEDIAN_OF_LINE), 1e-12)
+        weight = 1.0 / (1.0 + (rest / scale / _ROBUST) ** 2)
+    return float(estimate[0]), float(scale * np.sqrt(covariance[0, 0]))
+
+
 def _levels(sights: Sequence[_Sight], agreeing: Sequence[int]) -> Array:
     """Return the level of each agreeing camera compared with the other agreeing ones, (V,); NaN for the rest."""
     levels = np.full(len(sights), np.nan)

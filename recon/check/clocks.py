@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from recon.base.arrays import Array
+from recon.check.agreement import drift_by_rays
 from recon.check.codes import EFFECTS, finding
 from recon.check.constants import EFFECT_OF_NOTE, LIMIT_OF_TRUNK
 from recon.check.one_step import Detections, Step, one_steps
@@ -18,6 +19,13 @@ DRIFT_SIGMAS = 3.5
 
 It is 1.3 at most in correct pairs, and 0.0 to 1.4 (median 0.5) if one camera takes one picture a second fewer
 (`benchmarks/wrong_inputs.py --only limits`).
+"""
+
+RAY_SIGMAS = 3.0
+"""Standard deviations by which the drift that rays show has to be below half of the reported one to refute it.
+
+A rough skeleton's wrong lengths look like a drift of 2.5 frames in an exact pair, where rays show 0.2 ± 0.2. If a clock
+does drift, by 1 frame, rays show 1.1 ± 0.05.
 """
 
 
@@ -60,6 +68,8 @@ def drift_findings(
     camera = max(sigmas, key=lambda number: abs(sigmas[number]), default=None)
     if camera is None or abs(sigmas[camera]) < DRIFT_SIGMAS:
         return
+    if _is_refuted_by_rays(clip, solution, camera, steps[camera].value):
+        return
     drift_frames, middle_m = steps[camera].value, solution.joints_m[segment.rows].mean(axis=1)
     step_m = float(np.linalg.norm(np.diff(middle_m, axis=0), axis=1).mean())
     # a camera that is in step at one end is off by half of the drift on average
@@ -71,3 +81,12 @@ def drift_findings(
     rate_hz = fps / (1.0 + drift_frames / frames)
     numbers = {"drift_frames": drift_frames, "rate_hz": rate_hz, "given_hz": fps, EFFECTS[1]: effect_m}
     yield finding("clock_drifts", camera=names[camera], **numbers)
+
+
+def _is_refuted_by_rays(clip: ClipProblem, solution: TrajectorySolution, camera: int, drift_frames: float) -> bool:
+    """Return whether rays alone, without the animal's lengths, show less than half of a drift."""
+    segment = solution.longest_segment
+    assert segment is not None
+    views, markers_m = [view.part(segment.rows) for view in clip.views], solution.markers_m[segment.rows]
+    by_rays, sigma = drift_by_rays(views, markers_m, camera)
+    return bool(by_rays * np.sign(drift_frames) + RAY_SIGMAS * sigma < 0.5 * abs(drift_frames))
