@@ -288,7 +288,7 @@ class Body(Brief):
 
     @cached_property
     def mirror(self) -> tuple[Index, Array]:
-        """Permutation and sign, (D,) each, that mirror a state at the x-z plane.
+        """Permutation and sign, (D,) each, that mirror a state in the x-z plane.
 
         state[..., permutation] * sign is the mirrored animal.
         """

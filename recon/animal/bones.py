@@ -65,13 +65,13 @@ def _limbs(body: Body) -> Iterator[Bone]:
         joint, side = joint_and_side(name)
         if side != "right":
             by_joint[joint] = (markers, side)
-    trunk = {body.tree.segments[0].name, *(_carrier(body, end) for end in body.forward)}
+    trunk = {body.tree.segments[0].name, *(_segment_of(body, end) for end in body.forward)}
     for chain in CHAINS:
         joints = [joint for joint in chain if joint in by_joint]
         for joint, following in zip(joints, [*joints[1:], "foot"], strict=False):
             (_, _, below), side = by_joint[joint]
             connects = (joint.replace("_", " "), following.replace("_", " "))
-            if connects in NAMES and _carrier(body, below) not in trunk:
+            if connects in NAMES and _segment_of(body, below) not in trunk:
                 yield _bone(body, connects, below, side)
 
 
@@ -86,7 +86,7 @@ def _trunk(body: Body) -> Iterator[Bone]:
             yield Bone("trunk", ("tail base", "neck base"), offsets, parts[0].length_m + parts[1].length_m)
     if "neck" in body.anatomy:
         _, base, tip = body.anatomy["neck"]
-        begin, end = _origin_carrier(body, base), _carrier(body, tip)
+        begin, end = _segment_at_origin(body, base), _segment_of(body, tip)
         parents = {segment.name: segment.parent for segment in body.tree.segments}
         if begin == end:
             yield _bone(body, ("neck base", "nose"), tip, None)
@@ -100,16 +100,17 @@ def _bone(body: Body, connects: tuple[str, str], marker: str, side: Side | None)
     offsets = {item.name: np.array(item.offset_m) for item in (*body.tree.segments, *body.tree.markers)}
     name = marker
     if not offsets[marker].any():
-        name = _carrier(body, marker)
+        name = _segment_of(body, marker)
     length_m = float(np.linalg.norm(offsets[name]))
     return Bone(NAMES[connects], connects, (name,), length_m, side)
 
 
-def _carrier(body: Body, marker: str) -> str:
+def _segment_of(body: Body, marker: str) -> str:
+    """Return the name of the segment to which a marker belongs."""
     return next(item.segment for item in body.tree.markers if item.name == marker)
 
 
-def _origin_carrier(body: Body, marker: str) -> str | None:
+def _segment_at_origin(body: Body, marker: str) -> str | None:
     """Return the segment at whose origin a marker lies, if it lies at one."""
     item = next(item for item in body.tree.markers if item.name == marker)
     return None if any(item.offset_m) else item.segment

@@ -1,4 +1,4 @@
-"""Give an animal a rough shape for pictures: capsules along the segments of its tree."""
+"""Give an animal a rough shape, for pictures and moments of inertia: capsules along the segments of its tree."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def capsules(tree: Tree, names: Sequence[str]) -> tuple[Capsule, ...]:
     """Return the capsules of a tree.
 
     The capsules lie in the middle plane of a segment. They run from its origin to the origins of the next segments and
-    to its markers, and their thickness is the spread of these points. Between two other segments of the trunk it is at
-    least as thick as the thinner of them. `names` (J,) are the keypoint names of the markers, which give the sides
+    to its markers, and their thickness is the spread of these points. A segment of the trunk between two others is at
+    least as thick as the thinner of the two. `names` (J,) are the keypoint names of the markers, which give the sides
     together with the segments' names.
     """
     segments = tree.segments

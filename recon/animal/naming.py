@@ -35,6 +35,7 @@ _SAME_WORDS: dict[str, str] = {
     "tarsi": "tarsus",
     "stiffle": "stifle",
 }
+"""Words that mean the same, or are misspelt, with the word for which they stand."""
 _LIMB_OF = {
     **dict.fromkeys(("shoulder", "elbow", "carpus", "wrist"), "front"),
     **dict.fromkeys(("hip", "stifle", "hock", "tarsus"), "back"),
@@ -42,6 +43,7 @@ _LIMB_OF = {
 """Words of joints that only the fore or only the hind limbs have."""
 _SEPARATORS = "_-. "
 _FILLERS = {"of", "the", "limb"}
+"""Words that do not distinguish names."""
 ANATOMICAL = "anatomical"
 """The built-in map of veterinary names."""
 _NEAR = 0.8
@@ -147,23 +149,23 @@ def new_names(names: Sequence[str], name_map: NameMap, source: str) -> tuple[lis
     if not known:
         detail = f"{', '.join(name_map.names)}: none of them in {source}"
         raise InputError(Problem(name_map.source, "names", detail, f"some of {', '.join(names)}"))
-    olds: dict[str, list[str]] = {}
+    old_names_by_new: dict[str, list[str]] = {}
     for name in names:
-        olds.setdefault(name_map.get(name, name) if name in known else name, []).append(name)
-    left_out = olds.pop("", [])
+        old_names_by_new.setdefault(name_map.get(name, name) if name in known else name, []).append(name)
+    left_out = old_names_by_new.pop("", [])
     problems = [
         Problem(name_map.source, "names", f"{new!r} for {', '.join(several)}", "this new name for only one keypoint")
-        for new, several in olds.items()
+        for new, several in old_names_by_new.items()
         if len(several) > 1
     ]
-    if not olds:
+    if not old_names_by_new:
         problems = [Problem(name_map.source, "names", f"every keypoint of {source} left out", "at least one new name")]
     raise_problems(problems)
     note = f"{len(known)} of {len(names)} keypoints are renamed by {Path(name_map.source).name}"
     note += f"; left out: {', '.join(left_out)}" if left_out else ""
     absent = [] if name_map.source in builtin_maps() else [name for name in name_map.names if name not in names]
     note += f"; not in the file: {', '.join(absent)}." if absent else "."
-    return [k for k, name in enumerate(names) if name not in left_out], tuple(olds), note
+    return [k for k, name in enumerate(names) if name not in left_out], tuple(old_names_by_new), note
 
 
 # -- similar names -------------------------------------------------------------------------------------------------

@@ -76,7 +76,7 @@ class MotionPrior:
     """The continuous pieces of motion that were available for the fit of the prior."""
 
     def __post_init__(self) -> None:
-        wrong = misfits({name: getattr(self, name) for name in SHAPES}, len(self.angles))
+        wrong = array_problems({name: getattr(self, name) for name in SHAPES}, len(self.angles))
         if wrong:
             raise ValueError("; ".join(f"{field}: {value}, expected {expected}" for field, value, expected in wrong))
 
@@ -85,7 +85,7 @@ class MotionPrior:
         return replace(self, acceleration_covariance=self.acceleration_covariance * np.outer(scale, scale))
 
 
-def misfits(arrays: dict[str, Array], n_angles: int) -> list[tuple[str, str, str]]:
+def array_problems(arrays: dict[str, Array], n_angles: int) -> list[tuple[str, str, str]]:
     """Return (field, found, expected) for each problem of a prior's arrays."""
     problems = []
     lengths = {"A": n_angles, "B": 2 * n_angles, "K": len(np.atleast_1d(arrays["weights"]))}
@@ -100,7 +100,9 @@ def misfits(arrays: dict[str, Array], n_angles: int) -> list[tuple[str, str, str
         elif shape.endswith("AA") and not _is_positive_definite(array):
             problems.append((name, "a matrix that is not positive definite", "covariances"))
         elif name == "weights" and ((array < 0).any() or abs(array.sum() - 1) > 1e-5):
-            problems.append((name, f"{array.min():g} and more, {array.sum():g} in all", "shares of 1"))
+            problems.append(
+                (name, f"{array.min():g} and more, {array.sum():g} in all", "weights of at least 0 that add up to 1")
+            )
     return problems
 
 
@@ -189,7 +191,7 @@ def _prior(content: bytes, source: str, body: Body) -> MotionPrior:
     )
     with np.errstate(invalid="ignore"):  # damaged floats can be signalling NaNs
         arrays = {key: stored[key].astype(float) for key in SHAPES}
-    raise_problems(Problem(source, *misfit) for misfit in misfits(arrays, len(description.angles)))
+    raise_problems(Problem(source, *misfit) for misfit in array_problems(arrays, len(description.angles)))
     for key in ("covariances", "covariance", "acceleration_covariance"):
         arrays[key] = (arrays[key] + arrays[key].swapaxes(-1, -2)) / 2
     arrays["weights"] = arrays["weights"] / arrays["weights"].sum()

@@ -62,7 +62,7 @@ def fit_prior(
     components
         Number of components of the mixture.
     shrink
-        How far the covariance of a component is moved towards the average within all components, 0 to 1.
+        How far the covariance of a component is moved towards the average covariance of all components, 0 to 1.
     min_speed_m_s
         Speed below which segments are listed, but not used.
     apart
@@ -135,7 +135,7 @@ def _mixture(
 ) -> tuple[Array, Array, Array]:
     """Return weights (K,), means (K, A) and covariances (K, A, A) of poses (N, A).
 
-    `shrink` moves each covariance towards the average within all components; `extra` (A, A) is added.
+    `shrink` moves each covariance towards the average of all components; `extra` (A, A) is added.
     """
     scaled = poses / np.maximum(poses.std(axis=0), MISSING_BELOW_RAD)
     with warnings.catch_warnings(action="ignore"):  # repeated poses can leave a cluster empty

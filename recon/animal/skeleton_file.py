@@ -287,7 +287,7 @@ class _DetectorFile(FileTable):
     keypoints: Annotated[dict[str, _Keypoint], Field(min_length=1)]
 
 
-def of_scorer(scorer: str | None, skeleton: str) -> str:
+def detector_of_scorer(scorer: str | None, skeleton: str) -> str:
     """Return the built-in detector that writes `scorer` into its files, or "none" if there is none."""
     for name in documents.builtin_names("animal/detectors", ".toml") if scorer else ():
         raw, _ = read_named(name, "detector")
@@ -324,7 +324,7 @@ def with_detector_offsets(
         return replace(body, detector=OWN)
     detector = body.detector if detector is None else detector
     if detector is None and scorers:
-        detector = _of_scorers(scorers, body.name)
+        detector = _detector_of_scorers(scorers, body.name)
     if detector is None:
         return body
     if str(detector) == NONE:
@@ -352,8 +352,8 @@ def with_detector_offsets(
     )
 
 
-def _of_scorers(scorers: Mapping[str, str | None], skeleton: str) -> str:
-    detectors = {file: of_scorer(scorer, skeleton) for file, scorer in scorers.items()}
+def _detector_of_scorers(scorers: Mapping[str, str | None], skeleton: str) -> str:
+    detectors = {file: detector_of_scorer(scorer, skeleton) for file, scorer in scorers.items()}
     if len({*detectors.values()}) > 1:
         files = (
             f"{Path(file).name} of {detector} (scorer {str(scorers[file])[:60]!r})"

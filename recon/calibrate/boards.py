@@ -40,7 +40,7 @@ from cv2.typing import MatLike
 from scipy.linalg import block_diag
 
 from recon.base.arrays import Array, Bools, Index
-from recon.base.errors import InputError, Problem, raise_problems
+from recon.base.errors import NO_FILE, InputError, Problem, raise_problems
 from recon.base.progress import Progress, silent
 from recon.geometry.camera import Camera
 from recon.geometry.lens import LENS_MODELS
@@ -253,7 +253,7 @@ def collect(paths: Iterable[Path]) -> list[Path]:
                 problems.append(Problem(path, "folder", "no pictures", expected))
             files += pictures
         elif not path.exists():
-            problems.append(Problem(path, "file", "nothing there", "a picture, a folder of pictures or a video"))
+            problems.append(Problem(path, "file", NO_FILE, "a picture, a folder of pictures or a video"))
         else:
             files.append(path)
     videos = [file for file in files if _is_video(file)]

@@ -110,20 +110,20 @@ def advise(
     advices, shape = list[Advice](), (len(ELEVATIONS_RAD), len(AZIMUTHS_RAD))
     for number in range(cameras):
         first_place = advices[0].place if advices else None
-        fixed_cameras = [placed(replace(lens, name="first"), middle, *first_place, distance)] if first_place else []
+        fixed_cameras = [camera_at(replace(lens, name="first"), middle, *first_place, distance)] if first_place else []
         grid = np.empty((*shape, 2))
         for done, (row, column) in enumerate(np.ndindex(shape)):
             position = float(AZIMUTHS_RAD[column]), float(ELEVATIONS_RAD[row])
-            candidate = placed(replace(lens, name="candidate"), middle, *position, distance)
+            candidate = camera_at(replace(lens, name="candidate"), middle, *position, distance)
             with threadpool_limits(1, user_api="blas"):
-                grid[row, column] = known(body, prior, states, [*fixed_cameras, candidate], target)
+                grid[row, column] = precision_of(body, prior, states, [*fixed_cameras, candidate], target)
             progress((number + (done + 1) / math.prod(shape)) / cameras)
         unit = "rad" if target in body.state_names[4:] else "m"
         advices.append(Advice(target or "all joints", unit, distance, grid[..., 0], grid[..., 1], first_place))
     return advices
 
 
-def known(
+def precision_of(
     body: Body, prior: MotionPrior, states: Array, cameras: Sequence[Camera], target: str | None = None
 ) -> tuple[float, float]:
     """Return a target's standard deviation and the fraction of its precision due to pixels, medians over frames.
@@ -131,7 +131,7 @@ def known(
     The standard deviation is in rad for an angle, and in m for a joint relative to the pose. The cameras see the motion
     of states (T, D). The result is (inf, 0) if no camera sees the animal. `target` is as in `advise`.
     """
-    views = [_seen(body, states, camera) for camera in cameras]
+    views = [_view_of(body, states, camera) for camera in cameras]
     if not any(view.present.any() for view in views):
         return np.inf, 0.0
     clip = ClipProblem.from_views(views, body, prior, FPS, TrajectoryOptions(cameras_known=True))
@@ -169,7 +169,7 @@ def length_m(body: Body) -> float:
     return float(np.ptp(body.expected_points_m()[:, 0]))
 
 
-def placed(camera: Camera, target_m: Array, azimuth_rad: float, elevation_rad: float, distance_m: float) -> Camera:
+def camera_at(camera: Camera, target_m: Array, azimuth_rad: float, elevation_rad: float, distance_m: float) -> Camera:
     """Return a camera that looks at target_m from a position around an animal that faces x."""
     level = np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0])
     towards = -np.cos(elevation_rad) * level - np.sin(elevation_rad) * np.array([0.0, 0.0, 1.0])
@@ -178,7 +178,7 @@ def placed(camera: Camera, target_m: Array, azimuth_rad: float, elevation_rad: f
     return replace(camera, rotation=rotation, translation_m=-rotation @ (target_m - distance_m * towards))
 
 
-def _seen(body: Body, states: Array, camera: Camera) -> View:
+def _view_of(body: Body, states: Array, camera: Camera) -> View:
     """Return the detections of the markers inside the picture."""
     pixels, valid = camera.project(camera.world_to_camera(body.detected.pose(states).points_m))
     is_seen = valid & camera.in_image(pixels)

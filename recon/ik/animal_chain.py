@@ -21,7 +21,7 @@ from recon.animal.body import Body
 from recon.animal.chain import UVW_BODY, Chain, upright_rotation
 from recon.base.arrays import Array
 from recon.geometry.kinematics import PITCH, ROOT, YAW, Tree
-from recon.ik.chain import FREE, MAX_RATE_RAD_S, SerialChain, _by_joint, planar_chain, summed_chain
+from recon.ik.chain import FREE, MAX_RATE_RAD_S, SerialChain, planar_chain, summed_chain, values_by_joint
 
 BASE_THETA_RAD = 0.9
 """Limit of the pitch of the first link: three standard deviations in a running animal."""
@@ -98,8 +98,8 @@ def chain_angles(chain: Chain, states: Array, travel: Array | None = None, dim: 
     free = _angle_index(chain, _path(chain))
     zero, angles = np.zeros(len(states)), states[:, chain.body_angles]
     theta, phi = (
-        np.cumsum([zero if k is None else of_kind[:, k] for k in free], axis=0).T
-        for of_kind in np.split(angles, 2, axis=1)
+        np.cumsum([zero if k is None else kind_angles[:, k] for k in free], axis=0).T
+        for kind_angles in np.split(angles, 2, axis=1)
     )
     local = np.stack([np.cos(theta) * np.cos(phi), np.sin(theta), np.cos(theta) * np.sin(phi)], axis=-1)
     U = R_base_local[:, None, :, 0]
@@ -183,7 +183,7 @@ def body_chain(body: Body, foot: str, size: float = 1.0, limited: bool = True) -
     low, high = ((mean + sign * LIMIT_SIGMAS * sigma)[columns_of_body - YAW] for sign in (-1, 1))
     low[0], high[0] = -np.pi, np.pi
     groups = (tuple(i for i, about in enumerate(tree.axes) if about == axis) for axis in "zyx")
-    limits = _by_joint(len(names), *((low, high) if limited else FREE), MAX_RATE_RAD_S)
+    limits = values_by_joint(len(names), *((low, high) if limited else FREE), MAX_RATE_RAD_S)
     columns = 3 + np.arange(len(names))
     return SerialChain(tree, columns, names, tuple(group for group in groups if group), *limits)
 

@@ -194,10 +194,10 @@ class SerialChain:
         return max(0.0, float(2 * hops.max() - hops.sum())), float(hops.sum())
 
 
-def mobility(bodies: int, freedoms: Sequence[int], of_a_body: Literal[3, 6] = 6) -> int:
+def mobility(bodies: int, freedoms: Sequence[int], body_freedoms: Literal[3, 6] = 6) -> int:
     """Return the degrees of freedom of a mechanism by Grübler's formula.
 
-    It is b (bodies - 1 - joints) plus the freedoms of the joints, if no constraint depends on another.
+    The result is b (bodies - 1 - joints) plus the freedoms of the joints, if no constraint depends on another.
 
     Parameters
     ----------
@@ -205,10 +205,10 @@ def mobility(bodies: int, freedoms: Sequence[int], of_a_body: Literal[3, 6] = 6)
         Number of bodies, including the ground.
     freedoms
         Degrees of freedom of each joint: 1 for a hinge, 2 for a universal joint, 6 for a free body.
-    of_a_body
+    body_freedoms
         b, the degrees of freedom of a free body: 6 in space, 3 in a plane.
     """
-    return of_a_body * (bodies - 1 - len(freedoms)) + sum(freedoms)
+    return body_freedoms * (bodies - 1 - len(freedoms)) + sum(freedoms)
 
 
 def planar_chain(
@@ -257,7 +257,7 @@ def summed_chain(
     columns = np.concatenate([phi + 1, phi])[: L * (dim - 1)]
     groups = tuple(tuple(range(k * L, (k + 1) * L)) for k in range(dim - 1))
     names = tuple(tree.state_names[column] for column in columns)
-    limits = _by_joint(len(columns), *limits_rad, max_rate_rad_s)
+    limits = values_by_joint(len(columns), *limits_rad, max_rate_rad_s)
     return SerialChain(tree, columns, names, groups, *limits, base=UVW_BODY[:dim])
 
 
@@ -315,11 +315,11 @@ def joint_chain(
     tree = Tree(tuple(segments), (Marker("end", segments[-1].name, _triple(back[n] @ tool)),))
     end = back[n] if tool_rotation is None else back[n] @ tool_rotation.as_matrix()
     names = tuple(f"joint {j + 1}" for j in range(n)) if names is None else names
-    columns, groups, limits = 3 + np.arange(n), (tuple(range(n)),), _by_joint(n, *limits_rad, max_rate_rad_s)
+    columns, groups, limits = 3 + np.arange(n), (tuple(range(n)),), values_by_joint(n, *limits_rad, max_rate_rad_s)
     return SerialChain(tree, columns, names, groups, *limits, tool_rotation=end)
 
 
-def _by_joint(n: int, *numbers: ArrayLike) -> list[Array]:
+def values_by_joint(n: int, *numbers: ArrayLike) -> list[Array]:
     """Return values for n joints, given as one number or as (n,)."""
     return [np.array(np.broadcast_to(number, n), float) for number in numbers]
 

@@ -120,8 +120,8 @@ class IkSettings(Settings):
         return "refitted at every frame" if self.online else "fitted to the clip" if self.fitted else "standard"
 
     @property
-    def has_no_job(self) -> bool:
-        """Whether the options ask for no job."""
+    def has_no_task(self) -> bool:
+        """Whether neither a target nor a path is given."""
         return self.target is None and self.follow is None
 
     @property
@@ -131,7 +131,7 @@ class IkSettings(Settings):
 
     def problems(self) -> Iterator[Problem]:
         """Yield problems of settings that exclude each other."""
-        if self.has_no_job and not (self.compare or self.costs):
+        if self.has_no_task and not (self.compare or self.costs):
             yield Problem("options", "job", "none", "--target, --follow stride, --compare or --costs")
         if self.method == EXTENDED and self.cost is None:
             yield Problem("settings", "method", repr(EXTENDED), self.infos()["method"].expected())
@@ -240,7 +240,7 @@ def run_ik(settings: IkSettings) -> IkRun:
         output.require((SUMMARY,))
         limb = limb_of(motion, settings.foot, 2 if settings.dim == 2 else 3, settings.limits)
         chain, cost = limb.chain, None if settings.cost is None else cost_of(limb, settings.cost)
-        target = STRIDE_MAX if settings.has_no_job and settings.compare else settings.target
+        target = STRIDE_MAX if settings.has_no_task and settings.compare else settings.target
         goal = _coordinates(target, chain.dim) if target not in (None, STRIDE_MAX) else None
         with threadpool_limits(1, user_api="blas"):
             stride, parameters = stride_of(motion, limb, settings.stride), fit_parameters(limb, cost)
@@ -252,7 +252,7 @@ def run_ik(settings: IkSettings) -> IkRun:
             start, foremost = farthest_reach(chain, stride.q)
             goal = foremost if target == STRIDE_MAX else goal
             drives = {} if goal is None else {n: drive_to(chain, start, goal, m) for n, m in methods.items()}
-            is_followed = settings.follow is not None or (settings.has_no_job and settings.compare)
+            is_followed = settings.follow is not None or (settings.has_no_task and settings.compare)
             followed = methods if is_followed else {}
             by_frame = {n: refitted.get(n, ()) if settings.online else () for n in followed}
             follows = {n: follow_stride(chain, stride, m, settings.turns, by_frame[n]) for n, m in followed.items()}

@@ -52,7 +52,7 @@ def cost_outcome(
 ) -> CostOutcome:
     """Return how the extended Jacobian behaves with a cost on a closed path (K, dim).
 
-    It starts at the optimum of the cost closest to q0.
+    The run starts at the optimum of the cost closest to q0.
     """
     method = ExtendedJacobian(cost)
     start, stationary = to_null_space_optimum(chain, q0, cost)

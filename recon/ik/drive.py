@@ -23,7 +23,7 @@ from recon.base.arrays import Array, Bools
 from recon.gait import phase
 from recon.ik.chain import SerialChain, manipulability, unreachable
 from recon.ik.methods import ALL, INTERVAL_S, ExtendedJacobian, JointRates, Method
-from recon.ik.null_space import _listed, to_null_space_optimum
+from recon.ik.null_space import joint_names, to_null_space_optimum
 
 TOLERANCE_M = 0.003
 MAX_STEP_M = 0.02
@@ -31,6 +31,7 @@ MAX_STEP_M = 0.02
 PATIENCE = 100
 """Number of iterations within which the distance must shrink by `PROGRESS`."""
 PROGRESS = 0.01
+"""Smallest reduction of the distance, relative to the smallest one so far, that counts as progress."""
 STILL_RAD = 1e-10
 """Motions below this are rounding errors."""
 
@@ -91,7 +92,7 @@ class Run:
 
     @property
     def time_s(self) -> Array:
-        """The times of the K steps from the start, shape (K,)."""
+        """Times of the K configurations from the start, shape (K,)."""
         return np.asarray(self.interval_s * np.arange(len(self.q)), float)
 
     @cached_property
@@ -180,7 +181,7 @@ def drive_to(
         q = to_null_space_optimum(chain, q, method.cost)[0]
     best, best_at = np.inf, 0
 
-    def ask(k: int, end: Array, last: JointRates, stopped: list[int]) -> Array | str:
+    def next_velocity(k: int, end: Array, last: JointRates, stopped: list[int]) -> Array | str:
         nonlocal best, best_at
         distance = float(np.linalg.norm(target - end))
         if note or distance <= tolerance_m:
@@ -190,13 +191,13 @@ def drive_to(
         if k >= max_iterations or k - best_at >= PATIENCE or (k and float(np.abs(last.dq).max()) <= STILL_RAD):
             left = f"{1000 * distance:.1f} mm left after {k} iterations"
             if stopped:
-                return f"limits: joints {_listed(chain, stopped)} at their limits, {left}"
+                return f"limits: joints {joint_names(chain, stopped)} at their limits, {left}"
             if last.singular:
                 return f"{last.note}, {left}"
             return f"no progress: {left}" + (", the largest number allowed" if k >= max_iterations else "")
         return (target - end) * (min(1.0, MAX_STEP_M / distance) / interval_s)
 
-    return _moved(chain, q, target, ask, lambda _: method, interval_s)
+    return _moved(chain, q, target, next_velocity, lambda _: method, interval_s)
 
 
 def follow(
@@ -209,7 +210,8 @@ def follow(
 ) -> Run:
     """Follow a path (K, dim), whose points are one interval apart, from q0 (n,), with the end effector at its start.
 
-    Each step goes from the position of the end effector to the next point. The full extended Jacobian keeps G.
+    Each step goes from the position of the end effector to the next point. The gain of the full extended Jacobian keeps
+    G = 0.
 
     Parameters
     ----------
@@ -222,7 +224,7 @@ def follow(
     method
         One method for all steps, or a function that returns the method of each step from its number.
     turns
-        How often to follow a closed path, whose last point is its first.
+        Number of times to follow a closed path, whose last point is its first.
     interval_s
         Time from one point to the next.
 
@@ -240,18 +242,18 @@ def follow(
     points = np.concatenate([path[:1], *[path[1:]] * turns])
     note = ""
 
-    def of_step(k: int) -> Method:
+    def method_at(k: int) -> Method:
         return method if isinstance(method, Method) else method(k)
 
-    def ask(k: int, end: Array, last: JointRates, stopped: list[int]) -> Array | str:
+    def next_velocity(k: int, end: Array, last: JointRates, stopped: list[int]) -> Array | str:
         nonlocal note
         if not note and last.note:
             note = f"{last.note} (step {k - 1})"
         return note if k == len(points) - 1 else (points[k + 1] - end) / interval_s
 
-    run = _moved(chain, chain.inside_limits(np.asarray(q0, float)), points, ask, of_step, interval_s)
+    run = _moved(chain, chain.inside_limits(np.asarray(q0, float)), points, next_velocity, method_at, interval_s)
     onwards = path[1] - path[0] if closed else path[-1] - path[-2]
-    last = _one_interval(chain, run.q[-1], onwards / interval_s, of_step(run.iterations), interval_s)[0].dq
+    last = _one_interval(chain, run.q[-1], onwards / interval_s, method_at(run.iterations), interval_s)[0].dq
     return replace(run, dq=np.vstack([run.dq[:-1], last]), closed=closed)
 
 
@@ -259,19 +261,19 @@ def _moved(
     chain: SerialChain,
     q: Array,
     aim_m: Array,
-    ask: Callable[[int, Array, JointRates, list[int]], Array | str],
+    next_velocity: Callable[[int, Array, JointRates, list[int]], Array | str],
     method: Callable[[int], Method],
     interval_s: float,
 ) -> Run:
-    """Move on from q (n,), interval by interval, until `ask` returns the note of the run.
+    """Move on from q (n,), interval by interval, until `next_velocity` returns the note of the run.
 
-    ask(k, end, last rates, stopped joints) returns the velocity (dim,) of step k, or the note.
+    next_velocity(k, end, last rates, stopped joints) returns the velocity (dim,) of step k, or the note.
     """
     path, ends, limits = [q], [chain.end(q)], {}
     steps: list[JointRates] = []
     times: list[float] = []
     last, stopped = JointRates(np.zeros(chain.n)), []
-    while not isinstance(dx := ask(len(steps), ends[-1], last, stopped), str):
+    while not isinstance(dx := next_velocity(len(steps), ends[-1], last, stopped), str):
         started = time.perf_counter()
         last, q, stopped = _one_interval(chain, q, dx, method(len(steps)), interval_s)
         ends.append(chain.end(q))

@@ -223,10 +223,10 @@ def fit_parameter_series(
         fitted = [fit(frames[window]) for window in rows]
         methods[name] = [result.method for result in fitted]
         values = np.array([result.parameter for result in fitted])
-        called: Sequence[str] = PARAMETERS.get(name, ())
+        part_names: Sequence[str] = PARAMETERS.get(name, ())
         if values.shape[1] == limb.chain.n:
-            called = vector_names(limb.chain.names) if name in VECTORS else limb.chain.names
-        columns |= {f"{name}_{part}": of_part for part, of_part in zip(called, values.T, strict=True)}
+            part_names = vector_names(limb.chain.names) if name in VECTORS else limb.chain.names
+        columns |= {f"{name}_{part}": column for part, column in zip(part_names, values.T, strict=True)}
         columns[f"{name}_best_alpha"] = np.array([result.alpha for result in fitted])
         by_frame = zip(methods[name], (frames[t : t + 1] for t in range(first, stop)), strict=True)
         columns[f"{name}_explained"] = np.array(
@@ -293,8 +293,8 @@ def stride_of(motion: Motion, limb: Limb, stride_s: tuple[float, float] | None =
 def _path_of(motion: Motion, limb: Limb, stride: Stride | None, lasts_s: tuple[float, float] | None) -> StridePath:
     """Return a stride as the path of a limb's foot.
 
-    Without a stride it is the foot's nearest return in space that lasts so long, or the whole clip if lasts_s is None.
-    Raises InputError if the clip shows too little of a stride.
+    Without a stride it is the foot's nearest return in space whose duration is in the range lasts_s, or the whole clip
+    if lasts_s is None. Raises InputError if the clip shows too little of a stride.
     """
     try:
         if stride is not None:
@@ -314,8 +314,8 @@ def _path_of(motion: Motion, limb: Limb, stride: Stride | None, lasts_s: tuple[f
 def stride_lasts_s(gait: Gait) -> tuple[float, float]:
     """Return the shortest and longest possible duration of a stride of a foot without a complete stride.
 
-    Both are close to the duration that the clip suggests. If the clip is shorter than that, and no foot lands twice in
-    it, the stride lasts at least from the first touch-down to the end of the clip, to within half a frame.
+    The two durations are close to the one that the clip suggests. If the clip is shorter than that, and no foot lands
+    twice in it, the stride lasts at least from the first touch-down to the end of the clip, to within half a frame.
     """
     time_s = gait.tracks.time_s
     if 0 < gait.stride_s < time_s[-1] - time_s[0]:
@@ -339,8 +339,8 @@ def follow_stride(
     if isinstance(method, ExtendedJacobian):
         q0 = to_null_space_optimum(chain, q0, method.cost)[0]
 
-    def of_step(k: int) -> Method:
+    def method_at(k: int) -> Method:
         return by_frame[min(k % steps // OVERSAMPLING, len(by_frame) - 1)]
 
-    run = follow(chain, q0, stride.path_m, of_step if by_frame else method, turns, SLOWER * stride.interval_s)
+    run = follow(chain, q0, stride.path_m, method_at if by_frame else method, turns, SLOWER * stride.interval_s)
     return replace(run, dq=SLOWER * run.dq, interval_s=stride.interval_s)

@@ -32,7 +32,7 @@ INTERVAL_S = 1 / 90
 SINGULAR = 1e-6
 """Ratio of the smallest to the largest eigenvalue of J J' below which J J' is singular.
 
-It is a ratio of the singular values of J of one thousandth.
+The corresponding ratio of the singular values of J is one thousandth.
 """
 LOST = 1e-12
 """Ratio to the largest singular value of J below which a direction has no motion."""

@@ -20,7 +20,8 @@ _MAX_ITERATIONS = 500
 KINDS = ("minimum", "saddle", "maximum", "degenerate")
 
 
-def _listed(chain: SerialChain, joints: Iterable[int]) -> str:
+def joint_names(chain: SerialChain, joints: Iterable[int]) -> str:
+    """Return the names of some joints, given by index, for a message."""
     return ", ".join(chain.names[joint] for joint in joints)
 
 
@@ -49,7 +50,7 @@ def _null_space_newton(chain: SerialChain, q0: Array, cost: Cost, descend: bool)
         J, curvature = chain.derivatives(q)
         J = J[:, free]
         if J.shape[1] <= chain.dim:
-            return q, f"limits: joints {_listed(chain, stuck.nonzero()[0].tolist())}"
+            return q, f"limits: joints {joint_names(chain, stuck.nonzero()[0].tolist())}"
         N = null_basis(J)
         g, M = reduced_gradient(cost, q, right_inverse(J)[0], curvature, free)
         G = N.T @ g

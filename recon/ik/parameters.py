@@ -164,7 +164,7 @@ def _linear(method: Callable[[Array], Method], n: int, frames: Frames) -> Parame
 
 def _in_range(
     method: Callable[[float], Method],
-    called: tuple[str, str],
+    name_and_unit: tuple[str, str],
     frames: Frames,
     rates_with: Callable[[float], Array] | None = None,
 ) -> ParameterFit:
@@ -182,7 +182,7 @@ def _in_range(
     around = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
     refined = float(minimize_scalar(cost, bounds=around, method="bounded", options={"xatol": 1e-8}).x)
     value = float(np.exp(refined if cost(refined) < cost(grid[i]) else grid[i]))
-    (low, high), (name, unit), note = RANGE, called, ""
+    (low, high), (name, unit), note = RANGE, name_and_unit, ""
     if i == 0 and name == "lambda":
         # Because dx is J dq, damping adds sum((1 - s^2 / (s^2 + lambda^2))^2 ...) to the error of the least norm.
         note = "lambda is 0: damping only reduces the rates of the least-norm method, which are too small already"

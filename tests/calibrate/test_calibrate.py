@@ -337,7 +337,7 @@ def test_a_video_gives_some_of_its_frames(tmp_path):
 
 def test_all_bad_inputs_are_named_at_once(tmp_path):
     (tmp_path / "empty").mkdir()
-    with refusal((tmp_path / "empty", "folder", "no pictures"), (tmp_path / "nowhere.png", "file", "nothing there")):
+    with refusal((tmp_path / "empty", "folder", "no pictures"), (tmp_path / "nowhere.png", "file", "no such file")):
         collect([tmp_path / "empty", tmp_path / "nowhere.png"])
     (tmp_path / "text.png").write_text("no picture")
     for number, shape in enumerate([(60, 80), (60, 80), (80, 60)]):

@@ -12,7 +12,7 @@ from command_line import refused, run, says
 from recon.animal.prior import prior_from_body
 from recon.animal.skeleton_file import load_skeleton
 from recon.api.camera_advice import direction_text
-from recon.calibrate.camera_advice import ELEVATIONS_RAD, advise, known, length_m, mean_stride, placed
+from recon.calibrate.camera_advice import ELEVATIONS_RAD, advise, camera_at, length_m, mean_stride, precision_of
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.geometry.camera import Camera
 
@@ -25,13 +25,13 @@ SIDE, ABOVE = (np.pi / 2, 0.0), (np.pi / 2, np.radians(85))
 
 def seen_from(place, body=BODY, distance_m=4.0, **what):
     middle = body.tree.pose(STATES).points_m.mean(axis=(0, 1))
-    return known(body, PRIOR, STATES, [placed(LENS, middle, *place, distance_m)], **what)
+    return precision_of(body, PRIOR, STATES, [camera_at(LENS, middle, *place, distance_m)], **what)
 
 
 def test_the_camera_looks_at_the_middle_and_stands_upright():
     target = np.array([1.0, 2.0, 0.5])
     for azimuth in (0.3, 2.0, 4.5):
-        camera = placed(LENS, target, azimuth, np.radians(30), 5.0)
+        camera = camera_at(LENS, target, azimuth, np.radians(30), 5.0)
         pixels, _ = camera.project(camera.world_to_camera(target + np.array([[0.0, 0, 0], [0, 0, 0.1]])))
         np.testing.assert_allclose(pixels[0], [959.5, 539.5], atol=1e-9)
         assert pixels[1, 0] == pytest.approx(959.5)

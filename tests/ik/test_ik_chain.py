@@ -159,6 +159,6 @@ def test_mobility_by_gruebler():
     skeleton = load_chain("cheetah-8u")
     joints = [2 for link in skeleton.links if link.free] + [6]
     assert mobility(len(skeleton.links) + 1, joints) == 20 == skeleton.n_state - 1
-    assert mobility(4, [1, 1, 1, 1], of_a_body=3) == 1  # the four-bar linkage
+    assert mobility(4, [1, 1, 1, 1], body_freedoms=3) == 1  # the four-bar linkage
     assert mobility(7, [1] * 6) == 6  # an arm of six hinges
     assert mobility(14, [2] * 6 + [1] * 6 + [3] * 6) == 6  # Stewart's platform, with universal and ball joints

@@ -39,8 +39,11 @@ MAX_UNLIKE, LEAST_UNLIKE = 3.0, 8.0
 levels. A larger difference means that the point is hidden.
 """
 ORB_POINTS, MIN_SAME = 700, 20
+"""Number of points that are described in a picture, and smallest number of them that match in the same scene."""
 MIN_ALIKE = 0.7
+"""Smallest correlation of two reduced pictures that are similar."""
 HULL_MARGIN = 0.15
+"""Margin around the animal's points, as a fraction of their extent."""
 
 
 @dataclass(frozen=True)
@@ -197,6 +200,7 @@ def pixels_of(camera: Camera, rays: Array, zoom: float = 1.0) -> tuple[Array, Bo
 
 GRID = (12, 12)
 TRIALS, CANDIDATES = 300, 10
+"""Number of trial rotations, and of the best of them that are refined."""
 MIN_APART = 0.12
 """Minimum distance of the two points that give a trial rotation, as a fraction of the picture's diagonal."""
 MIN_POINTS, MIN_SPREAD = 15, 0.2
@@ -430,7 +434,7 @@ def up_by_marks(
     _, size, directions = np.linalg.svd(A, full_matrices=True)
     sigma = math.sqrt(np.sum(size[:2] ** -2.0)) if len(size) > 1 and size[1] > 0 else math.inf
     if sigma > MAX_SIGMA_RAD:
-        found_text = "they do not determine the upward direction"
+        found_text = "marks that do not determine the upward direction"
         raise InputError(Problem(source, "marks", found_text, "two points of the horizon, or verticals far apart"))
     up = directions[2]
     return (up if up[1] < 0 else -up), sigma

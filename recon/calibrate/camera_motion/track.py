@@ -30,7 +30,7 @@ NEW_KEY_LIKENESS, MIN_LIKENESS = 0.7, 0.25
 NEW_KEY_SUPPORT = 0.6
 """Fraction of the best support of a rotation since the last keyframe below which a frame becomes a keyframe."""
 MIN_SUPPORT = 0.25
-"""The same fraction below which the frame is lost."""
+"""Fraction of the same support below which the frame is lost."""
 BY_ZOOM = 5.0
 """Reduction of the likeness of two pictures per unit of difference in log zoom."""
 KEYS_AT_ONCE, KEYS_TO_LINK = 3, 5
@@ -42,17 +42,17 @@ SETTLED = 0.75
 LEAST_AGREEING = 0.6
 """Fraction of agreeing background points below which no single rotation explains the background."""
 MAX_APART = 0.25
-"""Fraction of such frames above which the camera has not only turned."""
+"""Fraction of frames whose background no single rotation explains, above which the camera has not only turned."""
 MAX_PAIRS = 60
 """Number of pairs of pictures, those turned furthest, that determine the focal length."""
 MIN_BACKGROUND = 0.4
-"""Smallest agreement of their points with the background."""
+"""Smallest agreement with the background of the points of such a pair."""
 CLEAR_SIGMAS = 3.0
 """Number of standard deviations beyond which a focal length differs clearly from that of the camera file."""
 MIN_STILL = 0.4
 """Smallest fraction of an old keyframe's background that stays in position."""
 MAX_TORN = 1
-"""Number of keyframes that may have less."""
+"""Largest number of old keyframes with a smaller fraction."""
 ADJUST_STEPS = 4
 PICTURE_FLOOR_PX = 0.1
 """Error that all points of a picture have in common, in pixels, and that their scatter does not show."""
@@ -152,7 +152,7 @@ class Tracker:
         if not self.keys:
             return self._begin(number, frame, mask)
         alignment = self._placed(number, frame, mask, self._predicted(number), KEYS_AT_ONCE)
-        if alignment is None and (recovered := self._found_again(frame, mask)) is not None:
+        if alignment is None and (recovered := self._relocalised(frame, mask)) is not None:
             alignment = self._placed(number, frame, mask, recovered, KEYS_AT_ONCE)
         if alignment is None:
             self.lost.append(number)
@@ -240,8 +240,8 @@ class Tracker:
         share_inside = turning.expected_px(self.camera, rays[valid] @ orientation.rotation, key.orientation)[1].mean()
         return float(share_inside) - BY_ZOOM * abs(np.log(orientation.zoom / key.orientation.zoom))
 
-    def _found_again(self, frame: GreyPicture, mask: Bools | None) -> Orientation | None:
-        """Return the orientation from recognised points, after a jerk or after frames without background."""
+    def _relocalised(self, frame: GreyPicture, mask: Bools | None) -> Orientation | None:
+        """Return the orientation from points recognised anywhere in the picture, after a jerk or lost frames."""
         pixels, descriptors = turning.described(frame)
         recent = sorted((key for key in self.keys if key.frame is not None), key=lambda key: -key.used)[:20]
         rays, pixel_sets = [], []
@@ -264,8 +264,8 @@ class Tracker:
         """Update which points are background, and return whether no single rotation explains them."""
         settled = still_agreeing = 0
         for k, key in enumerate(seen.keys):
-            is_own = seen.of_key == k
-            point_rows, agree = seen.place[is_own], agreement.agree[is_own]
+            is_own = seen.key_index == k
+            point_rows, agree = seen.point_index[is_own], agreement.agree[is_own]
             was_settled = key.settled[point_rows]
             settled = settled + int(was_settled.sum())
             still_agreeing = still_agreeing + int((was_settled & agree).sum())
@@ -282,7 +282,7 @@ class Tracker:
         key = seen.keys[k]
         is_inside = turning.expected_px(self.camera, key.world_rays, agreement.orientation)[1] & key.settled
         if is_inside.sum() >= MIN_CORNERS:
-            point_rows = seen.place[(seen.of_key == k) & agreement.agree]
+            point_rows = seen.point_index[(seen.key_index == k) & agreement.agree]
             self.still_shares.append(float(is_inside[point_rows].sum() / is_inside.sum()))
 
     def _keep(self, number: int, agreement: AgreedOrientation, seen: _Seen) -> None:
@@ -293,14 +293,16 @@ class Tracker:
         self.supports.append((int(agree.sum()), float(np.sqrt((error**2).mean()))))
         index = len(self.frames) - 1
         for k, key in enumerate(seen.keys):
-            is_own = (seen.of_key == k) & agree
+            is_own = (seen.key_index == k) & agree
             if is_own.sum() >= 8:
                 self.links.append(self._link(index, key, agreement, seen, is_own))
-            is_background = (seen.of_key == k) & (seen.background > MIN_BACKGROUND)
+            is_background = (seen.key_index == k) & (seen.background > MIN_BACKGROUND)
             if not self.solve_zoom and is_background.sum() >= MIN_PAIR_POINTS:
                 turn = agreement.orientation.rotation @ key.orientation.rotation.T
                 self.pairs.append(
-                    _TurnedPair(key.number, key.points_px[seen.place[is_background]], seen.pixels[is_background], turn)
+                    _TurnedPair(
+                        key.number, key.points_px[seen.point_index[is_background]], seen.pixels[is_background], turn
+                    )
                 )
         if len(self.pairs) > 2 * MAX_PAIRS:
             self.pairs = _furthest_turned(self.pairs)
@@ -310,7 +312,7 @@ class Tracker:
         by_key = np.zeros((len(J), 2, 1))
         if self.solve_zoom:
             step = 1e-4
-            points = key.points_px[seen.place[is_own]]
+            points = key.points_px[seen.point_index[is_own]]
             ends = [
                 turning.rays_of(self.camera, points, key.orientation.zoom * np.exp(change))[0]
                 for change in (-step, step)
@@ -346,7 +348,7 @@ class Tracker:
         if len(with_picture) > MAX_PICTURES:
             min(with_picture, key=lambda key: key.used).frame = None
 
-    # -- all of them --
+    # -- all frames --
 
     def finish(self) -> TurningMotion:
         """Adjust all frames together and return the camera's motion."""
@@ -374,13 +376,13 @@ class Tracker:
 class _Seen(NamedTuple):
     """Points of some keyframes in one frame.
 
-    of_key, place: (N,), keyframe of each point and the point's index in it. rays: (N, 3), world. pixels: (N, 2).
-    background: (N,).
+    key_index, point_index: (N,), index of each point's keyframe in `keys`, and the point's index in the keyframe.
+    rays: (N, 3), world. pixels: (N, 2). background: (N,).
     """
 
     keys: list[_Keyframe]
-    of_key: Integers
-    place: Integers
+    key_index: Integers
+    point_index: Integers
     rays: Array
     pixels: Array
     background: Array
@@ -511,7 +513,7 @@ def _focal_factor(camera: Camera, pairs: Sequence[_TurnedPair], limit_px: float)
     every_few = pairs[:: max(1, len(pairs) // 12)]
 
     def cost(log_factor: float) -> float:
-        sizes = [np.linalg.norm(_left_px(camera, pair, log_factor, COARSE_ROUNDS), axis=1) for pair in every_few]
+        sizes = [np.linalg.norm(_residuals_px(camera, pair, log_factor, COARSE_ROUNDS), axis=1) for pair in every_few]
         return sum(float(np.minimum(size / limit_px, 1.0).mean()) for size in sizes)
 
     log_factor = min(np.linspace(-WIDEST, WIDEST, 29).tolist(), key=cost)
@@ -529,7 +531,7 @@ def _focal_factor(camera: Camera, pairs: Sequence[_TurnedPair], limit_px: float)
 
 def _information(camera: Camera, pair: _TurnedPair, log_factor: float) -> tuple[float, float]:
     """Return a pair's information on the log factor, and the gradient."""
-    residual_px, *ends = (_left_px(camera, pair, log_factor + change) for change in (0.0, STEP, -STEP))
+    residual_px, *ends = (_residuals_px(camera, pair, log_factor + change) for change in (0.0, STEP, -STEP))
     slope, weights, size = (ends[0] - ends[1]) / (2 * STEP), _weights(residual_px), np.linalg.norm(residual_px, axis=1)
     used = max(float(weights.sum()), 1.0)
     sigma2 = max(float(weights @ size**2) / (2 * used), 1e-4) + PAIR_FLOOR_PX**2 * used
@@ -538,7 +540,7 @@ def _information(camera: Camera, pair: _TurnedPair, log_factor: float) -> tuple[
     ) / sigma2
 
 
-def _left_px(camera: Camera, pair: _TurnedPair, log_factor: float, rounds: int = ROUNDS) -> Array:
+def _residuals_px(camera: Camera, pair: _TurnedPair, log_factor: float, rounds: int = ROUNDS) -> Array:
     """Return the residuals (N, 2) of a pair's points in its second picture after the best rotation."""
     zoom = float(np.exp(log_factor))
     (a, is_known), (b, is_seen) = (turning.rays_of(camera, points_px, zoom) for points_px in (pair.a_px, pair.b_px))
@@ -554,9 +556,9 @@ def _left_px(camera: Camera, pair: _TurnedPair, log_factor: float, rounds: int =
     return residual_px
 
 
-def _weights(left_px: Array) -> Array:
+def _weights(residual_px: Array) -> Array:
     """Return Tukey's weights (N,) for residuals (N, 2)."""
-    size = np.linalg.norm(left_px, axis=1)
+    size = np.linalg.norm(residual_px, axis=1)
     return turning.tukey(size, max(4 * float(np.median(size)), 1.0))
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from recon.animal.prior import NONE as NO_PRIOR
-from recon.animal.skeleton_file import NONE, OWN, of_scorer
+from recon.animal.skeleton_file import NONE, OWN, detector_of_scorer
 from recon.base.numbers import percent, plus_minus, quantity
 from recon.check.codes import sentence
 from recon.check.verdict import verdict_lines as lines_of_verdict
@@ -117,7 +117,7 @@ def detector_data(motion: Motion) -> dict[str, str]:
         reason = f"the scorer {scorer_names} belongs to no known detector"
     elif name == NONE:
         reason = "the keypoint file names no scorer"
-    elif name in {of_scorer(scorer, motion.body.name) for scorer in scorers}:
+    elif name in {detector_of_scorer(scorer, motion.body.name) for scorer in scorers}:
         reason = f"by the file's scorer {scorer_names}"
     return {"name": name, "reason": reason}
 
