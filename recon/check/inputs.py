@@ -75,54 +75,92 @@ def input_findings(
     seek_swaps
         Whether to search for swaps, which takes the longest time.
     """
-    solution, body, fps = motion.solution, motion.body, motion.fps
+    solution = motion.solution
     assert isinstance(solution, TrajectorySolution)
-    clip = ClipProblem.from_views(solution.views, body, prior, fps, options)
-    weighted_clip = replace(
-        clip, prior_weight=min((segment.prior_weight for segment in solution.segments), default=1.0)
-    )
-    too_fast = mean_speed_m_s(solution.states, fps) > FASTEST_M_S  # the prior contains no such speeds
-    is_unlike = too_fast or any(segment.unlike_prior for segment in solution.segments)
-    findings = [*copies(motion.sources, resampled=bool(motion.settings.get("camera_fps")))]
-    is_certain = any(item.severity == "error" for item in findings)
-    moves = [] if is_certain else [*movement(motion)]
-    is_explained = is_certain or any(item.code in MOVES for item in moves)
+    clip = ClipProblem.from_views(solution.views, motion.body, prior, motion.fps, options)
+    ground_clip = _as_solved(clip, solution)
     has_learned_prior = prior.name != NONE and bool(solution.posed.any())
-    is_elsewhere = any(segment.ground and segment.ground.near_zero is False for segment in solution.segments)
-    ground_clip = replace(weighted_clip, ground_near_zero=weighted_clip.ground_near_zero and not is_elsewhere)
-    pictures: list[Finding] = []
+    copied = [*copies(motion.sources, resampled=bool(motion.settings.get("camera_fps")))]
+    has_copies = _has_error(copied)
+    moves = [] if has_copies else [*movement(motion)]
+    is_explained = has_copies or any(item.code in MOVES for item in moves)
+    exchanged: list[Finding] = []
+    drifting: list[Finding] = []
+    rates: Sequence[Finding] = ()
     with threadpool_limits(1, user_api="blas"):
-        for number, source in enumerate(motion.sources):
-            camera, as_given = source.camera.name, baseline_of(clip, number, solution.states, solution.size)
-            if named[number] is not None:
-                pictures.append(finding("other_camera_named", camera=camera, given=camera, other=named[number]))
-            elif picture_issue := unit_square_finding(as_given) or other_picture_finding(as_given):
-                pictures.append(picture_issue)
-            elif has_learned_prior and not is_explained:
-                baseline = baseline_of(ground_clip, number, solution.states, solution.size)
-                found_swaps = [
-                    swap_finding(trial, source, body) for trial in (swaps(baseline, is_unlike) if seek_swaps else ())
-                ]
-                findings += found_swaps
-                is_only_jolting = all(item.code == "path_jolts" for item in moves)
-                if len(motion.sources) == 1 and is_only_jolting and not found_swaps:
-                    hind = halves_finding(ground_clip, solution)
-                    moves = (
-                        [hind] if hind is not None else moves or _single_view_findings(motion, ground_clip, baseline)
-                    )
-        findings += pictures
-        if len(motion.sources) > 1 and not (pictures or is_certain):
+        other_pictures = _other_pictures(motion, clip, named)
+        if has_learned_prior and not is_explained:
+            for number, source in enumerate(motion.sources):
+                if number not in other_pictures:
+                    baseline = baseline_of(ground_clip, number, solution.states, solution.size)
+                    trials = swaps(baseline, _is_unlike_prior(solution, motion.fps)) if seek_swaps else ()
+                    exchanged += [swap_finding(trial, source, motion.body) for trial in trials]
+                    if len(motion.sources) == 1 and not exchanged:
+                        moves = _explain_by_only_view(motion, ground_clip, baseline, moves)
+        if len(motion.sources) > 1 and not (other_pictures or has_copies):
             names = [source.camera.name for source in motion.sources]
-            findings += drift_findings(ground_clip, solution, names, fps)
-        slides = [item.numbers.get("slide_m_s") for item in moves]
-        # such gliding also appears if the rate is too high
-        is_gliding = any(isinstance(item, float) and item > 0 for item in slides)
-        if is_gliding or not (is_explained or pictures):
-            findings += _rate_findings(clip, solution, stated_hz, bool(motion.settings.get("fps_known")))
-    rates = [item for item in findings if item.code.startswith("frame_rate")]
-    if not pictures and not any(item.severity == "error" for item in rates):
-        findings += moves
-    return tuple(findings)
+            drifting += drift_findings(ground_clip, solution, names, motion.fps)
+        if _feet_glide(moves) or not (is_explained or other_pictures):
+            rates = _rate_findings(clip, solution, stated_hz, bool(motion.settings.get("fps_known")))
+    if other_pictures or _has_error(rates):
+        moves = []  # they follow from the other fault
+    return (*copied, *exchanged, *other_pictures.values(), *drifting, *rates, *moves)
+
+
+def _has_error(findings: Sequence[Finding]) -> bool:
+    return any(item.severity == "error" for item in findings)
+
+
+def _as_solved(clip: ClipProblem, solution: TrajectorySolution) -> ClipProblem:
+    """Return the problem with the weight of the prior, and the knowledge of the ground, of its solution."""
+    weights = [segment.prior_weight for segment in solution.segments]
+    is_elsewhere = any(segment.ground and segment.ground.near_zero is False for segment in solution.segments)
+    return replace(
+        clip,
+        prior_weight=min(weights, default=1.0),
+        ground_near_zero=clip.ground_near_zero and not is_elsewhere,
+    )
+
+
+def _is_unlike_prior(solution: TrajectorySolution, fps: float) -> bool:
+    """Return whether the animal moves in a way, or at a speed, that the prior does not contain."""
+    too_fast = mean_speed_m_s(solution.states, fps) > FASTEST_M_S
+    return too_fast or any(segment.unlike_prior for segment in solution.segments)
+
+
+def _other_pictures(motion: Motion, clip: ClipProblem, named: Sequence[str | None]) -> dict[int, Finding]:
+    """Return, by the number of the view, findings on keypoints of another camera, or of another picture of it."""
+    findings = {}
+    for number, source in enumerate(motion.sources):
+        camera, other = source.camera.name, named[number]
+        if other is not None:
+            findings[number] = finding("other_camera_named", camera=camera, given=camera, other=other)
+            continue
+        baseline = baseline_of(clip, number, motion.solution.states, motion.solution.size)
+        picture = unit_square_finding(baseline) or other_picture_finding(baseline)
+        if picture is not None:
+            findings[number] = picture
+    return findings
+
+
+def _feet_glide(moves: Sequence[Finding]) -> bool:
+    """Return whether standing feet glide forward, as they also do if the frame rate is too high."""
+    slides = [item.numbers.get("slide_m_s") for item in moves]
+    return any(isinstance(slide_m_s, float) and slide_m_s > 0 for slide_m_s in slides)
+
+
+def _explain_by_only_view(
+    motion: Motion, clip: ClipProblem, baseline: Baseline, moves: Sequence[Finding]
+) -> list[Finding]:
+    """Return `moves`, or, if the path at most jolts, what a clip of one camera says about its cause."""
+    solution = motion.solution
+    assert isinstance(solution, TrajectorySolution)
+    if any(item.code != "path_jolts" for item in moves):
+        return [*moves]
+    halves = halves_finding(clip, solution)
+    if halves is not None:
+        return [halves]
+    return [*moves] or _single_view_findings(motion, clip, baseline)
 
 
 def _single_view_findings(motion: Motion, clip: ClipProblem, baseline: Baseline) -> list[Finding]:

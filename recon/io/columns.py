@@ -15,7 +15,7 @@ import csv
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -67,11 +67,18 @@ METADATA = b"recon"
 
 _Meaning = tuple[str, str, str | None]
 """Bodypart of a column ("" if it applies to all), its role in `ROLES`, and its unit, if stated."""
-_Layout = tuple[dict[tuple[str, str], str], str | None, list[str]]
-"""Columns by bodypart ("" in a long table) and role, the unit of the coordinates, and the other columns.
 
-The unit is given if all coordinates share one.
-"""
+
+@dataclass(frozen=True)
+class _Layout:
+    """Meaning of a table's columns."""
+
+    columns: Mapping[tuple[str, str], str]
+    """Columns by bodypart ("" in a long table) and role."""
+    unit: str | None
+    """Unit of the coordinates, or None if they state none, or several."""
+    ignored: Sequence[str]
+    """Other columns."""
 
 
 def parse_map(text: str) -> dict[str, str]:
@@ -126,7 +133,7 @@ def _layout(columns: Sequence[str], meaning: Callable[[str], _Meaning | None]) -
     used = {key: column for key, (column, _) in chosen.items()}
     used_columns = {*used.values()}
     ignored = [column for column in columns if column.strip() and column not in used_columns]
-    return used, units.pop() if len(units) == 1 else None, ignored
+    return _Layout(used, units.pop() if len(units) == 1 else None, ignored)
 
 
 def _by_name(column: str) -> _Meaning | None:
@@ -198,7 +205,7 @@ def read_long(path: Path, individual: str | None = None, columns: Mapping[str, s
     twice = [name for name, same in repeated.items() if not same and meaning(name)]
     expected = "the column once: the columns of this name differ"
     raise_problems(Problem(path, "header", f"column '{name}' more than once", expected) for name in twice)
-    stored = gathered(path, by_name, individual, columns)
+    stored = points_of_columns(path, by_name, individual, columns)
     notes = tuple(f"Column '{name}' is in the table more than once: the first is read." for name in repeated)
     return replace(stored, notes=(*stored.notes, *notes))
 
@@ -233,30 +240,24 @@ def read_parquet(path: Path, individual: str | None = None) -> StoredPoints:
             columns[name] = np.array([*dictionary_column.dictionary.to_pylist(), None], object)[
                 dictionary_column.indices.fill_null(-1).to_numpy()
             ]
-    pose = gathered(path, columns, individual, None)
+    pose = points_of_columns(path, columns, individual, None)
     return replace(
         pose, fps=pose.fps or common.rate(metadata.get("fps")), up="z" if metadata.get("up") == "z" else None
     )
 
 
-def gathered(path: Path, table: Columns, individual: str | None, column_map: Mapping[str, str] | None) -> StoredPoints:
+def points_of_columns(
+    path: Path, table: Columns, individual: str | None, column_map: Mapping[str, str] | None
+) -> StoredPoints:
     """Return the points of one animal in a table, by frame and point.
 
     `column_map` is a map of its columns. Raises InputError for unknown columns, cells that are not numbers, points that
     appear twice in a frame, and missing coordinates.
     """
-    absent = [column for column in (column_map or {}).values() if PART not in column and column not in table]
-    layout = _layout([*table], _by_name if column_map is None else _by_map(column_map))
-    if layout is None or absent:
-        expected = "frame, bodypart, x, y or frame, NAME_x, NAME_y, ...; or a map of columns (--columns)"
-        detail = f"no '{absent[0]}' in {', '.join(table)[:120]}" if absent else ", ".join(table)[:120]
-        raise InputError(Problem(path, "columns", detail, expected))
-    columns, unit, ignored = layout
+    layout = _required_layout(path, table, column_map)
+    columns = layout.columns
     role = {role: column for (bodypart, role), column in columns.items() if not bodypart}
-    owners = [str(cell).strip() for cell in table[role["individual"]]] if "individual" in role else []
-    animals = list(dict.fromkeys(owners)) or [""]
-    animal = animals[common.choose(path, animals, individual)]
-    rows = np.flatnonzero([owner == animal for owner in owners] or np.ones(len(table[next(iter(role.values()))])))
+    animal, rows = _rows_of_animal(path, table, role, individual)
     cells = _Cells(path, table, rows)
     rates = {*cells.numbers(role["fps"]).tolist()} if "fps" in role else {None}
     fps = common.rate(rates.pop()) if len(rates) == 1 else None
@@ -283,14 +284,38 @@ def gathered(path: Path, table: Columns, individual: str | None, column_map: Map
         flat = [bodypart for bodypart in index if (bodypart, "z") not in columns]
         cells.problems += [Problem(path, f"bodypart {bodypart}", "no z", ", ".join(coords)) for bodypart in flat]
     cells.raise_problems()
-    notes = (f"Columns left out: {', '.join(ignored)}.",) if ignored and column_map is None else ()
-    extra: dict[str, Any] = {"fps": fps, "unit": unit if unit != "px" else None, "notes": notes}
+    left_out = layout.ignored if column_map is None else ()
+    notes = (f"Columns left out: {', '.join(left_out)}.",) if left_out else ()
+    unit = layout.unit if layout.unit != "px" else None
     frames = distinct if "frame" in role else np.arange(len(distinct))
-    stored = StoredPoints(tuple(index), values[..., :-1], frames, values[..., -1], **extra)
+    stored = StoredPoints(tuple(index), values[..., :-1], frames, values[..., -1], fps=fps, unit=unit, notes=notes)
     if "frame" not in role:
         stored = with_times(path, stored, distinct, fps)
     stored = common.one_animal(path, animal or None, stored, [animal] if animal else [])
     return common.without_lost_markers(stored) if stored.in_space else stored
+
+
+def _required_layout(path: Path, table: Columns, column_map: Mapping[str, str] | None) -> _Layout:
+    """Return the meaning of the columns; raise InputError if they are unknown, or if the map names others."""
+    absent = [column for column in (column_map or {}).values() if PART not in column and column not in table]
+    layout = _layout([*table], _by_name if column_map is None else _by_map(column_map))
+    if layout is None or absent:
+        expected = "frame, bodypart, x, y or frame, NAME_x, NAME_y, ...; or a map of columns (--columns)"
+        detail = f"no '{absent[0]}' in {', '.join(table)[:120]}" if absent else ", ".join(table)[:120]
+        raise InputError(Problem(path, "columns", detail, expected))
+    return layout
+
+
+def _rows_of_animal(
+    path: Path, table: Columns, role: Mapping[str, str], individual: str | None
+) -> tuple[str, np.ndarray]:
+    """Return the chosen animal, "" if the table names none, and the numbers of its rows."""
+    owners = [str(cell).strip() for cell in table[role["individual"]]] if "individual" in role else []
+    animals = list(dict.fromkeys(owners)) or [""]
+    animal = animals[common.choose(path, animals, individual)]
+    if not owners:
+        return animal, np.arange(len(table[next(iter(role.values()))]))
+    return animal, np.flatnonzero([owner == animal for owner in owners])
 
 
 class _Cells:
@@ -396,7 +421,9 @@ def from_dataframe(table: pd.DataFrame, fps: float | None, individual: str | Non
         if table.columns.nlevels > 1:
             stored = _of_levels(source, table, individual)
         else:
-            stored = gathered(source, {str(name): table[name].to_numpy() for name in table.columns}, individual, None)
+            stored = points_of_columns(
+                source, {str(name): table[name].to_numpy() for name in table.columns}, individual, None
+            )
     return _keypoints(source, stored, fps)
 
 

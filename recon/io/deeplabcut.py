@@ -11,9 +11,9 @@ This module has the table and its CSV files; `recon.io.hdf5_poses` has its H5 fi
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path, PureWindowsPath
-from typing import Any
 
 import numpy as np
 
@@ -197,48 +197,75 @@ def points_of_table(
     InputError
     """
     named = [dict(zip(levels, label, strict=True)) for label in labels]
-    raw = [(n.get("individuals", ""), n["bodyparts"], n["coords"]) for n in named]
-    columns = [(animal.strip(), bodypart.strip(), coord.strip()) for animal, bodypart, coord in raw]
-    blank = dict.fromkeys(name for column in raw for name in column[:2] if name != name.strip())
-    notes = tuple(f"'{name}' is read as '{name.strip()}'." for name in blank)
+    columns, blank_notes = _stripped(named)
     frames, images, frame_problems = _frame_numbers(path, rows)
     raise_problems(common.first_problems([*_column_problems(path, columns), *problems, *frame_problems], path))
-    if {animal for animal, _, _ in columns} == {""} and _prefixes(bodypart for _, bodypart, _ in columns):
-        columns = [(bodypart.partition("_")[0], bodypart.partition("_")[2], coord) for _, bodypart, coord in columns]
+    columns = _with_animals_of_prefixes(columns)
     _require_one_scorer(path, [n.get("scorer", "").strip() for n in named], columns)
     columns, values, repeat_notes = _without_repeats(columns, values)
     animal, animal_columns, choice_notes = _choose_animal(path, columns, values, individual)
-    notes += (*repeat_notes, *choice_notes)
+    notes = (*blank_notes, *repeat_notes, *choice_notes)
     order = np.argsort(frames, kind="stable")
     if (np.diff(order) < 0).any():
         values = values[order]
         notes += ("The rows were not in the order of their frame numbers and have been sorted.",)
     names, points = _points(path, [(j, *columns[j][1:]) for j in animal_columns], values)
     scorer, fps = _without_fps(named[0]["scorer"]) if "scorer" in named[0] else (None, None)
-    likelihood, in_space = None, any(columns[j][2] == "z" for j in animal_columns)
+    in_space = any(columns[j][2] == "z" for j in animal_columns)
+    likelihood = None
     if not in_space:
         points[(points == PADDING).all(axis=2)] = np.nan, np.nan, 0.0
         points, likelihood = points[..., :2], points[..., 2]
         if scorer is None:
             notes += ("The header's first row, scorer, is missing; the remaining rows name every column.",)
         if not images:
-            points, cropped = _uncropped(path, points, likelihood)
-            notes += cropped
+            points, crop_notes = _uncropped(path, points, likelihood)
+            notes += crop_notes
     if common.FMPOSE3D in (scorer or ""):
         from recon.io.json_poses import true_names
 
         names, renaming = true_names(names, scorer or "", in_space)
         notes += renaming
-    extra: dict[str, Any] = {"unit": "m", "up": "z"} if in_space and scorer == SCORER else {}
-    if in_space and not extra:
-        ours = scorer is None or common.FMPOSE3D in scorer
-        extra = {"unit": "m"} if ours else {}
-        notes += () if ours else (TRIANGULATED,)
-    extra |= {"fps": fps, "scorer": None if in_space else scorer, "notes": notes}
-    extra["images"] = tuple(images[i] for i in order) if images else ()
-    stored = StoredPoints(names, points, frames[order], likelihood, **extra)
+    stored = StoredPoints(
+        names,
+        points,
+        frames[order],
+        likelihood,
+        fps=fps,
+        scorer=None if in_space else scorer,
+        images=tuple(images[i] for i in order) if images else (),
+        notes=notes,
+    )
+    if in_space:
+        stored = _with_axes(stored, scorer)
     stored = common.one_animal(path, animal or None, stored, [animal] if animal else [])
     return common.without_lost_markers(stored) if in_space else stored
+
+
+def _stripped(named: Sequence[Mapping[str | None, str]]) -> tuple[list[Column], tuple[str, ...]]:
+    """Return the columns, of texts by level, without spaces around their names, and notes on these names."""
+    columns, spaced = [], dict[str, None]()
+    for texts in named:
+        animal, bodypart = texts.get("individuals", ""), texts["bodyparts"]
+        spaced |= dict.fromkeys(name for name in (animal, bodypart) if name != name.strip())
+        columns.append((animal.strip(), bodypart.strip(), texts["coords"].strip()))
+    return columns, tuple(f"'{name}' is read as '{name.strip()}'." for name in spaced)
+
+
+def _with_animals_of_prefixes(columns: list[Column]) -> list[Column]:
+    """Return the columns with the animals that their bodyparts name, as in B_nose, if the table names no animals."""
+    if any(animal for animal, _, _ in columns) or not _prefixes(bodypart for _, bodypart, _ in columns):
+        return columns
+    return [(bodypart.partition("_")[0], bodypart.partition("_")[2], coord) for _, bodypart, coord in columns]
+
+
+def _with_axes(stored: StoredPoints, scorer: str | None) -> StoredPoints:
+    """Return 3D points with the unit and the upward axis that their writer uses, as far as they are known."""
+    if scorer == SCORER:
+        return replace(stored, unit="m", up="z")
+    if scorer is None or common.FMPOSE3D in scorer:
+        return replace(stored, unit="m")
+    return replace(stored, notes=(*stored.notes, TRIANGULATED))
 
 
 def _require_one_scorer(path: Path, scorers: Sequence[str], columns: Sequence[Column]) -> None:
