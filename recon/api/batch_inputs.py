@@ -13,7 +13,7 @@ from functools import cache, partial
 from itertools import count as counting
 from itertools import islice
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from recon.api.clip_cameras import cameras_in
 from recon.api.clip_results import read_settings, setting_in_folder
@@ -431,41 +431,59 @@ def _joined(
     if pattern is not None and camera_name is not None:
         actual = f"{camera_name if isinstance(camera_name, str) else ', '.join(camera_name)} together with {OPTION}"
         raise InputError(Problem("--camera-name", "camera_name", actual, "only one of the two"))
-    groups: dict[Any, list[tuple[_Draft, _Draft]]] = {}  # pairs: the draft as stated, and with its camera
+    clips: dict[Any, list[_FileOfClip]] = {}
     without_camera = []
     for draft in drafts:
         with_camera = _with_camera(draft, pattern, cameras_by, camera_names)
         if with_camera.rule is None and with_camera.manifest_line is None and (pattern or with_camera.cam_regex):
             without_camera.append(with_camera.paths[0].name)
-        elif with_camera.rule is None or cameras_by == NONE:
-            groups[len(groups)] = [(draft, with_camera)]
         else:
-            row = {name: value for name, value in with_camera.row.items() if name != "camera_name"}
-            key = with_camera.title.parent, with_camera.title.name.casefold(), repr(row)
-            groups.setdefault(key, []).append((draft, with_camera))
-    if without_camera and not any(with_camera.rule for group in groups.values() for _, with_camera in group):
+            is_by_itself = with_camera.rule is None or cameras_by == NONE
+            key = len(clips) if is_by_itself else _clip_key(with_camera)
+            clips.setdefault(key, []).append(_FileOfClip(draft, with_camera))
+    if without_camera and not any(file.with_camera.rule for files in clips.values() for file in files):
         actual = f"no camera in {names_text(without_camera)}"
         raise InputError(Problem(OPTION, "pattern", actual, "a pattern that matches the files' names"))
-    joined_groups = [[with_camera for _, with_camera in group] for group in groups.values() if len(group) > 1]
-    joined = []
-    for group in groups.values():
-        draft, first = group[0]
-        if first.rule is None or (first.rule == AUTO and not joined_groups):
-            joined.append(draft)
-        else:
-            paths = tuple(path for _, with_camera in group for path in with_camera.paths)
-            cameras = tuple(name for _, with_camera in group for name in with_camera.row["camera_name"])
-            joined.append(replace(first, paths=paths, row={**first.row, "camera_name": cameras}))
+    several = [files for files in clips.values() if len(files) > 1]
     notes = [f"Left out, without a camera in the name: {names_text(without_camera)}"] if without_camera else []
-    if joined_groups:
-        rules = dict.fromkeys(with_camera.rule for group in joined_groups for with_camera in group)
-        rule_text = " and ".join("camera names in the file names" if rule == AUTO else str(rule) for rule in rules)
-        clips = f"{len(joined_groups)} clips" if len(joined_groups) > 1 else "1 clip"
-        alternative = f" ({OPTION} {NONE} fits each file by itself)" if OPTION not in rules else ""
-        notes.append(
-            f"{sum(map(len, joined_groups))} files are {clips} of several cameras, by {rule_text}{alternative}."
-        )
-    return joined, notes
+    if several:
+        notes.append(_joining_note(several))
+    return [_draft_of_clip(files, any_joined=bool(several)) for files in clips.values()], notes
+
+
+class _FileOfClip(NamedTuple):
+    """A draft as it was stated, and with the camera and the clip that its file name names."""
+
+    stated: _Draft
+    with_camera: _Draft
+
+
+def _clip_key(draft: _Draft) -> tuple[Path, str, str]:
+    """Return what the files of one clip have in common: folder, name without the camera, and settings."""
+    row = {name: value for name, value in draft.row.items() if name != "camera_name"}
+    return draft.title.parent, draft.title.name.casefold(), repr(row)
+
+
+def _draft_of_clip(files: Sequence[_FileOfClip], any_joined: bool) -> _Draft:
+    """Return the draft of the files of one clip.
+
+    Names of cameras that the file names happen to contain count only if they join any two files (`any_joined`).
+    """
+    stated, first = files[0]
+    if first.rule is None or (first.rule == AUTO and not any_joined):
+        return stated
+    paths = tuple(path for file in files for path in file.with_camera.paths)
+    cameras = tuple(name for file in files for name in file.with_camera.row["camera_name"])
+    return replace(first, paths=paths, row={**first.row, "camera_name": cameras})
+
+
+def _joining_note(clips: Sequence[Sequence[_FileOfClip]]) -> str:
+    """Return the note on clips of several files, and on the rule that joined them."""
+    rules = dict.fromkeys(file.with_camera.rule for files in clips for file in files)
+    rule_text = " and ".join("camera names in the file names" if rule == AUTO else str(rule) for rule in rules)
+    clip_count = f"{len(clips)} clips" if len(clips) > 1 else "1 clip"
+    alternative = f" ({OPTION} {NONE} fits each file by itself)" if OPTION not in rules else ""
+    return f"{sum(map(len, clips))} files are {clip_count} of several cameras, by {rule_text}{alternative}."
 
 
 def _with_camera(

@@ -21,7 +21,7 @@ from recon.base.outputs import output_file, require_suffix
 from recon.base.progress import Progress, silent
 from recon.clip import Source, View, align_cameras, camera_poses
 from recon.fit.clip_problem import ClipProblem
-from recon.fit.extrinsics import LEVEL_RAD, search_offsets, solve_extrinsics
+from recon.fit.extrinsics import LEVEL_RAD, Rig, search_offsets, solve_extrinsics
 from recon.geometry.camera import Camera
 from recon.geometry.frames import level_from_camera, rigid
 from recon.io.camera_files import write_cameras
@@ -101,15 +101,7 @@ def run_extrinsics(
         lambda: output.require((out.name,)),
     )
     cameras = _all_cameras(prepared)
-    if posed:
-        if unposed := [camera.name for camera in cameras if not camera.has_extrinsics]:
-            expected = "a camera file with the poses of all cameras"
-            raise InputError(Problem("--set refine-cameras", "poses", f"none of {', '.join(unposed)}", expected))
-        poses = camera_poses(cameras)
-    else:  # each camera has its own level world
-        tilt = {} if tilt_deg is None else {"tilt_rad": math.radians(tilt_deg)}
-        cameras = [replace(camera, rotation=None, translation_m=None, **tilt) for camera in cameras]
-        poses = [rigid(level_from_camera(camera.up).T, np.zeros(3)) for camera in cameras]
+    cameras, poses = _with_stated_poses(cameras) if posed else _in_own_worlds(cameras, tilt_deg)
     aligned = [_aligned_sources(*problem_inputs) for problem_inputs in zip(clips, prepared, strict=True)]
     if not posed:
         _require_motion(aligned)
@@ -118,38 +110,87 @@ def run_extrinsics(
         _clip_problem(*problem_inputs, cameras, poses) for problem_inputs in zip(clips, firsts, aligned, strict=True)
     ]
     rig = solve_extrinsics(problems, posed, level_rad or LEVEL_RAD, progress)
+    _require_known_rotations(cameras, rig)
+    posed_cameras = _in_world_of_rig(cameras, rig, 0.0 if posed else -np.nan_to_num(rig.ground_m))
+    with output.staged_file() as staged:
+        write_cameras(posed_cameras, staged)
+    clip_rows = zip(clips, aligned, rig.time_offset_frames, rig.disagreement, strict=True)
+    return posed_cameras, {
+        "cameras": [
+            _camera_row(camera, sigma, math.nan if posed else height_sigma_m)
+            for camera, sigma, height_sigma_m in zip(posed_cameras, rig.sigma, rig.height_sigma_m, strict=True)
+        ],
+        "clips": [
+            _clip_row(clip, sources, posed_cameras, np.array(late_frames) / first.fps, disagreement)
+            for (clip, sources, late_frames, disagreement), first in zip(clip_rows, firsts, strict=True)
+        ],
+        "converged": rig.converged,
+        "written": str(out),
+    }
+
+
+def _with_stated_poses(cameras: Sequence[Camera]) -> tuple[list[Camera], list[Array]]:
+    """Return the cameras with the poses in the camera file; raise InputError if one has none."""
+    if unposed := [camera.name for camera in cameras if not camera.has_extrinsics]:
+        expected = "a camera file with the poses of all cameras"
+        raise InputError(Problem("--set refine-cameras", "poses", f"none of {', '.join(unposed)}", expected))
+    return [*cameras], camera_poses(cameras)
+
+
+def _in_own_worlds(cameras: Sequence[Camera], tilt_deg: float | None) -> tuple[list[Camera], list[Array]]:
+    """Return the cameras, each level, or tilted as given, in a world of its own, and these poses."""
+    tilt = {} if tilt_deg is None else {"tilt_rad": math.radians(tilt_deg)}
+    cameras = [replace(camera, rotation=None, translation_m=None, **tilt) for camera in cameras]
+    return cameras, [rigid(level_from_camera(camera.up).T, np.zeros(3)) for camera in cameras]
+
+
+def _require_known_rotations(cameras: Sequence[Camera], rig: Rig) -> None:
+    """Raise InputError with the cameras whose rotation the clips do not determine."""
+    turn_sigma_deg = np.degrees(np.linalg.norm(rig.sigma[:, :3], axis=1))
     expected = "clips in which the animal crosses the view in other directions"
     raise_problems(
         Problem("KEYPOINTS", f"camera {camera.name}", f"a rotation known only to {turn_deg:.0f} degrees", expected)
-        for camera, turn_deg in zip(cameras, np.degrees(np.linalg.norm(rig.sigma[:, :3], axis=1)), strict=True)
+        for camera, turn_deg in zip(cameras, turn_sigma_deg, strict=True)
         if turn_deg > MAX_TURN_SIGMA_DEG
     )
-    height_m = 0.0 if posed else -np.nan_to_num(rig.ground_m)
-    posed_cameras = tuple(
+
+
+def _in_world_of_rig(cameras: Sequence[Camera], rig: Rig, height_m: float) -> tuple[Camera, ...]:
+    """Return the cameras with their estimated poses, in a world whose origin is `height_m` higher."""
+    return tuple(
         replace(camera, rotation=T[:3, :3], translation_m=T[:3, 3] - height_m * T[:3, 2], world_z_up=True, tilt_rad=0.0)
         for camera, T in zip(cameras, rig.T_camera_world, strict=True)
     )
-    with output.staged_file() as staged:
-        write_cameras(posed_cameras, staged)
-    names, rows = [camera.name for camera in posed_cameras], []
-    by_clip = zip(clips, aligned, prepared, rig.time_offset_frames, rig.disagreement, strict=True)
-    for clip, sources, problem_inputs, late_frames, disagreement_by_camera in by_clip:
-        late_s = dict(zip(names, np.array(late_frames) / problem_inputs[0].fps, strict=True))
-        began_s = np.array([source.offset_s + late_s[source.camera.name] for source in sources])
-        offsets = {"offset_s": (began_s - began_s[0]).tolist(), "found_offsets": bool(clip.find_offsets)}
-        disagreement = dict(zip(names, disagreement_by_camera.tolist(), strict=True))
-        rows.append({"keypoints": [*map(str, clip.keypoints)], **offsets, "disagreement": disagreement})
-    by_camera = zip(posed_cameras, rig.sigma, rig.height_sigma_m, strict=True)
-    return posed_cameras, {
-        "cameras": [
-            camera.to_dict()
-            | {"turn_sigma_rad": sigma[:3].tolist(), "shift_sigma_m": sigma[3:].tolist()}
-            | {"height_sigma_m": None if posed or math.isnan(height_sigma_m) else float(height_sigma_m)}
-            for camera, sigma, height_sigma_m in by_camera
-        ],
-        "clips": rows,
-        "converged": rig.converged,
-        "written": str(out),
+
+
+def _camera_row(camera: Camera, sigma: Array, height_sigma_m: float) -> dict[str, Any]:
+    """Return a camera's row of the report.
+
+    sigma (6,): standard deviations of its rotation, rad, and position, m. That of an unknown height is NaN.
+    """
+    return {
+        **camera.to_dict(),
+        "turn_sigma_rad": sigma[:3].tolist(),
+        "shift_sigma_m": sigma[3:].tolist(),
+        "height_sigma_m": None if math.isnan(height_sigma_m) else float(height_sigma_m),
+    }
+
+
+def _clip_row(
+    clip: FitSettings, sources: Sequence[Source], cameras: Sequence[Camera], late_s: Array, disagreement: Array
+) -> dict[str, Any]:
+    """Return a clip of the report: when each source began, relative to the first, and how far each camera disagrees.
+
+    `late_s` and `disagreement` (C,) are those of the cameras.
+    """
+    names = [camera.name for camera in cameras]
+    late_by_camera = dict(zip(names, late_s, strict=True))
+    began_s = np.array([source.offset_s + late_by_camera[source.camera.name] for source in sources])
+    return {
+        "keypoints": [*map(str, clip.keypoints)],
+        "offset_s": (began_s - began_s[0]).tolist(),
+        "found_offsets": bool(clip.find_offsets),
+        "disagreement": dict(zip(names, disagreement.tolist(), strict=True)),
     }
 
 

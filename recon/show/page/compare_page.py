@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from textwrap import wrap
 from typing import Any
 
@@ -173,36 +174,24 @@ def _plot(
     clip_rows, group_rows = clips.to_dict("records"), groups.to_dict("records")
     ends = [x for row in (*clip_rows, *group_rows) for x in _interval(row, name) if math.isfinite(x)]
     ticks = _ticks(min(ends), max(ends))
-    low, high = min(ticks[0], min(ends)), max(ticks[-1], max(ends))
+    scale = _Scale(min(ticks[0], min(ends)), max(ticks[-1], max(ends)))
     width = max(WIDTH, LEFT + RIGHT + GROUP_WIDTH * len(group_rows))
     step = (width - LEFT - RIGHT) / len(group_rows)
-
-    def height(value: float) -> float:
-        return round(TOP + (HEIGHT - TOP - BOTTOM) * (high - value) / (high - low), 1)
-
     columns, dots_by_animal = [], dict[str, list[tuple[float, float]]]()
     for place, group_row in enumerate(group_rows):
         middle = LEFT + step * (place + 0.5)
         rows = sorted((row for row in clip_rows if row["group"] == group_row["group"]), key=lambda row: row["clip"])
         rows = [row for row in rows if math.isfinite(row[name])]
         reach = min(0.3 * step, 6.0 * len(rows))
-        dots = []
-        for x, row in zip(np.linspace(middle - reach, middle + reach, len(rows) + 2)[1:-1], rows, strict=True):
-            value, dot_low, dot_high = _interval(row, name)
-            clip, dot_ends = str(row["clip"]), [height(dot_low), height(dot_high)] if math.isfinite(dot_low) else []
-            label = f"{clip}: {' '.join(_text(value, dot_low, dot_high))}"
-            dots.append({"x": round(float(x), 1), "y": height(value), "ends": dot_ends, "clip": clip, "label": label})
-            dots[-1] |= {"page": pages.get(clip), "hollow": row["verdict"] != "use"}
+        places = np.linspace(middle - reach, middle + reach, len(rows) + 2)[1:-1]
+        for x, row in zip(places, rows, strict=True):
             if not pd.isna(animal := row.get("animal", math.nan)):
-                dots_by_animal.setdefault(str(animal), []).append((float(x), height(value)))
-        mean, mean_low, mean_high = _interval(group_row, name)
-        band = [height(mean_high), height(mean_low)] if math.isfinite(mean_low) and len(rows) > 1 else []
+                dots_by_animal.setdefault(str(animal), []).append((float(x), scale.height(float(row[name]))))
         columns.append(
             {
                 "hue": HUES[place % len(HUES)],
-                "dots": dots,
-                "mean": height(mean) if math.isfinite(mean) and len(rows) > 1 else None,
-                "band": band,
+                "dots": [_dot(row, name, float(x), scale, pages) for x, row in zip(places, rows, strict=True)],
+                **_mean_of_group(group_row, name, scale, len(rows)),
                 "left": round(middle - 0.42 * step, 1),
                 "width": round(0.84 * step, 1),
                 "middle": round(middle, 1),
@@ -211,6 +200,7 @@ def _plot(
             }
         )
     pairs = [points for points in dots_by_animal.values() if len(points) > 1]
+    spoken = [f"{row['group']}: {' '.join(_text(*_interval(row, name))) or 'not known'}" for row in group_rows]
     return {
         "title": title,
         "width": round(width),
@@ -218,13 +208,46 @@ def _plot(
         "floor": HEIGHT - BOTTOM,
         "left": LEFT,
         "right": width - RIGHT,
-        "ticks": [(height(value), f"{value:.6g}") for value in ticks],
+        "ticks": [(scale.height(value), f"{value:.6g}") for value in ticks],
         "columns": columns,
         "pairs": [" ".join(f"{x:.1f},{y}" for x, y in points) for points in pairs],
-        "spoken": "; ".join(
-            f"{group_row['group']}: {' '.join(_text(*_interval(group_row, name))) or 'not known'}"
-            for group_row in group_rows
-        ),
+        "spoken": "; ".join(spoken),
+    }
+
+
+@dataclass(frozen=True)
+class _Scale:
+    """The vertical axis of a plot: the values at its lower and upper end."""
+
+    low: float
+    high: float
+
+    def height(self, value: float) -> float:
+        """Return the distance of a value from the top of the plot, px."""
+        return round(TOP + (HEIGHT - TOP - BOTTOM) * (self.high - value) / (self.high - self.low), 1)
+
+
+def _dot(row: Mapping[Any, Any], name: str, x: float, scale: _Scale, pages: Mapping[str, str]) -> dict[str, Any]:
+    """Return the dot of a clip at x px, with the ends of its interval if they are known."""
+    value, low, high = _interval(row, name)
+    clip = str(row["clip"])
+    return {
+        "x": round(x, 1),
+        "y": scale.height(value),
+        "ends": [scale.height(low), scale.height(high)] if math.isfinite(low) else [],
+        "clip": clip,
+        "label": f"{clip}: {' '.join(_text(value, low, high))}",
+        "page": pages.get(clip),
+        "hollow": row["verdict"] != "use",
+    }
+
+
+def _mean_of_group(row: Mapping[Any, Any], name: str, scale: _Scale, clips: int) -> dict[str, Any]:
+    """Return the mean of a group and its band, which a single clip does not have."""
+    mean, low, high = _interval(row, name)
+    return {
+        "mean": scale.height(mean) if math.isfinite(mean) and clips > 1 else None,
+        "band": [scale.height(high), scale.height(low)] if math.isfinite(low) and clips > 1 else [],
     }
 
 
