@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.cluster.vq import kmeans2
@@ -105,11 +106,21 @@ def fit_prior(
     return MotionPrior(name, angles, *arrays, source=source, segments=rows)
 
 
-def _poses_and_changes(body: Body, segments: Sequence[tuple[Array, float]]) -> tuple[Array, Array, Array, Array]:
-    """Return all poses (N, A), and the poses, rates and accelerations (M, A) of inner frames.
+class _PosesAndChanges(NamedTuple):
+    """Poses of N frames, of which M are inner frames, with a frame before and a frame after."""
 
-    Inner frames have a frame before and a frame after. Each segment is followed by its mirror image.
-    """
+    poses: Array
+    """(N, A): angles."""
+    inner_poses: Array
+    """(M, A)."""
+    rates: Array
+    """(M, A)."""
+    accelerations: Array
+    """(M, A)."""
+
+
+def _poses_and_changes(body: Body, segments: Sequence[tuple[Array, float]]) -> _PosesAndChanges:
+    """Return the poses of the segments, each followed by its mirror image, and how they change."""
     permutation, sign = body.mirror
     empty = np.empty((0, body.n_state - 4))
     collected: tuple[list[Array], ...] = ([empty], [empty], [empty], [empty])
@@ -121,8 +132,7 @@ def _poses_and_changes(body: Body, segments: Sequence[tuple[Array, float]]) -> t
             moving = (following - previous) * (fps / 2), (following - 2 * current + previous) * fps**2
             for target, values in zip(collected, (z[whole], current, *moving), strict=True):
                 target.append(values)
-    poses, current, rates, accelerations = (np.concatenate(target) for target in collected)
-    return poses, current, rates, accelerations
+    return _PosesAndChanges(*map(np.concatenate, collected))
 
 
 def _still(poses: Array) -> Bools:

@@ -60,18 +60,20 @@ class _ExtendedReprojection(Reprojection):
         rows, scene = super().point_rows(span), self._scene(span)
         if self.by_unknown is None:
             return rows
-        *_, squares, seen, projected, by_point = self._errors(scene, span, jacobian=True)
+        errors = self._errors(scene, span, jacobian=True)
         confidence = np.where(scene.view.present, scene.view.confidence, 0.0)
-        weight = np.sqrt(np.where(seen, confidence / (1.0 + squares), 0.0)) / scene.sigma_px
+        weight = np.sqrt(np.where(errors.seen, confidence / (1.0 + errors.squares), 0.0)) / scene.sigma_px
         drift_m = np.zeros_like(scene.points_m) if self.drift_m is None else self.drift_m[scene.frames]
         detections = Detections(
             np.arange(scene.frames.start, scene.frames.stop),
             scene.view.camera.matrix[:2, 2],
-            projected,
-            (by_point * scene.size @ drift_m[..., None])[..., 0],
+            errors.unbiased_px,
+            (errors.by_point * scene.size @ drift_m[..., None])[..., 0],
         )
-        by_unknown = np.where(seen[..., None], self.by_unknown(detections), 0.0) * weight[..., None]
-        return replace(rows, by_shared=rows.by_shared | {_name(self.number): by_unknown.reshape(len(seen), -1, 1)})
+        by_unknown = np.where(errors.seen[..., None], self.by_unknown(detections), 0.0) * weight[..., None]
+        return replace(
+            rows, by_shared=rows.by_shared | {_name(self.number): by_unknown.reshape(len(errors.seen), -1, 1)}
+        )
 
 
 def one_steps(

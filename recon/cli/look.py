@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -287,9 +288,19 @@ def neighbours(folder: Path, whole_batch: bool = False) -> Neighbours | None:
     return Neighbours(folder.name, f"../{SUMMARY_PAGE}", link(own_index - 1), link(own_index + 1))
 
 
-def page_pictures(
-    motion: Motion, number: int, settings: ResultSettings, count: int
-) -> tuple[Overlay, Index, PictureStrip | None, list[Image] | None]:
+class PagePictures(NamedTuple):
+    """Pictures of a page."""
+
+    drawn: Overlay
+    rows: Index
+    """Rows of the stills."""
+    strip: PictureStrip | None
+    """Pictures of the video for the player, None without a video."""
+    stills: list[Image] | None
+    """Pictures of the video behind the stills, None without a video."""
+
+
+def page_pictures(motion: Motion, number: int, settings: ResultSettings, count: int) -> PagePictures:
     """Return the overlay, the rows of up to `count` stills, and video pictures for the player and the stills.
 
     The video is read once. Raises InputError if the video lacks a frame.
@@ -297,7 +308,7 @@ def page_pictures(
     drawn, start = overlay_of(motion, number=number), first_in_clip(motion, number, settings)
     rows = still_rows(motion, drawn, count, start if settings.video else None)
     if settings.video is None or not len(rows):
-        return drawn, rows, None, None
+        return PagePictures(drawn, rows, None, None)
     frames = motion.frames[: rows[-1] + 1]
     kept = dict[int, Image]()
 
@@ -311,7 +322,7 @@ def page_pictures(
     cut = cut_of(drawn.reprojected_px, motion.fps, motion.cameras[number].image_size_px)
     strip = encode_strip(pictures(), int((frames >= start).sum()), cut)
     strip.video, strip.first_frame = settings.video.name, start
-    return drawn, rows, strip, [kept[row] for row in rows.tolist()]
+    return PagePictures(drawn, rows, strip, [kept[row] for row in rows.tolist()])
 
 
 def _pages_of_batch(out: Path, video: Path | None, progress: Progress) -> Answer:

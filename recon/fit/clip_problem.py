@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -514,14 +514,24 @@ def _stance_by_size(clip: ClipProblem, points_m: Array, size: float, slow: Array
     return (seen_velocity + co_movement * np.diff(points_m[:, clip.feet], axis=0)) * clip.fps
 
 
-def _fit_plane(
-    middle: Array, slow: Array, height: float, sigma: float, fps: float
-) -> tuple[Array, Array, Array, Array]:
+class _GroundPlane(NamedTuple):
+    """A plane under F feet in N pairs of frames."""
+
+    contact: Array
+    """(N, F): weights of the feet, 1 for a slow foot on the plane."""
+    plane: Array
+    """(3,): height at the centre, metres, and slopes along x and y."""
+    centre: Array
+    """(2,): x and y of the middle of the feet."""
+    covariance: Array
+    """(3, 3): that of `plane`."""
+
+
+def _fit_plane(middle: Array, slow: Array, height: float, sigma: float, fps: float) -> _GroundPlane:
     """Fit the ground to feet (N, F, 3), with weights (N, F) for how slow they are.
 
-    height and sigma are the expected height and its standard deviation. Returns the contact (N, F), the plane (3,)
-    about the middle of the feet, that middle (2,), and the covariance of the plane (3, 3). Each round weights the feet
-    by their height above the last plane (Geman-McClure).
+    height and sigma are the expected height and its standard deviation. Each round weights the feet by their height
+    above the last plane (Geman-McClure).
     """
     spread = np.array([sigma, constants.GROUND_SLOPE, constants.GROUND_SLOPE])
     centre = np.median(middle[..., :2].reshape(-1, 2), axis=0)
@@ -535,4 +545,4 @@ def _fit_plane(
         covariance = np.linalg.inv(normal)
         pull = np.einsum("tf,tfa,tf->a", contact, rows, middle[..., 2]) * count + spread**-2.0 * (height, 0.0, 0.0)
         plane = covariance @ pull
-    return contact, plane, centre, covariance
+    return _GroundPlane(contact, plane, centre, covariance)

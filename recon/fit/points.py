@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from recon.animal.body import Body
@@ -126,14 +128,23 @@ def _retried(body: Body, targets: Array, weight: Array, size: float, pull: float
     return states
 
 
+class _NormalEquations(NamedTuple):
+    """Normal equations of N frames, each with D states of its own, and with the size that they share."""
+
+    hessian: Array
+    """(N, D, D): curvature of the cost in the states."""
+    gradient: Array
+    """(N, D)."""
+    size_hessian: Array
+    """(N, D + 1): mixed curvature in the size's logarithm and the states, then its own curvature."""
+    size_gradient: Array
+    """(N,)."""
+
+
 def _normal_equations(
     body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Return the normal equations of N frames with the size.
-
-    Returns the Hessian (N, D, D), the gradient (N, D), the curvature between the size's logarithm and the states
-    followed by its own curvature (N, D + 1), and its gradient (N,).
-    """
+) -> _NormalEquations:
+    """Return the normal equations of the squared distances, and of the pull towards the expected angles."""
     N, D = states.shape
     pose = body.tree.pose_with_jacobian(states, size)
     jacobian = (pose.jacobian * weight[..., None, None]).reshape(N, -1, D)
@@ -144,8 +155,9 @@ def _normal_equations(
     angles = np.arange(PITCH, D)
     hessian[:, angles, angles] += pull**2
     gradient[:, angles] += pull**2 * (states[:, angles] - body.mean_rad)
-    by_size = np.concatenate([(d_size[:, None] @ jacobian)[:, 0], (d_size**2).sum(axis=1)[:, None]], axis=1)
-    return hessian, gradient, by_size, (d_size * residual).sum(axis=1)
+    mixed = (d_size[:, None] @ jacobian)[:, 0]
+    size_hessian = np.concatenate([mixed, (d_size**2).sum(axis=1)[:, None]], axis=1)
+    return _NormalEquations(hessian, gradient, size_hessian, (d_size * residual).sum(axis=1))
 
 
 def _cost(body: Body, targets: Array, weight: Array, size: float, pull: float, states: Array) -> Array:

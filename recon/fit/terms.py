@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -130,6 +130,23 @@ class PointRows:
     by_bias: Array | None = None
     """(N, J): derivatives of each coordinate by the same coordinate of the joint's keypoint bias; None if it is fixed.
     """
+
+
+class ReprojectionErrors(NamedTuple):
+    """Errors of the detections of J markers in N frames of one camera."""
+
+    cost: Array
+    """(N,)."""
+    in_sigmas: Array
+    """(N, J, 2): errors in standard deviations, 0 for markers that are not seen."""
+    squares: Array
+    """(N, J): squared errors in units of the loss."""
+    seen: Bools
+    """(N, J): which markers are detected, and in front of the camera."""
+    unbiased_px: Array
+    """(N, J, 2): projected markers without keypoint bias."""
+    by_point: Array
+    """(N, J, 2, 3): derivatives of these by the markers; empty if not asked for."""
 
 
 class Term(Protocol):
@@ -334,7 +351,7 @@ class Reprojection:
     def evaluate(self, span: Span, jacobian: bool) -> TermRows:
         """Return the cost, residual and derivatives: see `Term`."""
         if not jacobian:
-            return TermRows(self._errors(self._scene(span), span, jacobian=False)[0])
+            return TermRows(self._errors(self._scene(span), span, jacobian=False).cost)
         points, parts = self.point_rows(span), self._parts(span)
         (N, J), D = points.residual.shape[:2], span.pose.jacobian.shape[-1]
         slots = []
@@ -358,17 +375,18 @@ class Reprojection:
         """Return the residuals of the detections, and their derivatives by the markers and the shared unknowns."""
         scene = self._scene(span)
         view, sigma = scene.view, scene.sigma_px
-        cost, e, q, seen, unbiased_px, by_point = self._errors(scene, span, jacobian=True)
+        errors = self._errors(scene, span, jacobian=True)
+        seen = errors.seen
         confidence = np.where(view.present, view.confidence, 0.0)
-        root_weight = np.sqrt(np.where(seen, confidence / (1.0 + q), 0.0))[..., None]
-        by_point = by_point * np.where(seen[..., None], root_weight / sigma[..., None], 0.0)[..., None]
-        N, J = q.shape  # N is 0 for a single frame without the next one
+        root_weight = np.sqrt(np.where(seen, confidence / (1.0 + errors.squares), 0.0))[..., None]
+        by_point = errors.by_point * np.where(seen[..., None], root_weight / sigma[..., None], 0.0)[..., None]
+        N, J = errors.squares.shape  # N is 0 for a single frame without the next one
         by_shared = self._by_scene(span, scene, by_point)
         by_bias = None
         if self._bias_m(span) is not None and self.px_per_m is not None:
             by_bias = (root_weight / sigma[..., None])[..., 0] * self.px_per_m[scene.frames, None]
         if focal_scale(self.number) in span.shared:
-            off_centre = np.where(seen[..., None], unbiased_px - view.camera.matrix[:2, 2], 0.0)
+            off_centre = np.where(seen[..., None], errors.unbiased_px - view.camera.matrix[:2, 2], 0.0)
             by_focal = off_centre * root_weight / sigma[..., None]
             by_shared[focal_scale(self.number)] = by_focal.reshape(N, 2 * J, 1)
         if (correction := span.shared.get(extrinsic_correction(self.number))) is not None:
@@ -377,14 +395,12 @@ class Reprojection:
             rotation = euler_rotation_with_jacobian(correction[:3])[1] @ in_camera[..., None, :, None]
             by_correction = np.concatenate([by_camera @ rotation[..., 0].swapaxes(-1, -2), by_camera], axis=-1)
             by_shared[extrinsic_correction(self.number)] = by_correction.reshape(N, 2 * J, 6)
-        return PointRows(cost, e * root_weight, by_point * scene.size, by_shared, self.number, by_bias)
+        return PointRows(
+            errors.cost, errors.in_sigmas * root_weight, by_point * scene.size, by_shared, self.number, by_bias
+        )
 
-    def _errors(self, scene: _Scene, span: Span, jacobian: bool) -> tuple[Array, Array, Array, Bools, Array, Array]:
-        """Return the cost (N,), the errors e (N, J, 2) in standard deviations, and their squares in units of the loss.
-
-        The last three results are which detections are seen, the projected markers without keypoint bias, and the
-        derivatives of these markers, which are empty unless `jacobian`.
-        """
+    def _errors(self, scene: _Scene, span: Span, jacobian: bool) -> ReprojectionErrors:
+        """Return the errors of the detections; with `jacobian`, also the derivatives of the projections."""
         view = scene.view
         if jacobian:
             projected, by_point, valid = view.project_with_jacobian(scene.world_m)
@@ -399,7 +415,7 @@ class Reprojection:
         confidence = np.where(view.present, view.confidence, 0.0)
         loss = np.where(valid, np.log1p(q), OUT_OF_SIGHT)
         cost = 0.5 * self.c**2 * np.sum(loss * confidence, axis=1)
-        return cost, e, q, seen, unbiased_px, by_point
+        return ReprojectionErrors(cost, e, q, seen, unbiased_px, by_point)
 
     def _scene(self, span: Span) -> _Scene:
         """Return the markers when the pictures were taken, and the camera with its corrections."""

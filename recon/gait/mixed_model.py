@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq, minimize
@@ -48,6 +49,15 @@ class Variances:
         return 1.96 * float(np.sqrt(2 * (self.of_mean(1, strides) - self.animal**2)))
 
 
+class Contrast(NamedTuple):
+    """A sum of effects, with its standard deviation and its 90 % interval."""
+
+    value: float
+    sigma: float
+    low: float
+    high: float
+
+
 @dataclass(frozen=True, eq=False)
 class MixedModel:
     """A fitted model of an experiment."""
@@ -63,8 +73,8 @@ class MixedModel:
     runs: int
     strides: int
 
-    def contrast(self, weights: Array | Sequence[float], shared: float = 0.0) -> tuple[float, float, float, float]:
-        """Return a sum of effects, its standard deviation, and its 90 % interval.
+    def contrast(self, weights: Array | Sequence[float], shared: float = 0.0) -> Contrast:
+        """Return a sum of effects.
 
         Parameters
         ----------
@@ -79,7 +89,7 @@ class MixedModel:
         value = float(row @ self.effects)
         sigma = float(np.sqrt(row @ self.covariance @ row + (shared * value) ** 2))
         reach = float(t.ppf(0.95, max(self.animals - len(self.names), 1))) * sigma
-        return value, sigma, value - reach, value + reach
+        return Contrast(value, sigma, value - reach, value + reach)
 
 
 def fit_mixed_model(

@@ -25,7 +25,7 @@ from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 from uuid import uuid4
 
 import h5py
@@ -471,8 +471,20 @@ def _last(group: h5py.Group) -> str:
     return str(group.name).rsplit("/", 1)[-1]
 
 
-def _series(path: Path, group: h5py.Group) -> tuple[np.ndarray, np.ndarray, np.ndarray, float | None]:
-    """Return positions (T, 2 or 3), confidences and times in seconds (T,) of one point, and the frame rate."""
+class _Series(NamedTuple):
+    """One point in T frames."""
+
+    positions: np.ndarray
+    """(T, 2 or 3)."""
+    confidence: np.ndarray
+    """(T,)."""
+    times_s: np.ndarray
+    """(T,)."""
+    fps: float | None
+
+
+def _series(path: Path, group: h5py.Group) -> _Series:
+    """Return one point; raise InputError if its arrays do not fit together."""
     keys = ("data", "confidence", "timestamps", "starting_time")
     data, confidence, stamps, start = (child(group, name) for name in keys)
     scale, shift = attribute(data, "conversion"), attribute(data, "offset")
@@ -492,7 +504,7 @@ def _series(path: Path, group: h5py.Group) -> tuple[np.ndarray, np.ndarray, np.n
     if sure.shape != (T,) or times_s.shape != (T,):
         detail = f"{T} positions, {len(sure)} confidences and {len(times_s)} times"
         raise InputError(Problem(path, _last(group), detail, "as many of each"))
-    return values, sure, times_s, fps
+    return _Series(values, sure, times_s, fps)
 
 
 def write_nwb(data: Keypoints | Pose3D, path: Path) -> None:

@@ -34,6 +34,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
@@ -623,12 +624,23 @@ def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | No
     return hold + share**2 * (6 - 8 * share + 3 * share**2) * (moving - hold)
 
 
-def _swings(time_s: Array, standing: Bools) -> tuple[Array, Array, Array, Array, Array]:
-    """Return the standing samples before and after each sample (N,), the times to both, and the swing's duration.
+class _Swings(NamedTuple):
+    """How N samples of a foot lie between its stances, each (N,)."""
 
-    The five arrays are: index of the last standing sample so far (-1 without any); index of the next one (N without
-    any); time since the former; time until the latter; duration of the swing.
-    """
+    last_standing: Array
+    """Index of the last standing sample so far, -1 without any."""
+    next_standing: Array
+    """Index of the next standing sample, N without any."""
+    since_s: Array
+    """Time since the last standing sample."""
+    until_s: Array
+    """Time until the next one."""
+    duration_s: Array
+    """Duration of the swing."""
+
+
+def _swings(time_s: Array, standing: Bools) -> _Swings:
+    """Return how the samples of a foot lie between its stances."""
     samples = np.arange(len(time_s))
     last_standing = np.maximum.accumulate(np.where(standing, samples, -1))
     next_standing = np.minimum.accumulate(np.where(standing, samples, len(samples))[::-1])[::-1]
@@ -636,7 +648,8 @@ def _swings(time_s: Array, standing: Bools) -> tuple[Array, Array, Array, Array,
     swing = since + until
     # A swing that the clip cuts is assumed to last as long as the longest complete swing.
     longest = swing[np.isfinite(swing)].max() or time_s[-1] - time_s[0]
-    return last_standing, next_standing, since, until, np.where(np.isfinite(swing) & ~standing, swing, longest)
+    duration_s = np.where(np.isfinite(swing) & ~standing, swing, longest)
+    return _Swings(last_standing, next_standing, since, until, duration_s)
 
 
 def swinging(motion: RobotMotion) -> Array:

@@ -17,7 +17,7 @@ import dataclasses
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -135,15 +135,15 @@ def gallop(
     rng = np.random.default_rng(seed)
     waves = [_Waves.draw(rng, 2 * chain.n_angles + 3) for _ in range(2)]
 
-    def joints(t: Array) -> tuple[Array, Array, Array, Array]:
+    def run_at(t: Array) -> _Run:
         return _run(chain, t, heading_rad, direction, waves)
 
-    seen = joints(np.arange(0.0, 1.0, 1 / 60))
-    camera = _place_camera(camera_model, np.concatenate([seen[2], seen[3]], axis=1).reshape(-1, 3))
+    shown = run_at(np.arange(0.0, 1.0, 1 / 60))
+    camera = _place_camera(camera_model, np.concatenate([shown.near_m, shown.far_m], axis=1).reshape(-1, 3))
     assert camera.rotation is not None
     assert camera.translation_m is not None
 
-    state, rotation, near_side_m, far_side_m = joints(np.arange(n_frames) / fps)
+    state, rotation, near_side_m, far_side_m = run_at(np.arange(n_frames) / fps)
     r, t = camera.rotation, camera.translation_m
     in_camera = r @ rotation
     root = near_side_m[:, 0] @ r.T + t
@@ -221,14 +221,21 @@ def _thetas(chain: UnknownsChain, phase: Array, swing: Array, hind_lag: float, f
     return np.stack([inclination[end.replace("J", "T")] - inclination[parent[end]] for end in ends], axis=1)
 
 
-def _run(
-    chain: UnknownsChain, t: Array, heading_rad: float, direction: Direction, waves: list[_Waves]
-) -> tuple[Array, Array, Array, Array]:
-    """Return the animal's states, orientation and joints at times t (T,), seconds.
+class _Run(NamedTuple):
+    """A galloping animal at T times."""
 
-    The states (T, D) are without position and orientation, which are R_world_local (T, 3, 3). The joints (T, J, 3) are
-    in the world, once with the near legs and once with the far legs.
-    """
+    state: Array
+    """(T, D): states without position and orientation."""
+    R_world_local: Array
+    """(T, 3, 3): orientation."""
+    near_m: Array
+    """(T, J, 3): joints in the world, with the near legs."""
+    far_m: Array
+    """(T, J, 3): joints in the world, with the far legs."""
+
+
+def _run(chain: UnknownsChain, t: Array, heading_rad: float, direction: Direction, waves: list[_Waves]) -> _Run:
+    """Return the animal at times t (T,), seconds."""
     speed, distance = _rising(t, START_SPEED_M_S, TOP_SPEED_M_S)
     _, strides = _rising(t, START_STRIDES_HZ, TOP_STRIDES_HZ)
     phase, swing = START_PHASE + strides, (speed / _SWING_SPEED_M_S) ** _SWING_POWER
@@ -263,7 +270,7 @@ def _run(
     local_near = chain.local_joints(near_state)
     local_far = chain.local_joints(state(_HIND_LAG, _FORE_LAG, far_phi)) + np.array([0.0, 0.0, sign * WIDTH_M])
     near_m, far_m = (root[:, None] + local @ rotation.transpose(0, 2, 1) for local in (local_near, local_far))
-    return near_state, rotation, near_m, far_m
+    return _Run(near_state, rotation, near_m, far_m)
 
 
 # -- camera ----------------------------------------------------------------------------------------------------------
