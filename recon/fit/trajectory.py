@@ -507,52 +507,28 @@ def _noise_factors(clip: ClipProblem, points_m: Array, size: float, factors: Arr
 
 def _solution(clip: ClipProblem, segments: Sequence[SegmentFit], expected: Body, began: float) -> TrajectorySolution:
     """Return the result of all segments together; `expected` is the body with the shape that is not estimated."""
-    correlation_frames, unshaped = clip.correlation_frames, clip
+    unshaped = clip
     clip = with_solved_shape(clip, segments[0]) if segments else clip
-    posteriors = [
-        posterior_with_reestimated_noise(
-            _with_free_world(_with_expected_shape_spread(unshaped, segment.problem)),
-            clip.body,
-            segment.estimate,
-            correlation_frames,
-        )
-        for segment in segments
-    ]
+    posteriors = [_posterior_of(unshaped, clip.body, segment) for segment in segments]
     size, size_sigma, size_from = _estimate_size(clip, segments, posteriors)
-    sizes = {"T": len(clip), "J": len(clip.body.markers), "V": len(clip.views), "F": len(clip.feet), "3": 3}
-    sizes |= {"D": clip.body.n_state, "A": clip.body.n_state - YAW}
-    shapes = {name: tuple(sizes[letter] for letter in letters) for name, letters in SHAPES.items()}
-    arrays: dict[str, Array] = {}
-
-    def by_frame(name: str) -> Array:
-        """Return one of the arrays, frames first, with NaN in frames outside all segments."""
-        if name not in arrays:
-            arrays[name] = np.full(shapes[name], np.nan)
-        return np.moveaxis(arrays[name], SHAPES[name].index("T"), 0)
-
+    clip_arrays = _ClipArrays(clip)
     alternative_cost = np.inf
     for segment, segment_posterior in zip(segments, posteriors, strict=True):
         for name, values in _segment_arrays(clip, segment, segment_posterior, size, size_sigma):
-            if name in SINGLE:
-                _round_to_single(values)
-            if values.shape == shapes[name]:  # if the segment is the whole clip, avoid a copy, which would be large
-                arrays[name] = values
-            else:
-                by_frame(name)[segment.rows] = np.moveaxis(values, SHAPES[name].index("T"), 0)
-        alternative_cost = min(alternative_cost, _alternative_cost(clip, segment, size, by_frame("alternative_m")))
-    by_frames = [by_frame(name) for name in SHAPES]
+            clip_arrays.fill(name, segment.rows, values)
+        alternative_m = clip_arrays.by_frame("alternative_m")
+        alternative_cost = min(alternative_cost, _alternative_cost(clip, segment, size, alternative_m))
+    clip_arrays.complete()
+    arrays = clip_arrays.arrays
     posed = np.isfinite(arrays["states"][:, 0]).sum()
     out_of_sight = _out_of_sight(clip, arrays["joints_m"])
     flags = _frame_flags(clip, arrays["joints_m"], arrays["weight"], arrays["alternative_m"], out_of_sight)
-    for values in by_frames:
-        values[out_of_sight] = np.nan
+    clip_arrays.clear(out_of_sight)
     shares = [
         segment_posterior.data_share * (segment.rows.stop - segment.rows.start)
         for segment, segment_posterior in zip(segments, posteriors, strict=True)
     ]
     shared = _shared_fields(clip, segments, posteriors)
-    costs = [segment.problem.costs(segment.estimate.states, segment.estimate.shared) for segment in segments]
-    names = dict.fromkeys(chain.from_iterable(costs))
     return TrajectorySolution(
         body=clip.body,
         views=_solved_views(clip.views, shared["time_offset_frames"], shared["extrinsic_correction"], shared["focal"]),
@@ -569,13 +545,61 @@ def _solution(clip: ClipProblem, segments: Sequence[SegmentFit], expected: Body,
         ),
         prior=clip.prior.name,
         status="converged" if segments and all(segment.estimate.converged for segment in segments) else "not_converged",
-        cost_by_term={name: sum(by_name.get(name, 0.0) for by_name in costs) for name in names},
+        cost_by_term=_cost_by_term(segments),
         iterations=sum(segment.iterations for segment in segments),
         starts=sum(len(tried) for segment in segments for _, tried in segment.windows),
         **shared,
         shape=_solved_shape(unshaped, clip.body, expected, segments, posteriors, size),
         stage_s={"all": time.perf_counter() - began},
     )
+
+
+def _posterior_of(unshaped: ClipProblem, body: Body, segment: SegmentFit) -> Posterior:
+    """Return the posterior of a segment of the solved body; `unshaped` is the problem with the expected body."""
+    problem = _with_free_world(_with_expected_shape_spread(unshaped, segment.problem))
+    return posterior_with_reestimated_noise(problem, body, segment.estimate, unshaped.correlation_frames)
+
+
+class _ClipArrays:
+    """The arrays `SHAPES` of a clip, filled segment by segment; NaN in frames outside all segments."""
+
+    def __init__(self, clip: ClipProblem) -> None:
+        sizes = {"T": len(clip), "J": len(clip.body.markers), "V": len(clip.views), "F": len(clip.feet), "3": 3}
+        sizes |= {"D": clip.body.n_state, "A": clip.body.n_state - YAW}
+        self.shapes = {name: tuple(sizes[letter] for letter in letters) for name, letters in SHAPES.items()}
+        self.arrays: dict[str, Array] = {}
+
+    def by_frame(self, name: str) -> Array:
+        """Return a view of an array, frames first."""
+        if name not in self.arrays:
+            self.arrays[name] = np.full(self.shapes[name], np.nan)
+        return np.moveaxis(self.arrays[name], SHAPES[name].index("T"), 0)
+
+    def fill(self, name: str, rows: slice, values: Array) -> None:
+        """Set the values of a segment, whose frames are `rows`. They may be kept, and rounded in place."""
+        if name in SINGLE:
+            _round_to_single(values)
+        if values.shape == self.shapes[name]:  # if the segment is the whole clip, avoid a copy, which would be large
+            self.arrays[name] = values
+        else:
+            self.by_frame(name)[rows] = np.moveaxis(values, SHAPES[name].index("T"), 0)
+
+    def complete(self) -> None:
+        """Add the arrays that no segment has filled."""
+        for name in SHAPES:
+            self.by_frame(name)
+
+    def clear(self, frames: Bools) -> None:
+        """Set all values of some frames (T,) to NaN."""
+        for name in SHAPES:
+            self.by_frame(name)[frames] = np.nan
+
+
+def _cost_by_term(segments: Sequence[SegmentFit]) -> dict[str, float]:
+    """Return the cost of each term, summed over the segments."""
+    costs = [segment.problem.costs(segment.estimate.states, segment.estimate.shared) for segment in segments]
+    names = dict.fromkeys(chain.from_iterable(costs))
+    return {name: sum(by_name.get(name, 0.0) for by_name in costs) for name in names}
 
 
 def _round_to_single(values: Array) -> None:
