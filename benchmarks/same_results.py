@@ -33,7 +33,7 @@ import numpy as np
 from question import recordings
 
 FAILED = "failed.txt"
-CLOCK_COLUMNS = ("solve_s", "us_per_step")
+CLOCK_COLUMNS = ("solve_s", "solve_ms", "us_per_step")
 """Columns of tables with measured times."""
 CLOCK_KEYS = ("timing_s", "recon_version", "schema", "settings", *CLOCK_COLUMNS)
 """Keys of reports that depend on the clock, the version or the folders."""
