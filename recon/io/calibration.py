@@ -81,7 +81,7 @@ def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None
     suffixes = sorted({suffix for f in FORMATS if "cameras" in f.reads for suffix in f.suffixes})
     if path.suffix.lower() not in suffixes:
         expected = f"a calibration file: {', '.join(suffixes)}"
-        kind = "a folder" if path.is_dir() else f"suffix {path.suffix!r}{_dlt_text(path)}"
+        kind = "a folder" if path.is_dir() else f"suffix {path.suffix!r}{_numbers_text(path)}"
         raise InputError(Problem(path, "format", kind, expected))
     program = _of_other_program(path)
     if program is not None:
@@ -113,10 +113,12 @@ _OTHER_PROGRAMS = (
     (r"(?i)<(qualisys|qtm)|<calibration[^>]*(created|qtm)", "a calibration of Qualisys"),
     (r"<Camera [^>]*DEVICEID", "a calibration of Vicon"),
     (r"<chunk|<document[^>]*version", "a project or calibration of Metashape"),
-    (r"(?m)^cam0:\s*$", "a camchain of Kalibr"),
+    (r"(?ms)^cam0:\s*$.*^\s+(camera_model|cam_overlaps|distortion_coeffs|rostopic)\s*:", "a camchain of Kalibr"),
 )
 """Patterns in calibrations that cannot be read, and a description of their format."""
 DLT_COEFFICIENTS = 11
+ARGUS_NUMBERS = 12
+"""Numbers of a camera in Argus' profile: number, focal length, size, centre, aspect and five coefficients."""
 
 
 def _of_other_program(path: Path) -> str | None:
@@ -128,13 +130,17 @@ def _of_other_program(path: Path) -> str | None:
     return next((name for pattern, name in _OTHER_PROGRAMS if re.search(pattern, text)), None)
 
 
-def _dlt_text(path: Path) -> str:
-    """Return a hint if the file has coefficients of a direct linear transformation, a column of 11 numbers each."""
+def _numbers_text(path: Path) -> str:
+    """Return a hint if the file has DLT coefficients, a column of 11 numbers each, or Argus' profile, a row each."""
     if not path.is_file() or path.stat().st_size > MAX_DLT_BYTES:
         return ""
     lines = [line for line in path.read_text(errors="replace").splitlines() if line.strip()]
     numeric = all(re.fullmatch(r"[-+0-9.eE,;\s]+", line) for line in lines)
-    return ": DLT coefficients, which hold no lens" if len(lines) == DLT_COEFFICIENTS and numeric else ""
+    if not numeric or not lines:
+        return ""
+    if {len(line.split()) for line in lines} == {ARGUS_NUMBERS}:
+        return ": a camera profile of Argus, which holds no pose"
+    return ": DLT coefficients, which hold no lens" if len(lines) == DLT_COEFFICIENTS else ""
 
 
 def cameras_of(

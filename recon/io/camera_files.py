@@ -40,15 +40,19 @@ if TYPE_CHECKING:
 ALIASES = {
     "matrix": (
         *("matrix", "camera_matrix", "cameraMatrix", "Camera_Matrix", "intrinsic_matrix", "intrinsicMatrix", "mtx"),
-        *("K", "k"),
+        *("K", "k", "intrinsics", "intrinsic", "cam_matrix"),
     ),
     "distortion": (
         *("distortions", "distortion_coefficients", "Distortion_Coefficients", "distortionCoefficients"),
-        *("dist_coeffs", "distCoeffs", "distCoef", "dist_coef", "distortion", "dist", "D", "d"),
+        *("dist_coeffs", "distCoeffs", "distCoef", "dist_coef", "dist_coeff", "distortion_coeffs", "distortion"),
+        *("dist", "D", "d"),
     ),
-    "rotation": ("rotation", "rotation_matrix", "R", "rvec", "r"),
+    "rotation": ("rotation", "rotation_matrix", "R", "rvec", "r", "rotation_vector"),
     "translation_m": ("translation", "translation_vector", "T", "tvec", "t"),
-    "image_size_px": ("size", "camera_resolution", "image_size_px", "image_size", "imageSize", "resolution"),
+    "image_size_px": (
+        *("size", "camera_resolution", "image_size_px", "image_size", "imageSize", "resolution"),
+        *("img_size", "frame_size"),
+    ),
     "model": ("distortion_model",),
 }
 """Keys of each field in other programs, which may also be written with other capitals, blanks, or underscores."""
@@ -56,6 +60,11 @@ FOCAL_KEYS = ("fx", "fy", "cx", "cy")
 """Keys of a camera matrix in single numbers."""
 COEFFICIENT_KEYS = ("k1", "k2", "p1", "p2", "k3")
 """Keys of radial-tangential coefficients in single numbers, in OpenCV's order."""
+INNER_KEYS = (
+    *("intrinsics", "intrinsic", "intrinsic_parameters", "extrinsics", "extrinsic", "extrinsic_parameters"),
+    *("distortion", "pose", "lens"),
+)
+"""Keys of tables in a camera's table that hold some of its values."""
 POSE_KEYS = (
     *("extrinsics", "extrinsic", "extrinsic_matrix", "world_to_camera", "world2cam", "w2c", "RT", "view_matrix"),
     *("camera_to_world", "cam2world", "c2w", "pose", "camera_pose", "transform", "transform_matrix"),
@@ -109,6 +118,20 @@ def record_of(name: object, location: str, table: Mapping[str, Any], **changes: 
     if called["matrix"] == "intrinsicMatrix":  # JARVIS has MATLAB's matrices, whose rows are points
         values |= {field: transposed(values[field]) for field in ("matrix", "rotation")}
     return CameraRecord(name, location, values, called, keys=tuple(map(str, table)))
+
+
+def without_inner(table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a camera's table in which the values of inner tables, such as `intrinsics`, stand beside the others."""
+    names = {plain_key(name) for name in INNER_KEYS}
+    inner = [
+        key
+        for key, value in table.items()
+        if plain_key(key) in names and isinstance(value, Mapping) and not {"data", "rows"} & value.keys()
+    ]
+    values = {key: value for key, value in table.items() if key not in inner}
+    for key in inner:
+        values = {**table[key], **values}
+    return values
 
 
 def plain_key(key: object) -> str:
@@ -203,10 +226,11 @@ def read_anipose(path: Path, individual: str | None = None) -> list[CameraRecord
     document = parse_toml(read_calibration(path), path)
     expected = f'[camera] with format = "{FORMAT}", or one table per camera as Anipose and Pose2Sim write'
     records = []
-    if isinstance(document.get("cameras"), dict):  # Caliscope: a camera without a calibration has only its size
+    if isinstance(document.get("cameras"), dict):  # Caliscope
         inside = document["cameras"]
-        named = {f"cam_{key}" if str(key).isdigit() else key: table for key, table in inside.items()}
-        document = {key: t for key, t in named.items() if not isinstance(t, dict) or t.get("matrix") is not None}
+        document = {f"cam_{key}" if str(key).isdigit() else key: table for key, table in inside.items()}
+    # Caliscope's camera without a calibration has only its size
+    document = {key: t for key, t in document.items() if not isinstance(t, dict) or "port" not in t or has_matrix(t)}
     # other tables are metadata, or the file is about something else
     tables = {key: table for key, table in document.items() if isinstance(table, dict) and has_camera_key(table)}
     if not tables:
@@ -241,8 +265,10 @@ def recognises_acinoset(path: Path) -> bool:
         return True
     content = document.get("cameras", [document]) if isinstance(document, dict) else []
     entries = content.values() if isinstance(content, dict) else content if isinstance(content, list) else []
+    tables = [entry for entry in entries if isinstance(entry, dict)]
     foreign = {*LENS_KEYS, *ALIASES["matrix"], *ALIASES["distortion"], "R", "T", "resolution"} - {"k", "d"}
-    return not any(isinstance(entry, dict) and foreign & entry.keys() for entry in entries)
+    has_own_keys = not tables or any({"k", "d"} & table.keys() for table in tables)
+    return has_own_keys and not any(foreign & table.keys() for table in tables)
 
 
 def read_acinoset(path: Path, individual: str | None = None) -> list[CameraRecord]:
@@ -351,12 +377,12 @@ def recognises_opencv(path: Path) -> bool:
         document = parse_json(read_calibration(path), path)
     except InputError:
         return False
-    return isinstance(document, dict) and has_matrix(document)
+    return isinstance(document, dict) and has_matrix(without_inner(document))
 
 
 def read_opencv(path: Path, individual: str | None = None) -> list[CameraRecord]:
     """Return the camera of an OpenCV or ROS file; raise InputError."""
-    document = document_of(path)
+    document = without_inner(document_of(path))
     stated: dict[str, Any] = {"world_z_up": bool(document.get("world_z_up", False))}
     size = size_in(document)
     if size is not None:
@@ -433,7 +459,8 @@ def _of_file_storage(path: Path, text: str) -> Json:
 
     if path.suffix.lower() in (".yaml", ".yml"):
         # OpenCV 4 and 5 write different headers, and ROS none; all versions read this one.
-        text = "%YAML:1.0\n---\n" + re.sub(r"\A(\s*#[^\n]*\n|\s*\n)*(%YAML[^\n]*\n)?(---[^\n]*\n)?", "", text)
+        text = re.sub(r"\A(\s*#[^\n]*\n|\s*\n)*(%YAML[^\n]*\n)?(---[^\n]*\n)?", "", text)
+        text = "%YAML:1.0\n---\n" + _with_indented_lists(text)
     if _nesting(text) > MAX_NESTING:
         raise InputError(Problem(path, "content", "lists or tables that are nested too deeply", "a calibration"))
     try:
@@ -444,6 +471,24 @@ def _of_file_storage(path: Path, text: str) -> Json:
         reason = str(error.__cause__ or error).strip().splitlines()[-1].rpartition("error)")[2].strip()
         detail = f"text that OpenCV cannot parse: {reason}"
         raise InputError(Problem(path, "file", detail, "YAML, XML or JSON")) from error
+
+
+def _with_indented_lists(text: str) -> str:
+    """Return YAML whose lists are indented below their keys, as OpenCV needs it and PyYAML does not write it."""
+    lines: list[str] = []
+    indents: list[int] = []
+    """Indentations of the lists that are open and were not indented."""
+    key_indent = None
+    for line in text.splitlines():
+        indent, is_item = len(line) - len(line.lstrip(" ")), re.match(r" *-(\s|$)", line) is not None
+        while line.strip() and indents and (indent < indents[-1] or (indent == indents[-1] and not is_item)):
+            indents.pop()
+        if is_item and indent == key_indent:
+            indents.append(indent)
+        lines.append("  " * len(indents) + line)
+        if line.strip():
+            key_indent = indent if line.rstrip().endswith(":") and not is_item else None
+    return "\n".join(lines) + "\n"
 
 
 def _nesting(text: str) -> int:

@@ -313,7 +313,8 @@ FORMATS: tuple[Format, ...] = (
     Format("easymocap", "EasyMocap intri.yml", (".yml", ".yaml"), _lab_cameras_easymocap, _CAMERAS),
     Format("stereo", "OpenCV stereo YAML, XML or JSON", (".yml", ".yaml", ".xml", ".json"), _lab_cameras_stereo,
            _CAMERAS),
-    Format("tables", "JSON with a table for each camera", (".json",), _lab_cameras_tables, _CAMERAS),
+    Format("tables", "JSON or YAML with a table for each camera", (".json", ".yaml", ".yml"), _lab_cameras_tables,
+           _CAMERAS),
     Format("opencv", "OpenCV YAML, XML or JSON, ROS camera_info", (".yaml", ".yml", ".xml", ".json"),
            _camera_files_opencv, _CAMERAS),
 )

@@ -1,7 +1,7 @@
-"""Read calibration files of other layouts: tables in JSON, EasyMocap, JARVIS and OpenCV's stereo files.
+"""Read calibration files of other layouts: tables in JSON or YAML, EasyMocap, JARVIS and OpenCV's stereo files.
 
-- JSON with a table for each camera, in a list or by name, such as CMU Panoptic's: keys as `recon.io.camera_files`
-  knows them, a lens that is stated or radial-tangential, world to camera.
+- JSON or YAML with a table for each camera, in a list or by name, such as CMU Panoptic's: keys as
+  `recon.io.camera_files` knows them, a lens that is stated or radial-tangential, world to camera.
 - EasyMocap: `intri.yml` with `K_01`, `dist_01` of each name in `names`, and `extri.yml` in the same folder with
   `Rot_01` or `R_01` and `T_01`.
 - JARVIS: `intrinsicMatrix`, `distortionCoefficients`, `R`, `T` of one camera. Matrices are MATLAB's, whose rows are
@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 
-from recon.base.documents import parse_json
 from recon.base.errors import InputError, Problem
 from recon.io.calibration import CameraRecord, read_calibration
 from recon.io.camera_files import (
@@ -34,6 +33,7 @@ from recon.io.camera_files import (
     require_lens,
     require_separate_pose,
     size_in,
+    without_inner,
 )
 
 EXTRINSICS = "extri.yml"
@@ -43,25 +43,27 @@ _STEREO_MATRIX = r"(?:K|M|cameraMatrix|camera_matrix|intrinsic_matrix|mtx)_?"
 _STEREO_LENS = ("D", "distCoeffs", "dist_coeffs", "dist", "distortion_coefficients", "distortion")
 
 
-# -- JSON with a table for each camera -----------------------------------------------------------------------------
+# -- a table for each camera ---------------------------------------------------------------------------------------
 
 
 def recognises_tables(path: Path) -> bool:
-    """Return whether a file is JSON with a table for each camera."""
-    if path.suffix.lower() != ".json":
+    """Return whether a file is JSON or YAML with a table for each camera."""
+    if path.suffix.lower() not in (".json", ".yml", ".yaml"):
         return False
     try:
-        return bool(_tables_of(parse_json(read_calibration(path), path)))
+        document = document_of(path)
+        return not has_matrix(without_inner(document)) and bool(_tables_of(document))
     except InputError:
         return False
 
 
 def read_tables(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Return the cameras of a JSON file with a table for each; raise InputError."""
-    tables = _tables_of(parse_json(read_calibration(path), path))
-    records = [
-        record_of(name, location, table, world_z_up=table.get("world_z_up", False)) for name, location, table in tables
-    ]
+    """Return the cameras of a file with a table for each; raise InputError."""
+    tables = _tables_of(document_of(path))
+    records = []
+    for name, location, table in tables:
+        z_up = table.get("world_z_up", False)  # OpenCV's YAML has no booleans
+        records.append(record_of(name, location, table, world_z_up=z_up == 1.0 if isinstance(z_up, float) else z_up))
     for record, (_, _, table) in zip(records, tables, strict=True):
         require_lens(path, table, record)
         require_separate_pose(path, table, record)
@@ -78,7 +80,7 @@ def _tables_of(document: object) -> list[tuple[Any, str, Mapping[str, Any]]]:
         named = [(None, f"{start}[{i}].", table) for i, table in enumerate(cameras)]
     else:
         return []
-    tables = [(n, location, table) for n, location, table in named if isinstance(table, Mapping)]
+    tables = [(n, location, without_inner(table)) for n, location, table in named if isinstance(table, Mapping)]
     if not any(has_matrix(table) for _, _, table in tables):
         return []
     return [
@@ -110,14 +112,15 @@ def read_easymocap(path: Path, individual: str | None = None) -> list[CameraReco
     records = []
     for name in document.get("names", ()):
         size = [document.get(f"{side}_{name}") for side in "WH"]
+        lens = f"D_{name}" if f"D_{name}" in document else f"dist_{name}"
         table = {
             "K": document.get(f"K_{name}"),
-            "D": document.get(f"dist_{name}"),
+            "D": document.get(lens),
             "size": None if None in size else size,
             "R": poses.get(f"Rot_{name}", poses.get(f"R_{name}")),
             "T": poses.get(f"T_{name}"),
         }
-        called = {"matrix": f"K_{name}", "distortion": f"dist_{name}", "rotation": f"Rot_{name}"}
+        called = {"matrix": f"K_{name}", "distortion": lens, "rotation": f"Rot_{name}"}
         called |= {"translation_m": f"T_{name}", "image_size_px": f"W_{name}, H_{name}"}
         record = record_of(str(name), "", {key: value for key, value in table.items() if value is not None})
         records.append(CameraRecord(record.name, "", record.values, called, keys=tuple(document)))

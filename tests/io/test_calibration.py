@@ -373,6 +373,9 @@ class TestLayoutsOfLabs:
         turn = Rotation.from_matrix(R).as_rotvec()[:, None]
         poses = {"R_01": turn, "Rot_01": R, "T_01": [[x] for x in T], "R_02": turn, "T_02": [[x] for x in T]}
         names = "%YAML:1.0\n---\nnames:\n  - '01'\n  - '02'\n"
+        older = {key.replace("dist_", "D_"): value for key, value in lenses.items()}
+        path = write("intri.yml", names + opencv_text(".yml", **older).partition("---\n")[2])
+        assert [c.distortion.tolist() for c in read_cameras(path, SIZE)] == [RADTAN, RADTAN]
         path = write("intri.yml", names + opencv_text(".yml", **lenses).partition("---\n")[2])
         assert [c.has_extrinsics for c in read_cameras(path, SIZE)] == [False, False]
         write("extri.yml", names + opencv_text(".yml", **poses).partition("---\n")[2])
@@ -386,10 +389,11 @@ class TestLayoutsOfLabs:
         """Cameras without a calibration are left out."""
         posed = anipose("0")["0"] | {"fisheye": False}
         del posed["name"]
-        path = write("camera_array.toml", {"cameras": {"0": posed, "3": {"size": list(SIZE), "port": 3}}})
-        (camera,) = read_cameras(path)
-        assert camera.name == "cam_0"
-        assert_camera(camera, RADTAN, "radtan", posed=True, world_z_up=False)
+        cameras = {"0": posed, "3": {"size": list(SIZE), "port": 3}}
+        for tables in ({"cameras": cameras}, {f"cam_{key}": table for key, table in cameras.items()}):
+            (camera,) = read_cameras(write("camera_array.toml", tables))
+            assert camera.name == "cam_0"
+            assert_camera(camera, RADTAN, "radtan", posed=True, world_z_up=False)
 
     @pytest.mark.parametrize(("matrix", "lens"), [("K", "D"), ("M", "D"), ("cameraMatrix", "distCoeffs")])
     def test_opencvs_stereo_files(self, write, matrix, lens):
@@ -416,11 +420,40 @@ class TestLayoutsOfLabs:
             {"Camera Matrix": K, "DistCoeffs": RADTAN, "image_Width": 1920, "image_Height": 1080},
             {"fx": K[0][0], "fy": K[1][1], "cx": K[0][2], "cy": K[1][2], "size": SIZE}
             | dict(zip(("k1", "k2", "p1", "p2", "k3"), RADTAN, strict=True)),
+            {"intrinsics": {"K": K, "dist_coeff": [RADTAN], "img_size": SIZE}},
         ],
-        ids=["numpy", "capitals", "single numbers"],
+        ids=["numpy", "capitals", "single numbers", "inner table"],
     )
     def test_other_spellings_of_keys(self, write, values):
         assert_camera(read_camera(write("a.json", values)), RADTAN, "radtan", world_z_up=False)
+
+    def test_yaml_of_python(self, write):
+        """PyYAML does not indent a list below its key; a file may have a table for each camera."""
+
+        def block(rows, indent):
+            return "".join(
+                f"{indent}{'- - ' if i == 0 else '  - '}{float(value)}\n" for row in rows for i, value in enumerate(row)
+            )
+
+        def camera(indent=""):
+            lens = f"{indent}camera_matrix:\n{block(K, indent)}{indent}dist_coeff:\n{block([RADTAN], indent)}"
+            size = "".join(f"{indent}- {side}\n" for side in SIZE)
+            return f"{lens}{indent}image_size:\n{size}{indent}note: x\n"
+
+        assert_camera(read_camera(write("a.yaml", camera())), RADTAN, "radtan", world_z_up=False)
+        cameras = read_cameras(write("b.yaml", f"cam0:\n{camera('  ')}cam1:\n{camera('  ')}date: '2026'\n"))
+        assert [camera.name for camera in cameras] == ["cam0", "cam1"]
+        for camera in cameras:
+            assert_camera(camera, RADTAN, "radtan", world_z_up=False)
+
+    @pytest.mark.parametrize("by_table", [False, True])
+    def test_tables_inside_a_camera(self, write, by_table):
+        """Such JSON is no AcinoSet scene, although it has `cameras`."""
+        inner = {"intrinsics": {"K": K, "dist": RADTAN, "size": SIZE}, "extrinsics": {"R": R.tolist(), "t": T}}
+        path = write("a.json", {"cameras": {"A": inner}} if by_table else inner)
+        assert_camera(read_camera(path), RADTAN, "radtan", posed=True, world_z_up=False)
+        foreign = {"A": {"k": [1], "c": [2], "f": 3, "size": SIZE}}
+        refuses(write("b.json", foreign), ("A.k", "shape"), ("A.distortions", "the file has k, c, f"))
 
     def test_rotation_without_translation_is_a_rectification(self, write):
         """ROS 2 writes the keys of camera_info in lower case."""
@@ -500,6 +533,7 @@ class TestLayoutsOfLabs:
             ("a.xml", "<calibration created='2026'/>", "Qualisys"),
             ("a.yaml", "cam0:\n  camera_model: pinhole\n", "Kalibr"),
             ("a.csv", "1,2\n" * 11, "DLT coefficients"),
+            ("a.txt", "1 1600 1920 1080 960 540 1 0 0 0 0 0\n" * 2, "Argus"),
         ],
     )
     def test_other_programs_are_named(self, write, name, text, found):
