@@ -245,13 +245,21 @@ def labels_larger(clip: Clip, given: Given) -> Given:
     return given.seen(middle + 1.15 * (given.xy_px - middle))
 
 
-def hind_of_second(clip: Clip, given: Given) -> Given:
-    """Replace the hind half by that of an animal which runs a tenth of a second behind."""
-    late = max(round(0.1 * clip.meta["fps"]), 1)
-    hind = [i for i, name in enumerate(given.keypoints.names) if any(part in name for part in ("back", "hip", "tail"))]
-    xy_px = given.xy_px.copy()
-    xy_px[late:, hind] = given.xy_px[:-late, hind]
-    return given.seen(xy_px)
+def half_of_second(*parts: str) -> Change:
+    """Return a change that takes half of an animal from one that runs a tenth of a second behind."""
+
+    def change(clip: Clip, given: Given) -> Given:
+        late = max(round(0.1 * clip.meta["fps"]), 1)
+        half = [i for i, name in enumerate(given.keypoints.names) if any(part in name for part in parts)]
+        xy_px = given.xy_px.copy()
+        xy_px[late:, half] = given.xy_px[:-late, half]
+        return given.seen(xy_px)
+
+    return change
+
+
+hind_of_second = half_of_second("back", "hip", "tail")
+fore_of_second = half_of_second("front", "shoulder", "nose", "eye", "neck")
 
 
 def cubic(clip: Clip, given: Given) -> Given:
@@ -298,11 +306,23 @@ def pans(clip: Clip, given: Given) -> Given:
     return given.seen(given.xy_px - np.stack([along, 0 * along], axis=-1))
 
 
-def follows(clip: Clip, given: Given) -> Given:
+def path_of(given: Given) -> np.ndarray:
+    """Return the smooth path (T, 2) of the animal in the picture."""
     middle, t = np.nanmedian(given.xy_px, axis=1), np.arange(len(given.xy_px))
     known = np.isfinite(middle[:, 0])
-    path = np.stack([np.polyval(np.polyfit(t[known], middle[known, i], 3), t) for i in (0, 1)], axis=1)
-    return given.seen(given.xy_px - path[:, None] + given.size_px / 2)
+    return np.stack([np.polyval(np.polyfit(t[known], middle[known, i], 3), t) for i in (0, 1)], axis=1)
+
+
+def follows(clip: Clip, given: Given) -> Given:
+    return given.seen(given.xy_px - path_of(given)[:, None] + given.size_px / 2)
+
+
+def belt_drifts(clip: Clip, given: Given) -> Given:
+    """Film the animal on a belt that first keeps pace with it, and in the end is a fifth slower."""
+    path_px = path_of(given)
+    slower = np.linspace(0, 0.2, len(path_px))[:, None]
+    drift_px = np.cumsum(slower * np.gradient(path_px, axis=0), axis=0)
+    return given.seen(given.xy_px + (drift_px - path_px + given.size_px / 2)[:, None])
 
 
 def zooms(clip: Clip, given: Given) -> Given:
@@ -513,6 +533,7 @@ CASES = {
     "origin 0.3 m above the ground": Case(lambda c, g: g.moved(t=(0, 0, -0.3)), ("ground_elsewhere",)),
     "origin 0.3 m below the ground": Case(lambda c, g: g.moved(t=(0, 0, 0.3)), ("ground_elsewhere",)),
     "hind half of a second animal": Case(hind_of_second, ("halves_apart",)),
+    "fore half of a second animal": Case(fore_of_second, ("halves_apart",)),
     "cubic through every 8th": Case(cubic, ("detections_curved",)),
     "paws on their shadow": Case(paws_on_shadow),
     "rolling shutter of 30 ms": Case(rolling(0.03)),
@@ -520,6 +541,7 @@ CASES = {
     "undistorted, lens kept": Case(undistorted, ("keypoints_undistorted", "picture_zooms")),
     "pans by 400 px": Case(pans, ("camera_moves", "treadmill", "picture_zooms", "path_jolts")),
     "follows": Case(follows, ("treadmill", "camera_moves", "picture_zooms", "path_jolts")),
+    "on a belt that slows down": Case(belt_drifts, ("treadmill", "camera_moves", "picture_zooms", "path_jolts")),
     "zooms x 1.5": Case(zooms, ("camera_moves", "picture_zooms", "path_jolts")),
     "frozen for half": Case(frozen, ("detections_frozen",)),
     "interpolated, every 8th": Case(interpolated, ("detections_interpolated",)),
