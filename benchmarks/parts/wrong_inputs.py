@@ -746,6 +746,18 @@ def cells(of: pd.DataFrame) -> list[str]:
     return [*figures, f"{seen[0]:.0f}; {seen[1]:.2f}" if np.isfinite(seen[0]) else ""]
 
 
+def summary(table: pd.DataFrame) -> Iterator[str]:
+    """Yield sentences on all fits with a mistake, and on all fits without one."""
+    is_right = table["case"].isin([*PLAIN]) | table["case"].str.startswith("right")
+    wrong, right = table[~is_right], table[is_right]
+    if len(wrong):
+        causes = wrong["named"] | wrong["else_named"]
+        yield f'"use" while beyond the bound: {wrong["use_beyond"].sum()} of {len(wrong)} fits'
+        yield f"Named cause right: {wrong['named'].sum()} of {causes.sum()} fits with a named cause"
+    levels = [(right["level"] == level).sum() for level in ("use", "do not use")]
+    yield f'Without a mistake: "use" {levels[0]}, "do not use" {levels[1]} of {len(right)} fits'
+
+
 def horse_as_cheetah() -> str:
     """Return level and codes of findings."""
     names = {"Nose": "nose", "Eye": "l_eye", "Wither": "neck_base", "Ischium": "tail_base", "Shoulder": "l_shoulder"}
@@ -791,8 +803,8 @@ def main() -> None:
         [*header, *use, "pose in 90 %", "position in 90 %", "of what was seen: mm; m"],
         [[name, len(of), of["doubled"].sum(), *cells(of)] for name, of in grouped],
     )
-    wrong = table[~table["case"].isin([*PLAIN]) & ~table["case"].str.startswith("right")]
-    print(f'"use" while beyond the bound: {wrong["use_beyond"].sum()} of {len(wrong)} fits')
+    for sentence in summary(table):
+        print(sentence)
     if arguments.findings:
         for name, of in grouped:
             counts = pd.Series(" ".join(of["codes"]).split(), dtype=str).value_counts()

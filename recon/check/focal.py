@@ -51,6 +51,8 @@ SEEN = 0.25
 """Least share of the frames in which each foot is detected: without legs, size and distance are hardly known."""
 BEYOND = 0.2
 """Largest distance of the estimate from the values that were tried, in logarithms."""
+INSIDE_90 = 0.5 * NORMAL_90**2
+"""Cost above the least at which a focal length is at the end of its 90 % interval."""
 _UNKNOWN_SIGMA = 0.3
 """Standard deviation of an estimate if the parabola has no minimum."""
 _TOLERANCE, _ITERATIONS = 1e-3, 12
@@ -67,7 +69,7 @@ class FocalTest:
     effects_m: dict[str, float]
     """Effects on poses and positions (`EFFECTS`) of a focal length that was tried on the side of the estimate.
 
-    It is the farthest one that fits better than the given focal length, or the nearest one if none does.
+    It is the farthest one inside the 90 % interval, or the nearest one if none is.
     """
 
     @property
@@ -110,10 +112,13 @@ def focal_test(baseline: Baseline, noise_px: Array) -> FocalTest | None:
         if refits[nearer].cost < refits[0.0].cost:
             refits[farther] = _refit(clip, states, noise_px[None, rows], farther)
     log_factor, sigma = _lowest({tried: refit.cost for tried, refit in refits.items()})
-    side = SHORTER if log_factor < USUAL else LONGER
-    better = [tried for tried in side if tried in refits and refits[tried].cost < refits[0.0].cost]
-    farthest = max(better, key=abs, default=side[0])
-    return FocalTest(log_factor, sigma, effects_m(clip, refits[0.0].states, refits[farthest].states))
+    test = FocalTest(log_factor, sigma, {})
+    nearer, farther = SHORTER if log_factor < USUAL else LONGER
+    if farther not in refits and abs(test.deviation) > POSSIBLE:
+        refits[farther] = _refit(clip, states, noise_px[None, rows], farther)
+    highest = min(refit.cost for refit in refits.values()) + INSIDE_90
+    end = farther if farther in refits and refits[farther].cost < highest else nearer
+    return replace(test, effects_m=effects_m(clip, refits[0.0].states, refits[end].states))
 
 
 @dataclass(frozen=True, eq=False)
