@@ -3,7 +3,7 @@
 Each of T frames has D unknowns. H (TD, TD) is symmetric and positive definite; its block (t + k, t), D x D, is zero for
 k > W. Time and memory are linear in T. H = L L', and L has the band of H.
 
-The inverse of H, a covariance, is full; only its blocks near the diagonal are needed. With white noise z, block row t
+The inverse of H, a covariance, is full; only its blocks near the diagonal are needed. If z is white noise, block row t
 of L' x = z gives frame t from the W frames after it:
 
     x_t = gain_t x_later + L_tt^-T z_t,   gain_t = -L_tt^-T [L_t+1,t' ... L_t+W,t'],   later = t + 1, ..., t + W
@@ -189,7 +189,7 @@ def add_normal(
     """Add a term's J'J to blocks (T, W+1, D, D) and its J'r to gradient (T, D), in place.
 
     The residual (N, M) and Jacobian (N, M, S, D) belong to the frames first, first + 1, ...; slot s holds the
-    derivatives by the unknowns of frame + stencil[s].
+    derivatives with respect to the unknowns of frame + stencil[s].
     """
     if len(residual) and (first + min(stencil) < 0 or first + len(residual) + max(stencil) > len(blocks)):
         raise IndexError("the stencil reaches beyond the first or the last frame")  # numpy would wrap around

@@ -20,17 +20,17 @@ _Solution = TypeVar("_Solution", bound=Solution)
 
 
 def belt_path_m(solution: Solution, time_s: Array, speed_m_s: float) -> Array:
-    """Return the distance that the belt has carried the animal at each time, as vectors of shape (T, 3).
+    """Return the displacement (T, 3) of the laboratory relative to the belt since the first frame, metres.
 
     The belt is assumed to be level and to run opposite to the mean direction of the trunk.
 
     Parameters
     ----------
-    solution : Solution
+    solution
         T frames, metres, z up.
-    time_s : ndarray
+    time_s
         Times, shape (T,).
-    speed_m_s : float
+    speed_m_s
         Speed of the belt.
     """
     rear, front = (solution.body.markers.index(marker) for marker in solution.body.forward)

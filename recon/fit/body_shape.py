@@ -82,9 +82,9 @@ class Shape:
         return replace(body, tree=tree, keypoint_offset_m=offsets)
 
     def jacobian(self, body: Body, states: Array, rotations: Array | None = None) -> Array:
-        """Return the derivatives (N, J, 3, K) of the detected markers of a body by the shape, at nominal size.
+        """Return the derivatives (N, J, 3, K) of a body's detected markers with respect to the shape, at nominal size.
 
-        rotations (N, S, 3, 3) are those of the segments, if they are known.
+        `rotations` (N, S, 3, 3) are those of the segments, if they are known.
         """
         tree, n, markers, offsets = body.tree, len(self.lengths), self._markers_of_lengths, self._markers_of_offsets
         R = tree.orientations(states) if rotations is None else rotations
@@ -195,14 +195,14 @@ class FreeShape:
         return np.concatenate([by_length, by_offset(body.tree, rotations)], axis=3)
 
     def by_length(self, shared: Mapping[str, Array], states: Array) -> Array:
-        """Return the derivatives (N, J, 3, L) of the markers by the lengths, for states (N, D)."""
+        """Return the derivatives (N, J, 3, L) of the markers with respect to the lengths, for states (N, D)."""
         return self.lengths.jacobian(self.applied(shared), states)
 
 
 def by_offset(tree: Tree, rotations: Array) -> Array:
-    """Return the derivatives (N, J, 3, 3J) of the markers of a tree by their keypoints' offsets.
+    """Return the derivatives (N, J, 3, 3J) of the markers of a tree with respect to their keypoints' offsets.
 
-    rotations (N, S, 3, 3) are those of the segments.
+    `rotations` (N, S, 3, 3) are those of the segments.
     """
     names, (N, J) = [segment.name for segment in tree.segments], (len(rotations), len(tree.markers))
     of_markers = rotations[:, [names.index(marker.segment) for marker in tree.markers]]

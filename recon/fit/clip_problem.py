@@ -47,7 +47,7 @@ class TrajectoryOptions:
     refine_cameras: bool = False
     """Whether the poses of all cameras but the first are unknowns."""
     refine_first: bool = False
-    """Whether the first of two cameras is refined as well, so that errors of both poses are usual ones or turns."""
+    """Whether the first of two cameras is refined as well; the pose of each then has usual errors, or is turned."""
     focal_sigma: float | None = None
     """Relative standard deviation of all cameras' focal lengths; None if they are exact.
 
@@ -66,7 +66,7 @@ class TrajectoryOptions:
 def focal_sigma_of(settings: Mapping[str, Any], cameras: int) -> float | None:
     """Return the relative standard deviation of focal lengths that follows from the settings; None if they are exact.
 
-    settings are those of a fit, by name. Several cameras, which estimate focal lengths, and moving cameras have a
+    `settings` are those of a fit, by name. Several cameras, which estimate focal lengths, and moving cameras have a
     standard deviation only if it is given.
     """
     sigma: float | None = settings.get("focal_sigma")
@@ -107,7 +107,7 @@ class ClipProblem:
     They make the expected spread as wide as that of the animal.
     """
     rotations_rad: Array | None = None
-    """Expected rotations of two refined cameras about each axis, (2, 3), standard deviations; None for usual ones."""
+    """Standard deviations (2, 3) of the rotations of two refined cameras about each axis; None for usual ones."""
     acceleration_scale: Array | None = None
     """Factors on the expected standard deviations of the states' accelerations, (D,); None for 1."""
 
@@ -293,9 +293,9 @@ class ClipProblem:
     def shared_unknowns(self, shifts_m: Array | None = None) -> tuple[list[SharedUnknown], list[SharedUnknown]]:
         """Return the unknowns that all frames share: those that the pictures determine, and nuisance unknowns.
 
-        Nuisance unknowns only add to the uncertainty, such as a single camera's time offset and focal length. shifts_m
-        (V,) is the expected shift of refined cameras. Standard deviations are those of lasting errors, which more
-        frames do not reduce.
+        Nuisance unknowns only add to the uncertainty, such as a single camera's time offset and focal length.
+        `shifts_m` (V,) is the expected shift of refined cameras. Standard deviations are those of lasting errors, which
+        more frames do not reduce.
         """
         options, V = self.options, len(self.views)
         size = [SharedUnknown(terms.SIZE, np.ones(1), np.array([self.size_sigma]))] if self.shows_size else []
@@ -359,8 +359,8 @@ class ClipProblem:
     def _pose_sigmas(self, shifts_m: Array) -> dict[int, Array]:
         """Return the standard deviations of the errors (6,) of each camera whose pose is uncertain.
 
-        The poses of two cameras are uncertain even if they are not refined, unless they are known to be exact. shifts_m
-        (V,) is the expected shift between a camera and the first one.
+        The poses of two cameras are uncertain even if they are not refined, unless they are known to be exact.
+        `shifts_m` (V,) is the expected shift between a camera and the first one.
         """
         options, V = self.options, len(self.views)
         if options.refine_cameras and not options.refine_first:
@@ -500,7 +500,7 @@ def contacts(clip: ClipProblem, points_m: Array, size: float) -> tuple[Array, Gr
 
 
 def _stance_by_size(clip: ClipProblem, points_m: Array, size: float, slow: Array) -> Array:
-    """Return the derivatives of the feet's velocities by the size (T - 1, F, 3), if one moving camera sees the animal.
+    """Return the derivatives (T - 1, F, 3) of the feet's velocities with respect to the size, for one moving camera.
 
     Standing feet show the size: with a wrong size they would appear to move with the camera, while swinging feet move
     in any case. If the camera moves along with the animal, feet appear to move both forwards and backwards, and all of
@@ -524,13 +524,13 @@ class _GroundPlane(NamedTuple):
     centre: Array
     """(2,): x and y of the middle of the feet."""
     covariance: Array
-    """(3, 3): that of `plane`."""
+    """(3, 3): covariance of `plane`."""
 
 
 def _fit_plane(middle: Array, slow: Array, height: float, sigma: float, fps: float) -> _GroundPlane:
     """Fit the ground to feet (N, F, 3), with weights (N, F) for how slow they are.
 
-    height and sigma are the expected height and its standard deviation. Each round weights the feet by their height
+    `height` and `sigma` are the expected height and its standard deviation. Each round weights the feet by their height
     above the last plane (Geman-McClure).
     """
     spread = np.array([sigma, constants.GROUND_SLOPE, constants.GROUND_SLOPE])

@@ -48,7 +48,7 @@ CAMERA_SHIFT_SHARE = 0.02
 CALIBRATED_RAD = 0.008726646259971648
 """Rotation about each axis between two cameras as calibrated (half a degree)."""
 SHARE_OF_PAIR = 2**-0.5
-"""Share of the error between two cameras that each of them has."""
+"""Standard deviation of each camera's error, relative to that of the error between two cameras."""
 MISPLACED_RAD = 0.05235987755982988
 """Rotation about an axis of one of two cameras that was turned after its calibration.
 
@@ -73,7 +73,7 @@ LEAST_NOISE = 0.02
 It applies if several cameras solve for the body's shape and the detector was not measured.
 """
 NOISE_COUNT = 1.0
-"""Number of detections as which the expected variance counts in the estimate of a joint's noise."""
+"""Number of detections that the expected variance counts as in the estimate of a joint's noise."""
 LENGTH_SHARE = 0.3
 """Standard deviation of a single length, relative to that of the size, if several cameras solve for the shape.
 
@@ -130,7 +130,7 @@ MISFIT_SIGMAS = 2.33
 SLIP_M_S = 2.5
 """Velocity of a standing foot."""
 SLIP_C = 2.0
-"""Number of standard deviations at which the loss of that velocity saturates."""
+"""Number of standard deviations at which the loss of a foot's velocity saturates."""
 GROUND_HEIGHT_M = 0.12
 """Height of the ground about z = 0, if the ground is known to be near it."""
 GROUND_SLOPE = 0.02

@@ -1,13 +1,13 @@
 """Rank the detections of a clip by how much a correction by hand would improve its 3D motion.
 
-No fit is repeated. At the minimum, H is the curvature of the cost by the states of all frames, Z = H^-1 their
-covariance, and G the curvature of the mean squared distance of the joints, both poses centred, in each frame. A
+No fit is repeated. At the minimum, H is the curvature of the cost with respect to the states of all frames, Z = H^-1
+their covariance, and G the curvature of the mean squared distance of the joints, both poses centred, in each frame. A
 detection of one keypoint in one picture moves with the states of its frame by A (2, D). Its noise is sigma and its
 weight w, which is 0 if it is missing or was left out. If it were corrected, two parts of the squared error would
 vanish:
 
 **1. Variance.** The detection would have its full weight. The precision in the picture grows by d = (1 - w) / sigma^2,
-and the covariance falls by Z A' (I / d + A Z A')^-1 A Z. The trace of that, weighted by G, is
+and the covariance falls by Z A' (I / d + A Z A')^-1 A Z. The trace of this fall, weighted by G, is
 
     tr((I / d + A Z A')^-1 A Q A'),   Q = Z G Z
 
@@ -38,6 +38,7 @@ from recon.fit.result import TrajectorySolution
 from recon.fit.terms import SIDESLIP, SIZE
 
 _MOST_WEIGHT = 0.99
+"""Largest weight w for which P is computed."""
 _RELATIVE_STEP = 1e-4
 """Size of e G relative to H, for the derivative of the covariance."""
 
@@ -125,7 +126,7 @@ def _segment_gain(
 
 
 def _covariance_and_derivative(problem: LeastSquares, estimate: Estimate, G: Array) -> tuple[Array, Array]:
-    """Return the blocks (T, D, D) of Z and of Q within each frame."""
+    """Return the blocks (T, D, D) of Z and of Q within each frame, for the curvature G (T, D, D)."""
     normals = replace(problem, shared=(), nuisance=()).normals(estimate.states, estimate.shared)
     Z = _marginals(normals())
     step = _RELATIVE_STEP / max(float(np.einsum("tab,tba->t", Z, G).max()), 1e-12)

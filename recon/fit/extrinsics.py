@@ -40,6 +40,7 @@ _UNKNOWN_RAD, _UNKNOWN_M = float(np.radians(10.0)), 1.0
 LEVEL_RAD = float(np.radians(5.0))
 """Deviation of cameras from level, or from the given tilt, about each axis, if it was not measured."""
 _FIXED, _SIZE_SIGMA, _MIN_FRAMES = 1e-6, 1e-3, 5
+"""Standard deviations that fix a pose and the size, and the smallest number of frames that two cameras share."""
 _TIME_OFFSET_FRAMES = 1.0
 """Time offset in frames of cameras that were started together.
 
@@ -71,7 +72,7 @@ class Rig:
     disagreement: Array
     """Squared deviation of each camera's pose in each of C clips from its pose in all clips together, shape (C, V).
 
-    For errors of the stated size it is about 6 at most.
+    It is expected to be 6 at most if the errors are as large as stated.
     """
     time_offset_frames: tuple[Array, ...]
     """Delay of the cameras' pictures beyond the stated offset, (V,) for each clip; 0 for a camera without
@@ -103,7 +104,7 @@ def solve_extrinsics(
     InputError
         If a view has too few frames with a pose in common with the others.
     """
-    clips = [_as_rig(reduced_problem, posed) for reduced_problem in clips]
+    clips = [_with_fixed_cameras(clip, posed) for clip in clips]
     rough_sigmas = (constants.CAMERA_ROTATION_RAD, constants.CAMERA_SHIFT_M)
     turn_rad, shift_m = rough_sigmas if posed else (_UNKNOWN_RAD, _UNKNOWN_M)
     sigma = np.tile(np.repeat([turn_rad, shift_m], 3), len(clips[0].views))
@@ -111,9 +112,7 @@ def solve_extrinsics(
     with threadpool_limits(1, user_api="blas"):
         if not posed:
             clips = _initial_poses(clips, lambda stage, done: progress(stage, 0.5 * done))
-        segments = [
-            (i, segment) for i, reduced_problem in enumerate(clips) for segment in solve_segments(reduced_problem)
-        ]
+        segments = [(i, segment) for i, clip in enumerate(clips) for segment in solve_segments(clip)]
         values, converged, total, reduced = np.zeros(len(sigma)), False, np.diag(sigma**-2.0), []
         for i in range(ROUNDS):
             progress("all cameras", 0.5 * (1 + i / ROUNDS))
@@ -125,7 +124,7 @@ def solve_extrinsics(
                 pull += reduced_problem.gradient / clips[number].correlation_frames
             step = np.asarray(np.linalg.solve(total, -pull), dtype=float)
             values = values + step
-            clips = [_moved(reduced_problem, step.reshape(-1, 6)) for reduced_problem in clips]
+            clips = [_moved(clip, step.reshape(-1, 6)) for clip in clips]
             segments = [
                 (number, refined(clips[number], reduced_problem.follow(step))) for number, reduced_problem in reduced
             ]
@@ -142,7 +141,8 @@ def solve_extrinsics(
     )
 
 
-def _as_rig(clip: ClipProblem, posed: bool) -> ClipProblem:
+def _with_fixed_cameras(clip: ClipProblem, posed: bool) -> ClipProblem:
+    """Return the problem with fixed cameras; the size is fixed as well, unless the views have poses."""
     size_sigma = clip.options.size_sigma if posed else _SIZE_SIGMA
     options = replace(clip.options, refine_cameras=False, cameras_known=True, size_sigma=size_sigma)
     return replace(clip, options=options, time_offset_frames=_TIME_OFFSET_FRAMES)
@@ -264,9 +264,9 @@ class _ReducedProblem:
     gradient: Array
     solved: SegmentFit
     states: Array
-    """(T, D, 6V + 1): derivatives of the states by the poses, and the states' own step."""
+    """(T, D, 6V + 1): derivatives of the states with respect to the poses, and the states' own step."""
     shared_step: Array
-    """(P, 6V + 1): derivatives of the clip's shared unknowns by the poses, and their own step."""
+    """(P, 6V + 1): derivatives of the clip's shared unknowns with respect to the poses, and their own step."""
 
     def follow(self, step: Array) -> SegmentFit:
         """Return the segment as predicted after a step of the poses (6V,)."""

@@ -73,7 +73,7 @@ class Estimate:
     """A minimum, or an intermediate point of the search."""
 
     states: Array
-    """(T, D)."""
+    """(T, D): states of the frames."""
     cost: float
     """Half the squared norm of the residuals under the robust loss."""
     iterations: int
@@ -289,12 +289,12 @@ class LeastSquares:
                 return
 
     def _cameras_in_step(self, span: Span) -> list[Reprojection]:
-        """Return the cameras without a time offset; the derivatives by the state apply to the sum of their rows."""
+        """Return the cameras without a time offset, whose rows `_add_detections` adds together."""
         cameras = [term for term in self.terms if isinstance(term, Reprojection) and len(term.stencil) == 1]
         return cameras if len(cameras) > 1 and len(span.pose.points_m[span.own_rows]) else []
 
     def _by_shape(self, span: Span) -> Array | None:
-        """Return the derivatives of a span's markers by the shape, (n, J, 3, L + 3J), or None if the shape is fixed."""
+        """Return the derivatives (n, J, 3, L + 3J) of a span's markers with respect to a free shape, or None."""
         if self.shape is None or LENGTHS not in self.columns:
             return None
         return self.shape.jacobian(span.shared, span.states)
@@ -368,8 +368,8 @@ def _add_detections(
 
     The result is that of `add_normal` and `_add_shared` with the rows of each camera. Each camera knows the derivatives
     B (2, 3) of a marker only by its position p, which moves by A with the state, by L with the lengths, and by R with
-    its own keypoint bias. With W = sum of B'B, the curvature is A'W A, A'W L and so on, so the wide products are
-    computed once for all cameras. `start` is the frame of the first row.
+    its own keypoint bias. If W is the sum of B'B over the cameras, the curvature is A'W A, A'W L and so on, so the wide
+    products are computed once for all cameras. `start` is the frame of the first row.
     """
     A = span.pose.jacobian[span.own_rows]
     (N, J), D = A.shape[:2], A.shape[3]
@@ -478,9 +478,9 @@ def _add_keypoint_bias(
 def _by_lengths_and_bias(
     columns: Mapping[str, slice], span: Span, by_shape: Array | None
 ) -> tuple[Array | None, Array | None]:
-    """Return the derivatives of markers by the lengths (3NJ, L), and by their own keypoint bias (N, J, 3, 3).
+    """Return the derivatives of markers with respect to the lengths and to their own keypoint bias.
 
-    They are None if the lengths or the bias are not unknown.
+    They are (3NJ, L) and (N, J, 3, 3), and None if the lengths or the bias are not unknown.
     """
     if by_shape is None:
         is_free = span.rotations is not None and COMMON_KEYPOINT_BIAS in columns
@@ -514,7 +514,7 @@ def _moved_by_shape(span: Span, by_shape: Array) -> Span:
 
 
 def _with_shape(term: Term, span: Span, with_shape: Span | None) -> TermRows:
-    """Return the rows of a term with the derivatives by the shape, which moves the markers as the state does."""
+    """Return the rows of a term, including derivatives with respect to the shape, which moves markers as states do."""
     if with_shape is None or not isinstance(term, MARKER_TERMS):
         return term.evaluate(span, jacobian=True)
     D, J = span.states.shape[1], span.pose.points_m.shape[1]
@@ -536,7 +536,7 @@ def _add_shared(
 ) -> None:
     """Add a term's normal equations for the shared unknowns in place: J'K to border, K'K to corner, K'r to gradient.
 
-    K are its derivatives by the unknowns of `columns`; its first frame is that of row `first`.
+    K are its derivatives with respect to the unknowns of `columns`; its first frame is that of row `first`.
     """
     by_shared = {name: rows.by_shared[name] for name in rows.by_shared if name in columns}
     if not by_shared:

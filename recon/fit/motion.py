@@ -292,7 +292,7 @@ class Motion:
 
     @property
     def forward(self) -> tuple[int, int]:
-        """Return two joints, from rear to front."""
+        """Return the indices of the joints at the rear and at the front end of the trunk."""
         rear, front = self.body.forward
         return self.joints.index(rear), self.joints.index(front)
 
@@ -536,7 +536,10 @@ class Motion:
         return self.in_reference(self.states[:, ROOT])
 
     def below_m(self, segment: MotionSegment) -> Array | None:
-        """Return the ground below the middle of the root's path in a segment, (3,), world frame, or None if unknown."""
+        """Return the point (3,) of the ground below the middle of the root's path in a segment, or None if unknown.
+
+        It is in metres in the world frame.
+        """
         xy_m = self.states[segment.rows, :2]
         xy_m = xy_m[np.isfinite(xy_m[:, 0])]
         if segment.ground is None or not len(xy_m):

@@ -33,7 +33,7 @@ Version 2 named classes by their modules (`_CLASSES_BY_PATH`). Versions 2 and 3 
 EXPECTED = "the motion that `recon fit` or `Motion.save` wrote"
 _REPORT, _CONFIG = "report.json", "config.toml"
 """Files next to the motion in a results folder of `recon fit`."""
-_OF_A_FIT = (_REPORT, _CONFIG, "angles.csv", "pose3d.csv", "quality.csv")
+_FIT_FILES = (_REPORT, _CONFIG, "angles.csv", "pose3d.csv", "quality.csv")
 """Files of a fit; if one exists without the manifest, the run was interrupted."""
 
 
@@ -75,9 +75,9 @@ def load(motion_class: type[Motion], folder: Path) -> Motion:
     path = folder / MOTION
     if not path.is_file():
         raise InputError(_no_motion(folder))
-    if any((folder / name).exists() for name in (MANIFEST, *_OF_A_FIT)):  # otherwise the motion was saved on its own
+    if any((folder / name).exists() for name in (MANIFEST, *_FIT_FILES)):  # otherwise the motion was saved on its own
         read_manifest(folder).require(MOTION)
-    hint = f"; if it is of an earlier version, run {_again(folder)}" if (folder / _CONFIG).is_file() else ""
+    hint = f"; if it is of an earlier version, run {_refit_command(folder)}" if (folder / _CONFIG).is_file() else ""
     motion = load_record(motion_class, path, SCHEMA, EXPECTED + hint, CLASSES | _CLASSES_BY_PATH, OLDER_VERSIONS)
     try:
         faults = _misfits(motion)
@@ -111,7 +111,7 @@ def _misfits(motion: Motion) -> list[tuple[str, str, str]]:
     ]
 
 
-def _again(folder: Path) -> str:
+def _refit_command(folder: Path) -> str:
     return f"recon fit --config {folder / _CONFIG} --out {folder} --overwrite"
 
 
@@ -120,7 +120,8 @@ def _no_motion(folder: Path) -> Problem:
     expected = "the folder of results that `recon fit` wrote"
     if (folder / _REPORT).is_file() and (folder / _CONFIG).is_file():
         content = f"no {MOTION}: results of an earlier version"
-        return Problem(folder, "folder", content, f"results of this version: write them again with {_again(folder)}")
+        expected = f"results of this version: write them again with {_refit_command(folder)}"
+        return Problem(folder, "folder", content, expected)
     clips = sorted(path.parent for path in folder.glob(f"*/{MOTION}")) if folder.is_dir() else []
     content = f"no {MOTION}" if folder.is_dir() else "a file" if folder.is_file() else "no such folder"
     return Problem(folder, "folder", content, f"the folder of one clip, as in {clips[0]}" if clips else expected)

@@ -2,9 +2,9 @@
 
 **1. Covariance of the states.** Let H be the curvature of the cost at the minimum with respect to the states x of all
 frames, B that between x and the shared unknowns s, Y = H^-1 B, and S the curvature with respect to s with x eliminated
-(`recon.fit.banded`). If s moves by ds, x follows by -Y ds. The covariance of s is S^-1. That of a frame is a block of
-H^-1, with s fixed, plus Y S^-1 Y'. The size is one of the shared unknowns, and is kept separate because the ground may
-determine it further. `curvature` computes these parts; `posterior` adds them up frame by frame.
+(`recon.fit.banded`). If s moves by ds, x follows by -Y ds. The covariance of s is S^-1. The covariance of a frame is a
+block of H^-1, with s fixed, plus Y S^-1 Y'. The size is one of the shared unknowns, and is kept separate because the
+ground may determine it further. `curvature` computes these parts; `posterior` adds them up frame by frame.
 
 **2. Covariance of the joints.** A joint lies at origin + size p. Let J be the Jacobian of p with respect to the frame's
 unknowns, and let a be the derivative of these unknowns with respect to the size (`state_by_size`). With q = p + size J
@@ -31,8 +31,8 @@ tr(H^-1 P), the number of unknowns that the pixels determine, times a usual mean
 most likely scale of the prior's variances, and its inverse is the new weight of the prior.
 
 **6. Regions and intervals.** The noise of a clip and the weight of its prior are themselves estimated, which turns a
-Gaussian into a Student's t. With V the covariance of an error e in k dimensions, e' V^-1 e is k (nu - 2) / nu times a
-variable of Fisher's F with k and nu degrees of freedom.
+Gaussian into a Student's t. Let V be the covariance of an error e in k dimensions. Then e' V^-1 e is k (nu - 2) / nu
+times a variable of Fisher's F with k and nu degrees of freedom.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ _NEARLY_FREE = 1e-3
 _FRAMES_AT_ONCE, _FRAMES_OF_SHAPE = 256, 32
 """Number of frames whose covariances are computed at once, without and with unknown lengths; it bounds the memory."""
 _BIAS_ROUNDS, _PRIOR_COUNT = 10, 8
-"""Rounds of expectation and maximisation, and the number of unknowns that the expected variance counts as."""
+"""Rounds of expectation-maximisation, and the number of unknowns that the expected variance counts as."""
 _NOISE_ROUNDS, _NOISE_FACTOR = 2, (0.05, 4.0)
 """Rounds for the noise of detections about their keypoint bias, and the smallest and largest factor in one round."""
 
@@ -98,7 +98,7 @@ class Posterior:
     shared_sigma: dict[str, Array]
     """Standard deviations (P,) of the shared unknowns that were solved for, and of lengths and offsets, by name.
 
-    Those of lengths include the size's.
+    The standard deviations of lengths include that of the size.
     """
 
     @property
@@ -162,8 +162,8 @@ def curvature(
 ) -> Curvature:
     """Return the curvature with nuisance unknowns free and the common bias as wide as the detections show.
 
-    `normal` holds the problem's normal equations with the nuisance unknowns, if they are known. With `turned_poses`,
-    either of two cameras may be turned, which makes their poses more uncertain (`recon.fit.pair_poses`);
+    `normal` holds the problem's normal equations with the nuisance unknowns, if they are known. If `turned_poses` is
+    true, either of two cameras may be turned, which makes their poses more uncertain (`recon.fit.pair_poses`);
     `expected_precision` does not contain that.
     """
     problem = _with_free_nuisance(problem)
@@ -245,8 +245,8 @@ def _with_free_nuisance(problem: LeastSquares) -> LeastSquares:
 def _bias_scale(S: Array, g: Array, columns: slice, variance: Array, variance_factor: float) -> float:
     """Return the most likely factor on the expected variances of some shared unknowns, at least 1.
 
-    It is found by expectation and maximisation: the expected squares of the unknowns under their posterior give the
-    factor, and the factor gives their posterior.
+    It is found by expectation-maximisation: the expected squares of the unknowns under their posterior give the factor,
+    and the factor gives their posterior.
     """
     rest = np.delete(np.arange(len(g)), columns)
     by_rest = np.linalg.solve(S[np.ix_(rest, rest)], S[rest, columns]).T
@@ -490,7 +490,11 @@ def _shared_sigma(
 
 
 def with_size(covariance_m2: Array, by_size_m: Array, size: float, size_sigma: float) -> Array:
-    """Add the uncertainty of the size, in place, to covariances of joints with derivatives (T, J, 3) by it."""
+    """Return covariances of joints (T, J, 3, 3) at a size, with the size's uncertainty; they change in place.
+
+    `covariance_m2` is given for a skeleton of size 1, and `by_size_m` (T, J, 3) holds the derivatives with respect to
+    the size (part 2 of the module).
+    """
     for first in range(0, len(covariance_m2), _FRAMES_AT_ONCE):
         rows = slice(first, first + _FRAMES_AT_ONCE)
         q = by_size_m[rows]
@@ -550,7 +554,7 @@ class PriorMisfit:
     """Misfit of a prior."""
 
     level: float
-    """Squared residuals relative to their expectation if the prior fits, about 1."""
+    """Sum of the squared residuals relative to its expectation under a prior that fits; about 1 if the prior fits."""
     freedom: float
     """Number of unknowns that the pixels determine."""
 
@@ -594,7 +598,7 @@ def radius(level: float, dimensions: int = 1, nu: float = DEGREES_OF_FREEDOM) ->
 
 
 def sigmas(error: Array, covariance: Array) -> Array:
-    """Return errors (..., k) with covariances (..., k, k) in standard deviations, (...), NaN if unknown."""
+    """Return the Mahalanobis lengths (...) of errors (..., k) with covariances (..., k, k); NaN if unknown."""
     is_known = np.isfinite(error).all(axis=-1) & np.isfinite(covariance).all(axis=(-2, -1))
     sizes = np.full(is_known.shape, np.nan)
     e, V = error[is_known], covariance[is_known] + _ROUNDING_M2 * np.eye(error.shape[-1])

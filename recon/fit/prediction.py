@@ -142,9 +142,9 @@ class _Residuals:
     error_px: Array
     """(T, J, 2): detections minus projected markers, 0 if missing."""
     by_point: Array
-    """(T, J, 2, 3): derivatives by the markers."""
+    """(T, J, 2, 3): derivatives with respect to the markers."""
     noise_px: Array
-    """(T, J)."""
+    """(T, J): noise of the detections."""
     weight: Array
     """(T, J): weights under the robust loss, 0 if missing."""
 
@@ -256,8 +256,8 @@ def smoothed_deviations(
     Parameters
     ----------
     information, pull
-        (T, J, 3, 3), (T, J, 3): precision of the deviations by the detections of each frame, and the precision times
-        the deviations.
+        (T, J, 3, 3), (T, J, 3): precision of the deviations due to the detections of each frame, and this precision
+        times the deviations.
     sigma_m
         (J,): expected standard deviation along each axis.
     lasting_frames

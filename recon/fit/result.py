@@ -113,8 +113,12 @@ SHAPES = {
 }
 """Shapes of a solution's arrays: T frames, J joints, V views, D unknowns a frame, A angles, F feet."""
 SINGLE = (
-    *("covariance_m2", "relative_covariance_m2", "angle_sigma_rad", "angle_data_share"),
-    *("noise_px", "weight"),
+    "covariance_m2",
+    "relative_covariance_m2",
+    "angle_sigma_rad",
+    "angle_data_share",
+    "noise_px",
+    "weight",
 )
 """Arrays of the trajectory method that have the precision of single floats, which is more than they mean."""
 OUTLIER_SIGMAS = 3.0
@@ -123,7 +127,7 @@ OUTLIER_SIGMAS = 3.0
 
 @dataclass(frozen=True)
 class Ground:
-    """A ground plane, z = height_m + slope (2,) . (x, y), and the sigma of its height under the animal."""
+    """A ground plane, z = height_m + slope (2,) . (x, y), and the standard deviation of its height under the animal."""
 
     height_m: float
     slope: Array
@@ -278,7 +282,7 @@ class Solution(Brief):
 
     @property
     def position_lasts_s(self) -> float | None:
-        """Duration of an error of the animal's position, if the method estimates the path separately."""
+        """Return the duration of an error of the animal's position, if the method estimates the path separately."""
         return None
 
     @property
@@ -288,7 +292,7 @@ class Solution(Brief):
 
     @property
     def posterior_factor(self) -> float:
-        """Factor by which the stated standard deviations of poses have to be enlarged to match their errors."""
+        """Return the factor on the stated standard deviations of poses that makes them match the poses' errors."""
         return 1.0
 
     @property

@@ -1,7 +1,8 @@
 """Draw motions of whole clips from the posterior.
 
-With H = L L' at the solution (`recon.fit.banded`), x = L^-T z of a white z is one draw. Neighbouring frames of a draw
-are correlated as H says. The shared unknowns are drawn separately, and so is the size, which the states follow.
+Let H = L L' be the curvature at the solution (`recon.fit.banded`). Then x = L^-T z is one draw if z is white noise.
+Neighbouring frames of a draw are correlated as H says. The shared unknowns are drawn separately, and so is the size,
+which the states follow.
 """
 
 from __future__ import annotations

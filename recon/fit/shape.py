@@ -187,7 +187,7 @@ def _spread_m(body: Body, solved: Sequence[tuple[ClipProblem, SegmentFit]]) -> d
 
 
 def _reduced(shape: Shape, clip: ClipProblem, segment: SegmentFit) -> tuple[Array, Array]:
-    """Return the curvature (K, K) and gradient (K,) of a segment's cost by the shape, with the states eliminated."""
+    """Return the curvature (K, K) and gradient (K,) of a segment's cost in the shape, with the states eliminated."""
     states, problem = segment.estimate.states, segment.problem
     normal = problem.normal(states, segment.estimate.shared)
     K = len(shape)
@@ -205,7 +205,7 @@ def _reduced(shape: Shape, clip: ClipProblem, segment: SegmentFit) -> tuple[Arra
             border[offset : offset + len(of_shape)] += by_state.jacobian[:, :, slot].swapaxes(1, 2) @ of_shape
         corner += np.tensordot(of_shape, of_shape, ((0, 1), (0, 1)))
         gradient += np.tensordot(of_shape, by_shape_rows.residual, ((0, 1), (0, 1)))
-    by_shape = replace(normal, border=border, corner=corner, shared_gradient=gradient)
-    (window,) = eliminated([by_shape])
+    with_shape = replace(normal, border=border, corner=corner, shared_gradient=gradient)
+    (window,) = eliminated([with_shape])
     reduced = window.reduced()
     return reduced[:, :-1], reduced[:, -1]

@@ -4,10 +4,10 @@ A skeleton without recorded motions says little about accelerations: the same nu
 and a mouse that walks. Several cameras show the motion well enough to estimate the standard deviation of every state's
 acceleration (`likely_scale`), as the value with the largest evidence.
 
-**Method.** The cost of a solution, without its acceleration terms, is replaced by its quadratic expansion. With the
-standard deviation s of an acceleration a, the evidence is largest where s^2 = sum(a^2) / g. Here a is the acceleration
-at the minimum for this s, and g the number of frames less their posterior variance relative to s^2, which is the number
-of accelerations that the detections determine. The solution is found by iteration.
+**Method.** The cost of a solution, without its acceleration terms, is replaced by its quadratic expansion. The evidence
+for the standard deviation s of an acceleration is largest where s^2 = sum(a^2) / g. Here a is the acceleration at the
+minimum for this s, and g the number of frames less their posterior variance relative to s^2, which is the number of
+accelerations that the detections determine. The solution is found by iteration.
 
 References
 ----------

@@ -89,9 +89,9 @@ def _off_rays(points_m: Array, rays: Array) -> tuple[Array, Array, Array]:
 def _normal(near: Array, cosine: Array, across: Array, weight: Array) -> tuple[Array, Array]:
     """Return the normal equations (..., 3, 3) and (..., 3, 1) of a translation that brings points towards their rays.
 
-    The deviations are those of `_off_rays`, summed over the joints with weights (..., J). The residual is q - c d, its
-    derivative by the point S = (I - d d' - (q - c d) q') / r, so that S'S = (I - m m' - q q') / r^2 and S'(q - c d) =
-    -c m / r.
+    The deviations are those of `_off_rays`, summed over the joints with weights (..., J). The residual is q - c d. Its
+    derivative with respect to the point is S = (I - d d' - (q - c d) q') / r, so that S'S = (I - m m' - q q') / r^2 and
+    S'(q - c d) = -c m / r.
     """
     square = weight * _dot(near, near)  # weight / r^2
     along = np.concatenate([across * np.sqrt(square)[..., None], near * np.sqrt(weight)[..., None]], axis=-2)
@@ -100,7 +100,7 @@ def _normal(near: Array, cosine: Array, across: Array, weight: Array) -> tuple[A
 
 
 def run_path(heading: Array, up: Array, time_s: Array) -> Array:
-    """Return the derivatives of positions at times (F,) by the unknowns of `constant_velocity`, (F, 3, 6)."""
+    """Return the derivatives (F, 3, 6) of positions at times (F,) with respect to `constant_velocity`'s unknowns."""
     motion = np.zeros((len(time_s), 3, 6))
     motion[:, :, :3] = np.eye(3)
     motion[:, :, 3] = heading * time_s[:, None]
@@ -186,6 +186,7 @@ def _robust_slopes(time_s: Array, positions_m: Array) -> Array:
 APPROACH_HZ = 30.0
 """Frames per second that are enough for the approach."""
 _HEADINGS = 18
+"""Number of headings that are tried; half as many in a fast fit."""
 _APART_RAD = 0.5
 """Starts whose headings differ by less than this count as the same."""
 _NOISE_FACTORS = (8.0, 4.0, 2.0, 1.0)

@@ -1,10 +1,10 @@
 """Define the terms of the trajectory problem, each as a function that makes a `Linear` or as a small class.
 
 For N frames, from a span's first frame on, a term gives its cost (N,), residual r (N, M), Jacobian J (N, M, S, D) and,
-by name, the derivatives (N, M, P) by unknowns that all frames share. J'r is the exact gradient of the cost, and J'J its
-curvature. Residuals are divided by standard deviations and multiplied by the square root of a robust loss' slope, so
-that the cost is not half of r'r. The stencil (S,) is the offsets of the frames that a row reads: at most (-1, 0, 1) in
-a `Linear`, and (0, 1) in a class, because spans overlap by one frame.
+by name, the derivatives (N, M, P) with respect to unknowns that all frames share. J'r is the exact gradient of the
+cost, and J'J its curvature. Residuals are divided by standard deviations and multiplied by the square root of a robust
+loss's slope, so the cost is not half of r'r. The stencil (S,) is the offsets of the frames that a row reads: at most
+(-1, 0, 1) in a `Linear`, and (0, 1) in a class, because spans overlap by one frame.
 
 States are those of a body of nominal size about an origin, the first camera's centre: the point p of such a scene lies
 at origin + size p in the world. Larger animals move further in proportion, so neither a prior nor a camera that stays
@@ -31,9 +31,9 @@ from recon.geometry.kinematics import ROOT, YAW, TreePose
 SIZE = "size"
 """Name of the shared unknown: a factor on all lengths, 1 if it is not an unknown."""
 COMMON_KEYPOINT_BIAS = "common keypoint bias"
-"""Name of the shared unknowns (3J,): the bias common to all cameras, in the marker's segment.
+"""Name of the shared unknowns (3J,): the keypoint bias common to all cameras, in the frame of the marker's segment.
 
-It is used only for the uncertainty.
+It is solved for if the body's shape is unknown, and otherwise only adds to the uncertainty.
 """
 LENGTHS = "segment lengths"
 """Name of the shared unknowns (L,): logarithms of factors on the lengths of segments and markers.
@@ -90,7 +90,7 @@ class Span:
 
     first: int
     states: Array
-    """(n, D)."""
+    """(n, D): states of the frames."""
     pose: TreePose
     is_last: bool
     shared: Mapping[str, Array] = field(default_factory=dict)
@@ -115,20 +115,22 @@ class TermRows:
 
 @dataclass(frozen=True)
 class PointRows:
-    """Residuals of one camera's detections, before the markers' derivatives by the state are applied."""
+    """Residuals of one camera's detections and their derivatives with respect to the markers instead of the states."""
 
     cost: Array
-    """(N,)."""
+    """(N,): cost of each frame."""
     residual: Array
-    """(N, J, 2)."""
+    """(N, J, 2): residuals of the detections."""
     by_point: Array
-    """(N, J, 2, 3): derivatives by the markers at nominal size."""
+    """(N, J, 2, 3): derivatives with respect to the markers at nominal size."""
     by_shared: dict[str, Array]
-    """Derivatives (N, 2J, P) by the unknowns of the camera, without its keypoint bias, and by the size, by name."""
+    """Derivatives (N, 2J, P) with respect to the size and the camera's unknowns except its keypoint bias, by name."""
     number: int = 0
     """Index of the view, see `Reprojection`."""
     by_bias: Array | None = None
-    """(N, J): derivatives of each coordinate by the same coordinate of the joint's keypoint bias; None if it is fixed.
+    """(N, J): derivatives of each coordinate with respect to the same coordinate of the joint's keypoint bias.
+
+    It is None if the bias is fixed.
     """
 
 
@@ -213,7 +215,7 @@ def pose_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Li
 
 
 def dynamics_term(prior: MotionPrior, n_state: int, fps: float, weight: float) -> Linear:
-    """Return the term of the angles' acceleration: linear in pose and rates by the prior, plus white noise."""
+    """Return the term of the angles' accelerations, which the prior expects to be linear in angles and their rates."""
     A = len(prior.mean)
     white = _whitener(prior.acceleration_covariance) * _rate(fps, weight)
     by_angle, by_rate = prior.drift[:, :A], prior.drift[:, A:]
@@ -284,7 +286,7 @@ class PoseMixture:
         blocks[:, ANGLES, ANGLES] += precision
 
     def _expanded(self, span: Span, jacobian: bool) -> tuple[Array, Array, Array]:
-        """Return the cost (N,), and with `jacobian` its gradient (N, A) and curvature (N, A, A) by the angles."""
+        """Return the cost (N,), and with `jacobian` its gradient (N, A) and curvature (N, A, A) in the angles."""
         z = span.states[span.own_rows, ANGLES]
         N, A = z.shape
         deviation = z - self.prior.means[:, None]  # (K, N, A)
@@ -320,15 +322,15 @@ class _Scene:
     """The view without the corrections of its camera."""
     view: View
     sigma_px: Array
-    """(N, J)."""
+    """(N, J): noise of the detections."""
 
 
 @dataclass(frozen=True)
 class Reprojection:
     """Projected minus detected position of each marker, with one robust loss per point.
 
-    The loss is c^2/2 log(1 + |e|^2 / (c sigma)^2) (Cauchy), times the view's confidence. sigma_px (T, J) is frozen: if
-    it followed the depth, it would influence the distance.
+    The loss is c^2/2 log(1 + |e|^2 / (c sigma)^2) (Cauchy), times the view's confidence. `sigma_px` (T, J) is frozen:
+    if it followed the depth, it would influence the distance.
     """
 
     view: View
@@ -372,7 +374,7 @@ class Reprojection:
         return TermRows(points.cost, points.residual.reshape(N, 2 * J), rows, by_shared)
 
     def point_rows(self, span: Span) -> PointRows:
-        """Return the residuals of the detections, and their derivatives by the markers and the shared unknowns."""
+        """Return the residuals of the detections, with derivatives with respect to markers and shared unknowns."""
         scene = self._scene(span)
         view, sigma = scene.view, scene.sigma_px
         errors = self._errors(scene, span, jacobian=True)
@@ -438,7 +440,7 @@ class Reprojection:
         return span.shared.get(keypoint_bias(self.number))
 
     def _by_scene(self, span: Span, scene: _Scene, by_point: Array) -> dict[str, Array]:
-        """Return the derivatives by the size and the time offset, if they are unknown."""
+        """Return the derivatives with respect to the size and the time offset, if they are unknown."""
         N, J = by_point.shape[:2]
         by_shared: dict[str, Array] = {}
         if SIZE in span.shared:
@@ -486,8 +488,8 @@ class KnownAngles:
 class Heading:
     """Term that keeps the animal moving in the direction that it faces, or at an angle `SIDESLIP` to that direction.
 
-    The residual of each pair of frames is (v x u) / sigma, m/s, with the root's velocity v and the direction u from the
-    marker `rear` to `front`.
+    The residual of each pair of frames is the vertical component of (u x v) / sigma, where u is the level direction
+    from the marker `rear` to `front` and v the root's velocity, m/s.
     """
 
     rear: int
@@ -527,15 +529,15 @@ class Heading:
 
 @dataclass(frozen=True)
 class StanceVelocity:
-    """Term that keeps nearly still feet (F,) at rest: velocities have the Geman-McClure loss, at most (c sigma)^2 / 2.
+    """Term that keeps nearly still feet (F,) at rest: velocities have the Geman-McClure loss, at most c^2 / 2.
 
     The velocities are those in the world. At nominal size, feet followed by a moving camera would appear to stand if
     the animal were large enough.
 
-    `by_size` (n, F, 3) is frozen: the derivative of velocities by the size about `at`, m/s, with fixed states. By
-    default velocities are proportional to the size. If one moving camera sees the animal, the velocities relative to
-    the camera are proportional to the size. The feet of a smaller animal are then slower in front of a slow camera,
-    which does not show its size: see `contacts`.
+    `by_size` (n, F, 3) is frozen: the derivative of velocities with respect to the size about `at`, m/s, with fixed
+    states. By default velocities are proportional to the size. If one moving camera sees the animal, the velocities
+    relative to the camera are proportional to the size. The feet of a smaller animal are then slower in front of a slow
+    camera, which does not show its size: see `contacts`.
     """
 
     feet: Index

@@ -188,6 +188,7 @@ class SegmentFit:
     prior_weight: float = 1.0
     """Fraction of its full weight that the prior has."""
     windows: list[tuple[slice, list[Estimate]]] = field(default_factory=list)
+    """Frames of each window of the starts, and its starts after the approach, best first."""
     iterations: int = 0
 
     @classmethod

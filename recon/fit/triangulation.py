@@ -2,8 +2,8 @@
 
 **Start.** Every pair of cameras that saw a keypoint in a frame gives a point, the middle of the shortest line between
 the two rays. Each such point is scored by its reprojection into all cameras, with squared errors cut off at `OUTLIER`
-standard deviations (MSAC; Torr and Zisserman 2000), and the best one is the start. With V cameras all V (V - 1) / 2
-pairs are tried, so that nothing is left to chance.
+standard deviations (MSAC; Torr and Zisserman 2000), and the best one is the start. All V (V - 1) / 2 pairs of V cameras
+are tried, so that nothing is left to chance.
 
 **Minimum.** Gauss-Newton steps minimise the reprojection errors in the distorted pictures, with Cauchy's weights at
 first. Detections that are then further off than `OUTLIER` standard deviations are left out, and the others get their
@@ -39,6 +39,7 @@ LEAST_CROSSING_RAD = np.radians(1.0)
 BRIDGED_S = 0.2
 """Longest gap that a spline fills."""
 _CAUCHY_ROUNDS, _FINAL_ROUNDS, _NOISE_ROUNDS, _SPLINE_ROUNDS = 4, 3, 2, 3
+"""Rounds of steps with Cauchy's weights and with full weights, of the noise's estimate, and of a spline's weights."""
 _MEDIAN_OF_CHI_SQUARE, _MEDIAN_OF_TWO_RAYS = 1.3863, 0.9099
 """Medians of a detection's squared error relative to its expectation: for several rays, and for two rays.
 
@@ -171,9 +172,9 @@ def _between_rays(ray_a: Array, centre_a: Array, ray_b: Array, centre_b: Array) 
 
 
 def _errors(views: Sequence[View], points: Array, sigma: Array, derivatives: bool = True) -> tuple[Array, Array, Bools]:
-    """Return errors (V, T, J, 2) in standard deviations, derivatives by the points, and which can be projected.
+    """Return errors in standard deviations, their derivatives with respect to the points, and which can be projected.
 
-    Missing detections have an error of 0.
+    The shapes are (V, T, J, 2), (V, T, J, 2, 3) and (V, T, J). Missing detections have an error of 0.
     """
     errors, by_points, valids = [], [], []
     known = np.asarray(np.isfinite(points).all(axis=-1))
