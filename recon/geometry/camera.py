@@ -151,7 +151,7 @@ class Camera(Brief):
         -------
         pixels : (..., 2)
         by_point : (..., 2, 3)
-            Derivatives by the point; zero where invalid, empty unless `jacobian`.
+            Derivatives with respect to the point; zero where invalid, empty unless `jacobian`.
         valid : (...)
         """
         points = np.asarray(points_m, dtype=float)

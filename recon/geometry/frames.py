@@ -69,7 +69,7 @@ def euler_rotation(angles_rad: npt.ArrayLike) -> Array:
 def euler_rotation_with_jacobian(angles_rad: npt.ArrayLike) -> tuple[Array, Array]:
     """Return rotations R (..., 3, 3) of angles (..., 3) and exact derivatives.
 
-    The derivative by angle k is dR[..., k, :, :].
+    The derivative with respect to angle k is dR[..., k, :, :].
     """
     x, y, z = _turns(angles_rad)
     rotation = x @ y @ z
@@ -79,7 +79,7 @@ def euler_rotation_with_jacobian(angles_rad: npt.ArrayLike) -> tuple[Array, Arra
 def _turns(angles_rad: npt.ArrayLike) -> tuple[Array, Array, Array]:
     """Return the rotation about each axis, (..., 3, 3) three times.
 
-    With G the cross product of an axis, R = I + sin G + (1 - cos) G G (Rodrigues) and dR = G R.
+    R = I + sin G + (1 - cos) G G (Rodrigues) and dR = G R, where G is the cross-product matrix of an axis.
     """
     angles = np.asarray(angles_rad, dtype=float)[..., None, None]
     turns = _IDENTITY + np.sin(angles) * _CROSS + (1.0 - np.cos(angles)) * _CROSS_TWICE

@@ -14,10 +14,10 @@ turn about z ("turn") or slide along z ("slide", metres in place of an angle); t
 parent's. A "summed" universal joint, of the 8U chain (`recon.animal.chain`), adds the angles of all its summed
 ancestors to its own and turns relative to the root: O_segment = O_root Rz(sum of yaw) Ry(sum of pitch).
 
-A marker is the root's origin plus vectors fixed in the frames between the root and the marker. The derivative by an
-angle is axis x (the sum of the vectors in the frames that the angle turns): all frames that follow, or for a summed
-joint those up to the next summed joint. The second derivative by two angles is the outer angle's axis x the derivative
-by the inner angle.
+A marker is the root's origin plus vectors fixed in the frames between the root and the marker. The derivative with
+respect to an angle is axis x (the sum of the vectors in the frames that the angle turns): all frames that follow, or
+for a summed joint those up to the next summed joint. The second derivative with respect to two angles is the outer
+angle's axis x the derivative with respect to the inner angle.
 """
 
 from __future__ import annotations
@@ -34,9 +34,16 @@ from recon.base.arrays import Array, Brief, Index
 
 Joint = Literal["free", "ball", "universal", "hinge", "fixed", "summed", "turn", "slide"]
 
-AXES: dict[str, str] = {"free": "zyx", "ball": "zyx", "universal": "zy", "hinge": "y", "fixed": "", "summed": "zy"}
-"""Rotations of each kind of joint, in the order of the state; "s" is a slide along z."""
-AXES |= {"turn": "z", "slide": "s"}
+AXES: dict[str, str] = {
+    "free": "zyx",
+    "ball": "zyx",
+    "universal": "zy",
+    "hinge": "y",
+    "fixed": "",
+    "summed": "zy",
+    "turn": "z",
+    "slide": "s",
+}
 """Rotations of each kind of joint, in the order of the state; "s" is a slide along z."""
 
 ANGLE_OF_AXIS = {"z": "yaw", "y": "pitch", "x": "roll"}
@@ -49,6 +56,7 @@ _BLOCK, _FRAMES_AT_ONCE = 64, 4096
 """Frames in a block: with Jacobians, to stay in the processor's cache; without them, to limit memory."""
 
 CYCLE = np.array([0, 1, 2, 0, 1])
+"""Indices x, y, z, x, y, of which a cross product needs slices."""
 _IDENTITY, _NONE = np.eye(3), np.zeros(0)
 
 ROOT = slice(0, 3)
@@ -91,9 +99,9 @@ class TreePose:
     points_m: Array
     """Markers in the world, shape (N, J, 3)."""
     jacobian: Array = field(default_factory=lambda: _NONE)
-    """Derivatives of the markers by the state, shape (N, J, 3, D)."""
+    """Derivatives of the markers with respect to the state, shape (N, J, 3, D)."""
     d_size: Array = field(default_factory=lambda: _NONE)
-    """Derivatives of the markers by the logarithm of the size, shape (N, J, 3)."""
+    """Derivatives of the markers with respect to the logarithm of the size, shape (N, J, 3)."""
 
 
 class _Plan:
@@ -254,7 +262,7 @@ _Placed = TypeVar("_Placed", Segment, Marker)
 
 @dataclass(frozen=True, repr=False)
 class Tree(Brief):
-    """Segments, the root first and parents before children, and J markers; D = 6 + number of angles."""
+    """Segments, the root first and parents before children, and J markers; D = 6 + the other segments' angles."""
 
     segments: tuple[Segment, ...]
     markers: tuple[Marker, ...]
@@ -283,7 +291,7 @@ class Tree(Brief):
 
     @cached_property
     def axes(self) -> tuple[str, ...]:
-        """Axis of each angle of the state, "x", "y" or "z", (D - 3,)."""
+        """Axis of each angle of the state, "x", "y", "z" or "s" for a slide along z, (D - 3,)."""
         return tuple(axis for _, axis in self.rotations)
 
     @cached_property
@@ -302,9 +310,9 @@ class Tree(Brief):
         return _Plan(self)
 
     def use_plan_of(self, tree: Tree) -> None:
-        """Use the plan of a tree that may differ in the lengths of offsets, if the same offsets are zero.
+        """Take over the plan of another tree if the two trees differ only in the lengths of offsets that are not zero.
 
-        It is much faster than a new plan.
+        This is much faster than a new plan. Other trees are ignored.
         """
         if self._pattern == tree._pattern:
             self.__dict__["plan"] = tree.plan.with_lengths_of(self)
@@ -348,11 +356,11 @@ class Tree(Brief):
         return frames, cosine, sine
 
     def orientations(self, state: Array) -> Array:
-        """Return T_world_segment's rotation for every segment, (N, S, 3, 3)."""
+        """Return the rotation R_world_segment of every segment, (N, S, 3, 3)."""
         return self._frames(state)[0][:, 1:].transpose(3, 1, 2, 0)
 
     def pose(self, state: Array, size: Array | float = 1.0) -> TreePose:
-        """Return markers for states (N, D), with all offsets times `size`, a scalar or (N,)."""
+        """Return the markers for states (N, D), without derivatives; all offsets are times `size`, a scalar or (N,)."""
         sizes, relative = np.ones(len(state)) * size, np.empty((len(state), len(self.markers), 3))
         for first in range(0, len(state), _FRAMES_AT_ONCE):
             block = slice(first, first + _FRAMES_AT_ONCE)
@@ -376,7 +384,7 @@ class Tree(Brief):
         return points
 
     def pose_with_jacobian(self, state: Array, size: Array | float = 1.0) -> TreePose:
-        """Return markers and their exact derivatives for states (N, D)."""
+        """Return the markers and their exact derivatives for states (N, D); `size` is as in `pose`."""
         N, J = len(state), len(self.markers)
         sizes = np.ones(N) * size
         relative, jacobian = np.empty((N, J, 3)), np.zeros((N, J, 3, self.n_state))
@@ -401,7 +409,7 @@ class Tree(Brief):
         axes : (K, 3, N)
             Axes of the rotations.
         moved : (M, 3, N)
-            Derivative of each pair's marker by its rotation.
+            Derivative of each pair's marker with respect to its rotation.
         """
         plan, N = self.plan, len(state)
         frames, cosine, sine = self._frames(state)
@@ -421,7 +429,7 @@ class Tree(Brief):
 
 
 Moved = tuple[Array, Array, Array]
-"""What `Tree.moved` returns."""
+"""Result of `Tree.moved`."""
 
 
 def derivatives(tree: Tree, state: Array) -> tuple[Array, Array, Callable[[Array], Array]]:
@@ -441,7 +449,7 @@ def derivatives(tree: Tree, state: Array) -> tuple[Array, Array, Callable[[Array
 
 
 def derivatives_of(tree: Tree, moved_now: Moved) -> tuple[Array, Array, Callable[[Array], Array]]:
-    """Return what `derivatives` returns, from what `Tree.moved` returns for the one state."""
+    """Return the result of `derivatives` for a state, from that of `Tree.moved`."""
     plan, J = tree.plan, len(tree.markers)
     _, axes, moved = moved_now
     axes, moved = axes[..., 0], moved[..., 0]

@@ -44,7 +44,7 @@ class Lens:
     opencv: ClassVar[Literal["standard", "fisheye"] | None] = None
     """OpenCV's functions that calibrate the model from pictures of a board (`recon.calibrate.boards`), if any."""
     calibrated: ClassVar[int] = 0
-    """Number of coefficients that this calibration estimates."""
+    """Number of coefficients that these functions estimate."""
 
     def __init__(self, coefficients: Sequence[float]) -> None:
         self.k = (*coefficients, *[0.0] * (len(self.coefficients) - len(coefficients)))
@@ -103,8 +103,15 @@ class _RadialTangential(Lens):
     coefficients = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
     counts = (4, 5, 8)
     aliases = (
-        *("plumb_bob", "rational_polynomial", "radial_tangential", "radial-tangential", "brown", "brown_conrady"),
-        *("brown-conrady", "opencv", "standard"),
+        "plumb_bob",
+        "rational_polynomial",
+        "radial_tangential",
+        "radial-tangential",
+        "brown",
+        "brown_conrady",
+        "brown-conrady",
+        "opencv",
+        "standard",
     )
     colmap: ClassVar[Mapping[str, str]] = {
         "SIMPLE_RADIAL": "f cx cy k1",
@@ -125,7 +132,7 @@ class _RadialTangential(Lens):
 
     def distort(self, a: Array, b: Array, r2: Array) -> tuple[Any, ...]:
         k1, k2, p1, p2, k3, k4, k5, k6 = self.k
-        f = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))  # the radial factor, and its derivative by r2
+        f = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))  # the radial factor; df is its derivative with respect to r2
         df = k1 + r2 * (2 * k2 + r2 * (3 * k3))
         if k4 or k5 or k6:
             denominator = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))

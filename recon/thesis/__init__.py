@@ -6,7 +6,9 @@ University of Cape Town, 2022. The modules are:
 - `chain`: the 8U chain and its unknowns
 - `objectives`: f1 to f5 and the priors
 - `start`: the direction of travel and the first pose
-- `solver`: Levenberg-Marquardt
+- `solver`: the solution frame by frame, by MINPACK's Levenberg-Marquardt
+- `levenberg`: Levenberg-Marquardt with a chosen damping
+- `path`: the smooth path to which the second solution of all frames is tied
 - `solution`: the result
 - `inspect` and `figures`: tables and figures of the optimisation
 - `report`: sections of report.json and of the summary

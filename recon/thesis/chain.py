@@ -42,7 +42,7 @@ class ChainPose:
     joints_m: Array
     """Positions of the joints, shape (N, J, 3)."""
     joints_jacobian: Array | None = None
-    """Derivatives of the positions by the unknowns, shape (N, J, 3, D)."""
+    """Derivatives of the positions with respect to the unknowns, shape (N, J, 3, D)."""
     rotation_jacobian: Array | None = None
     """Derivatives of the rotations, shape (N, 3, 3, 3); axis 1 is xi, psi, zeta."""
 

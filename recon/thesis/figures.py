@@ -73,7 +73,7 @@ def image_errors(record: SolverRecord) -> Figure:
 
 
 def solver_unknowns(record: SolverRecord) -> Figure:
-    """Draw the gradient by every unknown, and the norms of the Jacobian's columns, over the frames."""
+    """Draw the gradient and the norm of the Jacobian's column for every unknown, over the frames."""
     names = record.unknowns
     title = "dots: median of the frames, lines: from the least to the most"
     with style.drawing(min(4.0 * len(names) + 20, style.PAGE_MM), title=title) as figure:

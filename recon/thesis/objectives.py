@@ -86,6 +86,7 @@ class Objective:
 
     name: str
     ties: bool = False
+    """Whether the term reads the frame before."""
 
     def evaluate(self, pose: ChainPose, previous: ChainPose | None, frame: int, dt_s: float) -> ResidualAndJacobian:
         """Return residuals (M,) and their Jacobian (M, D) with respect to the state.
@@ -115,7 +116,7 @@ def _diagonal(values: Array, columns: slice, n_state: int) -> Array:
 class JointReprojection(Objective):
     """Distance of projected from detected positions (f1), as a robust penalty.
 
-    With u = sqrt(confidence) (projected - detected) / sigma_px, the two rows of a joint are u / sqrt(1 + |u|^2 / c^2)
+    The two rows of a joint are u / sqrt(1 + |u|^2 / c^2), where u = sqrt(confidence) (projected - detected) / sigma_px
     (Geman-McClure as a squared residual). They saturate at c, which bounds the pull of a wrong point. Missing points
     have rows of zeros. Joints that the camera cannot project (behind the camera, or outside the lens model) have a
     residual of c, because a zero would reward a solution outside the picture.
@@ -153,7 +154,7 @@ class JointReprojection(Objective):
 class _Limit(Objective):
     """Limit on the size of some unknowns (A,), with residuals (size - limit) / softness.
 
-    With "deadband", only positive residuals count.
+    If `form` is "deadband", only positive residuals count.
     """
 
     name: str
@@ -162,7 +163,7 @@ class _Limit(Objective):
     form: Form
 
     def excess(self, size: Array, slope: Array, limit: Array, n_state: int) -> ResidualAndJacobian:
-        """Return residuals for sizes (A,) and their derivatives (A,) by the unknowns."""
+        """Return the residuals (A,) of sizes (A,) whose derivatives are `slope` (A,), and their Jacobian (A, D)."""
         residual, slope = (size - limit) / self.softness_rad, slope / self.softness_rad
         if self.form == "deadband":
             residual, slope = np.maximum(residual, 0.0), np.where(residual > 0, slope, 0.0)

@@ -43,7 +43,7 @@ If the norm is twice as large, the error of poses is more than twice the posteri
 UNUSUAL_PRIOR_COST = 2.0
 """Multiple of the usual cost from which the angles are a finding."""
 _DIFFERENCE_RAD = 1e-6
-"""Step of the numerical derivative of the root's rotation by the Euler angles."""
+"""Step of the numerical derivative of the root's rotation with respect to the Euler angles."""
 
 
 @dataclass(frozen=True)
@@ -309,8 +309,8 @@ def _body_angles(
 ) -> tuple[Array, Array]:
     """Return standard deviations, and shares of the pixels (T, D' - 3), of the body's angles.
 
-    states (T, D), covariance (T, D, D) and shares (T, D) are those of the chain. The rotation of the root depends on
-    the Euler angles, so its share is the mean of the Euler angles' shares, weighted by their contributions to its
+    `states` (T, D), `covariance` (T, D, D) and `shares` (T, D) are those of the chain. The rotation of the root depends
+    on the Euler angles, so its share is the mean of the Euler angles' shares, weighted by their contributions to its
     variance.
     """
     angles = np.arange(2 * chain.n_angles)

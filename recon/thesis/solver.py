@@ -263,12 +263,10 @@ class FrameSolver:
         Frames per second.
     options
         Options of the fit.
-    travel
-        The direction of travel.
     states
         Earlier solutions (T, D), NaN elsewhere; None if there are none.
     path
-        Path to which the reference joint is tied.
+        Path to which the reference joint is tied; None if there is none.
     starts
         First solutions (T, D) from which the frames start, NaN if there are none; None to start from the frame before.
     """
@@ -499,7 +497,7 @@ def posterior_covariance(J: Array) -> Array:
 def precision_shares(C: Array, J_data: Array) -> Array:
     """Return the share (D,) of the pixels in the precision of the unknowns.
 
-    With C^-1 = H_data + H_priors, the sum C = C H_data C + C H_priors C splits each variance into two parts that are
+    Since C^-1 = H_data + H_priors, the sum C = C H_data C + C H_priors C splits each variance into two parts that are
     not negative. The share is that of the first part, and NaN where C is NaN.
 
     Parameters

@@ -22,7 +22,9 @@ from recon.geometry.frames import euler_rotation, level_axes
 from recon.thesis.chain import UnknownsChain, euler_angles, mean_pose
 
 _HEADINGS = 36
+"""Number of headings that are tried."""
 _STRETCH_S = 1.0
+"""Length of the parts of a clip on which the path counts as straight."""
 _MIN_SPEED_M_S = 1.0
 """Speed below which a path does not show the heading."""
 _MIN_STRETCH_S = 0.15
