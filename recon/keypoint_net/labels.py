@@ -201,10 +201,12 @@ def _read_video(video: Path, path: Path, first_frame: int, individual: str | Non
             "--first-frame is the number that the labels use for the video's first frame"
         )
         raise InputError(Problem(video, "frames", f"{decoded} decodable frames{stated}", expected))
-    return _of_clip(video, keypoints, images, [pictures[number] for number in numbers], path)
+    return _labels_of_clip(video, keypoints, images, [pictures[number] for number in numbers], path)
 
 
-def _of_clip(clip: Path, keypoints: Keypoints, images: tuple[str, ...], pictures: list[Image], source: Path) -> Labels:
+def _labels_of_clip(
+    clip: Path, keypoints: Keypoints, images: tuple[str, ...], pictures: list[Image], source: Path
+) -> Labels:
     zeros, points = np.zeros(len(images), np.int64), (keypoints.names, keypoints.xy_px, keypoints.frames)
     return Labels(*points, images, zeros, (str(clip),), tuple(pictures), str(source), keypoints.notes)
 
@@ -250,7 +252,7 @@ def _read_folder(path: Path, individual: str | None) -> Labels | None:
         shapes = ", ".join(f"{w}x{h}" for w, h in sizes)
         problems.append(Problem(path.parent, "pictures", f"several sizes: {shapes} px", "one size, that of the video"))
     raise_problems(first_problems(problems, path))
-    return _of_clip(path.parent, keypoints, images, pictures, path)
+    return _labels_of_clip(path.parent, keypoints, images, pictures, path)
 
 
 def extents_px(xy_px: Array) -> Array:
@@ -282,6 +284,7 @@ def sides(names: Sequence[str]) -> tuple[int, ...]:
 
 
 _LEG = re.compile(r"(?:(?<![A-Za-z])|(?<=[a-z])(?=[A-Z]))[fhbrlFHBRL]{2}(?![A-Za-z])")
+"""Two letters that name a leg, such as fl in fl_paw or HR in pawHR."""
 _OTHER = str.maketrans("lrLR", "rlRL")
 
 
@@ -302,7 +305,7 @@ PARTS = ("train", "validation", "test")
 BLOCKS = 10
 """Least number of blocks of consecutive pictures into which the labels are divided; whole blocks are held out.
 
-Neighbours in time look similar: a single held-out picture would be almost the same as its neighbours in the training.
+Neighbours in time look similar: a single held-out picture would be almost the same as pictures that are trained on.
 """
 
 
@@ -386,9 +389,11 @@ def _choose(labels: Labels, remaining: Integers, choice: _Choice, seed: int, opt
 # -- recon evaluate-2d: predicted keypoints against labels -------------------------------------------------------------
 
 BINS = 10
+"""Number of bins of likelihoods whose fractions of correct points are computed."""
 PCK_PX = (2.5, 5.0, 10.0)
+"""Distances from the labels, in pixels, for the PCK, the percentage of correct keypoints."""
 PCK_RELATIVE = (0.05, 0.1, 0.2)
-"""Distances as fractions of the body length, which is the median diagonal of the box around an animal's labels."""
+"""The same as fractions of the body length, which is the median diagonal of the box around an animal's labels."""
 
 
 class Evaluate2DSettings(Settings):
@@ -414,8 +419,8 @@ class Evaluate2DSettings(Settings):
 def evaluate_2d_files(predicted: Path, labels: Path, **options: Any) -> dict[str, Any]:
     """Compare a file of predictions with a label file; see `evaluate_2d` for the result.
 
-    options: further fields of `Evaluate2DSettings`. Raises InputError if a file cannot be read, or if the files have no
-    frames or keypoints in common.
+    `options` are the other fields of `Evaluate2DSettings`. Raises InputError if a file cannot be read, or if the files
+    have no frames or keypoints in common.
     """
     o = Evaluate2DSettings(predicted=predicted, labels=labels, **options)
 
@@ -517,9 +522,9 @@ def _score(errors: Array, labelled: Bools, length_px: float) -> dict[str, Any]:
     """Return scores of errors (..., K), which are NaN if a point is not labelled or not found.
 
     The scores are the number of labelled `points`; the fraction of them that was `found` (predicted, and likely
-    enough); RMSE and median of the errors of those, NaN if there are none; and the fractions of all labelled points
-    within given distances in px (`pck_px`) and in body lengths (`pck_relative`). A point that was not found counts as
-    wrong.
+    enough); RMSE and median of the errors of the points that were found, NaN if there are none; and the fractions of
+    all labelled points within given distances in px (`pck_px`) and in body lengths (`pck_relative`). A point that was
+    not found counts as wrong.
     """
     n = int(labelled.sum())
     found_errors = errors[labelled & np.isfinite(errors)]

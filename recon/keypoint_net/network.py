@@ -74,6 +74,7 @@ WIDTHS, BLOCKS = (16, 32, 64, 128, 192), (0, 1, 2, 2, 2)
 SECOND_WIDTHS, SECOND_BLOCKS = (16, 32, 64, 96), (0, 1, 2, 2)
 """Channels and blocks of the second stage. It sees parts of a large animal at full size, and needs less context."""
 HEAD = 48
+"""Channels at 1/4 of the picture's size from which the scores are computed."""
 
 SIGMA = 0.9
 """Standard deviation, in cells of the grid, of the Gaussian that the network is trained on."""
@@ -82,7 +83,9 @@ LEAST_SIGMA = 0.15
 BLUR = 0.8
 """Standard deviation of the blur, in cells of the grid."""
 FAR = 4.0
+"""Distance, in cells, at which probability counts that is further away from its point: see `variance`."""
 _REACH = 3
+"""Number of cells on each side over which the blur extends."""
 NOWHERE = -1e4
 """Score of the cells outside the window."""
 MARGIN_PX = 32
@@ -91,7 +94,9 @@ SURE = 0.05
 """Raw likelihood above which a point has to be inside the second stage's part of a picture."""
 
 _EDGE = 1e-4
+"""Smallest distance of a raw likelihood from 0 and 1 for which its logit is computed."""
 _PRIOR, _PRIOR_SIGMA = np.array([1.0, 0.0]), np.array([0.5, 2.0])
+"""Means and standard deviations of the prior on a calibration's slope and offset."""
 
 DEVICES = ("auto", "cpu", "cuda", "mps")
 DEVICE = Option("auto, cpu, cuda or mps.")
@@ -221,7 +226,7 @@ def on_device(network: torch.nn.Module, device: torch.device) -> torch.nn.Module
 
 
 def as_input(pictures: NDArray[np.uint8], background: Image | None, device: torch.device) -> torch.Tensor:
-    """Return the network's input (B, 6, H, W) for pictures (B, H, W, 3) with one background, or one each."""
+    """Return the network's input (B, 6, H, W) for pictures (B, H, W, 3) with a common background, or one for each."""
     torch = require_torch()
     x = torch.from_numpy(pictures).to(device).float()
     backgrounds = x if background is None else torch.from_numpy(np.ascontiguousarray(background)).to(device).float()
@@ -300,8 +305,8 @@ def variance(probability: torch.Tensor, xy: torch.Tensor) -> torch.Tensor:
 def loss(scores: torch.Tensor, xy: torch.Tensor, window: Window | None = None) -> torch.Tensor:
     """Return the mean cross-entropy with a Gaussian around each labelled point, 0 without labels.
 
-    xy: points (B, K, 2) in cells of the grid, NaN if not labelled. If a window is given, only the cells inside the
-    window count.
+    `xy` holds points (B, K, 2) in cells of the grid, NaN if not labelled. If a window is given, only the cells inside
+    the window count.
     """
     import torch  # pyright: ignore[reportMissingImports]
 
@@ -402,12 +407,12 @@ class TrainedNetwork:
     def points(self, pictures: Sequence[Image], background: Image | None) -> tuple[Array, Array]:
         """Return points (B, K, 2) in pixels of the clip and raw likelihoods (B, K).
 
-        pictures: all of the same size, at the network's scale.
+        All pictures have the same size, at the network's scale.
         """
         first = self.spec.first
         small = np.stack([resize(picture, first) for picture in pictures])
         small_background = None if background is None else resize(background, first)
-        xy_px, raw, variance_px2 = self._found(0, small, small_background)
+        xy_px, raw, variance_px2 = self._stage_points(0, small, small_background)
         if self.spec.two_stages:
             begin = scale_points(xy_px, 1 / first), raw, variance_px2 / first**2
             xy_px = self._refined(*begin, pictures, background)
@@ -426,17 +431,17 @@ class TrainedNetwork:
         crops = np.stack([picture[part] for picture, part in zip(pictures, parts, strict=True)])
         backgrounds = None if background is None else np.stack([background[part] for part in parts])
         near_px = xy_px - low[:, None]
-        found_px, _, found_px2 = self._found(1, crops, backgrounds, near_px)
+        found_px, _, found_px2 = self._stage_points(1, crops, backgrounds, near_px)
         inside = ((near_px >= 0) & (near_px <= np.array(size) - 1)).all(axis=2)
         weight = inside * variance_px2 / (variance_px2 + found_px2)
         return xy_px + weight[..., None] * (found_px - near_px)
 
-    def _found(
+    def _stage_points(
         self, stage: int, pictures: Image, background: Image | None, near_px: Array | None = None
     ) -> tuple[Array, Array, Array]:
         """Return points (B, K, 2) in pixels, raw likelihoods (B, K), and variances along each axis (B, K).
 
-        near_px: centres of the second stage's windows.
+        `near_px` holds the centres (B, K, 2) of the second stage's windows.
         """
         torch = require_torch()
         spec = self.spec
@@ -513,6 +518,7 @@ def load_model(folder: Path, device: torch.device) -> TrainedNetwork:
 
 
 MAX_PICKLE_BYTES = 1 << 22
+"""Largest size of the part of a torch file that holds names and sizes."""
 
 
 def load_torch(path: Path) -> dict[str, Any]:
@@ -538,7 +544,7 @@ WRITERS = {f.suffixes[0]: f.write for f in FORMATS if f.name == "deeplabcut"}
 LIKELY = 0.5
 """Likelihood below which points are drawn as rings in the overlay."""
 PIXELS = 2**20
-"""Maximum number of pixels of a batch, at the network's scale."""
+"""Maximum number of pixels in a batch, at the network's scale."""
 WAITING = 2
 """Number of batches to decode ahead."""
 LOST_SHARE, LOST_FRAMES = 0.01, 3
@@ -576,8 +582,8 @@ def run_prediction(
 ) -> Keypoints:
     """Carry out `recon predict`: write a keypoint file in DeepLabCut's layout, and return the keypoints.
 
-    options: the other fields of `PredictSettings`. Raises InputError for invalid input before anything is written, and
-    after the prediction if too many frames cannot be decoded.
+    `options` are the other fields of `PredictSettings`. Raises InputError for invalid input before anything is written,
+    and after the prediction if too many frames cannot be decoded.
     """
     s = PredictSettings(video=video, model=model, out=out, **options)
     output = output or output_file(out, "predict", s.overwrite, input_paths(s))
@@ -650,7 +656,7 @@ def _chunks(video: Path, info: VideoInfo, scale: float, keep: bool) -> Generator
 
 
 def draw_points(picture: Image, xy_px: Array, likelihood: Array) -> Image:
-    """Return a copy with a dot at each point (K, 2), or a ring if the point is less likely than `LIKELY`."""
+    """Return a copy of a picture with a dot at each point (K, 2), or a ring if its likelihood is below `LIKELY`."""
     drawn = picture.copy()
     radius = max(2.0, max(picture.shape[:2]) / 160)
     for point, point_likelihood, colour in zip(xy_px, likelihood, point_colours(len(xy_px)), strict=True):

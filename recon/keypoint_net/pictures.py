@@ -51,7 +51,9 @@ AHEAD = 3
 """Number of batches to make ahead of the network."""
 
 LEAST_PICTURES = 8
+"""Smallest number of pictures from which a background is computed."""
 MOST_PICTURES = 60
+"""Largest number of pictures from which a background is computed."""
 MOST_BYTES = 2**28
 """Maximum number of bytes of a video's pictures in memory at a time."""
 STILL_LEVELS = 12.0
@@ -59,30 +61,43 @@ STILL_LEVELS = 12.0
 STILL_SHARE = 0.6
 """Fraction of a picture's pixels that are still if the camera is still."""
 MOVED_LEVELS = 22.0
-"""Difference between the animal and the background, in grey levels, in at least one colour."""
+"""Smallest difference between the animal and the background, in grey levels, in at least one colour."""
 
 
 @dataclass(frozen=True)
 class Augmentation:
     """Ranges of random changes to a picture.
 
-    Values are drawn uniformly, factors on a log scale. Shares are probabilities. `partner` is the
-    index of each keypoint's mirror partner; None means that pictures are not mirrored.
+    Rotations are normally distributed, with half of the largest rotation as standard deviation. All other values are
+    drawn uniformly, factors on a log scale.
     """
 
     rotation_deg: float = 20.0
+    """Largest rotation to either side."""
     scale: tuple[float, float] = (0.6, 1.6)
+    """Smallest and largest factor on the size."""
     stretch: float = 0.12
+    """Largest logarithm of the factor by which the width grows and the height shrinks, or the other way round."""
     partner: tuple[int, ...] | None = None
+    """Index of each keypoint's mirror partner; None means that pictures are not mirrored."""
     paste: float = 0.5
+    """Probability of pasting the animal onto another part of the background."""
     contrast: float = 0.3
+    """Largest logarithm of the factor on the contrast."""
     brightness: float = 25.0
+    """Largest change of the brightness, in levels from 0 to 255."""
     gamma: float = 0.3
+    """Largest logarithm of the exponent of the levels."""
     colour: float = 0.12
+    """Largest logarithm of the factor on each colour."""
     light_patch: float = 0.3
+    """Probability of a part of the picture in another light."""
     cutout: float = 0.5
+    """Probability of rectangles in front of the animal."""
     blur: float = 0.25
+    """Probability of motion blur."""
     noise: float = 6.0
+    """Largest standard deviation of the noise, in levels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,7 +328,7 @@ NaN if not labelled or outside; and centres of the second stage's windows (B, K,
 def network_scales(xy_px: Array) -> tuple[float, float]:
     """Return the scale of the pictures of the network's last stage, and the first stage's scale relative to it.
 
-    The latter is 1 if there is only one stage. xy_px: labels (N, K, 2).
+    The latter is 1 if there is only one stage. `xy_px` holds labels (N, K, 2).
     """
     length = body_length_px(xy_px)
     scale = NETWORK_LENGTH_PX / length if np.isfinite(length) and length > 0 else 1.0

@@ -1,9 +1,9 @@
 """Train a network on labelled pictures (`recon train`).
 
-The optimiser is AdamW. The learning rate warms up, then falls along a cosine to almost 0, twice. The final weights are
-a moving average of the optimiser's weights. The first part of a run learns from the training pictures. The validation
-pictures evaluate it and calibrate its likelihoods. The last part, from `FINISH` on, learns from both, so that no label
-is wasted.
+The optimiser is AdamW. The first part of a run learns from the training pictures, and the validation pictures evaluate
+it and calibrate its likelihoods. The last part, from `FINISH` on, learns from both, so that no label is wasted. In each
+part the learning rate falls along a cosine to almost 0; at the start of the run it warms up first. The final weights
+are a moving average of the optimiser's weights.
 
 A run depends only on its settings, its labels and its device: augmentation depends on the seed and the step, and a
 checkpoint holds everything else. If the number of steps is given, a run that was stopped and continued ends with the
@@ -60,7 +60,9 @@ FINISH = 0.6
 FINISH_RATE = 0.5
 """Initial learning rate of the part after `FINISH`, relative to the highest rate before."""
 WARM_UP = 0.04
+"""Fraction of a run over which the learning rate rises."""
 EVALUATIONS = 30
+"""Number of evaluations in a run."""
 MOST_AVERAGED = 300.0
 """Maximum number of steps over which the weights are averaged; fewer at the beginning."""
 TRAINING = "Training"
@@ -256,6 +258,7 @@ def _cosine(share: float) -> float:
 def _learn(
     state: State, batch: tuple[pictures.Batch, ...], rate: float, run: TrainingRun, half: torch.dtype | None
 ) -> float:
+    """Take one step of the optimiser with a batch for each stage, update the average, and return the loss."""
     import torch  # pyright: ignore[reportMissingImports]
 
     state.network.train()
@@ -288,8 +291,8 @@ def _learn(
 def _evaluate(state: State, run: TrainingRun, calibrates: bool) -> None:
     """Evaluate the network on the validation pictures.
 
-    With `calibrates`, also fit the calibration. That is done at the end of the first part, before the network learns
-    from these pictures.
+    If `calibrates` is true, the calibration is fitted as well. That is done at the end of the first part, before the
+    network learns from these pictures.
     """
     indices = run.split["validation"]
     if not run.labels.labelled[indices].any():
@@ -321,6 +324,7 @@ _TORCH = ("network", "average", "optimizer")
 
 
 def _begin(run: TrainingRun) -> State:
+    """Return the state before the first step, with random weights."""
     torch = net.require_torch()
     with torch.random.fork_rng():
         torch.manual_seed(run.settings.seed)
@@ -376,9 +380,11 @@ def _resumed(run: TrainingRun, out: Path) -> State:
 # -- the report of a training run --------------------------------------------------------------------------------------
 
 WORST = 6
+"""Largest number of pictures in worst.png."""
 LEAST_WIDTH_PX = 560
 """Minimum width of the pictures; smaller pictures are enlarged."""
 LABEL, LINE = (255, 255, 255), (60, 60, 230)
+"""Colours (blue, green, red) of labels, and of the lines to the predictions."""
 FAR, APART = 0.2, 0.15
 """Distances, in body lengths, from the network's point and from the other labels beyond which a label is suspicious."""
 REASONS = {
@@ -403,12 +409,13 @@ MEASURED_ERRORS = (
     (40, "on a made-up film, of an animal 440 px long", "0.8 px"),
     (150, "on a video of a horse, in other light than that of the labels", "3.1 px"),
 )
-"""Numbers of labelled pictures, what they were of, and the median errors in pictures without labels, in order of the
-numbers (the table of docs/net.md, `python benchmarks/net.py --only circle large horse`).
+"""Numbers of labelled pictures, their film and animal, and the median errors in pictures without labels, in order of
+the numbers (the table of docs/net.md, `python benchmarks/net.py --only circle large horse`).
 """
 USUAL = 0.95
 """Quantile of the distance between two keypoints up to which the distance counts as usual."""
 MOST = 30
+"""Largest number of suspicious labels in the report."""
 
 
 def write_training_report(run: TrainingRun, state: State, folder: Path) -> dict[str, Any]:
@@ -516,11 +523,14 @@ def expectations(run: TrainingRun) -> list[str]:
 
 
 def measured_errors(labelled_count: int) -> str:
-    """Return a sentence on the accuracy that so many labelled pictures gave, or the fewest that were measured."""
+    """Return a sentence on the accuracy measured with this many labelled pictures, or with the nearest number below.
+
+    Fewer pictures than were ever measured get the accuracy of the smallest number, and a warning.
+    """
     measured_counts = sorted(number for number, _, _ in MEASURED_ERRORS)
     nearest = max((number for number in measured_counts if number <= labelled_count), default=measured_counts[0])
     errors = ", and ".join(f"{error} {film}" for number, film, error in MEASURED_ERRORS if number == nearest)
-    expected = "" if labelled_count >= nearest else " Expect larger errors of fewer pictures."
+    expected = "" if labelled_count >= nearest else " Expect larger errors with fewer pictures."
     return f"{nearest} labelled pictures gave a median error of {errors}.{expected}"
 
 

@@ -67,7 +67,10 @@ class _DHFile(FileTable):
 
 
 def load_dh(path: Path) -> tuple[SerialChain, Convention, list[DHRow]]:
-    """Return the chain of a table in a TOML file (docs/robot.md), its convention and its rows; raise InputError."""
+    """Return the chain of a table in a TOML file (docs/robot.md), its convention and its rows.
+
+    Raises InputError if the file cannot be used.
+    """
     file = validated(_DHFile, read_toml(path, "a table of Denavit-Hartenberg parameters (TOML)"), path)
     return dh_chain(file.joints, file.convention), file.convention, file.joints
 
@@ -199,13 +202,14 @@ class TableSettings(Settings):
 
 ENDLESS = "the joints can move without moving the end: this is one of infinitely many solutions"
 STARTS = 100
+"""Number of random starts of the search for configurations."""
 SAME = 1e-4
 """Largest difference, in rad or m, between configurations that count as the same."""
 REACHED = 1e-7
 """Largest error of a solution as a fraction of the chain's length."""
 
 
-def pose_of(settings: PoseSettings) -> dict[str, Any]:
+def pose_answer(settings: PoseSettings) -> dict[str, Any]:
     """Return the answer of `recon robot pose`: the angles of each leg for a moved and turned body on planted feet."""
     machine, position = load_robot(settings.robot), settings.move or (0.0, 0.0, 0.0)
     turned = {name: float(np.radians(getattr(settings, name))) for name in ("roll", "pitch", "yaw")}
@@ -226,7 +230,7 @@ def pose_of(settings: PoseSettings) -> dict[str, Any]:
     return {"robot": machine.title, "position_m": position, **turn_angles, "legs": legs}
 
 
-def chain_of(settings: TableSettings) -> dict[str, Any]:
+def table_answer(settings: TableSettings) -> dict[str, Any]:
     """Return the answer of `recon robot dh`: the chain's table, and its forward or inverse kinematics if asked for.
 
     The chain comes from a table of parameters (TOML), from a leg of a robot, or from a URDF or MJCF file, by default
@@ -256,7 +260,7 @@ def chain_of(settings: TableSettings) -> dict[str, Any]:
 
 
 def _numbers(option: str, text: str) -> list[float]:
-    """Return the numbers of a text such as "1,2.5,-3"; raise InputError."""
+    """Return the numbers of a text such as "1,2.5,-3"; raise InputError if it has anything else."""
     try:
         values = [float(part) for part in text.split(",")]
     except ValueError:

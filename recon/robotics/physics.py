@@ -34,11 +34,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FRICTION = 0.8
+"""Friction coefficient of the ground in the check."""
 RATE_HZ = 100.0
+"""Frames per second at which a motion is checked and changed."""
 FOOT_M = 1e-3
+"""Radius of the balls that stand for feet that are points."""
 GAINS = (100.0, 2.0)
 """Stiffness and damping of a joint, N m / rad and N m s / rad."""
 TIMESTEP_S, TORQUES_HZ = 5e-4, 500.0
+"""Time step of the simulation, and rate at which the torques that the motion requires are computed."""
 STEP_S, STEP = 1e-4, 1e-5
 """Time between two velocities whose difference gives an acceleration, and change of a state for a numerical
 derivative.
@@ -78,7 +82,7 @@ class Rule(NamedTuple):
     least: float = 0.0
     """Smallest margin that still keeps the rule."""
     advice: str = ""
-    """What to change if the rule is broken."""
+    """Option that helps if the rule is broken."""
     per_unit: float = 1.0
     """Factor from the margin to the printed value."""
 
@@ -146,8 +150,8 @@ class _Demand(NamedTuple):
     """(N, 4, 3, 6 + J): derivatives of the feet's positions."""
 
 
-def _demand_of(robot: Quadruped, model: MjModel, states: Array, rates: Array, bends: Array) -> _Demand:
-    """Return the forces that states (N, 6 + J) of the robot's tree require with their rates and accelerations."""
+def _demand_of(robot: Quadruped, model: MjModel, states: Array, rates: Array, second_rates: Array) -> _Demand:
+    """Return the forces that states (N, 6 + J) of the robot's tree require with their first and second derivatives."""
     mujoco = require_mujoco(robot.source)
     joints = [model.joint(name) for name in robot.joints]
     order = [*range(6), *(joint.dofadr[0] for joint in joints)]
@@ -156,9 +160,10 @@ def _demand_of(robot: Quadruped, model: MjModel, states: Array, rates: Array, be
     coordinates = _places(model, robot, states)
     velocities = np.zeros((n, model.nv))
     accelerations = np.zeros((n, model.nv))
-    velocities[:, order], accelerations[:, order] = rates, bends
+    velocities[:, order], accelerations[:, order] = rates, second_rates
+    # Angular velocity and acceleration are not the derivatives of the Euler angles, so compute them from rotations.
     following, present, previous = (
-        Rotation.from_euler("ZYX", (states + step * rates + step**2 / 2 * bends)[:, 3:6])
+        Rotation.from_euler("ZYX", (states + step * rates + step**2 / 2 * second_rates)[:, 3:6])
         for step in (STEP_S, 0.0, -STEP_S)
     )
     later, earlier = (
@@ -232,9 +237,9 @@ def balanced(motion: RobotMotion, model: MjModel, time_s: Array) -> Array:
 
 
 def _states(motion: RobotMotion, time_s: Array) -> tuple[Array, Array, Array]:
-    """Return states (K, 6 + J) of the robot's tree at times (K,), their rates and their accelerations."""
-    states, rates, bends = (motion.states(time_s, order) for order in range(3))
-    return states, rates, bends
+    """Return states (K, 6 + J) of the robot's tree at times (K,), and their first and second derivatives."""
+    states, rates, second_rates = (motion.states(time_s, order) for order in range(3))
+    return states, rates, second_rates
 
 
 def check(motion: RobotMotion, model: MjModel) -> tuple[Array, dict[str, Array]]:
@@ -410,7 +415,7 @@ class _Carrying:
     def _spline(self, time_s: Array, order: int = 0) -> Array:
         """Return the matrix (K, n) from the spline's coefficients to the base, or its derivative, at times (K,).
 
-        order: order of the derivative in time, 0 for none.
+        `order` is the order of the derivative in time, 0 for none.
         """
         m, size = self.frames, self.lasts / self.frames
         at = np.clip((time_s - self.start) / size, 0, m)
@@ -443,8 +448,8 @@ class _Carrying:
         """Return the sparse derivatives of the rows with respect to the base's path and the pushes."""
         states = _states(motion, self.time_s)
         K, J, forces = len(self.time_s), len(self.fastest), self._forces(pushes)
-        # Derivatives of the states by the base's pose: the joints of a leg move with the base so that its foot stays
-        # planted.
+        # Derivatives of the states with respect to the base's pose: the joints of a leg move with the base so that its
+        # foot stays planted.
         moves = motion.robot.tree.pose_with_jacobian(states[0]).jacobian[:, motion.robot.foot_markers]
         state_rates = np.zeros((K, 6 + J, 6))
         ends = np.cumsum([6, *(len(leg.joints) for leg in motion.robot.legs.values())])
@@ -462,7 +467,7 @@ class _Carrying:
         def needs(*ways: Array) -> Array:
             """Return the derivatives (K, 6 + J, 6) of the required forces.
 
-            ways: derivatives of states, rates and accelerations.
+            `ways` are the derivatives of states, rates and accelerations with respect to the base's pose.
             """
             near = (
                 np.swapaxes(values[:, :, None] + STEP * way, 1, 2) for values, way in zip(states, ways, strict=True)
@@ -473,7 +478,7 @@ class _Carrying:
             return ((nudged.needed - by_feet).reshape(K, 6, -1) - unmet[:, None]).swapaxes(1, 2) / STEP
 
         def rows(*parts: Array) -> Array:
-            """Return derivatives by the spline's coefficients from derivatives by the base's deviation."""
+            """Return derivatives with respect to the spline's coefficients, from those with respect to the pose."""
             by = (np.einsum("kij,kn->kinj", part, way) for part, way in zip(parts, self.ways, strict=False))
             return np.sum([*by], axis=0).reshape(K, parts[0].shape[1], -1)
 

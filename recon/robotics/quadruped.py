@@ -64,8 +64,11 @@ MjModel: TypeAlias = Any
 MjSpec: TypeAlias = Any
 """MuJoCo's model and specification. The package mujoco has no types."""
 LEGS = ("LF", "RF", "LH", "RH")
+"""Labels of the legs in the order of all arrays: left or right, fore or hind."""
 IK_TOLERANCE_M = 1e-5
+"""Distance from its target within which a foot has reached it."""
 _BISECTIONS = 12
+"""Number of bisections of the height to which a leg can lift its foot."""
 
 
 # -- a leg in closed form ----------------------------------------------------------------------------------------------
@@ -341,7 +344,7 @@ class Quadruped:
 
 
 def reach(chain: SerialChain, q: Array, foot_m: Array) -> Array | None:
-    """Return angles (n,) within the limits that put the end effector at foot_m, or None if a search from q fails."""
+    """Return angles (n,) within the limits that put the end effector at `foot_m`, or None if a search from q fails."""
     # Rates should not limit a single position, so every iteration lasts as long as the slowest joint needs for a turn.
     interval = 2 * np.pi / float(chain.max_rate_rad_s.min())
     run = drive_to(chain, q, foot_m, LeastNorm(), IK_TOLERANCE_M, max_iterations=200, interval_s=interval)
@@ -563,8 +566,8 @@ def require_mujoco(source: str | Path) -> ModuleType:
 def read_model(path: str | Path, free: bool = False) -> MjModel:
     """Return MuJoCo's model of a file, with its fixed joints and without its meshes.
 
-    With `free`, the root of the model moves freely in the world. Raises InputError for other kinds of files, and if
-    MuJoCo is not installed.
+    If `free` is true, the root of the model moves freely in the world. Raises InputError for other kinds of files, and
+    if MuJoCo is not installed.
     """
     path = Path(path)
     mujoco = require_mujoco(path)

@@ -52,6 +52,7 @@ from recon.robotics.quadruped import LEGS, Quadruped, RobotLeg, body_pose, feet_
 # -- an animal's motion as a reference -------------------------------------------------------------------------------
 
 SMOOTH_S = 0.02
+"""Standard deviation of the Gaussian that smooths height, angles and heading."""
 MIN_SAMPLES = 40
 """Smallest number of samples of a reference: four frames."""
 HARMONICS = 8
@@ -190,7 +191,7 @@ def _standing(gait: Gait, time_s: Array) -> Bools:
 def _centre_feet(feet_m: Array, heights_m: Array, standing: Bools) -> None:
     """Move the path of each foot, feet_m (N, 4, 3), in place: its middle to 0, and its stances to height 0.
 
-    heights_m (N, 4) are above the ground.
+    `heights_m` (N, 4) are above the ground.
     """
     feet_m[..., 0] -= (feet_m[..., 0].min(axis=0) + feet_m[..., 0].max(axis=0)) / 2
     feet_m[..., 1] -= feet_m[..., 1].mean(axis=0)
@@ -298,10 +299,13 @@ def closed_stride(animal: Animal, window: StrideWindow) -> Reference:
 # -- on a robot -------------------------------------------------------------------------------------------------------
 
 PITCH_RAD, ROLL_RAD = 0.25, 0.15
+"""Largest pitch and roll of the body."""
 LIFT = 0.15
 """Largest rise of the body as a fraction of the standing height of the hips."""
 CLEARANCE = 0.7
+"""Largest lift of a foot as a fraction of the height by which its leg can be folded."""
 SPREADS = (0.0, 0.1, 0.2, 0.3, 0.4)
+"""Distances by which the hind feet may pass outside the fore feet, in the order in which they are tried."""
 LEGS_APART = 0.15
 """Smallest distance between the lines of two legs, as a fraction of the hips' standing height, like `SPREADS`. Legs are
 about this thick.
@@ -550,9 +554,9 @@ def place(
 
 
 def posed(robot: Quadruped, time_s: Array, pose: RigidTransform, feet_m: Array, standing: Bools) -> RobotMotion:
-    """Return the motion of a robot from poses and feet.
+    """Return the motion of a robot from its poses T_world_body (N) and its feet (N, 4, 3) in the world.
 
-    pose: T_world_body (N). feet_m: (N, 4, 3), in the world. standing: (N, 4). Feet out of reach are moved into reach.
+    `standing` (N, 4) marks the feet that stand. Feet out of reach are moved into reach.
     """
     targets = leg_targets(pose, np.zeros(3), feet_m)
     solved = [within_reach(leg, targets[:, k]) for k, leg in enumerate(robot.legs.values())]
@@ -583,6 +587,7 @@ def within_reach(leg: RobotLeg, feet_m: Array) -> tuple[Array, Bools]:
 
 
 def _within(values: Array, limit: float | Array) -> Array:
+    """Return values with their sizes limited by a tanh, which hardly changes values far below the limit."""
     return limit * np.tanh(values / limit)
 
 
@@ -597,7 +602,7 @@ def stances(standing: Bools) -> list[tuple[int, int]]:
 def planted(time_s: Array, path_m: Array, standing: Bools, advance_m: Array | None = None) -> Array:
     """Return a path (N, 3) that stays on a foothold while the foot stands (N,), and never goes below the ground, z = 0.
 
-    advance_m: (2,), displacement from the first to the last sample of a repeating stride.
+    `advance_m` (2,) is the displacement from the first to the last sample of a repeating stride; None for a clip.
     """
     if advance_m is not None:
         n, period, ahead = len(time_s) - 1, time_s[-1] - time_s[0], np.append(advance_m, 0.0)

@@ -350,7 +350,7 @@ def repeated(stride: RobotMotion, times: int) -> RobotMotion:
 def drawn(done: Retargeting, settings: RetargetSettings, count: int, model: MjModel | None = None) -> list[RobotMotion]:
     """Return clips drawn from the posterior of the animal's motion, at the same scale and pace as the fitted motion.
 
-    With MuJoCo's model of the robot, the clips have the stances of the fitted clip, and their bases are moved by
+    If MuJoCo's model of the robot is given, the clips have the stances of the fitted clip, and their bases are moved by
     `physics.carried`. Raises the errors of `problem_of`.
     """
     fitted, robot = done.animal.analysis.motion, done.clip.robot
@@ -507,12 +507,22 @@ def _amp(samples: RobotSamples, path: Path, origin: Mapping[str, Any]) -> None:
 
 _NPZ = {
     "isaaclab": (
-        *("dof_names", "dof_positions", "dof_velocities", "body_positions", "body_rotations"),
-        *("body_linear_velocities", "body_angular_velocities"),
+        "dof_names",
+        "dof_positions",
+        "dof_velocities",
+        "body_positions",
+        "body_rotations",
+        "body_linear_velocities",
+        "body_angular_velocities",
     ),
     "mjlab": (
-        *("joint_names", "joint_pos", "joint_vel", "body_pos_w", "body_quat_w"),
-        *("body_lin_vel_w", "body_ang_vel_w"),
+        "joint_names",
+        "joint_pos",
+        "joint_vel",
+        "body_pos_w",
+        "body_quat_w",
+        "body_lin_vel_w",
+        "body_ang_vel_w",
     ),
 }
 """Names of the arrays by layout: joint names, angles and rates; positions, quaternions, velocities and angular
@@ -522,8 +532,13 @@ velocities of bodies.
 
 def _npz(layout: str, samples: RobotSamples, path: Path, origin: Mapping[str, Any]) -> None:
     arrays = (
-        *(np.array(samples.robot.joints), samples.angles_rad, samples.rates_rad_s, samples.position_m),
-        *(samples.quaternions[..., [3, 0, 1, 2]], samples.velocity_m_s, samples.angular_velocity_rad_s),
+        np.array(samples.robot.joints),
+        samples.angles_rad,
+        samples.rates_rad_s,
+        samples.position_m,
+        samples.quaternions[..., [3, 0, 1, 2]],
+        samples.velocity_m_s,
+        samples.angular_velocity_rad_s,
     )
     named: dict[str, Any] = dict(zip(_NPZ[layout], arrays, strict=True))
     np.savez(
@@ -591,7 +606,7 @@ def keep(clip: RobotMotion, stride: RobotMotion, robot: str, origin: Mapping[str
 
 
 def kept_motions(path: Path) -> tuple[RobotMotion, RobotMotion, Mapping[str, Any]]:
-    """Return the clip, the stride, and the origin that the file states; raise InputError."""
+    """Return the clip, the stride, and the origin that the file states; raise InputError if the file cannot be used."""
     expected = "motions of a robot, written by `recon retarget`"
     arrays = load_record(_Kept, path, SCHEMA, expected, older_versions=OLDER_VERSIONS)
     named = arrays.robot if arrays.robot in builtin_robots() else str(path.parent / arrays.robot)

@@ -269,7 +269,7 @@ def test_a_network_that_does_not_fit_judges_no_label_and_the_run_says_so_before(
             12,
             "40 labelled pictures gave a median error of 1.1 px on a made-up film, of an animal 101 px long, and 0.8",
         ),
-        (12, "Expect larger errors of fewer pictures."),
+        (12, "Expect larger errors with fewer pictures."),
         (120, "40 labelled pictures gave a median error of 1.1 px on a made-up film"),
         (200, "150 labelled pictures gave a median error of 3.1 px on a video of a horse"),
     ],

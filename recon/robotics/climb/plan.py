@@ -63,6 +63,7 @@ NONE = -1
 AROUND = (0, 2, 3, 1)
 """Indices into `LEGS`, counterclockwise as seen from above."""
 LEFT = np.array([1.0 if label[0] == "L" else -1.0 for label in LEGS])
+"""Direction of y away from the body, 1 or -1, at each of `LEGS`."""
 MAX_WAIT = 400
 """Maximum number of frames that a foot waits."""
 MAX_EVALUATIONS = 100
@@ -241,7 +242,7 @@ def bundled() -> list[str]:
 
 
 def load_recipe(recipe: str | Path) -> Recipe:
-    """Return a recipe of the package by name, or one from a file; raise InputError."""
+    """Return a recipe of the package by name, or one from a file; raise InputError if it cannot be used."""
     path = RECIPES / f"{recipe}.toml" if str(recipe) in bundled() else Path(recipe)
     table = read_toml(path, f"a recipe of a climb: a TOML file, or one of {', '.join(bundled())}")
     return validated(Recipe, table, path)
@@ -343,7 +344,7 @@ class Climb:
 def support_m(centre_m: Array, feet_m: Array, lifted: Integers) -> Array:
     """Return the distances (..., 8) from the centre of mass (..., 2) to the sides of the polygon of the planted feet.
 
-    feet_m has shape (..., 4, 2). A line between two feet that is not a side of the polygon has an infinite distance.
+    `feet_m` has shape (..., 4, 2). A line between two feet that is not a side of the polygon has an infinite distance.
     """
     feet = feet_m[..., AROUND, :]
     up = np.asarray(lifted)[..., None] == np.array(AROUND)
@@ -482,11 +483,12 @@ def swing_path(recipe: Recipe, primitive: _Primitive, start_m: Array, end_m: Arr
 
 
 def path_corners(start_m: Array, end_m: Array, clearance_m: float, rise_rad: float, lower_rad: float) -> Array:
-    """Return the four corners (4, 3) of a foot's trapezoidal path from start_m (3,) to end_m (3,).
+    """Return the four corners (4, 3) of a foot's trapezoidal path from `start_m` (3,) to `end_m` (3,).
 
-    The foot rises at rise_rad above the forward direction (more than a right angle leans back) and sinks at lower_rad
-    above the backward direction, in the vertical plane along x. In between it crosses, also sideways, at clearance_m
-    above the higher end. If the two slopes do not fit into the length of the path, both become steeper until they meet.
+    The foot rises at `rise_rad` above the forward direction (more than a right angle leans back) and sinks at
+    `lower_rad` above the backward direction, in the vertical plane along x. In between it crosses, also sideways, at
+    `clearance_m` above the higher end. If the two slopes do not fit into the length of the path, both become steeper
+    until they meet.
     """
     top = max(start_m[2], end_m[2]) + clearance_m
     ahead, back = (top - start_m[2]) / np.tan(rise_rad), (top - end_m[2]) / np.tan(lower_rad)
@@ -527,7 +529,10 @@ _COLUMNS = 4
 
 
 def run_climb(settings: ClimbSettings) -> dict[str, Any]:
-    """Plan a climb, write its tables, figures and playback, and return report.json. Raises InputError."""
+    """Plan a climb, write its tables, figures and playback, and return the content of report.json.
+
+    Raises InputError if the recipe cannot be used, or if the folder has other files.
+    """
     out = settings.out
     output = Output(out, "climb", settings.overwrite, input_paths(settings), has_manifest=True, mark=PLAYBACK)
     recipe, _ = collect_problems(lambda: load_recipe(settings.recipe), lambda: output.require(FILES))
