@@ -66,7 +66,7 @@ WIDE_OFFSET_S = 0.5
 NARROW_OFFSET = 3
 """Largest time offset, in frames, that is tried for a camera that agrees."""
 FRAMES = 480
-"""Number of frames of a longer clip that are compared: the part with the most common detections."""
+"""Number of frames of a longer clip that are compared: the part with the most detections that cameras share."""
 OFFSET_S = 1.0
 """Largest time offset in seconds in the search for a camera that is out of step; at most half a clip."""
 MAX_OFFSET_RATIO = 0.9
@@ -329,7 +329,7 @@ class _RemovalCost(NamedTuple):
 def _cost_of_removal(
     sights: Sequence[_Sight], agreeing: Sequence[int], rest: Sequence[int], fps: float, limit: float
 ) -> _RemovalCost:
-    """Return the cost of removing the camera that is missing in the rest.
+    """Return the cost of removing the camera that is missing from the rest.
 
     A rotation and a time offset are tried only for one of three cameras.
     """

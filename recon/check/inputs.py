@@ -398,7 +398,7 @@ SLIDE_SHARE = 0.25
 It is 0.06 at most in real views of cheetahs and dogs, and 0.9 to 1.0 on a treadmill at any speed.
 """
 SLIDE_LEGS_S = 0.5
-"""Smallest speed of the body over the feet, in leg lengths per second, at which this is tested."""
+"""Smallest speed of the body over the feet, in leg lengths per second, at which feet are tested for sliding."""
 STAYS_SHARE = 0.3
 """Speed of the body relative to the feet below which the body stays where it is, as on a treadmill."""
 SLIDE_M_S = -2.5
@@ -449,7 +449,7 @@ def movement(motion: Motion) -> Iterator[Finding]:
 def _sliding(motion: Motion, forward: Array, feet: Array) -> Finding | None:
     """Return the finding on standing feet that move over the ground, or None.
 
-    forward (T,), feet (T, F): speeds of the body and of the feet along the trunk, m/s.
+    `forward` (T,) and `feet` (T, F) are the speeds of the body and of the feet along the trunk, m/s.
     """
     joints_m, trunk_ends = motion.solution.joints_m, list(motion.forward)
     leg_m = float(np.nanmedian(joints_m[:, trunk_ends, 2].mean(axis=1) - joints_m[:, list(motion.feet), 2].min(axis=1)))
@@ -486,7 +486,8 @@ MOST = 0.5
 def outlier_ratios(view: View, markers_m: Array, noise_px: Array) -> Array:
     """Return the log-likelihood gain of each frame's keypoints if they lie anywhere in the picture, (T,).
 
-    The alternative is that each lies at its marker (T, J, 3) with noise (T, J). NaN without keypoints or a pose.
+    The gain is over keypoints that lie at their markers (T, J, 3) with noise (T, J), and NaN without keypoints or a
+    pose.
     """
     projected, valid = view.project(view.shift_to_exposure(markers_m))
     density = -2.0 * np.log(noise_px) - np.log(2 * np.pi) - log_tail((projected - view.xy_px) / noise_px[..., None])

@@ -92,7 +92,9 @@ class Refit:
         reprojection, independent, ground_cost = costs["reprojection"], sum(costs.values()), 0.0
         if clip.ground_known and len(clip.feet):  # feet that never touch the ground count as well
             ground_cost = 0.5 * sigmas_above_ground(clip, clip.markers(states)) ** 2
-        return cls(states, _view_log_density(clip, states) + ground_cost + independent - reprojection, independent)
+        return cls(
+            states, _view_negative_log_density(clip, states) + ground_cost + independent - reprojection, independent
+        )
 
     def gain_over(self, reference: Refit) -> float:
         """Return the log-likelihood gain over `reference` under the worse of two noise models."""
@@ -111,7 +113,7 @@ def refit_view(clip: ClipProblem) -> Refit:
     return Refit.of_states(solved.clip, solved.states)
 
 
-def _view_log_density(clip: ClipProblem, states: Array) -> float:
+def _view_negative_log_density(clip: ClipProblem, states: Array) -> float:
     """Return the negative log-density of one view's keypoints around a motion (T, D)."""
     (view,), markers = clip.views, clip.markers(states)
     (sigma_px,) = clip.noise_px(markers, np.ones((1, markers.shape[1])))
@@ -532,7 +534,7 @@ def frame_rate_finding(
     Parameters
     ----------
     clip
-        A solved stretch.
+        A solved part of the clip.
     states
         (T, D), at nominal size about the origin, without gaps.
     stated_hz
@@ -567,7 +569,7 @@ def frame_rate_finding(
 
 
 def effects_m(clip: ClipProblem, states: Array, other_states: Array) -> dict[str, float]:
-    """Return the mean difference of two motions over the frames: of poses about their middle, and of the middle."""
+    """Return the mean difference between two motions, m: of the poses about their middle, and of the middle."""
     apart_m = clip.markers(states) - clip.markers(other_states)
     middle_m = apart_m.mean(axis=1, keepdims=True)
     lengths_m = (np.linalg.norm(vectors_m, axis=-1).mean() for vectors_m in (apart_m - middle_m, middle_m))

@@ -1,8 +1,8 @@
 """Estimate one more unknown of a fit by one Gauss-Newton step from its solution.
 
 A hypothesis on an input is often a number that the fit took as known, such as the stretch of the picture or the drift
-of a camera's clock. With the poses and all other unknowns free, one step estimates it with its standard deviation, at
-the cost of one step of the fit.
+of a camera's clock. One step, with the poses and all other unknowns free, estimates this number and its standard
+deviation, at the cost of one step of the fit.
 """
 
 from __future__ import annotations

@@ -158,7 +158,7 @@ def missing_as_constant(motion: Motion) -> Iterator[Finding]:
 
 
 def likelihoods_low(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding on cameras most of whose points have low likelihoods."""
+    """Yield a finding on each camera that has low likelihoods for more than a third of its points."""
     for source in motion.sources:
         unlikely, total = _unlikely(source), source.cleaning.total("used") + source.cleaning.total("rejected")
         if unlikely > MANY_FRAMES * total:
@@ -201,7 +201,7 @@ def no_pose(motion: Motion) -> Iterator[Finding]:
 
 
 def subject_unlike_species(motion: Motion) -> Iterator[Finding]:
-    """Yield a finding if the measured lengths differ from those of the skeleton."""
+    """Yield a finding if the measured lengths differ from the skeleton's by more than the species varies."""
     skeleton = motion.settings.get("skeleton") or motion.body.name
     if motion.body.subject is None or (motion.settings.get("skeleton") is None and skeleton not in builtin_names()):
         return

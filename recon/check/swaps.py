@@ -272,7 +272,7 @@ def jumps(view: View, permutation: Index) -> Array:
     """Return the log-likelihood gain of the tracks if the sides are exchanged from a frame on, (T,).
 
     The difference between the points of a pair follows a straight line for a few frames. The gain is minus infinity if
-    nothing is seen in between, or if all pairs jump about as far as the distance between their points.
+    one of these frames has no detection, or if all pairs jump about as far as the distance between their points.
     """
     n, pairs = 2 * _STRAIGHT, [(j, int(k)) for j, k in enumerate(permutation) if j < k]
     differences = view.xy_px[:, [j for j, _ in pairs]] - view.xy_px[:, [k for _, k in pairs]]

@@ -61,7 +61,7 @@ STEP_PX = 2.0
 ONWARDS = 0.5
 """Smallest cosine of the angle between two such steps."""
 LEAST_CHANGES = 8
-"""Smallest number of changes of the speed."""
+"""Smallest number of changes of the speed from which missing frames are tested."""
 CHANGE_SIGMAS = np.array([0.03, 0.05, 0.08, 0.12, 0.18, 0.25, 0.35, 0.5])
 """Scales of the change of the logarithm of the speed from frame to frame that are tried."""
 FREEDOM = 3
@@ -69,7 +69,7 @@ FREEDOM = 3
 OUTLIERS = np.array([0.02, 0.1, 0.25])
 """Shares of outliers that are tried."""
 OUTLIER_RANGE = 5.0
-"""Range in which outliers are equally likely."""
+"""Width of the range of changes over which outliers are uniformly distributed."""
 MISSING = np.array([0.1, 0.2, 0.3, 0.4])
 """Shares of missing frames that are tried."""
 MOST_INTERVALS = 3

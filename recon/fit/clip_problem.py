@@ -198,7 +198,7 @@ class ClipProblem:
 
     @property
     def feet(self) -> Index:
-        """Return the markers of the feet, (F,)."""
+        """Return the indices (F,) of the feet's markers."""
         return np.array([self.body.markers.index(foot) for foot in self.body.feet], dtype=np.intp)
 
     @property
@@ -225,11 +225,14 @@ class ClipProblem:
         return any(np.abs(view.centre_m - self.origin_m).max() > _SAME_CENTRE_M for view in self.views)
 
     def present(self) -> Bools:
-        """Return which markers a camera saw, (T, J)."""
+        """Return a mask (T, J) of the markers that at least one camera saw."""
         return np.any([view.present for view in self.views], axis=0)
 
     def nominal(self, states: Array, size: float) -> Array:
-        """Return states (T, D) whose roots are in the world as `markers` takes them: size 1, about the origin."""
+        """Return states (T, D) at nominal size about the origin, as `markers` takes them.
+
+        The given `states` (T, D) have the root in the world and belong to an animal of size `size`.
+        """
         nominal = states.copy()
         nominal[:, ROOT] = (states[:, ROOT] - self.origin_m) / size
         return nominal

@@ -304,13 +304,13 @@ class Motion:
 
     @property
     def forward_names(self) -> tuple[str, str]:
-        """Return the keypoints of the two joints of `forward`."""
+        """Return the names of the keypoints of the two joints of `forward`."""
         rear, front = self.forward
         return self.names[rear], self.names[front]
 
     @cached_property
     def feet(self) -> tuple[int, ...]:
-        """Return the joints of the feet, as indices."""
+        """Return the indices of the feet's joints."""
         return tuple(self.joints.index(foot) for foot in self.body.feet)
 
     @cached_property
@@ -320,17 +320,17 @@ class Motion:
 
     @cached_property
     def foot_names(self) -> dict[str, str]:
-        """Return the keypoints of the feet by label."""
+        """Return the names of the feet's keypoints, by label."""
         return {label: self.names[foot] for label, foot in zip(self.foot_labels, self.feet, strict=True)}
 
     @property
     def reference_joint(self) -> str:
-        """Return the joint that gives the animal's position: the root's, or else the trunk's rear joint."""
+        """Return the name of the joint that gives the animal's position: the root's, or else the trunk's rear joint."""
         return self.root_name if self.root_name in self.joints else self.body.forward[0]
 
     @property
     def reference(self) -> str:
-        """Return the keypoint of the reference joint."""
+        """Return the name of the reference joint's keypoint."""
         return self.names[self.joints.index(self.reference_joint)]
 
     # -- the input of the fit, for the first camera ---------------------------------------------------------------
@@ -347,7 +347,7 @@ class Motion:
 
     @property
     def file(self) -> str:
-        """Return the first keypoint file, for messages."""
+        """Return the path of the first keypoint file, for messages."""
         return self.keypoints.source or "keypoints"
 
     @property
@@ -375,7 +375,7 @@ class Motion:
 
     @property
     def frames(self) -> Integers:
-        """Return the frame numbers of the first keypoint file, (T,), without most frames far from detections."""
+        """Return the frame numbers (T,) in the first keypoint file; most frames far from any detection are left out."""
         return self.keypoints.frames
 
     @property

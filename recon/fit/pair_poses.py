@@ -61,7 +61,7 @@ class PairPoses:
         return cls(is_turned, weight / weight.sum(), mean, covariance)
 
     def covariance_about(self, value: Array) -> Array:
-        """Return the mean product (12, 12) of the deviations of the errors from a value (12,)."""
+        """Return the second moments (12, 12) of the errors about a value (12,)."""
         deviation = self.mean - value
         products = self.covariance + deviation[:, :, None] * deviation[:, None]
         return np.asarray(np.einsum("e,eij->ij", self.weight, products))

@@ -227,7 +227,7 @@ def _with_likely_bias(
 
 
 def pair_poses_of(problem: LeastSquares, estimate: Estimate, variance_factor: float) -> PairPoses | None:
-    """Return the explanations of the poses of two cameras at a minimum, None if they are not uncertain."""
+    """Return the explanations of the poses of two cameras at a minimum, or None if both poses are not unknowns."""
     problem, normal = _with_reestimated_noise(problem, estimate, variance_factor)
     problem = _with_free_nuisance(problem)
     shared = problem.expected() | dict(estimate.shared)

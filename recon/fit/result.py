@@ -120,7 +120,7 @@ SINGLE = (
     "noise_px",
     "weight",
 )
-"""Arrays of the trajectory method that have the precision of single floats, which is more than they mean."""
+"""Arrays of the trajectory method that are kept in single precision, which is finer than they are known."""
 OUTLIER_SIGMAS = 3.0
 """Distance of a detection from its joint's reprojection, in standard deviations, above which it is an outlier."""
 
@@ -318,7 +318,7 @@ class Solution(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class TrajectorySolution(Solution):
-    """A solution of the trajectory method. Flags: "no data", "diverged", "data poor", "ambiguous depth"."""
+    """A solution of the trajectory method, with the flags "no data", "diverged", "data poor" and "ambiguous depth"."""
 
     size_sigma: float
     """Posterior standard deviation of the size."""

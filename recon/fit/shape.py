@@ -53,7 +53,7 @@ class ShapeFit:
     converged: bool
     """Whether the last step was small."""
     keypoint_sigma_m: float
-    """Standard deviation of keypoints in a single frame, including the rest of the offsets."""
+    """Standard deviation of keypoints in a single frame about their fitted offsets."""
     noise_m: dict[str, float]
     """Standard deviation of a keypoint in a single frame, for the markers of the left side and the middle."""
     spread_m: dict[str, float]
@@ -93,7 +93,7 @@ class ShapeFit:
         return length_m, sigma_m, max(1.0 - variance / float(lengths_m @ expected @ lengths_m), 0.0)
 
     def seen(self, body: Body) -> Body:
-        """Return a body of that shape with the detector's noise and bias, the right side equal to the left."""
+        """Return a body with this shape and the detector's noise and bias, the right side equal to the left."""
         spread_m, noise_m = (
             {name: by_leader[self.shape.leader(name)] for name in body.markers}
             for by_leader in (self.spread_m, self.noise_m)

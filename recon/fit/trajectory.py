@@ -817,7 +817,7 @@ def _size_error_of_bias(clip: ClipProblem) -> float:
 def _alternative_cost(clip: ClipProblem, segment: SegmentFit, size: float, distance_m: Array) -> float:
     """Return the smallest extra cost of another start.
 
-    The mean distance of the joints, both poses centred, is written to distance_m (T,).
+    The mean distance of the joints, both poses centred, is written to `distance_m` (T,).
     """
     extra_cost = np.inf
     points = clip.body.tree.pose(segment.estimate.states).points_m

@@ -158,7 +158,7 @@ def _best_of_pairs(views: Sequence[View], present: Bools, sigma: Array) -> Array
 
 
 def _between_rays(ray_a: Array, centre_a: Array, ray_b: Array, centre_b: Array) -> Array:
-    """Return the middles of the shortest lines between rays, (T, J, 3); NaN if they hardly cross, or cross behind."""
+    """Return the middles (T, J, 3) of the shortest lines between rays; NaN if rays hardly cross, or behind a camera."""
     line = centre_b - centre_a
     cosine = np.sum(ray_a * ray_b, axis=-1)
     along_a, along_b = np.sum(ray_a * line, axis=-1), np.sum(ray_b * line, axis=-1)

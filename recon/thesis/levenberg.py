@@ -1,9 +1,9 @@
 """Minimise by Levenberg-Marquardt with a chosen damping: its first value, and the factor by which it changes.
 
-MINPACK, which the frame method uses by default, has a trust region and finds its own damping. The solver of the
-publication has a first damping. The damping is divided by a factor after each step that lowers the cost, and multiplied
-by the factor after each other step. A step solves (J'J + lambda S) step = -J'r. S contains the largest squared norms
-that the columns of J have had, so the damping has no unit.
+MINPACK, which the frame method uses by default, has a trust region and finds its own damping. The publication's solver
+starts from a given damping, which is divided by a factor after each step that lowers the cost, and multiplied by the
+factor after every other step. A step solves (J'J + lambda S) step = -J'r. S contains the largest squared norms that
+the columns of J have had, so the damping has no unit.
 """
 
 from __future__ import annotations

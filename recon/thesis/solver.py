@@ -213,7 +213,7 @@ class FrameSearch:
 
     @property
     def step_norm(self) -> float:
-        """Length of the last step that moved."""
+        """Length of the last step that is not zero."""
         steps = self.step_norms
         return float(np.append(0.0, steps[steps > 0])[-1])
 

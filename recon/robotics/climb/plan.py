@@ -531,7 +531,7 @@ _COLUMNS = 4
 def run_climb(settings: ClimbSettings) -> dict[str, Any]:
     """Plan a climb, write its tables, figures and playback, and return the content of report.json.
 
-    Raises InputError if the recipe cannot be used, or if the folder has other files.
+    Raises InputError if the recipe or its robot cannot be used, or if the folder has files that may not be replaced.
     """
     out = settings.out
     output = Output(out, "climb", settings.overwrite, input_paths(settings), has_manifest=True, mark=PLAYBACK)
