@@ -447,8 +447,8 @@ def drift_by_rays(views: Sequence[View], markers_m: Array, v: int) -> tuple[floa
     """Return the drift of a camera's clock over the clip that rays alone show, in frames, and its standard deviation.
 
     The drift that best moves the camera's rays into the epipolar planes of the other cameras' rays is estimated
-    together with a time offset and a constant angle. Lengths of the animal do not count, which a rough skeleton has
-    wrong. The values are NaN for fewer than `MIN_POINTS` points.
+    together with a time offset and a constant angle. The animal's lengths, which a rough skeleton has wrong, are not
+    used. The values are NaN for fewer than `MIN_POINTS` points.
 
     Parameters
     ----------

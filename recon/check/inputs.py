@@ -60,6 +60,10 @@ def input_findings(
 ) -> tuple[Finding, ...]:
     """Return the findings on the keypoints that a motion was fitted to.
 
+    The tests are, in this order: copies; motions that no animal makes; for each camera, another picture, then swaps;
+    for a single camera, the animal's halves, the lens, the stretch and the focal length; for several cameras, their
+    clocks; and the frame rate. A test is left out if an earlier finding explains what it would find.
+
     Parameters
     ----------
     motion
