@@ -24,7 +24,7 @@ def main() -> None:
 
         run_command_line()
     finally:
-        if interrupts.received and not interrupts.said:
+        if interrupts.received and not interrupts.announced:
             interrupts.leave()
         _flush()
 
@@ -33,7 +33,7 @@ def _open_streams() -> None:
     """Give the process all three standard streams, which accept every character.
 
     A closed stream becomes the null device: otherwise the next file that is opened would get its number, and with it
-    the output of libraries. A terminal of ASCII shows codes.
+    the output of libraries. An ASCII terminal shows escape codes for other characters.
     """
     for number in range(3):
         try:

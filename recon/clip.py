@@ -487,7 +487,10 @@ class View(Brief):
         return self.camera.sees(self.xy_px, self._unzoomed_px)
 
     def corrected(self, correction: Array) -> View:
-        """Return the view with an extrinsic correction (6,), three angles and a shift: X_new = R(angles) X + shift."""
+        """Return the view with an extrinsic correction (6,): three Euler angles, rad, and a shift, m.
+
+        Points in the camera frame become X_new = R(angles) X + shift.
+        """
         if not correction.any():
             return self
         T_correction = rigid(euler_rotation(correction[:3]), correction[3:])

@@ -30,7 +30,7 @@ from recordings import recordings
 
 from recon import Body, InputError, load_skeleton
 from recon.animal.prior import prior_from_body
-from recon.api.skeleton_draft import drafted
+from recon.api.skeleton_draft import draft_from_points
 from recon.clip import View
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.trajectory import solve_trajectory
@@ -96,7 +96,7 @@ def drafted_body(recording: Recording, points_m: np.ndarray) -> Body:
     """Raises InputError."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "drafted.toml"
-        _, text = drafted(recording.names, points_m, recording.fps, recording.animal, Path("clip.csv"))
+        _, text = draft_from_points(recording.names, points_m, recording.fps, recording.animal, Path("clip.csv"))
         path.write_text(text, encoding="utf-8")
         body = load_skeleton(path)
     assert isinstance(body, Body)

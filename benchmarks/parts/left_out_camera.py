@@ -50,7 +50,7 @@ from trajectory import PRIOR, SKELETON, prior_of
 from recon import Body, load_skeleton
 from recon.animal.prior import MotionPrior, prior_from_body
 from recon.animal.skeleton_file import with_detector_offsets
-from recon.api.skeleton_draft import drafted
+from recon.api.skeleton_draft import draft_from_points
 from recon.clip import View, still_view
 from recon.fit.clip_problem import TrajectoryOptions
 from recon.fit.posterior import radius
@@ -261,7 +261,7 @@ def rat_clips(quick: bool) -> Iterator[Clip]:
         drafted_m = triangulate_views(past).points_m
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "rat.toml"
-            path.write_text(drafted(names, drafted_m, RAT_FPS, "rat", Path("rat.csv"))[1], encoding="utf-8")
+            path.write_text(draft_from_points(names, drafted_m, RAT_FPS, "rat", Path("rat.csv"))[1], encoding="utf-8")
             body = load_skeleton(path)
         order = [names.index(marker) for marker in body.markers]
         views = [replace(v, xy_px=v.xy_px[:, order], confidence=v.confidence[:, order]) for v in frames]

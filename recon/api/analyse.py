@@ -15,7 +15,7 @@ from recon.api.settings import ANYWAY, STRIDE, StrideTimes
 from recon.base.arrays import mean, median
 from recon.base.errors import Problem
 from recon.base.locks import sole_writer
-from recon.base.numbers import percent
+from recon.base.numbers import counted, percent
 from recon.base.outputs import Output, ReadResults
 from recon.base.progress import Progress, silent
 from recon.base.settings import Option, Positive, Settings, input_paths
@@ -37,7 +37,7 @@ FOLDER = "analysis"
 """Name of the analysis folder inside the results folder, by default."""
 FIGURES_BEGIN = 0.5
 """Progress, as a fraction of the whole, at which the figures begin."""
-SHOWN = 3
+MOST_REASONS = 3
 """Largest number of excluded strides whose reasons are listed one by one."""
 
 
@@ -187,9 +187,9 @@ def notes(analysis: ClipAnalysis) -> Iterator[str]:
     if gait is not None and len(motion.foot_names) < 4:
         yield f"Only the feet {', '.join(motion.foot_names)} were fitted: the gait has no name."
     doubtful = [] if gait is None else [doubtful_text(stride) for stride in gait.doubtful]
-    yield from doubtful[:SHOWN]
-    if (count_more := len(doubtful) - SHOWN) > 0:
-        yield f"{count_more} more strides do not count, for similar reasons"
+    yield from doubtful[:MOST_REASONS]
+    if (count_more := len(doubtful) - MOST_REASONS) > 0:
+        yield f"{counted(count_more, 'more stride')} left out for similar reasons."
     if analysis.dynamics is not None:
         yield f"Source of the masses in forces and energies: {motion.body.mass_source}."
         yield "Forces were validated on galloping cheetahs on level ground."
@@ -281,10 +281,10 @@ def write_figures(analysis: ClipAnalysis, folder: Path, progress: Progress, is_c
 
 
 def _stride_title(stride: Stride | None) -> str:
-    """Return the title of figures that show the stride, or without one the whole clip."""
+    """Return the title of figures that show the stride, or the whole clip if there is none."""
     if stride is None:
         return "whole clip: no complete stride"
-    titles = {"given": "the stride that was given", "return": f"no complete stride: nearest return of {stride.foot}"}
+    titles = {"given": "the given stride", "return": f"no complete stride: nearest return of {stride.foot}"}
     return titles.get(stride.at, f"one stride of {stride.foot}")
 
 

@@ -90,12 +90,13 @@ def audit_file(
     Returns
     -------
     Audit
-        The findings, each with its frames and one thing to do.
+        The findings, each with its frames and one thing to do. A file with too few frames has no findings, and a note
+        says so.
 
     Raises
     ------
     InputError
-        If the file cannot be read or has too few frames.
+        If the file or folder cannot be read.
     """
     path = Path(source)
     if path.is_dir() and (path / MOTION).is_file():

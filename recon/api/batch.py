@@ -39,7 +39,7 @@ from recon.api.settings import FitSettings
 from recon.base.arrays import Brief
 from recon.base.documents import validated
 from recon.base.errors import InputError, Problem, collect_problems, problems_of
-from recon.base.files import MANIFEST, seen_from
+from recon.base.files import MANIFEST, relative_path
 from recon.base.locks import sole_writer
 from recon.base.numbers import counted
 from recon.base.outputs import Output
@@ -86,7 +86,7 @@ OnEvent = Callable[[Event, "Summary"], None]
 
 @dataclass(frozen=True, repr=False)
 class ClipPlan(Brief):
-    """What a batch does with one clip, and why."""
+    """Planned action of a batch for one clip, and the reason."""
 
     clip: Clip
     out: Path
@@ -125,7 +125,7 @@ def _planned(clip: Clip, out: Path, record: Record, overwrite: bool) -> ClipPlan
         output.require(names)
         return ClipPlan(clip, out, "refit", "--overwrite", made_from)
     expected = "a folder without results or with those of an earlier batch of this clip, or --overwrite"
-    reason, changed = record.look(clip.name, made_from, out)
+    reason, changed = record.why_redo(clip.name, made_from, out)
     if row is None or (out / MANIFEST in changed and (out / MANIFEST).exists()):
         raise InputError(Problem(out, "folder", "results that no batch has written", expected))
     earlier_keypoints = setting_in_folder(out.parent, "keypoints", row.get("keypoints", ()))
@@ -164,7 +164,7 @@ def input_problems(clips: Sequence[Clip], shared_only: bool = False) -> list[Pro
     return [problems_of(partial(check, clip.settings)) for clip in clips]
 
 
-def repeated(problems_by_clip: Sequence[Problems]) -> list[tuple[Problem, tuple[int, ...]]]:
+def distinct_problems(problems_by_clip: Sequence[Problems]) -> list[tuple[Problem, tuple[int, ...]]]:
     """Return each distinct problem once, ignoring file names, with the indices of the clips that have it."""
     indices_by_content: dict[tuple[str, str, str], list[tuple[int, Problem]]] = {}
     for index, problems in enumerate(problems_by_clip):
@@ -203,7 +203,7 @@ def run_batch(
     jobs
         Number of processes on this machine; by default one per core.
     retries
-        How often a clip is retried after its process died.
+        Number of further attempts at a clip whose process died or crashed.
     scheduler
         Address of a Dask cluster to use instead of this machine.
     on_event
@@ -238,18 +238,18 @@ def run_batch(
         record.tidy()
         tasks = [(name, replace(planned, out=planned.out.absolute())) for name, planned in todo.items()]
         run = partial(carry_out_on_cluster, scheduler) if scheduler else partial(carry_out, jobs=jobs)
-        return work_off(plan, out, partial(run, fit_planned, tasks, retries=retries), note)
+        return run_plan(plan, out, partial(run, fit_planned, tasks, retries=retries), note)
 
 
-def work_off(plan: Sequence[ClipPlan], out: Path, run: Callable[[Tell], None], on_event: OnEvent) -> Summary:
-    """Run the tasks of a plan with `run`, and keep the summary up to date."""
+def run_plan(plan: Sequence[ClipPlan], out: Path, run: Callable[[Tell], None], on_event: OnEvent) -> Summary:
+    """Run the tasks of a plan with `run`, a function that takes a callback, and keep the summary up to date."""
     summary = Summary(plan, out)
 
     def tell(event: Event) -> None:
         if event.kind == "ended":
             summary.end(event.name, event.outcome)
         on_event(event, summary)
-        if event.kind == "ended":  # printed after everything else
+        if event.kind == "ended":  # after on_event, which records the outcome
             summary.write_now_and_then()
 
     summary.write()
@@ -264,8 +264,8 @@ def work_off(plan: Sequence[ClipPlan], out: Path, run: Callable[[Tell], None], o
 def fit_planned(planned: ClipPlan, progress: Progress) -> dict[str, Any]:
     """Fit one clip and write its results, in a process that does nothing else at the same time.
 
-    Returns the columns of its summary, the digest of its manifest, and its identity, because its files may have changed
-    since the batch was planned.
+    Returns the clip's cells of the summary, the digest of its manifest, and its identity at the time of the fit: the
+    input files may have changed since the batch was planned.
     """
     own_version, planned_version = version(), planned.identity["version"]
     if own_version != planned_version:
@@ -317,7 +317,7 @@ def summary_output(out: Path) -> Output:
 
 
 class Summary:
-    """Rows of a batch by clip, and the file they are written to.
+    """Rows of a batch by clip, and the file that they are written to.
 
     Clips that an earlier run finished have their rows from the start.
     """
@@ -391,7 +391,7 @@ def _row(planned: ClipPlan, out: Path) -> dict[str, Any]:
         "clip": planned.clip.name,
         "keypoints": ", ".join(settings.keypoints_from(out)),
         "cameras": len(settings.keypoints),
-        "out": seen_from(out, planned.out),
+        "out": relative_path(out, planned.out),
         "status": "pending",
         "attempts": 0,
     }

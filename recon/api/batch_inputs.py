@@ -22,6 +22,7 @@ from recon.base.arrays import Brief
 from recon.base.documents import read_head, read_toml
 from recon.base.errors import InputError, Problem, raise_problems
 from recon.base.file_names import encodable
+from recon.base.numbers import counted
 from recon.base.patterns import slow_part
 from recon.check.codes import names_text
 from recon.fit.motion_forms import MOTION
@@ -43,7 +44,7 @@ MOST_BYTES = 240
 """Longest clip name, in bytes: file systems allow 255, and a number may be appended."""
 _UNFIT = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
 """Characters that some file systems do not allow in names."""
-BETWEEN = "|"
+CELL_SEPARATOR = "|"
 """Separator between the values of several cameras in one cell of a manifest."""
 LEAST_SQUARE_NOT_IN_METRES = 1.0
 """Side of a board's square above which a calibration cannot be in metres: no board has squares of a metre."""
@@ -116,7 +117,8 @@ def find_clips(
     config
         The config.toml of an earlier fit.
     cameras_by
-        Rule that decides which files belong to one clip, see `_joined`.
+        Rule that decides which files belong to one clip: a regular expression that matches the camera's name in a file
+        name; "auto" for Anipose's pattern or the names in the camera file; or "none", if each file is a clip.
     posed
         Whether files are joined only if the camera file has poses for its cameras.
     recursive
@@ -241,7 +243,7 @@ def _why_left_out(path: Path) -> str:
     try:
         if not path.stat().st_size or recognised(path, "2D") is None:
             with suppress(InputError):
-                return "cameras (for a manifest's column camera)" if read_cameras(path) else ""
+                return "camera files (for --camera, or a manifest's column camera)" if read_cameras(path) else ""
             return "of no known format"
         if any({"x", "y", "z"} <= {*cells} for _, cells in islice(text_rows(path), 4)):  # the rows of a header
             return "3D positions"
@@ -321,8 +323,10 @@ def _drafts_of_sessions(sessions: Sequence[tuple[Path, Path]], common: Mapping[s
         places = names_text([str(poses) for _, poses in sessions])
         raise InputError(Problem(places, "files", "no keypoint files", f"files of a known format: {titles('2D')}"))
     folders = " and ".join(dict.fromkeys(poses.name for _, poses in sessions))
-    session_count = f"{len(sessions)} session{'s' * (len(sessions) > 1)}"
-    return drafts, [f"{session_count} of Anipose: {len(drafts)} files of {folders}", *notes]
+    return drafts, [
+        f"{counted(len(sessions), 'Anipose session')}: {counted(len(drafts), 'file')} of {folders}.",
+        *notes,
+    ]
 
 
 def _anipose_config(folder: Path) -> tuple[Mapping[str, Any], Path | None]:
@@ -383,7 +387,9 @@ def _drafts_of_manifest(path: Path) -> list[_Draft]:
             problems.append(Problem(path, f"{line}, keypoints", "nothing", "a keypoint file"))
             continue
         out = row.pop("out", None)
-        lists = {name: [text.strip() for text in cell.split(BETWEEN)] for name, cell in row.items() if name in many}
+        lists = {
+            name: [text.strip() for text in cell.split(CELL_SEPARATOR)] for name, cell in row.items() if name in many
+        }
         values = {name: setting_in_folder(path.parent, name, value) for name, value in (row | lists).items()}
         files = [file for pattern in values.pop("keypoints") for file in _matching_files(Path(pattern))]
         if not files:
@@ -610,10 +616,13 @@ def _settings(draft: _Draft, common: Mapping[str, Any], config: Path | None) -> 
             name: value for name, value in options.items() if SETTINGS[name].option.method in (None, row["method"])
         }
 
-    def of_row(problem: Problem) -> Problem:
+    def located(problem: Problem) -> Problem:
+        """Return a problem with the manifest's line in which its setting is, or with the advice to write a manifest."""
         in_row = problem.field in row or (problem.found == "nothing" and problem.field not in options)
         if draft.manifest_line is None and problem.field == "camera" and in_row:
-            return replace(problem, expected=f"{problem.expected}; for clips with cameras of their own {_MANIFEST}")
+            return replace(
+                problem, expected=f"{problem.expected}; or, if the clips have different cameras, {_MANIFEST}"
+            )
         if draft.manifest_line is None or not in_row:
             return problem
         return replace(problem, file=draft.manifest_line[0], field=f"{draft.manifest_line[1]}, {problem.field}")
@@ -621,7 +630,7 @@ def _settings(draft: _Draft, common: Mapping[str, Any], config: Path | None) -> 
     try:
         return read_settings(config, {"keypoints": draft.paths, **options, **row})
     except InputError as error:
-        raise InputError(map(of_row, error.problems)) from None
+        raise InputError(map(located, error.problems)) from None
 
 
 # -- names --------------------------------------------------------------------------------------------------------

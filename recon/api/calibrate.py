@@ -54,7 +54,8 @@ def run_calibration(settings: CalibrationSettings, progress: Progress = silent) 
 
     Returns
     -------
-    The camera, its errors and the checks, as plain types.
+    dict
+        The camera, its errors and the checks, as plain types.
 
     Raises
     ------

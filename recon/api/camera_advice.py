@@ -30,7 +30,9 @@ DIRECTIONS = (
     *("ahead of the animal", "ahead to the animal's left", "on the animal's left side", "behind to the animal's left"),
     *("behind the animal", "behind to the animal's right", "on the animal's right side", "ahead to the animal's right"),
 )
-HIGH_RAD = ((np.radians(15), "level with its middle"), (np.radians(45), "raised"), (np.radians(70), "high up"))
+"""Words for each eighth of a turn around the animal, counterclockwise from above, from straight ahead."""
+HEIGHTS = ((np.radians(15), "level with its middle"), (np.radians(45), "raised"), (np.radians(70), "high up"))
+"""Words for the camera's elevation above the animal, each with the elevation (rad) up to which they hold."""
 ABOVE = "almost above it"
 
 
@@ -58,7 +60,7 @@ def in_sentences(advice_by_camera: Sequence[Advice]) -> Iterator[str]:
 def direction_text(azimuth_rad: float, elevation_rad: float) -> str:
     """Return a direction from the animal in words, such as "on the animal's left side, raised (90°)"."""
     direction = DIRECTIONS[round(azimuth_rad / (np.pi / 4)) % 8]
-    height = next((text for limit, text in HIGH_RAD if elevation_rad < limit), ABOVE)
+    height = next((text for limit, text in HEIGHTS if elevation_rad < limit), ABOVE)
     azimuth = quantity(np.degrees(azimuth_rad), 0, "°")
     return f"{direction}, {height} ({azimuth})"
 
@@ -136,8 +138,8 @@ def run_camera_advice(settings: CameraAdviceSettings, progress: Progress = silen
 
 
 def _places(number: int, advice: Advice) -> pd.DataFrame:
-    """Return one row per camera position, without a sigma where the animal is outside the picture."""
-    elevation, azimuth = (at.ravel() for at in np.meshgrid(ELEVATIONS_RAD, AZIMUTHS_RAD, indexing="ij"))
+    """Return one row per camera position; the sigma is NaN where the animal is outside the picture."""
+    elevation, azimuth = (grid.ravel() for grid in np.meshgrid(ELEVATIONS_RAD, AZIMUTHS_RAD, indexing="ij"))
     places = {"azimuth_rad": azimuth, "elevation_rad": elevation, "height_m": advice.distance_m * np.sin(elevation)}
     sigma = np.where(np.isfinite(advice.sigma), advice.sigma, np.nan).ravel()
     known = {f"sigma_{advice.unit}": sigma, "data_share": advice.share.ravel()}

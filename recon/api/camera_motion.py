@@ -34,6 +34,7 @@ from recon.show.plain import picked, to_json
 MIN_LIKELIHOOD = 0.3
 """Keypoints above this likelihood mark the animal, whose surroundings are not used as background."""
 MAX_LOST = 0.5
+"""Largest fraction of frames with too little background to follow."""
 MAX_FOCAL_OFF = 0.1
 """Largest relative error of the focal length; the turns are wrong by the same fraction."""
 NOTES = (
@@ -139,8 +140,8 @@ def _focal_note(motion: TurningMotion, lens: Camera) -> str | None:
     wide = 2 * np.degrees(np.arctan(lens.image_size_px[0] / 2 / px["found"]))
     measured, stated = quantity(px["found"], 0, "px"), quantity(px["file"], 0, "px")
     return (
-        f"the background turns as with a focal length of {measured} (standard deviation {px['sigma']:.1f}; {wide:.1f} "
-        f"degrees across the picture, without distortion), and the camera file has {stated}"
+        f"the background moves as if the focal length were {measured} (standard deviation {px['sigma']:.1f}; "
+        f"{wide:.1f} degrees across the picture, without distortion), but the camera file has {stated}"
     )
 
 

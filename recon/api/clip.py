@@ -112,8 +112,10 @@ def refit_clip(settings: FitSettings, motion: Motion) -> Motion:
         As in `fit_clip`.
     """
     is_refined = any(item.code in PAIR_REFINED for item in motion.findings)
-    is_more = settings.seeks_cameras or is_refined or settings.belt_speed_m_s is not None or settings.find_offsets
-    if is_more or settings.method == "frame" or not isinstance(motion.solution, TrajectorySolution):
+    has_other_unknowns = (
+        settings.seeks_cameras or is_refined or settings.belt_speed_m_s is not None or settings.find_offsets
+    )
+    if has_other_unknowns or settings.method == "frame" or not isinstance(motion.solution, TrajectorySolution):
         return fit_clip(settings)
     inputs = prepare(settings)
     chain = load_chain(settings.skeleton_name) if inputs.body.one_sided else None
@@ -127,7 +129,7 @@ def refit_clip(settings: FitSettings, motion: Motion) -> Motion:
 
 
 def _part_of(progress: Progress, begin: float, end: float) -> Progress:
-    """Return the progress of a part of the work, from fraction `begin` to fraction `end` of all of it."""
+    """Return a function that reports a part of the work, 0 to 1, as the fractions `begin` to `end` of all the work."""
     return lambda stage, share: progress(stage, begin + (end - begin) * share)
 
 
@@ -178,8 +180,8 @@ def _solve_with(solve: Solve, options: TrajectoryOptions, sources: tuple[Source,
 def _solve_again_with_fixed_cameras(fit: _Fit, solve: Solve, lengths_known: bool) -> _Fit:
     """Undo the refinement of cameras if the poses of the camera file explain the keypoints equally well.
 
-    With two cameras, refining them keeps the animal's lengths fixed. With the poses of the file they are fixed only
-    if `lengths_known` is true.
+    With two cameras, refining them keeps the animal's lengths fixed. With the poses of the file, the lengths are fixed
+    only if `lengths_known` is true.
     """
     if not fit.options.refine_cameras:
         return fit
@@ -309,10 +311,10 @@ def _log(motion: Motion) -> None:
 
 
 def _file_facts(inputs: ClipInputs, settings: FitSettings) -> tuple[list[str | None], float | None, bool]:
-    """Return the facts about the files that `input_findings` needs.
+    """Return what `input_findings` needs to know about the files and settings.
 
-    They are another camera in a keypoint file's name, a frame rate in the file that differs from the given rate, and
-    whether to look for swaps.
+    Returns three values: by keypoint file, another camera that its name contains, or None; the frame rate that a file
+    states, if it differs from the given one; and whether to look for swaps.
     """
     named = []
     for source, path in zip(inputs.sources, settings.keypoints, strict=True):

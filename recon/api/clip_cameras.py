@@ -43,7 +43,7 @@ def read_clip_cameras(settings: FitSettings) -> Cameras:
         from recon.api import rigs
 
         raise_problems(rigs.focal_problems(chosen))
-        chosen = chosen if settings.up is None else rigs.turned_up(chosen, settings.up)
+        chosen = chosen if settings.up is None else rigs.cameras_with_z_up(chosen, settings.up)
     if settings.tilt_deg is None:
         return chosen
     if any(camera.knows_up for camera, _ in chosen):
@@ -96,7 +96,7 @@ def _lens_of_track(camera: Camera, settings: FitSettings, index: int) -> Camera:
     """
     size, given_size = camera.image_size_px, settings.image_size_px
     if given_size is not None and size != given_size:
-        expected = f"{given_size[0]}x{given_size[1]}, as was given"
+        expected = f"{given_size[0]}x{given_size[1]}, as given"
         raise InputError(Problem("--camera-track", "image size", f"{size[0]}x{size[1]}", expected))
     return camera if settings.camera_name is None else replace(camera, name=settings.camera_name[index])
 

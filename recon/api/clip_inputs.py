@@ -122,12 +122,12 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], SharedIn
     sources = tuple(replace(source, keypoints=arrange(source.keypoints, names)) for source in cleaned)
     inputs = ClipInputs(body_with_offsets, prior, sources, later_frames, fps, side, reason)
     cameras = [source.camera for source in sources]
-    unsaid = all(camera.has_extrinsics and not camera.world_z_up and not camera.tilt_rad for camera in cameras)
-    if len(cameras) == 1 or not unsaid or settings.up is not None:
+    up_is_unknown = all(camera.has_extrinsics and not camera.world_z_up and not camera.tilt_rad for camera in cameras)
+    if len(cameras) == 1 or not up_is_unknown or settings.up is not None:
         return inputs
-    from recon.api.rigs import turned_up_by_feet
+    from recon.api.rigs import sources_with_z_up
 
-    turned, findings = turned_up_by_feet(
+    turned, findings = sources_with_z_up(
         inputs.sources, sources, body_with_offsets, fps, settings.trajectory_options().sigma_px
     )
     return replace(inputs, sources_apart=turned, findings=findings)
@@ -226,8 +226,9 @@ def _cleaned(
 def cleaned_source(
     settings: FitSettings, fps: float, file: Keypoints, clip_camera: ClipCamera, late_frames: float
 ) -> Source:
-    """Return all keypoints of a file at the clip's frame rate; the file begins `late_frames` after the clip.
+    """Return all keypoints of a file at the clip's frame rate.
 
+    `late_frames` is the delay of the file's frame 0 relative to the clip's, in frames of the clip.
     Keypoints far outside the picture and those in frames without a camera pose are left out. Raises InputError if most
     keypoints lie outside.
     """

@@ -306,7 +306,7 @@ class Record:
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(self.rows[part]) + "\n")
 
-    def look(self, part: str, made_from: Mapping[str, Any], folder: Path) -> tuple[str, list[Path]]:
+    def why_redo(self, part: str, made_from: Mapping[str, Any], folder: Path) -> tuple[str, list[Path]]:
         """Return why a part has to be redone ("" if it is up to date), and its files that are missing or changed.
 
         If a manifest is among the files, the files that it lists are not checked here.
@@ -487,5 +487,5 @@ def _named(options: Mapping[str, Any], settings: FitSettings) -> dict[str, Path]
 def with_corrections_in(folder: Path, settings: FitSettings) -> FitSettings:
     """Return the settings of a fit with the corrections in its results folder, unless others are given."""
     path = folder / CORRECTIONS
-    is_there = settings.corrections is None and path.is_file() and not path.is_symlink()
-    return replace(settings, corrections=path.absolute()) if is_there else settings
+    has_corrections = settings.corrections is None and path.is_file() and not path.is_symlink()
+    return replace(settings, corrections=path.absolute()) if has_corrections else settings

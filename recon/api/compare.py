@@ -37,7 +37,7 @@ from recon.api.settings import ANYWAY
 from recon.base.arrays import Array
 from recon.base.documents import read_toml, require_file
 from recon.base.errors import InputError, Problem, collect_problems, raise_problems
-from recon.base.files import seen_from, write_bytes
+from recon.base.files import relative_path, write_bytes
 from recon.base.outputs import Output
 from recon.base.progress import Progress, silent
 from recon.base.settings import OneOrMore, Option, Settings, input_paths
@@ -241,7 +241,7 @@ def _load(settings: CompareSettings, folders: Mapping[str, Path]) -> _Results:
         copied = names_text([f"{copy} (of {kept})" for copy, kept in copies.items()])
         notes.append(f"Left out, as they have the same keypoints and cameras as another result: {copied}.")
     if left_out := [name for name in loaded if name not in usable_motions]:
-        notes.append(f'Left out, as their verdict is "do not use": {names_text(left_out)}. With --anyway they count.')
+        notes.append(f'Left out, as their verdict is "do not use": {names_text(left_out)}. --anyway includes them.')
     return _Results(folders, counting, levels, [*left_out, *copies], notes)
 
 
@@ -282,7 +282,7 @@ def _page(
         by_row = dict(zip(clips["clip"], clips["first_clip"], strict=True))
         groups = experiment.with_model_means(groups)
     links = {
-        row: seen_from(out, results.folders[name].absolute() / PAGE)
+        row: relative_path(out, results.folders[name].absolute() / PAGE)
         for row, name in by_row.items()
         if (results.folders[name] / PAGE).is_file()
     }
@@ -296,7 +296,7 @@ def _copies(motions: Mapping[str, Motion], folders: Mapping[str, Path]) -> dict[
     """Return the results that are copies of another result, each with the name of the result that it repeats.
 
     Two results are copies if they were made from the same keypoint and camera files, by their digests, for the same
-    animal and at the same time. Of two copies, the one with fewer frames is returned.
+    animal and at the same time. The copy with fewer frames is returned.
     """
     known: dict[tuple[Any, ...], list[str]] = {}
     copies = {}
@@ -432,7 +432,10 @@ def measurement_sigma(quantity: GaitQuantity) -> float:
 
 
 def _run_sigma(quantity: GaitQuantity, period: GaitQuantity | None) -> float:
-    """Return the standard deviation from a period that less than a stride shows, which all cameras of a run share."""
+    """Return the part of a standard deviation that all cameras of a run share.
+
+    A clip of less than a stride takes the quantity from the period of the motion, whose error the cameras share.
+    """
     if quantity.source != "period of the motion" or period is None or not period.value > 0:
         return 0.0
     return abs(quantity.value) * period.sigma / period.value
@@ -449,12 +452,12 @@ def _mean_of(values: Array, sigmas: Array, shared: float) -> tuple[float, float,
         return np.nan, np.nan, np.nan
     w = 1 / variance
     fixed = np.average(x, weights=w)
-    freedom = len(x) - 1
+    degrees_of_freedom = len(x) - 1
     scale = w.sum() - (w**2).sum() / w.sum()
-    between = max(0.0, (float(w @ (x - fixed) ** 2) - freedom) / scale) if freedom else 0.0
+    between = max(0.0, (float(w @ (x - fixed) ** 2) - degrees_of_freedom) / scale) if degrees_of_freedom else 0.0
     w = 1 / (variance + between)
     mean = float(np.average(x, weights=w))
-    return mean, float(np.hypot(w.sum() ** -0.5, shared * mean)), between**0.5 if freedom else np.nan
+    return mean, float(np.hypot(w.sum() ** -0.5, shared * mean)), between**0.5 if degrees_of_freedom else np.nan
 
 
 def _group_rows(clips: pd.DataFrame) -> pd.DataFrame:
@@ -462,8 +465,10 @@ def _group_rows(clips: pd.DataFrame) -> pd.DataFrame:
     for group, group_clips in clips.groupby("group"):
         row: dict[str, object] = {"group": group, "clips": len(group_clips), "strides": group_clips["strides"].sum()}
         for name, (_, with_size) in QUANTITIES.items():
-            of_run = f"{name}_shared_sigma"
-            size = group_clips[of_run if of_run in group_clips else "size_sigma"].to_numpy(float) * with_size
+            shared_column = f"{name}_shared_sigma"
+            size = (
+                group_clips[shared_column if shared_column in group_clips else "size_sigma"].to_numpy(float) * with_size
+            )
             shared = float(np.nanmin(size)) if np.isfinite(size).any() else 0.0
             means, own_sigmas = (group_clips[f"{name}{field}"].to_numpy(float) for field in ("", "_own_sigma"))
             # Clips whose size is less certain have an additional variance.

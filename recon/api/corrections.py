@@ -35,13 +35,13 @@ IDLE_S = 2.0
 class CorrectionSession:
     """Corrections of one result, which are saved with every change and used in a new fit.
 
-    The fit runs while the editor is used: `changed` waits for the next fit. After a change, the fit begins at the
+    The fit runs while the editor is used: `wait_for_fit` waits for the next one. After a change, the fit begins at the
     present motion, which takes a fraction of the time. After some time without a change, the clip is fitted from the
     start, as `recon fit --corrections` does.
     """
 
     folder: Path
-    """Folder of the corrected result; nothing in it is changed."""
+    """Folder of the corrected result, whose files of the fit are not changed."""
     out: Path
     """File of the corrections; the session begins with the corrections that it already contains."""
     motion: Motion
@@ -72,14 +72,15 @@ class CorrectionSession:
         return session
 
     def __post_init__(self) -> None:
-        self.before, self._listed = _summary(self.motion), self.motion
+        self.before = _summary(self.motion)
+        self._suggested_from = self.motion  # the latest fit from the start: its detections are suggested for correction
         self._saved = digest(self.out)
         self._change = threading.Condition()
         self._is_due, self._is_running = False, False
 
     @cached_property
     def settings(self) -> FitSettings:
-        """The settings of the fit, including the corrections file."""
+        """Return the settings of the fit, without a corrections file."""
         return replace(read_config(self.folder / CONFIG, {}), corrections=None)
 
     # -- data for the editor ------------------------------------------------------------------------------------------
@@ -91,7 +92,7 @@ class CorrectionSession:
             "version": self.version,
             "clip": player_data(motion, None, self.camera),
             "later_frames": [source.later_frames for source in motion.sources],
-            "queue": [_json_numbers(asdict(point)) for point in to_correct(self._listed)],
+            "queue": [_json_numbers(asdict(point)) for point in to_correct(self._suggested_from)],
             "pairs": _pairs(motion),
             "before": self.before,
             "now": _summary(motion),
@@ -101,13 +102,16 @@ class CorrectionSession:
             "problem": self.problem,
         }
 
-    def changed(self, version: int, wait_s: float = 20.0) -> bool:
+    def wait_for_fit(self, version: int, wait_s: float = 20.0) -> bool:
         """Wait for a fit later than the given version, and return whether one is ready."""
         with self._change:
             return self._change.wait_for(lambda: self.version > version, wait_s)
 
     def lines_px(self, camera: int, row: int, joint: int) -> dict[str, object]:
-        """Return the epipolar lines of a keypoint by the other camera's name; nothing if an index is out of range."""
+        """Return the epipolar lines of a keypoint by the other camera's name, as JSON types.
+
+        The result is empty if the clip has one camera, or an index is out of range.
+        """
         motion = self.motion
         counts = len(motion.sources), len(motion.frames), len(motion.names)
         if len(motion.sources) < 2 or not all(
@@ -200,7 +204,7 @@ class CorrectionSession:
             motion, problem, is_whole = self.motion, str(error), True
         with self._change:
             if is_whole and not problem:
-                self._listed = motion
+                self._suggested_from = motion
             self.motion, self.problem, self.is_whole, self.version = motion, problem, is_whole, self.version + 1
             self._change.notify_all()
 
@@ -210,7 +214,7 @@ def _key(correction: Correction) -> tuple[int, str, str]:
 
 
 def _is_text(reason: str) -> bool:
-    """Return whether a reason is short and can be written to a file: JSON can have half of a pair of surrogates."""
+    """Return whether a reason is short and can be written to a file: a JSON text may have unpaired surrogates."""
     return len(reason) <= 200 and encodable(reason) == reason
 
 

@@ -1,4 +1,4 @@
-"""Compute epipolar lines: where in one camera's picture a keypoint lies that other cameras see."""
+"""Compute epipolar lines: where a keypoint that another camera sees can lie in one camera's picture."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ def epipolar_lines_px(
     motion
         A motion of several cameras.
     camera
-        Number of the camera in whose picture the lines are.
+        Index of the camera in whose picture the lines are drawn.
     row, joint
-        The frame's row, and the keypoint.
+        Indices of the frame and of the keypoint.
     marks_px
-        Corrected positions that replace the detections, by the number of the camera; None if hidden.
+        Corrected positions that replace the detections, by the index of the camera; None if hidden.
 
     Returns
     -------

@@ -2,10 +2,10 @@
 
 The results of all cameras of a run become one clip, by the joint posterior of its quantities: the errors of the
 pictures are independent, those of the lens and of the expected size are shared, and the expectation of the size, which
-is part of every result, counts once. The cameras also share the error of a period that less than a stride shows. If the
-cameras disagree by more than their stated errors, the independent errors are scaled up (Birge 1932). Strides are those
-of the camera that measures the quantity best, shifted to the mean: several cameras see the same strides, and count
-once.
+is part of every result, counts once. The cameras also share the error of a period that is estimated from less than a
+stride. If the cameras disagree by more than their stated errors, the independent errors are scaled up (Birge 1932).
+Strides are those of the camera that measures the quantity best, shifted to the mean: several cameras see the same
+strides, which count once.
 
 Each quantity then has a mixed model (`recon.gait.mixed_model`) with groups and covariates as fixed effects. The
 measurement's standard deviation of a run is the one that the fits state, without the scatter of the strides.
@@ -35,8 +35,8 @@ ALL = "all"
 """Name of the only group if none is given."""
 SPEED = "speed_m_s"
 MODEL, VARIANCES, RUNS = "mixed_model.csv", "variances.csv", "runs.csv"
-_UNIT = {SPEED: "per m/s of speed"}
-"""Name of a covariate's slope."""
+_SLOPE_NAMES = {SPEED: "per m/s of speed"}
+"""Names of covariates' slopes in the table, if they are not made from the covariate's name."""
 _LEAST_SIGMA, _LEAST_SHARE = 1e-9, 0.01
 """Smallest standard deviation of a camera's independent error, and smallest relative to that of all its errors."""
 _FIELD = re.compile(r"\{(\w*)\}")
@@ -113,7 +113,7 @@ def design_of_names(pattern: str, names: Sequence[str]) -> pd.DataFrame:
         raise InputError(Problem("--names", "pattern", repr(pattern), expected))
     plain = _FIELD.split(pattern)
     regex = "".join(
-        (f"(?P<{text}>.+?)" if text else ".*?") if place % 2 else re.escape(text) for place, text in enumerate(plain)
+        (f"(?P<{text}>.+?)" if text else ".*?") if index % 2 else re.escape(text) for index, text in enumerate(plain)
     )
     matches = {name: re.fullmatch(regex, name) for name in names}
     raise_problems(
@@ -187,9 +187,9 @@ def runs_of_clips(clips: pd.DataFrame, quantities: Mapping[str, bool]) -> pd.Dat
         `NAME_shared_sigma` is the relative standard deviation of the errors that other clips share.
     """
     used, rows = {*clips["clip"]}, []
-    for (animal, run), of_run in clips.groupby(["animal", "run"], sort=False):
-        if len(of_run) == 1:
-            row = of_run.iloc[0].to_dict() | {"clips": 1, "first_clip": of_run["clip"].iloc[0]}
+    for (animal, run), run_clips in clips.groupby(["animal", "run"], sort=False):
+        if len(run_clips) == 1:
+            row = run_clips.iloc[0].to_dict() | {"clips": 1, "first_clip": run_clips["clip"].iloc[0]}
             row |= {f"{name}_strides_of": row["clip"] for name in quantities}
             shared = {f"{name}_shared_sigma": row["size_sigma"] * scales for name, scales in quantities.items()}
             rows.append(row | shared)
@@ -197,14 +197,14 @@ def runs_of_clips(clips: pd.DataFrame, quantities: Mapping[str, bool]) -> pd.Dat
         names = chain((f"{animal} {run}",), (f"{animal} {run} ({number})" for number in counting(2)))
         name = next(name for name in names if name not in used)
         used.add(name)
-        best = of_run.iloc[int(np.argmin(of_run[f"{SPEED}_sigma"].fillna(np.inf).to_numpy(float)))]
-        row = of_run.iloc[0].to_dict() | {"clip": name, "clips": len(of_run), "verdict": best["verdict"]}
+        best = run_clips.iloc[int(np.argmin(run_clips[f"{SPEED}_sigma"].fillna(np.inf).to_numpy(float)))]
+        row = run_clips.iloc[0].to_dict() | {"clip": name, "clips": len(run_clips), "verdict": best["verdict"]}
         row["first_clip"] = best["clip"]
-        row["camera"] = names_text([text for text in of_run["camera"] if text])
-        row["strides"] = int(of_run["strides"].max())
-        row["size_sigma"] = float(of_run["size_sigma"].min())
+        row["camera"] = names_text([text for text in run_clips["camera"] if text])
+        row["strides"] = int(run_clips["strides"].max())
+        row["size_sigma"] = float(run_clips["size_sigma"].min())
         for quantity, with_size in quantities.items():
-            row |= _joined(quantity, of_run, with_size)
+            row |= _joined(quantity, run_clips, with_size)
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -274,13 +274,13 @@ def joint_posterior(
     R. T. Birge, The calculation of errors by the method of least squares, Phys. Rev. 40, 1932: the standard deviation
     grows by the square root of chi^2 / (C - 1) if this is above 1.
     """
-    of_prior = np.divide(size_sigmas**2, prior_sigmas, out=np.zeros(len(values)), where=prior_sigmas > 0)
-    of_pictures = np.maximum(size_sigmas**2 - of_prior**2, 0.0)
+    from_prior = np.divide(size_sigmas**2, prior_sigmas, out=np.zeros(len(values)), where=prior_sigmas > 0)
+    from_pictures = np.maximum(size_sigmas**2 - from_prior**2, 0.0)
     least = np.maximum(_LEAST_SHARE * sigmas, _LEAST_SIGMA)
     independent = np.maximum(sigmas**2 - run_sigmas**2, least**2)
     usual = float(np.average(values, weights=1 / independent))
-    independent = independent + of_pictures * usual**2
-    shared = np.stack([of_prior, focal_sigmas]) * abs(usual)
+    independent = independent + from_pictures * usual**2
+    shared = np.stack([from_prior, focal_sigmas]) * abs(usual)
     # A shared error in proportion to each camera's own value would favour the smaller values.
     in_run = run_sigmas * abs(usual) / np.maximum(np.abs(values), _LEAST_SIGMA)
     precision = np.linalg.inv(np.diag(independent) + shared.T @ shared + np.multiply.outer(in_run, in_run))
@@ -318,13 +318,13 @@ class QuantityModel:
     def effects(self) -> Iterator[dict[str, object]]:
         """Yield each group's mean, its difference from the first group, and the slope of each covariate."""
         size, total = len(self.model.names), len(self.groups)
-        for place, group in enumerate(self.groups):
-            yield self._row(f"mean of {group}", np.eye(size)[place], (group,))
-        for place, group in enumerate(self.groups[1:], start=1):
-            weights = np.eye(size)[place] - np.eye(size)[0]
+        for column, group in enumerate(self.groups):
+            yield self._row(f"mean of {group}", np.eye(size)[column], (group,))
+        for column, group in enumerate(self.groups[1:], start=1):
+            weights = np.eye(size)[column] - np.eye(size)[0]
             yield self._row(f"{group} - {self.groups[0]}", weights, (self.groups[0], group))
-        for place, covariate in enumerate(self.covariates, start=total):
-            yield self._row(_UNIT.get(covariate, f"per unit of {covariate}"), np.eye(size)[place], self.groups)
+        for column, covariate in enumerate(self.covariates, start=total):
+            yield self._row(_SLOPE_NAMES.get(covariate, f"per unit of {covariate}"), np.eye(size)[column], self.groups)
 
     def _row(self, effect: str, weights: Array, groups: Sequence[str]) -> dict[str, object]:
         value, sigma, low, high = self.model.contrast(weights, self.shared)
@@ -367,7 +367,7 @@ def fit_experiment(
     Returns
     -------
     tuple
-        The models, and notes on those that were not possible.
+        The models, and notes on quantities without one.
     """
     models, notes = [], []
     for name in quantities:
@@ -385,7 +385,7 @@ def fit_experiment(
             continue
         model = _fit(name, known, strides, groups, used)
         if model is None:
-            notes.append(f"No mixed model of {_title(name)}: {names_text(used)} cannot be told from the groups.")
+            notes.append(f"No mixed model of {_title(name)}: {names_text(used)} cannot be separated from the groups.")
         else:
             models.append(model)
     if models:
@@ -425,14 +425,16 @@ def _fit(
     if np.linalg.matrix_rank(by_run / scale) < len(columns):
         return None
     values, rows, counts = [], list[int](), []
-    for place, run in enumerate(runs.to_dict("records")):
-        of_run = strides.loc[strides["clip"] == run[f"{name}_strides_of"], name] if name in strides else pd.Series()
-        lengths = of_run.to_numpy(float)
-        lengths = lengths[np.isfinite(lengths)]
-        shifted = lengths - lengths.mean() + run[name] if len(lengths) else np.array([run[name]])
+    for row, run in enumerate(runs.to_dict("records")):
+        run_strides = (
+            strides.loc[strides["clip"] == run[f"{name}_strides_of"], name] if name in strides else pd.Series()
+        )
+        values_of_run = run_strides.to_numpy(float)
+        values_of_run = values_of_run[np.isfinite(values_of_run)]
+        shifted = values_of_run - values_of_run.mean() + run[name] if len(values_of_run) else np.array([run[name]])
         values += [*shifted]
-        rows += [place] * len(shifted)
-        counts.append((str(run["group"]), run["animal"], run["clips"], len(lengths)))
+        rows += [row] * len(shifted)
+        counts.append((str(run["group"]), run["animal"], run["clips"], len(values_of_run)))
     run_table = pd.DataFrame(counts, columns=["group", "animal", "clips", "strides"])
     animals, names = ([str(runs[column].iloc[row]) for row in rows] for column in ("animal", "run"))
     effects = *groups, *covariates
@@ -467,8 +469,8 @@ class Experiment:
         """Return a table of groups with the models' means and their 90 % intervals, `_low` and `_high`."""
         groups = groups.copy()
         for model in self.models:
-            for place, group in enumerate(model.groups):
-                weights = np.eye(len(model.model.names))[place]
+            for column, group in enumerate(model.groups):
+                weights = np.eye(len(model.model.names))[column]
                 row = groups["group"].astype(str) == group
                 columns = [f"{model.name}{end}" for end in ("", "_sigma", "_low", "_high")]
                 groups.loc[row, columns] = model.model.contrast(weights, model.shared)

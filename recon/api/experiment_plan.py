@@ -1,7 +1,7 @@
 """Plan an experiment: how many animals, runs, strides and cameras an effect needs.
 
 Variances come from an earlier comparison (`variances.csv`), or are given. An error that all clips share changes an
-effect by the same factor in every clip: it does not change how often the effect is found.
+effect by the same factor in every clip, so it does not change the power.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ _SIGMAS = *LEVELS, "measurement"
 _WORDS = "effect", "quantity", "power", "animals", *COUNTS, "paired", *_SIGMAS, "mean"
 _EXAMPLE = "effect=0.3 animal=0.4 run=0.2 stride=0.2 measurement=0.15, in the unit of the quantity"
 _USUAL: Mapping[str, tuple[int, ...]] = {"runs": (1, 2), "strides": (3, 10), "cameras": (1, 2)}
+"""Numbers to try if the plan gives none."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,7 @@ def read_plan(texts: Sequence[str]) -> Plan:
         sigmas,
         mean=number("mean", values["mean"]) if "mean" in values else None,
         quantity=values.get("quantity", SPEED),
-        power=number("power", values.get("power", "0.8"), 0.05, 1.0, "a share between 0.05 and 1"),
+        power=number("power", values.get("power", "0.8"), 0.05, 1.0, "a number between 0.05 and 1"),
         animals=whole("animals", values["animals"]) if "animals" in values else None,
         paired=values.get("paired") == "yes",
         counts=counts,

@@ -39,7 +39,7 @@ LEAST_MOVED = 0.5
 def clips_of(
     inputs: Sequence[str | Path], options: Mapping[str, Any], cameras_by: str = AUTO
 ) -> tuple[list[FitSettings], list[str]]:
-    """Return the clips of keypoint files, folders and manifests, as in a batch, and notes.
+    """Return the settings of the clips in keypoint files, folders and manifests, as in a batch, and notes.
 
     If `camera_name` is among the options, all files belong to one clip. Raises InputError for inputs that cannot be
     used.
@@ -250,8 +250,11 @@ def _clip_problem(
             points = source.keypoints
             view = View(camera, pose, points.xy_px, points.confidence, offset_frames=source.offset_frames)
         views.append(view)
-    knows_up = bool(clip.refine_cameras) and None  # the camera file defines the ground
-    return ClipProblem.from_views(views, first.body, first.prior, first.fps, clip.trajectory_options(), knows_up)
+    # Refined poses keep the camera file's world; otherwise nothing is known about the ground.
+    ground_near_zero = None if clip.refine_cameras else False
+    return ClipProblem.from_views(
+        views, first.body, first.prior, first.fps, clip.trajectory_options(), ground_near_zero
+    )
 
 
 def _prepared_by_camera(settings: FitSettings) -> list[ClipInputs]:
@@ -263,11 +266,11 @@ def _prepared_by_camera(settings: FitSettings) -> list[ClipInputs]:
         for path, name in zip(settings.keypoints, names, strict=True)
     ]
     prepared = collect_problems(*(partial(prepare, camera_settings) for camera_settings in settings_by_camera))
-    rates = {camera_settings.fps for camera_settings in prepared}
+    rates = {inputs.fps for inputs in prepared}
     if len(rates) > 1:
         expected = "one frame rate for all cameras, or --fps"
         raise InputError(Problem("KEYPOINTS", "fps", ", ".join(f"{rate:g}" for rate in sorted(rates)), expected))
-    camera_names = [camera_settings.sources[0].camera.name for camera_settings in prepared]
+    camera_names = [inputs.sources[0].camera.name for inputs in prepared]
     if len(camera_names) < 2 or len(set(camera_names)) < len(camera_names):
         files = ", ".join(path.name for path in settings.keypoints)
         raise InputError(Problem(files, "cameras", ", ".join(camera_names), "two or more, each once"))

@@ -23,8 +23,8 @@ CAPTIONS: Mapping[str, str] = {
     ),
     "joint_flexion": (
         "Joint angles over the stride: flexion from a straight joint, 0 % at the touch-down of the limb's foot. Lines: "
-        "means over strides; shaded: 90 % between strides; thin lines: 90 % by the uncertainty of the fit; bars: the "
-        "foot stands (for spine and neck: the foot with the most strides)."
+        "means over strides; shaded: 90 % between strides; thin lines: 90 % by the uncertainty of the fit; bars: "
+        "stance of the foot (for spine and neck: of the foot with the most strides)."
     ),
     "footfalls": (
         "Stances of the feet over time; thin lines: 90 % interval of each end; lines with ticks: complete strides."
@@ -88,10 +88,10 @@ def draw_for_print(analysis: ClipAnalysis, names: Sequence[str], width_mm: float
     wrong = [name for name in names if name not in drawn]
     if wrong:
         raise InputError(Problem("NAME", "figure", name, f"one of {', '.join(drawn)}") for name in wrong)
-    draw = [drawn[name] for name in names]
-    if not draw:
+    draws = [drawn[name] for name in names]
+    if not draws:
         raise InputError(Problem("NAME", "figure", "none", f"one or more of {', '.join(drawn)}"))
-    figure = _single(draw[0], width_mm) if len(draw) == 1 else _stacked(draw, width_mm)
+    figure = _single(draws[0], width_mm) if len(draws) == 1 else _stacked(draws, width_mm)
     return PrintedFigure(figure, caption_of(analysis, names, results), width_mm)
 
 
@@ -102,16 +102,16 @@ def _single(draw: Callable[[], Figure], width_mm: float) -> Figure:
         return without_titles(draw())
 
 
-def _stacked(draw: Sequence[Callable[[], Figure]], width_mm: float) -> Figure:
+def _stacked(draws: Sequence[Callable[[], Figure]], width_mm: float) -> Figure:
     """Return one figure with the given figures stacked and lettered, each at its own height."""
     from recon.show.plots.style import MM, drawing, printing
 
-    heights_mm = [_single(one_draw, width_mm).get_figheight() / MM for one_draw in draw]
+    heights_mm = [_single(draw, width_mm).get_figheight() / MM for draw in draws]
     with printing(width_mm), drawing(sum(heights_mm)) as figure:
-        parts = figure.subfigures(len(draw), 1, height_ratios=heights_mm, squeeze=False)[:, 0]
-        for letter, part, one_draw in zip("abcdefghijklmnopqrstuvwxyz", parts, draw, strict=False):
+        parts = figure.subfigures(len(draws), 1, height_ratios=heights_mm, squeeze=False)[:, 0]
+        for letter, part, draw in zip("abcdefghijklmnopqrstuvwxyz", parts, draws, strict=False):
             with printing(width_mm, part):
-                one_draw()
+                draw()
             part.suptitle(letter, x=0.005, ha="left", fontweight="bold")
     return figure
 

@@ -41,7 +41,7 @@ class CorrectedClip:
     settings: FitSettings
     motion: Motion
     number: int
-    """Number of the camera."""
+    """Index of the camera."""
     corrections: tuple[Correction, ...]
     """The corrections of this camera."""
     names: Mapping[str, str]
@@ -60,7 +60,7 @@ class CorrectedClip:
         path
             File of the corrections.
         number
-            Number of the camera.
+            Index of the camera.
 
         Raises
         ------
@@ -91,7 +91,8 @@ class CorrectedClip:
     def labels(self, video: str, scorer: str, with_accepted: bool = False) -> LabelledFrames:
         """Return the labels of the frames that were corrected by hand.
 
-        They are the corrected points, and those detections in the same frames that the fit uses and the pose explains.
+        The labels are the corrected points, and the detections in the same frames that the fit uses and the pose
+        explains.
 
         Parameters
         ----------

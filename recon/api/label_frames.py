@@ -1,4 +1,4 @@
-"""Label frames of a video by hand: choose frames that differ, and keep the label files as they grow."""
+"""Label frames of a video by hand: choose frames that differ, and save the labels at every change."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ Point = tuple[float, float]
 def choose_frames(video: Path, count: int) -> list[int]:
     """Return numbers of frames that differ: those nearest to the centres of `count` groups of pictures.
 
-    The groups are those of k-means on small pictures. The same video gives the same frames.
+    The groups are those of k-means on small pictures. If pictures are equal and there are fewer groups than `count`,
+    evenly spaced frames are added. The same video gives the same frames.
 
     Raises
     ------
@@ -145,12 +146,12 @@ class LabelSession:
         skeleton
             The skeleton whose bones are drawn, if any.
         preferred
-            Frames of the video that come before those that differ, the most worthwhile first.
+            Frames of the video to choose before those that differ, the most useful first.
 
         Raises
         ------
         InputError
-            If a file is in the way, or the earlier labels have other keypoints.
+            If a file would be replaced that recon did not write, or the earlier labels have other keypoints.
         """
         require_label_names(video.stem, scorer)
         if len({*names}) != len(names) or not all(name.strip() and name.isprintable() for name in names) or not names:

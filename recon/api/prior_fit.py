@@ -171,7 +171,11 @@ def _solved_segments(
 
 
 def _held_out(body: Body, segments: Sequence[Segment], prior: MotionPrior) -> dict[str, float] | None:
-    """Return the log-likelihood of each segment under a prior of the others, or None if no segment can be left out."""
+    """Return the mean log-likelihood per frame of segments, each under a prior fitted to the others.
+
+    The result has the values of the mixture and of a single Gaussian, and the smallest number of components of the
+    priors; it is None if no segment can be left out.
+    """
     used = [segment for segment, row in zip(segments, prior.segments, strict=True) if row.used]
     frames = [_count(states) for _, states, _ in used]
     scores, weights, fewest = [], [], len(prior.weights)
@@ -193,7 +197,7 @@ def _body(skeleton: str | None, subject: str | None, folders: Sequence[Path]) ->
     if skeleton is None:
         if folders and subject is None:
             return None
-        expected = f"a whole animal's{'' if folders else ', or results of `recon fit`'}"
+        expected = f"the skeleton of a whole animal{'' if folders else ', or results of `recon fit`'}"
         raise InputError(Problem("--skeleton", "name or file", "nothing", expected))
     body = load_skeleton(skeleton, subject)
     if body.one_sided:

@@ -39,13 +39,13 @@ def problems_of_several(file: str, cameras: Sequence[Camera], owners: Mapping[Pa
     names = [camera.name for camera in cameras]
     for name in sorted({name for name in names if names.count(name) > 1}):
         yield Problem(file, "camera", f"{name} for two keypoint files", "a camera for each, by --camera-name")
-    for track, of_track in owners.items():
-        if len(of_track) != 1:
+    for track, matches in owners.items():
+        if len(matches) != 1:
             from recon.io.camera_track import track_label
 
-            actual = f"{track_label(track)}, with the name of {' and of '.join(of_track) or 'no camera'}"
+            actual = f"{track_label(track)}, with the name of {' and of '.join(matches) or 'no camera'}"
             yield Problem(track, "name", actual, f"the name of one of {', '.join(names)} in it")
-    moving = [of_track[0] for of_track in owners.values() if len(of_track) == 1]
+    moving = [matches[0] for matches in owners.values() if len(matches) == 1]
     for name in sorted({name for name in moving if moving.count(name) > 1}):
         yield Problem("--camera-track", name, f"{moving.count(name)} tracks of this camera", "one track")
     for camera in (camera for camera in cameras if camera.name not in moving):
@@ -124,7 +124,7 @@ def at_rate(keypoints: Keypoints, fps: float) -> Keypoints:
 # -- the upward direction --------------------------------------------------------------------------------------------
 
 
-def turned_up(cameras: _Cameras, up: str) -> _Cameras:
+def cameras_with_z_up(cameras: _Cameras, up: str) -> _Cameras:
     """Return cameras turned into a world with z up, given the upward direction in their present world."""
     if up == FIRST_CAMERA:
         return cameras
@@ -146,7 +146,7 @@ def turned_up(cameras: _Cameras, up: str) -> _Cameras:
     return tuple((with_up(camera, direction / np.linalg.norm(direction)), track) for camera, track in cameras)
 
 
-def turned_up_by_feet(
+def sources_with_z_up(
     sources: Sequence[Source], sources_apart: Sequence[Source], body: Body, fps: float, sigma_px: float
 ) -> tuple[tuple[Source, ...], tuple[Finding, ...]]:
     """Turn cameras so that z is up and the ground is at z = 0, as estimated from standing feet.

@@ -199,7 +199,7 @@ class FitSettings(Settings):
     angle_prior: Annotated[Literal["gaussian", "none"], _FRAME] = "gaussian"
     """Priors on angles and heading: gaussian or none."""
     camera_rotation: Annotated[Literal["free", "fixed"], _FRAME] = "free"
-    """Rotation of the body: free, or fixed to that of the first frame."""
+    """Rotation between the camera and the body: free, or fixed to that of the first frame."""
     path: Annotated[Literal["smooth", "free"], _FRAME] = "smooth"
     """Path of the reference joint: smooth as an animal moves, or free in every frame."""
     path_sigma_m: Annotated[Positive, _FRAME] = 0.5
@@ -289,7 +289,7 @@ class FitSettings(Settings):
 
     def keypoints_from(self, folder: Path) -> list[str]:
         """Return the paths of the keypoint files relative to a folder."""
-        return setting_seen_from(folder, "keypoints", [str(path) for path in self.keypoints])
+        return setting_with_relative_paths(folder, "keypoints", [str(path) for path in self.keypoints])
 
     @property
     def skeleton_name(self) -> str:
@@ -327,7 +327,9 @@ class FitSettings(Settings):
         of_method = {name: info for name, info in SETTINGS.items() if info.option.method in (None, self.method)}
         plain = {name: info.plain(getattr(self, name)) for name, info in of_method.items()}
         return (
-            plain if folder is None else {name: setting_seen_from(folder, name, value) for name, value in plain.items()}
+            plain
+            if folder is None
+            else {name: setting_with_relative_paths(folder, name, value) for name, value in plain.items()}
         )
 
     def to_toml(self, folder: Path | None = None, sha256: Mapping[str, str] | None = None) -> str:
@@ -351,15 +353,15 @@ OF_ANY_CLIP = tuple(name for name in SETTINGS if name not in ("keypoints", "corr
 """Settings that several clips can share."""
 
 
-def setting_seen_from(folder: Path, name: str, value: T) -> T:
+def setting_with_relative_paths(folder: Path, name: str, value: T) -> T:
     """Return a setting's value with its paths relative to a folder."""
-    from recon.base.files import seen_from
+    from recon.base.files import relative_path
 
-    return with_paths(name, value, lambda path: seen_from(folder, path))
+    return with_paths(name, value, lambda path: relative_path(folder, path))
 
 
 def with_paths(name: str, value: T, change: Callable[[str], str]) -> T:
-    """Return a setting's value with its paths changed; values that are no paths are returned as they are."""
+    """Return a setting's value with its paths changed; other values are returned unchanged."""
     if isinstance(value, list):
         return cast("T", [with_paths(name, element, change) for element in value])
     if isinstance(value, str) and name in SETTINGS and SETTINGS[name].is_file(value):

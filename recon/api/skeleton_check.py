@@ -110,15 +110,15 @@ def _remarks(body: Body) -> Iterator[str]:
         yield "feet: none. Contacts with the ground and gait need them."
     heights_m = {foot: point_m[foot][2] for foot in body.feet}
     if too_high := [foot for foot, height_m in heights_m.items() if height_m >= min(rear[2], front[2])]:
-        yield f"feet: in the expected pose {', '.join(too_high)} not below {' and '.join(body.forward)}."
+        yield f"feet: not below {' and '.join(body.forward)} in the expected pose: {', '.join(too_high)}."
     for label, foot in body.feet_by_label().items():
         is_ahead = (point_m[foot] - (rear + front) / 2) @ (front - rear) > 0
         if is_ahead != (label[-1] == "F"):
-            position, kind = ("before", "hind") if is_ahead else ("behind", "fore")
+            position, kind = ("ahead of", "hind") if is_ahead else ("behind", "fore")
             yield f"feet: in the expected pose {foot} lies {position} the middle of the trunk, but is a {kind} foot."
     sides = {marker: side for marker in body.markers if (side := body.side_of(marker)) is not None}
     if wrong_side := [m for m, side in sides.items() if (point_m[m][1] < 0 if side == "left" else point_m[m][1] > 0)]:
-        yield f"markers: on the other side of the middle (y is to the left) {', '.join(wrong_side)}."
+        yield f"markers: on the wrong side of the middle (y points to the left): {', '.join(wrong_side)}."
     pairs = [(m, other_side(m)) for m, side in sides.items() if side == "left" and other_side(m) in point_m]
     if uneven := [m for m, twin in pairs if not np.allclose(point_m[m], point_m[twin] * (1, -1, 1), atol=1e-6)]:
-        yield f"markers: not the mirror image of the other side {', '.join(uneven)}."
+        yield f"markers: not the mirror images of those on the other side: {', '.join(uneven)}."

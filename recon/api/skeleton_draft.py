@@ -45,6 +45,7 @@ BASE = "quadruped"
 REAR, FRONT = ("tail_base", "l_hip", "spine"), ("neck_base", "withers", "l_shoulder", "nose")
 """Markers of the quadruped at which `forward` may begin and end, the preferred ones first."""
 FEWEST_FRAMES = 20
+"""Smallest number of frames in which every keypoint, and every pair of keypoints, has to be seen."""
 RIGID = 0.01
 """Standard deviation of the distance between two keypoints, in lengths of the animal, up to which it is constant."""
 NOISE = 2.0
@@ -57,7 +58,7 @@ TAIL = 0.05
 A median deviation would call every distance constant in an animal that stands for half of the clip.
 """
 TAIL_SIGMAS = 3.29
-"""Range of the rest, in standard deviations."""
+"""Width of a normal distribution without `TAIL` at each end, in standard deviations."""
 KEYPOINT_SHARE, MARKER_SHARE, SIZE_SIGMA = 0.03, 0.025, 0.05
 """Values for the skeleton file: keypoint_sigma_m and marker_sigma_m as fractions of the animal's length, and size_sigma
 of a measured animal.
@@ -165,7 +166,7 @@ def _draft_from_geometry(settings: SkeletonDraftSettings) -> SkeletonDraft:
     views = views_of(align_cameras(sources, (0.0,) * len(sources)))
     positions_m = triangulated_m(views, fit_settings.trajectory_options().sigma_px, 0.0)
     _require_size(positions_m, settings)
-    labels, text = drafted(first.names, positions_m, first.fps, settings.out.stem, source)
+    labels, text = draft_from_points(first.names, positions_m, first.fps, settings.out.stem, source)
     return {name: name for name in labels}, tuple(n for n in first.names if n not in labels), text
 
 
@@ -288,7 +289,9 @@ class _Distances:
     """Largest distance while the animal is at its longest, taken as its length."""
 
 
-def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, source: Path) -> tuple[list[str], str]:
+def draft_from_points(
+    names: Sequence[str], points_m: Array, fps: float, title: str, source: Path
+) -> tuple[list[str], str]:
     """Draft a skeleton from the positions of keypoints, whatever they are called.
 
     Parameters
@@ -327,7 +330,7 @@ def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, sourc
     offsets_m = _expected_offsets_m(turned_m, distances)
     comments = [
         f"A draft from the geometry of the keypoints of {toml_text(source.name)}: distances that change by less than",
-        f"{quantity(1000 * distances.same_m, 1, 'mm')} stay the same. "
+        f"{quantity(1000 * distances.same_m, 1, 'mm')} are kept constant. "
         "Look at it with recon skeleton check, and give its segments names.",
     ]
     keypoint_sigma_m, bias_m = (share * distances.longest_m for share in (KEYPOINT_SHARE, MARKER_SHARE))
@@ -340,7 +343,7 @@ def drafted(names: Sequence[str], points_m: Array, fps: float, title: str, sourc
     for part in parts:
         for point in part.points:
             marker = {"name": labels[point], "segment": part.name(labels)}
-            text += table_text("[[markers]]", marker | {"at_m": _at(offsets_m[part.origin, point])})
+            text += table_text("[[markers]]", marker | {"at_m": _rounded(offsets_m[part.origin, point])})
     limbs = {f"part_{part.number}": [labels[i] for i in part.line] for part in parts if len(part.line) > 1}
     return labels, text + table_text("[limbs]", limbs)
 
@@ -545,7 +548,7 @@ def _segment(
     """Return the table of a segment that swings as far and as often as the line to its farthest point did."""
     table: dict[str, Any] = {"name": part.name(labels), "joint": "ball" if part.parent else "free"}
     if part.parent:
-        table |= {"parent": part.parent.name(labels), "at_m": _at(offsets_m[part.parent.origin, part.origin])}
+        table |= {"parent": part.parent.name(labels), "at_m": _rounded(offsets_m[part.parent.origin, part.origin])}
     ends = [*part.points, *(child.origin for child in parts if child.parent is part)]
     farthest = max(ends, key=lambda p: np.linalg.norm(offsets_m[part.origin, p]))
     line_m, usual_m = turned_m[:, farthest] - turned_m[:, part.origin], offsets_m[part.origin, farthest]
@@ -559,7 +562,8 @@ def _segment(
     return table | dict.fromkeys(("yaw", "pitch", "roll")[0 if part.parent else 1 :], expected)
 
 
-def _at(position_m: Array) -> list[float]:
+def _rounded(position_m: Array) -> list[float]:
+    """Return a position to 10 micrometres, for a skeleton file."""
     return [round(float(x), 5) for x in position_m]
 
 

@@ -105,18 +105,18 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
         If clips or options cannot be used; the message lists all problems.
     """
     output = output_file(settings.out, "subject fit", settings.overwrite, input_paths(settings))
-    fits, _, _, known_poses = collect_problems(
+    settings_by_clip, _, _, known_poses = collect_problems(
         lambda: collect_problems(*(partial(read_config, p / CONFIG if p.is_dir() else p, {}) for p in settings.clips)),
         lambda: require_suffix(settings.out, (".toml",)),
         lambda: output.require((settings.out.name,)),
         lambda: collect_problems(*(partial(read_pose3d, path) for path in settings.poses)),
     )
-    _require_one_skeleton(fits, settings.clips)
+    _require_one_skeleton(settings_by_clip, settings.clips)
     if settings.lengths:  # the lengths of a subject would be measured a second time
-        fits = [replace(inputs, subject=None) for inputs in fits]
+        settings_by_clip = [replace(fit_settings, subject=None) for fit_settings in settings_by_clip]
     if settings.offsets:
-        fits = [replace(inputs, detector=NONE) for inputs in fits]
-    fit_inputs = zip(fits, settings.clips, known_poses or (None,) * len(settings.clips), strict=True)
+        settings_by_clip = [replace(fit_settings, detector=NONE) for fit_settings in settings_by_clip]
+    fit_inputs = zip(settings_by_clip, settings.clips, known_poses or (None,) * len(settings.clips), strict=True)
     problems = collect_problems(*(partial(clip_problem, *fit_input) for fit_input in fit_inputs))
     shape = Shape.of_body(problems[0].body, settings.lengths, settings.offsets)
     if known_poses:
@@ -130,7 +130,7 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
     if length_count:
         size = float(np.exp(fit.values[:length_count].mean()))
         sigma = max(float(np.sqrt(fit.covariance[:length_count, :length_count].mean())), LEAST_SIZE_SIGMA)
-    frames = sum(int((inputs.present().sum(axis=1) > 0).sum()) for inputs in problems)
+    frames = sum(int((problem.present().sum(axis=1) > 0).sum()) for problem in problems)
     prior_sigma = problems[0].size_sigma
     rows = list(_rows(fit, prior_sigma))
     body = replace(shape.applied(shape.body, fit.values), size_sigma=sigma)
@@ -140,7 +140,9 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
     if settings.lengths:
         if not settings.offsets:  # offsets belong to the detector, not to the animal
             body = replace(body, keypoint_offset_m={})
-        text = subject_toml(fits[0].skeleton_name, body, settings.title or f"{shape.body.title}, {count}", notes)
+        text = subject_toml(
+            settings_by_clip[0].skeleton_name, body, settings.title or f"{shape.body.title}, {count}", notes
+        )
     else:
         text = detector_toml(fit.seen(shape.body), settings.title or f"a detector, {count}", notes)
     output.write(settings.out.name, text)

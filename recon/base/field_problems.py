@@ -10,11 +10,11 @@ from pydantic import ValidationError
 
 from recon.base.errors import Problem
 
-_WORDS = {"string": "a text", "number": "a number", "integer": "a whole number", "boolean": "true or false"}
+_WORDS = {"string": "text", "number": "a number", "integer": "a whole number", "boolean": "true or false"}
 _WORDS |= {"array": "a list", "object": "a table"}
 """Words for JSON schema types in messages."""
 _EXPECTED = {
-    **dict.fromkeys(("string_type", "string_unicode", "path_type"), "a text"),
+    **dict.fromkeys(("string_type", "string_unicode", "path_type"), "text"),
     **dict.fromkeys(("float_type", "float_parsing"), "a number"),
     "finite_number": "a finite number",
     **dict.fromkeys(("int_type", "int_parsing", "int_from_float", "int_parsing_size"), "a whole number"),
@@ -34,7 +34,7 @@ _UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
 def problems_of(
     error: ValidationError, source: str | Path, schema: _Table = None, skipped: int = 0, table: _Table = None
 ) -> Iterator[Problem]:
-    """Return the problems of a table, each with its field, such as legs[0].hip_m.
+    """Yield the problems of a table, each with its field, such as legs[0].hip_m.
 
     `schema` is the JSON schema of the table, which gives the known fields and the types of missing fields. `skipped` is
     the number of leading parts of a field's name that the message leaves out. A file about something else, without any
@@ -46,14 +46,14 @@ def problems_of(
         yield Problem(source, "content", value, f"a file with {', '.join(fields)}")
         return
     for detail in error.errors():
-        way, kind = detail["loc"][skipped:], detail["type"]
-        field = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in way).removeprefix(".")
+        location, kind = detail["loc"][skipped:], detail["type"]
+        field = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).removeprefix(".")
         field = field or "content"
         if kind in _UNKNOWN:
-            known = _table_at(schema or {}, way[:-1]).get("properties", {})
+            known = _table_at(schema or {}, location[:-1]).get("properties", {})
             yield Problem(source, field, "an unknown field", f"one of {', '.join(known)}" if known else "no such field")
         elif kind == "missing":
-            wanted = _table_at(schema or {}, way[:-1]).get("properties", {}).get(way[-1], {})
+            wanted = _table_at(schema or {}, location[:-1]).get("properties", {}).get(location[-1], {})
             title = "object" if "$ref" in wanted else wanted.get("type")
             yield Problem(source, field, "nothing", _WORDS.get(title, "a value"))
         else:
@@ -64,16 +64,16 @@ def problems_of(
             yield Problem(source, field, value, wanted)
 
 
-def _table_at(schema: Mapping[str, Any], way: Iterable[str | int]) -> Mapping[str, Any]:
+def _table_at(schema: Mapping[str, Any], location: Iterable[str | int]) -> Mapping[str, Any]:
     """Return the JSON schema of the table at a path of field names.
 
     Positions in lists are skipped, and so are keys of tables without fixed names.
     """
-    at = _table_in(schema, schema)
-    for part in way:
-        if part in at.get("properties", {}):
-            at = _table_in(at["properties"][part], schema)
-    return at
+    table = _table_in(schema, schema)
+    for part in location:
+        if part in table.get("properties", {}):
+            table = _table_in(table["properties"][part], schema)
+    return table
 
 
 def _table_in(part: object, schema: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from recon.base.errors import InputError, Problem, raise_problems
 from recon.base.file_names import encodable
-from recon.base.locks import gone_if_empty, is_locked_here
+from recon.base.locks import is_locked_here, removed_if_empty
 
 MANIFEST = "manifest.json"
 SCHEMA = {"name": "recon.manifest", "version": 1}
@@ -94,7 +94,7 @@ def staging_in(folder: Path) -> Iterator[Path]:
     New files are written to its subfolder `NEW`. Errors name the files by their final paths in `folder`.
     """
     staging = None
-    with gone_if_empty(folder):
+    with removed_if_empty(folder):
         try:
             _remove_stale(folder)
             staging, lock = _new_staging(folder)
@@ -239,11 +239,10 @@ def _move_in(source: Path, target: Path) -> None:
         source.unlink()
 
 
-def seen_from(folder: Path, path: str | Path) -> str:
+def relative_path(folder: Path, path: str | Path) -> str:
     """Return a path relative to a folder, for a file in that folder.
 
-    Both can then be moved together, and the file does not reveal their location. A path on another drive stays
-    absolute.
+    Both files can then be moved together, and neither reveals its location. A path on another drive stays absolute.
     """
     try:
         return encodable(Path(os.path.relpath(path, folder.absolute())).as_posix())
@@ -251,9 +250,9 @@ def seen_from(folder: Path, path: str | Path) -> str:
         return encodable(str(path))
 
 
-def name_seen_from(folder: Path, name: str) -> str:
-    """Return `seen_from` for the name of a file, and any built-in name unchanged."""
-    return seen_from(folder, name) if Path(name).suffix else name
+def relative_name(folder: Path, name: str) -> str:
+    """Return `relative_path` for the name of a file, and any built-in name unchanged."""
+    return relative_path(folder, name) if Path(name).suffix else name
 
 
 def is_plain_name(name: str) -> bool:
@@ -332,7 +331,7 @@ def read_manifest(folder: Path) -> Manifest:
         actual = f"no {MANIFEST}: the run was interrupted, or made by an earlier version"
         raise InputError(Problem(folder, "folder", actual, AGAIN)) from None
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
-        raise InputError(Problem(path, "content", "something else", AGAIN)) from None
+        raise InputError(Problem(path, "content", "another kind of file", AGAIN)) from None
     if outside := [name for name in files if not is_plain_name(name)]:
         raise InputError(Problem(path, "files", repr(outside[0]), "names of files in its own folder"))
     return Manifest(folder, files, kind)
@@ -357,5 +356,5 @@ def sha256_of(path: str | os.PathLike[str]) -> str:
     """
     with open(path, "rb", opener=_open_at_once) as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise OSError(errno.EINVAL, "no regular file", os.fspath(path))
+            raise OSError(errno.EINVAL, "not a regular file", os.fspath(path))
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -41,13 +41,13 @@ class Interrupts:
         Whether a command that can clean up is running.
     received
         Whether the command has to stop.
-    said
+    announced
         Whether the line has been printed.
     """
 
     def __init__(self) -> None:
         self.in_command = False
-        self.said = False
+        self.announced = False
         self.received = False
         self._raised = False
         self._leaving = False
@@ -74,7 +74,7 @@ class Interrupts:
         self._leaving = True
         if os.isatty(2):
             os.write(2, b"\r\x1b[K\x1b[?25h")  # a progress bar may be on this line and may have hidden the cursor
-        if not self.said:
+        if not self.announced:
             os.write(2, f"{MESSAGE}\n".encode())
         os._exit(EXIT_INTERRUPTED)
 
@@ -85,9 +85,9 @@ class Interrupts:
         if not self.in_command or self.received or (_is_importing(frame) and not self._watched):
             self.leave()
         self.received = True
-        self._tell(number, frame)
+        self._raise_interrupt(number, frame)
 
-    def _tell(self, number: int, frame: FrameType | None) -> None:
+    def _raise_interrupt(self, number: int, frame: FrameType | None) -> None:
         """Raise KeyboardInterrupt in the command, if it can clean up; otherwise `_watch` tries again."""
         if not self.received or self._raised or not self.in_command or _is_importing(frame):
             return
@@ -109,15 +109,15 @@ class Interrupts:
         os.set_blocking(writer, False)
         signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
         os.register_at_fork(after_in_child=lambda: signal.set_wakeup_fd(-1))
-        signal.signal(signal.SIGURG, self._tell)
+        signal.signal(signal.SIGURG, self._raise_interrupt)
         main, self._watched = threading.get_ident(), True
         threading.Thread(target=self._watch, args=(reader, main), name="interrupts", daemon=True).start()
 
     def _watch(self, reader: int, main: int) -> None:
-        """Bring a signal to the main thread's next step.
+        """Make the main thread handle a signal soon, and end the process if it does not.
 
-        Python runs signal handlers between two steps of the main thread. That thread may be in a library for long, or
-        begin to wait just after the signal; SIGURG, which has no other effect, wakes it.
+        Python runs signal handlers between two bytecode instructions of the main thread. That thread may be in a
+        library for a long time, or begin to wait just after the signal; SIGURG, which has no other effect, wakes it.
         """
         while not {*STOPPING} & {*os.read(reader, 64)}:
             pass

@@ -49,32 +49,34 @@ def is_locked_here(file: int) -> bool | None:
 
 @contextmanager
 def sole_writer(folder: str | Path, wait_s: float = 0.0) -> Iterator[None]:
-    """Keep other processes out of such blocks for the same folder, which is created if necessary.
+    """Let only this process write to a folder during the block; the folder is created if necessary.
 
-    A process that dies releases the folder.
+    The lock holds against other processes that use `sole_writer`. A process that dies releases it.
 
     Raises
     ------
     InputError
-        If another process is still in such a block after `wait_s`, or the lock file is not recon's own.
+        If another process still has the lock after `wait_s` seconds, or the lock file is not recon's own.
     """
     require_usable(Path(folder))
-    with gone_if_empty(Path(folder)), _exclusive(Path(folder) / WRITING, wait_s):
+    with removed_if_empty(Path(folder)), _exclusive(Path(folder) / WRITING, wait_s):
         yield
 
 
 @contextmanager
 def sole_editor(file: Path) -> Iterator[None]:
-    """Keep other processes out of such blocks for the same file.
+    """Let only this process edit a file during the block.
+
+    The lock holds against other processes that use `sole_editor`.
 
     Raises
     ------
     InputError
-        If another process is in such a block, or the lock file is not recon's own.
+        If another process has the lock, or the lock file is not recon's own.
     """
     require_usable(file.parent)
     with ExitStack() as stack:
-        stack.enter_context(gone_if_empty(file.parent))
+        stack.enter_context(removed_if_empty(file.parent))
         try:
             stack.enter_context(_exclusive(file.with_name(f".{file.name}{WRITING}"), 0.0))
         except InputError as error:
@@ -93,7 +95,7 @@ def committing(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def gone_if_empty(folder: Path) -> Iterator[None]:
+def removed_if_empty(folder: Path) -> Iterator[None]:
     """Remove a folder created in the block, and its parents, if they are empty at the end."""
     made = [p for p in (folder, *folder.parents) if not p.exists()]
     try:

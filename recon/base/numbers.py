@@ -24,7 +24,7 @@ def decimals(value: float) -> str:
 def places(sigma: float, one_digit: float = _ONE_DIGIT) -> int | None:
     """Return the number of decimals that an uncertainty supports; negative for tens, None if it is unknown or 0.
 
-    `one_digit` are the leading digits above which one digit is enough.
+    `one_digit` is the value of the leading digits, from 1 to 10, above which one digit is enough.
     """
     if not (math.isfinite(sigma) and sigma > 0):
         return None

@@ -30,8 +30,8 @@ from recon.base.files import (
     is_plain_name,
     names_in,
     read_manifest,
+    relative_path,
     require_no_folders,
-    seen_from,
     sha256_of,
     staging_in,
     write_manifest,
@@ -319,7 +319,7 @@ class Output:
         description = f"a file that this version of `recon {self.kind}` did not write, or that was changed since"
         raise_problems(self._refused(foreign, description))
         if self.exact is not None and not self.overwrite:
-            raise_problems(self._there_already(name) for name in names)
+            raise_problems(self._already_exists(name) for name in names)
         if not adds and not self.overwrite:
             names += [name for name in written if name not in names and self._is_own(name, written)]
         if self.exact is None and names and not self.overwrite:
@@ -328,7 +328,7 @@ class Output:
             expected = f"a folder without {self.content}, or --overwrite"
             raise InputError(Problem(self.option, "folder", contents, expected))
 
-    def _there_already(self, name: str) -> Problem:
+    def _already_exists(self, name: str) -> Problem:
         existing = f"{self.folder / name}, which exists already"
         return Problem(self.option, "file", existing, "a new name, or --overwrite")
 
@@ -345,7 +345,7 @@ class Output:
             expected = f"{way_out}the file moved away: recon would have to replace it"
             yield Problem(self.folder / names[0], "file", description + rest, expected)
 
-    # -- putting files there
+    # -- moving files into the folder
 
     def _commit(self, staging: Path, adds: bool) -> None:
         """Move the new files into the folder, and the replaced files out of it."""
@@ -388,7 +388,7 @@ class Output:
 
     def _entry(self, path: Path) -> WrittenFile:
         source = self.made_from
-        results = None if source is None else seen_from(self.folder, source.folder.absolute())
+        results = None if source is None else relative_path(self.folder, source.folder.absolute())
         manifest = None if source is None else source.manifest
         is_named = path.name == self.exact
         return WrittenFile(self.kind, path.stat().st_size, sha256_of(path), results, manifest, is_named)

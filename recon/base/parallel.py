@@ -73,6 +73,7 @@ class Event:
 
 
 Tell = Callable[[Event], None]
+"""Function that is called with each event."""
 
 
 def available_cores() -> int:
@@ -81,7 +82,7 @@ def available_cores() -> int:
 
 
 def outcome_of(work: Work[_Task], task: _Task, progress: Progress) -> dict[str, Any]:
-    """Run a task and return its outcome: "failed" for unusable input; other exceptions are raised."""
+    """Run a task and return its outcome: "failed" for an InputError or OSError; other exceptions are raised."""
     began = time.perf_counter()
     try:
         outcome = work(task, progress)
@@ -110,8 +111,8 @@ def carry_out(work: Work[_Task], tasks: Tasks[_Task], tell: Tell, jobs: int | No
     jobs
         Tasks at the same time, by default one for each core.
     retries
-        Further attempts at a task whose process died, or that raised anything but InputError. After the last attempt
-        the outcome is a failure, with the last lines of the process as "log".
+        Further attempts at a task whose process died, or that raised an exception other than InputError and OSError.
+        After the last attempt the outcome is a failure, with the end of the process's output as "log".
 
     Raises
     ------
@@ -170,8 +171,8 @@ class _Process:
 
     def __init__(self, log: Path) -> None:
         context = multiprocessing.get_context("spawn")  # other start methods do not work with threads
-        self.channel, theirs = context.Pipe()
-        self._process, self._log = context.Process(target=_work_off, args=(theirs, log)), log
+        self.channel, child_channel = context.Pipe()
+        self._process, self._log = context.Process(target=_run_tasks, args=(child_channel, log)), log
         try:
             with _isolated_start():
                 self._process.start()
@@ -179,7 +180,7 @@ class _Process:
             raise InputError(
                 Problem("processes", "start", str(error), "a system that can start another process")
             ) from None
-        theirs.close()
+        child_channel.close()
         self.pid, self.tasks_left = self._process.pid, TASKS_PER_PROCESS
 
     def give(self, work: Work[_Task], task: _Task) -> None:
@@ -199,7 +200,7 @@ class _Process:
         if code < 0:
             memory = ", as the system does when memory runs out" if -code == getattr(signal, "SIGKILL", 9) else ""
             return _failure(f"was killed ({signal.Signals(-code).name}{memory})", log)
-        return _failure(f"crashed: {(log.strip().splitlines() or ['no word'])[-1]}", log)
+        return _failure(f"crashed: {(log.strip().splitlines() or ['no output'])[-1]}", log)
 
     def stop(self) -> None:
         """Stop the task, which first cleans up, or end the process if it waits for a task."""
@@ -237,8 +238,8 @@ def _isolated_start() -> Iterator[None]:
 # -- in the process ---------------------------------------------------------------------------------------------------
 
 
-def _work_off(channel: Connection, log: Path) -> None:
-    """Carry out task after task, until the parent closes the channel.
+def _run_tasks(channel: Connection, log: Path) -> None:
+    """Run one task after the other, until the parent closes the channel.
 
     Each library gets one thread before any is imported. Printed text goes into the log.
     """
@@ -323,12 +324,12 @@ def _client(address: str) -> Client:
         expected = f"Dask: {install_command('cluster')}"
         raise InputError(Problem("--scheduler", "package", "no package distributed", expected)) from None
 
-    async def answers() -> None:
+    async def connect_once() -> None:
         (await connect(address, CONNECT_S, **Security().get_connection_args("client"))).abort()
 
     try:
         # a client would wait forever at a port that only accepts connections
-        asyncio.run(asyncio.wait_for(answers(), CONNECT_S))
+        asyncio.run(asyncio.wait_for(connect_once(), CONNECT_S))
         return Client(address, timeout=CONNECT_S, set_as_default=False)
     except Exception as error:  # wrong addresses, network failures, missing certificates
         silent = f"no answer within {CONNECT_S:g} s" if isinstance(error, TimeoutError) else type(error).__name__

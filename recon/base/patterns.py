@@ -17,7 +17,7 @@ _REPEATS = (codes.MAX_REPEAT, codes.MIN_REPEAT, codes.POSSESSIVE_REPEAT)
 
 
 def slow_part(pattern: str) -> str | None:
-    """Return a description of what makes a search with a pattern endless, or None.
+    """Return what may make a search with a pattern take practically for ever, or None.
 
     Raises
     ------

@@ -35,7 +35,7 @@ FILE_SUFFIXES = (".toml", ".npz", ".csv")
 
 def _no_bool(value: object) -> object:
     if isinstance(value, bool):
-        raise ValueError("a truth value")
+        raise ValueError("a boolean")
     return value
 
 
@@ -210,7 +210,7 @@ class _ReadableSignature:
 class Settings:
     """Settings of a command: a subclass is a frozen dataclass, with the help of each field below it.
 
-    Texts are accepted for numbers, sizes and files; None means not given. Raises InputError with all problems.
+    Strings are accepted for numbers, sizes and files; None means not given. Raises InputError with all problems.
     """
 
     if not TYPE_CHECKING:  # type checkers know the fields
@@ -242,11 +242,11 @@ class Settings:
 
     @classmethod
     def problems_of_given(cls, values: Mapping[str, Any]) -> Iterable[Problem]:
-        """Return contradictions between the given settings, whether or not the single values can be used."""
+        """Return contradictions between the given settings, whether or not the individual values can be used."""
         return ()
 
     def problems(self) -> Iterable[Problem]:
-        """Return contradictions between the settings, once all single values can be used."""
+        """Return contradictions between the settings, once all individual values can be used."""
         return ()
 
     @classmethod

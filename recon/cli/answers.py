@@ -152,7 +152,7 @@ def stop(message: str = MESSAGE) -> NoReturn:
     """End a command at Ctrl-C, with one line and exit code 130."""
     interrupts = installed()
     if interrupts is not None:
-        interrupts.said = True
+        interrupts.announced = True
     terminal(stderr=True, soft_wrap=True).print(Text(message, "bold"))
     raise typer.Exit(EXIT_INTERRUPTED)
 
@@ -163,7 +163,7 @@ def wait_for_ctrl_c() -> None:
         threading.Event().wait()
     interrupts = installed()
     if interrupts is not None:
-        interrupts.said = True
+        interrupts.announced = True
 
 
 @contextmanager

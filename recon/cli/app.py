@@ -258,7 +258,7 @@ COMMANDS = {
     },
     "Look at it and use it": {
         "view": (_view, "Show the playback in the rerun viewer, with the plots of its analysis."),
-        "report": (_report, "Make a page of a result or a batch, to look at and to pass on."),
+        "report": (_report, "Make a page of a result or a batch, to view and to share."),
         "fix": (_fix, "Correct wrong keypoints in a browser, while the animal is fitted again."),
         "analyse": (_analyse, "Compute speeds, angles, gait, vector fields and phase portraits."),
         "figure": (_figure, "Draw figures of a result for a paper: PDF, SVG or PNG, with a caption."),
@@ -362,7 +362,7 @@ class _Commands(_Group):
         finally:
             interrupts.in_command = False
             # a library turned Ctrl-C into another exception, or swallowed it
-            if interrupts.received and not interrupts.said:
+            if interrupts.received and not interrupts.announced:
                 stop()
 
 

@@ -14,7 +14,16 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from recon.api.batch import ClipPlan, OnEvent, Problems, Summary, input_problems, plan_batch, repeated, run_batch
+from recon.api.batch import (
+    ClipPlan,
+    OnEvent,
+    Problems,
+    Summary,
+    distinct_problems,
+    input_problems,
+    plan_batch,
+    run_batch,
+)
 from recon.api.batch_inputs import find_clips
 from recon.api.settings import OF_ANY_CLIP, FitSettings
 from recon.base.errors import raise_problems
@@ -82,7 +91,7 @@ def batch(settings: _BatchSettings, options: _FitOptions, console: Console) -> A
 
     Example: recon batch 'clips/*.csv' --camera camera.toml --fps 120 --out results
 
-    Exit code 0: finished, even if single clips failed (see --strict). 2: the input as a whole cannot be used; nothing
+    Exit code 0: finished, even if some clips failed (see --strict). 2: the input as a whole cannot be used; nothing
     was done. 130: stopped with Ctrl-C; finished clips are kept.
     """
     clips, notes = find_clips(
@@ -94,19 +103,19 @@ def batch(settings: _BatchSettings, options: _FitOptions, console: Console) -> A
     if settings.dry_run:
         return _dry_run_answer(plan, input_problems(clips), settings.strict)
     # a problem of all clips is raised even if each clip has a file of its own
-    shared = repeated(input_problems(clips, shared_only=True))
+    shared = distinct_problems(input_problems(clips, shared_only=True))
     raise_problems(problem for problem, clip_indices in shared if len(clip_indices) == len(clips))
     left = sum(planned.action != "done" for planned in plan)
     if left < len(plan):
-        are = "clip is" if len(plan) == 1 else "clips are"
-        console.print(f"{len(plan) - left} of {len(plan)} {are} done already.")
+        clips_are = "clip is" if len(plan) == 1 else "clips are"
+        console.print(f"{len(plan) - left} of {len(plan)} {clips_are} done already.")
     work_options = settings.jobs, settings.retries, settings.scheduler
     answer = shown_batch(console, left, lambda tell: run_batch(plan, settings.out, *work_options, tell), PAGE_OF_A_CLIP)
     failed = any(row["status"] in ("failed", "unsolved") for row in answer.data["clips"])
     return replace(answer, code=int(settings.strict and failed))
 
 
-PAGE_OF_A_CLIP = "recon report {out}/CLIP, a page of one clip; "
+PAGE_OF_A_CLIP = "recon report {out}/CLIP (the page of one clip), or "
 
 
 def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary], clip_command: str = "") -> Answer:
@@ -157,7 +166,7 @@ def shown_batch(console: Console, left: int, work: Callable[[OnEvent], Summary],
     out = summary.path.parent
     lines = [*_table(summary), status_text, f"Open {summary.path.with_name(SUMMARY_PAGE)} in a browser."]
     if summary.verdicts():
-        lines.append(f"Next: {clip_command.format(out=out)}recon compare {out} --out FOLDER, all of them.")
+        lines.append(f"Next: {clip_command.format(out=out)}recon compare {out} --out FOLDER (all clips).")
     return Answer({"summary": summary.path, "counts": counts, "clips": [*summary.rows.values()]}, lines)
 
 
@@ -202,11 +211,11 @@ def _dry_run_answer(plan: Sequence[ClipPlan], problems: Sequence[Problems], stri
         camera = ", ".join(row["cameras"] or [Path(row["camera"]).name or "--hfov-deg"])
         fps = "the file's" if row["fps"] is None else f"{row['fps']:g}"
         cells.append((row["clip"], camera, fps, row["out"], action_text))
-    lines: list[str | Text | Table] = [table_of("clip", "camera", "fps", "out", "what", rows=cells)]
+    lines: list[str | Text | Table] = [table_of("clip", "camera", "fps", "out", "action", rows=cells)]
     if len(rows) > 1 and len({(row["camera"], row["fps"]) for row in rows}) == 1:
         advice = "If they differ, give a CSV table with columns keypoints, camera and fps instead."
         lines.append(f"All clips have the same --camera and --fps. {advice}")
-    for problem, clip_indices in repeated(problems):
+    for problem, clip_indices in distinct_problems(problems):
         names = ", ".join(rows[index]["clip"] for index in clip_indices[:NAMED])
         more_clips = "" if len(clip_indices) <= NAMED else f" and {len(clip_indices) - NAMED} more clips"
         lines.append(Text.assemble((f"{names}{more_clips}: ", "bold red"), str(problem)))

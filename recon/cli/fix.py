@@ -52,7 +52,7 @@ class FixSettings(ResultSettings):
     export_labels: Annotated[Path | None, Option(panel=_EXPORT, metavar="FOLDER")] = None
     """Write the corrected frames as DeepLabCut label files and COCO, into the labeled-data folder of this folder."""
     with_accepted: Annotated[bool, Option(panel=_EXPORT)] = False
-    """Label also the points that were only accepted from the model."""
+    """Also label the points that were only accepted from the model."""
     scorer: Annotated[str, Option(panel=_EXPORT)] = "recon"
     """Name of the labeller, as in the project's config.yaml."""
     export_table: Annotated[Path | None, Option(panel=_EXPORT, metavar="FILE")] = None
@@ -117,7 +117,7 @@ def _export(settings: FixSettings, motion: Motion, number: int, path: Path) -> A
         write_labels(labels, video, first, labels_out)
         points = int(labels.known.sum())
         count = f"{counted(len(labels.frames), 'frame')} with {counted(points, 'label')}"
-        lines.append(f"{count} are in {labels_out.folder}. Learn from them: recon train {folder} --out models/again")
+        lines.append(f"{count} are in {labels_out.folder}. Train on them: recon train {folder} --out models/again")
         data |= {"labels": labels_out.folder, "frames": len(labels.frames), "points": points}
         files += [labels_out.folder / name for name in labels.file_names]
     if table_out is not None and table is not None:
@@ -176,7 +176,7 @@ def _server(session: CorrectionSession, pictures: Path, has_video: bool) -> Loca
 
     def state(rest: str, _data: object) -> Reply:
         version = number_in(rest)
-        is_new = session.changed(-1 if version is None else version)
+        is_new = session.wait_for_fit(-1 if version is None else version)
         return json_reply(session.state() if is_new else None)
 
     def picture(rest: str, _data: object) -> Reply:

@@ -18,7 +18,7 @@ from rich.console import Console
 
 from recon.api.analyse import FOLDER, AnalyseSettings
 from recon.api.analyse import SUMMARY as ANALYSIS
-from recon.api.batch import ClipPlan, OnEvent, Summary, results_of, summary_output, work_off
+from recon.api.batch import ClipPlan, OnEvent, Summary, results_of, run_plan, summary_output
 from recon.api.batch_inputs import SUMMARY, Clip, file_names
 from recon.api.camera_motion import motion_files, settings_for_clip
 from recon.api.clip_inputs import read_model_and_cameras
@@ -259,7 +259,7 @@ def run_video(
                 )
         for name, stage in stages.items():  # before any work is done
             must_run = must_run or name == job.run.start
-            if must_run or record.look(name, stage.identity(), out)[0]:
+            if must_run or record.why_redo(name, stage.identity(), out)[0]:
                 _require_own(name, stage, job, record, must_run)
         record.tidy()
         must_run = False
@@ -284,7 +284,7 @@ def _carry_out(
     name: str, stage: _Stage, job: _Job, record: Record, must_run: bool, progress: Progress
 ) -> _StageOutcome:
     began, made_from, out = time.perf_counter(), stage.identity(), job.run.out
-    reason, _ = record.look(name, made_from, out)
+    reason, _ = record.why_redo(name, made_from, out)
     status: Literal["done", "unchanged"] = "done" if reason or must_run else "unchanged"
     if status == "done":
         _require_own(name, stage, job, record, must_run)
@@ -306,9 +306,9 @@ def _require_own(name: str, stage: _Stage, job: _Job, record: Record, must_run: 
     stage.output.require(stage.names)
     present = [path for path in (stage.output.folder / file for file in stage.names) if os.path.lexists(path)]
     if present and name not in record.rows and not must_run and not job.run.overwrite:
-        more_files = f", and so are {len(present) - 1} more" if len(present) > 1 else ""
+        more_files = f", and {len(present) - 1} more" if len(present) > 1 else ""
         expected = "another --out, or --overwrite"
-        raise InputError(Problem(present[0], "file", "a folder that recon run has not made" + more_files, expected))
+        raise InputError(Problem(present[0], "file", f"a file of another command{more_files}", expected))
 
 
 def _check_inputs(job: _Job) -> None:
@@ -388,9 +388,8 @@ def _record(settings: ViewSettings, progress: Progress) -> Answer:
     if frames <= RECORDED_FRAMES:
         return write_recording(settings, progress)
     answer = write_recording(replace(settings, video=None, first_frame=0), progress)
-    text = (
-        f"the recording of {frames} frames is without the video: recon view {settings.folder} --video {settings.video}"
-    )
+    command = f"recon view {settings.folder} --video {settings.video}"
+    text = f"the recording of {frames} frames does not have the video; to see both: {command}"
     return replace(answer, notes=[text])
 
 
@@ -450,7 +449,7 @@ def run_folder(
             ClipPlan(Clip(name, job.settings), job.run.out, "new", "", identity(job.settings)) for name, job in folders
         ]
         tasks = [(name, replace(job, threads=1)) for name, job in folders]
-        return work_off(plan, out, partial(carry_out, _row_of, tasks, jobs=processes), on_event)
+        return run_plan(plan, out, partial(carry_out, _row_of, tasks, jobs=processes), on_event)
 
 
 def _row_of(job: _Job, progress: Progress) -> dict[str, Any]:

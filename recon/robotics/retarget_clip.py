@@ -136,8 +136,8 @@ def run_retarget(settings: RetargetSettings) -> tuple[Retargeting, dict[str, Any
             "scale_found": settings.scale is None,
             "slower_found": settings.slower is None,
         }
-        report["animal"]["results"] = files.seen_from(out, folder)
-        report["robot"]["source"] = files.name_seen_from(out, machine.source)
+        report["animal"]["results"] = files.relative_path(out, folder)
+        report["robot"]["source"] = files.relative_name(out, machine.source)
         origin = {k: report[k] for k in ("verdict", "robot", "animal", "scale", "slower")}
         with output.staged() as staging:
             if settings.samples is not None:

@@ -9,7 +9,7 @@ import pytest
 
 from recon.animal.body import Body
 from recon.animal.skeleton_file import load_skeleton
-from recon.api.skeleton_draft import drafted
+from recon.api.skeleton_draft import draft_from_points
 
 FPS = 50.0
 
@@ -30,7 +30,7 @@ def rat() -> tuple[tuple[str, ...], np.ndarray]:
 
 def body_of(names, points_m: np.ndarray, folder: Path) -> Body:
     path = folder / "mine.toml"
-    path.write_text(drafted(names, points_m, FPS, "mine", Path("clip.csv"))[1], encoding="utf-8")
+    path.write_text(draft_from_points(names, points_m, FPS, "mine", Path("clip.csv"))[1], encoding="utf-8")
     body = load_skeleton(path)
     assert isinstance(body, Body)
     return body

@@ -153,7 +153,7 @@ def test_folders_within_a_folder(clips):
     shutil.copy(CAMERA, clips / "day2" / "late" / "own.toml")
     (day2,), (note,) = find_clips([clips / "day2"], QUICK, recursive=True)
     assert day2.name == "d"
-    assert says(note, "cameras", "manifest", "own.toml")
+    assert says(note, "camera files", "manifest", "own.toml")
 
 
 def test_names_are_unique_and_follow_from_the_paths(tmp_path):
@@ -436,7 +436,7 @@ def test_projects_of_anipose(tmp_path):
     assert {clip.settings.camera for clip in clips} == {(tmp_path / "rex/calibration/calibration.toml",)}
     assert input_problems(clips) == [(), ()]
     sessions, several, without = notes
-    assert says(sessions, "2 sessions", "3 files", "pose-2d and pose-2d-filtered")
+    assert says(sessions, "2 Anipose sessions", "3 files", "pose-2d and pose-2d-filtered")
     assert says(several, "2 files", "1 clip", "cam_regex", tmp_path / "config.toml", "--cameras-by none")
     assert says(without, "fewer cameras", "trot (A)")
     both = [tmp_path / "rex/day1", tmp_path / "rex/day2/pose-2d"]

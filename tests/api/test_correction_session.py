@@ -36,7 +36,7 @@ def test_a_change_is_saved_and_fitted(session: CorrectionSession, whole_results:
     (saved,) = read_corrections(session.out)
     assert (saved.frame, saved.keypoint, saved.was_px) == (20, "nose", (1.0, 2.0))
     assert saved.date
-    assert session.changed(0, wait_s=60.0)
+    assert session.wait_for_fit(0, wait_s=60.0)
     assert session.problem == ""
     assert session.motion.keypoints.xy_px[20, session.motion.names.index("nose")] == pytest.approx([x + 40.0, y])
     assert session.state()["version"] == 1
@@ -53,7 +53,7 @@ def test_after_a_pause_the_clip_is_fitted_as_recon_fit_does(
     monkeypatch.setattr("recon.api.corrections.refit_clip", lambda *args: fits.append("quick") or quick)
     monkeypatch.setattr("recon.api.corrections.fit_clip", lambda *args: fits.append("whole") or whole)
     session.save([a_row(session.motion)])
-    assert session.changed(1, wait_s=60.0)
+    assert session.wait_for_fit(1, wait_s=60.0)
     assert fits == ["quick", "whole"]
     assert session.motion is whole
     assert session.is_whole

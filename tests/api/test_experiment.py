@@ -199,7 +199,7 @@ def test_levels_that_the_data_do_not_separate_are_named(tables: tuple[pd.DataFra
         ["No mixed model of duty factor: 2 animals for 2 groups and covariates; at least one more is needed."],
     )
     constant = model_experiment(single.assign(age=3.0), strides, {"duty_factor": False}, ["age"])
-    assert says(constant.notes[0], "age cannot be told from the groups")
+    assert says(constant.notes[0], "age cannot be separated from the groups")
 
 
 # -- plans --------------------------------------------------------------------------------------------------------

@@ -32,7 +32,7 @@ from recon.animal.prior import prior_from_body
 from recon.api.clip_inputs import prepare
 from recon.api.clip_results import run_clip
 from recon.api.skeleton_check import check_skeleton
-from recon.api.skeleton_draft import SkeletonDraftSettings, draft_skeleton, drafted
+from recon.api.skeleton_draft import SkeletonDraftSettings, draft_from_points, draft_skeleton
 from recon.cli.models import skeleton_from_keypoints
 from recon.clip import View, camera_poses, still_view
 from recon.fit.clip_problem import ClipProblem, TrajectoryOptions
@@ -353,7 +353,7 @@ def test_no_draft_of_what_does_not_show_its_joints(path_m, bends, noise_m, expec
     points[:, 5:, 2] += 0.3 * bends * np.sin(20 * time)[:, None]
     points += np.random.default_rng(0).normal(0, noise_m, points.shape)
     with refusal(("clip.csv", *expected)):
-        drafted([*"abcdefgh"], points, 60.0, "mine", Path("clip.csv"))
+        draft_from_points([*"abcdefgh"], points, 60.0, "mine", Path("clip.csv"))
 
 
 @pytest.mark.parametrize("names", ["nose b c d e f g tail", "Ear_L b c d e f g h", "a b c d e f g rump"])
@@ -363,7 +363,7 @@ def test_a_draft_of_an_animal_that_stands_still(names):
     still = np.array([[0.2 * k, 0.01 * k**2, 0.5] for k in range(8)])
     points = np.tile(still, (60, 1, 1))
     points[:, 5:, 2] += 0.3 * np.sin(20 * time)[:, None]
-    labels, text = drafted(names.split(), points, 60.0, "mine", Path("clip.csv"))
+    labels, text = draft_from_points(names.split(), points, 60.0, "mine", Path("clip.csv"))
     rear, front = tomllib.loads(text)["forward"]
     assert labels == names.split()
     assert still[labels.index(front), 0] < still[labels.index(rear), 0]

@@ -158,7 +158,7 @@ def test_without_a_manifest_they_are_no_results(left, whole_results, tmp_path):
 def test_a_manifest_of_another_kind(whole_results, tmp_path, content):
     folder = copy(whole_results, tmp_path)
     (folder / "manifest.json").write_text(content)
-    refuses(folder, folder / "manifest.json", "content", "something else", "--overwrite")
+    refuses(folder, folder / "manifest.json", "content", "another kind of file", "--overwrite")
 
 
 def test_a_motion_of_another_run(whole_results, level_results, tmp_path):

@@ -22,7 +22,7 @@ from recon import FitSettings, write_clip
 from recon.api.batch import COLUMNS, write_summary_page
 from recon.api.corrections import CorrectionSession
 from recon.api.label_frames import LabelSession
-from recon.base.files import seen_from
+from recon.base.files import relative_path
 from recon.base.progress import silent
 from recon.check.codes import finding
 from recon.cli.fix import _server as editor_server
@@ -231,7 +231,7 @@ def comparison(folder: Path, pages: dict[str, Path]) -> Path:
     )
     means = {"group": [*clips["group"].unique()], "clips": [2, 1], "strides": [3, 3], "speed_m_s": [1.5, 9.0]}
     groups = pd.DataFrame(means | {"speed_m_s_sigma": [0.4, 0.3]})
-    links = {name: seen_from(folder, pages[name]) for name in ("film", "whole")}
+    links = {name: relative_path(folder, pages[name]) for name in ("film", "whole")}
     path = folder / "compare.html"
     content = compare_page("gaits", clips, groups, {"speed_m_s": "speed (m/s)"}, links, {"film": 7.0}, ["No."], "gait")
     path.write_text(content, encoding="utf-8")

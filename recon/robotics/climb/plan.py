@@ -43,7 +43,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from recon.base.arrays import Array, Bools, Integers
 from recon.base.documents import FileTable, read_toml, validated
 from recon.base.errors import InputError, Problem, collect_problems
-from recon.base.files import MANIFEST, name_seen_from
+from recon.base.files import MANIFEST, relative_name
 from recon.base.locks import sole_writer
 from recon.base.outputs import Output
 from recon.base.settings import Number, Option, Settings, input_paths
@@ -550,7 +550,7 @@ def run_climb(settings: ClimbSettings) -> dict[str, Any]:
 
 def _report(climb: Climb, settings: ClimbSettings) -> dict[str, Any]:
     recipe, time_s = climb.recipe, climb.motion.time_s
-    name = name_seen_from(settings.out, settings.recipe)
+    name = relative_name(settings.out, settings.recipe)
     least = {
         rule: {"what": RULES[rule].title, "unit": RULES[rule].unit}
         | {"value": value, "at_s": float(time_s[k]), "lifted": _lifted(climb, k) or "none"}
