@@ -75,7 +75,7 @@ def _calibration_lines(report: dict[str, Any]) -> Iterator[str | Text | Table]:
         if check["verdict"] == "warning" or (check["verdict"] == "refused" and written is not None):
             yield Text.assemble(("warning: ", "yellow"), check["text"])
     if written is not None:
-        yield f"Written: {written}, and a picture of the data behind it: {report['picture']}"
+        yield f"Written: {written}, and a picture of the board's coverage: {report['picture']}"
 
 
 # -- poses of cameras -----------------------------------------------------------------------------------------------
@@ -140,7 +140,7 @@ def lines_of(cameras: Sequence[Camera], report: Mapping[str, Any]) -> Iterator[s
         if clip["found_offsets"]:
             names, offsets = [Path(path).name for path in clip["keypoints"]], clip["offset_s"]
             offset_texts = ", ".join(f"{name} {s:+.4f} s" for name, s in zip(names[1:], offsets[1:], strict=True))
-            yield f"After {names[0]}: {offset_texts}"
+            yield f"Began after {names[0]}: {offset_texts}"
     disagreements = [clip["disagreement"] for clip in report["clips"]]
     largest = {camera.name: max(by_camera[camera.name] for by_camera in disagreements) for camera in cameras}
     if len(disagreements) > 1 and max(largest.values()) > DISAGREEMENT:

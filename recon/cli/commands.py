@@ -37,7 +37,7 @@ HELP = {"help_option_names": ["-h", "--help"]}
 _RATES = ("framerate", "frame-rate")
 """Names of --fps in other programs."""
 _METHOD = "recon frame, which is the published method, or --set method=VALUE"
-"""What to use instead of --method."""
+"""Replacement for --method, for the message."""
 _SET = "set_"
 """Name of the parameter of --set."""
 

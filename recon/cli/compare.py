@@ -73,7 +73,7 @@ def _lines(clips: pd.DataFrame, groups: pd.DataFrame, out: Path) -> Iterator[str
     yield table_of("group", "quantity", numbers=(f"{unit}s", "strides", "mean", "±", "spread"), rows=rows)
     yield (
         "±: one standard deviation of the mean, including that of the animal's size; spread: one standard deviation "
-        f"between the {unit}s, 0 if they differ no more than by their own uncertainties."
+        f"between the {unit}s, 0 if they differ by no more than their own uncertainties."
     )
     if missing := [QUANTITIES[quantity][0] for quantity in QUANTITIES if quantity not in known_quantities(clips)]:
         reason = "No clip has a complete stride: no" if not groups["strides"].sum() else "No clip has a known"
@@ -158,7 +158,8 @@ def _plan_lines(table: PlanTable, sigmas: dict[str, float]) -> Iterator[str | Ta
     plan = table.plan
     title = QUANTITIES.get(plan.quantity, (plan.quantity, False))[0]
     groups = "two measurements of the same animals" if plan.paired else "two groups of animals"
-    yield f"To find a difference of {_short(table.effect)} in {title} between {groups}, at 5 %:"
+    effect = f"a difference of {_short(table.effect)} in {title}"
+    yield f"To detect {effect} between {groups} at a significance level of 5 %:"
     rows = (
         (
             *(str(int(row[name])) for name in ("runs", "strides", "cameras")),
@@ -171,14 +172,14 @@ def _plan_lines(table: PlanTable, sigmas: dict[str, float]) -> Iterator[str | Ta
     )
     per_group = "animals" if plan.paired else "animals in each group"
     headings = (
-        "strides of a run",
+        "strides per run",
         "cameras",
         per_group,
         "clips",
         "power",
         *(["smallest effect"] if plan.animals else []),
     )
-    yield table_of("runs of an animal", numbers=headings, rows=rows)
+    yield table_of("runs per animal", numbers=headings, rows=rows)
     yield "Standard deviations: " + ", ".join(f"{level} {_short(sigma)}" for level, sigma in sigmas.items()) + "."
     if table.animals_known is not None and table.animals_known < FEW_ANIMALS:
         yield f"These variances come from {table.animals_known} animals, which is few: plan with a margin."

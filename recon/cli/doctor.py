@@ -34,7 +34,7 @@ EXTRAS = {
     "robots": "robots from URDF and MJCF files: ",
     "docs": "building this documentation: ",
 }
-"""What each optional extra is needed for."""
+"""Purpose of each optional extra."""
 MODULES = {"opencv-python-headless": "cv2", "rerun-sdk": "rerun", "pytables": "tables"}
 """Modules by distribution, for distributions that another one can replace: opencv-python, or a custom build."""
 STYLES = {"ok": "green", "absent": "", "note": "yellow", "broken": "bold red"}
@@ -81,9 +81,9 @@ def doctor(progress: Progress) -> Answer:
 def run_doctor(progress: Progress = silent) -> tuple[_Check, ...]:
     """Return the results of all checks; no problem raises an exception."""
     checks: list[_Check] = []
-    for i, look in enumerate((versions, packages, viewer, self_test)):
-        progress(look.__name__, i / 4)
-        checks += look()
+    for i, check_part in enumerate((versions, packages, viewer, self_test)):
+        progress(check_part.__name__, i / 4)
+        checks += check_part()
     return tuple(checks)
 
 
@@ -110,14 +110,14 @@ def packages(requires: Sequence[str] | None = None) -> Iterator[_Check]:
 
     lines = (metadata.requires(DISTRIBUTION) or ()) if requires is None else requires
     for extra, purpose in {"": "", **EXTRAS}.items():
-        of_extra = [
+        extra_requirements = [
             requirement
             for requirement in map(Requirement, lines)
             if ("extra" in str(requirement.marker or "")) == bool(extra)
         ]
         wanted = [
             requirement
-            for requirement in of_extra
+            for requirement in extra_requirements
             if requirement.marker is None or requirement.marker.evaluate({"extra": extra})
         ]
         states = {requirement: _installed(requirement.name, requirement.specifier) for requirement in wanted}
@@ -142,7 +142,7 @@ def _installed(name: str, specifier: SpecifierSet) -> tuple[str, str]:
         installed_version = metadata.version(name)
     except metadata.PackageNotFoundError:
         module = MODULES.get(name, name.replace("-", "_"))
-        # whether a module exists is known at once; its distribution only from the files of all distributions
+        # finding a module is quick; finding its distribution means reading the files of all distributions
         distributions = metadata.packages_distributions().get(module) if find_spec(module) else None
         if not distributions:
             return "not installed", ""
@@ -161,7 +161,7 @@ def viewer(command: Sequence[str] = (sys.executable, "-m", "rerun")) -> Iterator
     state = output if code else " ".join(output.split()[:2])
     yield _Check("viewer", "broken" if code else "ok", state, f"{pip_command()} install --force-reinstall rerun-sdk")
     if sys.platform in ("win32", "darwin") or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
-        yield _Check("display", "ok", "there is one")
+        yield _Check("display", "ok", "available")
     else:
         hint = "a page shows a result in any browser: recon report DIR"
         yield _Check("display", "note", "none: recon view cannot show anything on this machine", hint)

@@ -22,7 +22,7 @@ class _EvaluateSettings(Settings):
     pose3d: Annotated[Path, Option(argument="POSE3D")]
     """Results of recon fit, or a file of 3D positions in metres, such as pose3d.csv."""
     truth: Annotated[Path, Option(argument="TRUTH")]
-    """The reference with the same frame numbers, likewise, such as truth.csv."""
+    """The reference, in the same form and with the same frame numbers, such as truth.csv."""
     unit: str | None = None
     """Unit of the reference, if its file does not state it: m, cm or mm."""
     up: str | None = None
@@ -40,7 +40,7 @@ def evaluate(settings: _EvaluateSettings) -> Answer:
     options = settings.anyway, settings.unit, settings.up, settings.rename
     result = evaluate_files(settings.pose3d, settings.truth, *options)
     against = f"{result.pose} against the reference {result.truth}"
-    notes = [*_table_notes(result), *(f"Look at this: {note}" for note in result.notes)]
+    notes = [*_table_notes(result), *(f"note: {note}" for note in result.notes)]
     return Answer(result.to_dict(), [*verdict_texts(result.verdict), against, _table(result), *notes])
 
 

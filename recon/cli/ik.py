@@ -58,7 +58,7 @@ def _ik_lines(summary: dict[str, Any], out: Path) -> Iterator[str | Table]:
         yield from _cost_lines(summary["costs"])
     parameters = summary["parameters"]
     explained = ", ".join(f"{name} {percent(fit['explained'])}" for name, fit in parameters["fitted"].items())
-    yield f"parameters: {parameters['used']}. Fitted to the clip, they explain of its joint rates: {explained}"
+    yield f"parameters: {parameters['used']}. Share of the joint rates explained by fitted parameters: {explained}"
     yield f"Tables and figures are in {out}."
 
 

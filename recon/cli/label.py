@@ -45,7 +45,7 @@ class LabelSettings(Settings):
     frames: Count = 40
     """Number of frames, chosen so that they differ."""
     result: Path | None = None
-    """Result of recon fit of this video, such as results/clip: those frames are chosen whose labels would lower its
+    """Result of recon fit of this video, such as results/clip: choose the frames whose labels would lower its
     expected error most.
     """
     camera_name: str | None = None

@@ -49,6 +49,7 @@ RATE_SAME = 0.01
 MIN_WIDTH_PX = 640
 """Width below which videos are enlarged by a whole factor, so that their text is readable."""
 STILLS = 9
+"""Largest number of stills on a page."""
 LINKED_FILES = ("overlay.mp4", "analysis/analysis.json", VIDEO_PLAYBACK)
 """Files that a page links to, in addition to those of the fit, if they exist when the page is made."""
 
@@ -129,8 +130,13 @@ def draw_overlay(settings: OverlaySettings, progress: Progress = silent) -> Answ
             write(draw_frame(drawn, row, frame, enlarged))
             progress("drawing", len(stamps_s) / count)
     frames_before = first - start if len(stamps_s) == count else None
-    of_times = missing_note(video, np.array(stamps_s), first, frames_before)
-    possible_notes = [first_frame_note(motion, settings), rate_note(video, motion.fps), bars_note(video), of_times]
+    missing_frames_note = missing_note(video, np.array(stamps_s), first, frames_before)
+    possible_notes = [
+        first_frame_note(motion, settings),
+        rate_note(video, motion.fps),
+        bars_note(video),
+        missing_frames_note,
+    ]
     notes = [*filter(None, possible_notes)]
     sentence = f"{count} frames at {speed:.3g} times their speed ({fps:.4g} a second) are in {out}."
     data = {"out": out, "frames": count, "fps": fps, "speed": speed, "notes": notes}
@@ -217,7 +223,7 @@ def bars_note(video: Path | None) -> str | None:
     """Return a note if a video has black bars, which a camera that was calibrated without them does not have."""
     if video is None:
         return None
-    sides = zip(probe(video).bars_px, ("at left and right", "at top and bottom"), strict=True)
+    sides = zip(probe(video).bars_px, ("on the left and right", "at the top and bottom"), strict=True)
     bars = [f"{width_px} px {ends}" for width_px, ends in sides if width_px]
     if not bars:
         return None
@@ -260,10 +266,10 @@ def _page_of_clip(settings: PageSettings, progress: Progress, whole_batch: bool 
     batch = neighbours(folder, whole_batch)
     html = clip_page(motion, shown, None if video is None else video.name, files, number, strip, batch)
     output.write(PAGE, html)
-    of_changed = f"missing, or changed since the fit, so the page has no link to it: {', '.join(changed)}"
-    of_stale = f"possibly of other results, so the page has no link to it: {', '.join(stale)}"
-    of_video = [first_frame_note(motion, settings), bars_note(video)]
-    possible_notes = [*of_video, of_changed if changed else None, of_stale if stale else None]
+    changed_note = f"no link on the page, because missing or changed since the fit: {', '.join(changed)}"
+    stale_note = f"no link on the page, because possibly made from other results: {', '.join(stale)}"
+    video_notes = [first_frame_note(motion, settings), bars_note(video)]
+    possible_notes = [*video_notes, changed_note if changed else None, stale_note if stale else None]
     notes = [*filter(None, possible_notes)]
     data = {"page": page, "failed": {}, "notes": notes}
     return Answer(data, [f"Open {page} in a browser."], files=[page], notes=notes)

@@ -93,7 +93,7 @@ def _skeleton_lines(check: dict[str, Any]) -> Iterator[str | Table]:
         ranges = {angle["name"]: f"{angle['low_deg']:.0f} to {angle['high_deg']:.0f}" for angle in part["angles"]}
         lengths = rounded(part["length_m"], 3), *(ranges.get(name, "-") for name in names)
         rows.append((part["name"], part["parent"], *lengths))
-    yield table_of("segment", "turns on", numbers=("from parent, m", *(f"{name} °" for name in names)), rows=rows)
+    yield table_of("segment", "parent", numbers=("from parent, m", *(f"{name} °" for name in names)), rows=rows)
     rows = [(m["name"], m["segment"], *(rounded(x, 3) for x in m["at_m"])) for m in check["markers"]]
     yield table_of("marker", "on segment", numbers=("x m", "y m", "z m"), rows=rows)
     yield "Angles: mean ± 2 standard deviations; - for none."
@@ -106,7 +106,7 @@ def _skeleton_lines(check: dict[str, Any]) -> Iterator[str | Table]:
     yield f"Feet: {', '.join(f'{foot} ({label})' for label, foot in check['feet'].items()) or 'none'}"
     yield from (f"Limb {limb}: {', '.join(markers)}" for limb, markers in check["limbs"].items())
     yield f"Prior of a fit, unless --prior says otherwise: {check['prior']}"
-    yield from [f"Look at this: {remark}" for remark in check["remarks"]] or ["Nothing looks odd."]
+    yield from [f"note: {remark}" for remark in check["remarks"]] or ["Nothing looks odd."]
 
 
 def skeleton_from_keypoints(settings: SkeletonDraftSettings) -> Answer:
@@ -159,7 +159,7 @@ def _prior_lines(report: dict[str, Any]) -> Iterator[str | Table]:
     yield f"Used: {sum(used)} of {len(used)} segments, {report['frames']} frames and their mirror images."
     if components < report["components_asked"]:
         limit = f"{components} components in place of {report['components_asked']}"
-        yield f"{limit}: each takes {FRAMES_PER_COMPONENT} frames."
+        yield f"{limit}: each needs {FRAMES_PER_COMPONENT} frames."
     if report["left_out"]:
         yield f"{report['left_out']} frames of results have a flag or no pose: left out."
     if report["lacking"]:
@@ -210,7 +210,7 @@ def _subject_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
             sigma = max(row["sigma"] for row in axes)
             values = (f"{row['value']:.0f}" for row in axes)
             rows.append((axes[0]["name"].removesuffix("_x"), *values, f"{sigma:.0f}"))
-        yield table_of("keypoint off its marker, mm", numbers=("forwards", "left", "up", "±"), rows=rows)
+        yield table_of("offset from the marker, mm", numbers=("forwards", "left", "up", "±"), rows=rows)
     if lengths:
         yield f"Size: {report['size']:.3f} ± {report['size_sigma']:.3f} of the skeleton's lengths."
     if not report["converged"]:

@@ -28,7 +28,7 @@ def train_command(settings: TrainRunSettings, console: Console, progress: Progre
         announce = partial(say, console)
         report = run_training(settings, settings, out, **options, progress=progress, announce=announce)
     except KeyboardInterrupt:
-        message = "the same command with --resume goes on from the last checkpoint"
+        message = "the same command with --resume continues from the last checkpoint"
         if not (out / CHECKPOINT_FILE).is_file():
             message = "there is no checkpoint yet"
         stop(f"Stopped: {message}.")
@@ -39,7 +39,8 @@ def _training_lines(report: dict[str, Any], out: Path) -> Iterator[str]:
     yield f"{report['steps']} steps in {quantity(report['seconds'], 0, 's')} on {report['device']}."
     best = report["best_validation"]
     if best:
-        yield f"Validation pictures, before training: median error {quantity(best['median_px'], 2, 'px')} at best."
+        best_text = quantity(best["median_px"], 2, "px")
+        yield f"Validation pictures, before training on them: median error {best_text} at best."
         if best["median_px"] > 2 * (right_px := report["tolerance_px"]):
             yield f"That is too far off to be of use: a point counts as right within {quantity(right_px, 1, 'px')}."
             yield "Train longer (--minutes), or label more."

@@ -27,7 +27,7 @@ def retarget_command(settings: RetargetSettings) -> Answer:
 
 
 def _retarget_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
-    scale = f"moves {report['scale']:.3f} times as far as the animal, in {report['slower']:.2f} times its time"
+    scale = f"moves {report['scale']:.3f} times as far as the animal, in {report['slower']:.2f} times the time"
     yield f"{report['robot']['title']}: {scale}"
     for name in ("clip", "stride"):
         part = report[name]
@@ -61,8 +61,8 @@ def _retarget_lines(report: dict[str, Any], out: Path) -> Iterator[str | Table]:
 
 def _check_lines(check: dict[str, Any]) -> Iterator[str | Table]:
     earlier_check = check.get("before")
-    numbers = [*(["before, %"] if earlier_check else []), "clip, %", "stride, %", "least", ""]
-    table, advice = table_of("frames that keep it", numbers=numbers), {}
+    numbers = [*(["before"] if earlier_check else []), "clip", "stride", "least", ""]
+    table, advice = table_of("rule, kept in % of frames", numbers=numbers), {}
     for name, rule in physics.RULES.items():
         clip, stride = check["clip"][name], check["stride"][name]
         earlier_cells = (

@@ -26,7 +26,7 @@ def report(settings: PageSettings, progress: Progress = silent) -> Answer:
 
     Example: recon report results/clip --video clip.mp4
 
-    Exit code 1: a page of a batch could not be made; the others are there.
+    Exit code 1: a page of a batch could not be made; the others were written.
     """
     from recon.cli.look import make_page
 

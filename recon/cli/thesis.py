@@ -64,5 +64,5 @@ def _solver_lines(summary: dict[str, Any]) -> Iterator[str]:
     costs = summary["cost_by_term"]
     total = sum(costs.values()) or 1.0
     parts = {name: costs.get(term, 0.0) / total for name, term in PUBLISHED.items()}
-    parts["priors and ties"] = max(1.0 - sum(parts.values()), 0.0)
+    parts["priors and other terms"] = max(1.0 - sum(parts.values()), 0.0)
     yield f"Shares of the cost: {', '.join(f'{name} {percent(share)}' for name, share in parts.items())}."

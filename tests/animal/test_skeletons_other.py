@@ -411,24 +411,24 @@ def test_check_of_a_chain():
     ("old", "new", "words"),
     [
         ('["tail_base", "withers"]', '["withers", "tail_base"]', ["forward:", "tail_base is not ahead"]),
-        ('left_fore = "left_front_paw"', 'left_fore = "left_ear"', ["feet:", "left_ear not below"]),
+        ('left_fore = "left_front_paw"', 'left_fore = "left_ear"', ["feet: not below", "left_ear."]),
         (
             '"left_front_paw"\nright_fore = "right_front_paw"\nleft_hind = "left_hind_paw"',
             '"left_hind_paw"\nright_fore = "right_front_paw"\nleft_hind = "left_front_paw"',
             ["feet:", "left_hind_paw lies behind", "fore foot"],
         ),
-        ("at_m = [0.0, 0.03, 0.04]", "at_m = [0.0, -0.03, 0.04]", ["to the left) left_ear, right_ear."]),
+        ("at_m = [0.0, 0.03, 0.04]", "at_m = [0.0, -0.03, 0.04]", ["to the left): left_ear, right_ear."]),
         (CAT[CAT.index("left_fore") : CAT.index("# The root:")], "", ["feet: none."]),
         (
             'name = "left_knee"\nsegment = "l_hind_shin"\nmirrored = true',
             'name = "left_knee"\nsegment = "l_hind_shin"\n[[markers]]\nname = "right_knee"\nsegment = "l_hind_shin"',
-            ["to the left) right_knee."],
+            ["to the left): right_knee."],
         ),
         (
             'name = "left_ear"\nsegment = "head"\nmirrored = true\nat_m = [0.0, 0.03, 0.04]',
             'name = "left_ear"\nsegment = "head"\nat_m = [0.0, 0.03, 0.04]\n'
             '[[markers]]\nname = "right_ear"\nsegment = "head"\nat_m = [0.0, -0.02, 0.04]',
-            ["mirror image", "left_ear."],
+            ["mirror images", "left_ear."],
         ),
     ],
 )
@@ -436,7 +436,7 @@ def test_remarks(tmp_path, old, new, words):
     assert old in CAT
     file = in_file(tmp_path, CAT.replace(old, new, 1))
     assert any(says(found, *words) for found in check_skeleton(file)["remarks"])
-    assert "Look at this: " in output("skeleton", "check", file)
+    assert "note: " in output("skeleton", "check", file)
 
 
 def test_sides_and_ends_stand_in_the_file(tmp_path):

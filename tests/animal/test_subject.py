@@ -135,7 +135,7 @@ def test_command(runs, tmp_path):
     assert run("subject", "fit", config, "--out", tmp_path / "lengths.toml").code == 0
     assert load_skeleton("cheetah-24", tmp_path / "lengths.toml").keypoint_offset_m == {}  # the detector's are not its
     table = run("subject", "fit", config, "--out", out, "--overwrite", "--no-lengths", "--offsets")
-    assert "off its marker" in table.out
+    assert "offset from the marker" in table.out
     assert "length of" not in table.out
     assert "upper arm" not in table.out
     poses = tmp_path / "poses.csv"

@@ -807,14 +807,14 @@ def test_evaluate_prints_the_numbers_of_the_function(fitted):
         assert rows[name] == expected
     assert "Compared: 30 frames, 9 joints." in lines
     assert any(says(line, "reference: l_front_knee, ") for line in lines)
-    assert "Look at this" not in ended.out
+    assert "note:" not in ended.out
     verdict, expected, *of_folder = run("evaluate", fitted[0], TRUTH).out.splitlines()
     assert (verdict, expected) == verdict_lines(Motion.load(fitted[0]).verdict)
     assert [line for line in of_folder if not line.startswith("Uncertainty of the ")] == [
         line.replace(str(pose), str(fitted[0])) for line in ended.out.splitlines()
     ]
     assert len(of_folder) == len(ended.out.splitlines()) + 2
-    assert says(run("evaluate", TRUTH, fitted[0]).out, "Look at this", f"reference, {fitted[0]}")
+    assert says(run("evaluate", TRUTH, fitted[0]).out, "note:", f"reference, {fitted[0]}")
 
 
 def test_evaluate_as_json(fitted):

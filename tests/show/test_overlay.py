@@ -388,7 +388,7 @@ def test_black_bars_are_named_where_a_video_has_them(tmp_path):
     picture[:8] = picture[-8:] = 0
     with video_writer(path, (64, 48), 25.0) as write:
         write(picture)
-    assert says(bars_note(path), "bars.mp4 has black bars of 8 px at top and bottom")
+    assert says(bars_note(path), "bars.mp4 has black bars of 8 px at the top and bottom")
 
 
 def test_a_video_of_another_rate_or_that_goes_on_is_named(small_trajectory):

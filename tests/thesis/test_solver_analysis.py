@@ -200,7 +200,7 @@ def test_command_writes_all_of_it(frame_results, undrawn, tmp_path):
         "30 of 30 frames converged",
         "iterations",
         "Shares of the cost: f1",
-        "priors and ties",
+        "priors and other terms",
     )
     assert json.loads((out / "solver.json").read_text(encoding="utf-8"))["frames_converged"] == 30
 
