@@ -35,8 +35,8 @@ class Keypoints(Brief):
     """Detections of K named keypoints in T frames of one camera.
 
     A reader returns the values of its file: a confidence of NaN means that the file has none, and a missing point may
-    still have a confidence. `clean` turns these values into the form below. Raises ValueError if names, shapes or types
-    are inconsistent.
+    still have a confidence. `clean` turns these values into the form below. Raises ValueError if shapes or types do not
+    agree, names are not unique, frame numbers do not increase, or the frame rate is not positive.
     """
 
     names: tuple[str, ...]
@@ -248,7 +248,7 @@ def clean(
     Raises
     ------
     InputError
-        If no frame or point is left, or a gap is far too long.
+        If `likelihood_min` is not from 0 to 1, no frame or point is left, or a gap is far too long.
     """
     if not 0 <= likelihood_min <= 1:
         raise InputError(Problem("--set likelihood-min", "likelihood_min", str(likelihood_min), "a number from 0 to 1"))

@@ -81,7 +81,7 @@ DYING_S = 5.0
 
 
 OnEvent = Callable[[Event, "Summary"], None]
-"""Called at each event of a clip, with the current summary."""
+"""Function called at each event of a clip, with the current summary."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -250,7 +250,7 @@ def run_plan(plan: Sequence[ClipPlan], out: Path, run: Callable[[Tell], None], o
             summary.end(event.name, event.outcome)
         on_event(event, summary)
         if event.kind == "ended":  # after on_event, which records the outcome
-            summary.write_now_and_then()
+            summary.write_if_due()
 
     summary.write()
     try:
@@ -332,7 +332,7 @@ class Summary:
         """Add the outcome of a clip to its row."""
         self.rows[clip] |= {column: outcome[column] for column in COLUMNS if column in outcome}
 
-    def write_now_and_then(self) -> None:
+    def write_if_due(self) -> None:
         """Write the file unless it was just written; retry later if another program holds it open."""
         if time.monotonic() - self._written_s >= WRITE_EVERY_S:
             with suppress(PermissionError):

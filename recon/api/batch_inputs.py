@@ -678,6 +678,7 @@ def file_names(paths: Sequence[Path] | Mapping[Path, None]) -> dict[Path, str]:
     has_twin = (siblings[path.parent, path.stem.casefold()] > 1 for path in paths)
     stems = {p: f"{p.stem}-{p.suffix[1:]}" if twin else p.stem for p, twin in zip(paths, has_twin, strict=True)}
     names, depth, ambiguous = stems, 0, [*paths]
+    # Names that are not yet unique get one more parent folder in each round.
     while ambiguous:
         uses, depth = Counter(name.casefold() for name in names.values()), depth + 1
         ambiguous = [path for path in paths if uses[names[path].casefold()] > 1 and depth < len(path.parent.parts)]

@@ -55,7 +55,9 @@ def run_calibration(settings: CalibrationSettings, progress: Progress = silent) 
     Returns
     -------
     dict
-        The camera, its errors and the checks, as plain types.
+        Plain types: the board; the `camera` and its `parameters` with standard deviations; `rms_px`; the `pictures`
+        with their errors, and which of them were used; the `checks` with their verdicts; and the files, of which
+        `written` is None if the calibration was refused.
 
     Raises
     ------

@@ -134,7 +134,7 @@ def prepare(settings: FitSettings, read_shared: Callable[[FitSettings], SharedIn
 
 
 def read_model_and_cameras(settings: FitSettings) -> SharedInputs:
-    """Return body, prior and cameras.
+    """Return the body, the prior and the cameras.
 
     Raises InputError with the problems of all three.
     """

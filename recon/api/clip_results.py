@@ -330,7 +330,7 @@ def digests(paths: Iterable[Path], folder: Path) -> dict[str, str]:
 
 
 def _changed_names(theirs: Mapping[str, Any], mine: Mapping[str, Any]) -> list[str]:
-    """Return the names of input files and settings that differ, and "version" if it differs."""
+    """Return the names of input files and settings that differ, and "version of recon" if it differs."""
     names = []
     for part in ("inputs", "settings"):
         old, new = theirs[part], mine[part]
@@ -398,7 +398,7 @@ def setting_in_folder(folder: Path, name: str, value: T) -> T:
 
 
 LIMITS = {"gt": "exclusiveMinimum", "ge": "minimum", "lt": "exclusiveMaximum", "le": "maximum"}
-"""JSON schema's names for pydantic's limits, which pydantic leaves unchanged if a text is parsed first."""
+"""JSON schema's names for pydantic's limits, which pydantic leaves unchanged if a string is parsed first."""
 
 
 def config_schema() -> dict[str, Any]:

@@ -221,7 +221,7 @@ def _design(settings: CompareSettings, names: Sequence[str]) -> pd.DataFrame | N
 
 
 def _load(settings: CompareSettings, folders: Mapping[str, Path]) -> _Results:
-    """Load the results, and leave out those that may not be used and copies.
+    """Load the results, and leave out copies and those that may not be used.
 
     Raises InputError if none is left.
     """
@@ -450,6 +450,7 @@ def _mean_of(values: Array, sigmas: Array, shared: float) -> tuple[float, float,
     x, variance = values[known], np.maximum(sigmas[known], 1e-12) ** 2
     if not len(x):
         return np.nan, np.nan, np.nan
+    # The variance between clips by the method of moments (DerSimonian and Laird 1986), from the mean without it.
     w = 1 / variance
     fixed = np.average(x, weights=w)
     degrees_of_freedom = len(x) - 1

@@ -63,7 +63,7 @@ class PlanTable:
 
 
 def read_plan(texts: Sequence[str]) -> Plan:
-    """Return the plan that texts such as "effect=0.3 power=0.9" describe.
+    """Return the plan that strings such as "effect=0.3 power=0.9" describe.
 
     Raises
     ------

@@ -249,7 +249,7 @@ class LabelSession:
         return all(-0.5 <= x <= size - 0.5 for x, size in zip(point, self._size_px, strict=True))
 
     def _labels(self) -> LabelledFrames:
-        """Return the labels of the frames that have labels."""
+        """Return the labels of the frames that have labels, or of the first frame if there are none."""
         frames = sorted({frame for frame, _ in self.points_px}) or [self.frames[0]]
         row_of = {frame: i for i, frame in enumerate(frames)}
         xy_px: Array = np.full((len(frames), len(self.names), 2), np.nan)
@@ -260,7 +260,7 @@ class LabelSession:
         return LabelledFrames(self.video.stem, self.scorer, self.names, numbers, xy_px, **properties)
 
     def _write_pictures(self) -> None:
-        """Write the pictures of the frames without a picture."""
+        """Write the pictures of frames that are missing in the folder."""
         labels = self._labels()
         lacking = [f for f in self.frames if not (self.output.folder / labels.picture(f)).is_file()]
         if not lacking:

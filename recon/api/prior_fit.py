@@ -76,11 +76,12 @@ def run_prior_fit(settings: PriorFitSettings) -> dict[str, Any]:
     Returns
     -------
     dict
-        Plain types: the table of segments with the body's misfit to each (None for results, and if no frame had enough
-        markers); `sizes`, the factor on the body's lengths for each pose file; `lacking`, the markers that no pose file
-        has; `frames`, the number of frames used; `left_out`, the number of frames of results left out; and `held_out`,
-        the mean log-likelihood per frame of each segment under a prior fitted to the other segments, or None if it was
-        not requested or cannot be computed.
+        Plain types: `segments`, a row for each segment with the body's misfit to it (None for results, and if no frame
+        had enough markers); `components`, the number of components of the mixture, and `components_asked`, the
+        requested number; `sizes`, the factor on the body's lengths for each pose file; `lacking`, the markers that no
+        pose file has; `frames`, the number of frames used; `left_out`, the number of frames of results left out; and
+        `held_out`, the mean log-likelihood per frame of the segments, each under a prior fitted to the others, for the
+        `mixture` and for `one_gaussian`, or None if it was not requested or cannot be computed.
 
     Raises
     ------

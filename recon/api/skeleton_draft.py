@@ -510,6 +510,8 @@ def _tree(bodies: Sequence[list[int]], root: int, labels: Sequence[str], distanc
     def joint(a: list[int], b: list[int]) -> tuple[float, int, int]:
         """Return the cost of the best joint between two bodies, and its point on each."""
         pairs = costs[np.ix_(a, b)]
+        # The point of each body whose distances to all points of the other body vary least; and the closest pair,
+        # which needs a link between two points.
         u, v = int(pairs.max(axis=1).argmin()), int(pairs.max(axis=0).argmin())
         i, j = divmod(int(pairs.argmin()), len(b))
         joint_costs = float(pairs[u].max()), float(pairs[:, v].max()), float(pairs[i, j]) + 0.5 * same_m

@@ -46,7 +46,10 @@ def _rows(fit: ShapeFit, size_sigma: float) -> Iterator[dict[str, Any]]:
 
 
 def _bones(fit: ShapeFit, size_sigma: float) -> Iterator[dict[str, Any]]:
-    """Yield the bones by name, with the points that they connect, their interval, and the part of it due to noise."""
+    """Yield the bones by name, with the points that they connect, their length and its interval.
+
+    `data_share` is the fraction of the information that comes from the pixels.
+    """
     for bone in bones_of(fit.shape.body):
         if not {*bone.offsets} <= {*fit.shape.lengths}:
             continue
@@ -97,7 +100,9 @@ def run_subject_fit(settings: SubjectFitSettings) -> dict[str, Any]:
     Returns
     -------
     dict
-        The measured values as plain types; `size` is the mean ratio of the lengths to those of the skeleton.
+        Plain types: `values`, the measured lengths (m) and offsets (mm) with their standard deviations; `bones`, the
+        same lengths by bone; `size`, the mean ratio of the lengths to those of the skeleton, and `size_sigma`; the
+        numbers of `clips` and `frames`; and `converged`.
 
     Raises
     ------

@@ -70,7 +70,7 @@ def to_plain(value: object, digits: int = 9) -> object:
 
 
 def finite(values: Array | Sequence[float]) -> Array:
-    """Return the values of an array that are neither NaN nor infinite, as one row."""
+    """Return the values of an array that are neither NaN nor infinite, in one dimension."""
     values = np.asarray(values, dtype=float)
     return values[np.isfinite(values)]
 

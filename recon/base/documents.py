@@ -29,7 +29,7 @@ from recon.base.errors import ANY_FILE, NO_FILE, InputError, Problem
 from recon.base.file_names import encodable
 
 Json: TypeAlias = Any
-"""The content of a JSON text: dictionaries, lists, texts, numbers, booleans and None."""
+"""The content of a JSON text: dictionaries, lists, strings, numbers, booleans and None."""
 MAX_BYTES = 1 << 28
 MAX_TOML_BYTES = 1 << 23
 """Largest TOML file, because the parser is slow; a skeleton has some ten thousand bytes."""

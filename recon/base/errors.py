@@ -10,7 +10,7 @@ from typing import Any, TypeVar, overload
 from recon.base.file_names import encodable
 
 NO_FILE, ANY_FILE = "no such file", "a file that can be read"
-"""Texts of a file that is missing."""
+"""Words of messages on a missing file."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Problem:
 
 
 def printable(text: str) -> str:
-    """Return a text with codes for characters that cannot be printed.
+    """Return a string with codes for characters that cannot be printed.
 
     Bytes of file names get codes as `encodable` writes them.
     """

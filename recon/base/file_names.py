@@ -14,7 +14,7 @@ _ESCAPED_BYTE = re.compile(r"\\x([89a-f][0-9a-f])")
 
 
 def encodable(text: str) -> str:
-    r"""Return a text that UTF-8 can encode: other bytes of a file name become codes, as in caf\xe9.csv."""
+    r"""Return a string that UTF-8 can encode: other bytes of a file name become codes, as in caf\xe9.csv."""
     return _SURROGATE.sub(_code, text) if not text.isascii() else text
 
 
@@ -27,7 +27,7 @@ def to_encodable(value: object) -> object: ...
 
 
 def to_encodable(value: object) -> object:
-    """Return a value with `encodable` applied to every text in its lists and dictionaries."""
+    """Return a value with `encodable` applied to every string in its lists and dictionaries."""
     if isinstance(value, dict):
         return {encodable(key): to_encodable(item) for key, item in value.items()}
     if isinstance(value, list):

@@ -407,7 +407,7 @@ def output_file(
 
 
 def require_suffix(path: Path, suffixes: Iterable[str], option: str = "--out") -> None:
-    """Raise InputError unless the file's name ends in one of these."""
+    """Raise InputError unless the file's name ends in one of the suffixes."""
     if path.suffix.lower() not in suffixes:
         expected = f"a file name that ends in {' or '.join(suffixes)}"
         raise InputError(Problem(option, "file", repr(str(path)), expected))

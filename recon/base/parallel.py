@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 Outcome = Mapping[str, Any]
-"""The outcome of a task by name, at least its status; a task that failed has an error."""
+"""Results of a task by name: at least its status, and for a task that failed its error."""
 _Task = TypeVar("_Task")
 Work = Callable[[_Task, Progress], Outcome]
 """Function that does a task; it must be at the top level of a module, so that another process can import it."""

@@ -4,7 +4,7 @@ The archive has an array `record`, a JSON text with everything but the arrays, a
 by the fields that lead to it, such as `solution.states`. Arrays with the same content are stored once. Floats are
 stored as planes of bytes, which compress better, and in single precision where that changes no bit (`_Layout`).
 
-Fields are plain values, paths, slices, tuples, mappings with texts as keys, arrays of numbers, tables of files
+Fields are plain values, paths, slices, tuples, mappings with strings as keys, arrays of numbers, tables of files
 (pydantic's models), and dataclasses, also of a subclass within this package; loaded values have the types that the
 fields declare. A subclass is named by its tag, `record_tag`, never by its module, and the caller of `load_record` lists
 the classes. Values that a dataclass computes from its fields are not in the file.

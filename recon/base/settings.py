@@ -28,7 +28,7 @@ from pydantic.fields import FieldInfo
 from recon.base.errors import Problem, raise_problems
 
 FILE_SUFFIXES = (".toml", ".npz", ".csv")
-"""Suffixes of files; a text with one of them is not the name of a built-in item."""
+"""Suffixes of files; a string with one of them is not the name of a built-in item."""
 
 # -- types of values, in addition to bool, str, Path and Literal --------------------------------------------------
 
@@ -60,7 +60,7 @@ _UNITS = {
 }
 """Units by the ending of a setting's name, longer endings first."""
 _MAY_BE_FILE = object()
-"""Marker of a type whose text is a file if the text ends like a file name."""
+"""Marker of a string type whose value is a file if it ends like a file name."""
 _Value = TypeVar("_Value")
 Number = Annotated[float, BeforeValidator(_no_bool), Field(allow_inf_nan=False)]
 """A finite number."""

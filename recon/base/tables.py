@@ -1,4 +1,4 @@
-"""Write tables that are safe to open in a spreadsheet, which runs a text that begins like a formula."""
+"""Write tables that are safe to open in a spreadsheet, which evaluates a cell that begins like a formula."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 _Cell = TypeVar("_Cell")
 FORMULAS = ("=", "+", "-", "@", "\t", "\r")
-"""Beginnings of texts that a spreadsheet would run."""
+"""Beginnings of cells that a spreadsheet would evaluate."""
 
 
 @overload
@@ -24,7 +24,7 @@ def guarded(cell: _Cell) -> _Cell: ...
 
 
 def guarded(cell: object) -> object:
-    """Return a cell with an apostrophe in front if a spreadsheet would run its text, and in UTF-8."""
+    """Return a cell with an apostrophe in front if a spreadsheet would evaluate its text, and in UTF-8."""
     if not isinstance(cell, str):
         return cell
     return encodable(f"'{cell}" if _is_formula(cell) and not _is_number(cell) else cell)

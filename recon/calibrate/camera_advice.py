@@ -179,7 +179,7 @@ def camera_at(camera: Camera, target_m: Array, azimuth_rad: float, elevation_rad
 
 
 def _view_of(body: Body, states: Array, camera: Camera) -> View:
-    """Return the detections of the markers inside the picture."""
+    """Return the view of a camera that detects every marker inside its picture."""
     pixels, valid = camera.project(camera.world_to_camera(body.detected.pose(states).points_m))
     is_seen = valid & camera.in_image(pixels)
     return still_view(camera, np.where(is_seen[..., None], pixels, np.nan), is_seen.astype(float))

@@ -72,7 +72,7 @@ class _BatchSettings(Settings):
     scheduler: Annotated[str | None, Option(panel=_WORK)] = None
     """Dask cluster to use instead of this machine, such as tcp://host:8786."""
     retries: Annotated[Annotated[Integer, Field(ge=0)], Option(panel=_WORK)] = 1
-    """Number of further tries after a worker died."""
+    """Number of further attempts at a clip after its worker died."""
     overwrite: Annotated[bool, Option(panel=_WORK)] = False
     """Fit everything again, and replace results of other fits unless they were changed by hand."""
     dry_run: Annotated[bool, Option(panel=_WORK)] = False

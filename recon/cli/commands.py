@@ -75,7 +75,8 @@ class SettingsCommand(TyperCommand):
     def parse_args(self, ctx: Context, args: list[str]) -> list[str]:
         """Parse arguments; raise InputError for settings that are not options, and say how to give them."""
         rare = {info.on_command_line: info.field for info in self.infos.values() if not info.option.common}
-        field_by_option = {written[6:]: (field, f"{written}=VALUE") for written, field in rare.items()}
+        prefix = len("--set ")
+        field_by_option = {written[prefix:]: (field, f"{written}=VALUE") for written, field in rare.items()}
         if "method" in field_by_option:
             field_by_option["method"] = field_by_option["method"][0], _METHOD
         field_by_option |= dict.fromkeys(_RATES, ("fps", "--fps")) if "fps" in self.infos else {}

@@ -28,7 +28,7 @@ BASE_THETA_RAD = 0.9
 LIMIT_SIGMAS = 3.0
 """Limits of the angles of a whole animal, in standard deviations."""
 _TRAVEL_M = 0.1
-"""Length of the root's path below which the path has no direction, metres."""
+"""Distance between the root's first and last positions below which its path has no direction, metres."""
 _UP = np.array([0.0, 0.0, 1.0])
 
 

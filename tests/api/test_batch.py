@@ -948,7 +948,7 @@ from recon.cli.app import main
 
 # Where the tests run in the background, Ctrl-C is ignored, and children inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-Summary.write_now_and_then = Summary.write
+Summary.write_if_due = Summary.write
 note, begun = Record.note, []
 
 def note_and_wait(self, part, made_from, **details):

@@ -229,7 +229,7 @@ def test_files_of_a_user_s_are_not_replaced(film, called):
 def test_results_of_another_command_are_replaced_only_if_asked_for(film, called, small_trajectory):
     out = film.parent / "out"
     write_clip(small_trajectory, job(film).fit, out)
-    with refusal((out / "pose3d.csv", "file", ["not made", "more"], "--overwrite")):
+    with refusal((out / "pose3d.csv", "file", ["another command", "more"], "--overwrite")):
         run_video(job(film))
     assert done(job(film, overwrite=True), called) == ALL
     assert not (out / "angles.csv").exists()

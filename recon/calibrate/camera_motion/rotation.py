@@ -96,6 +96,7 @@ def corners(frame: GreyPicture, masked: Bools | None = None) -> Array:
     height, width = grey.shape
     across, down = CELLS if width >= height else CELLS[::-1]
     cell = (y * down // height) * across + x * across // width
+    # Sort by cell, the strongest corner of each cell first; a corner's rank is its place in its cell.
     order = np.lexsort((-strength[y, x], cell))
     cell = cell[order]
     rank = np.arange(len(cell)) - np.searchsorted(cell, cell)

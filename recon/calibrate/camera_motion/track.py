@@ -657,7 +657,7 @@ def panorama(camera: Camera, motion: TurningMotion, pictures: Sequence[Image], p
 
 
 def _draw_path(canvas: _Canvas, picture: Image, rays: Array, colour: tuple[int, int, int]) -> None:
-    """Draw world rays (N, 3) as a line, broken where rays are NaN or where it continues at the other side."""
+    """Draw world rays (N, 3) as a line, broken where rays are NaN, and where it wraps around the canvas."""
     for a, b in pairwise(canvas.place(rays)):
         if np.isfinite([a, b]).all() and abs(a[0] - b[0]) < canvas.size_px[0] / 2:
             (x0, y0), (x1, y1) = np.rint([a, b]).astype(int).tolist()
