@@ -377,7 +377,7 @@ class _Buffer:
 
 
 def write_gltf(rig: Armature, path: Path) -> None:
-    """Write capsules around the bones, moved by a skin; the animation begins at 0 s."""
+    """Write binary glTF: capsules around the bones, skinned to them, and an animation that begins at 0 s."""
     buffer = _Buffer()
     offsets_m = np.concatenate([[bone.offset_m for bone in rig.bones], rig.joint_offsets_m])
     parents = [bone.parent for bone in rig.bones] + list(rig.joint_bones)

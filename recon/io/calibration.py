@@ -83,7 +83,7 @@ def read_cameras(path: CameraFiles, image_size_px: tuple[int, int] | None = None
         expected = f"a calibration file: {', '.join(suffixes)}"
         kind = "a folder" if path.is_dir() else f"suffix {path.suffix!r}{_numbers_text(path)}"
         raise InputError(Problem(path, "format", kind, expected))
-    program = _of_other_program(path)
+    program = _unsupported_format(path)
     if program is not None:
         raise InputError(Problem(path, "format", program, f"one of: {titles('cameras')}"))
     reader = recognised(path, "cameras")
@@ -121,7 +121,7 @@ ARGUS_NUMBERS = 12
 """Numbers of a camera in Argus' profile: number, focal length, size, centre, aspect and five coefficients."""
 
 
-def _of_other_program(path: Path) -> str | None:
+def _unsupported_format(path: Path) -> str | None:
     """Return the name of a known format that cannot be read, or None for any other file."""
     if path.suffix.lower() == ".mat":
         require_file(path)
@@ -199,7 +199,7 @@ def recognises_own(path: Path) -> bool:
 
 
 def read_own(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Return the cameras of recon's own file; raise InputError, also for another version."""
+    """Return the cameras of recon's own file; raise InputError for an invalid file or another version."""
     document = parse_toml(read_calibration(path), path)
     single, several = document.get("camera"), document.get("cameras")
     tables = {"camera.": single} if single is not None else {}
@@ -272,16 +272,16 @@ def _is_transposed(matrix: Array | None) -> bool:
 
 def _reshaped(arguments: dict[str, Any]) -> dict[str, Any]:
     """Reshape numbers to the shapes of a camera, and drop trailing coefficients that are 0."""
-    matrix, bent, rotation, translation = (arguments[field] for field in BLOCKS)
+    matrix, distortion, rotation, translation = (arguments[field] for field in BLOCKS)
     if matrix is not None and matrix.size == 9:
         arguments["matrix"] = matrix.reshape(3, 3)
-    if bent is not None and arguments["model"] in tuple(LENS_MODELS):
-        bent = bent.ravel()
-        arguments["model"] = arguments["model"] if bent.size else "pinhole"
+    if distortion is not None and arguments["model"] in tuple(LENS_MODELS):
+        distortion = distortion.ravel()
+        arguments["model"] = arguments["model"] if distortion.size else "pinhole"
         counts = LENS_MODELS[arguments["model"]].counts
-        while bent.size not in counts and bent.size > min(counts) and bent[-1] == 0:
-            bent = bent[:-1]  # such as OpenCV's thin prism and tilt coefficients
-        arguments["distortion"] = bent
+        while distortion.size not in counts and distortion.size > min(counts) and distortion[-1] == 0:
+            distortion = distortion[:-1]  # such as OpenCV's thin prism and tilt coefficients
+        arguments["distortion"] = distortion
     if rotation is not None and rotation.size in (3, 9) and (np.abs(rotation) <= LARGEST).all():
         arguments["rotation"] = _rotation(rotation)
     if translation is not None and translation.size == 3:

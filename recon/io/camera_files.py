@@ -57,9 +57,9 @@ ALIASES = {
 }
 """Keys of each field in other programs, which may also be written with other capitals, blanks, or underscores."""
 FOCAL_KEYS = ("fx", "fy", "cx", "cy")
-"""Keys of a camera matrix in single numbers."""
+"""Keys of a camera matrix given as separate numbers."""
 COEFFICIENT_KEYS = ("k1", "k2", "p1", "p2", "k3")
-"""Keys of radial-tangential coefficients in single numbers, in OpenCV's order."""
+"""Keys of radial-tangential coefficients given as separate numbers, in OpenCV's order."""
 INNER_KEYS = (
     *("intrinsics", "intrinsic", "intrinsic_parameters", "extrinsics", "extrinsic", "extrinsic_parameters"),
     *("distortion", "pose", "lens"),
@@ -69,7 +69,7 @@ POSE_KEYS = (
     *("extrinsics", "extrinsic", "extrinsic_matrix", "world_to_camera", "world2cam", "w2c", "RT", "view_matrix"),
     *("camera_to_world", "cam2world", "c2w", "pose", "camera_pose", "transform", "transform_matrix"),
 )
-"""Keys of a pose in one matrix, whose direction differs between programs."""
+"""Keys of a pose given as one matrix, whose direction differs between programs."""
 LENS_KEYS = (
     *("distortion_model", "camera_model", "projection_model", "distortion_type", "lens_model", "model", "lens"),
     *("camera_type", "projection", "lens_type", "model_type", "projection_type", "type"),
@@ -111,7 +111,7 @@ def record_of(name: object, location: str, table: Mapping[str, Any], **changes: 
     if values["image_size_px"] is None:
         values["image_size_px"] = size_in(table)
     if values["matrix"] is None:
-        values |= _of_single_numbers(table, values["distortion"])
+        values |= _values_from_scalars(table, values["distortion"])
     key, model = stated_lens(table)
     called["model"] = key
     values |= {"model": model or "radtan", "world_z_up": False} | changes
@@ -155,11 +155,11 @@ def size_in(table: Mapping[str, object]) -> list[object] | None:
 
 
 def has_matrix(table: Mapping[str, Any]) -> bool:
-    """Return whether a table has a camera matrix, as a block or in single numbers."""
+    """Return whether a table has a camera matrix, as a block or as separate numbers."""
     return key_in(table, ALIASES["matrix"]) is not None or {*FOCAL_KEYS} <= table.keys()
 
 
-def _of_single_numbers(table: Mapping[str, Any], distortion: object) -> dict[str, Any]:
+def _values_from_scalars(table: Mapping[str, Any], distortion: object) -> dict[str, Any]:
     """Return the matrix of fx, fy, cx, cy, and the coefficients k1, k2, p1, p2, k3 unless a block has them."""
     if not {*FOCAL_KEYS} <= table.keys():
         return {}
@@ -222,7 +222,7 @@ def recognises_anipose(path: Path) -> bool:
 
 
 def read_anipose(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Return the cameras of an Anipose or Pose2Sim TOML file; raise InputError."""
+    """Return the cameras of an Anipose or Pose2Sim TOML file; raise InputError for an invalid file."""
     document = parse_toml(read_calibration(path), path)
     expected = f'[camera] with format = "{FORMAT}", or one table per camera as Anipose and Pose2Sim write'
     records = []
@@ -272,7 +272,7 @@ def recognises_acinoset(path: Path) -> bool:
 
 
 def read_acinoset(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Return the cameras of an AcinoSet JSON file; raise InputError."""
+    """Return the cameras of an AcinoSet JSON file; raise InputError for an invalid file."""
     document = parse_json(read_calibration(path), path)
     entries = document.get("cameras", [document]) if isinstance(document, dict) else None
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
@@ -308,7 +308,7 @@ def recognises_opensfm(path: Path) -> bool:
 
 
 def read_opensfm(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Return the cameras of an OpenDroneMap or OpenSfM file, in pixels; raise InputError.
+    """Return the cameras of an OpenDroneMap or OpenSfM file, in pixels; raise InputError for an invalid file.
 
     Lengths in the file are fractions of the picture's longer side, measured from its middle.
     """
@@ -328,13 +328,13 @@ def read_opensfm(path: Path, individual: str | None = None) -> list[CameraRecord
             for axis, side in (("x", "w"), ("y", "h")):
                 n[f"f{axis}"] = longer * float(table[f"focal_{axis}" if f"focal_{axis}" in table else "focal"])
                 n[f"c{axis}"] = longer * float(table.get(f"c_{axis}", 0.0)) + (n[side] - 1) / 2
-            values |= _of_numbers(values["model"], n)
+            values |= _record_values(values["model"], n)
         records.append(CameraRecord(name, f"{name}: ", values, called, OPENSFM_LENSES))
     return records
 
 
 def read_colmap(path: Path) -> list[CameraRecord]:
-    """Return the cameras of COLMAP's cameras.txt, without poses; raise InputError.
+    """Return the cameras of COLMAP's cameras.txt, without poses; raise InputError for an invalid file.
 
     Lines are CAMERA_ID MODEL WIDTH HEIGHT PARAMS. COLMAP's pixel (0, 0) is the corner of the first pixel, recon's is
     its centre.
@@ -349,13 +349,13 @@ def read_colmap(path: Path) -> list[CameraRecord]:
             w, h = values["image_size_px"] = number(cells[2]), number(cells[3])
             n = dict(zip(names, map(number, cells[4:]), strict=True)) | {"w": w, "h": h}
             n |= {"fx": n["f"], "fy": n["f"]} if "f" in n else {}
-            values |= _of_numbers(values["model"], n | {"cx": n["cx"] - 0.5, "cy": n["cy"] - 0.5})
+            values |= _record_values(values["model"], n | {"cx": n["cx"] - 0.5, "cy": n["cy"] - 0.5})
         called = {"matrix": "parameters"}
         records.append(CameraRecord(cells[0], f"line {line}, camera {cells[0]}: ", values, called, COLMAP_LENSES))
     return records
 
 
-def _of_numbers(model: str, n: dict[str, float]) -> dict[str, Any]:
+def _record_values(model: str, n: dict[str, float]) -> dict[str, Any]:
     """Return values of a record from w, h, fx, fy, cx, cy and the lens's coefficients, 0 where absent."""
     lens = LENS_MODELS[model]
     count = min(count for count in lens.counts if count >= sum(name in n for name in lens.coefficients))
@@ -381,7 +381,7 @@ def recognises_opencv(path: Path) -> bool:
 
 
 def read_opencv(path: Path, individual: str | None = None) -> list[CameraRecord]:
-    """Return the camera of an OpenCV or ROS file; raise InputError."""
+    """Return the camera of an OpenCV or ROS file; raise InputError for an invalid file."""
     document = without_inner(document_of(path))
     stated: dict[str, Any] = {"world_z_up": bool(document.get("world_z_up", False))}
     size = size_in(document)
@@ -392,16 +392,16 @@ def read_opencv(path: Path, individual: str | None = None) -> list[CameraRecord]
     record = record_of(document.get("camera_name"), "", document, **stated)
     require_lens(path, document, record)
     require_separate_pose(path, document, record)
-    return [_of_region(path, document, record)]
+    return [_cropped_to_region(path, document, record)]
 
 
 def document_of(path: Path) -> dict[str, Any]:
-    """Return the document of an OpenCV or ROS file as plain values; raise InputError."""
+    """Return the document of an OpenCV or ROS file as plain values; raise InputError for an invalid file."""
     text = read_calibration(path)
     if path.suffix.lower() == ".json" and '"opencv-matrix"' not in text:
         document = parse_json(text, path)
     else:  # OpenCV sometimes writes invalid JSON, with whole numbers as "1."
-        document = _of_file_storage(path, text)
+        document = _read_file_storage(path, text)
     if not isinstance(document, dict):
         raise InputError(Problem(path, "content", "no keys", "camera_matrix, distortion_coefficients, ..."))
     return document
@@ -418,8 +418,8 @@ def require_lens(path: Path, document: Mapping[str, Any], record: CameraRecord) 
         raise InputError(Problem(path, record.location + record.called["distortion"], detail, expected))
 
 
-def _of_region(path: Path, document: Mapping[str, Any], record: CameraRecord) -> CameraRecord:
-    """Return the camera for ROS' region of interest and binning, whose matrix belongs to the whole picture.
+def _cropped_to_region(path: Path, document: Mapping[str, Any], record: CameraRecord) -> CameraRecord:
+    """Return the camera of ROS' region of interest and binning; the file's matrix belongs to the whole picture.
 
     As in ROS' image_geometry, the region's corner is subtracted from the principal point, and the result is divided by
     the binning.
@@ -453,7 +453,7 @@ def _block(value: object) -> object:
     return value["data"] if isinstance(value, Mapping) and "data" in value else [] if value is None else value
 
 
-def _of_file_storage(path: Path, text: str) -> Json:
+def _read_file_storage(path: Path, text: str) -> Json:
     """Return OpenCV's FileStorage as plain dictionaries, lists, strings and numbers."""
     import cv2  # slow to import
 

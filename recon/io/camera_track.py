@@ -243,7 +243,7 @@ def _read_csv(path: Path) -> CameraTrack:
 
 
 def _read_shots(path: Path) -> CameraTrack:
-    """Return the poses of one video, without its lens; raise InputError."""
+    """Return the poses of one video, without its lens; raise InputError for an invalid file."""
     document = parse_json(read_text(path, EXPECTED, MAX_SHOTS_BYTES), path)
     whole = document[0] if isinstance(document, list) and len(document) == 1 else document
     features = whole.get("features") if isinstance(whole, dict) else None
@@ -276,9 +276,9 @@ def _read_shots(path: Path) -> CameraTrack:
 
 
 def _read_colmap(images: Path, cameras: Path | None) -> CameraTrack:
-    """Return the poses of COLMAP's images.txt, with the lens of cameras.txt if given; raise InputError.
+    """Return the poses of COLMAP's images.txt, with the lens of cameras.txt if given.
 
-    Every image has two lines, the second for its points.
+    Every image has two lines, the second for its points. Raises InputError for invalid files.
     """
     lines = enumerate(read_text(images, EXPECTED).splitlines(), start=1)
     rows: dict[str, list[float]] = {}

@@ -50,14 +50,14 @@ ROLES: dict[str, tuple[str, ...]] = {
     "fps": ("fps",),
 }
 """Roles of columns, with the names by which they are recognised, in lower case."""
-OF_POINTS = ("x", "y", "z", "likelihood")
+POINT_ROLES = ("x", "y", "z", "likelihood")
 UNIT = r"(?:[ _]?[\[(]?(px|m|cm|mm)[\])]?)?"
 TIME_UNIT = r"(?:[ _]?[\[(]?(s|sec|ms|us|µs|ns)[\])]?)?"
-OF_PART = re.compile(
+BODYPART_COLUMN = re.compile(
     rf"(.+?)(?:[ _.:/-]| ?[\[(])(?:([xyz]){UNIT}|({'|'.join(ROLES['likelihood'])}))[\])]?", re.IGNORECASE
 )
 """Pattern of a column that belongs to one bodypart."""
-PART_LAST = re.compile(r"(?:([xyz])|(likelihood|confidence|score))[ _.:/-](.+)", re.IGNORECASE)
+BODYPART_LAST = re.compile(r"(?:([xyz])|(likelihood|confidence|score))[ _.:/-](.+)", re.IGNORECASE)
 """Pattern of such a column with the bodypart behind the coordinate."""
 PART = "{bodypart}"
 VALUES_MAX, COLUMNS_MAX = 4 * common.POINTS_MAX, 10_000
@@ -98,7 +98,7 @@ def parse_map(text: str) -> dict[str, str]:
         problems.append(Problem("--columns", "map", f"no {', '.join(sorted(lacking))}", expected))
     if not {"frame", "time"} & columns.keys():
         problems.append(Problem("--columns", "map", "no frame", "a column with frame numbers, or time in seconds"))
-    if wide and wide != set(OF_POINTS) & columns.keys() | {"bodypart"} & columns.keys():
+    if wide and wide != set(POINT_ROLES) & columns.keys() | {"bodypart"} & columns.keys():
         detail = f"{PART} in {', '.join(sorted(wide))}"
         expected = f"a wide table with {PART} in x, y and likelihood, or a long one with bodypart=COLUMN"
         problems.append(Problem("--columns", "map", detail, expected))
@@ -143,9 +143,9 @@ def _by_name(column: str) -> _Meaning | None:
         unit = TIME_UNIT if role == "time" else UNIT if role in "xyz" else "()"
         if match := re.fullmatch(f"(?:{'|'.join(known)}){unit}", text.lower()):
             return "", role, match[1] or None
-    if match := OF_PART.fullmatch(text):
+    if match := BODYPART_COLUMN.fullmatch(text):
         return match[1], (match[2] or "likelihood").lower(), match[3]
-    match = PART_LAST.fullmatch(text)
+    match = BODYPART_LAST.fullmatch(text)
     return (match[3], (match[1] or "likelihood").lower(), None) if match else None
 
 
@@ -183,7 +183,7 @@ def recognises_long(path: Path) -> bool:
 
 
 def read_long(path: Path, individual: str | None = None, columns: Mapping[str, str] | None = None) -> StoredPoints:
-    """Return the points of one animal; `columns` is a map of `parse_map`. Raises InputError."""
+    """Return the points of one animal; `columns` is a map of `parse_map`. Raises InputError for an invalid file."""
     rows = common.text_rows(path)
     header = next(rows, (1, []))[1]
     header = header[: common.width_of([header])]
@@ -216,7 +216,7 @@ def recognises_parquet(path: Path) -> bool:
 
 
 def read_parquet(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the 3D positions of a Parquet file; raise InputError."""
+    """Return the 3D positions of a Parquet file; raise InputError for an invalid file."""
     with writing.formats_extra(path):
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -277,7 +277,7 @@ def points_of_columns(
     coords = ("x", "y", "z") if any(role == "z" for _, role in columns) else ("x", "y")
     values = np.full((len(distinct), len(index), len(coords) + 1), np.nan)
     for (bodypart, kind), column in columns.items():
-        if kind in OF_POINTS:
+        if kind in POINT_ROLES:
             point: Any = index[bodypart] if bodypart else point_of
             values[row_of, point, (*coords, "likelihood").index(kind)] = cells.numbers(column)
     if "z" in coords and "bodypart" not in role:
@@ -419,7 +419,7 @@ def from_dataframe(table: pd.DataFrame, fps: float | None, individual: str | Non
     source = Path("DataFrame")
     with damage_named(source, "numbers, with DeepLabCut's levels or in columns frame, keypoint, x, y, confidence"):
         if table.columns.nlevels > 1:
-            stored = _of_levels(source, table, individual)
+            stored = _points_of_levels(source, table, individual)
         else:
             stored = points_of_columns(
                 source, {str(name): table[name].to_numpy() for name in table.columns}, individual, None
@@ -427,7 +427,7 @@ def from_dataframe(table: pd.DataFrame, fps: float | None, individual: str | Non
     return _keypoints(source, stored, fps)
 
 
-def _of_levels(source: Path, table: pd.DataFrame, individual: str | None) -> StoredPoints:
+def _points_of_levels(source: Path, table: pd.DataFrame, individual: str | None) -> StoredPoints:
     """Return points of a table with DeepLabCut's levels.
 
     If the levels have no names, the last is the coordinates and the one before the bodyparts.

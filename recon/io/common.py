@@ -1,4 +1,4 @@
-"""Provide what readers of several formats share.
+"""Data types and functions shared by the readers of several formats.
 
 The module has points as they are stored in a file, 3D positions as the rest of the package uses them, and functions for
 choosing an animal, names, frames, and text tables.
@@ -195,7 +195,7 @@ def one_animal(
     if values.ndim == 3:
         values, likelihood = values[:, None], None if likelihood is None else likelihood[:, None]
     if values.ndim != 4 or values.shape[3] not in (2, 3) or not values.size:
-        entries = f"an array of the shape {values.shape}" if len(values) else "no frames"
+        entries = f"an array of shape {values.shape}" if len(values) else "no frames"
         raise InputError(Problem(path, "points", entries, "frames x animals x points x 2 or 3, each at least one"))
     T, N, K, _ = values.shape
     blocks = (("likelihoods", likelihood, (T, N, K)), ("occupied frames", occupied, (T, N)))
@@ -204,7 +204,7 @@ def one_animal(
         *_name_problems(path, "names of animals", animals, N),
     ]
     problems += [
-        Problem(path, field, f"an array of the shape {block.shape}", f"{shape}, as the points")
+        Problem(path, field, f"an array of shape {block.shape}", f"{shape}, as the points")
         for field, block, shape in blocks
         if block is not None and block.shape != shape
     ]

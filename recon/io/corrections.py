@@ -113,19 +113,19 @@ def _point(row: dict[str, str], x_name: str, y_name: str) -> _Point | None:
 def with_corrections(
     files: Sequence[Keypoints], cameras: Sequence[str], corrections: Sequence[Correction], source: Path
 ) -> list[Keypoints]:
-    """Return the keypoints of V cameras with their corrections, and a note on the number of corrections.
+    """Return the keypoints of V cameras, corrected; their notes state the number of corrections.
 
     A corrected detection is certain: its confidence is 1.
 
     Parameters
     ----------
-    files
+    files : sequence of Keypoints
         The keypoints of each camera, as read.
-    cameras
-        The names of the cameras.
-    corrections
+    cameras : sequence of str
+        The names of the V cameras.
+    corrections : sequence of Correction
         Corrections for any of the cameras.
-    source
+    source : path
         The file of the corrections, for messages.
 
     Raises

@@ -42,7 +42,7 @@ def recognises(path: Path) -> bool:
 
 
 def read(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return 3D labels or predictions; raise InputError."""
+    """Return 3D labels or predictions; raise InputError for an invalid file."""
     variables = _variables(path)
     label = variables.get("labelData", [None])
     label = label[0] if isinstance(label, list) else label
@@ -70,7 +70,7 @@ recognises_cameras = recognises
 def read_cameras(path: Path, individual: str | None = None) -> list[CameraRecord]:
     """Return the cameras of `params`, with the names of `camnames`, or the file's only camera.
 
-    Raises InputError.
+    Raises InputError for an invalid file.
     """
     variables = _variables(path)
     params = variables.get("params", [variables])
@@ -103,7 +103,7 @@ def _variables(path: Path) -> dict[str, Any]:
     """Return a file's variables by name.
 
     Values are arrays of numbers (with MATLAB's shape), texts, dictionaries of structs (or lists of several), lists of
-    cells, and None for anything else. Raises InputError.
+    cells, and None for anything else. Raises InputError for an invalid file.
     """
     content = read_content(path, "a MATLAB file", MAX_BYTES)
     if content.startswith(b"MATLAB 7.3") or content[126:128] != b"IM":
@@ -113,7 +113,7 @@ def _variables(path: Path) -> dict[str, Any]:
 
 
 class _File:
-    """A file, read with limits on its memory and number of items.
+    """Reader of one MATLAB file, with limits on its memory and number of items.
 
     The methods raise whatever error a damaged file causes.
     """
@@ -122,6 +122,7 @@ class _File:
         self.left, self.items = MAX_UNPACKED, MAX_ITEMS
 
     def top(self, data: memoryview) -> Iterator[tuple[str, Any]]:
+        """Yield name and value of each variable of the file."""
         for kind, body in self.elements(data, packed=True):
             if kind == _COMPRESSED:
                 unpacker = zlib.decompressobj()
@@ -157,7 +158,7 @@ class _File:
         """Return a matrix's name and value."""
         self.items -= 1
         if depth > MAX_DEPTH or self.items < 0:
-            raise ValueError("elements nested deeper than a file of poses has them")
+            raise ValueError("more elements, or elements nested deeper, than a file of poses can hold")
         if not len(body):
             return "", None
         elements = [*self.elements(body)]
@@ -181,7 +182,7 @@ class _File:
         length = int(self.numbers(*elements[0])[0])
         text = bytes(elements[1][1])
         if not 0 < length <= 64:
-            raise ValueError("names of another length than MATLAB's")
+            raise ValueError("field names longer than MATLAB's, or none")
         fields = [text[i : i + length].split(b"\0")[0].decode("ascii") for i in range(0, len(text), length)]
         values = [self.matrix(element, depth + 1)[1] for _, element in elements[2:]]
         rows = [dict(zip(fields, values[i:], strict=False)) for i in range(0, len(values), max(len(fields), 1))]

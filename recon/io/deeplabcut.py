@@ -41,20 +41,20 @@ TRIANGULATED = (
 MAX_CROP_PX = 100_000
 _SIDE_WORDS = {"l", "r", "left", "right", "near", "far"}
 POSITION_WORDS = _SIDE_WORDS | {"f", "h", "front", "back", "fore", "hind", "rear", "upper", "lower"}
-"""Words for a position on an animal, which are no prefixes of animals' names."""
+"""Words for a position on the body; a prefix of this kind is not the name of an animal."""
 MIN_PARTS = 3
 """Smallest number of bodyparts of each animal whose names begin with the animal's name."""
 
 
 def recognises_csv(path: Path) -> bool:
-    """Return whether a text has DeepLabCut's header rows."""
+    """Return whether a text file has DeepLabCut's header rows."""
     with path.open("rb") as file:
         head = re.sub(rb'(?i)^"?sep=."?[,;\s]*[\r\n]+', b"", file.read(64).removeprefix(b"\xef\xbb\xbf"))
     return re.match(rb'[\s,;]*"?\s*(scorer|individuals|bodyparts)\s*"?\s*([,;|\t\r\n]|$)', head) is not None
 
 
 def read_csv(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the points of one animal in a CSV file (see `points_of_table`); raise InputError."""
+    """Return the points of one animal in a CSV file (see `points_of_table`); raise InputError for an invalid file."""
     rows = _without_blank_start(common.text_rows(path))
     header, index_columns = _read_header(path, rows)
     width = index_columns + len(next(iter(header.values())))
@@ -76,7 +76,7 @@ def _without_blank_columns(
 ) -> tuple[dict[str, list[str]], common.Rows]:
     """Return the header, and the rows, without columns that are blank in all rows of the header.
 
-    A row with text in such a column stays as long as it is, which is a problem.
+    A row with text in such a column keeps its length, which is then reported as a problem.
     """
     names = [*zip(*header.values(), strict=True)]
     kept = [j for j, cells in enumerate(names) if any(map(str.strip, cells))]
@@ -99,7 +99,7 @@ def points_of_rows(
     """Return the points of one animal in rows of text.
 
     `header` has the texts of the data's columns by level. Each row begins with `index_columns` cells that give the
-    frame. Raises InputError.
+    frame. Raises InputError for invalid cells or columns.
     """
     labels = list(zip(*header.values(), strict=True))
     index, values, problems = common.number_rows(path, rows, ["/".join(label[-2:]) for label in labels], index_columns)
@@ -195,6 +195,7 @@ def points_of_table(
     Raises
     ------
     InputError
+        With the known problems, or those of the columns and frame numbers, and as in `recon.io.common.choose`.
     """
     named = [dict(zip(levels, label, strict=True)) for label in labels]
     columns, blank_notes = _stripped(named)
@@ -363,7 +364,7 @@ def _points(
 ) -> tuple[tuple[str, ...], np.ndarray]:
     """Return the bodyparts and their coordinates (T, K, 3), of columns (index, bodypart, coordinate).
 
-    Raises InputError.
+    Raises InputError for a bodypart that lacks a coordinate or has one twice.
     """
     required = ("x", "y", "z") if any(coord == "z" for _, _, coord in columns) else ("x", "y")
     coords = required if "z" in required else COORDS_2D

@@ -66,8 +66,8 @@ def refuse_several(path: Path) -> None:
     """Raise InputError for a folder or project, because it has several files."""
     if find_project(path):
         expected = (
-            "one of its tables, as videos/run1DLC_*.h5; the project as a whole is for recon batch, recon train and "
-            "recon skeleton from-keypoints"
+            "one of its tables, such as videos/run1DLC_*.h5; the project as a whole is for recon batch, recon train "
+            "and recon skeleton from-keypoints"
         )
         raise InputError(Problem(path, "file", "a project of DeepLabCut", expected))
     if path.is_dir():
@@ -147,14 +147,17 @@ def predictions(project: Project) -> tuple[dict[str, Path], tuple[str, ...]]:
             by_video.setdefault(named["video"], {}).setdefault(named["network"], []).append((*rank, file))
     if not by_video:
         expected = (
-            "tables as videos/run1DLC_*.h5, which DeepLabCut writes when it analyses the videos; or, in place of the "
-            "project, the folder where they are"
+            "tables such as videos/run1DLC_*.h5, which DeepLabCut writes when it analyses the videos; or, in place of "
+            "the project, the folder where they are"
         )
         raise InputError(Problem(project.config, "predictions", f"none in {project.folder / 'videos'}", expected))
-    problems, pattern = [], f"of one, chosen by a pattern in place of the project: '{project.folder / 'videos'}/*"
+    problems, pattern = (
+        [],
+        f"tables of one, chosen by a pattern in place of the project: '{project.folder / 'videos'}/*",
+    )
     for video, tables in by_video.items():
         if len(tables) > 1:
-            detail = f"of {len(tables)} networks: {', '.join(tables)}"
+            detail = f"tables of {len(tables)} networks: {', '.join(tables)}"
             problems.append(
                 Problem(project.config, f"predictions of {video}", detail, f"{pattern}{next(iter(tables))}.*'")
             )

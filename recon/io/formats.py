@@ -80,13 +80,16 @@ class Format:
     def read(self, path: Path, individual: str | None = None) -> Any:
         """Return the `StoredPoints` of one animal, or a list of `CameraRecord`, from a recognised file.
 
-        Raises InputError, also for what Python and libraries raise on a damaged file.
+        Raises InputError, also in place of the errors that Python and libraries raise for a damaged file.
         """
         with damage_named(path, f"a whole file: {self.title}"):
             return _present(self._loaded().read)(path, individual)
 
     def write(self, data: object, path: Path) -> None:
-        """Write `Keypoints`, `Pose3D`, `Armature` or cameras, as in `writes`, to a new file; raise InputError."""
+        """Write `Keypoints`, `Pose3D`, `Armature` or cameras, as in `writes`, to a new file.
+
+        Raises InputError for data that the format cannot hold.
+        """
         _present(self._loaded().write)(data, path)
 
     def _loaded(self) -> Functions:
@@ -357,7 +360,7 @@ def read_keypoints(path: str | Path, individual: str | None = None, fps: float |
     """Return the keypoints of one animal as stored in a file of any known format.
 
     `individual` is the animal's name, needed if there are several. `fps` numbers the frames of a file that has times.
-    Raises InputError.
+    Raises InputError for a file that cannot be read, and as in `as_keypoints`.
     """
     return as_keypoints(Path(path), read_points(path, individual, "2D", fps=fps)[1])
 
@@ -387,6 +390,7 @@ def read_points(
     Raises
     ------
     InputError
+        For a file that is missing, of no known format, damaged, or of another kind; and if no animal can be chosen.
     """
     path = Path(path)
     if os.path.isdir(path) or path.suffix.lower() in (".yaml", ".yml"):
@@ -476,7 +480,7 @@ def as_keypoints(path: Path, stored: StoredPoints) -> Keypoints:
 
 
 def individuals(path: str | Path) -> tuple[str, ...]:
-    """Return the animals that have points in a multi-animal file; nothing for one animal or an unreadable file."""
+    """Return the animals that have points in a multi-animal file; empty for one animal or an unreadable file."""
     try:
         read_keypoints(path)
     except NoChoiceError as error:
@@ -512,10 +516,10 @@ def describe(path: Path, head: bytes, known: str) -> tuple[str, str]:
     for start, name, instead in _UNREAD:
         if head.removeprefix(b"\xef\xbb\xbf").startswith(start):
             return name, instead or expected
-    return _look_of(head), expected
+    return _describe_head(head), expected
 
 
-def _look_of(head: bytes) -> str:
+def _describe_head(head: bytes) -> str:
     """Return a plain description of the first bytes of a file."""
     if head[4:8] == b"ftyp" or head[8:12] == b"AVI " or head.startswith(b"\x1aE\xdf\xa3"):
         return "a video (recon run and recon predict find the keypoints in one)"

@@ -203,7 +203,7 @@ def raw_attribute(holder: h5py.Group | h5py.Dataset, name: str) -> object:
     if not _is_readable(kind) or kind.get_class() == h5t.COMPOUND:
         raise ValueError(f"attribute {name} is neither number nor text")
     count = int(np.prod(stored.shape or (1,), dtype=float))
-    if count * kind.get_size() > MAX_ATTRIBUTE_BYTES or (count > MAX_TEXTS and _of_any_length(kind)):
+    if count * kind.get_size() > MAX_ATTRIBUTE_BYTES or (count > MAX_TEXTS and _is_variable_length(kind)):
         raise ValueError(f"attribute {name} is too large")
     value = holder.attrs[name]
     if isinstance(value, h5py.Empty):
@@ -232,7 +232,7 @@ def texts(dataset: h5py.Dataset) -> list[str]:
     _require_readable(dataset)
     if not dataset.size:
         return []
-    if not _of_any_length(dataset.id.get_type()):
+    if not _is_variable_length(dataset.id.get_type()):
         return [_text_of(item) for item in read_values(dataset).ravel().tolist()]
     if dataset.size > MAX_TEXTS:
         raise ValueError(f"{dataset.name} has {dataset.size} texts")
@@ -256,7 +256,7 @@ def texts_in(group: h5py.Group, name: str) -> list[str]:
 def read_values(dataset: h5py.Dataset) -> np.ndarray:
     """Return a dataset of numbers, texts of one length, or records of them; raise ValueError as `numbers` does."""
     _require_readable(dataset)
-    if _of_any_length(dataset.id.get_type()):
+    if _is_variable_length(dataset.id.get_type()):
         raise ValueError(f"{dataset.name} has texts of any length")
     return np.asarray(dataset[()])
 
@@ -295,14 +295,16 @@ def _is_readable(kind: h5t.TypeID, inside: bool = False) -> bool:
     if type_class == h5t.COMPOUND:
         members = [kind.get_member_type(i) for i in range(kind.get_nmembers())]
         return (
-            not inside and not any(_of_any_length(m) for m in members) and all(_is_readable(m, True) for m in members)
+            not inside
+            and not any(_is_variable_length(m) for m in members)
+            and all(_is_readable(m, True) for m in members)
         )
     if type_class == h5t.ARRAY:
         return inside and kind.get_super().get_class() in (h5t.INTEGER, h5t.FLOAT, h5t.STRING, h5t.BITFIELD)
     return type_class in (h5t.INTEGER, h5t.FLOAT, h5t.STRING, h5t.ENUM, h5t.BITFIELD)
 
 
-def _of_any_length(kind: h5t.TypeID) -> bool:
+def _is_variable_length(kind: h5t.TypeID) -> bool:
     return kind.get_class() == h5t.STRING and bool(kind.is_variable_str())
 
 

@@ -107,7 +107,7 @@ def _fixed_frame(group: h5py.Group) -> _Table:
 
 
 def _axis(group: h5py.Group, name: str) -> tuple[list[str | None], list[Label]]:
-    """Return names of the levels, and labels."""
+    """Return the names of the levels of an axis of a pandas table, and the labels along it."""
     if attribute(group, f"{name}_variety") != "multi":
         dataset = member(group, name)
         return [_attribute_value(dataset, "name")], [(label,) for label in _labels(group, dataset)]
@@ -239,7 +239,7 @@ def _sleap_array(path: Path, dataset: h5py.Dataset, name: str) -> np.ndarray:
     values = numbers(dataset)
     if sorted(order) != sorted(wanted) or values.ndim != len(wanted):
         detail = f"{values.dtype} {values.shape} with the axes {', '.join(order)[:80]}"
-        expected = f"numbers with the axes {', '.join(SLEAP_AXES[name])}, or as dims says"
+        expected = f"numbers with the axes {', '.join(SLEAP_AXES[name])}, or in the order that dims states"
         raise InputError(Problem(path, name, detail, expected))
     return values.transpose([order.index(axis) for axis in wanted])
 
@@ -255,7 +255,7 @@ def recognises_points3d(path: Path) -> bool:
 
 
 def read_points3d(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the 3D points of one track; raise InputError."""
+    """Return the 3D points of one track; raise InputError for an invalid file."""
     with opened(path) as file:
         nodes, tracks = hdf5.texts_in(file, "node_names"), hdf5.texts_in(file, "track_names")
         values = numbers(child(file, "tracks"))
@@ -290,7 +290,7 @@ def recognises_movement(path: Path) -> bool:
 
 
 def read_movement(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the points of one animal; raise InputError."""
+    """Return the points of one animal; raise InputError for an invalid file."""
     variables = {}
     with opened(path) as file:
         scales = {name: item for name in names(file) if hdf5.is_scale(item := child(file, name))}
@@ -307,20 +307,24 @@ def read_movement(path: Path, individual: str | None = None) -> StoredPoints:
         attributes = {name: attribute(file, name) for name in ATTRIBUTES}
     plain = str | int | float | np.integer | np.floating
     attributes = {name: value if isinstance(value, plain) else None for name, value in attributes.items()}
-    return _of_variables(path, variables, attributes, individual)
+    return _points_of_variables(path, variables, attributes, individual)
 
 
 def points_of_dataset(source: Path, dataset: xr.Dataset, fps: float | None, individual: str | None) -> StoredPoints:
-    """Return the points of an `xarray.Dataset`, with `fps` if given; raise InputError."""
+    """Return the points of an `xarray.Dataset`, with `fps` if given; raise InputError for an invalid file."""
     stored = {}
     for name in (name for name in VARIABLES if name in dataset.variables):
         axes = tuple(str(dim).removesuffix("s") for dim in dataset[name].dims)
         stored[name.removesuffix("s")] = axes, dataset[name].to_numpy().copy()
     attributes = {name: dataset.attrs.get(name) for name in ATTRIBUTES}
-    return _of_variables(source, stored, attributes if fps is None else attributes | {"fps": fps}, individual)
+    return _points_of_variables(source, stored, attributes if fps is None else attributes | {"fps": fps}, individual)
 
 
-def _of_variables(path: Path, stored: Variables, attributes: Mapping[str, Any], individual: str | None) -> StoredPoints:
+def _points_of_variables(
+    path: Path, stored: Variables, attributes: Mapping[str, Any], individual: str | None
+) -> StoredPoints:
+    """Return the points of one animal in movement's variables; raise InputError for an invalid file."""
+
     def ordered(name: str, dims: tuple[str, ...]) -> np.ndarray:
         """Return a variable with its axes in this order; empty if absent."""
         axes, values = stored.get(name, (dims, np.zeros([0] * len(dims))))
@@ -349,8 +353,8 @@ def _of_variables(path: Path, stored: Variables, attributes: Mapping[str, Any], 
     extra: dict[str, Any] = {"fps": fps}
     extra["unit"], up_axis = UNIT_NAMES.get(str(attributes["length_unit"])), str(attributes["up_axis"])
     extra |= {"up": up_axis if up_axis in ("x", "y", "z") else None}
-    sure = confidence if "confidence" in stored else None
-    points = StoredPoints(tuple(keypoints), values, frames, sure, **extra)
+    likelihood = confidence if "confidence" in stored else None
+    points = StoredPoints(tuple(keypoints), values, frames, likelihood, **extra)
     points = points if in_frames else with_times(path, points, ticks.astype(float), fps)
     return common.one_animal(path, individual, points, individuals)
 
@@ -421,7 +425,10 @@ def recognises_nwb(path: Path) -> bool:
 
 
 def read_nwb(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the points of one animal, named after its container if the file has several; raise InputError."""
+    """Return the points of one animal, named after its container if the file has several.
+
+    Raises InputError for an invalid file.
+    """
     with opened(path) as file:
         containers = {}
         for group in hdf5.groups(file):
@@ -486,11 +493,11 @@ class _Series(NamedTuple):
 def _series(path: Path, group: h5py.Group) -> _Series:
     """Return one point; raise InputError if its arrays do not fit together."""
     keys = ("data", "confidence", "timestamps", "starting_time")
-    data, confidence, stamps, start = (child(group, name) for name in keys)
+    data, stored_confidence, stamps, start = (child(group, name) for name in keys)
     scale, shift = attribute(data, "conversion"), attribute(data, "offset")
     values = numbers(data).astype(float) * float(1 if scale is None else scale) + float(shift or 0)
     T = len(values)
-    sure = np.full(T, np.nan) if confidence is None else numbers(confidence)
+    confidence = np.full(T, np.nan) if stored_confidence is None else numbers(stored_confidence)
     comment = str(attribute(group, "comments") or "")
     ours = re.search(re.escape(RATE_TEXT).replace(r"\{fps!r\}", "([0-9.e+-]+)"), comment)
     fps = common.rate(ours[1]) if ours else None
@@ -501,10 +508,10 @@ def _series(path: Path, group: h5py.Group) -> _Series:
         times_s = float(numbers(start)) + np.arange(T) / (fps or np.nan)
     else:
         raise InputError(Problem(path, _last(group), "no times", "timestamps, or starting_time with a rate"))
-    if sure.shape != (T,) or times_s.shape != (T,):
-        detail = f"{T} positions, {len(sure)} confidences and {len(times_s)} times"
+    if confidence.shape != (T,) or times_s.shape != (T,):
+        detail = f"{T} positions, {len(confidence)} confidences and {len(times_s)} times"
         raise InputError(Problem(path, _last(group), detail, "as many of each"))
-    return _Series(values, sure, times_s, fps)
+    return _Series(values, confidence, times_s, fps)
 
 
 def write_nwb(data: Keypoints | Pose3D, path: Path) -> None:
@@ -528,9 +535,9 @@ def write_nwb(data: Keypoints | Pose3D, path: Path) -> None:
     } | ({"rate": fps, "starting_time": frames[0] / fps} if regular else {"timestamps": frames / fps})
     series = []
     for k, name in enumerate(points.names):
-        sure = {} if points.likelihood is None else {"confidence": points.likelihood[:, k]}
-        sure |= {"confidence_definition": "likelihood of the detection, 0 to 1"} if sure else {}
-        series.append(PoseEstimationSeries(name=name, data=points.values[:, k], **shared, **sure))
+        confidence = {} if points.likelihood is None else {"confidence": points.likelihood[:, k]}
+        confidence |= {"confidence_definition": "likelihood of the detection, 0 to 1"} if confidence else {}
+        series.append(PoseEstimationSeries(name=name, data=points.values[:, k], **shared, **confidence))
     edges_fit = len(points.names) < 256
     linked = {"edges": writing.index_edges(points.names, edges).astype(np.uint8)} if edges and edges_fit else {}
     skeleton = Skeleton(name="skeleton", nodes=list(points.names), **linked)

@@ -7,14 +7,14 @@
   them (`--save-predictions`), and count a video's frames from 1.
 - OpenPose: a file for each frame. Any one of them stands for all files in its folder with the same name but for the
   number: run_000000000012_keypoints.json, or run_000012.json from RTMPose's tools, which write the same; the number is
-  the frame's. Points have no names: their number says which list it is. Persons are numbered from 1 within each frame,
-  independently of the previous frame: files with several persons have to be tracked first.
-- AlphaPose: a list with `image_id`, `keypoints` and perhaps the track `idx` of each detection, as COCO's results. The
-  points have no names, as OpenPose's.
-- FMPose3D: `run_DLC_fmpose3d_animals_3d.json` of DeepLabCut, with `model`, `bodyparts`, `poses_3d`. A pose comes from
-  one picture: relative to a point of the body, in the network's own axes and unit. Frames are numbered from 0, and
-  those without an animal are empty. The same folder has the same poses as a table, `..._3d.h5`. FMPose3D's own demo
-  writes `.npz` files (`recon.io.npz`).
+  the frame's. Points have no names: their number tells which list of names applies. Persons are numbered from 1 within
+  each frame, independently of the previous frame: files with several persons have to be tracked first.
+- AlphaPose: a list with `image_id`, `keypoints` and perhaps the track `idx` of each detection, as in COCO's results.
+  The points have no names, as in OpenPose's files.
+- FMPose3D: `run_DLC_fmpose3d_animals_3d.json` of DeepLabCut, with `model`, `bodyparts`, `poses_3d`. Each pose is
+  estimated from one picture, relative to a point of the body, in the network's own axes and unit. Frames are numbered
+  from 0, and those without an animal are empty. The same folder has the same poses as a table, `..._3d.h5`. FMPose3D's
+  own demo writes `.npz` files (`recon.io.npz`).
 """
 
 from __future__ import annotations
@@ -67,7 +67,8 @@ def _points(
 ) -> StoredPoints:
     """Return the points of one animal in all frames, for any of these formats.
 
-    `named` states whether the only animal of a file has a name. Raises InputError.
+    `named` states whether the only animal of a file has a name. Raises InputError if detections do not
+    match the names, or if an animal is twice in a frame.
     """
     animals = list(dict.fromkeys(detection.animal for detection in seen)) or [""]
     chosen = animals[common.choose(path, animals, individual)]
@@ -101,7 +102,7 @@ def recognises_coco(path: Path) -> bool:
 
 
 def read_coco(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the keypoints of one animal; raise InputError."""
+    """Return the keypoints of one animal; raise InputError for an invalid file."""
     content = read_json(path, _EXPECTED)
     people = [annotation for annotation in content["annotations"] if "keypoints" in annotation]
     numbers, notes = _frame_numbers(path, content["images"])
@@ -165,7 +166,7 @@ def recognises_mmpose(path: Path) -> bool:
 
 
 def read_mmpose(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the keypoints of one animal; raise InputError."""
+    """Return the keypoints of one animal; raise InputError for an invalid file."""
     content = read_json(path, _EXPECTED)
     names = content["meta_info"]["keypoint_id2name"]
     instances = {frame["frame_id"]: frame["instances"] for frame in content["instance_info"]}
@@ -196,7 +197,7 @@ LISTS = {
         f"{_COCO} Head Neck Hip {_TOES}".split(),
     )
 }
-"""Names of the points by their number, in order.
+"""Names of the points, in order, by the number of points.
 
 The lists are COCO's 17, OpenPose's COCO with a neck (18), BODY_25, and Halpe's 26.
 """
@@ -224,7 +225,7 @@ def clip_of_frame(path: Path) -> Path | None:
 def read_openpose(path: Path, individual: str | None = None) -> StoredPoints:
     """Return the points of one person in all files whose names differ from this one only in the number.
 
-    Raises InputError.
+    Raises InputError for invalid files.
     """
     own_name = _FILE_NAME.fullmatch(path.name)
     if own_name is None:
@@ -232,7 +233,7 @@ def read_openpose(path: Path, individual: str | None = None) -> StoredPoints:
             Problem(path, "file", "a name without a number", "the frame's number, as in run_000012_keypoints.json")
         )
     named = {path: own_name} | {
-        file_beside: match for file_beside in path.parent.iterdir() if (match := _FILE_NAME.fullmatch(file_beside.name))
+        file: match for file in path.parent.iterdir() if (match := _FILE_NAME.fullmatch(file.name))
     }
     files = {file: int(match[2]) for file, match in named.items() if (match[1], match[3]) == (own_name[1], own_name[3])}
     seen: list[_Seen] = []
@@ -267,7 +268,10 @@ def recognises_alphapose(path: Path) -> bool:
 
 
 def read_alphapose(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the points of one animal, by its track (`idx`) if the file has tracks; raise InputError."""
+    """Return the points of one animal, by its track (`idx`) if the file has tracks.
+
+    Raises InputError for an invalid file.
+    """
     content = read_json(path, _EXPECTED)
     seen = []
     for i, row in enumerate(content):
@@ -334,7 +338,7 @@ def recognises_fmpose3d(path: Path) -> bool:
 
 
 def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the poses of the only animal; raise InputError."""
+    """Return the poses of the only animal; raise InputError for an invalid file."""
     content = read_json(path, _EXPECTED)
     written = tuple(map(str, content["bodyparts"]))
     missing = np.full((len(written), 3), np.nan)

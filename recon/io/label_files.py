@@ -78,7 +78,7 @@ def require_label_names(video: str, scorer: str) -> None:
     """Raise InputError if the name of the scorer or the video cannot be part of a file name."""
     for field, name in (("scorer", scorer), ("video", video)):
         if not name or name.startswith(".") or not name.isprintable() or any(sign in name for sign in _FORBIDDEN):
-            expected = f"a name of a file: without any of {' '.join(_FORBIDDEN)}, and not beginning with a dot"
+            expected = f"a file name without any of {' '.join(_FORBIDDEN)}, and not beginning with a dot"
             raise InputError(Problem("labels", field, repr(name)[:100], expected))
 
 

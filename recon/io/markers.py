@@ -144,8 +144,8 @@ def _content(content: bytes) -> tuple[Parameters, np.ndarray, int]:
         scale = float(parameters["POINT"]["SCALE"].ravel()[0])
     # Numbers too large for the header are in two words each of TRIAL, the lower first.
     trial = parameters.get("TRIAL", {})
-    first = _of_words(trial.get("ACTUAL_START_FIELD"), first)
-    last = _of_words(trial.get("ACTUAL_END_FIELD"), last)
+    first = _number_of_words(trial.get("ACTUAL_START_FIELD"), first)
+    last = _number_of_words(trial.get("ACTUAL_END_FIELD"), last)
     T, width = max(last - first + 1, 0) if points or analogs else 0, 4 * points + analogs
     kind = f"{order}f4" if scale < 0 else f"{order}i2"
     begin, size = BLOCK * (block - 1), T * width * np.dtype(kind).itemsize
@@ -158,8 +158,8 @@ def _content(content: bytes) -> tuple[Parameters, np.ndarray, int]:
     return parameters, xyz, max(first, 1)
 
 
-def _of_words(value: object, otherwise: int) -> int:
-    """Return the number that two words make, or `otherwise`."""
+def _number_of_words(value: object, otherwise: int) -> int:
+    """Return the number stored in two 16-bit words, the lower first, or `otherwise` for anything else."""
     if not isinstance(value, np.ndarray) or value.size != 2 or value.dtype.kind != "i":
         return otherwise
     low, high = (int(word) & 0xFFFF for word in value.ravel())
@@ -193,7 +193,7 @@ def _parameters(section: bytes, order: str) -> Parameters:
 
 
 def _value(section: bytes, position: int, order: str) -> list[str] | np.ndarray:
-    """Return a parameter's data: texts of type -1, bytes of 1, whole numbers of 2, floats of 4."""
+    """Return a parameter's data: texts for type -1, bytes for 1, whole numbers for 2, floats for 4."""
     kind, dimensions = struct.unpack_from("bB", section, position)
     shape = tuple(section[position + 2 : position + 2 + dimensions])
     position += 2 + dimensions

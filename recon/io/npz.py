@@ -53,9 +53,9 @@ def read(path: Path, individual: str | None = None) -> StoredPoints:
 
 
 def read_fmpose3d(path: Path, individual: str | None = None) -> StoredPoints:
-    """Return the poses of all numbered files in the folder; a file without a number is frame 0.
+    """Return the poses of all numbered files in the folder; a file without a number is read alone, as frame 0.
 
-    Raises InputError.
+    Raises InputError for an invalid file.
     """
     named = [(re.fullmatch(r"(\d+)_3D", file.stem), file) for file in path.parent.glob("*.npz")]
     files = sorted((int(number[1]), file) for number, file in named if number)
@@ -75,7 +75,7 @@ def _pose_of(path: Path, points: int) -> np.ndarray:
     with damage_named(path, expected):
         pose = arrays_of(read_content(path, "a whole file", MAX_UNPACKED), KINDS)["pose3d"]
     if pose.shape not in ((points, 3), (1, points, 3)):
-        raise InputError(Problem(path, "pose3d", f"an array of the shape {pose.shape}", expected))
+        raise InputError(Problem(path, "pose3d", f"an array of shape {pose.shape}", expected))
     return pose.reshape(1, points, 3)
 
 

@@ -1,4 +1,4 @@
-"""Convert 3D positions of any format to metres, z up, and times to frames."""
+"""Read 3D positions of any format, in metres with z up."""
 
 from __future__ import annotations
 
@@ -33,13 +33,14 @@ def read_pose3d(
     individual : str, optional
         Name of the animal, needed if there are several.
     unit, up : str, optional
-        Unit (m, cm, mm) and upward axis (y, z), if the file does not state them. If neither states them, DeepLabCut's
-        layouts are metres, TRC and BVH y up, and all others z up.
+        Unit (m, cm, mm) and upward axis (y, z), if the file does not state them. An axis that is not known is y for TRC
+        and BVH, and z for all other formats.
 
     Raises
     ------
     InputError
-        For a file that is missing, of no known format, or faulty, and for an unknown unit.
+        For a file that is missing, of no known format, or faulty; for a unit that is missing or unknown; and for a unit
+        or axis that contradicts the file.
     """
     reader, stored = read_points(path, individual, "3D")
     return in_metres(Path(path), reader, stored, unit, up)
@@ -48,7 +49,7 @@ def read_pose3d(
 def in_metres(path: Path, reader: Format, stored: StoredPoints, unit: str | None, up: str | None) -> Pose3D:
     """Return a file's positions in metres with z up; unit and up are as in `read_pose3d`.
 
-    Raises InputError for an unknown or missing unit.
+    Raises InputError for a missing or unknown unit, and for a unit or axis that contradicts the file.
     """
     notes, problems = list(stored.notes), []
     for name, option, stated in (("unit", unit, stored.unit), ("up", up, stored.up)):
@@ -83,7 +84,7 @@ def read_pose_segments(path: str | Path) -> dict[str, Pose3D]:
     """Return several pieces of motion in one CSV file, by name.
 
     The file has a first header row `segment, frame, <joints>` and a second with x, y, z; positions are in metres. Any
-    other file that `read_pose3d` takes is one piece with the file's name. Raises InputError.
+    other file that `read_pose3d` takes is one piece with the file's name. Raises InputError as `read_pose3d` does.
     """
     path = Path(path)
     if not read_head(path).removeprefix(b"\xef\xbb\xbf").startswith(b"segment,frame,"):

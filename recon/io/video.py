@@ -169,7 +169,7 @@ def missing_note(path: str | Path, times_s: Array, first_frame: int = 0, previou
         gap_frame = next(iter(missing)) + first_frame
         return (
             f"by its time stamps {name} lacks frames ({', '.join(gaps[:MOST_GAPS])}{rest}): speeds are wrong "
-            f"there. {counted}; fit the parts between by themselves, the first with --frames :{gap_frame}"
+            f"there. {counted}; fit the parts between the gaps separately, the first with --frames :{gap_frame}"
         )
     if previous_frames is not None and stated is not None and (decoded := previous_frames + len(times_s)) < stated:
         return (
@@ -238,7 +238,7 @@ def video_writer(path: str | Path, size_px: tuple[int, int], fps: float) -> Iter
         finally:
             writer.release()
         # OpenCV does not report a full disk.
-        if not _ends_as_it_says(staged) or probe(staged).stated_frames != written:
+        if not _is_complete(staged) or probe(staged).stated_frames != written:
             raise OSError(errno.ENOSPC, "the video could not be written: is the disk full?", str(path))
 
 
@@ -267,7 +267,7 @@ def _without_stderr() -> Iterator[None]:
         os.close(null)
 
 
-def _ends_as_it_says(path: Path) -> bool:
+def _is_complete(path: Path) -> bool:
     """Return whether an AVI (RIFF), MP4 or WebM file is as long as its parts state."""
     end, position = path.stat().st_size, 0
     if path.suffix.lower() == ".webm":

@@ -1,4 +1,4 @@
-"""Provide what writers of several formats share.
+"""Functions shared by the writers of several formats.
 
 The module has points in the form that a file needs, checks of names and frames, and text tables whose numbers are read
 back exactly.
@@ -75,7 +75,7 @@ def required_fps(fps: float | None, title: str) -> float:
     """Return the frame rate; raise InputError without one."""
     if fps is None:
         detail = "no frame rate, neither given nor in the input"
-        raise InputError(Problem("--fps", "fps", detail, f"frames per second, as in 90, which {title} requires"))
+        raise InputError(Problem("--fps", "fps", detail, f"frames per second, such as 90, which {title} requires"))
     return fps
 
 

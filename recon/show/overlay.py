@@ -31,7 +31,7 @@ Colour = tuple[int, int, int]
 # Okabe and Ito's palette, which colour-blind readers can distinguish; the same as in the playback.
 SIDE_COLOURS: dict[Side | None, Colour] = {"left": (233, 180, 86), "right": (0, 159, 230), None: (115, 158, 0)}
 PAPER, INK, FAINT, SHADOW = (27, 21, 18), (235, 235, 235), (110, 104, 98), (0, 0, 0)
-DETECTION, OUTLIER, DOUBT = (255, 255, 255), (40, 60, 235), (60, 200, 255)
+DETECTION, OUTLIER, FLAGGED = (255, 255, 255), (40, 60, 235), (60, 200, 255)
 FONT = cv2.FONT_HERSHEY_SIMPLEX
 SHIFT = 4
 STRIP_SHARE = 0.3
@@ -162,8 +162,21 @@ def clip_frames(frames: Integers, video: Path, first_frame: int) -> Iterator[tup
     """Yield the pictures of a clip's frames: number, row among the frames, time stamp in seconds, and picture.
 
     The row is None for a frame that is not in the clip. The last item is the frame after the clip, if the video has
-    one. first_frame: frame number, in the clip, of the video's first frame. Raises InputError if the video ends before
-    the clip.
+    one.
+
+    Parameters
+    ----------
+    frames : (T,)
+        Frame numbers of the clip.
+    video : path
+        The video.
+    first_frame : int
+        Frame number, in the clip, of the video's first frame.
+
+    Raises
+    ------
+    InputError
+        If the video ends before the clip.
     """
     rows = {int(frame): t for t, frame in enumerate(frames)}
     # a camera that started later lacks the first frames
@@ -320,10 +333,10 @@ def _draw_caption(
     if t is not None and not np.isfinite(overlay.reprojected_px[t]).any() and not flags:
         flags = ["no pose"]
     if flags:
-        draw_text(canvas, ", ".join(flags), (x, y + round(46 * unit)), scale, DOUBT)
+        draw_text(canvas, ", ".join(flags), (x, y + round(46 * unit)), scale, FLAGGED)
         edge = max(2, round(6 * unit))
         inset, (width, height) = edge // 2, size_px
-        cv2.rectangle(canvas, (inset, inset), (width - 1 - inset, height - 1 - inset), DOUBT, edge)
+        cv2.rectangle(canvas, (inset, inset), (width - 1 - inset, height - 1 - inset), FLAGGED, edge)
 
 
 def _draw_strip(canvas: Image, overlay: Overlay, t: int | None, top: int, width: int) -> None:

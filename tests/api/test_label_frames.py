@@ -131,7 +131,7 @@ def test_names_that_are_none_are_refused(film: Path, tmp_path: Path, names: tupl
 
 def test_a_scorer_outside_the_folder_is_refused(film: Path, tmp_path: Path):
     out = tmp_path / "project"
-    refused(("label", film, "--out", out, "--scorer", "../me"), ("labels", "scorer", "../me", "a name of a file"))
+    refused(("label", film, "--out", out, "--scorer", "../me"), ("labels", "scorer", "../me", "a file name"))
     refused(("label", tmp_path / "none.mp4", "--out", out), ("none.mp4", "video", "no such file"))
     refused(("label", film, "--out", out, "--first-frame", "3"), ("--result", "result", "nothing"))
     assert not out.exists()

@@ -145,7 +145,7 @@ def test_without_a_frame_rate(target, tmp_path):
         ("3D" in target.writes and target.write, replace(a_pose(), fps=None), read_pose3d),
     ):
         if write and target.fps == "needed":
-            with refusal(("--fps", "fps", "no frame rate", "as in 90")):
+            with refusal(("--fps", "fps", "no frame rate", "such as 90")):
                 write(data, path)
             assert not path.exists()
         elif write:

@@ -69,5 +69,5 @@ def test_the_same_labels_give_the_same_bytes(folder: Path, tmp_path: Path):
 
 @pytest.mark.parametrize("name", ["", "../me", "a/b", "a\\b", ".hidden", "a\nb", "a*"])
 def test_a_name_that_is_no_file_s_is_refused(name: str):
-    with pytest.raises(InputError, match="a name of a file"):
+    with pytest.raises(InputError, match="a file name"):
         require_label_names("run", name)

@@ -31,11 +31,11 @@ from recon.cli.look_options import OverlaySettings, PageSettings
 from recon.cli.show import overlay as draw
 from recon.fit.motion import Motion
 from recon.fit.result import Finding
-from recon.io.video import _ends_as_it_says, missing_note, probe, read_frames, timed_frames, video_writer
+from recon.io.video import _is_complete, missing_note, probe, read_frames, timed_frames, video_writer
 from recon.show.overlay import (
     CLOSE_UP,
     DETECTION,
-    DOUBT,
+    FLAGGED,
     INK,
     OUTLIER,
     PAPER,
@@ -140,9 +140,9 @@ def test_detections_are_rings(overlay):
 
 
 def test_doubtful_frames_have_a_border(overlay):
-    borders = [tuple(draw_frame(overlay, t, 10 + t, GREY)[540, 1]) == DOUBT for t in range(8)]
+    borders = [tuple(draw_frame(overlay, t, 10 + t, GREY)[540, 1]) == FLAGGED for t in range(8)]
     assert borders == [bool(flags) for flags in overlay.flags]
-    assert tuple(draw_frame(overlay, None, 3, GREY)[540, 1]) == DOUBT
+    assert tuple(draw_frame(overlay, None, 3, GREY)[540, 1]) == FLAGGED
 
 
 def test_captions_are_read_on_a_bright_picture(overlay):
@@ -428,7 +428,7 @@ def test_a_video_for_browsers_is_whole_or_an_error(tmp_path, capfd):
     assert path.read_bytes()[:4] == b"\x1a\x45\xdf\xa3"
     assert (probe(path).stated_frames, probe(path).size_px) == (10, (64, 48))
     np.testing.assert_allclose([picture.mean() for _, picture in read_frames(path)], range(0, 200, 20), atol=4)
-    assert _ends_as_it_says(path)
+    assert _is_complete(path)
     path.write_bytes(path.read_bytes()[:-20])
-    assert not _ends_as_it_says(path)
+    assert not _is_complete(path)
     assert capfd.readouterr().err == ""
